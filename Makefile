@@ -1,6 +1,6 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -9,6 +9,9 @@ BASELINES := .venv-baselines/.installed
 BUILT := web/built/app.js
 # The client's wheel, from where the platform serves it.
 DOWNLOAD := api/downloads/.built
+# The docs site, from where the platform serves it.
+MANUAL := web/manual/index.html
+DOCS := mkdocs.yml $(shell find docs docsite -type f -not -name '*.pyc')
 CLIENT := $(shell find stone_base stone_files stone_submissions stone_client deploy/client -name '*.py' -o -name '*.toml')
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
@@ -29,6 +32,9 @@ $(BUILT): $(INSTALLED) $(MODULES) web/package-lock.json web/tsconfig.json deploy
 	deploy/build-pages.sh
 	touch $@
 
+$(MANUAL): $(INSTALLED) $(DOCS) deploy/build-docs.sh
+	deploy/build-docs.sh
+
 $(DOWNLOAD): $(CLIENT) deploy/build-wheels.sh
 	deploy/build-wheels.sh client
 	touch $@
@@ -45,12 +51,13 @@ $(BASELINES): $(INSTALLED) baselines/requirements-cpu.txt deploy/create-baseline
 	deploy/create-baselines-venv.sh
 	touch $@
 
+# The docs site is built beside the demo, whose first half a minute leaves a core idle.
 demo: install
 	$(MAKE) --no-print-directory $(DOWNLOAD)
-	$(BIN)/stone demo
+	$(MAKE) --no-print-directory $(MANUAL) & $(BIN)/stone demo; status=$$?; wait; exit $$status
 
 serve: install
-	$(MAKE) --no-print-directory $(DOWNLOAD)
+	$(MAKE) --no-print-directory $(DOWNLOAD) $(MANUAL)
 	$(BIN)/stone serve
 
 test: install
@@ -80,7 +87,7 @@ check: test-clients
 	$(MAKE) --no-print-directory test-all
 
 docs: install
-	$(BIN)/mkdocs build
+	deploy/build-docs.sh
 
 chaos: install
 	$(BIN)/python -m chaos
@@ -117,6 +124,9 @@ bench-platform: install
 	$(BIN)/python -m benchmarks.platform_label
 	$(BIN)/python -m benchmarks.sandbox
 
+bench-time-left: install
+	$(BIN)/python -m benchmarks.time_left
+
 bench-pages: test-clients
 	$(BIN)/python -m benchmarks.pages
 	$(BIN)/python -m benchmarks.viewer
@@ -150,7 +160,9 @@ season: install
 	$(BIN)/python -m benchmarks.season
 
 wheels: install
+	$(MAKE) --no-print-directory $(MANUAL)
 	deploy/build-wheels.sh
 
 images:
+	$(MAKE) --no-print-directory $(MANUAL)
 	deploy/images/build.sh

@@ -28,7 +28,7 @@ class ApiError(StoneError):
 
 
 class UnauthenticatedError(ApiError):
-    """Nobody is signed in, or the token or session is not valid any more."""
+    """Not signed in, or the token or session is no longer valid."""
 
     code = "unauthenticated"
 
@@ -59,7 +59,7 @@ class ForbiddenError(ApiError):
 
 
 class CsrfError(ForbiddenError):
-    """A browser's session changes something without the token that only our own pages know."""
+    """The request lacks the CSRF token of the browser's session."""
 
     code = "csrf"
 
@@ -68,16 +68,16 @@ class CsrfError(ForbiddenError):
 
 
 class NotFoundError(ApiError):
-    """There is no such thing, or it is not yours to know."""
+    """Not found, or no access."""
 
     code = "not_found"
 
     def __init__(self, kind: str, subject_id: str) -> None:
-        super().__init__(f"there is no {kind} {subject_id[:80]!r} that you may see")
+        super().__init__(f"there is no {kind} {subject_id[:80]!r}, or you have no access to it")
 
 
 class ConflictError(ApiError):
-    """The state of the thing does not allow this now."""
+    """Not possible in the current state."""
 
     code = "conflict"
 
@@ -86,7 +86,7 @@ class ConflictError(ApiError):
 
 
 class HiddenTruthError(ConflictError):
-    """The labels of what is in test, or what a hidden phase is scored against, cannot be made public."""
+    """Labels that serve as hidden ground truth cannot be made public."""
 
     code = "hidden_truth"
 
@@ -98,21 +98,21 @@ class HiddenTruthError(ConflictError):
 
 
 class PreconditionFailedError(ApiError):
-    """The thing has changed since it was read."""
+    """The resource was changed since it was read."""
 
     code = "precondition_failed"
 
     def __init__(self, given: str, current: str) -> None:
-        super().__init__(f"If-Match is {given[:80]} but the thing is at {current}; read it again and decide anew")
+        super().__init__(f"If-Match is {given[:80]} but the resource is at {current}; read it again and retry")
 
 
 class PreconditionRequiredError(ApiError):
-    """A change must say which state of the thing it means."""
+    """A change needs the ETag of the resource (If-Match)."""
 
     code = "precondition_required"
 
     def __init__(self) -> None:
-        super().__init__("If-Match is missing; send the ETag of the thing as you last read it")
+        super().__init__("If-Match is missing; send the ETag of the resource as you last read it")
 
 
 class InvalidRequestError(ApiError):
@@ -121,7 +121,7 @@ class InvalidRequestError(ApiError):
     code = "invalid_request"
 
     def __init__(self, findings: tuple[Mapping[str, Any], ...], total: int) -> None:
-        super().__init__(f"{total} thing(s) in the request are not as asked; see errors")
+        super().__init__(f"{total} field(s) of the request are invalid; see errors")
         self._findings, self.total = findings, total
 
     @property
@@ -130,7 +130,7 @@ class InvalidRequestError(ApiError):
 
 
 class BadCursorError(ApiError):
-    """The cursor is not one that this list gave."""
+    """The cursor does not belong to this list."""
 
     code = "bad_cursor"
 
@@ -139,12 +139,12 @@ class BadCursorError(ApiError):
 
 
 class ReasonMissingError(ApiError):
-    """An administrator's act must say why."""
+    """An administrative action needs a reason."""
 
     code = "reason_missing"
 
     def __init__(self, act: str) -> None:
-        super().__init__(f"{act} needs a reason that is not empty; it is kept in the audit log")
+        super().__init__(f"{act} needs a reason, which is recorded in the audit log")
 
 
 class BodyTooLargeError(ApiError):
@@ -181,12 +181,12 @@ class TooManyFailedSignInsError(RateLimitedError):
 
 
 class DevicePendingError(ApiError):
-    """Nobody has approved the program yet."""
+    """The program has not been approved yet."""
 
     code = "authorization_pending"
 
     def __init__(self) -> None:
-        super().__init__("nobody has approved this program yet; ask again after interval_s")
+        super().__init__("this program has not been approved yet; ask again after interval_s")
 
 
 class DeviceSlowDownError(RateLimitedError):
@@ -200,12 +200,12 @@ class DeviceSlowDownError(RateLimitedError):
 
 
 class DeviceDeniedError(ApiError):
-    """Somebody said no to the program, or was shut out since they said yes."""
+    """The program was denied, or the approving account was deactivated."""
 
     code = "access_denied"
 
     def __init__(self) -> None:
-        super().__init__("this program was denied its token; begin again if that was a mistake")
+        super().__init__("this program was denied; start again if that was a mistake")
 
 
 class DeviceCodeError(ApiError):
@@ -214,11 +214,11 @@ class DeviceCodeError(ApiError):
     code = "expired_token"
 
     def __init__(self) -> None:
-        super().__init__("this device code is unknown, older than ten minutes, or its token was given out; begin again")
+        super().__init__("this device code is unknown, expired (ten minutes), or already used; start again")
 
 
 class BadIdempotencyKeyError(ApiError):
-    """The Idempotency-Key cannot be one."""
+    """Invalid Idempotency-Key."""
 
     code = "bad_idempotency_key"
 
@@ -232,9 +232,7 @@ class KeyReusedError(ApiError):
     code = "idempotency_key_reused"
 
     def __init__(self) -> None:
-        super().__init__(
-            "this Idempotency-Key stood with another body or query before; use a fresh key for a new request"
-        )
+        super().__init__("this Idempotency-Key was used with another body or query; use a new key for a new request")
 
 
 class RequestInFlightError(ApiError):
@@ -251,7 +249,7 @@ class RequestInFlightError(ApiError):
 
 
 class ClientTooOldError(ApiError):
-    """The client is of a release that this server does not understand any more."""
+    """The client's release is no longer supported by this server."""
 
     code = "client_too_old"
 

@@ -52,7 +52,7 @@ Load = Callable[[Session, StreamSubject], tuple[str, bool]]
 
 
 class TooManyStreamsError(RateLimitedError):
-    """The caller, or everybody together, follows more than one process serves."""
+    """Too many event streams, of the caller or in total."""
 
     code = "too_many_streams"
 

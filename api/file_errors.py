@@ -22,7 +22,7 @@ class RangeError(ApiError):
 
 
 class CalibrationRefusedError(ApiError):
-    """The file is not a calibration that anything could be built on; `errors` has the code of the check."""
+    """The calibration is refused; `errors` has the code of the check."""
 
     code = "calibration_refused"
 

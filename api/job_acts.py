@@ -1,4 +1,4 @@
-"""Administrators' actions on runs: cancel, terminate, retry, for one run or many."""
+"""Actions on runs: cancel, terminate, retry, for one run or, by administrators, many."""
 
 from sqlalchemy.orm import Session
 
@@ -9,18 +9,27 @@ from api.schemas.jobs import FailureItem
 from api.visible import job_of
 from services.domain.benchmarks.submissions.states import reopen
 from services.runtime.jobs import control
+from services.runtime.notifications.run_events import tell_run_stopped
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
+UNSAID = "no reason was given"
 
-def control_run(session: Session, platform: Platform, act: JobAct, root_id: str, reason: str) -> Job:
-    """The run after the act. Raises `JobStateError`."""
+
+def control_run(session: Session, platform: Platform, caller: Caller, act: JobAct, root_id: str, reason: str) -> Job:
+    """The run after the act; an owner whose run somebody else stops is told why, once. Raises `JobStateError`."""
     if act == "retry":
         run = control.retry(session, root_id, platform.settings.jobs.max_attempts)
         reopen(session, run)
         return run
-    return (control.cancel if act == "cancel" else control.terminate)(session, root_id, reason)
+    before = session.get_one(Job, root_id)
+    is_own, is_told = before.owner_id == caller.user_id, bool(before.cancel_reason)
+    said = reason if reason or is_own else UNSAID
+    run = (control.cancel if act == "cancel" else control.terminate)(session, root_id, said)
+    if not is_own and not is_told:
+        tell_run_stopped(session, run, said)
+    return run
 
 
 def act_on_each(platform: Platform, caller: Caller, body: JobActsBody) -> list[JobActItem]:
@@ -41,7 +50,7 @@ def _acted(
             root_id = job_of(session, caller, job_id).root_id
             if root_id in done:
                 return done[root_id].model_copy(update={"job_id": job_id})
-            run = control_run(session, platform, body.act, root_id, body.reason)
+            run = control_run(session, platform, caller, body.act, root_id, body.reason)
             audit.record_admin_act(session, caller, f"job.{body.act}", root_id, body.reason)
             session.flush()
             item = JobActItem(job_id=job_id, root_id=root_id, state=run.state, failure=None)

@@ -6,6 +6,7 @@ the roles that are asked for.
 """
 
 import json
+import re
 from collections.abc import Callable, Iterator
 from typing import Any
 
@@ -43,6 +44,7 @@ MATCH = {
 }
 
 Operation = dict[str, Any]
+CLAUSE_END = re.compile(r"[;:.]\s")
 
 
 def documented(api: FastAPI) -> Callable[[], dict[str, Any]]:
@@ -89,6 +91,7 @@ def _problem_schemas() -> dict[str, Any]:
 
 def _complete(path: str, method: str, operation: Operation) -> None:
     """Add what follows from the operation's form."""
+    operation["summary"] = _summary(operation)
     answers = operation["responses"]
     if "HTTPValidationError" in str(answers.get("422", "")):
         del answers["422"]
@@ -99,6 +102,15 @@ def _complete(path: str, method: str, operation: Operation) -> None:
         operation.setdefault("parameters", []).append(KEY)
     if "428" in answers or (method == "put" and "412" in answers):
         operation.setdefault("parameters", []).append(MATCH)
+
+
+def _summary(operation: Operation) -> str:
+    """The summary that a route gives itself; else the description's beginning instead of the function's name."""
+    given: str = operation["summary"]
+    is_made_of_a_name = operation["operationId"].endswith("_" + given.replace(" ", "_").lower())
+    if not is_made_of_a_name or "description" not in operation:
+        return given
+    return CLAUSE_END.split(operation["description"], maxsplit=1)[0].removesuffix(".").replace("\n", " ")
 
 
 def _implied(path: str, method: str, operation: Operation) -> set[int]:

@@ -39,6 +39,8 @@ from stone.errors import StoneError
 MEDIA_TYPE = "application/problem+json"
 MOST_FINDINGS = 100
 MOST_WORDS = 200
+RAISED_BY_US = "Value error, "
+"""What pydantic writes before the sentence of a `ValueError` of our own."""
 PROBLEMS_PATH = "/api/v1/problems"
 BUSY_S = "2"
 GRANTED_WITHIN_S = 86_400
@@ -116,7 +118,7 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 
 def internal_error() -> JSONResponse:
     """A fault of ours: the response holds the request's id and nothing more."""
-    return answer(problem(500, "internal_error", "a fault of ours; quote request_id when you report it"))
+    return answer(problem(500, "internal_error", "internal error; quote request_id when you report it"))
 
 
 def title_of(leaf: type[StoneError]) -> str:
@@ -168,7 +170,8 @@ def _invalid(error: Any) -> JSONResponse:
 def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
     """Place and expectation of a validation error; never the input, which may be a secret or a megabyte."""
     where = ".".join(str(part)[:64] for part in raw["loc"][:8])
-    return {"code": str(raw["type"])[:64], "where": where, "expected": str(raw["msg"])[:MOST_WORDS]}
+    expected = str(raw["msg"]).removeprefix(RAISED_BY_US)[:MOST_WORDS]
+    return {"code": str(raw["type"])[:64], "where": where, "expected": expected}
 
 
 def _http(error: Any) -> JSONResponse:

@@ -14,8 +14,10 @@ from api.deps import Caller
 from api.errors import NotFoundError
 from services.domain.benchmarks.phases.phases import HIDDEN_PART, phase_named
 from services.domain.benchmarks.teams.teams import is_member
+from services.domain.datasets.exposure import hidden_truths
 from services.domain.datasets.queries import dataset_named
 from services.domain.exports.requests import counting_labels
+from services.domain.viewer.playback import PLAYBACK
 from services.runtime.orm import (
     Benchmark,
     CalibrationRow,
@@ -72,13 +74,6 @@ def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> Sequen
     return _known(found, "sequence", sequence_id)
 
 
-def hidden_truths() -> Select[str]:
-    """The ids of the sequences that a version hides, or whose labels a hidden phase is scored against."""
-    same_part = and_(Phase.dataset_id == DatasetMember.dataset_id, Phase.part == DatasetMember.part)
-    members = select(DatasetMember.sequence_id).outerjoin(Phase, and_(same_part, Phase.is_hidden))
-    return members.where(or_(DatasetMember.part == HIDDEN_PART, Phase.id.is_not(None)))
-
-
 def hiding(session: Session, sequence_id: str) -> str:
     """What hides the labels of a sequence, in words; '' where nothing does. The draft splits are read as they are."""
     of_sequence = DatasetMember.sequence_id == sequence_id
@@ -110,6 +105,24 @@ def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Export).where(Export.sequence_id == sequence.id, Export.id == export_id)
     return _known(session.scalars(of_sequence).one_or_none(), "export", export_id)
+
+
+def exports_shown_to(session: Session, caller: Caller, sequence_id: str) -> Select[Export]:
+    """The exports of a sequence that is shown to the caller: all for its owner, the finished ones for readers.
+
+    A playback is its owner's: others get single files of it through the viewer. Raises `NotFoundError`.
+    """
+    sequence = shown_sequence(session, caller, sequence_id)
+    everything = select(Export).where(Export.sequence_id == sequence.id)
+    if caller.is_administrator or sequence.owner_id == caller.user_id:
+        return everything
+    return everything.where(Export.finished_ns.is_not(None), Export.format != PLAYBACK)
+
+
+def readable_export(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
+    """Raises `NotFoundError`."""
+    shown = exports_shown_to(session, caller, sequence_id).where(Export.id == export_id)
+    return _known(session.scalars(shown).one_or_none(), "export", export_id)
 
 
 def label_comparison_of(session: Session, caller: Caller, sequence_id: str, comparison_id: str) -> LabelComparison:

@@ -100,7 +100,7 @@ def provenance_of(path: Path) -> WeightsProvenance:
             said = json.loads((file.metadata() or {})[SAID])
         return WeightsProvenance(**{**said, "position": Position(**said["position"])})
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise BadRunError(path.parent, f"{path.name} is no file of a run") from error
+        raise BadRunError(path.parent, f"{path.name} is not a file of a run") from error
 
 
 def load_backbone(model: nn.Module, path: Path) -> None:
@@ -117,7 +117,7 @@ def load_backbone(model: nn.Module, path: Path) -> None:
         backbone.load_pretrained({name: value for name, value in tensors.items() if isinstance(value, Tensor)})
     except UNREADABLE as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadRunError(path.parent, f"{path.name} has not the weights: {why}") from error
+        raise BadRunError(path.parent, f"{path.name} lacks the weights: {why}") from error
 
 
 def _optimizer_tensors(model: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:

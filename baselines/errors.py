@@ -31,7 +31,7 @@ class NothingToTrainOnError(StoneError):
 
 
 class TooFewFramesError(StoneError):
-    """An epoch has not the frames of one step."""
+    """An epoch has fewer frames than one step takes."""
 
     code: ClassVar[str] = "too_few_frames"
 
@@ -43,7 +43,7 @@ class TooFewFramesError(StoneError):
 
 
 class SensorMissingError(StoneError):
-    """A frame lacks a sensor that the row looks at."""
+    """A frame lacks a sensor that the row uses."""
 
     code: ClassVar[str] = "sensor_missing"
 
@@ -55,16 +55,16 @@ class SensorMissingError(StoneError):
 
 
 class RunExistsError(StoneError):
-    """The folder of a new run holds another one."""
+    """The folder for a new run holds another run."""
 
     code: ClassVar[str] = "run_exists"
 
     def __init__(self, folder: Path) -> None:
-        super().__init__(f"{folder} holds a run: say --resume to go on with it, or name another folder")
+        super().__init__(f"{folder} holds a run: continue it with --resume, or name another folder")
 
 
 class BadRunError(StoneError):
-    """The folder is no run that this code can go on with or predict from."""
+    """The folder is not a run that this release can resume or predict from."""
 
     code: ClassVar[str] = "bad_run"
 
@@ -85,7 +85,7 @@ class NotDeployableError(StoneError):
 
 
 class TrainingDivergedError(StoneError):
-    """A loss is no number any more."""
+    """A loss is NaN or infinite."""
 
     code: ClassVar[str] = "training_diverged"
 
@@ -93,19 +93,19 @@ class TrainingDivergedError(StoneError):
         said = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
         super().__init__(
             f"step {step}: the losses are {said} at a learning rate of {rate:.2e}; lower learning_rate or "
-            "clip_norm, or train in float32 (--precision float32); the last checkpoint is sound"
+            "clip_norm, or train in float32 (--precision float32); the last checkpoint is intact"
         )
 
 
 class NoAcceleratorError(StoneError):
-    """The device that was asked for is not there."""
+    """The requested device is not available."""
 
     code: ClassVar[str] = "no_accelerator"
 
     def __init__(self, device: str, version: str) -> None:
         super().__init__(
-            f"{device} cannot be used here by torch {version}: say --device cpu, or install the torch that the "
-            "machine's driver wants"
+            f"{device} cannot be used here by torch {version}: use --device cpu, or install the torch that "
+            "matches the machine's driver"
         )
 
 
@@ -116,6 +116,6 @@ class TooLittleMemoryError(StoneError):
 
     def __init__(self, device: str, batch: int) -> None:
         super().__init__(
-            f"{device} has too little memory for a step of {batch} frames: lower --batch, say "
+            f"{device} has too little memory for a step of {batch} frames: lower --batch, use "
             "--checkpoint-gradients, or train a smaller row"
         )

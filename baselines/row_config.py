@@ -51,7 +51,7 @@ class TrainingConfig:
     def __post_init__(self) -> None:
         refuse_below_one(self, "epochs", "batch", "accumulate", "stride", "checkpoint_steps")
         if self.learning_rate < 0:
-            raise ValueError(f"a learning_rate of {self.learning_rate} is none")
+            raise ValueError(f"a learning_rate of {self.learning_rate} is negative")
 
 
 @dataclass(frozen=True)
@@ -97,7 +97,7 @@ def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
     try:
         said = YAML(typ="safe").load(path.read_text("utf-8"))
     except (YAMLError, UnicodeDecodeError) as error:
-        raise BadRowError(name, f"it is no YAML: {str(error).splitlines()[0]}") from error
+        raise BadRowError(name, f"it is not YAML: {str(error).splitlines()[0]}") from error
     row = row_of(name, said)
     kept = {key: value for key, value in (changes or {}).items() if value is not None}
     return replace(row, training=replace(row.training, **kept))
@@ -117,10 +117,11 @@ def row_of(name: str, said: object) -> RowConfig:
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
-        raise BadRowError(name, f"{place}: {first['msg']}, found {str(first['input'])[:80]!r}") from error
+        why = first["msg"].removeprefix("Value error, ")  # pydantic's, before a sentence of our own
+        raise BadRowError(name, f"{place}: {why}, found {str(first['input'])[:80]!r}") from error
     unknown = next(_unknown_keys(said, row, ""), None)
     if unknown is not None:
-        raise BadRowError(name, f"{unknown} is no field")
+        raise BadRowError(name, f"{unknown} is not a field")
     return row
 
 

@@ -20,7 +20,7 @@ def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, b
     named = folder / ROW_FILE
     if not named.exists():
         if resume:
-            raise BadRunError(folder, f"there is no {ROW_FILE}, so there is no run to resume; leave --resume away")
+            raise BadRunError(folder, f"there is no {ROW_FILE}, so there is no run to resume; leave out --resume")
         return row, False
     if not resume:
         raise RunExistsError(folder)
@@ -42,7 +42,7 @@ def read_run_row(folder: Path) -> RowConfig:
     try:
         said = json.loads((folder / ROW_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise BadRunError(folder, f"it is no run of `stone train`: {ROW_FILE} cannot be read") from error
+        raise BadRunError(folder, f"it is not a run of `stone train`: {ROW_FILE} cannot be read") from error
     return row_of(str(folder), said)
 
 

@@ -68,5 +68,5 @@ def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
     }
     for name, (then, now) in same.items():
         if then != now:
-            raise BadRunError(folder, f"its {name} is not what it was: {str(then)[:64]} then, {str(now)[:64]} now")
+            raise BadRunError(folder, f"its {name} has changed: {str(then)[:64]} then, {str(now)[:64]} now")
     return replace(state, provenance=read)

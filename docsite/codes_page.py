@@ -4,7 +4,7 @@
 """
 
 import ast
-from collections.abc import Iterator
+from collections.abc import Iterable, Iterator
 from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
@@ -12,6 +12,8 @@ from pathlib import Path
 from api.statuses import OF_OTHERS, STATUS_OF, status_of
 from docsite.markdown import code, plain, table
 from stone.errors import StoneError
+from stone_base.codes.catalogue import CATALOGUE, by_family
+from stone_base.codes.meaning import HARM_WORDS, CodeMeaning
 
 ROOT = Path(__file__).resolve().parents[1]
 CODE_SOURCES = (
@@ -19,12 +21,15 @@ CODE_SOURCES = (
     "stone_datasets", "baselines",
     "services", "simulator", "stone_client", "stone_local", "api", "web",
 )  # fmt: skip
-HEAD = """# Codes
+HEAD = """# Error and finding codes
 
-Whatever is refused, or found wrong, has a code that does not change, and one sentence with the value, the limit and
+Every error and finding has a stable code, and one sentence with the value, the limit and
 the likely mistake. Over HTTP it is `application/problem+json` with `code`, `detail`, `request_id` and `errors`; on the
 command line `code: sentence` on stderr and exit code 1; of a job its failure. The sentence is for people, the code for
 programs.
+"""
+FINDINGS = """A finding has a severity; what it does to labels follows from its code. On the platform each code has a
+page, `/codes/LAB-603`; on the command line `stone explain LAB-603` says the same.
 """
 
 
@@ -44,21 +49,37 @@ def codes_page() -> str:
     found = sorted(all_codes(), key=lambda one: (one.code, one.name))
     answered = [one for one in found if one.name in statuses]
     others = [one for one in found if one.name not in statuses]
-    inputs = [one for one in others if one.code[:1].isupper()]
-    rest = [one for one in others if not one.code[:1].isupper()]
+    datasets = [one for one in others if one.code[:1].isupper() and one.code not in CATALOGUE]
+    rest = [one for one in others if not one.code[:1].isupper() and one.code not in CATALOGUE]
     rows = sorted((str(statuses[one.name]), code(one.code), plain(one.meaning)) for one in answered)
     return "\n".join(
         [
             HEAD,
-            "## Answers of the API\n",
+            "## API errors\n",
             table(("status", "code", ""), ((_phrase(status), *said) for status, *said in rows)),
-            "## Recordings, calibrations, labels\n",
-            "These are the codes of refusals; findings that only warn bear codes of the same families.\n",
-            table(("code", ""), ((code(one.code), plain(one.meaning)) for one in inputs)),
+            "## Findings and failed runs\n",
+            FINDINGS,
+            *(f"### {title}\n\n{_meanings(codes)}" for title, codes in by_family().items()),
+            "## Imported datasets\n",
+            table(("code", ""), ((code(one.code), plain(one.meaning)) for one in datasets)),
             "## Submissions, jobs, commands\n",
             table(("code", ""), ((code(one.code), plain(one.meaning)) for one in rest)),
         ]
     )
+
+
+def _meanings(codes: Iterable[CodeMeaning]) -> str:
+    """A table in which `#lab-603` leads to the row of LAB-603."""
+    rows = (
+        (
+            f'<a id="{one.code.lower()}"></a>{code(one.code)}',
+            HARM_WORDS[one.harm],
+            plain(one.meaning),
+            plain(one.remedy),
+        )
+        for one in codes
+    )
+    return table(("code", "labels", "meaning", "what to do"), rows)
 
 
 def all_codes() -> Iterator[Code]:

@@ -33,7 +33,7 @@ def commands_page() -> str:
 def _in_words(command: Any, context: click.Context, path: str) -> Iterator[str]:
     inside = getattr(command, "commands", None)
     if inside:
-        for name, one in inside.items():
+        for name, one in ((name, one) for name, one in inside.items() if not one.hidden):
             yield from _in_words(one, context, f"{path} {name}")
         return
     own = click.Context(command, info_name=path)

@@ -8,7 +8,7 @@ from pathlib import Path
 from docsite.markdown import code
 
 ROOT = Path(__file__).resolve().parents[1]
-FOLDERS = {"benchmarks": "Measure", "chaos": "Kill and drill", "fuzz": "Fuzz"}
+FOLDERS = {"benchmarks": "Measure", "chaos": "Fault injection", "fuzz": "Fuzz"}
 USED_AS = re.compile(r"(?m)`((?:\.venv/bin/)?python (?:-m )?[^`]+)`|^ {4}(\.venv/bin/python -m .+)$")
 HEAD = """# Programs
 

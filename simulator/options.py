@@ -51,6 +51,7 @@ class SimulateOptions:
     """`channels` × `columns` rays a sweep; the world is as long as the drive and `world_width_m` wide.
 
     `lidar_hz` sweeps a second: of fewer than 10 each takes 0.1 s, as where a recorder keeps some of them, of 20 0.05 s.
+    `speed_m_s` is the robot's on average: it swings by 15 % about it.
     `traffic` is who moves besides the robot (`simulator/scenery/movers.py`); `busy`: three walkers and two vehicles.
 
     lz4 by default: packet stamps, rings and missing returns repeat, so it nearly halves the bag at no time that can be
@@ -79,6 +80,7 @@ class SimulateOptions:
     range_noise: bool = False
     traffic: Traffic = "walker"
     lidar_hz: int = 10
+    speed_m_s: float = 1.5
     host_delay_max_ns: int = 20_000_000
     transport_jitter_ns: int = 0
     faults: tuple[FaultName, ...] = ()
@@ -90,6 +92,7 @@ class SimulateOptions:
         _within("columns", self.columns, 12, MAX_COLUMNS)
         _within("camera_width_px", self.camera_width_px, MIN_CAMERA_WIDTH_PX, MAX_CAMERA_WIDTH_PX)
         _within("world_width_m", self.world_width_m, 30.0, 400.0)
+        _within("speed_m_s", self.speed_m_s, 0.1, 10.0)
         if self.lidar_hz not in LIDAR_HZ:
             raise SimulationOptionError("lidar_hz", self.lidar_hz, f"one of {', '.join(map(str, LIDAR_HZ))}")
         if self.compression not in ("none", "lz4", "zstd"):

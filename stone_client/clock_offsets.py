@@ -16,7 +16,7 @@ ClockOffsetOption = Annotated[
     typer.Option(
         "--clock-offset",
         metavar="FILE=SECONDS",
-        help="Of several recordings, add to the times of this one instead of what is measured; repeatable.",
+        help="Add this offset to the stamps of a recording instead of the measured one; repeatable.",
     ),
 ]
 

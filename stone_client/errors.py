@@ -43,7 +43,7 @@ class ServerUnreachableError(StoneError):
     code: ClassVar[str] = "server_unreachable"
 
     def __init__(self, url: str, reason: str) -> None:
-        super().__init__(f"{url} cannot be reached: {reason}; does it run (`stone serve`), and is the URL right?")
+        super().__init__(f"{url} cannot be reached: {reason}; is it running (`stone serve`), and is the URL right?")
 
 
 class NoServerError(StoneError):
@@ -52,7 +52,7 @@ class NoServerError(StoneError):
     code: ClassVar[str] = "no_server"
 
     def __init__(self) -> None:
-        super().__init__("no server is known; run `stone serve` here, `stone login URL`, or set STONE_URL")
+        super().__init__("no server configured; run `stone serve` here, `stone login URL`, or set STONE_URL")
 
 
 class ServerTooOldError(StoneError):
@@ -82,7 +82,7 @@ class BadUrlError(StoneError):
     code: ClassVar[str] = "bad_url"
 
     def __init__(self, url: str) -> None:
-        super().__init__(f"{url!r} is no server's address; expected for instance http://127.0.0.1:8080")
+        super().__init__(f"{url!r} is not a server URL; expected for example http://127.0.0.1:8080")
 
 
 class BadCredentialsFileError(StoneError):
@@ -182,7 +182,7 @@ class DamagedDownloadError(StoneError):
     code: ClassVar[str] = "damaged_download"
 
     def __init__(self, path: str, found: str, promised: str) -> None:
-        super().__init__(f"{path} arrived with sha256 {found}, promised was {promised or 'none'}; download it again")
+        super().__init__(f"{path} has sha256 {found}, expected {promised or 'none'}; download it again")
 
 
 def _findings(problem: Mapping[str, Any]) -> str:
@@ -202,3 +202,12 @@ class PlatformNotInstalledError(StoneError):
             f"`stone {command}` needs the platform, and here is only its client: install the distribution "
             "stone-platform beside it, or run the command in a checkout of the platform (`make install`)"
         )
+
+
+class UnknownCodeError(StoneError):
+    """No finding and no failed run has this code."""
+
+    code: ClassVar[str] = "unknown_code"
+
+    def __init__(self, given: str) -> None:
+        super().__init__(f"{given[:80]!r} is no code of a finding or of a failed run; `stone explain` lists them")

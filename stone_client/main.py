@@ -25,6 +25,7 @@ from stone_client.commands.benchmark.withdraw import withdraw
 from stone_client.commands.dataset.datasets import datasets
 from stone_client.commands.dataset.splits import splits
 from stone_client.commands.dataset.statistics import statistics
+from stone_client.commands.explain import explain
 from stone_client.commands.server.dataset_import import import_dataset
 from stone_client.commands.server.download import download
 from stone_client.commands.server.exports import exports
@@ -45,7 +46,7 @@ app = typer.Typer(
     pretty_exceptions_enable=False,
 )
 OWN_COMMANDS: dict[str, tuple[Callable[..., None], ...]] = {
-    "On this machine": (validate,),
+    "On this machine": (validate, explain),
     "With a server": (login, upload, import_dataset, process, watch, status, exports, download),
     "The dataset": (statistics, splits, datasets),
     "Models": (),

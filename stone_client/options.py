@@ -26,13 +26,14 @@ RunArgument = Annotated[
     ),
 ]
 SubmissionArgument = Annotated[
-    Path, typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The zip of <frame_token>.npz to judge.")
+    Path,
+    typer.Argument(metavar="SUB.zip", exists=True, dir_okay=False, help="The submission: a zip of <frame_token>.npz."),
 ]
 ManifestOption = Annotated[
     Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
 ]
 WorkersOption = Annotated[
-    int | None, typer.Option(min=1, max=256, help="Processes; as many as cores unless said.", show_default="cores")
+    int | None, typer.Option(min=1, max=256, help="Number of processes; default: one per core.", show_default="cores")
 ]
 ServerOption = Annotated[
     str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
@@ -44,13 +45,13 @@ PhaseOption = Annotated[str, typer.Option("--phase", metavar="P", help="A phase 
 SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
 CalibrationOption = Annotated[
     Path,
-    typer.Option("--calibration", metavar="CAL", exists=True, help="Where the sensors sit: file, folder or zip."),
+    typer.Option("--calibration", metavar="CAL", exists=True, help="Calibration: file, folder or zip."),
 ]
 
 
 DataOption = Annotated[
     Path | None,
-    typer.Option(metavar="DIR", file_okay=False, help="Everything the platform keeps.", show_default="stone-data"),
+    typer.Option(metavar="DIR", file_okay=False, help="Data folder of the platform.", show_default="stone-data"),
 ]
 
 
@@ -80,17 +81,17 @@ class LabelProfile(StrEnum):
     LOCAL = "local"
 
 
-ProfileOption = Annotated[LabelProfile, typer.Option(help="Height as in the paper, or above the ground nearby.")]
+ProfileOption = Annotated[
+    LabelProfile, typer.Option(help="Height reference: absolute as in the paper, or above local ground.")
+]
 OdometryOption = Annotated[
     str | None,
-    typer.Option(metavar="TOPIC", help="What gives the poses: a topic, or kiss-icp; else the best the bag has."),
+    typer.Option(metavar="TOPIC", help="Pose source: a topic, or kiss-icp; default: the best one in the bag."),
 ]
 GroundOption = Annotated[
-    Ground, typer.Option(help="Where it lies: as the calibration says, or measured, with the LiDAR's height and tilt.")
+    Ground, typer.Option(help="LiDAR height and tilt: from the calibration (given), or measured on the ground (auto).")
 ]
-LidarOption = Annotated[
-    str | None, typer.Option(metavar="TOPIC", help="The topic of the LiDAR's clouds, where the bag has several.")
-]
+LidarOption = Annotated[str | None, typer.Option(metavar="TOPIC", help="LiDAR topic, if the bag has several.")]
 
 
 def cores() -> int:

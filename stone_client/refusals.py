@@ -15,6 +15,7 @@ from typer.core import TyperGroup
 from stone_base.errors import StoneError, one_line
 from stone_base.findings import Finding
 from stone_client.streams import echo_findings, echo_json, wants_json
+from stone_submissions.errors import BadShapeError, shape_hint
 from stone_submissions.verdict import Validation
 
 REFUSED = 1
@@ -60,9 +61,9 @@ def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
 def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
     """The same for a record of a validation, ours or a server's."""
     for one in report["errors"]:
-        typer.echo(
-            one_line(f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}"), err=True
-        )
+        hint = f" ({shape_hint(one['actual'])})" if one["code"] == BadShapeError.code else ""
+        said = f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}{hint}"
+        typer.echo(one_line(said), err=True)
     if report["errors_total"] > len(report["errors"]):
         typer.echo(f"… and {report['errors_total'] - len(report['errors'])} more", err=True)
     if as_json:

@@ -10,6 +10,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_base.codes.catalogue import CATALOGUE, harm_rank
 from stone_base.errors import one_line
 from stone_base.findings import Finding
 
@@ -39,6 +40,15 @@ def echo_json(record: Mapping[str, Any]) -> None:
 def echo_notice(line: str) -> None:
     """One line on stderr about what happens meanwhile."""
     typer.echo(one_line(line), err=True)
+
+
+def echo_explainer(findings: Iterable[Finding]) -> None:
+    """Where there are findings: which command says what their codes mean, by the first of most harm."""
+    known = sorted(
+        (one for one in findings if one.code in CATALOGUE), key=lambda one: harm_rank(one.code, one.severity)
+    )
+    if known:
+        echo_notice(f"`stone explain {known[0].code}` says what a code means, and what to do")
 
 
 def echo_findings(findings: Iterable[Finding]) -> None:

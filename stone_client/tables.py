@@ -54,11 +54,11 @@ def inspection_table(record: Mapping[str, Any]) -> Table:
 
 def recording_table(recordings: Sequence[Mapping[str, Any]]) -> Table:
     """What was added to the times of each recording of a run, its standard error, and how it is known."""
-    table = Table(title="recordings: onto one clock", title_justify="left", box=SIMPLE)
+    table = Table(title="recordings: clock alignment", title_justify="left", box=SIMPLE)
     table.add_column("recording", overflow="fold")
-    for column in ("added s", "± ms"):
+    for column in ("offset s", "± ms"):
         table.add_column(column, justify="right")
-    table.add_column("known by")
+    table.add_column("method")
     for one in recordings:
         error = DASH if one["sigma_ns"] is None else f"{one['sigma_ns'] / 1e6:.2f}"
         table.add_row(safe_text(one["name"]), f"{one['offset_ns'] / 1e9:+.6f}", error, ", ".join(one["known_by"]))
@@ -68,8 +68,9 @@ def recording_table(recordings: Sequence[Mapping[str, Any]]) -> Table:
 def clock_table(record: Mapping[str, Any]) -> Table:
     """What each topic's stamps say of its clock (`clocks` of the record of `stone inspect --json`).
 
-    "late ms" is how much later they are than the sensor's own time, where its messages carry one. A camera_info is
-    stamped as its image is, and left out.
+    "jitter ms" is robust σ against the sensor's own time where its messages carry one, else against record time;
+    "late ms" is how much later the stamps are than the sensor's own time. A camera_info is stamped as its image is, and
+    left out.
     """
     lag = record["imu_lag"]
     title = "clocks: record time − stamp"
@@ -88,12 +89,13 @@ def clock_table(record: Mapping[str, Any]) -> Table:
 
 
 def _clock_numbers(clock: Mapping[str, Any]) -> tuple[str, ...]:
-    drift_ppm, jitter_ns, own_ns = clock["drift_ppm"], clock["jitter_ns"], clock["own_offset_ns"]
+    drift_ppm, own_ns, own_jitter_ns = clock["drift_ppm"], clock["own_offset_ns"], clock["own_jitter_ns"]
+    jitter_ns = clock["jitter_ns"] if own_jitter_ns is None else own_jitter_ns
     return (
         _offset(clock["offset_ns"], clock["constant"]),
         DASH if drift_ppm is None else f"{drift_ppm:+.1f}",
         DASH if jitter_ns is None else f"{jitter_ns / 1e6:.2f}",
-        DASH if own_ns is None else f"{own_ns / 1e6:.1f} ± {clock['own_jitter_ns'] / 1e6:.1f}",
+        DASH if own_ns is None else f"{own_ns / 1e6:.1f}",
         str(clock["steps_back"]),
         str(clock["repeats"]),
     )

@@ -39,7 +39,7 @@ def picture_names(sequence: DatasetSequence, channel: DatasetChannel) -> tuple[s
     name, stamps_us = channel.sensor.channel, channel.stamps_ns // NS_PER_US
     if (np.diff(stamps_us) <= 0).any():
         place = DatasetPlace(f"{ANNOTATIONS} scene {sequence.name}")
-        raise StampOrderError(place, f"the stamps of {name} do not rise from frame to frame")
+        raise StampOrderError(place, f"the stamps of {name} do not increase from frame to frame")
     endings = ("png" if channel.filename(at).endswith(".png") else "jpg" for at in range(len(stamps_us)))
     return tuple(
         f"samples/{name}/{sequence.name}__{name}__{stamp_us}.{ending}"

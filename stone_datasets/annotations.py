@@ -90,7 +90,11 @@ def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
             for row in rows:
                 token = row.named
                 if token not in known.get(scene, ()):
-                    faults.add(DanglingReferenceError(row.place, f"no frame of {quoted(scene)} in the tables has it"))
+                    faults.add(
+                        DanglingReferenceError(
+                            row.place, f"the tables have no frame of {quoted(scene)} with this token"
+                        )
+                    )
                 elif fault := _fault_of_labels(row, scene):
                     faults.add(fault)
     except DatasetFaultError as fault:
@@ -102,7 +106,7 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
     """Each scene with its frames, which are read before the next; the splits are put into `splits`."""
     span, names = files.span(ANNOTATIONS), set[str]()
     if span is None:
-        raise TableMissingError(DatasetPlace(ANNOTATIONS), "it is not there")
+        raise TableMissingError(DatasetPlace(ANNOTATIONS), "it is missing")
     stream = JsonStream(span)
     for key in stream.items():
         if key in SPLIT_KEYS:
@@ -112,9 +116,9 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
         else:
             for scene in stream.items():
                 if scene in names:
-                    raise DuplicateSceneError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} stands twice")
+                    raise DuplicateSceneError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is there twice")
                 if NAME.fullmatch(scene) is None:
-                    raise BadSceneNameError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is none")
+                    raise BadSceneNameError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is not a valid name")
                 names.add(scene)
                 yield scene, _frames(stream, scene)
     stream.end()
@@ -152,9 +156,9 @@ def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRo
     row, names, seen = what
     token = row.named
     if TOKEN.fullmatch(token) is None:
-        raise BadDatasetTokenError(row.place, f"{quoted(token)} is no frame's token")
+        raise BadDatasetTokenError(row.place, f"{quoted(token)} is not a frame token")
     if hash(token) in seen:
-        raise DuplicateTokenError(row.place, "a frame before has its token")
+        raise DuplicateTokenError(row.place, "an earlier frame has the same token")
     fault = _fault_of_labels(row, scene.name)
     if fault is not None:
         raise fault
@@ -182,7 +186,7 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     row, stamp_us = what
     name = row.text("img_path")
     if not is_inside(name):
-        raise PathLeavesDatasetError(row.place, f"img_path {quoted(name)} leads out of the dataset")
+        raise PathLeavesDatasetError(row.place, f"img_path {quoted(name)} leads outside the dataset")
     channel = name.rpartition("/")[0].rpartition("/")[2]
     if NAME.fullmatch(channel) is None:
         raise row.wrong("img_path", "<folder>/<CHANNEL>/<file>")
@@ -193,7 +197,7 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     if camera.frames and camera.frames[-1] == len(scene.tokens):
         raise ChannelTwiceError(row.place, f"two pictures are of {channel}")
     if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
-        raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than before")
+        raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than in earlier frames")
     camera.frames.append(len(scene.tokens))
     said = channel_and_stamp(name)
     camera.stamps_ns.append((stamp_us if said is None else said[1]) * NS_PER_US)

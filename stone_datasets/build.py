@@ -154,7 +154,7 @@ def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[Da
     for table, rows in found.items():
         for row in np.flatnonzero(rows < 0).tolist():
             place = DatasetPlace(tables.file("sample_data"), row + 1)
-            what = f"of {quoted(tables.data.names[row])} {table}_token is no token of {table}"
+            what = f"of {quoted(tables.data.names[row])} {table}_token is not a token of {table}"
             yield DanglingReferenceError(place, what)
 
 
@@ -177,7 +177,7 @@ def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError
     channel, (folder, _, base) = placed.sensor(row).sensor.channel, name.rpartition("/")
     said = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
     if not is_inside(name):
-        return PathLeavesDatasetError(placed.place(row), f"filename {quoted(name)} leads out of the dataset")
+        return PathLeavesDatasetError(placed.place(row), f"filename {quoted(name)} leads outside the dataset")
     if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
         return FileChannelError(placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
     if said[1] != placed.stamps_us[row]:
@@ -204,7 +204,7 @@ def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[NoSwee
     with_sweep = placed.frame[placed.is_key & is_lidar[placed.mount]]
     for row in np.setdiff1d(frames.order, with_sweep).tolist():
         place = DatasetPlace(tables.file("sample"), row + 1, tables.samples.tokens[row])
-        yield NoSweepError(place, f"no key frame of {LIDAR_CHANNEL} is of it")
+        yield NoSweepError(place, f"it has no key frame of {LIDAR_CHANNEL}")
 
 
 def _changing(placed: PlacedData) -> Iterator[CalibrationChangesError]:

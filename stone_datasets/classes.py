@@ -49,7 +49,7 @@ def read_class_map(path: Path) -> ClassMap:
     try:
         said = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
     except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
-        raise BadClassMapError(place, "it is no YAML") from error
+        raise BadClassMapError(place, "it is not YAML") from error
     if not isinstance(said, dict) or not isinstance(said.get("name"), str) or not isinstance(said.get("classes"), dict):
         raise BadClassMapError(place, "it has no name, or no classes")
     return class_map_of(said["name"][:100], dict(_meant(place, *one) for one in said["classes"].items()))
@@ -59,7 +59,7 @@ def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, s
     if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # keys of JSON are text
         number = int(number)
     if type(number) is not int or not 0 <= number < 256:
-        raise BadClassMapError(place, f"{quoted(number)} is no number from 0 to 255")
+        raise BadClassMapError(place, f"{quoted(number)} is not a number from 0 to 255")
     if not isinstance(meaning, str) or meaning not in MEANINGS:
         raise BadClassMapError(place, f"{number} is {quoted(meaning)}, expected is one of {', '.join(MEANINGS)}")
     return number, meaning

@@ -35,7 +35,7 @@ def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: D
         try:
             span = index.file(channel, place)
             if span is None:
-                raise SampleMissingError(at, f"{channel.filename(place)} is not there")
+                raise SampleMissingError(at, f"{channel.filename(place)} is missing")
             check_sample(span, channel.sensor, at)
         except DatasetFaultError as fault:
             faults.add(fault)
@@ -57,7 +57,7 @@ def _check_labels(
     try:
         span = contents.index.labels(sequence, frame)
         if span is None:
-            raise LabelsMissingError(DatasetPlace(sequence.label_name(frame)), "it is not there")
+            raise LabelsMissingError(DatasetPlace(sequence.label_name(frame)), "it is missing")
         contents.add_labels(read_labels(span, classes))
     except DatasetFaultError as fault:
         faults.add(fault)

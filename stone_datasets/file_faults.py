@@ -6,17 +6,17 @@ from stone_datasets.faults import DatasetFaultError
 
 
 class SampleMissingError(DatasetFaultError):
-    """The file of a datum is not there."""
+    """The file of a row of sample_data is missing."""
 
     code: ClassVar[str] = "DST-050"
     likely: ClassVar[str] = "was the dataset unpacked completely?"
 
 
 class SweepSizeError(DatasetFaultError):
-    """A sweep is no rows of five float32."""
+    """A sweep does not consist of rows of five float32."""
 
     code: ClassVar[str] = "DST-051"
-    likely: ClassVar[str] = "x y z intensity ring; is it cut off, or of four columns?"
+    likely: ClassVar[str] = "x y z intensity ring; is it cut off, or are there four columns?"
 
 
 class SweepNotFiniteError(DatasetFaultError):
@@ -27,28 +27,28 @@ class SweepNotFiniteError(DatasetFaultError):
 
 
 class NotAPictureError(DatasetFaultError):
-    """A picture is neither JPEG nor PNG."""
+    """An image is neither JPEG nor PNG."""
 
     code: ClassVar[str] = "DST-053"
     likely: ClassVar[str] = "is it an empty file, or a pointer of Git LFS?"
 
 
 class PictureCutOffError(DatasetFaultError):
-    """A picture ends before its end marker."""
+    """An image ends before its end marker."""
 
     code: ClassVar[str] = "DST-054"
     likely: ClassVar[str] = "was the copy cut off?"
 
 
 class PictureSizeError(DatasetFaultError):
-    """A picture has another size than its row says."""
+    """An image has another size than its row says."""
 
     code: ClassVar[str] = "DST-055"
     likely: ClassVar[str] = "was it scaled without its intrinsics?"
 
 
 class BadScanError(DatasetFaultError):
-    """A radar scan is no binary PCD with the fields that are needed."""
+    """A radar scan is not a binary PCD with the fields that are needed."""
 
     code: ClassVar[str] = "DST-056"
     likely: ClassVar[str] = "x y z rcs vx_comp vy_comp, as nuScenes writes them"
@@ -62,7 +62,7 @@ class LabelsMissingError(DatasetFaultError):
 
 
 class LabelsNotNpzError(DatasetFaultError):
-    """Labels are no npz."""
+    """A label file is not an npz file."""
 
     code: ClassVar[str] = "DST-061"
     likely: ClassVar[str] = "was the copy cut off?"
@@ -81,7 +81,7 @@ class LabelShapeError(DatasetFaultError):
     code: ClassVar[str] = "DST-063"
     likely: ClassVar[str] = (
         "this platform's is 256 × 256 × 32 voxels of 0.2 m; Occ3D-nuScenes has 200 × 200 × 16 of 0.4 m, "
-        "which is no such grid"
+        "which is another grid"
     )
 
 
@@ -93,21 +93,21 @@ class LabelTypeError(DatasetFaultError):
 
 
 class LabelsTooLargeError(DatasetFaultError):
-    """Labels are larger than a grid, packed or unpacked."""
+    """Labels are larger than a grid, compressed or decompressed."""
 
     code: ClassVar[str] = "DST-065"
     likely: ClassVar[str] = "is it a zip bomb, or a grid of floats?"
 
 
 class UnknownLabelsError(DatasetFaultError):
-    """Labels have values that nobody said the meaning of."""
+    """Labels have values whose meaning is not given."""
 
     code: ClassVar[str] = "DST-066"
-    likely: ClassVar[str] = "say it with --classes; a set of 18 numbers is Occ3D's, whose 17 is free"
+    likely: ClassVar[str] = "give it with --classes; a set of 18 numbers is Occ3D's, whose 17 is free"
 
 
 class MaskShapeError(DatasetFaultError):
-    """A mask is no uint8 grid of the labels' shape."""
+    """A mask is not a uint8 grid of the labels' shape."""
 
     code: ClassVar[str] = "DST-067"
     likely: ClassVar[str] = "is it a mask of pixels, or of another grid?"
@@ -128,7 +128,7 @@ class LabelPathError(DatasetFaultError):
 
 
 class BadClassMapError(DatasetFaultError):
-    """The file of classes is none."""
+    """The class map is not valid."""
 
     code: ClassVar[str] = "DST-070"
     likely: ClassVar[str] = "`name: my-set` and `classes: {0: free, 11: T, 12: P, 13: N, 255: unobserved}`"
@@ -145,4 +145,4 @@ class MapTooDenseError(DatasetFaultError):
     """The labels of a scene occupy more voxels of a part of its map than any surface has."""
 
     code: ClassVar[str] = "DST-072"
-    likely: ClassVar[str] = "do the poses rise without end, or does --classes call the air something?"
+    likely: ClassVar[str] = "do the poses climb without end, or does --classes map free space to an occupied class?"

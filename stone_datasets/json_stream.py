@@ -82,7 +82,7 @@ class JsonStream:
         while not self.take("}"):
             key = self.value()
             if not isinstance(key, str):
-                raise self.malformed(f"{quoted(key)} is no key")
+                raise self.malformed(f"{quoted(key)} is not a key")
             self.expect(":")
             yield key
             self.next_or("}")
@@ -141,10 +141,10 @@ def _decoded(span: ExportFileSpan) -> Iterator[str]:
             yield decoder.decode(piece)
         yield decoder.decode(b"", final=True)
     except UnicodeDecodeError as error:
-        raise TableNotJsonError(DatasetPlace(span.name), "it is no UTF-8") from error
+        raise TableNotJsonError(DatasetPlace(span.name), "it is not UTF-8") from error
     except DamagedExportError as error:
         raise _cut(span) from error
 
 
 def _cut(span: ExportFileSpan) -> DatasetFaultError:
-    return TableNotJsonError(DatasetPlace(span.name), "it ends early: something else shortens it")
+    return TableNotJsonError(DatasetPlace(span.name), "it ends early: another program truncated it while it was read")

@@ -71,7 +71,7 @@ def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameL
             listed = archive.infolist()
             members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
     except (*UNREADABLE, DamagedExportError) as error:
-        raise LabelsNotNpzError(DatasetPlace(span.name), f"it is no zip ({error})"[:200]) from error
+        raise LabelsNotNpzError(DatasetPlace(span.name), f"it is not a zip ({error})"[:200]) from error
     if SEMANTICS not in members:
         what = f"it has no {SEMANTICS}, but {', '.join(sorted(members))[:100] or 'nothing'}"
         raise LabelKeyError(DatasetPlace(span.name), what)
@@ -103,7 +103,7 @@ class _Arrays:
         try:
             shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
         except NO_NPY as error:
-            raise self._damaged(member, "it is no npy") from error
+            raise self._damaged(member, "it is not an npy array") from error
         if shape != GRID_SHAPE:
             raise shape_fault(place, f"{member.filename} has shape {str(shape)[:60]}")
         if dtype != np.uint8 or is_fortran:
@@ -128,9 +128,11 @@ class _Arrays:
         try:
             npy = self._begun(member, packed, size + 1)
         except INFLATING as error:
-            raise self._damaged(member, "it cannot be inflated") from error
+            raise self._damaged(member, "it cannot be decompressed") from error
         if len(npy) > size:
-            raise LabelsTooLargeError(DatasetPlace(self.name), f"{member.filename} goes on after its {size} bytes")
+            raise LabelsTooLargeError(
+                DatasetPlace(self.name), f"{member.filename} continues after its declared {size} bytes"
+            )
         if len(npy) < size or member.file_size != size or isal_zlib.crc32(npy) != member.CRC:
             raise self._damaged(member, "it ends early, or its checksum is wrong")
         return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
@@ -146,9 +148,9 @@ class _Arrays:
         begin = member.header_offset
         head = self.content[begin : begin + LOCAL_BYTES]
         if member.flag_bits & 1 or member.compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-            raise self._damaged(member, "it is encrypted, or packed as no npz is")
+            raise self._damaged(member, "it is encrypted, or compressed by a method that npz does not use")
         if len(head) < LOCAL_BYTES or head[:4] != b"PK\3\4":
-            raise self._damaged(member, "it is not where the directory says")
+            raise self._damaged(member, "it is not where the zip directory says")
         start = begin + LOCAL_BYTES + sum(struct.unpack("<2H", head[26:30]))
         return self.content[start : start + member.compress_size]
 

@@ -13,28 +13,28 @@ class TooManyRowsError(DatasetFaultError):
 
 
 class TableMissingError(DatasetFaultError):
-    """A table is not there."""
+    """A table is missing."""
 
     code: ClassVar[str] = "DST-010"
     likely: ClassVar[str] = "was the dataset unpacked completely?"
 
 
 class TableNotJsonError(DatasetFaultError):
-    """A table is no JSON."""
+    """A table is not JSON."""
 
     code: ClassVar[str] = "DST-011"
     likely: ClassVar[str] = "was the download cut off?"
 
 
 class TableNotArrayError(DatasetFaultError):
-    """A table is JSON, but no list of rows."""
+    """A table is JSON, but not a list of rows."""
 
     code: ClassVar[str] = "DST-012"
     likely: ClassVar[str] = "tables are `[{…}, …]`"
 
 
 class RowNotObjectError(DatasetFaultError):
-    """A row of a table is no object."""
+    """A row of a table is not an object."""
 
     code: ClassVar[str] = "DST-013"
     likely: ClassVar[str] = "tables are `[{…}, …]`"
@@ -62,10 +62,10 @@ class WrongTypeError(DatasetFaultError):
 
 
 class BadDatasetTokenError(DatasetFaultError):
-    """A token is none: a frame's is 32 hex digits, any other 1 to 128 characters."""
+    """A token is invalid: a frame token is 32 hex digits, any other 1 to 128 characters."""
 
     code: ClassVar[str] = "DST-017"
-    likely: ClassVar[str] = "frames' tokens name the folders of labels, and the files of submissions"
+    likely: ClassVar[str] = "frame tokens name the folders of labels and the files of submissions"
 
 
 class DuplicateTokenError(DatasetFaultError):
@@ -76,7 +76,7 @@ class DuplicateTokenError(DatasetFaultError):
 
 
 class BadSceneNameError(DatasetFaultError):
-    """A scene's name can be no sequence's."""
+    """The name of a scene cannot name a sequence."""
 
     code: ClassVar[str] = "DST-019"
     likely: ClassVar[str] = "1 to 100 letters, digits, dots, dashes and underscores, the first a letter or digit"
@@ -104,7 +104,7 @@ class NotUnitQuaternionError(DatasetFaultError):
 
 
 class AbsurdTranslationError(DatasetFaultError):
-    """A translation is farther than any can be."""
+    """A translation is beyond any plausible distance."""
 
     code: ClassVar[str] = "DST-023"
     likely: ClassVar[str] = "are they metres, and not millimetres or degrees?"
@@ -118,7 +118,7 @@ class IntrinsicsShapeError(DatasetFaultError):
 
 
 class SingularIntrinsicsError(DatasetFaultError):
-    """A camera's matrix is singular, or that of no pinhole."""
+    """A camera's matrix is singular, or not that of a pinhole camera."""
 
     code: ClassVar[str] = "DST-025"
     likely: ClassVar[str] = "is it [[fx, 0, cx], [0, fy, cy], [0, 0, 1]] in pixels?"
@@ -132,14 +132,14 @@ class UnknownLensError(DatasetFaultError):
 
 
 class CameraSizeError(DatasetFaultError):
-    """The tables do not say one size for the pictures of a camera."""
+    """The tables do not give one size for the images of a camera."""
 
     code: ClassVar[str] = "DST-027"
     likely: ClassVar[str] = "`width` and `height` of sample_data are pixels, of one calibration always the same"
 
 
 class DatasetStampError(DatasetFaultError):
-    """A stamp is no number of microseconds since 1970."""
+    """A stamp is not a number of microseconds since 1970."""
 
     code: ClassVar[str] = "DST-028"
     likely: ClassVar[str] = "seconds, milliseconds or nanoseconds?"

@@ -85,7 +85,7 @@ def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> P
     """The row that each names; −1 at an end."""
     found = rows_of(rows.keys, keys)
     for row in np.flatnonzero((found < 0) & (keys != NONE)).tolist():
-        faults.add(DanglingReferenceError(rows.place(row), f"{what} is no token of its own table"))
+        faults.add(DanglingReferenceError(rows.place(row), f"{what} is not a token of its own table"))
     return np.where(keys == NONE, -1, found)
 
 
@@ -97,7 +97,7 @@ def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterat
         is_returned = back[there] == here
         is_kin = rows.group[there] == rows.group
         for row in np.flatnonzero(is_linked & ~(is_returned & is_kin)).tolist():
-            other = "is of another scene or sensor" if is_returned[row] else "does not name it in return"
+            other = "is of another scene or sensor" if is_returned[row] else "does not point back to it"
             yield ChainError(rows.place(row), f"its {what}, row {there[row] + 1}, {other}")
 
 
@@ -106,7 +106,7 @@ def _cyclic(rows: LinkedRows) -> Iterator[ChainError]:
     groups, firsts = np.unique(rows.group, return_index=True)
     is_begun = np.isin(groups, rows.group[rows.previous == NONE])
     for row in firsts[~is_begun].tolist():
-        yield ChainError(rows.place(row), "of its scene and sensor every row has a prev: they lead in a circle")
+        yield ChainError(rows.place(row), "every row of its scene and sensor has a prev: the chain is a cycle")
 
 
 def _not_rising(rows: LinkedRows, following: Places) -> Iterator[StampOrderError]:
@@ -122,4 +122,6 @@ def _broken(rows: LinkedRows) -> Iterator[ChainError]:
     begins = np.flatnonzero(rows.previous == NONE)
     for again, first in repeated(rows.group[begins]):
         row, other = int(begins[again]), int(begins[first])
-        yield ChainError(rows.place(row), f"it has no prev, as row {other + 1} of the same scene and sensor")
+        yield ChainError(
+            rows.place(row), f"it has no prev, and neither has row {other + 1} of the same scene and sensor"
+        )

@@ -95,7 +95,7 @@ class DatasetRow:
     def frame_token(self) -> str:
         found = self.token()
         if TOKEN.fullmatch(found) is None:
-            raise BadDatasetTokenError(self.place, f"{quoted(found)} is no frame's token")
+            raise BadDatasetTokenError(self.place, f"{quoted(found)} is not a frame token")
         return found
 
     def link(self, key: str) -> str:

@@ -42,11 +42,13 @@ def check_sample(span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPla
 def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
     """Rows of five float32, all finite."""
     if span.size_bytes % (COLUMNS * 4) or not 0 < span.size_bytes <= MOST_SWEEP_BYTES:
-        raise SweepSizeError(place, f"{span.name} has {span.size_bytes} bytes, no multiple of {COLUMNS * 4}")
+        raise SweepSizeError(place, f"{span.name} has {span.size_bytes} bytes, not a multiple of {COLUMNS * 4}")
     try:
         rows = np.frombuffer(span.read(MOST_SWEEP_BYTES), "<f4").reshape(-1, COLUMNS)
     except DamagedExportError as error:
-        raise SweepSizeError(place, f"{span.name} ends early: something else shortens it") from error
+        raise SweepSizeError(
+            place, f"{span.name} ends early: another program truncated it while it was read"
+        ) from error
     is_finite = np.isfinite(rows).all(axis=1)
     if not is_finite.all():
         what = (
@@ -73,7 +75,7 @@ def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[in
         with Image.open(BytesIO(span.part(0, HEAD_BYTES)), formats=tuple(ENDS)) as image:
             return str(image.format), image.size
     except UNREADABLE as error:
-        raise NotAPictureError(place, f"{span.name} begins as neither") from error
+        raise NotAPictureError(place, f"{span.name} does not begin as JPEG or PNG") from error
 
 
 def check_scan(span: ExportFileSpan, place: DatasetPlace) -> None:

@@ -1,7 +1,7 @@
 """Where the files of each scene lie in the tar of a dataset, under the names that they have in the release's layout.
 
 **Conventions.** Key-frame data and labels are all there, or their first is refused. A file of a sweep between frames,
-or of a map, that is not there is left out, since nothing is made of it. Of a datum the row of its table is kept (from
+or of a map, that is missing is left out, since nothing is made of it. Of a datum the row of its table is kept (from
 0), so that a fault of its file is told where it stands.
 """
 
@@ -44,7 +44,7 @@ def table_spans(tar: DatasetTar, placed: PlacedData, sequences: tuple[DatasetSeq
     places = tar.spans(names[row] for row in range(len(names)))
     lost = np.flatnonzero((places[:, 0] < 0) & placed.is_key)
     if len(lost):
-        raise SampleMissingError(placed.place(int(lost[0])), f"{names[int(lost[0])]} is not there")
+        raise SampleMissingError(placed.place(int(lost[0])), f"{names[int(lost[0])]} is missing")
     order = np.argsort(placed.scene, kind="stable")
     order = order[places[order, 0] >= 0]
     bounds = np.searchsorted(placed.scene[order], np.arange(len(sequences) + 1))
@@ -68,7 +68,7 @@ def annotated_spans(tar: DatasetTar, sequence: DatasetSequence) -> SceneSpans:
     lost = np.flatnonzero(places[:, 0] < 0)
     if len(lost):
         name = list(chain.from_iterable(there))[int(lost[0])]
-        raise SampleMissingError(DatasetPlace(ANNOTATIONS), f"{quoted(name)} is not there")
+        raise SampleMissingError(DatasetPlace(ANNOTATIONS), f"{quoted(name)} is missing")
     of = tuple(channel.sensor.channel for channel in channels for _ in channel.frames)
     rows = np.full(len(of), -1, np.int64)
     return SceneSpans(tuple(chain.from_iterable(named)), places, of, rows, label_places(tar, sequence))
@@ -81,7 +81,7 @@ def label_places(tar: DatasetTar, sequence: DatasetSequence) -> NDArray[np.int64
     places = tar.spans(sequence.label_name(frame) for frame in range(len(sequence)))
     lost = np.flatnonzero(places[:, 0] < 0)
     if len(lost):
-        raise LabelsMissingError(DatasetPlace(sequence.label_name(int(lost[0]))), "it is not there")
+        raise LabelsMissingError(DatasetPlace(sequence.label_name(int(lost[0]))), "it is missing")
     return places
 
 

@@ -32,7 +32,7 @@ def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
     said: dict[str, tuple[str, ...]] = {}
     for key in stream.items():
         if key in said or len(said) >= MOST_SPLITS:
-            raise BadSplitsError(DatasetPlace(span.name), f"{quoted(key)} stands twice, or is one of too many")
+            raise BadSplitsError(DatasetPlace(span.name), f"{quoted(key)} is there twice, or there are too many splits")
         said[key] = scenes_named(span.name, key, stream.value())
     stream.end()
     return span.name, said

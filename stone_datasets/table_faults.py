@@ -13,24 +13,24 @@ class DanglingReferenceError(DatasetFaultError):
 
 
 class DuplicateSceneError(DatasetFaultError):
-    """Two scenes have one name."""
+    """Two scenes have the same name."""
 
     code: ClassVar[str] = "DST-031"
-    likely: ClassVar[str] = "their labels would lie in one folder"
+    likely: ClassVar[str] = "their labels would be in the same folder"
 
 
 class SceneEndsError(DatasetFaultError):
     """A scene's first or last sample is another than its samples say."""
 
     code: ClassVar[str] = "DST-032"
-    likely: ClassVar[str] = "was the scene cut without writing its row anew?"
+    likely: ClassVar[str] = "was the scene shortened without updating its row?"
 
 
 class SampleCountError(DatasetFaultError):
     """A scene's nbr_samples is not the number of its samples."""
 
     code: ClassVar[str] = "DST-033"
-    likely: ClassVar[str] = "was the scene cut without writing its row anew?"
+    likely: ClassVar[str] = "was the scene shortened without updating its row?"
 
 
 class ChainError(DatasetFaultError):
@@ -48,14 +48,14 @@ class StampOrderError(DatasetFaultError):
 
 
 class NoSweepError(DatasetFaultError):
-    """A frame has no LIDAR_TOP, whose pose is the frame's."""
+    """A frame has no LIDAR_TOP sweep, whose pose is the frame's pose."""
 
     code: ClassVar[str] = "DST-036"
     likely: ClassVar[str] = "is the sweep not a key frame?"
 
 
 class ChannelTwiceError(DatasetFaultError):
-    """A frame has two key-frame data of one sensor."""
+    """A frame has two key-frame rows of one sensor."""
 
     code: ClassVar[str] = "DST-037"
     likely: ClassVar[str] = "is a sweep between key frames marked as one?"
@@ -69,7 +69,7 @@ class CalibrationChangesError(DatasetFaultError):
 
 
 class DatumFarError(DatasetFaultError):
-    """A datum is more than a second from its frame."""
+    """A row of sample_data is more than a second from its frame."""
 
     code: ClassVar[str] = "DST-039"
     likely: ClassVar[str] = "does it belong to another frame?"
@@ -97,14 +97,14 @@ class FileTwiceError(DatasetFaultError):
 
 
 class BadSplitsError(DatasetFaultError):
-    """The splits are no object of lists of scene names."""
+    """The splits are not an object of lists of scene names."""
 
     code: ClassVar[str] = "DST-045"
     likely: ClassVar[str] = 'expected is {"train": ["scene", …], …}, and one such file'
 
 
 class UnknownSplitSceneError(DatasetFaultError):
-    """A split names a scene that is not there."""
+    """A split names a scene that does not exist."""
 
     code: ClassVar[str] = "DST-046"
     likely: ClassVar[str] = "are the splits of a larger dataset?"
@@ -114,14 +114,14 @@ class SceneInTwoSplitsError(DatasetFaultError):
     """A scene is in two splits."""
 
     code: ClassVar[str] = "DST-047"
-    likely: ClassVar[str] = "who trains on it would be tested on it"
+    likely: ClassVar[str] = "a method trained on it would be tested on it"
 
 
 class TablesGrowError(DatasetFaultError):
-    """Rows that belong to several scenes, written for each, would become many times what the tables are."""
+    """Rows that belong to several scenes, copied to each, would take many times the size of the tables."""
 
     code: ClassVar[str] = "DST-048"
-    likely: ClassVar[str] = "are rows of log, map, category or sensor many or long, and every scene's?"
+    likely: ClassVar[str] = "are there many or long rows of log, map, category or sensor that belong to every scene?"
 
 
 class PosesOffLatticeError(DatasetFaultError):

@@ -156,7 +156,7 @@ def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add
 def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:
     span = files.span(name)
     if span is None:
-        raise TableMissingError(DatasetPlace(name), "it is not there")
+        raise TableMissingError(DatasetPlace(name), "it is missing")
     return (DatasetRow(name, number, values) for number, values in json_rows(span))
 
 
@@ -165,7 +165,9 @@ def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DuplicateTok
     columns = {"sample": tables.samples.keys, "ego_pose": tables.poses.keys, "sample_data": tables.data.keys}
     for again, first in repeated(columns[table].array("q")) if table in columns else ():
         token = tables.samples.tokens[again] if table == "sample" else ""
-        yield DuplicateTokenError(DatasetPlace(tables.file(table), again + 1, token), f"row {first + 1} has its token")
+        yield DuplicateTokenError(
+            DatasetPlace(tables.file(table), again + 1, token), f"row {first + 1} has the same token"
+        )
 
 
 def _unique() -> Add:
@@ -181,14 +183,14 @@ def _unique() -> Add:
 def _new(row: DatasetRow, held: Container[str]) -> str:
     token = row.token()
     if token in held:
-        raise DuplicateTokenError(row.place, "a row before has its token")
+        raise DuplicateTokenError(row.place, "an earlier row has the same token")
     return token
 
 
 def _add_sensor(tables: DatasetTables, row: DatasetRow) -> None:
     token, channel, modality = _new(row, tables.sensors), row.text("channel"), row.text("modality")
     if NAME.fullmatch(channel) is None or modality not in MODALITIES:
-        raise WrongTypeError(row.place, f"{quoted(channel)} of modality {quoted(modality)} is none of {MODALITIES}")
+        raise WrongTypeError(row.place, f"{quoted(channel)} of modality {quoted(modality)} is not one of {MODALITIES}")
     tables.sensors[token] = DatasetSensorRow(channel, modality)
 
 
@@ -210,7 +212,7 @@ def _add_scene(tables: DatasetTables, row: DatasetRow) -> None:
     token, name = _new(row, tables.scenes), row.text("name")
     log = _referred(tables, row, "log_token", ("log", tables.logs))
     if NAME.fullmatch(name) is None:
-        raise BadSceneNameError(row.place, f"{quoted(name)} is none")
+        raise BadSceneNameError(row.place, f"{quoted(name)} is not a valid name")
     ends, count = (row.token("first_sample_token"), row.token("last_sample_token")), row.count("nbr_samples")
     if log is not None:
         tables.scenes[token] = SceneRow(len(tables.scenes), row, name, log, count, *ends)
@@ -262,14 +264,14 @@ def _note_size(mount: CalibratedSensorRow, row: DatasetRow) -> None:
     if mount.size_px is None:
         mount.size_px, mount.lens = size, mount.row.lens(size)
     elif mount.size_px != size:
-        raise CameraSizeError(row.place, f"width and height are {size}, those before were {mount.size_px}")
+        raise CameraSizeError(row.place, f"width and height are {size}, earlier ones are {mount.size_px}")
 
 
 def _referred(tables: DatasetTables, row: DatasetRow, key: str, to: tuple[str, Mapping[str, Held]]) -> Held | None:
     """What the row names; None where the other table is faulty itself. Raises `DanglingReferenceError`."""
     (table, held), token = to, row.token(key)
     if token not in held and table not in tables.faulty:
-        raise DanglingReferenceError(row.place, f"{key} {quoted(token)} is no token of {table}")
+        raise DanglingReferenceError(row.place, f"{key} {quoted(token)} is not a token of {table}")
     return held.get(token)
 
 

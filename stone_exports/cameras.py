@@ -33,7 +33,7 @@ def intrinsics_of(files: Files, row: Mapping[str, Any], size_px: tuple[int, int]
         matrix, distortion = np.zeros(0), np.zeros(0)
     is_sound = matrix.shape == (3, 3) and np.isfinite(matrix).all() and matrix[0, 0] > 0 and matrix[1, 1] > 0
     if not is_sound or model not in get_args(CameraModel) or not np.isfinite(distortion).all():
-        raise table_span(files, "calibrated_sensor").damaged("a camera's matrix or model is none")
+        raise table_span(files, "calibrated_sensor").damaged("the matrix or model of a camera is not valid")
     if distortion.shape != (COEFFICIENTS[model],):
         raise table_span(files, "calibrated_sensor").damaged(
             f"a {model} camera has {distortion.size} coefficients of distortion, expected are {COEFFICIENTS[model]}"
@@ -55,7 +55,7 @@ def undistorted_picture(span: ExportContent, lens: CameraIntrinsics, size_px: tu
                 image.draft("RGB", size_px)  # the decoder halves it while it decodes
             picture = image.convert("RGB")
     except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
-        raise span.damaged("it is no picture") from error
+        raise span.damaged("it is not an image") from error
     if not _is_straight(lens):
         picture = Image.fromarray(_remapped(np.asarray(picture), *_sources(lens)))
     return np.asarray(picture.resize(size_px, Image.Resampling.BILINEAR, reducing_gap=2.0))

@@ -19,7 +19,7 @@ LONGEST_LINE_BYTES = 2**20
 
 
 class DamagedExportError(StoneError):
-    """A file of an export is not what it should be."""
+    """A file of an export is damaged or incomplete."""
 
     code: ClassVar[str] = "damaged_export"
 

@@ -70,7 +70,9 @@ def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
     for row in table_rows(files, "sample"):
         token, sequence = str(row.get("token")), scenes.get(str(row.get("scene_token")))
         if sequence is None or TOKEN.fullmatch(token) is None:
-            raise table_span(files, "sample").damaged(f"frame {token[:40]!r} is of no sequence, or no frame token")
+            raise table_span(files, "sample").damaged(
+                f"frame {token[:40]!r} belongs to no sequence, or is not a frame token"
+            )
         if LIDAR_CHANNEL in data.get(token, {}):
             labels = files.span(f"gts/{sequence}/{token}/labels.npz")
             frames.append(ExportedFrame(token, sequence, _stamp_us(files, "sample", row), data[token], labels))
@@ -120,7 +122,7 @@ def _sensors(files: Files) -> dict[str, ExportedSensor]:
     for row in table_rows(files, "calibrated_sensor"):
         token, kind = str(row.get("token")), kinds.get(str(row.get("sensor_token")))
         if kind is None:
-            raise table_span(files, "calibrated_sensor").damaged("a row is of a sensor that is not there")
+            raise table_span(files, "calibrated_sensor").damaged("a row refers to a sensor that does not exist")
         mount = row_pose(files, "calibrated_sensor", row, FARTHEST_MOUNT_M)
         size = sizes.get(token)
         lens = intrinsics_of(files, row, size) if kind[1] == "camera" and size is not None else None
@@ -141,5 +143,5 @@ def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:
 def _stamp_us(files: Files, table: str, row: Mapping[str, Any]) -> int:
     stamp = row.get("timestamp")
     if not isinstance(stamp, int) or not 0 <= stamp < 1 << 62:
-        raise table_span(files, table).damaged("a row's timestamp is no number of microseconds")
+        raise table_span(files, table).damaged("a row's timestamp is not a number of microseconds")
     return stamp

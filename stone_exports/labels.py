@@ -40,12 +40,12 @@ def _arrays(span: ExportFileSpan, keys: tuple[str, ...]) -> dict[str, Classes]:
         with zipfile.ZipFile(BytesIO(content)) as members:
             return {key: _array(span, key, _member(span, members, f"{key}.npy")) for key in keys}
     except UNREADABLE as error:
-        raise span.damaged(f"it is no npz of {', '.join(keys)}") from error
+        raise span.damaged(f"it is not an npz of {', '.join(keys)}") from error
 
 
 def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
     if members.getinfo(name).compress_type not in (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED):
-        raise span.damaged(f"{name} is packed as no npz is")  # and such unpacking has no bound
+        raise span.damaged(f"{name} is compressed by a method that npz does not use")  # and such unpacking has no bound
     with members.open(name) as member:
         content = member.read(MOST_ARRAY_BYTES + 1)
     if len(content) > MOST_ARRAY_BYTES:

@@ -46,19 +46,21 @@ def scan_records(span: ExportContent) -> NDArray[np.void]:
     content = span.read(MOST_SCAN_BYTES)
     head, mark, body = content[:MOST_HEAD_BYTES].partition(b"DATA binary\n")
     if not mark:
-        raise span.damaged("it is no binary PCD")
+        raise span.damaged("it is not a binary PCD")
     said = dict(re.findall(r"^([A-Z]+) (.*)$", head.decode("ascii", "replace"), re.MULTILINE))
     try:
         points, counts = int(said["POINTS"]), set(said.get("COUNT", "1").split())
         parts = zip(said["FIELDS"].split(), said["TYPE"].split(), said["SIZE"].split(), strict=True)
         record = np.dtype([(name, KINDS[kind, int(size)]) for name, kind, size in parts])
     except (KeyError, ValueError) as error:
-        raise span.damaged("the head of the PCD is none") from error
+        raise span.damaged("the header of the PCD is not valid") from error
     body = content[len(head) + len(mark) :]
     if counts != {"1"}:
         raise span.damaged("a field of it has several values")
     if missing := [name for name in WANTED if name not in (record.names or ())]:
         raise span.damaged(f"it has no field {missing[0]!r}")
     if not 0 <= points <= len(body) // record.itemsize:
-        raise span.damaged(f"its head says {points} detections, there are bytes for {len(body) // record.itemsize}")
+        raise span.damaged(
+            f"its header declares {points} detections, there are bytes for {len(body) // record.itemsize}"
+        )
     return np.frombuffer(body, record, points)

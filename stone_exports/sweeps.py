@@ -39,7 +39,7 @@ class SweepFile:
         """
         content = self.span.read(MOST_SWEEP_BYTES)
         if len(content) % (COLUMNS * 4):
-            raise self.span.damaged(f"its {len(content)} bytes are no rows of {COLUMNS} float32")
+            raise self.span.damaged(f"its {len(content)} bytes are not rows of {COLUMNS} float32")
         rows = np.frombuffer(content, "<f4").reshape(-1, COLUMNS)
         rows = rows[(np.abs(rows[:, :3]) < FARTHEST_RETURN_M).all(axis=1)]
         returns = np.empty((len(rows), 4), np.float32)
@@ -60,7 +60,7 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, SweepFile]:
         filename = str(row.get("filename"))
         span = files.span(filename)
         if span is None:
-            raise table_span(files, "sample_data").damaged(f"it names {filename[:200]!r}, which is not there")
+            raise table_span(files, "sample_data").damaged(f"it names {filename[:200]!r}, which is missing")
         found[str(token)] = SweepFile(span, mount)
     return found
 

@@ -25,7 +25,7 @@ EXPORTED = re.compile(
 
 
 class NotExportedError(StoneError):
-    """What was given is no export with LiDAR sweeps."""
+    """The given path is not an export with LiDAR sweeps."""
 
     code: ClassVar[str] = "not_an_export"
 
@@ -56,7 +56,7 @@ def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
     """The rows of a table. Raises `DamagedExportError`."""
     span = files.span(f"{TABLES}/{name}.json")
     if span is None:
-        raise table_span(files, name).damaged("it is not there")
+        raise table_span(files, name).damaged("it is missing")
     for line in span.lines():
         text = line.strip().rstrip(b",")
         if text in (b"", b"[", b"]", b"[]"):
@@ -66,7 +66,7 @@ def table_rows(files: Files, name: str) -> Iterator[Mapping[str, Any]]:
         except (ValueError, RecursionError):
             row = None
         if not isinstance(row, dict):
-            raise span.damaged("a line is no row of a table (one row a line, as exports write them)")
+            raise span.damaged("a line is not a row of a table (one row a line, as exports write them)")
         yield row
 
 
@@ -84,7 +84,7 @@ def row_pose(files: Files, table: str, row: Mapping[str, Any], farthest_m: float
         wxyz, translation_m = np.zeros(0), np.zeros(0)
     is_sound = wxyz.shape == (4,) and translation_m.shape == (3,)
     if not is_sound or not abs(np.linalg.norm(wxyz) - 1) < 1e-3 or not (np.abs(translation_m) < farthest_m).all():
-        raise table_span(files, table).damaged("a row's rotation or translation is no pose")
+        raise table_span(files, table).damaged("a row's rotation and translation are not a pose")
     return SE3(np.concatenate([wxyz, translation_m]))
 
 

@@ -22,7 +22,7 @@ DEFINITION = re.compile(r"[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg")
 
 
 class BadBagFilesError(StoneError):
-    """Files that cannot be one bag."""
+    """The files cannot be one bag."""
 
     code = "bad_recording_files"
 
@@ -42,7 +42,7 @@ def check_bag_files(names: Sequence[str]) -> None:
         raise BadBagFilesError(f"these are {len(names)} files, a bag of several has 2 to {MOST_FILES}")
     for name in names:
         if not is_bag_part(name):
-            raise BadBagFilesError(f"{name[:100]!r} is no part of a bag")
+            raise BadBagFilesError(f"{name[:100]!r} is not part of a bag")
     folded = {name.casefold() for name in names}
     if len(folded) < len(names):
         raise BadBagFilesError(f"{len(names)} files have only {len(folded)} names")

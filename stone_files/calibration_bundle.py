@@ -116,12 +116,12 @@ def _check_member(name: str, member: ZipInfo) -> None:
     shown = repr(member.filename[:60])
     parts = member.filename.split("/")
     if member.filename.startswith("/") or ".." in parts or "\\" in member.filename or not member.filename.isprintable():
-        raise CalibrationBundleError(name, f"the zip holds a file called {shown}, which leads out of it")
+        raise CalibrationBundleError(name, f"the zip holds a file called {shown}, which leads outside the bundle")
     if member.flag_bits & ENCRYPTED:
         raise CalibrationBundleError(name, f"{shown} in the zip is encrypted")
     if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
         raise CalibrationBundleError(
-            name, f"{shown} in the zip is packed by method {member.compress_type}, not deflate"
+            name, f"{shown} in the zip is compressed by method {member.compress_type}, not deflate"
         )
 
 

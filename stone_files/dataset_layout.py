@@ -44,7 +44,7 @@ class DatasetPlace:
 
 
 class DatasetFaultError(StoneError):
-    """Something in a published dataset is wrong. `likely` is the mistake that usually is behind it."""
+    """A published dataset has a fault. `likely` is the mistake that usually causes it."""
 
     likely: ClassVar[str]
 
@@ -137,7 +137,7 @@ def is_below(path: str, root: str) -> bool:
 
 def leaving(name: str) -> PathLeavesDatasetError:
     """The refusal of this name."""
-    return PathLeavesDatasetError(DatasetPlace(name), f"{quoted(name)} leads out of the dataset")
+    return PathLeavesDatasetError(DatasetPlace(name), f"{quoted(name)} leads outside the dataset")
 
 
 def quoted(value: object) -> str:

@@ -7,7 +7,7 @@ from stone_base.errors import StoneError
 
 
 class OutputExistsError(StoneError):
-    """Something that is not ours to replace stands where the output should go."""
+    """The output path holds something that the command did not write."""
 
     code: ClassVar[str] = "output_exists"
 

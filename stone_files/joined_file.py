@@ -32,7 +32,7 @@ SOURCES = (REFERENCE, SAME_MESSAGES, SAME_TOPICS, GIVEN, CAMERAS, TRIGGERS, RADA
 
 
 class JoinedFileError(StoneError):
-    """A joined.json that describes no joined recording."""
+    """A joined.json is not the description of a joined recording."""
 
     code = "BAG-040"
 
@@ -84,7 +84,7 @@ def read_joined(folder: Path) -> tuple[JoinedMember, ...]:
     try:
         record = json.loads(content)
     except (ValueError, RecursionError) as error:
-        raise JoinedFileError(folder.name, f"it is no JSON ({str(error)[:100]})") from None
+        raise JoinedFileError(folder.name, f"it is not JSON ({str(error)[:100]})") from None
     if not isinstance(record, dict) or (record.get("format"), record.get("version")) != (FORMAT, VERSION):
         raise JoinedFileError(folder.name, f"it is not of format {FORMAT!r}, version {VERSION}")
     listed = record.get("members")
@@ -96,12 +96,12 @@ def read_joined(folder: Path) -> tuple[JoinedMember, ...]:
 
 
 def member_path(folder: Path, member: JoinedMember) -> Path:
-    """Where a member lies. Raises: JoinedFileError where it is missing, or is joined of others itself."""
+    """Where a member lies. Raises: JoinedFileError where it is missing, or is itself a joined recording."""
     path = folder / member.name
     if not (path.is_file() or path.is_dir()):
         raise JoinedFileError(folder.name, f"its member {member.name!r} is not there")
     if is_joined(path):
-        raise JoinedFileError(folder.name, f"its member {member.name!r} is joined of others itself")
+        raise JoinedFileError(folder.name, f"its member {member.name!r} is itself a joined recording")
     return path
 
 
@@ -119,14 +119,14 @@ def _member(folder: str, entry: Any) -> JoinedMember:
 
 def _texts(folder: str, listed: Any) -> tuple[str, ...]:
     if not isinstance(listed, list) or not all(isinstance(text, str) for text in listed):
-        raise JoinedFileError(folder, "what should be a list of names is none")
+        raise JoinedFileError(folder, "a list of names is expected")
     return tuple(listed)
 
 
 def _runs(folder: str, listed: Any) -> tuple[tuple[int, int], ...]:
     is_list = isinstance(listed, list) and all(isinstance(run, list) and len(run) == 2 for run in listed)
     if not is_list or not all(type(index) is int for run in listed for index in run):
-        raise JoinedFileError(folder, "the messages that are left out are no list of runs")
+        raise JoinedFileError(folder, "the messages that are left out are not a list of runs")
     return tuple((start, stop) for start, stop in listed)
 
 
@@ -147,15 +147,15 @@ def _problem(member: JoinedMember) -> str:
     """What no member can be; "" for one that may be."""
     shown = f"member {member.name[:80]!r}"
     if not is_member_name(member.name):
-        return f"{shown} is no name of a file directly in the folder"
+        return f"{shown} is not the name of a file directly in the folder"
     if abs(member.offset_ns) > MOST_OFFSET_NS or not 0 <= (member.sigma_ns or 0) <= MOST_OFFSET_NS:
         return f"{shown} has an offset of {member.offset_ns} ns, the limit is {MOST_OFFSET_NS}"
     if not set(member.known_by) <= set(SOURCES) or not SHA256.fullmatch(member.sha256):
-        return f"{shown} has an offset from an unknown source, or a hash that is none"
+        return f"{shown} has an offset from an unknown source, or an invalid hash"
     for runs in member.left_out.values():
         ends = [index for run in runs for index in run]
         if ends and not (ends[0] >= 0 and ends[-1] <= LAST_INDEX and all(one < two for one, two in pairwise(ends))):
-            return f"{shown} leaves out runs of messages that are in no order"
+            return f"{shown} leaves out runs of messages that are not in order"
     return ""
 
 

@@ -23,7 +23,7 @@ RECORD = re.compile(rb"(\d{1,6}) ([^=\n]{1,200})=")
 
 
 class BadTarError(StoneError):
-    """The file is no tar that could be an export."""
+    """The file is not a tar that could be an export."""
 
     code: ClassVar[str] = "bad_tar"
 
@@ -79,10 +79,10 @@ def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]
 
 def _head(path: Path, place: int, block: bytes) -> _Head:
     if len(block) < BLOCK_BYTES:
-        raise BadTarError(path, f"it ends in the head at byte {place}")
+        raise BadTarError(path, f"it ends in the header at byte {place}")
     blank = block[:148] + b" " * 8 + block[156:]
     if _number(path, block[148:156]) != sum(blank):
-        raise BadTarError(path, f"the checksum of the head at byte {place} is wrong")
+        raise BadTarError(path, f"the checksum of the header at byte {place} is wrong")
     prefix = block[345:500].split(b"\0")[0] if block[257:263] == b"ustar\0" else b""
     parts = [part.decode("utf-8", "replace") for part in (prefix, block[:100].split(b"\0")[0]) if part]
     return _Head("/".join(parts), _number(path, block[124:136]), block[156:157])
@@ -94,7 +94,7 @@ def _number(path: Path, field: bytes) -> int:
         return int.from_bytes(field[1:], "big")
     digits = field.strip(b" \0")
     if not re.fullmatch(rb"[0-7]*", digits):
-        raise BadTarError(path, f"{field!r} is no number")
+        raise BadTarError(path, f"{field!r} is not a number")
     return int(digits or b"0", 8)
 
 
@@ -117,5 +117,5 @@ def _extension(path: Path, head: _Head, content: bytes) -> dict[str, str]:
         said[found[2].decode("utf-8", "replace")] = content[found.end() : end - 1].decode("utf-8", "replace")
         place = end
     if "size" in said and not re.fullmatch(r"[0-9]{1,18}", said["size"]):
-        raise BadTarError(path, f"{said['size'][:40]!r} is no size")
+        raise BadTarError(path, f"{said['size'][:40]!r} is not a size")
     return {key: value for key, value in said.items() if key in ("path", "size")}

@@ -29,7 +29,7 @@ NAME = re.compile(rf"{_PART}(/{_PART})*")
 
 
 class BadMemberError(StoneError):
-    """A file cannot stand in an archive under this name."""
+    """A file cannot have this name in an archive."""
 
     code = "bad_member"
 
@@ -104,14 +104,14 @@ def check_names(names: Iterable[str]) -> None:
     files, folders = set[str](), set[str]()
     for name in names:
         if len(name) > MOST_NAME or not NAME.fullmatch(name):
-            raise BadMemberError(name, f"it is no relative path of letters, digits and ._+=@- below {MOST_NAME}")
+            raise BadMemberError(name, f"it is not a relative path of letters, digits and ._+=@- below {MOST_NAME}")
         folded = name.casefold()
         if folded in files:
-            raise BadMemberError(name, "there is another of that name")
+            raise BadMemberError(name, "there is another file of that name")
         files.add(folded)
         folders |= {folded[:place] for place, sign in enumerate(folded) if sign == "/"}
     for both in sorted(files & folders):
-        raise BadMemberError(both, "it is a folder too")
+        raise BadMemberError(both, "a folder has the same name")
 
 
 def _tar(members: ArchiveMembers) -> Archive:

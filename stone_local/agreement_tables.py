@@ -11,10 +11,10 @@ RATIOS = {"iou_occ": "occupied", "iou_t": "T", "iou_p": "P", "iou_n": "N", "miou
 
 
 def agreement_table(record: Mapping[str, Any]) -> Table:
-    """How alike they are over all voxels, and over those that were seen in both."""
+    """How alike they are over all voxels, and over those that were observed in both."""
     blocks = (record["all_voxels"], record["seen_in_both"])
     apart = ", ".join(f"{record[key]:,} in {name} only" for key, name in (("only_in_a", "A"), ("only_in_b", "B")))
-    table = plain_table(f"{record['frames']:,} frames in both, {apart}", "", "all voxels", "seen in both")
+    table = plain_table(f"{record['frames']:,} frames in both, {apart}", "", "all voxels", "observed in both")
     table.add_row("same class, of occupied in either", *(_of(block, "agreement_ratio") for block in blocks))
     for key, name in RATIOS.items():
         table.add_row(f"IoU {name}", *(_percent(block["ratios"][key]) if block else DASH for block in blocks))
@@ -32,7 +32,7 @@ def ring_table(rings: Sequence[Mapping[str, Any]]) -> Table:
 
 def least_alike_table(frames: Sequence[Mapping[str, Any]]) -> Table:
     """The frames that are least alike, the least first."""
-    table = plain_table("least alike", "frame", "same class")
+    table = plain_table("least similar frames", "frame", "same class")
     for frame in frames:
         table.add_row(frame["token"], _percent(frame["agreement_ratio"]))
     return table

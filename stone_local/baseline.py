@@ -8,12 +8,13 @@ from collections import deque
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import asdict, dataclass
+from functools import partial
 from hashlib import file_digest
 from itertools import islice
 from pathlib import Path
 from typing import Any, TypeVar
 
-from stone.labels.baseline import predict_from_sweep
+from stone.labels.baseline import DEFAULTS, BaselineParameters, predict_from_sweep
 from stone_client.progress import Report
 from stone_exports.errors import refuse_missing
 from stone_exports.sweeps import SweepFile, sweeps_in
@@ -47,6 +48,7 @@ class BaselinePlan:
     manifest: Path
     output: Path
     workers: int
+    parameters: BaselineParameters = DEFAULTS
 
 
 def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report) -> WrittenBaseline:
@@ -57,7 +59,8 @@ def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report
     manifest = read_manifest(plan.manifest)
     sweeps = find_sweeps(sources, manifest)
     frames = ((token, sweeps[token]) for token in manifest.tokens)
-    write_files(plan.output, _with_progress(_in_order(predicted, frames, plan.workers), len(manifest.tokens), progress))
+    made = _in_order(partial(predicted, parameters=plan.parameters), frames, plan.workers)
+    write_files(plan.output, _with_progress(made, len(manifest.tokens), progress))
     with plan.output.open("rb") as file:
         digest = file_digest(file, "sha256").hexdigest()
     size_bytes = plan.output.stat().st_size
@@ -77,10 +80,10 @@ def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, Swe
     return found
 
 
-def predicted(frame: tuple[str, SweepFile]) -> Frame:
+def predicted(frame: tuple[str, SweepFile], parameters: BaselineParameters = DEFAULTS) -> Frame:
     """The file of one frame. Raises `DamagedExportError`."""
     token, sweep = frame
-    return token, frame_file(predict_from_sweep(sweep.points_ego()))
+    return token, frame_file(predict_from_sweep(sweep.points_ego(), parameters))
 
 
 def _with_progress(frames: Iterable[Frame], total: int, progress: Report) -> Iterator[Frame]:

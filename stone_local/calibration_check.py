@@ -95,7 +95,7 @@ def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tupl
     except StoneError as error:
         if not isinstance(error, WITHOUT_A_RUN):
             return (Finding(error.code, "error", "", str(error)),), None
-        unmeasured = f"neither the ground nor the cameras were measured: {error}"
+        unmeasured = f"neither the ground nor the cameras were checked: {error}"
         return (Finding(error.code, "warning", "", unmeasured),), None
     kept = [finding for finding in sequence.findings if finding.code.startswith(OF_CALIBRATIONS)]
     refusal = ground_refusal(sequence, parameters_for("paper").footprint_band_m)

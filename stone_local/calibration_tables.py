@@ -29,7 +29,7 @@ def sensor_table(record: Mapping[str, Any], file: str) -> Table:
 def lens_table(record: Mapping[str, Any]) -> Table | None:
     """The lens of each camera; None without cameras."""
     cameras = [sensor for sensor in record["sensors"] if sensor["kind"] == "camera"]
-    table = plain_table("lenses, pixels", "camera", "model", "size", "fx", "fy", "cx", "cy", "sees")
+    table = plain_table("intrinsics, pixels", "camera", "model", "size", "fx", "fy", "cx", "cy", "sees")
     table.add_column("distortion", overflow="fold")
     for camera in cameras:
         table.add_row(safe_text(camera["name"]), *_lens(camera["intrinsics"]))
@@ -49,7 +49,7 @@ def channel_table(channels: Sequence[Mapping[str, Any]]) -> Table:
 
 def file_table(files: Sequence[Mapping[str, Any]]) -> Table:
     """What each file says by itself."""
-    table = Table(box=plain_table("").box, title="what was found", title_justify="left")
+    table = Table(box=plain_table("").box, title="findings", title_justify="left")
     for column in ("file", "read as", "transforms", "lenses"):
         table.add_column(column, overflow="fold")
     for one in files:

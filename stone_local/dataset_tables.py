@@ -3,6 +3,7 @@
 from collections.abc import Mapping
 from typing import Any
 
+from stone_base.counts import counted
 from stone_client.tables import DASH, plain_table, safe_text, show
 
 MOST_SEQUENCES = 60
@@ -11,7 +12,7 @@ MOST_SEQUENCES = 60
 def show_contents(record: Mapping[str, Any]) -> None:
     """Print its sequences, its sensors and its classes."""
     sequences = record["sequences"]
-    title = f"{record['layout']} layout, {len(sequences)} sequences, {record['frames']} frames, "
+    title = f"{record['layout']} layout, {counted(len(sequences), 'sequence')}, {counted(record['frames'], 'frame')}, "
     table = plain_table(title + _size(record["size_bytes"]), "sequence", "frames", "seconds", "labels", "split")
     for one in sequences[:MOST_SEQUENCES]:
         splits = ", ".join(one["splits"]) or DASH
@@ -29,7 +30,7 @@ def show_contents(record: Mapping[str, Any]) -> None:
 
 def _classes(record: Mapping[str, Any]) -> Any:
     """Shares of the occupied voxels, and how many frames have which mask."""
-    title = f"Labels of {record['labelled_frames']} frames, by the classes of {safe_text(record['classes'])}"
+    title = f"Labels of {counted(record['labelled_frames'], 'frame')}, by the classes of {safe_text(record['classes'])}"
     table = plain_table(title, "", "")
     for name, share in record["class_share_of_occupied"].items():
         table.add_row(f"{name} of the occupied voxels", DASH if share is None else f"{share:.1%}")

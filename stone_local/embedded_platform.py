@@ -14,6 +14,7 @@ from types import FrameType
 from typing import NoReturn
 
 from services.runtime.embedded.errors import PortTakenError
+from services.runtime.embedded.first_start import ADMINISTRATOR, first_password_file
 from services.runtime.embedded.listen_socket import listen
 from services.runtime.embedded.supervisor import RunningPlatform, running_platform
 from services.runtime.settings import Settings
@@ -70,6 +71,14 @@ def demo_settings(data: Path | None, workers: int | None) -> Settings:
     except PortTakenError:
         return settings_for(data, Address(port=0), workers)
     return settings
+
+
+def password_line(settings: Settings) -> str:
+    """Where the administrator's first password is; empty where no file holds one."""
+    file = first_password_file(settings)
+    if file is None:
+        return ""
+    return f"Administrator: {ADMINISTRATOR}; the first password is in {file}, unless it has been changed"
 
 
 def wait_for_ctrl_c() -> None:

@@ -13,5 +13,5 @@ class NoTorchError(StoneError):
     def __init__(self, missing: str) -> None:
         super().__init__(
             f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-            "words (or pip install 'stone-platform[baselines]')"
+            "arguments (or pip install 'stone-platform[baselines]')"
         )

@@ -19,7 +19,7 @@ PosesFrameOption = Annotated[
     typer.Option(
         "--poses-frame",
         metavar="FRAME",
-        help="Of which frame of the robot they are; base_link, a sensor's, else the base.",
+        help="Robot frame of the poses: base_link or a sensor's; default: the robot's base.",
     ),
 ]
 

@@ -29,7 +29,7 @@ def chosen_offsets(choices: Sequence[str]) -> dict[str, int]:
         found = CHOICE.fullmatch(choice)
         if found is None or found["part"] not in PARTS:
             raise typer.BadParameter(
-                f"{choice[:80]!r} is no time of a part; write lidar=-18s or pose=12.5ms (parts: {', '.join(PARTS)}; "
+                f"{choice[:80]!r} is not a time offset; write lidar=-18s or pose=12.5ms (parts: {', '.join(PARTS)}; "
                 f"units: {', '.join(UNITS_NS)})"
             )
         offset_ns = int(Decimal(found["number"]) * UNITS_NS[found["unit"]])

@@ -23,7 +23,7 @@ TopicOption = Annotated[
 ]
 SaveTopicsOption = Annotated[
     Path | None,
-    typer.Option("--save-topics", metavar="FILE", dir_okay=False, help="Save what was resolved, for --topics."),
+    typer.Option("--save-topics", metavar="FILE", dir_okay=False, help="Save the resolved topics, for --topics."),
 ]
 
 

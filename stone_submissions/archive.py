@@ -81,7 +81,7 @@ def _matched(path: Path, descriptor: int, tokens: Sequence[str]) -> SubmissionZi
     try:
         facts = os.fstat(descriptor)
         if not stat.S_ISREG(facts.st_mode):
-            raise UnreadableInputError(path, "it is no file")
+            raise UnreadableInputError(path, "it is not a file")
         limit = len(tokens) + SPARE_ENTRIES
         members = read_directory(lambda offset, count: os.pread(descriptor, count, offset), facts.st_size, limit)
     except OSError as error:

@@ -6,15 +6,31 @@ those fits.
 """
 
 from pathlib import Path
-from typing import ClassVar
 
 from stone_base.errors import PlatformFaultError, StoneError
 
+TO_XYZ = {
+    "(32, 256, 256)": "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
+    "(256, 32, 256)": "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+    "(1, 256, 256, 32)": "grid[0]: a frame has no batch axis",
+    "(256, 256, 32, 1)": "grid[..., 0]: a frame has no channel axis",
+    "(4, 256, 256, 32)": "grid.argmax(0): a frame holds one class per voxel, not a score per class",
+    "(256, 256, 32, 4)": "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+    "Fortran order": "numpy.ascontiguousarray(grid)",
+}
+AXES = "axes are x, y, z, with 256 × 256 × 32 voxels of 0.2 m, in C order"
+
+
+def shape_hint(found: str) -> str:
+    """What makes a frame of the shape or order `found`, as `BadShapeError` tells it, one of (256, 256, 32)."""
+    step = TO_XYZ.get(found)
+    return AXES if step is None else f"axes are x, y, z: {step}"
+
 
 class SubmissionError(StoneError):
-    """One file of a submission, or the archive itself, is not as agreed; `mistake` is what most often causes it."""
+    """A file of a submission, or the archive itself, is not valid; `mistake` is the most frequent cause."""
 
-    mistake: ClassVar[str]
+    mistake: str
 
     def __init__(self, expected: str, actual: str) -> None:
         self.expected, self.actual = expected, actual
@@ -28,7 +44,7 @@ class MissingFrameError(SubmissionError):
 
 class UnexpectedFileError(SubmissionError):
     code = "unexpected_file"
-    mistake = "files are named <frame_token>.npz, all in one folder or in none"
+    mistake = "files are named <frame_token>.npz, all in one folder or all at the top level"
 
 
 class DuplicateFrameError(SubmissionError):
@@ -73,7 +89,10 @@ class MissingArrayError(SubmissionError):
 
 class BadShapeError(SubmissionError):
     code = "bad_shape"
-    mistake = "axes are x, y, z in C order; numpy.ascontiguousarray mends a Fortran or transposed array"
+
+    def __init__(self, expected: str, actual: str) -> None:
+        self.mistake = shape_hint(actual)
+        super().__init__(expected, actual)
 
 
 class BadDtypeError(SubmissionError):
@@ -88,7 +107,7 @@ class LabelOutOfRangeError(SubmissionError):
 
 class EncryptedError(SubmissionError):
     code = "encrypted"
-    mistake = "archives carry no password"
+    mistake = "password-protected archives are not accepted"
 
 
 class UnsupportedZipError(SubmissionError):
@@ -98,7 +117,7 @@ class UnsupportedZipError(SubmissionError):
 
 class OverlapError(SubmissionError):
     code = "overlapping_files"
-    mistake = "no honest archive shares bytes between files; rewrite it"
+    mistake = "entries of the zip overlap; write it again"
 
 
 class SymlinkError(SubmissionError):
@@ -134,7 +153,7 @@ class UnreadableInputError(StoneError):
 
 
 class ScoringCrashedError(StoneError):
-    """Reading or counting a submission broke its process or its limits; the same bytes would do so again."""
+    """Reading or scoring a submission crashed its process or exceeded its limits; a retry would do the same."""
 
     code = "scoring_crashed"
 
@@ -143,7 +162,7 @@ class ScoringCrashedError(StoneError):
 
 
 class ScoringInterruptedError(PlatformFaultError):
-    """Reading or counting a submission was cut short by the machine; perhaps no fault of the input."""
+    """Reading or scoring a submission was interrupted by the machine; the input is probably not the cause."""
 
     code = "scoring_interrupted"
 

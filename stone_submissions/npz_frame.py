@@ -198,7 +198,7 @@ def _inflate_refusal(packed: Buffer, size_bytes: int) -> SubmissionError:
     except zlib.error:
         return CorruptError(f"a deflate stream of {size_bytes} bytes", "a broken one")
     if len(longer) > size_bytes:
-        return TooLargeError(f"the declared {size_bytes} bytes", "a stream that goes on")
+        return TooLargeError(f"the declared {size_bytes} bytes", "a stream that continues")
     return TruncatedError(f"a deflate stream of {size_bytes} bytes", f"its end after {len(longer)}")
 
 

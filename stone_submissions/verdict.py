@@ -45,7 +45,7 @@ class Validation:
 
 
 class SubmissionRefusedError(StoneError):
-    """A submission is not scored because it is not valid; `validation` says all."""
+    """A submission is not scored because it is not valid; `validation` lists every problem."""
 
     code = "submission_refused"
 

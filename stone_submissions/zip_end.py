@@ -1,7 +1,9 @@
 """The end record of a zip, narrow or wide: where its directory is and how many files it announces.
 
 **Conventions.** Offsets and sizes are bytes from the start of the archive. The end record is the last thing in the file
-and the directory lies right before it. Where there is a wide (zip64) record, the narrow one says the same, or 0xFF….
+and the directory lies right before it. Frames are archives themselves: where a zip is cut off inside of one
+that is stored, the last end record is that frame's. Where there is a wide (zip64) record, the narrow one says the same,
+or 0xFF….
 
 Source: PKWARE APPNOTE 6.3.10, §4.3.14–4.3.16, 4.4.1.4.
 """
@@ -15,6 +17,7 @@ from stone_submissions.errors import NotZipError, TruncatedError, UnsupportedZip
 END, END64, LOCATOR64 = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), struct.Struct("<4sIQI")
 MAX_COMMENT_BYTES = 2**16 - 1
 IN_EXTRA_32, IN_EXTRA_16 = 2**32 - 1, 2**16 - 1
+FIRST_FILE = b"PK\3\4"
 BEFORE_ITS_SIZE = 12  # signature and size are not counted in the size of a wide record
 
 ReadAt = Callable[[int, int], bytes]
@@ -35,16 +38,35 @@ def read_end(read_at: ReadAt, size_bytes: int) -> End:
     tail = read_at(size_bytes - tail_bytes, tail_bytes)
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < END.size:
+        if _begins_as_zip(read_at):
+            raise _cut_short(size_bytes)
         raise NotZipError("a zip that ends in its directory", "none" if size_bytes else "an empty file")
     _, disk, start_disk, here, entries, directory_bytes, offset, comment_bytes = END.unpack_from(tail, at)
-    if at + END.size + comment_bytes != len(tail):
-        raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
     position = size_bytes - tail_bytes + at
     narrow = End(entries, directory_bytes, offset)
+    if at + END.size + comment_bytes != len(tail):
+        if _begins_as_zip(read_at) and not _may_end_at(narrow, position):
+            raise _cut_short(size_bytes)
+        raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
     locator = read_at(position - LOCATOR64.size, LOCATOR64.size) if position >= LOCATOR64.size else b""
     if locator[:4] == b"PK\6\7":
         return _same(narrow, _read_wide(read_at, locator, position - LOCATOR64.size))
     return _checked(narrow, (disk, start_disk, here - entries), position)
+
+
+def _begins_as_zip(read_at: ReadAt) -> bool:
+    return read_at(0, len(FIRST_FILE)) == FIRST_FILE
+
+
+def _may_end_at(end: End, position: int) -> bool:
+    """Whether a record at byte `position` can be of this archive: those of archives inside tell of other places."""
+    if IN_EXTRA_32 in (end.directory_bytes, end.directory_offset):
+        return True
+    return position - end.directory_offset - end.directory_bytes in (0, END64.size + LOCATOR64.size)
+
+
+def _cut_short(size_bytes: int) -> TruncatedError:
+    return TruncatedError("the zip's directory at its end", f"none: {size_bytes} bytes, cut off inside a file")
 
 
 def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:

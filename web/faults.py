@@ -11,21 +11,21 @@ from fastapi import Request
 from fastapi.responses import Response
 
 from api.deps import platform_of
-from api.schemas.sign_in import SignInWays
 from api.views.people import TO_PROVIDER, sign_in_ways
+from web.first_password import first_password_of
 from web.rendering import caller_of, page
 
 NEXT = {
-    400: "Begin again.",
+    400: "Start again.",
     403: "Ask an administrator for the role, or sign in as somebody who has it.",
-    404: "It may have been deleted, or belong to somebody else. The lists above show what you can see.",
-    409: "Go back, look at how it stands now, and decide again.",
+    404: "It may have been deleted, or you may not have access. The menu above lists what you can open.",
+    409: "It changed in the meantime. Go back, reload the page and try again.",
     422: "Go back and correct the address or the form.",
-    426: "Install the client anew; the page /downloads/ says the line.",
+    426: "Update the client; /downloads/ shows the command.",
     429: "Wait a moment, then load the page again.",
-    502: "Try again in a minute; if it stays, tell your administrator the request's id.",
-    503: "The platform is busy or a part of it is away. Try again in a minute.",
-    507: "The platform's disk is full; its administrator has to make room.",
+    502: "Try again in a minute; if it persists, give your administrator the request ID.",
+    503: "The platform is busy, or a component is unavailable. Try again in a minute.",
+    507: "The platform's disk is full; an administrator has to free space.",
 }
 
 
@@ -35,16 +35,18 @@ def shown(request: Request, answer: Response) -> Response:
         return answer
     problem = json.loads(bytes(answer.body))
     if problem["status"] == 401:
-        return page(request, caller_of(request), "sign_in.html", status=401, back=_here(request), ways=_ways(request))
-    advice = NEXT.get(problem["status"], "Load the page again; if it stays, tell your administrator the request's id.")
+        return _sign_in(request)
+    advice = NEXT.get(problem["status"], "Reload the page; if it persists, give your administrator the request ID.")
     made = page(request, caller_of(request), "problem.html", status=problem["status"], problem=problem, advice=advice)
     if wait := answer.headers.get("Retry-After"):
         made.headers["Retry-After"] = wait
     return made
 
 
-def _ways(request: Request) -> SignInWays:
-    return sign_in_ways(platform_of(request).settings)
+def _sign_in(request: Request) -> Response:
+    ways, first = sign_in_ways(platform_of(request).settings), first_password_of(request)
+    caller, back = caller_of(request), _here(request)
+    return page(request, caller, "sign_in.html", status=401, back=back, ways=ways, first_password=first)
 
 
 def _here(request: Request) -> str:

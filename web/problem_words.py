@@ -4,15 +4,16 @@
 together); one that is not known is said as it is.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from api.schemas.submissions import FileProblem
+from stone_submissions.errors import BadShapeError, shape_hint
 
 ADVICE = {
     "missing_frame": "A submission holds every frame of the manifest. Was the prediction loop cut short?",
-    "unexpected_file": "Only <frame_token>.npz belong into the zip, all in one folder or in none.",
-    "duplicate_frame": "Each frame once. Was the archive appended to instead of written anew?",
+    "unexpected_file": "The zip holds only <frame_token>.npz files, all in one folder or all at the top level.",
+    "duplicate_frame": "Each frame occurs once. Was the archive appended to instead of rewritten?",
     "not_zip": "A submission is one zip of .npz files. Was it cut short while it was copied?",
     "not_npz": "Write each frame with numpy.savez_compressed(path, semantics=grid).",
     "truncated": "The file ends before it should. Was it cut short while it was written or copied?",
@@ -20,15 +21,15 @@ ADVICE = {
     "too_large": "A frame is one uint8 grid of 256 × 256 × 32. Was it saved as int64, or with more arrays?",
     "extra_array": "Save the prediction alone, one array a file.",
     "missing_array": "Name the array: numpy.savez_compressed(path, semantics=grid).",
-    "bad_shape": "Axes are x, y, z in C order; numpy.ascontiguousarray mends a transposed array.",
+    "bad_shape": "Axes are x, y, z, with 256 × 256 × 32 voxels, in C order.",
     "bad_dtype": "Cast with .astype(numpy.uint8) before saving.",
-    "label_out_of_range": "0 is free, 1 T, 2 P, 3 N. Is “unknown” written as 255, or another class map used?",
-    "encrypted": "Archives carry no password.",
+    "label_out_of_range": "0 is free, 1 T, 2 P, 3 N. Is “unknown” written as 255, or a different class map used?",
+    "encrypted": "Password-protected archives are not accepted.",
     "unsupported_zip": "Zip with deflate or store, in one part, as zip and Python's zipfile do.",
-    "overlapping_files": "Files share bytes, which no honest archive does. Write it anew.",
+    "overlapping_files": "Entries of the zip overlap. Write it again.",
     "symlink": "Zip the files themselves, not links to them.",
 }
-UNKNOWN = "Ask the benchmark's organisers if the code does not tell."
+UNKNOWN = "If the code does not explain it, ask the benchmark's organisers."
 
 
 @dataclass(frozen=True)
@@ -45,5 +46,13 @@ def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
     by_code: dict[str, list[FileProblem]] = {}
     for problem in problems:
         by_code.setdefault(problem.code, []).append(problem)
-    groups = [ProblemGroup(code, ADVICE.get(code, UNKNOWN), tuple(found)) for code, found in by_code.items()]
+    groups = [ProblemGroup(code, _advice(code, found), tuple(found)) for code, found in by_code.items()]
     return sorted(groups, key=lambda group: -len(group.problems))
+
+
+def _advice(code: str, problems: Sequence[FileProblem]) -> str:
+    """For a shape, what makes the first one that was found the right one."""
+    if code != BadShapeError.code:
+        return ADVICE.get(code, UNKNOWN)
+    hint = shape_hint(problems[0].actual)
+    return f"{hint[0].upper()}{hint[1:]}."

@@ -15,10 +15,14 @@ from fastapi.responses import HTMLResponse
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup
 
-from api.deps import VISITOR, Caller
+from api.deps import VISITOR, Caller, platform_of
+from api.views.people import sign_in_ways
 from services.domain.sequences.label_choices import BOUNDS
+from stone_base.codes.catalogue import CATALOGUE, harm_of
+from stone_base.codes.meaning import HARM_WORDS
 from web import words
 from web.assets import Assets
+from web.colours import colours_of
 from web.zones import zone_of
 
 TEMPLATES = Path(__file__).parent / "templates"
@@ -65,6 +69,9 @@ class PageTemplates:
             "asset": assets.url,
             "import_map": Markup(assets.import_map),
             "label_bounds": BOUNDS,
+            "meaning_of": CATALOGUE.get,
+            "harm_of": harm_of,
+            "harm_words": HARM_WORDS,
         }
         self._templates.filters |= words.FILTERS
         self._templates.tests |= words.TESTS
@@ -76,13 +83,15 @@ class PageTemplates:
 def page(
     request: Request, caller: Caller, template: str, *, status: int = 200, needs_wasm: bool = False, **values: Any
 ) -> HTMLResponse:
-    """The template as an answer; beside `values` it knows `me`, `path`, `query`, `zone` and `navigation`."""
+    """The template as an answer; besides `values`: `me`, `path`, `query`, `zone`, `colours`, `ways`, `navigation`."""
     pages: PageTemplates = request.app.state.pages
     known = {
         "me": caller,
         "path": request.url.path,
         "query": request.query_params,
         "zone": zone_of(request),
+        "ways": sign_in_ways(platform_of(request).settings),
+        "colours": colours_of(request),
         "navigation": [nav for nav in NAVIGATION if not nav.roles or caller.role in nav.roles],
     }
     content = pages.render(template, **known | values)

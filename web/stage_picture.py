@@ -1,13 +1,15 @@
 """Gantt chart of a run: one row per stage, one bar per job.
 
-**Conventions.** Lengths are units of an SVG of `WIDTH`; time runs from the run's making to its end, or to now. What
-never started has no bar. A row has at most `MOST_LANES` lanes; more at once share the last one.
+**Conventions.** Rows stand in the order in which their stages began, those that have not begun last. Lengths are units
+of an SVG of `WIDTH`; time runs from the run's making to its end, or to now. What never started has no bar. A row has at
+most `MOST_LANES` lanes; more at once share the last one.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
 
 from api.views.admin import JobSpan
+from services.runtime.jobs.titles import title_of
 
 WIDTH = 1000.0
 LANE = 10.0
@@ -36,6 +38,7 @@ class StageRow:
     """A stage: its jobs as bars, and how many of them are in which state."""
 
     kind: str
+    title: str
     y: float
     height: float
     pieces: tuple[StageBar, ...]
@@ -63,12 +66,21 @@ def stage_picture(spans: Sequence[JobSpan], at_ns: int) -> StagePicture | None:
     end_ns = max([begin_ns + 10**6, *(ends if is_over else [at_ns])])
     axis = _Axis(begin_ns, end_ns)
     rows, y = list[StageRow](), 0.0
-    for kind in dict.fromkeys(span.kind for span in spans):
+    for kind in _kinds_in_order(spans):
         row = _row(kind, [span for span in spans if span.kind == kind], axis, y)
         rows.append(row)
         y += row.height + ROW_GAP
     ticks = tuple((WIDTH * i / TICKS, axis.span_s * i / TICKS) for i in range(TICKS + 1))
     return StagePicture(y - ROW_GAP, axis.span_s, tuple(rows), ticks)
+
+
+def _kinds_in_order(spans: Sequence[JobSpan]) -> list[str]:
+    """The kinds by the beginning of their first job; those of which none has begun as they were made."""
+    began_ns = dict[str, float]()
+    for span in spans:
+        at_ns = float("inf") if span.started_ns is None else span.started_ns
+        began_ns[span.kind] = min(at_ns, began_ns.get(span.kind, float("inf")))
+    return sorted(began_ns, key=began_ns.__getitem__)
 
 
 @dataclass(frozen=True)
@@ -103,7 +115,7 @@ def _row(kind: str, spans: Sequence[JobSpan], axis: _Axis, y: float) -> StageRow
     for span in spans:
         counts[span.state] = counts.get(span.state, 0) + 1
     height = max(1, len(free_from)) * (LANE + LANE_GAP) - LANE_GAP
-    return StageRow(kind, y, height, tuple(pieces), tuple(counts.items()), len(spans))
+    return StageRow(kind, title_of(kind), y, height, tuple(pieces), tuple(counts.items()), len(spans))
 
 
 def _lane(free_from: list[float], begin: float, end: float) -> int:

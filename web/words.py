@@ -4,10 +4,15 @@
 powers of 1000 as disks are sold, durations in the two largest units.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, tzinfo
 from typing import Any
 
+from services.runtime.jobs.titles import title_of
+from stone_base.codes.catalogue import harm_rank
+from stone_base.counts import counted
+from web.colours import coloured
+from web.state_words import state_word
 from web.zones import written
 
 DASH = "–"
@@ -40,6 +45,11 @@ def span(seconds: float | None) -> str:
         if len(said) == 2:
             break
     return " ".join(part for part in said if part)
+
+
+def about(seconds: float | None) -> str:
+    """An estimate that was rounded where it was made: `about 40 s`, `about 2 min`."""
+    return "not known yet" if seconds is None else f"about {span(seconds).replace('.0 s', ' s')}"
 
 
 def distance(metres: float | None) -> str:
@@ -81,9 +91,20 @@ def short(identity: str | None) -> str:
     return DASH if not identity else identity[-8:]
 
 
+def by_harm(findings: Iterable[Any]) -> list[Any]:
+    """Findings, mappings or values, with the most harm to labels first; those of equal harm stay in their order."""
+
+    def rank(one: Any) -> tuple[int, int]:
+        code, severity = (one["code"], one["severity"]) if isinstance(one, Mapping) else (one.code, one.severity)
+        return harm_rank(code, severity)
+
+    return sorted(findings, key=rank)
+
+
 FILTERS: Mapping[str, Callable[..., Any]] = {
     "size": size,
     "span": span,
+    "about": about,
     "percent": percent,
     "distance": distance,
     "number": number,
@@ -91,5 +112,10 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "iso": iso,
     "spoken": spoken,
     "short": short,
+    "state_word": state_word,
+    "job_title": title_of,
+    "by_harm": by_harm,
+    "coloured": coloured,
+    "counted": counted,
 }
 TESTS: Mapping[str, Callable[..., bool]] = {}

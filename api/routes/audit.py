@@ -17,7 +17,7 @@ Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
 Subject = Annotated[str | None, Query(pattern=PLAIN, max_length=64)]
 
 
-@router.get("", summary="Who did what, newest first")
+@router.get("", summary="List the audit log, newest first")
 def lines(
     _caller: Administrator,
     query: PageDep,
@@ -31,7 +31,7 @@ def lines(
         return audit_page(session, query, AuditFilter(act, actor, actor_id, subject_id))
 
 
-@router.get("/verification", summary="Whether the log is whole")
+@router.get("/verification", summary="Verify the integrity of the log")
 def verification(_caller: Administrator, platform: PlatformDep) -> AuditVerification:
     with platform.database.reading() as session:
         broken, head = audit.verify(session), audit.head(session)

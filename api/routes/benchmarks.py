@@ -2,7 +2,7 @@
 
 **Conventions.** Read by whoever is signed in, the public ones by anybody. A phase is addressed by the names of its
 benchmark and itself here, by its id elsewhere. The manifest is that of the ground truth in force. Ground truth itself
-has no route.
+has no route; `frame_pictures.py` shows open one from above.
 """
 
 from hashlib import sha256
@@ -64,21 +64,26 @@ def show_benchmark(benchmark_name: BenchmarkName, caller: Looker, platform: Plat
         return benchmark_detail(session, benchmark_of(session, caller, benchmark_name))
 
 
-@router.get(AT, responses=refusals(404))
+@router.get(AT, summary="A phase: rules, dates, limits", responses=refusals(404))
 def show_named_phase(at: AtPhase, platform: PlatformDep, response: Response) -> PhaseItem:
     """A phase: rules, dates, what a team may, by what it is scored, what is shown to whom."""
     with platform.database.reading() as session:
         return _shown(session, at.find(session), response)
 
 
-@router.get("/phases/{phase_id}", responses=refusals(404))
+@router.get("/phases/{phase_id}", summary="A phase by its id", responses=refusals(404))
 def show_phase(phase_id: IdPath, _caller: Reader, platform: PlatformDep, response: Response) -> PhaseItem:
     """The same, by the phase's id."""
     with platform.database.reading() as session:
         return _shown(session, phase_of(session, phase_id), response)
 
 
-@router.get(f"{AT}/manifest", response_class=Response, responses=MANIFEST | refusals(409))
+@router.get(
+    f"{AT}/manifest",
+    summary="A phase's manifest of frames",
+    response_class=Response,
+    responses=MANIFEST | refusals(409),
+)
 def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> Response:
     """Which frames a submission must hold, as `stone validate --manifest` reads it."""
     with platform.database.reading() as session:
@@ -92,7 +97,12 @@ def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> R
     return answer_file(request, platform.store, file)
 
 
-@router.get(f"{AT}/metrics/{{metric}}", response_model=MetricItem, responses=MARKDOWN | refusals(404))
+@router.get(
+    f"{AT}/metrics/{{metric}}",
+    summary="The metric's definition",
+    response_model=MetricItem,
+    responses=MARKDOWN | refusals(404),
+)
 def show_metric(at: AtPhase, metric: MetricName, platform: PlatformDep, form: Form = "json") -> MetricItem | Response:
     """The definition of a version of the metric, and whether the phase is scored by it now."""
     with platform.database.reading() as session:

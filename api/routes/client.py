@@ -9,7 +9,7 @@ from services.runtime.code_version import RELEASE
 router = APIRouter(tags=["client"])
 
 
-@router.get("/client", summary="Which clients are understood, and the wheel that fits")
+@router.get("/client", summary="Show the supported client releases and the wheel")
 def client_offer(request: Request) -> ClientOffer:
     wheel: ClientWheel | None = request.app.state.client_wheel
     return ClientOffer(release=RELEASE, oldest_client=OLDEST_CLIENT, wheel=_item(wheel) if wheel else None)

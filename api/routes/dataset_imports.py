@@ -27,7 +27,7 @@ from services.runtime.orm import DatasetImport, User
 router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 
 
-@router.post("", status_code=202, responses=refusals(403, 404, 409))
+@router.post("", summary="Import a dataset from a complete upload", status_code=202, responses=refusals(403, 404, 409))
 def create_dataset_import(
     body: NewDatasetImportBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> DatasetImportDetail:
@@ -60,7 +60,12 @@ def show_dataset_import(import_id: IdPath, caller: Reader, platform: PlatformDep
         return import_detail(session, import_shown_to(session, caller, import_id))
 
 
-@router.delete("/{import_id}", status_code=204, responses=refusals(403, 404))
+@router.delete(
+    "/{import_id}",
+    summary="Stop a running import or forget an ended one",
+    status_code=204,
+    responses=refusals(403, 404),
+)
 def delete_dataset_import(import_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
     """Stop an import that runs, or forget one that has ended; its tar is given back, its sequences stay."""
     with platform.database.transaction() as session:

@@ -38,7 +38,12 @@ SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-for
 TAR = file_responses(MEDIA_TYPES["tar"])
 
 
-@router.post("/admin/datasets/{dataset_name}/inputs", status_code=202, responses=refusals(404, 409))
+@router.post(
+    "/admin/datasets/{dataset_name}/inputs",
+    summary="Make a dataset's missing inputs",
+    status_code=202,
+    responses=refusals(404, 409),
+)
 def create_dataset_inputs(
     dataset_name: DatasetName, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
@@ -52,7 +57,9 @@ def create_dataset_inputs(
     return shown
 
 
-@router.get("/datasets/{dataset_name}/inputs", responses=refusals(404))
+@router.get(
+    "/datasets/{dataset_name}/inputs", summary="Which inputs of train and val are available", responses=refusals(404)
+)
 def list_dataset_inputs(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, query: PageDep
 ) -> Page[DatasetInputItem]:
@@ -64,7 +71,12 @@ def list_dataset_inputs(
         return Page[DatasetInputItem](items=items, next=found.next)
 
 
-@router.get("/datasets/{dataset_name}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+@router.get(
+    "/datasets/{dataset_name}/inputs/{sequence_name}.tar",
+    summary="Download a sequence's inputs of the dataset (tar)",
+    response_class=Response,
+    responses=TAR,
+)
 def download_dataset_input(
     dataset_name: DatasetName, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
@@ -78,7 +90,12 @@ def download_dataset_input(
     return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
 
 
-@router.head("/datasets/{dataset_name}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+@router.head(
+    "/datasets/{dataset_name}/inputs/{sequence_name}.tar",
+    summary="Size and checksum of a sequence's inputs (dataset)",
+    response_class=Response,
+    responses=TAR,
+)
 def describe_dataset_input(
     dataset_name: DatasetName, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:

@@ -44,7 +44,7 @@ MANIFEST = file_responses("application/json")
 ARCHIVE = file_responses(MEDIA_TYPES["tar"])
 
 
-@router.post("", status_code=201, responses=refusals(409))
+@router.post("", summary="Publish the splits as a version", status_code=201, responses=refusals(409))
 def create_dataset(
     body: NewDatasetBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> PublishedDataset:
@@ -78,7 +78,7 @@ def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep) -> Pag
         return Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
 
 
-@router.get("/{dataset_name}", responses=refusals(404))
+@router.get("/{dataset_name}", summary="A version with its sequences and downloads", responses=refusals(404))
 def show_dataset(
     dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, response: Response
 ) -> DatasetDetail:
@@ -90,7 +90,9 @@ def show_dataset(
     return shown
 
 
-@router.get("/{dataset_name}/manifest", response_class=Response, responses=MANIFEST)
+@router.get(
+    "/{dataset_name}/manifest", summary="A dataset version's manifest", response_class=Response, responses=MANIFEST
+)
 def download_manifest(dataset_name: DatasetName, _caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """The manifest: sequences, statistics, and every file of train and val with its sha256."""
     with platform.database.reading() as session:
@@ -101,7 +103,12 @@ def download_manifest(dataset_name: DatasetName, _caller: Reader, platform: Plat
     return answer_file(request, platform.store, file)
 
 
-@router.get("/{dataset_name}/archives/{part}", response_class=Response, responses=ARCHIVE)
+@router.get(
+    "/{dataset_name}/archives/{part}",
+    summary="Download train or val as a tar",
+    response_class=Response,
+    responses=ARCHIVE,
+)
 def download_part(
     dataset_name: DatasetName, part: OpenPart, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:

@@ -4,6 +4,7 @@
 """
 
 import json
+import re
 from base64 import b64encode
 from hashlib import sha256
 from html import escape
@@ -16,16 +17,18 @@ from api.openapi import Operation, operations
 
 router = APIRouter(tags=["probes"])
 
-STYLE = """body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}code,pre{font-family:monospace}
+STYLE = """:root{color-scheme:light dark}
+body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}code,pre{font-family:monospace}
 summary{cursor:pointer;padding:.2rem 0}b{display:inline-block;width:5rem;text-transform:uppercase}
 pre{background:#8882;padding:.6rem;overflow:auto}"""
 STYLE_HASH = b64encode(sha256(STYLE.encode()).digest()).decode()
 POLICY = f"default-src 'none'; style-src 'sha256-{STYLE_HASH}'; frame-ancestors 'none'; base-uri 'none'"
 
+IN_BACKTICKS = re.compile(r"`([^`]+)`")
 ANYBODY = ({"": ["anybody"]},)
 
 
-@router.get("/docs", summary="These pages", response_class=HTMLResponse)
+@router.get("/docs", summary="API reference", response_class=HTMLResponse)
 def pages(request: Request) -> HTMLResponse:
     document: dict[str, Any] = request.app.openapi()
     by_tag: dict[str, list[str]] = {}
@@ -33,8 +36,9 @@ def pages(request: Request) -> HTMLResponse:
         shown = _operation(document, path, method, operation)
         by_tag.setdefault(operation["tags"][0], []).append(shown)
     body = "".join(f"<h2>{escape(tag)}</h2>{''.join(shown)}" for tag, shown in sorted(by_tag.items()))
-    title, description = escape(document["info"]["title"]), escape(document["info"]["description"])
-    head = f'<meta charset="utf-8"><title>{title}</title><style>{STYLE}</style>'
+    title, description = escape(document["info"]["title"]), _prose(document["info"]["description"])
+    head = '<meta charset="utf-8"><meta name="viewport" content="width=device-width,initial-scale=1">'
+    head += f"<title>{title}</title><style>{STYLE}</style>"
     page = f"<head>{head}</head><body><h1>{title}</h1><p>{description}</p>{body}</body>"
     return HTMLResponse(f'<!doctype html><html lang="en">{page}</html>', headers={"Content-Security-Policy": POLICY})
 
@@ -44,19 +48,24 @@ def _operation(document: dict[str, Any], path: str, method: str, operation: Oper
     asked = " ".join(next(iter(operation.get("security", ANYBODY)[0].values())))
     parameters = "".join(_parameter(each) for each in operation.get("parameters", ()))
     answers = "".join(
-        f"<li><code>{status}</code> {escape(answer.get('description', ''))}{_example(document, answer)}</li>"
+        f"<li><code>{status}</code> {_prose(answer.get('description', ''))}{_example(document, answer)}</li>"
         for status, answer in operation["responses"].items()
     )
     body = _example(document, operation.get("requestBody", {}))
-    inside = f"<p>{escape(operation.get('description', ''))}</p><p>For: <code>{escape(asked)}</code></p>"
+    inside = f"<p>{_prose(operation.get('description', ''))}</p><p>For: <code>{escape(asked)}</code></p>"
     inside += f"<ul>{parameters}</ul>{body}<ul>{answers}</ul>"
-    head = f"<b>{method}</b> <code>{escape(path)}</code> {escape(operation['summary'])}"
+    head = f"<b>{method}</b> <code>{escape(path)}</code> {_prose(operation['summary'])}"
     return f"<details><summary>{head}</summary>{inside}</details>"
+
+
+def _prose(text: str) -> str:
+    """Text of a docstring, what stands in backticks as code."""
+    return IN_BACKTICKS.sub(r"<code>\1</code>", escape(text))
 
 
 def _parameter(parameter: dict[str, Any]) -> str:
     need = "" if parameter.get("required") else " (optional)"
-    said = escape(parameter.get("description", ""))
+    said = _prose(parameter.get("description", ""))
     return f"<li><code>{escape(parameter['name'])}</code> in {escape(parameter['in'])}{need} {said}</li>"
 
 

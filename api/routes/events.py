@@ -55,7 +55,9 @@ STREAM: Responses = {
 }
 
 
-@router.get("/jobs/{job_id}/events", response_class=Response, responses=STREAM)
+@router.get(
+    "/jobs/{job_id}/events", summary="The progress of a job, as events", response_class=Response, responses=STREAM
+)
 async def follow_job(
     job_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
@@ -68,7 +70,12 @@ async def follow_job(
     return await _streamed(request, platform, caller, subject, last_event_id)
 
 
-@router.get("/sequences/{sequence_id}/events", response_class=Response, responses=STREAM)
+@router.get(
+    "/sequences/{sequence_id}/events",
+    summary="The progress of a sequence, as events",
+    response_class=Response,
+    responses=STREAM,
+)
 async def follow_sequence(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:
@@ -80,7 +87,12 @@ async def follow_sequence(
     return await _streamed(request, platform, caller, subject, last_event_id)
 
 
-@router.get("/submissions/{submission_id}/events", response_class=Response, responses=STREAM)
+@router.get(
+    "/submissions/{submission_id}/events",
+    summary="The progress of a submission, as events",
+    response_class=Response,
+    responses=STREAM,
+)
 async def follow_submission(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, last_event_id: LastEventId = None
 ) -> Response:

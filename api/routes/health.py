@@ -24,14 +24,14 @@ EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
 WATCHERS = ["admin", "administrator"]
 
 
-@router.get("/healthz", summary="Whether the process lives")
+@router.get("/healthz", summary="Liveness of the process")
 def liveness() -> Liveness:
     return Liveness(status="ok")
 
 
 @router.get(
     "/readyz",
-    summary="Whether database, broker and store answer",
+    summary="Readiness of database, broker and store",
     response_model=Readiness,
     responses={503: {"model": Readiness, "description": "At least one is away"}},
 )
@@ -60,7 +60,7 @@ def may_read_metrics(
 
 @router.get(
     "/metrics",
-    summary="Counts for Prometheus",
+    summary="Metrics for Prometheus",
     response_class=Response,
     responses={200: {"content": {EXPOSITION: {"schema": {"type": "string"}}}}, 401: refusal(401), **refusals(403)},
 )

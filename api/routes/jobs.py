@@ -10,6 +10,7 @@ from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import PlatformDep, at_once
+from api.job_acts import control_run
 from api.paging import Page, PageDep, page
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath, IdQuery
@@ -17,7 +18,6 @@ from api.schemas.jobs import JobDetail, JobItem, LogPage
 from api.views.jobs import job_detail, job_items
 from api.views.log_pages import LogQuery, log_page
 from api.visible import job_of
-from services.runtime.jobs import control
 from services.runtime.orm import Job
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
@@ -63,14 +63,14 @@ def list_jobs(
         return Page[JobItem](items=job_items(session, found.rows), next=found.next)
 
 
-@router.get("/{job_id}", responses=refusals(403, 404))
+@router.get("/{job_id}", summary="A job of one's own and its progress", responses=refusals(403, 404))
 def show_job(job_id: IdPath, caller: Reader, platform: PlatformDep) -> JobDetail:
     """How far a job is, and why it failed if it did."""
     with platform.database.reading() as session:
         return job_detail(session, job_of(session, caller, job_id))
 
 
-@router.get("/{job_id}/logs", responses=refusals(403, 404))
+@router.get("/{job_id}/logs", summary="The log of a job of one's own", responses=refusals(403, 404))
 def read_logs(
     job_id: IdPath, caller: Reader, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
@@ -84,7 +84,8 @@ def cancel_job(job_id: IdPath, caller: Curator, platform: PlatformDep, body: Can
     """Ask the whole run of a job to stop: what is queued will not start, what runs stops at its next step."""
     reason = body.reason if body else ""
     with platform.database.transaction() as session:
-        run = control.cancel(session, job_of(session, caller, job_id).root_id, reason)
+        root_id = job_of(session, caller, job_id).root_id
+        run = control_run(session, platform, caller, "cancel", root_id, reason)
         audit.record(session, caller, "job.cancel", run.id, reason)
         session.flush()
         return job_detail(session, run)

@@ -57,7 +57,7 @@ class BoardRequest:
 BoardRequestDep = Annotated[BoardRequest, Depends(BoardRequest)]
 
 
-@router.get("/leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
+@router.get("/leaderboard", summary="The leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
 def show_leaderboard(
     at: AtPhase, asked: BoardRequestDep, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
@@ -67,14 +67,14 @@ def show_leaderboard(
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
 
 
-@router.get("/leaderboard/history", responses=refusals(404))
+@router.get("/leaderboard/history", summary="When the leaderboard changed, and its best mIoU", responses=refusals(404))
 def show_history(at: AtPhase, platform: PlatformDep, track: TrackQuery = "all") -> HistoryAnswer:
     """When the board changed, and the best mIoU since each change."""
     with platform.database.reading() as session:
         return history_answer(session, at.find(session), track)
 
 
-@router.get("/compare", responses=refusals(404, 409))
+@router.get("/compare", summary="How two entries differ, and how significantly", responses=refusals(404, 409))
 def compare_entries(
     at: AtPhase, caller: Looker, platform: PlatformDep, a: SubmissionQuery, b: SubmissionQuery
 ) -> ComparisonAnswer:

@@ -30,15 +30,15 @@ from services.runtime.orm import Webhook
 router = APIRouter(prefix="/notifications", tags=["people"])
 
 
-@router.get("", summary="How one is told of events")
+@router.get("", summary="Show the notification settings")
 def shown(caller: Reader, platform: PlatformDep) -> NotificationsItem:
     with platform.database.reading() as session:
         return notifications_item(session, caller.user_id, platform.settings)
 
 
-@router.put("/choices", summary="Choose the events one is told of")
+@router.put("/choices", summary="Choose the events to be notified of")
 def choose_events(body: ChoicesBody, caller: Submitter, platform: PlatformDep) -> NotificationsItem:
-    """In place of what was chosen before; without any, one is told nothing."""
+    """Replaces the earlier choice; an empty one disables all notifications."""
     choices = body.model_dump()
     with platform.database.transaction() as session:
         choose(session, caller.user_id, choices)
@@ -64,7 +64,7 @@ def verify_email(body: EmailSecretBody, caller: AccountHolder, platform: Platfor
         return email_item(row)
 
 
-@router.delete("/email", status_code=204, summary="Forget one's e-mail address")
+@router.delete("/email", status_code=204, summary="Remove one's e-mail address")
 def remove_email(caller: AccountHolder, platform: PlatformDep) -> None:
     with platform.database.transaction() as session:
         email_addresses.remove_address(session, caller.user_id)
@@ -96,9 +96,9 @@ def remove_webhook(caller: AccountHolder, platform: PlatformDep) -> None:
         audit.record(session, caller, "notifications.webhook_removed", caller.user_id)
 
 
-@router.get("/deliveries", summary="What one was told, newest first")
+@router.get("/deliveries", summary="List the deliveries, newest first")
 def deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[DeliveryItem]:
-    """With what came of the last try; kept for a month."""
+    """With the result of the last attempt; kept for a month."""
     with platform.database.reading() as session:
         return deliveries_page(session, query, caller.user_id)
 

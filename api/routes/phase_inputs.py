@@ -33,7 +33,12 @@ SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-for
 TAR = file_responses(MEDIA_TYPES["tar"])
 
 
-@router.post("/admin/phases/{phase_id}/inputs", status_code=202, responses=refusals(404, 409))
+@router.post(
+    "/admin/phases/{phase_id}/inputs",
+    summary="Make a phase's missing inputs",
+    status_code=202,
+    responses=refusals(404, 409),
+)
 def create_inputs(
     phase_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> JobDetail:
@@ -46,7 +51,7 @@ def create_inputs(
     return shown
 
 
-@router.get("/phases/{phase_id}/inputs", responses=refusals(404))
+@router.get("/phases/{phase_id}/inputs", summary="Which inputs of the phase are available", responses=refusals(404))
 def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query: PageDep) -> Page[PhaseInputItem]:
     """The sequences of the phase whose inputs are there, by name."""
     with platform.database.reading() as session:
@@ -54,7 +59,12 @@ def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query:
         return page(session, inputs_of(phase.id), PhaseInput.name, query).shown(_item)
 
 
-@router.get("/phases/{phase_id}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+@router.get(
+    "/phases/{phase_id}/inputs/{sequence_name}.tar",
+    summary="Download a sequence's inputs of the phase (tar)",
+    response_class=Response,
+    responses=TAR,
+)
 def download_input(
     phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
@@ -68,7 +78,12 @@ def download_input(
     return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
 
 
-@router.head("/phases/{phase_id}/inputs/{sequence_name}.tar", response_class=Response, responses=TAR)
+@router.head(
+    "/phases/{phase_id}/inputs/{sequence_name}.tar",
+    summary="Size and checksum of a sequence's inputs (phase)",
+    response_class=Response,
+    responses=TAR,
+)
 def describe_input(
     phase_id: IdPath, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:

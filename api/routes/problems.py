@@ -14,13 +14,13 @@ from stone.errors import StoneError
 router = APIRouter(tags=["problems"])
 
 
-@router.get("/problems", summary="All kinds of refusal")
+@router.get("/problems", summary="List all problem types")
 def kinds() -> list[ProblemItem]:
     leaves = {leaf for base in STATUS_OF for leaf in _leaves(base)}
     return [_kind(leaf) for leaf in sorted(leaves, key=lambda leaf: (status_of(leaf), leaf.code))]
 
 
-@router.get("/problems/{code}", summary="One kind of refusal", responses=refusals(404))
+@router.get("/problems/{code}", summary="Show one problem type", responses=refusals(404))
 def kind(code: str) -> ProblemItem:
     for item in kinds():
         if item.code == code:

@@ -1,4 +1,4 @@
-"""Routes of a submission's results: totals, breakdowns, provenance, confusion counts.
+"""Routes of a submission's results: totals, breakdowns, provenance, confusion counts, its zip.
 
 **Conventions.** A submission is known to its team, to administrators and, while it stands on a board, to everybody.
 What of it is shown to whom is decided where it is read; a part that is withheld as a whole is 403. Without `score` it
@@ -8,7 +8,7 @@ is the score by the pair in force; older ones stay readable by their ids.
 from fastapi import APIRouter, Request, Response
 
 from api.answers import refusals
-from api.callers import Looker
+from api.callers import Looker, Reader
 from api.deps import PlatformDep
 from api.files import StoredFile, answer_file, file_responses
 from api.schemas.base import IdPath
@@ -21,15 +21,20 @@ from api.views.results import (
     results_answer,
     viewer_for,
 )
+from services.domain.benchmarks.submissions.predicted_frames import downloadable_zip
 from services.domain.benchmarks.submissions.results import breakdown, kept_confusions, provenance, results
+from services.runtime.orm import Blob
+from services.runtime.platform import Platform
 
 router = APIRouter(prefix="/submissions/{submission_id}", tags=["submissions"])
 NPZ_TYPE = "application/octet-stream"
 NPZ = file_responses(NPZ_TYPE) | refusals(403, 409)
+ZIP_TYPE = "application/zip"
+ZIP = file_responses(ZIP_TYPE) | refusals(403, 409)
 PART = refusals(403, 404, 409)
 
 
-@router.get("/results", responses=refusals(404, 409))
+@router.get("/results", summary="A submission's results", responses=refusals(404, 409))
 def show_results(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
 ) -> ResultsAnswer:
@@ -59,7 +64,7 @@ def show_provenance(
         return provenance_answer(provenance(known_score(session, caller, submission_id, score)))
 
 
-@router.get("/confusions", response_class=Response, responses=NPZ)
+@router.get("/confusions", summary="Confusion counts by frame (npz)", response_class=Response, responses=NPZ)
 def download_confusions(
     submission_id: IdPath, caller: Looker, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
@@ -70,7 +75,32 @@ def download_confusions(
     """
     with platform.database.reading() as session:
         blob = kept_confusions(session, known_score(session, caller, submission_id, score))
-    named = f"{submission_id}.confusions.npz"
-    return answer_file(
-        request, platform.store, StoredFile(blob.object_key, blob.size_bytes, blob.sha256, NPZ_TYPE, named)
-    )
+    return _kept(request, platform, blob, (NPZ_TYPE, f"{submission_id}.confusions.npz"))
+
+
+@router.get(
+    "/predictions.zip", response_class=Response, responses=ZIP, summary="Download the zip of a scored submission"
+)
+def download_predictions(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
+) -> Response:
+    """The zip of a scored submission as it was sent: one's own, and that of a baseline of an open phase."""
+    with platform.database.reading() as session:
+        blob = downloadable_zip(session, known_score(session, caller, submission_id, score))
+    return _kept(request, platform, blob, (ZIP_TYPE, f"{submission_id}.zip"))
+
+
+@router.head(
+    "/predictions.zip", response_class=Response, responses=ZIP, summary="Describe the zip of a scored submission"
+)
+def describe_predictions(
+    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
+) -> Response:
+    """Size and checksum of the zip."""
+    return download_predictions(submission_id, caller, platform, request, score)
+
+
+def _kept(request: Request, platform: Platform, blob: Blob, named: tuple[str, str]) -> Response:
+    """A kept file, with its type and name."""
+    file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, *named)
+    return answer_file(request, platform.store, file)

@@ -30,7 +30,7 @@ from stone.splits.splits import Split
 router = APIRouter(prefix="/splits", tags=["dataset"])
 
 
-@router.get("", responses=refusals())
+@router.get("", summary="The splits and what the rules say", responses=refusals())
 def show_splits(caller: Reader, platform: PlatformDep, response: Response) -> SplitsAnswer:
     """The splits: all of them for administrators, with what the rules say; one's own sequences for everybody else."""
     with platform.database.reading() as session:
@@ -62,7 +62,7 @@ def put_splits(
     return splits_answer(current, entries_of(labelled), findings)
 
 
-@router.post("/verdicts", responses=refusals())
+@router.post("/verdicts", summary="Check splits against the rules without saving them", responses=refusals())
 def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: PlatformDep) -> VerdictsAnswer:
     """What every rule says of these splits, as if they were put. Nothing is saved."""
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
@@ -72,7 +72,7 @@ def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: Platform
     return VerdictsAnswer(revision=revision, can_be_put=not errors_of(findings), findings=rule_items(findings))
 
 
-@router.post("/proposal", responses=refusals(409))
+@router.post("/proposal", summary="Propose splits of given sizes", responses=refusals(409))
 def propose_splits(body: ProposalBody, caller: Administrator, platform: PlatformDep) -> ProposalAnswer:
     """Splits of these sizes that keep every rule and are alike, or which rules clash. Nothing is saved."""
     from stone.splits.proposal import propose

@@ -15,6 +15,7 @@ from api.deps import Caller, PlatformDep
 from api.etags import etag, is_unchanged
 from api.schemas.datasets import VERSION_PATTERN
 from api.schemas.statistics import StatisticsAnswer
+from api.views.scenes import ColoursQuery
 from api.views.statistics import composition_record
 from services.domain.datasets.composition_figure import FIGURE_VERSION, composition_png, figure_title
 from services.domain.datasets.statistics import Record
@@ -37,15 +38,21 @@ def show_statistics(caller: Reader, platform: PlatformDep, dataset: VersionQuery
     response_class=Response,
     responses={200: {"description": "The figure", "content": PNG}, 304: NOT_MODIFIED, **refusals(404)},
 )
-def show_composition(caller: Reader, platform: PlatformDep, request: Request, dataset: VersionQuery = None) -> Response:
+def show_composition(
+    caller: Reader,
+    platform: PlatformDep,
+    request: Request,
+    dataset: VersionQuery = None,
+    colours: ColoursQuery = "default",
+) -> Response:
     """The composition as a figure."""
     record = _record_of(platform, caller, dataset)
     title = figure_title(record["total"], dataset or "Labelled sequences")
-    tag = sha256(dumps([FIGURE_VERSION, title, record], sort_keys=True).encode()).hexdigest()
+    tag = sha256(dumps([FIGURE_VERSION, title, record, colours], sort_keys=True).encode()).hexdigest()
     headers = {"ETag": etag(tag), "Cache-Control": "private, no-cache"}
     if is_unchanged(request, tag):
         return Response(status_code=304, headers=headers)
-    return Response(composition_png(record, title), headers=headers, media_type="image/png")
+    return Response(composition_png(record, title, colours), headers=headers, media_type="image/png")
 
 
 def _record_of(platform: Platform, caller: Caller, dataset: str | None) -> Record:

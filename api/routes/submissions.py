@@ -57,13 +57,18 @@ class SubmissionFilters:
         return statement.filter_by(**{key: value for key, value in vars(self).items() if value is not None})
 
 
-@router.post("/phases/{phase_id}/submissions", status_code=201, responses=refusals(403, 404, 409))
+@router.post(
+    "/phases/{phase_id}/submissions",
+    summary="Create a submission as a draft",
+    status_code=201,
+    responses=refusals(403, 404, 409),
+)
 def create_submission(
     phase_id: IdPath, body: NewSubmissionBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """Announce a zip of predictions: which file will be uploaded for the draft that this makes."""
+    """Create a submission as a draft, declaring the zip that will be uploaded."""
     if body.kind == "baseline" and caller.role == "participant":
-        raise ForbiddenError("a baseline is sent by curators and administrators; send an entry")
+        raise ForbiddenError("baselines are submitted by curators and administrators; submit an entry")
     return _announced(platform, caller, phase_id, (body.kind, body), response)
 
 
@@ -71,11 +76,16 @@ def create_submission(
 def create_validation(
     phase_id: IdPath, body: NewValidationBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
-    """Announce a zip that is only to be checked: it costs no scoring and is never scored."""
+    """Create a validation-only submission: checked, never scored, not counted towards the quota."""
     return _announced(platform, caller, phase_id, ("validation", body), response)
 
 
-@router.post("/submissions/{submission_id}/finalize", status_code=202, responses=refusals(404, 409))
+@router.post(
+    "/submissions/{submission_id}/finalize",
+    summary="Submit the uploaded file for checks and scoring",
+    status_code=202,
+    responses=refusals(404, 409),
+)
 def finalize_submission(
     submission_id: IdPath, body: FinalizeBody, caller: Submitter, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
@@ -104,7 +114,7 @@ def list_submissions(
         return Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
 
 
-@router.get("/submissions/{submission_id}", responses=refusals(404))
+@router.get("/submissions/{submission_id}", summary="A submission and its progress", responses=refusals(404))
 def show_submission(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, response: Response
 ) -> SubmissionDetail:
@@ -147,7 +157,7 @@ def show_validation_report(submission_id: IdPath, caller: Reader, platform: Plat
 def cancel_submission(
     submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
 ) -> SubmissionDetail:
-    """Give up what was not settled yet; its scoring is free again."""
+    """Cancel a submission that is not settled; its place in the quota is released."""
     reason = body.reason if body else ""
     with platform.database.transaction() as session:
         row = submissions.cancel(session, submission_of(session, caller, submission_id), reason)
@@ -159,7 +169,7 @@ def cancel_submission(
 def withdraw_submission(
     submission_id: IdPath, caller: Submitter, platform: PlatformDep, body: CancelBody | None = None
 ) -> SubmissionDetail:
-    """Take a settled submission off every board; this cannot be undone, and its scoring stays used."""
+    """Withdraw a settled submission from every leaderboard; cannot be undone, still counts towards the quota."""
     with platform.database.transaction() as session:
         row = submissions.withdraw(session, submission_of(session, caller, submission_id))
         audit.record(session, caller, "submission.withdraw", row.id, body.reason if body else "")
@@ -168,13 +178,17 @@ def withdraw_submission(
 
 @router.get("/phases/{phase_id}/teams/{team_id}/quota", responses=refusals(404))
 def show_quota(phase_id: IdPath, team_id: IdPath, caller: Reader, platform: PlatformDep) -> StandingAnswer:
-    """What the team has had scored, what it may yet, and from when on."""
+    """Show the team's quota: used, left, and when the next submission is available."""
     with platform.database.reading() as session:
         team = team_of(session, caller, team_id)
         return quota_answer(session, phase_of(session, phase_id), team.id)
 
 
-@router.put("/admin/submissions/{submission_id}/visibility", responses=refusals(403, 404))
+@router.put(
+    "/admin/submissions/{submission_id}/visibility",
+    summary="Hide a submission from leaderboards, or show it",
+    responses=refusals(403, 404),
+)
 def put_visibility(
     submission_id: IdPath, body: VisibilityBody, caller: Administrator, platform: PlatformDep
 ) -> SubmissionDetail:

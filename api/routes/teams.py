@@ -37,7 +37,7 @@ Participant = Annotated[Caller, Depends(require("submit"))]
 Reader = Annotated[Caller, Depends(require("read"))]
 
 
-@router.post("", status_code=201, summary="Found a team", responses=refusals(409))
+@router.post("", status_code=201, summary="Create a team", responses=refusals(409))
 def found(body: TeamBody, caller: Participant, platform: PlatformDep) -> TeamItem:
     """The caller is its captain. A name that only looks different from another team's is taken."""
     with platform.database.transaction() as session:
@@ -100,7 +100,12 @@ def withdraw(team_id: IdPath, invitation_id: IdPath, caller: Participant, platfo
         audit.record(session, caller, "team.uninvite", team.id, facts={"invitation_id": invitation_id})
 
 
-@router.delete("/{team_id}/members/{member}", status_code=204, responses=refusals(404, 409))
+@router.delete(
+    "/{team_id}/members/{member}",
+    summary="Leave a team, or remove a member",
+    status_code=204,
+    responses=refusals(404, 409),
+)
 def remove(
     team_id: IdPath, member: MemberName, caller: Participant, platform: PlatformDep, reason: ReasonQuery = ""
 ) -> None:

@@ -71,7 +71,9 @@ async def create_upload(
     return Response(status_code=201, headers={"Location": location, **upload_headers(upload, offset_bytes)})
 
 
-@router.post("/form", status_code=201, responses=FORMED, openapi_extra=FORM)
+@router.post(
+    "/form", summary="Upload a small file in one request", status_code=201, responses=FORMED, openapi_extra=FORM
+)
 async def create_by_form(request: Request, platform: PlatformDep, caller: Former, response: Response) -> UploadItem:
     """A small file whole at once: `curl -F file=@run.mcap -F purpose=recording -F target_id=…`."""
     upload = await accept_form(request, platform, caller)
@@ -121,6 +123,7 @@ def give_up(upload_id: IdPath, platform: PlatformDep, caller: Uploader) -> Respo
 
 @router.post(
     "/{upload_id}",
+    summary="PATCH or DELETE an upload by POST",
     status_code=204,
     response_class=Response,
     dependencies=[SpeakTus],

@@ -111,7 +111,8 @@ class AdminJobDetail(JobDetail):
 class QueueItem(Answer):
     """A queue: `mode` is open, paused or draining; jobs ready, waiting for others, and running.
 
-    `bells` are messages that no worker has heard yet; null where the broker does not answer. `oldest_ready_s` is how
+    `bells` are broker notifications that no worker has acknowledged yet; null where the broker does not answer.
+    `oldest_ready_s` is how
     long ago the oldest of the ready jobs was made. `per_minute` are the jobs that succeeded in each of the last 30
     minutes, the oldest first; `succeeded_lately` and `failed_lately` are of the last 15.
     """

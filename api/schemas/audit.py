@@ -48,7 +48,7 @@ class AuditVerification(Answer):
 class ProblemItem(Answer):
     """A kind of refusal."""
 
-    model_config = example(code="not_found", status=404, title="There is no such thing, or it is not yours to know")
+    model_config = example(code="not_found", status=404, title="Not found, or no access")
 
     code: str
     status: int

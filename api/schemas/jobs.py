@@ -5,17 +5,38 @@ from typing import Any
 
 from api.schemas.base import ID_EXAMPLE, Answer, example
 
-STAGES_EXAMPLE = [
-    {"kind": "labeler.fuse", "total": 12, "done": 12, "running": 0, "failed": 0},
-    {"kind": "labeler.surface", "total": 40, "done": 11, "running": 2, "failed": 0},
+STAGES_EXAMPLE: list[dict[str, Any]] = [
+    {
+        "kind": "labeler.fuse",
+        "title": "Fuse sweeps",
+        "total": 12,
+        "done": 12,
+        "running": 0,
+        "failed": 0,
+        "began_at": "2026-05-03T09:12:44.310000Z",
+        "ended_at": "2026-05-03T09:13:05Z",
+        "busy_s": 40.2,
+    },
+    {
+        "kind": "labeler.surface",
+        "title": "Reconstruct the surface",
+        "total": 40,
+        "done": 11,
+        "running": 2,
+        "failed": 0,
+        "began_at": "2026-05-03T09:12:58Z",
+        "ended_at": "2026-05-03T09:13:11Z",
+        "busy_s": 22.9,
+    },
 ]
-PROGRESS_EXAMPLE = {"stage": "labeler.surface", "done": 23, "total": 52, "rate_per_s": 0.8, "eta_s": 36.3}
+PROGRESS_EXAMPLE = {"stage": "labeler.surface", "done": 23, "total": 52, "rate_per_s": None, "eta_s": 40}
 JOB_EXAMPLE: dict[str, Any] = {
     "id": ID_EXAMPLE,
     "root_id": ID_EXAMPLE,
     "owner_id": ID_EXAMPLE,
     "sequence_id": ID_EXAMPLE,
     "kind": "sequence.process",
+    "title": "Labelling",
     "queue": "",
     "state": "running",
     "priority": 0,
@@ -32,7 +53,7 @@ ATTEMPT_EXAMPLE = {
     "number": 1,
     "worker": "worker-3:4711",
     "outcome": "lost",
-    "failure": {"code": "worker_lost", "sentence": "attempt 1 gave no sign of life for 20 s"},
+    "failure": {"code": "worker_lost", "sentence": "attempt 1 sent no heartbeat for 20 s"},
     "peak_bytes": 412000000,
     "started_at": "2026-05-03T09:12:44.310000Z",
     "finished_at": "2026-05-03T09:13:11Z",
@@ -49,7 +70,11 @@ class FailureItem(Answer):
 
 
 class ProgressItem(Answer):
-    """`done` of `total` in units of the job (of a run: its jobs), per second, and seconds left (null: unknown)."""
+    """`done` of `total` in units of the job (of a run: its jobs); `rate_per_s` of a single job that runs, else null.
+
+    `eta_s` is the one estimate of the seconds left, rounded up; null where it is not known, or the run has ended. Of a
+    job within a run it is null: its run's is the estimate.
+    """
 
     model_config = example(**PROGRESS_EXAMPLE)
 
@@ -57,23 +82,31 @@ class ProgressItem(Answer):
     done: int
     total: int
     rate_per_s: float | None
-    eta_s: float | None
+    eta_s: int | None
 
 
 class StageItem(Answer):
-    """Jobs of one kind within a run."""
+    """Jobs of one kind within a run, with a title for people.
+
+    `began_at` is when the first of them was begun, `ended_at` when the last that has ended did, null before; `busy_s`
+    is the time that those which succeeded took together.
+    """
 
     model_config = example(**STAGES_EXAMPLE[1])
 
     kind: str
+    title: str = ""
     total: int
     done: int
     running: int
     failed: int
+    began_at: datetime | None = None
+    ended_at: datetime | None = None
+    busy_s: float = 0.0
 
 
 class JobItem(Answer):
-    """A job or a run. `queue` is empty for a run, which holds its children together."""
+    """A job or a run; `title` says its `kind` to people. `queue` is empty for a run, which holds its jobs together."""
 
     model_config = example(**JOB_EXAMPLE)
 
@@ -82,6 +115,7 @@ class JobItem(Answer):
     owner_id: str
     sequence_id: str | None
     kind: str
+    title: str = ""
     queue: str
     state: str
     priority: int

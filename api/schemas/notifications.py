@@ -28,7 +28,7 @@ Kinds = Annotated[tuple[EventKind, ...], Field(max_length=32)]
 class EventItem(Answer):
     """A kind of event that one may be told of."""
 
-    model_config = example(kind="run.failed", title="A run of mine failed")
+    model_config = example(kind="run.failed", title="One of my runs failed")
 
     kind: str
     title: str
@@ -75,7 +75,7 @@ class NotificationsItem(Answer):
     """How one is told of events; `sends_email` is whether this platform can."""
 
     model_config = example(
-        events=[{"kind": "run.failed", "title": "A run of mine failed"}],
+        events=[{"kind": "run.failed", "title": "One of my runs failed"}],
         email=["run.failed"],
         webhook=[],
         email_address={"address": "ada@example.org", "is_verified": True},

@@ -46,7 +46,7 @@ MOVED_EXAMPLE: dict[str, Any] = {
 
 
 class NewRescoreBody(Body):
-    """By which pair all standing entries are to be scored; what is not said stays as the board has it."""
+    """By which pair all standing entries are to be scored; omitted fields keep those of the leaderboard."""
 
     model_config = example(truth_id=ID_EXAMPLE, metric="stone-iou-2", reason="labels of the quarry corrected")
 

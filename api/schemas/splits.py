@@ -22,7 +22,7 @@ ENTRY_EXAMPLE: dict[str, Any] = {**DRIVEN_EXAMPLE, "sequence_id": ID_EXAMPLE, "v
 FINDING_EXAMPLE = {
     "code": "day_and_night",
     "severity": "warning",
-    "message": "night is not in val; the data do not allow it: 2 sequence(s) of 20 s or more have it, 3 splits ask "
+    "message": "night is not in val; the data do not allow it: it is in 2 sequences of 20 s or more, 3 splits ask "
     "for one each",
     "sequence_ids": [ID_EXAMPLE],
 }

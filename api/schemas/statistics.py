@@ -51,7 +51,7 @@ class TallyItem(Answer):
 
 
 class KeyTally(TallyItem):
-    """Of the sequences with this word; '' is what was not said, or in no split."""
+    """Of the sequences with this word; '' is unspecified, or unassigned."""
 
     model_config = example(key="lake", **TALLY_EXAMPLE)
 

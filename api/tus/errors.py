@@ -6,12 +6,12 @@ VERSION = "1.0.0"
 
 
 class TusVersionError(ApiError):
-    """The client does not say that it speaks tus 1.0.0."""
+    """Tus-Resumable is missing or not 1.0.0."""
 
     code = "tus_version"
 
     def __init__(self, given: str) -> None:
-        super().__init__(f"Tus-Resumable is {given[:40]!r}; this server speaks {VERSION} only")
+        super().__init__(f"Tus-Resumable is {given[:40]!r}; this server supports {VERSION} only")
 
     @property
     def headers(self) -> dict[str, str]:
@@ -28,12 +28,12 @@ class TusHeaderError(ApiError):
 
 
 class LengthDeferredError(ApiError):
-    """The client would say later how long the file is; quota and disk must be known before."""
+    """Upload-Defer-Length is not supported; the length must be known at creation."""
 
     code = "length_deferred"
 
     def __init__(self) -> None:
-        super().__init__("Upload-Defer-Length is not taken here: send Upload-Length with the creation")
+        super().__init__("Upload-Defer-Length is not supported: send Upload-Length with the creation")
 
 
 class ExtensionError(ApiError):

@@ -14,6 +14,7 @@ from services.runtime.orm import Job, SequenceRow, User
 MOST_CHILDREN = 200
 MOST_SPANS = 2000
 LOOKED_AT = 1000
+NEVER_NS = 2**62
 DEAD = and_(Job.queue != "", Job.state == "failed", Job.attempts_left <= 0)
 """Jobs that failed after all their attempts; what refuses its input fails at once, and would again."""
 
@@ -47,10 +48,11 @@ def admin_job_items(session: Session, jobs: Listing[Job]) -> list[AdminJobItem]:
 
 
 def admin_job_detail(session: Session, job: Job) -> AdminJobDetail:
-    """A job with its attempts; of a run also its jobs, those that have not succeeded first."""
+    """A job with its attempts; of a run also its jobs: those that have not succeeded first, then as they began."""
     children = (Job.root_id == job.id, Job.id != job.id)
     unfinished_first = case((Job.state == "succeeded", 1), else_=0)
-    shown = select(Job).where(*children).order_by(unfinished_first, Job.id).limit(MOST_CHILDREN)
+    in_time = (unfinished_first, func.coalesce(Job.started_ns, NEVER_NS), Job.id)
+    shown = select(Job).where(*children).order_by(*in_time).limit(MOST_CHILDREN)
     sequences = _names(session, SequenceRow.id, SequenceRow.name, {job.sequence_id} if job.sequence_id else set())
     return AdminJobDetail(
         **dict(job_detail(session, job)),

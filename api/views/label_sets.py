@@ -14,8 +14,10 @@ from services.domain.sequences.label_comparisons import StoredLabelFile, StoredP
 from services.domain.viewer.difference_picture import SeenGrid, comparison_picture
 from services.domain.viewer.formats import difference_bytes
 from services.domain.viewer.frame_grids import stored_grids
+from services.domain.viewer.indexed_pictures import recoloured
 from services.runtime.orm import Job, LabelComparison, LabelSet
 from services.runtime.store.protocol import Store
+from stone.labels.class_colours import ColourName
 from stone.scoring.agreement import differences
 
 HELD_PICTURES = 64
@@ -43,9 +45,9 @@ def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[L
     return [_item(row, jobs[row.job_id]) for row in rows]
 
 
-def pair_picture(store: Store, pair: StoredPair) -> bytes:
+def pair_picture(store: Store, pair: StoredPair, colours: ColourName) -> bytes:
     """A, B and the difference from above, a PNG. Raises `GridUnreadableError`."""
-    return _picture(store, pair)  # type: ignore[arg-type]  # by identity
+    return recoloured(_picture(store, pair), colours)  # type: ignore[arg-type]  # by identity
 
 
 def pair_differences(store: Store, pair: StoredPair) -> bytes:

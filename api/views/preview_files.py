@@ -10,7 +10,10 @@ from sqlalchemy.orm import Session
 from api.errors import NotFoundError
 from api.files import StoredFile
 from api.schemas.sequences.previews import PreviewItem
+from services.domain.viewer.indexed_pictures import recoloured
 from services.runtime.orm import Blob, LabelSet, Preview, Recording, SequenceRow
+from services.runtime.store.protocol import Store
+from stone.labels.class_colours import ColourName
 
 PreviewName = Annotated[
     str, Path(pattern=r"^[A-Za-z0-9][A-Za-z0-9._-]{0,127}\.(png|jpg|json|html)$", examples=["cameras.jpg"])
@@ -40,6 +43,14 @@ def recording_preview(session: Session, recording: Recording, name: str) -> Stor
 def sequence_preview(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile:
     """Raises `NotFoundError`."""
     return _file(session, _of_sequence(session, sequence, labels), name, sequence.name)
+
+
+def picture_in(store: Store, file: StoredFile, colours: ColourName) -> bytes:
+    """A stored picture with the class colours of this palette; unchanged where it has no palette of ours.
+
+    Reads the store, so not within a transaction. Raises `ObjectMissingError`.
+    """
+    return recoloured(b"".join(store.read(file.object_key)), colours)
 
 
 def _of_recording(recording: Recording) -> Select[Preview]:

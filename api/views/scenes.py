@@ -21,20 +21,26 @@ from api.views.artefact_files import artefact_file
 from api.views.exports import served_file
 from api.visible import frame_of, newest_label_set, shown_sequence
 from services.domain.viewer.errors import NoPlaybackError, NoSceneError
-from services.domain.viewer.formats import voxels_bytes
+from services.domain.viewer.formats import MEDIA_TYPES, voxels_bytes
 from services.domain.viewer.frame_grids import stored_grids
 from services.domain.viewer.frame_picture import Grid, picture_bytes
-from services.domain.viewer.playback import Playback, playback_of, shown_by
+from services.domain.viewer.indexed_pictures import recoloured
+from services.domain.viewer.playback import CAMERAS, Playback, playback_of, shown_by
 from services.runtime.orm import Artefact, Blob
 from services.runtime.platform import Platform
 from services.runtime.store.pack_archive import stored_files
 from services.runtime.store.protocol import Store
+from stone.labels.class_colours import ColourName
 
 HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
 VersionQuery = Annotated[
     str | None,
     Query(alias="v", pattern=ID_PATTERN, description="The label set that is meant: the answer may then be kept"),
+]
+
+ColoursQuery = Annotated[
+    ColourName, Query(description="`paper`: the classes in the green, yellow and red of the paper")
 ]
 
 
@@ -62,7 +68,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     """The body of a `SceneDetail`; reads the store, so not within a transaction."""
     shown = shown_by(store, scene.playback)
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
-    playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds}
+    playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
     known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
     kept = _record(store, scene.file)  # type: ignore[arg-type]  # by identity
     record = {**known, **kept, "playback": playback}
@@ -93,9 +99,9 @@ def frame_voxels(store: Store, labels: StoredFile) -> bytes:
     return _made(store, labels, voxels_bytes)  # type: ignore[arg-type]  # by identity
 
 
-def frame_picture(store: Store, labels: StoredFile) -> bytes:
+def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> bytes:
     """These labels from above, a PNG. Raises `GridUnreadableError`."""
-    return _made(store, labels, picture_bytes)  # type: ignore[arg-type]  # by identity
+    return recoloured(_made(store, labels, picture_bytes), colours)  # type: ignore[arg-type]  # by identity
 
 
 def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name: Callable[[str], str]) -> ServedFile:
@@ -111,6 +117,21 @@ def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name:
         raise NoPlaybackError(labels.id)
     stored = stored_files(platform.store, playback.located)
     return replace(served_file(platform.store, stored, name(token)), is_lasting=version == labels.id)
+
+
+def played_cameras(platform: Platform, asked: tuple[Caller, str, str | None]) -> ServedFile:
+    """`STR1` of the playback of the newest labels: of the caller, the sequence and the version asked for.
+
+    Its version is the playback: it can be made anew of the same labels. Raises `NotFoundError`, `NoPlaybackError`.
+    """
+    caller, sequence_id, version = asked
+    with platform.database.reading() as session:
+        labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
+        playback = playback_of(session, labels.id)
+    if playback.located is None:
+        raise NoPlaybackError(labels.id)
+    served = served_file(platform.store, stored_files(platform.store, playback.located), CAMERAS)
+    return replace(served, media_type=MEDIA_TYPES["STR1"], is_lasting=version == playback.export_id)
 
 
 @lru_cache(maxsize=HELD_FRAMES)

@@ -23,19 +23,19 @@ from api.schemas.sequences.sequences import (
 )
 from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of
-from services.domain.exports.requests import EXPORT
 from services.domain.sequences.later_recordings import later_recordings
+from services.domain.sequences.processing import PROCESS, REGISTER
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, SequenceRow, SplitMember
 
 UNLISTED = ("labels/", "scene/")
-PICTURES = ("bev.png", "thumbnail.jpg")
+PICTURES = ("bev.png", "thumbnail.jpg", "thumbnail.png")  # of older label sets a JPEG
 
 # Built once: to build a statement for fifty ids costs more than to run it.
 IDS: BindParameter[Any] = bindparam("ids", expanding=True)
 RECORDINGS = (
     select(Recording.sequence_id, func.count()).where(Recording.sequence_id.in_(IDS)).group_by(Recording.sequence_id)
 )
-_IS_RUN = (Job.sequence_id.in_(IDS), Job.id == Job.root_id, Job.kind != EXPORT)
+_IS_RUN = (Job.sequence_id.in_(IDS), Job.id == Job.root_id, Job.kind.in_((PROCESS, REGISTER)))
 NEWEST_RUNS = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(
     Job.id.in_(select(func.max(Job.id)).where(*_IS_RUN).group_by(Job.sequence_id))
 )
@@ -126,6 +126,7 @@ def _labels(row: LabelSet) -> LabelGlance:
         frames=row.frames,
         code_version=row.code_version,
         created_at=instant(row.created_ns),
+        chosen_at=instant(row.chosen_ns),
     )
 
 
@@ -134,7 +135,7 @@ def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
 
 
 def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
-    """The newest runs of sequences themselves; an export has a state of its own."""
+    """The newest labellings or readings of sequences; an export or a comparison has a state of its own."""
     found = session.execute(NEWEST_RUNS, {"ids": ids})
     return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in found if of}
 
@@ -153,7 +154,7 @@ def _pictures(session: Session, label_set_ids: list[str]) -> dict[str, str]:
     """The name of the smallest picture that shows each label set from above."""
     if not label_set_ids:
         return {}
-    return dict(session.execute(NAMED_PICTURES, {"ids": label_set_ids}).all())  # thumbnail.jpg comes last and counts
+    return dict(session.execute(NAMED_PICTURES, {"ids": label_set_ids}).all())  # the thumbnail comes last and counts
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:

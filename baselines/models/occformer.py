@@ -74,7 +74,7 @@ class OccFormer(OccupancyModel[OccFormerOutputs]):
     def lifted(self, batch: Batch) -> tuple[Tensor, Tensor]:
         """The volume that pictures are lifted to, on the coarse lattice, and the probabilities of depth."""
         if batch.cameras is None:
-            raise ValueError("OccFormer sees with cameras, and this batch has none")
+            raise ValueError("OccFormer needs cameras, and this batch has none")
         images = batch.cameras.images
         if any(side % COARSEST_STRIDE for side in images.shape[3:]):
             raise ValueError(

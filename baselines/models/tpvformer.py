@@ -70,7 +70,7 @@ class TPVFormer(OccupancyModel[Tensor]):
 def pictures_of(batch: Batch) -> Tensor:
     """(B, N, 3, H, W). Raises `ValueError` without cameras."""
     if batch.cameras is None:
-        raise ValueError("TPVFormer sees by cameras, which this batch has none of")
+        raise ValueError("TPVFormer needs cameras, and this batch has none")
     return batch.cameras.images
 
 

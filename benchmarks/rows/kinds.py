@@ -144,7 +144,7 @@ def _made(connection: Connection, amounts: Amounts) -> None:
         "duration_ns": "60000000000", "distance_m": "80", "t_voxels": "5", "p_voxels": "6", "n_voxels": "7",
         "free_voxels": "8",
     })  # fmt: skip
-    files = "(ARRAY['report.json','thumbnail.jpg','mesh.ply','labels/000000.pack'])[1 + k]"
+    files = "(ARRAY['report.json','thumbnail.png','mesh.ply','labels/000000.pack'])[1 + k]"
     insert_rows(connection, "artefacts", f"{numbers(count)}, generate_series(0, {each - 1}) AS k", {
         "id": f"hex_id({ARTEFACT}, n * {each} + k)", "label_set_id": f"hex_id({LABELS}, n)",
         "name": f"COALESCE({files}, 'labels/' || k || '.pack')", "media_type": "'application/octet-stream'",

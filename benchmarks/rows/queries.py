@@ -21,11 +21,12 @@ from services.domain.benchmarks.boards.history import history, tracks_with_rows
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.submissions.chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.submissions.completion_estimate import expected_s
+from services.domain.runs.estimates import time_left
 from services.runtime.access import roles, storage_quota, tokens
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.readiness import wake_ups_wanted
-from services.runtime.orm import Blob, LooseObject, Phase, SubmissionRow, User
+from services.runtime.orm import Blob, Job, LooseObject, Phase, SubmissionRow, User
 from services.runtime.platform import Platform
 from services.runtime.uploads import expire
 from testing.api.serving import Person
@@ -123,9 +124,16 @@ def _singles() -> tuple[Question, ...]:
         _route("its recordings", "administrator", "/sequences/{sequence}/recordings"),
         _route("its exports", "administrator", "/sequences/{sequence}/exports"),
         _route("one run", "administrator", "/admin/jobs/{run}"),
+        Question("the time left of fifty runs", _time_left),
         _route("one frame by its token", "administrator", "/frames/{token}"),
         Question("what an owner of a fifth has stored", _balance, "a sum over one owner's uploads"),
     )
+
+
+def _time_left(kit: Kit, _chance: Random) -> None:
+    alive = select(Job).where(Job.state == "queued", Job.id == Job.root_id).order_by(Job.id.desc()).limit(50)
+    with kit.platform.database.reading() as session:
+        time_left(session, session.scalars(alive).all())
 
 
 def _balance(kit: Kit, _chance: Random) -> None:

@@ -6,7 +6,7 @@ itself. Evaluated voxels by mask: `all` — every voxel, as the paper's tables, 
 `camera` — where that mask is not 0.
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
@@ -23,17 +23,23 @@ from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_t
 from stone_submissions.npz_frame import npz_members, read_grid
 
 Mask = Literal["all", "lidar", "camera"]
+# In time order, the tokens of each sequence of a folder of sequences; None where that is not known.
+FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, tuple[str, ...]] | None]
 KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared"})
 MAX_LABELS_BYTES = 8 * 2**20
 
 
 @dataclass(frozen=True)
 class GroundTruth:
-    """The label files of a folder: `paths` by frame token, and the manifest they make."""
+    """The label files of a folder: `paths` by frame token, and the manifest they make.
+
+    Frames are in time order inside each sequence where `is_in_time_order`, in that of their tokens where it is unknown.
+    """
 
     folder: Path
     manifest: Manifest
     mask: Mask
+    is_in_time_order: bool
 
     def path(self, sequence: str, token: str) -> Path:
         return self.folder / sequence / token / "labels.npz"
@@ -43,11 +49,12 @@ class GroundTruth:
         return {token: self.path(sequence, token) for sequence, tokens in sequences for token in tokens}
 
 
-def find_ground_truth(folder: Path, mask: Mask = "all") -> GroundTruth:
-    """The frames that have labels in this folder, sequences and tokens in the order of their names.
+def find_ground_truth(folder: Path, mask: Mask = "all", order: FrameOrder | None = None) -> GroundTruth:
+    """The frames that have labels in this folder, sequences in the order of their names, frames in that which `order`
+    tells.
 
-    Raises `UnreadableInputError` where there is no such folder, `GroundTruthError` where it holds no label file or a
-    name that is none of ours.
+    Raises `UnreadableInputError` where there is no such folder, `GroundTruthError` where it holds no label file, a
+    name that is none of ours, and what `order` raises.
     """
     root = folder / "gts" if (folder / "gts").is_dir() else folder
     if not root.is_dir():
@@ -63,7 +70,8 @@ def find_ground_truth(folder: Path, mask: Mask = "all") -> GroundTruth:
         raise GroundTruthError(root, f"{len(manifest.tokens)} label files, of 1 to {MAX_FRAMES}")
     if len(set(manifest.tokens)) < len(manifest.tokens):
         raise GroundTruthError(root, "two sequences share a frame token")
-    return GroundTruth(root, manifest, mask)
+    ordered = None if order is None else order(root, manifest.sequences)
+    return GroundTruth(root, manifest if ordered is None else Manifest(ordered), mask, ordered is not None)
 
 
 def read_truth(path: Path, mask: Mask) -> TruthPlanes:

@@ -17,7 +17,7 @@ from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
 from services.eval.counting import TruthOf
-from services.eval.ground_truth import Mask, find_ground_truth, read_truth, truth_hash, whole_hash
+from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
 from services.eval.ranges import Counts, ExaminedRange, examined, joined
 from services.eval.scores import Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
@@ -34,12 +34,15 @@ def score(
     mask: Mask = "all",
     threads: int = THREADS,
     progress: Progress = silent,
+    order: FrameOrder | None = None,
 ) -> Scores:
-    """The scores of a submission that holds exactly the frames of this ground truth.
+    """The scores of a submission that holds exactly the frames of this ground truth; without their `order` in time no
+    interval of these places is told.
 
-    Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`.
+    Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`, and what
+    `order` raises.
     """
-    truth = find_ground_truth(ground_truth_dir, mask)
+    truth = find_ground_truth(ground_truth_dir, mask, order)
     paths, hashes = truth.paths(), dict[str, bytes]()
 
     def truth_of(token: str) -> TruthPlanes:
@@ -50,9 +53,8 @@ def score(
     with open_submission(zip_path, truth.manifest.tokens) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
-    return Scores(
-        SubmissionCounts(counted.confusions, counted.bev, sequences), Signature(whole_hash(hashes), truth.mask)
-    )
+    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences)
+    return Scores(counts_of_frames, Signature(whole_hash(hashes), truth.mask), truth.is_in_time_order)
 
 
 def count(

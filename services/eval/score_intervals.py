@@ -13,7 +13,7 @@ import numpy as np
 from stone.scoring.confusion import Counts
 from stone.scoring.intervals import Estimate, RatioSpectra, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS, Metric
-from stone.scoring.silences import SCOPES, WITHDRAWN, Silence
+from stone.scoring.silences import SCOPES, UNKNOWN_ORDER, WITHDRAWN, Silence
 from stone_files.npz import npz_bytes
 
 Ratios = Mapping[str, float | None]
@@ -24,10 +24,18 @@ def spectra_of(confusions: Counts, frames_of_sequence: tuple[int, ...], metric: 
     return ratio_spectra(confusions.sum(axis=1, dtype=np.int64), frames_of_sequence, metric.version)
 
 
-def interval_record(total: Ratios, spectra: RatioSpectra, metric: Metric) -> dict[str, Any]:
-    """`intervals` and `silences` of a score's totals; a metric whose intervals are withdrawn has none."""
+def interval_record(
+    total: Ratios, spectra: RatioSpectra, metric: Metric, *, is_in_time_order: bool = True
+) -> dict[str, Any]:
+    """`intervals` and `silences` of a score's totals; a metric whose intervals are withdrawn has none.
+
+    Where the order of the frames in time is unknown, nothing is said of these places: neighbours that are alike would
+    pass for independent ones, and the interval would be too narrow.
+    """
     values = np.array([np.nan if total[name] is None else total[name] for name in RATIOS], np.float64)
     found = {scope: estimates(values, spectra, scope) for scope in SCOPES}
+    if not is_in_time_order:
+        found["these_places"] = tuple(UNKNOWN_ORDER if np.isfinite(value) else "undefined" for value in values)
     if metric.successor is not None:
         found = dict.fromkeys(SCOPES, (WITHDRAWN,) * len(RATIOS))
     return {

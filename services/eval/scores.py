@@ -61,22 +61,30 @@ class SubmissionCounts:
 
 @dataclass(frozen=True, eq=False)
 class Scores:
-    """One submission against one ground truth."""
+    """One submission against one ground truth; whether its frames are in time order, which intervals need."""
 
     counts_of_frames: SubmissionCounts
     signature: Signature
+    is_in_time_order: bool
 
     def as_record(self) -> Record:
         """What `stone score --json` prints."""
         counts_of_frames, metric = self.counts_of_frames, self.signature.metric
+        spectra = counts_of_frames.spectra(metric)
         return {
-            **record_of(counts_of_frames, counts_of_frames.spectra(metric), metric),
+            **record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order),
             "signature": str(self.signature),
             "code_version": code_version("scores"),
         }
 
 
-def record_of(counts_of_frames: SubmissionCounts, spectra: RatioSpectra, metric: str = METRIC_VERSION) -> Record:
+def record_of(
+    counts_of_frames: SubmissionCounts,
+    spectra: RatioSpectra,
+    metric: str = METRIC_VERSION,
+    *,
+    is_in_time_order: bool = True,
+) -> Record:
     """All that is said of a score; `spectra` are those of the same counts and metric.
 
     Raises `UnknownMetricError`.
@@ -91,7 +99,7 @@ def record_of(counts_of_frames: SubmissionCounts, spectra: RatioSpectra, metric:
         "support": supports(total),
         "confusion": total.tolist(),
         "extras": asdict(extras(total, counts_of_frames.bev.sum(axis=(0, 1), dtype=np.int64))),
-        **interval_record(ratios, spectra, metric_of(metric)),
+        **interval_record(ratios, spectra, metric_of(metric), is_in_time_order=is_in_time_order),
         "by": dict(_breakdowns(counts_of_frames, cells, metric)),
         "cells": {s.name: cell.tolist() for s, cell in zip(counts_of_frames.sequences, cells, strict=True)},
     }

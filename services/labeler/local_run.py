@@ -4,7 +4,7 @@ Poses are refined before that where it is asked for.
 
 **Conventions.** The output folder appears whole or not at all. Its contents (design §4):
 `gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `map.png`, `features.png`,
-`thumbnail.jpg`, `scene/` for the viewer, `report.json`, and `sequence.npz`, the synchronised sequence itself, of which
+`thumbnail.png`, `scene/` for the viewer, `report.json`, and `sequence.npz`, the synchronised sequence itself, of which
 exports are made.
 """
 

@@ -142,7 +142,7 @@ def label_findings(
     found = []
     if reference.voxels < FEW_VOXELS:
         few = (
-            f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is a guess: "
+            f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is unreliable: "
             "drive farther, or use profile local"
         )
         found.append(Finding("LAB-601", "warning", "", few))
@@ -153,8 +153,8 @@ def label_findings(
     if parameters.profile == "paper" and not relief.is_spanned:
         narrow = (
             f"the track spans {relief.track_span_m:.2f} m of elevation, so ground more than about "
-            f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable whatever its shape: "
-            "profile local does not look at elevation"
+            f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable regardless of its shape: "
+            "profile local does not use absolute elevation"
         )
         found.append(Finding("LAB-603", "warning", "", narrow))
     return tuple(found)
@@ -168,15 +168,15 @@ def reference_findings(
     sigma_deg = float(np.rad2deg(np.sqrt(reference.covariance[1, 1])))
     if sigma_deg > STEEP_SIGMA_DEG:
         steep = (
-            f"the slope of the driven ground scatters by {sigma_deg:.0f}°, as no ground does that is driven on: is "
-            "something taken for it that stands beside or over the track, or does the footprint float?"
+            f"the slope of the driven ground scatters by {sigma_deg:.0f}°, more than drivable ground does: are "
+            "surfaces beside or above the track included, or is the footprint too high?"
         )
         found.append(Finding("LAB-604", "warning", "", steep))
     share = comparison.unlike / max(comparison.driven, 1)
     if comparison.driven >= FEW_VOXELS and share > UNLIKE_TIMES * parameters.reference.alpha:
         unlike = (
             f"{share:.1%} of the driven voxels are unlike the rest of them, where {parameters.reference.alpha:.0%} "
-            "would be by chance: what was driven on is of several kinds, or a few voxels of it are wrong"
+            "would be by chance: the driven terrain is of several kinds, or a few of its voxels are wrong"
         )
         found.append(Finding("LAB-605", "warning", "", unlike))
     return tuple(found)

@@ -15,7 +15,6 @@ from simulator.scenery.terrain import Terrain
 from stone.geometry.se3 import SE3, Array, interpolate
 from stone.sensors.calibration import Footprint
 
-SPEED_M_S = 1.5
 SPEED_SWING_RATIO = 0.15
 POSE_NS = 5_000_000
 SUSPENSION_SAMPLES = 12  # 60 ms of smoothing at 200 Hz
@@ -61,11 +60,16 @@ def plan_track(length_m: float, start_m: tuple[float, float], rng: np.random.Gen
     return PlannedLine(points + np.asarray(start_m), heading)
 
 
-def drive(track: PlannedLine, terrain: Terrain, start_ns: int, count: int) -> DriveTrajectory:
-    """`count` poses along the track: the plane through the ground under the footprint, settled by the suspension."""
+def driven_m(speed_m_s: float, count: int) -> Array:
+    """The metres driven by each of `count` poses: at this speed on average, which swings in 8 s."""
     time_s = np.arange(count) * POSE_NS * 1e-9
     swing = SPEED_SWING_RATIO * 8.0 / (2 * np.pi) * (1 - np.cos(2 * np.pi * time_s / 8.0))
-    arc = np.minimum(SPEED_M_S * (time_s + swing), (len(track.heading_rad) - 1) * TRACK_STEP_M)
+    return np.asarray(speed_m_s * (time_s + swing))
+
+
+def drive(track: PlannedLine, terrain: Terrain, start_ns: int, driven: Array) -> DriveTrajectory:
+    """A pose where so many metres (N,) of the track are driven: the plane of the ground below, settled by springs."""
+    arc = np.minimum(driven, (len(track.heading_rad) - 1) * TRACK_STEP_M)
     grid = np.arange(len(track.heading_rad)) * TRACK_STEP_M
     x, y = (np.interp(arc, grid, track.points_m[:, axis]) for axis in (0, 1))
     heading = np.interp(arc, grid, track.heading_rad)

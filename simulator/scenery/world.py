@@ -11,7 +11,7 @@ import numpy as np
 from simulator.options import SimulateOptions
 from simulator.scenery.movers import AHEAD_S, Mover, movers_of
 from simulator.scenery.objects import Objects, place_objects
-from simulator.scenery.path import POSE_NS, SPEED_M_S, SPEED_SWING_RATIO, DriveTrajectory, drive, plan_track
+from simulator.scenery.path import POSE_NS, SPEED_SWING_RATIO, DriveTrajectory, drive, driven_m, plan_track
 from simulator.scenery.terrain import Terrain, build_terrain
 
 START_NS = 1_749_718_800_000_000_000  # 2025-06-12 09:00 UTC
@@ -37,11 +37,12 @@ def generator(seed: int, part: str) -> np.random.Generator:
 def build_world(options: SimulateOptions) -> SimulatedWorld:
     """The valley is as long as the drive; poses reach beyond its end by the walker's lead."""
     driven_s = options.seconds + AHEAD_S + 1.0
-    length_m = driven_s * SPEED_M_S * (1 + SPEED_SWING_RATIO) + 2.0
+    length_m = driven_s * options.speed_m_s * (1 + SPEED_SWING_RATIO) + 2.0
     start = (MARGIN_M, options.world_width_m / 2)
     track = plan_track(length_m, start, generator(options.seed, "track"))
     extent = (float(track.points_m[-1, 0]) + MARGIN_M, options.world_width_m)
     terrain = build_terrain(extent, track.points_m, generator(options.seed, "terrain"))
     objects = place_objects(terrain, generator(options.seed, "objects"))
-    trajectory = drive(track, terrain, START_NS, round(driven_s * 1e9) // POSE_NS + 1)
+    driven = driven_m(options.speed_m_s, round(driven_s * 1e9) // POSE_NS + 1)
+    trajectory = drive(track, terrain, START_NS, driven)
     return SimulatedWorld(terrain, objects, trajectory, movers_of(options, trajectory, terrain))

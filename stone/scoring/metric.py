@@ -26,7 +26,7 @@ class UnknownMetricError(StoneError):
 
     def __init__(self, version: str) -> None:
         known = ", ".join(METRICS)
-        super().__init__(f"there is no metric {version[:64]!r}; there are {known} (was it named from memory?)")
+        super().__init__(f"there is no metric {version[:64]!r}; there are {known} (misspelt?)")
 
 
 class SupersededMetricError(StoneError):
@@ -36,7 +36,8 @@ class SupersededMetricError(StoneError):
 
     def __init__(self, metric: "Metric") -> None:
         super().__init__(
-            f"by {metric.version!r} nothing is scored anew, since its intervals are withdrawn; its ratios are those of"
+            f"by {metric.version!r} nothing is scored any more, since its intervals are withdrawn; "
+            f"its ratios are those of"
             f" {metric.successor!r}, which is what to name"
         )
 

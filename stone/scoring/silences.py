@@ -9,18 +9,27 @@ from typing import Literal, get_args
 
 Scope = Literal["these_places", "new_place"]
 Silence = Literal[
-    "undefined", "no_wander", "few_frames", "concentrated", "few_sequences", "uneven_sequences", "withdrawn"
+    "undefined",
+    "no_wander",
+    "few_frames",
+    "concentrated",
+    "few_sequences",
+    "uneven_sequences",
+    "unknown_order",
+    "withdrawn",
 ]
 
 SCOPES: tuple[Scope, ...] = get_args(Scope)
 FEWEST_SEQUENCES = 5
+UNKNOWN_ORDER: Silence = "unknown_order"
 WITHDRAWN: Silence = "withdrawn"
 SILENCES: Mapping[Silence, str] = {
     "undefined": "it is undefined",
-    "no_wander": "it is the same throughout, which tells nothing of its uncertainty",
-    "few_frames": "there are too few frames for how alike neighbouring ones are",
-    "concentrated": "most of what it counts lies in a few of the frames",
-    "few_sequences": f"it takes {FEWEST_SEQUENCES} sequences or more",
-    "uneven_sequences": "a few of the sequences hold most of what it counts",
-    "withdrawn": "the intervals of this metric version claimed more than was known, and are withdrawn",
+    "no_wander": "it does not vary between frames, so its uncertainty cannot be estimated",
+    "few_frames": "too few independent frames (neighbouring frames are correlated)",
+    "concentrated": "most of the voxels counted lie in a few frames",
+    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences are needed",
+    "uneven_sequences": "a few sequences hold most of the voxels counted",
+    "unknown_order": "the order of the frames in time is not known, and with it how alike neighbouring frames are",
+    "withdrawn": "the intervals of this metric version were too narrow and have been withdrawn",
 }

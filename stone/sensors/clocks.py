@@ -2,9 +2,10 @@
 
 **Conventions.** The distance of a message is record time − stamp. Its median is the offset: transport delay plus what
 the clocks differ by. Drift is how much faster the stamping clock runs than the recording one, in parts per million
-(positive: fast, so the distance shrinks). Jitter is 1.4826 times the median absolute deviation from the line, which is
-σ where the noise is Gaussian. The line is Theil and Sen's (median of the slopes between all pairs), of block medians
-where there are many samples: up to 29 % of the blocks may lie anywhere. Sources: Theil 1950, Sen 1968, Huber 1981.
+(positive: fast, so the distance shrinks). Jitter, here and wherever a page or table says so, is robust σ: 1.4826 times
+the median absolute deviation, here from the line; it is σ where the noise is Gaussian. The line is Theil and Sen's
+(median of the slopes between all pairs), of block medians where there are many samples: up to 29 % of the blocks may
+lie anywhere. Sources: Theil 1950, Sen 1968, Huber 1981.
 """
 
 from dataclasses import dataclass

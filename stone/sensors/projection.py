@@ -22,6 +22,9 @@ LEAST_DEPTH_M = 1e-3
 # Where the turn of a lens is looked for: tan(84°) off the axis, and just short of straight back for a fisheye.
 WIDEST_RATIO, WIDEST_RAD = 10.0, 3.1
 STEPS = 4096
+# The inverse: rounds by Newton along the radius and of the tangential terms, and what it may be off at the end.
+NEWTON_ROUNDS, TANGENTIAL_ROUNDS, OFF_PX = 4, 10, 1e-3
+NEWTON_STEP, LEAST_SLOPE = 1e-6, 1e-9
 
 
 def project(points_camera: Array, intrinsics: CameraIntrinsics) -> tuple[Array, NDArray[np.bool_]]:
@@ -38,6 +41,25 @@ def project(points_camera: Array, intrinsics: CameraIntrinsics) -> tuple[Array, 
         pixels = xy * (intrinsics.fx_px, intrinsics.fy_px) + (intrinsics.cx_px, intrinsics.cy_px)
         is_inside = (pixels >= -0.5) & (pixels < (intrinsics.width_px - 0.5, intrinsics.height_px - 0.5))
     return pixels, is_seen & is_inside.all(axis=1)
+
+
+def rays_through(pixels: Array, intrinsics: CameraIntrinsics) -> Array:
+    """Unit vectors (N, 3) of the optical frame that `project` puts at pixels (N, 2), in the image or beside it.
+
+    NaN where the lens puts nothing within `OFF_PX`: beyond its turn. Raises ShapeError.
+    """
+    if pixels.ndim != 2 or pixels.shape[1] != 2:
+        raise ShapeError("pixels", pixels.shape, "(N, 2)")
+    focal, centre = (intrinsics.fx_px, intrinsics.fy_px), (intrinsics.cx_px, intrinsics.cy_px)
+    aside = (pixels.astype(np.float64) - centre) / focal
+    is_fisheye = intrinsics.model == "equidistant"
+    with np.errstate(all="ignore"):
+        rays = _fisheye_rays(aside, intrinsics) if is_fisheye else _perspective_rays(aside, intrinsics)
+        rays /= np.linalg.norm(rays, axis=1, keepdims=True)
+        back, is_seen = _fisheye(rays, intrinsics) if is_fisheye else _perspective(rays, intrinsics)
+        off_px = np.abs((back - aside) * focal).max(axis=1)
+    rays[~(is_seen & (off_px <= OFF_PX))] = np.nan
+    return rays
 
 
 def field_limit(intrinsics: CameraIntrinsics) -> float:
@@ -84,6 +106,35 @@ def _fisheye(points: Array, lens: CameraIntrinsics) -> tuple[Array, NDArray[np.b
     bent = angle * _radial(angle * angle, lens)
     ratio = np.divide(bent, sideways, out=np.zeros_like(bent), where=sideways > 0)
     return points[:, :2] * ratio[:, None], is_seen
+
+
+def _fisheye_rays(aside: Array, lens: CameraIntrinsics) -> Array:
+    angle = _unbent(np.hypot(*aside.T), lens)
+    ratio = np.divide(np.sin(angle), np.hypot(*aside.T), out=np.ones_like(angle), where=angle > 0)
+    return np.column_stack([aside * ratio[:, None], np.cos(angle)])
+
+
+def _perspective_rays(aside: Array, lens: CameraIntrinsics) -> Array:
+    p1, p2 = lens.distortion[2:4] if lens.distortion else (0.0, 0.0)
+    bent = aside
+    for _ in range(TANGENTIAL_ROUNDS):
+        reach = np.hypot(*bent.T)
+        ratio = np.divide(_unbent(reach, lens), reach, out=np.ones_like(reach), where=reach > 0)
+        x, y = (bent * ratio[:, None]).T
+        r2 = x * x + y * y
+        across, down = 2 * p1 * x * y + p2 * (r2 + 2 * x * x), p1 * (r2 + 2 * y * y) + 2 * p2 * x * y
+        bent = aside - np.stack([across, down], axis=1)
+    return np.column_stack([x, y, np.ones_like(x)])
+
+
+def _unbent(reach: Array, lens: CameraIntrinsics) -> Array:
+    """How far off the axis, in the measure of `field_limit`, is what the lens shows this far off it; NaN beyond."""
+    table = np.linspace(0.0, field_limit(lens), STEPS)
+    found = np.interp(reach, table * _radial(table * table, lens), table, right=np.nan)
+    for _ in range(NEWTON_ROUNDS):
+        ahead, here = (at * _radial(at * at, lens) for at in (found + NEWTON_STEP, found))
+        found -= (here - reach) / np.maximum((ahead - here) / NEWTON_STEP, LEAST_SLOPE)
+    return np.asarray(found)
 
 
 def _radial(squared: Array, lens: CameraIntrinsics) -> Array:

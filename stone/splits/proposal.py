@@ -155,7 +155,7 @@ def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], s
 def _by_region(entries: tuple[CatalogueEntry, ...]) -> str:
     counts = dict[str, int]()
     for entry in entries:
-        name = entry.region_key or "(not said)"
+        name = entry.region_key or "(unspecified)"
         counts[name] = counts.get(name, 0) + 1
     largest = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     more = f" and {len(largest) - NAMED} more" if len(largest) > NAMED else ""

@@ -26,6 +26,7 @@ from stone.splits.splits import (
     twins_of,
 )
 from stone.splits.surroundings import ENVIRONMENTS
+from stone_base.counts import counted
 
 
 def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
@@ -65,8 +66,8 @@ def check_regions(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Ru
     for key in sorted({entry.region_key for entry in train} & {entry.region_key for entry in test}):
         of_train = [entry for entry in train if entry.region_key == key]
         of_test = [entry for entry in test if entry.region_key == key]
-        named = f"region {of_test[0].region!r}" if key else "a region that was not said"
-        message = f"{named} is in test ({len(of_test)} sequence(s)) and in train ({len(of_train)})"
+        named = f"region {of_test[0].region!r}" if key else "an unspecified region"
+        message = f"{named} is in test ({counted(len(of_test), 'sequence')}) and in train ({len(of_train)})"
         findings.append(_error(REGIONS, message, tuple(entry.id for entry in (*of_train, *of_test))))
     return tuple(findings)
 
@@ -84,7 +85,7 @@ def check_places(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
 def check_sizes(split: Split, sizes: tuple[int, int, int]) -> tuple[RuleFinding, ...]:
     """The splits have as many sequences as asked for."""
     return tuple(
-        _error(SIZES, f"{part} has {len(ids)} sequence(s); asked for are {size}")
+        _error(SIZES, f"{part} has {counted(len(ids), 'sequence')}; expected {size}")
         for (part, ids), size in zip(split.parts.items(), sizes, strict=True)
         if len(ids) != size
     )
@@ -99,7 +100,7 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
         "region": [entry for entry in entries if not entry.region],
     }
     return tuple(
-        RuleFinding(UNSAID, "warning", f"{len(of)} sequence(s) do not say their {fact}", tuple(e.id for e in of))
+        RuleFinding(UNSAID, "warning", f"{counted(len(of), 'sequence')} without {fact}", tuple(e.id for e in of))
         for fact, of in silent.items()
         if of
     )
@@ -108,7 +109,7 @@ def check_said(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleF
 def check_exposed(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
     """A warning for each sequence of test whose labels anybody may have: whoever has them wins the benchmark."""
     exposed = [entry for part, entry in _assigned(split, catalogue) if part == "test" and entry.exposure]
-    told = "is in test and anybody may have its labels"
+    told = "is in test and its labels may be known"
     return tuple(
         RuleFinding(EXPOSED, "warning", f"{entry.name} {told}: {entry.exposure}", (entry.id,)) for entry in exposed
     )

@@ -16,6 +16,7 @@ from typing import Literal
 from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
+from stone_base.counts import counted
 from stone_base.names import PARTS as PARTS
 from stone_base.names import Part as Part
 
@@ -41,7 +42,7 @@ class BadSizesError(StoneError):
 
     def __init__(self, sizes: tuple[int, ...]) -> None:
         super().__init__(
-            f"sizes {sizes} are asked for; they are three whole numbers (train, val, test) from 0 to "
+            f"sizes {sizes} are invalid; expected three whole numbers (train, val, test) from 0 to "
             f"{MOST_SEQUENCES}, and not all 0"
         )
 
@@ -52,7 +53,7 @@ class EmptyCatalogueError(StoneError):
     code = "empty_catalogue"
 
     def __init__(self) -> None:
-        super().__init__("there is no labelled sequence to divide; have some processed first")
+        super().__init__("there is no labelled sequence to divide; process some first")
 
 
 class CatalogueTooLargeError(StoneError):
@@ -108,7 +109,8 @@ class Condition:
         """Why the data do not let it be in all of `parts`; '' where they do."""
         regions = {entry.region_key for entry in self.entries}
         if len(self.entries) < len(parts):
-            return f"{len(self.entries)} sequence(s) of 20 s or more have it, {len(parts)} splits ask for one each"
+            found = counted(len(self.entries), "sequence")
+            return f"it is in {found} of 20 s or more, {len(parts)} splits ask for one each"
         if {"train", "test"} <= {*parts} and len(regions) < 2:
             return f"its {len(self.entries)} sequences lie in one region, and test and train may not share one"
         return ""

@@ -52,7 +52,7 @@ class BadRegionError(StoneError):
     def __init__(self, name: str) -> None:
         super().__init__(
             f"{name[:80]!r} cannot name a region: 1 to 64 letters, digits, dots, dashes and underscores, beginning "
-            "with a letter or digit; or '' where it is not said (a blank between words? use a dash)"
+            "with a letter or digit; or '' where it is unspecified (a blank between words? use a dash)"
         )
 
 

@@ -67,7 +67,7 @@ def phases_table(benchmark: Item) -> Table:
     for phase in benchmark["phases"]:
         active, limit = phase["active"], phase["scorings_per_window"]
         frames = f"{active['frames']:,}" if active else DASH
-        allowed = "as many as you like" if limit is None else f"{limit} in {phase['window_s'] / 86_400:g} days"
+        allowed = "unlimited" if limit is None else f"{limit} in {phase['window_s'] / 86_400:g} days"
         truth = "hidden" if phase["is_hidden"] else "open"
         closes = (phase["closes_at"] or DASH)[:16]
         table.add_row(safe_text(phase["name"]), phase["standing"], truth, frames, allowed, closes)

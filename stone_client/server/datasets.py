@@ -7,6 +7,7 @@ from urllib.parse import quote
 
 import typer
 
+from stone_base.counts import counted
 from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.exports import complete_file
@@ -84,12 +85,12 @@ def show_datasets(record: Mapping[str, Any]) -> None:
 def _show_missing(inputs: Iterable[Mapping[str, Any]]) -> None:
     """Which inputs are not there yet, and which never will be."""
     words = {
-        "missing": "not made yet; run this again later",
-        "lost": "lost: what they are made of was deleted",
+        "missing": "not created yet; run this again later",
+        "lost": "lost: their recordings were deleted",
     }
     for state, why in words.items():
         if names := [safe_text(one["name"]) for one in inputs if one["state"] == state]:
-            typer.echo(f"inputs of {len(names)} sequences are {why}: {', '.join(names)}", err=True)
+            typer.echo(f"inputs of {counted(len(names), 'sequence')} are {why}: {', '.join(names)}", err=True)
 
 
 def _show_versions(datasets: list[Item] | list[Mapping[str, Any]]) -> None:

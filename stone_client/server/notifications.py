@@ -16,7 +16,7 @@ class UnknownEventError(StoneError):
     code: ClassVar[str] = "unknown_event"
 
     def __init__(self, named: Sequence[str], known: Sequence[str]) -> None:
-        super().__init__(f"{', '.join(named)[:100]!r}: no such event; this server tells of {', '.join(known)}")
+        super().__init__(f"{', '.join(named)[:100]!r}: no such event; this server has {', '.join(known)}")
 
 
 def read_notifications(api: Api) -> Item:

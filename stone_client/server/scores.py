@@ -72,7 +72,7 @@ def compare(api: Api, a: str, b: str) -> dict[str, Any]:
 def results_tables(record: Mapping[str, Any]) -> list[Table]:
     """The totals with their intervals, then what else is shown to the caller."""
     named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
-    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in a new place", "within occupied")
+    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in new places", "within occupied")
     within = record["within_occupied"] or {}
     for key, name in RATIOS.items():
         spans = (_told(record, scope, key) for scope in ("these_places", "new_place"))
@@ -100,7 +100,7 @@ def breakdown_table(record: Mapping[str, Any]) -> Table:
 
 def comparison_table(record: Mapping[str, Any]) -> Table:
     """A, B and their difference, ratio by ratio."""
-    columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in a new place")
+    columns = ("A", "B", "A − B", "95 % of A − B", "p", "p in new places")
     table = plain_table(f"A {record['a']}  B {record['b']}, %", "", *columns)
     for key, name in RATIOS.items():
         one = record["ratios"][key]

@@ -76,11 +76,11 @@ def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
         for part in PARTS:
             _show_part(part, record[part])
         if record.get("unassigned"):
-            _show_part("in no split", record["unassigned"])
+            _show_part("unassigned", record["unassigned"])
         if record.get("shares"):
             _show_shares(record["shares"])
     clash, said = record.get("conflict") or [], record["findings"] or []
-    echo_findings(Finding(f"clash of {rule['code']}", "error", "", rule["message"]) for rule in clash)
+    echo_findings(Finding(f"conflict of {rule['code']}", "error", "", rule["message"]) for rule in clash)
     echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in said)
 
 

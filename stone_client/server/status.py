@@ -62,24 +62,34 @@ def _later_tables(sequence: Item) -> Iterable[Table]:
     """A server of an earlier release says nothing of it."""
     later = sequence.get("later_recordings")
     if later:
-        table = plain_table("labels are older than these recordings", "file", "made again")
+        table = plain_table("labels predate these recordings", "file", "made again")
         for name in later["names"]:
             table.add_row(safe_text(name), safe_text(later["why_not"] or "by itself"))
         yield table
 
 
 def _job_table(job: Item) -> Table:
-    table = plain_table(f"{job['kind']} {job['id']}: {_state_of(job)}", "stage", "done", "of", "running", "failed")
+    title = f"{job.get('title') or job['kind']} {job['id']}: {_state_of(job)}{_left_of(job)}"
+    table = plain_table(title, "stage", "done", "of", "running", "failed")
     own = {"kind": job["progress"]["stage"] or job["kind"], "running": "", "failed": "", **job["progress"]}
     for stage in job["stages"] or (own,):
         counts = (str(stage[key]) for key in ("done", "total", "running", "failed"))
-        table.add_row(safe_text(stage["kind"]), *counts)
+        table.add_row(safe_text(stage.get("title") or stage["kind"]), *counts)
     return table
 
 
 def _state_of(job: Item) -> str:
-    failure = job["failure"]
-    return safe_text(f"{job['state']}, {failure['code']}: {failure['sentence']}" if failure else job["state"])
+    failure, is_cancelled = job["failure"], job["state"] == "cancelled"
+    if failure:
+        return safe_text(f"{job['state']}, {failure['code']}: {failure['sentence']}")
+    return safe_text(
+        f"{job['state']}: {job['cancel_reason']}" if is_cancelled and job["cancel_reason"] else job["state"]
+    )
+
+
+def _left_of(job: Item) -> str:
+    left_s = job["progress"].get("eta_s")
+    return "" if left_s is None else f", about {left_s:g} s left"
 
 
 def _last_lines(api: Api, job: Item) -> list[Item]:

@@ -61,7 +61,9 @@ class SubmissionEndedError(StoneError):
         failure = submission["failure"] or {}
         self.code = str(failure.get("code") or submission["state"])  # type: ignore[misc] # the failure names the reason
         why = failure.get("sentence") or f"it was {submission['state']}"
-        super().__init__(f"submission {submission['id']} {submission['state']}: {why}; it cost no scoring")
+        super().__init__(
+            f"submission {submission['id']} {submission['state']}: {why}; it does not count towards the quota"
+        )
 
 
 def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report, *, again: bool = False) -> Item:

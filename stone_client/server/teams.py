@@ -15,7 +15,7 @@ class UnknownTeamError(StoneError):
 
     def __init__(self, name: str, known: Sequence[str]) -> None:
         yours = f"yours are {', '.join(known)}" if known else "you are in none"
-        super().__init__(f"{name[:100]!r} is no team of yours; {yours} (`stone teams found NAME` founds one)")
+        super().__init__(f"{name[:100]!r} is no team of yours; {yours} (`stone teams create NAME` creates one)")
 
 
 def read_teams(api: Api) -> list[Item]:

@@ -29,7 +29,7 @@ def baseline(
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Predict every frame of a manifest from its own LiDAR sweep, without training: the row every method should beat.
+    """Predict every frame of a manifest from its own LiDAR sweep, untrained: the baseline every method should beat.
 
     Ground is the lowest point of each column; steep or uneven is non-traversable, the corridor ahead traversable.
     """

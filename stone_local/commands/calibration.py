@@ -45,7 +45,7 @@ def check(
     poses_frame: PosesFrameOption = "",
     as_json: JsonOption = False,
 ) -> None:
-    """Say what a calibration was read as, where its sensors sit, and what is wrong with it.
+    """Check a calibration: its format, sensor poses and findings.
 
     With --bag also which topics of the recording it does not place, which of its sensors have no topic, whether the
     LiDAR's points fit the cameras' pictures, and where the ground lies. Exit code 1 where it cannot be used for labels.
@@ -70,7 +70,7 @@ def check(
 
 @calibration.command("show")
 def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOption = False) -> None:
-    """Show where each sensor sits on the robot and what the calibration lacks; with -o draw it.
+    """Show the sensor poses of a calibration and what it lacks; with -o draw the rig.
 
     The drawing has the robot from above and from the right, its footprint, and what each sensor sees.
     """

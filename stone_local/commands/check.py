@@ -22,7 +22,7 @@ ClassesOption = Annotated[
         "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
     ),
 ]
-FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="Name at most so many faults.")]
+FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="List at most this many faults.")]
 
 
 def check(
@@ -31,7 +31,7 @@ def check(
     faults: FaultsOption = 100,
     as_json: JsonOption = False,
 ) -> None:
-    """Read a published dataset completely and show what it holds, or what is wrong, by table, row and file.
+    """Check a published dataset completely and show its contents, or its faults by table, row and file.
 
     Every row of the tables, every sweep, scan and label file is read; of pictures the head and the end. Exit code 1
     where anything is wrong.
@@ -58,7 +58,7 @@ def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
     if found.faults.total > len(found.faults.found):
         echo_notice(f"… and {found.faults.total - len(found.faults.found)} more")
     if found.reached != "files":
-        echo_notice(f"These are of its {found.reached}: what comes after was not looked at; mend them and check again")
+        echo_notice(f"These are of its {found.reached}: what follows was not checked; fix them and check again")
     if as_json:
         faults = [fault.as_record() for fault in found.faults.found]
         echo_json({"faults": faults, "faults_total": found.faults.total, "reached": found.reached})

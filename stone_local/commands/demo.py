@@ -17,14 +17,15 @@ from stone_client.streams import JsonOption, echo_findings, echo_json, echo_noti
 from stone_client.tables import class_table, score_table, show
 
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier demo to replace.")
+    Path,
+    typer.Option("-o", "--output", metavar="DIR", help="Output folder: new, empty, or an earlier demo to replace."),
 ]
 SecondsOption = Annotated[float, typer.Option(min=2.0, max=600.0, help="How long the simulated robot drives.")]
 LOOKED_AT = "the sequence, its labels in 3D and the board, without an account"
 KeepOption = Annotated[
     bool | None,
     typer.Option(
-        "--keep-serving/--no-keep-serving", help="Leave the platform up until Ctrl-C. By default, at a terminal only."
+        "--keep-serving/--no-keep-serving", help="Keep the platform running until Ctrl-C. Default: only in a terminal."
     ),
 ]
 
@@ -38,7 +39,9 @@ def demo(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Simulate a robot, have a platform on this machine label its run, predict from single sweeps, submit that.
+    """Simulate three runs of a robot, label them on a platform on this machine, predict and submit: a whole benchmark.
+
+    The second and third are val, long enough together for intervals; with less than 20 seconds there is one run only.
 
     With --server no platform is started: the run goes to that one, as whoever signed in there.
     """
@@ -61,7 +64,7 @@ def _at_server(url: str, simulation: SimulateOptions, output: Path, as_json: boo
         record = run_demo(folder, DemoPlan(simulation, chosen), progress)
     _print_result(record, output, as_json)
     if not as_json:
-        typer.echo(f"Look at it: {record['url']} ({LOOKED_AT})")
+        typer.echo(f"Open: {record['url']} ({LOOKED_AT})")
 
 
 def _here(
@@ -72,7 +75,7 @@ def _here(
 ) -> None:
     from stone_files.atomic import atomic_directory
     from stone_local.demo.pipeline import MARK, DemoPlan, run_demo
-    from stone_local.embedded_platform import demo_settings, hangups_interrupt, served, wait_for_ctrl_c
+    from stone_local.embedded_platform import demo_settings, hangups_interrupt, password_line, served, wait_for_ctrl_c
 
     data, workers, keep_serving = platform_options
     with hangups_interrupt(), ExitStack() as platform:
@@ -83,7 +86,8 @@ def _here(
         stays = sys.stdout.isatty() and not as_json if keep_serving is None else keep_serving
         _print_result(record, output, as_json)
         if not as_json:
-            typer.echo(f"Platform's data: {running.platform.settings.root}")
+            settings = running.platform.settings
+            typer.echo(f"Platform's data: {settings.root}\n{password_line(settings)}".rstrip())
             typer.echo(_where(record["url"], stays))
         if stays:
             echo_notice("serving until Ctrl-C")
@@ -100,17 +104,22 @@ def _print_result(record: Mapping[str, Any], output: Path, as_json: bool) -> Non
 
 def _show(record: Mapping[str, Any], output: Path) -> None:
     labels = record["labels"]
-    show(class_table(f"{labels['frames']} frames labelled: occupied voxels", labels["class_share_of_occupied"]))
-    show(score_table(record["baseline"], "Prediction from single sweeps against these labels"))
+    show(
+        class_table(
+            f"{labels['frames']} frames labelled: share of all frames' occupied voxels",
+            labels["class_share_of_occupied"],
+        )
+    )
+    show(score_table(record["baseline"], "Prediction from single sweeps against the labels"))
     if record["benchmark"]:
         show(board_table(record["benchmark"]["board"]))
     else:
         echo_notice("no board: the platform has splits or a password of its own, or the run is too short for a split")
-    typer.echo(f"Everything: {output}\nPicture: {output / 'labels' / 'bev.png'}")
+    typer.echo(f"Output: {output}\nPicture: {output / 'labels' / 'bev.png'}")
     exported = record["export"]
     typer.echo(f"{exported['format']}: {output / exported['format']}.tar ({exported['files']:,} files)")
 
 
 def _where(url: str, stays: bool) -> str:
     """The last line: where to look, which needs no account."""
-    return f"Look at it: {url} ({LOOKED_AT})" if stays else f"Look at it: `stone serve`, then {url} ({LOOKED_AT})"
+    return f"Open: {url} ({LOOKED_AT})" if stays else f"Open: run `stone serve`, then {url} ({LOOKED_AT})"

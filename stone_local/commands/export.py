@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from stone_base.counts import counted
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 
@@ -27,7 +28,7 @@ OutputOption = Annotated[
         "-o",
         "--output",
         metavar="OUT",
-        help="A new folder, or an export in this format that is to take the sequence in.",
+        help="A new folder, or an export in this format to add the sequence to.",
         show_default="DIR-FORMAT",
     ),
 ]
@@ -63,5 +64,5 @@ def export(
     if as_json:
         echo_json({**asdict(outcome), "output": str(out)})
     else:
-        beside = f", now {len(outcome.sequences)} sequences" if outcome.status == "added" else ""
-        typer.echo(f"{outcome.status}: {outcome.sequence}, {outcome.frames} frames{beside}\nExport: {out}")
+        beside = f", now {counted(len(outcome.sequences), 'sequence')}" if outcome.status == "added" else ""
+        typer.echo(f"{outcome.status}: {outcome.sequence}, {counted(outcome.frames, 'frame')}{beside}\nExport: {out}")

@@ -9,7 +9,7 @@ import typer
 from stone_client.clock_offsets import ClockOffsetOption
 from stone_client.options import RunArgument
 from stone_client.refusals import REFUSED
-from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.streams import JsonOption, echo_explainer, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, recording_table, show
 from stone_local.joined_run import RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
@@ -18,9 +18,7 @@ from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOptio
 
 RigOption = Annotated[
     Path | None,
-    typer.Option(
-        "--calibration", metavar="FILE", exists=True, help="Check with this calibration what labelling would say."
-    ),
+    typer.Option("--calibration", metavar="FILE", exists=True, help="Also run the checks that need this calibration."),
 ]
 
 
@@ -36,7 +34,7 @@ def inspect(
     clock_offset: ClockOffsetOption = [],  # noqa: B006
     as_json: JsonOption = False,
 ) -> None:
-    """Show a recording's topics with their roles, rates and gaps, and what is noticed about them.
+    """Show a recording's topics with their roles, rates, gaps and findings.
 
     Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
     What labelling would refuse or leave out is said too; with --calibration also what it would say of the mounts.
@@ -73,5 +71,7 @@ def inspect(
     if save_topics is not None:
         write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
     echo_findings(findings)
+    if not as_json:
+        echo_explainer(findings)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(REFUSED)

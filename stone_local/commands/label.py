@@ -8,6 +8,7 @@ from typing import Annotated
 import typer
 
 from stone.findings import Finding
+from stone_base.counts import counted
 from stone_client.clock_offsets import ClockOffsetOption
 from stone_client.options import (
     CalibrationOption,
@@ -22,7 +23,7 @@ from stone_client.options import (
     cores,
 )
 from stone_client.progress import reported
-from stone_client.streams import JsonOption, echo_findings, echo_json
+from stone_client.streams import JsonOption, echo_explainer, echo_findings, echo_json
 from stone_client.tables import class_table, show
 from stone_local.joined_run import RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
@@ -30,10 +31,17 @@ from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
 from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
 
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", help="New or empty, or an earlier label set to replace.")
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="DIR", help="Output folder: new, empty, or an earlier label set to replace."
+    ),
 ]
 ConfidenceOption = Annotated[
-    bool, typer.Option("--confidence", help="Add how far each voxel is from driven ground (array distance_squared).")
+    bool,
+    typer.Option(
+        "--confidence",
+        help="Add the Mahalanobis distance of each voxel to the reference terrain (array distance_squared).",
+    ),
 ]
 
 
@@ -56,7 +64,10 @@ class Refine(StrEnum):
 
 
 RefineOption = Annotated[
-    Refine | None, typer.Option(help="Align each sweep with the map of those before it; what that did is reported.")
+    Refine | None,
+    typer.Option(
+        help="Refine poses by aligning each sweep with the map of the earlier ones; the report says what changed."
+    ),
 ]
 
 
@@ -110,7 +121,11 @@ def label(
     if as_json:
         echo_json(record)
     else:
-        title = f"{record['frames']} frames labelled, {len(record['excluded'])} excluded"
+        labelled = f"{counted(record['frames'], 'frame')} labelled, {len(record['excluded'])} excluded"
+        title = f"{labelled}: share of occupied voxels"
         show(class_table(title, record["class_share_of_occupied"]))
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
-    echo_findings(Finding(**finding) for finding in record["findings"])
+    findings = [Finding(**finding) for finding in record["findings"]]
+    echo_findings(findings)
+    if not as_json:
+        echo_explainer(findings)

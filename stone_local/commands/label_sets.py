@@ -23,13 +23,13 @@ SequenceOption = Annotated[
 ]
 PicturesOption = Annotated[
     Path | None,
-    typer.Option("--pictures", metavar="DIR", file_okay=False, help="Pictures of the frames that are least alike."),
+    typer.Option("--pictures", metavar="DIR", file_okay=False, help="Write images of the least similar frames."),
 ]
 
 
 @label_sets.command("list")
 def listed(sequence: SequenceArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show all label sets of a sequence of the server, newest first, and which of them counts."""
+    """Show all label sets of a sequence of the server, newest first, and which of them is active."""
     from stone_client.connection import connected
     from stone_client.server.label_sets import label_set_table, label_sets_of
     from stone_client.server.sequences import find_sequence
@@ -52,11 +52,9 @@ def compare(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show how alike two label sets of one run are: IoU, confusion, by distance; neither is the truth."""
+    """Compare two label sets of one run: IoU, confusion, by distance; neither is ground truth."""
     if sequence is None and server is not None:
-        raise typer.BadParameter(
-            "it names a server, where --sequence says which sequence is meant", param_hint="--server"
-        )
+        raise typer.BadParameter("it is for a server's label sets, and needs --sequence", param_hint="--server")
     with reported() as progress:
         if sequence is None:
             record = _of_folders((Path(a), Path(b)), pictures, progress)

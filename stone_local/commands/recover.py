@@ -14,7 +14,7 @@ OutOption = Annotated[
 
 
 def recover(bag: BagArgument, out: OutOption, as_json: JsonOption = False) -> None:
-    """Write everything that is whole of a recording that was cut off, damaged or not indexed to a new MCAP file.
+    """Recover all intact messages of a truncated, damaged or unindexed recording into a new MCAP file.
 
     The original is only read; what is lost is said on stderr.
     """

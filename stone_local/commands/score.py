@@ -20,11 +20,12 @@ GroundTruthOption = Annotated[
 def score(submission: SubmissionArgument, ground_truth: GroundTruthOption, as_json: JsonOption = False) -> None:
     """Score a submission against labels: IoU of occupancy and of each class, over all voxels and within occupied."""
     from services.eval.pipeline import score as score_submission
+    from stone_local.frame_order import in_time_order
     from stone_submissions.verdict import SubmissionRefusedError
 
     with reported() as progress:
         try:
-            scores = score_submission(submission, ground_truth, progress=progress)
+            scores = score_submission(submission, ground_truth, progress=progress, order=in_time_order)
         except SubmissionRefusedError as error:
             refuse_submission(error.validation, as_json=as_json)
     record = scores.as_record()

@@ -9,7 +9,7 @@ from stone_client.options import DataOption, WorkersOption
 from stone_client.streams import JsonOption, echo_json, echo_notice
 
 HostOption = Annotated[str | None, typer.Option(help="The address to listen on.", show_default="127.0.0.1")]
-PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any that is free.", show_default="8080")]
+PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any free port.", show_default="8080")]
 
 
 def serve(
@@ -20,17 +20,19 @@ def serve(
     as_json: JsonOption = False,
 ) -> None:
     """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
-    from stone_local.embedded_platform import Address, served, settings_for, wait_for_ctrl_c
+    from stone_local.embedded_platform import Address, password_line, served, settings_for, wait_for_ctrl_c
 
     with served(settings_for(data, Address(host, port), workers)) as running:
         folder = running.platform.settings.root
         if running.keys.password:
             echo_notice(f"administrator: {running.keys.name}, password: {running.keys.password}")
-            echo_notice(f"  (also in {folder / 'admin-password'}; change it after the first sign-in)")
+            echo_notice("change it after the first sign-in")
+        if line := password_line(running.platform.settings):
+            echo_notice(line)
         echo_notice(f"{', '.join(child.program.name for child in running.children)} run; logs: {running.logs}")
         if as_json:
             echo_json({"url": running.url, "pid": os.getpid(), "data": str(folder)})
         else:
             typer.echo(running.url)
         wait_for_ctrl_c()
-        echo_notice("stopping: what is running may finish, Ctrl-C again ends it at once")
+        echo_notice("stopping: running jobs may finish; Ctrl-C again ends them at once")

@@ -25,28 +25,30 @@ DEFAULT = SimulateOptions()
 
 OutputArgument = Annotated[Path, typer.Argument(metavar="OUT.mcap", dir_okay=False, help="The recording to write.")]
 SecondsOption = Annotated[float, typer.Option(min=0.2, max=MAX_SECONDS, help="How long the robot drives.")]
-SeedOption = Annotated[int, typer.Option(min=0, max=2**31, help="The world and its noise; one seed, one recording.")]
+SeedOption = Annotated[
+    int, typer.Option(min=0, max=2**31, help="Seed of the world and the noise; equal seeds give equal recordings.")
+]
 TruthOption = Annotated[
     Path | None, typer.Option("--truth", metavar="DIR", file_okay=False, help="Also write the exact terrain and poses.")
 ]
 ChannelsOption = Annotated[int, typer.Option(min=2, max=MAX_CHANNELS, help="Beams of the LiDAR.")]
 ColumnsOption = Annotated[int, typer.Option(min=12, max=MAX_COLUMNS, help="Firings in one LiDAR revolution.")]
-CamerasOption = Annotated[bool, typer.Option(help="Also draw the six cameras; they take most of the bytes.")]
+CamerasOption = Annotated[bool, typer.Option(help="Also render the six cameras; they make most of the file.")]
 CameraWidthOption = Annotated[
     int,
     typer.Option(
-        metavar="PX", min=MIN_CAMERA_WIDTH_PX, max=MAX_CAMERA_WIDTH_PX, help="Of a picture; its height is 5/8 of that."
+        metavar="PX", min=MIN_CAMERA_WIDTH_PX, max=MAX_CAMERA_WIDTH_PX, help="Image width; its height is 5/8 of that."
     ),
 ]
 CameraDetailOption = Annotated[
     str,
     typer.Option(
         metavar="DETAIL",
-        help="coarse: 80 × 50 rays a picture, enlarged; full: a ray for each pixel, to learn from, and slow to draw.",
+        help="coarse: 80 × 50 rays a picture, enlarged; full: a ray for each pixel, for training, and slow to render.",
     ),
 ]
 IlluminationOption = Annotated[
-    str, typer.Option(metavar="WORD", help=f"The light that cameras have: {', '.join(ILLUMINATIONS)}.")
+    str, typer.Option(metavar="WORD", help=f"Illumination of the camera images: {', '.join(ILLUMINATIONS)}.")
 ]
 RangeNoiseOption = Annotated[
     bool,
@@ -56,12 +58,12 @@ TrafficOption = Annotated[
     str,
     typer.Option(
         metavar="WHO",
-        help=f"Who moves besides the robot: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
+        help=f"Moving objects besides the robot: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
     ),
 ]
 LidarHzOption = Annotated[int, typer.Option(metavar="HZ", help=f"Sweeps a second: {', '.join(map(str, LIDAR_HZ))}.")]
 FaultOption = Annotated[
-    list[str], typer.Option("--fault", metavar="NAME", help=f"What goes wrong; repeatable: {', '.join(FAULT_NAMES)}.")
+    list[str], typer.Option("--fault", metavar="NAME", help=f"Fault to inject; repeatable: {', '.join(FAULT_NAMES)}.")
 ]
 
 
@@ -81,7 +83,7 @@ def simulate(
     lidar_hz: LidarHzOption = DEFAULT.lidar_hz,
     fault: FaultOption = [],  # noqa: B006
 ) -> None:
-    """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth what only the world knows."""
+    """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth the exact terrain and poses."""
     from simulator.pipeline import simulate as simulate_recording
 
     faults = cast(tuple[FaultName, ...], tuple(fault))

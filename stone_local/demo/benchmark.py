@@ -1,80 +1,90 @@
-"""The demo's benchmark: a version of the dataset, a phase over it, a submission from single sweeps, the board.
+"""The demo's benchmark: a version of the dataset, a phase over its val, three submissions, the board.
 
 **Conventions.** What stands on the platform is used again; splits that are somebody's are never touched. The phase is
 over `val`, so its ground truth is open and it may be submitted to as often as one likes.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import Any
+from typing import Any, ClassVar
 from urllib.parse import quote
 
 from stone.splits.splits import PARTS
 from stone_client.api import Api
 from stone_client.errors import ServerRefusedError
 from stone_client.progress import Report
-from stone_client.server.benchmarks import phase_path
+from stone_client.server.benchmarks import download_inputs, fetch_manifest, phase_path
 from stone_client.server.boards import BoardSelection, read_board
 from stone_client.server.datasets import publish_dataset, read_dataset
 from stone_client.server.job_following import follow
 from stone_client.server.sequences import Item
 from stone_client.server.splits import current
 from stone_client.server.submission import SubmissionDescription, settled, submit
-from stone_local.demo.server import DemoServer
+from stone_local.demo.entries import BASELINE, DemoEntry
 
-PHASE, TEAM, METHOD = "val", "demo", "single sweep, no training"
+TEAM = "demo"
 LICENCE, REASON = "CC0-1.0", "demo"
 ABSENT, REFUSED_SPLITS = 404, 422
+Members = Mapping[str, Sequence[Item]]
 
 
 @dataclass(frozen=True)
 class DemoPhase:
-    """The phase of the demo's entry: the benchmark's name, which is the sequence's, and the id of its phase."""
+    """The phase of the demo's entries: the benchmark's name, which is the first sequence's, and the id of its phase."""
 
     benchmark: str
     phase_id: str
+    part: ClassVar[str] = "val"
 
 
-def enter_benchmark(demo_server: DemoServer, sequence: Item, path: Path, progress: Report) -> dict[str, Any] | None:
-    """Submit the zip at `path` to a benchmark of this one sequence, as an administrator.
-
-    None where the platform has splits of its own, where a run is too short for any, or where we are no administrator.
-    """
-    with demo_server.administering() as api:
-        stand = benchmark_on_server(api, sequence, progress) if api else None
-        return submit_baseline(api, stand, path, progress) if api and stand else None
-
-
-def benchmark_on_server(api: Api, sequence: Item, progress: Report) -> DemoPhase | None:
-    """The benchmark of this one sequence, its ground truth ready; None where it cannot be split."""
-    name = str(sequence["name"])
-    if not _is_split(api, sequence):
+def benchmark_on_server(api: Api, members: Members, progress: Report) -> DemoPhase | None:
+    """The benchmark of these sequences by split, its ground truth ready; None where they cannot be split."""
+    name = str(members["train"][0]["name"])
+    if not _is_split(api, members):
         return None
     _existing_or_made(lambda: read_dataset(api, name), lambda: publish_dataset(api, name, LICENCE, REASON))
     asked = {"name": name, "title": "Demo", "dataset": name, "reason": REASON}
     own = f"/benchmarks/{quote(name, safe='')}"
     _existing_or_made(lambda: api.read(own), lambda: api.create("/admin/benchmarks", asked))
     api.send("PATCH", f"/admin{own}", json={"is_public": True, "reason": REASON})
-    phase = api.read(phase_path(name, PHASE))
+    phase = api.read(phase_path(name, DemoPhase.part))
     if phase["active"] is None:
         made = api.create(f"/admin/phases/{phase['id']}/ground-truths", {"reason": REASON})
         follow(api, made["job"]["id"], progress)
     return DemoPhase(name, phase["id"])
 
 
-def submit_baseline(api: Api, stand: DemoPhase, path: Path, progress: Report) -> dict[str, Any]:
-    """Submit the zip at `path` as a baseline, and read the board. Raises what `settled` raises."""
-    entry = SubmissionDescription(stand.phase_id, _team(api), METHOD, "L", kind="baseline")
-    submission = settled(api, submit(api, path, entry, progress), progress)
-    return {"submission": submission["id"], "board": read_board(api, BoardSelection(stand.benchmark, PHASE))}
+def fetch_inputs(api: Api, phase: DemoPhase, folder: Path, progress: Report) -> tuple[Path, list[Path]]:
+    """Have the inputs of the phase made, and download them as a participant does: the manifest and the tars."""
+    made = api.create(f"/admin/phases/{phase.phase_id}/inputs", {"reason": REASON})
+    follow(api, made["id"], progress)
+    at = (phase.benchmark, DemoPhase.part)
+    fetch_manifest(api, at, folder / "manifest.json")
+    (folder / "inputs").mkdir()
+    tars = download_inputs(api, at, folder / "inputs", progress)
+    return folder / "manifest.json", [folder / "inputs" / f"{one['name']}.tar" for one in tars]
 
 
-def _is_split(api: Api, sequence: Item) -> bool:
-    """Whether val is this sequence and nothing else is split; it is made so where nothing is."""
+def submit_entries(api: Api, phase: DemoPhase, files: Mapping[DemoEntry, Path], progress: Report) -> dict[str, Any]:
+    """Submit the zips and read the board; `submission` is the baseline's. Raises what `settled` raises."""
+    team = _team(api)
+    sent = {
+        entry: submit(
+            api, path, SubmissionDescription(phase.phase_id, team, entry.method, "L", kind=entry.kind), progress
+        )
+        for entry, path in files.items()
+    }
+    scored = {entry: settled(api, submission, progress)["id"] for entry, submission in sent.items()}
+    board = read_board(api, BoardSelection(phase.benchmark, DemoPhase.part))
+    return {"submission": scored[BASELINE], "submissions": list(scored.values()), "board": board}
+
+
+def _is_split(api: Api, members: Members) -> bool:
+    """Whether these sequences are split so and nothing else is; it is made so where nothing is."""
     splits = current(api)
-    split = {part: [one["sequence_id"] for one in splits[part]] for part in PARTS}
-    wanted = {part: [str(sequence["id"])] if part == "val" else [] for part in PARTS}
+    split = {part: sorted(one["sequence_id"] for one in splits[part]) for part in PARTS}
+    wanted = {part: sorted(str(one["id"]) for one in members.get(part, ())) for part in PARTS}
     if split == wanted or any(split.values()):
         return split == wanted
     match = {"If-Match": f'"{splits["revision"]}"'}

@@ -5,6 +5,8 @@ appears whole or not at all; `demo.json` marks it as ours, so that the next demo
 """
 
 import json
+import shutil
+from collections.abc import Sequence
 from dataclasses import dataclass
 from itertools import count
 from pathlib import Path
@@ -14,7 +16,6 @@ from services.eval.ground_truth import find_ground_truth
 from services.eval.pipeline import score
 from services.runtime.embedded.supervisor import RunningPlatform
 from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
 from stone_client.api import Api
 from stone_client.credentials import Server
 from stone_client.files.bags import LocalBag, hashed_bag
@@ -31,18 +32,18 @@ from stone_client.server.sequences import (
     pin_calibration,
     start_run,
 )
-from stone_local.baseline import BaselinePlan, write_baseline
-from stone_local.demo.benchmark import enter_benchmark
-from stone_local.demo.server import demo_server_of
+from stone_local.demo.benchmark import DemoPhase, benchmark_on_server, fetch_inputs, submit_entries
+from stone_local.demo.entries import BASELINE, ENTRIES, write_entry
+from stone_local.demo.runs import DemoRecording, DemoRun, demo_runs, recorded_runs
+from stone_local.demo.server import DemoServer, demo_server_of
+from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.manifest import write_manifest
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
 
 MARK = "demo.json"
 EXPORTED = "nuscenes"
-SEQUENCE = "demo"
-SUBMISSION = "baseline.zip"
-THREADS = 2
+TRUTH = "ground-truth"
 
 
 @dataclass(frozen=True)
@@ -52,36 +53,32 @@ class DemoPlan:
     simulation: SimulateOptions
     platform: RunningPlatform | Server
 
+    @property
+    def runs(self) -> tuple[DemoRun, ...]:
+        return demo_runs(self.simulation)
+
 
 @dataclass(frozen=True)
-class DemoRecording:
-    """A run and the folder that everything about it goes to."""
+class LabelledRun:
+    """A run whose labels are there, and its sequence on the server."""
 
-    folder: Path
-
-    @property
-    def bag(self) -> Path:
-        return self.folder / "run.mcap"
-
-    @property
-    def calibration(self) -> Path:
-        return calibration_path(self.bag)
+    recording: DemoRecording
+    sequence: Item
 
 
 def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     """Fill `folder` and return the record that `demo.json` keeps."""
-    recorded = DemoRecording(folder)
-    simulate(recorded.bag, plan.simulation, folder / "truth", progress)
+    recordings = recorded_runs(folder, plan.runs, progress)
     demo_server = demo_server_of(plan.platform)
     with Api(demo_server.server) as api:
-        sequence = label_on_server(api, recorded, progress)
-        exported = export_on_server(api, sequence, folder, progress)
-    scores = score_baseline(folder, progress)
-    benchmark = enter_benchmark(demo_server, sequence, folder / SUBMISSION, progress)
+        labelled = label_on_server(api, recordings, progress)
+        exported = export_on_server(api, labelled[0].sequence, folder, progress)
+    scores, benchmark = enter_benchmark(demo_server, labelled, folder, progress)
     labels = json.loads((folder / "labels" / "report.json").read_text("utf-8"))
     record = {
         "url": demo_server.server.url,
-        "sequence": sequence["name"],
+        "sequence": labelled[0].sequence["name"],
+        "sequences": [one.sequence["name"] for one in labelled],
         "labels": labels,
         "export": exported,
         "baseline": scores,
@@ -91,24 +88,47 @@ def run_demo(folder: Path, plan: DemoPlan, progress: Report) -> dict[str, Any]:
     return record
 
 
-def label_on_server(api: Api, recorded: DemoRecording, progress: Report) -> Item:
-    """The sequence, once its labels are in `labels/`: uploaded, processed, downloaded."""
-    local = hashed_bag(recorded.bag, progress)
-    sequence = _free_sequence(api, local)
-    show_to_anybody(api, sequence)
-    pin_calibration(api, sequence, recorded.calibration)
+def label_on_server(api: Api, recordings: Sequence[DemoRecording], progress: Report) -> Sequence[LabelledRun]:
+    """The sequences once their labels are in the folders of their runs.
+
+    The first is processed after the others: the first page shows what was labelled last.
+    """
+    first, *others = recordings
+    started = list[tuple[DemoRecording, Item, str]]()
+    for one in others:
+        sequence = _uploaded(api, one, progress)
+        started.append((one, sequence, _started(api, sequence)))
+    sequence = _uploaded(api, first, progress)
+    labelled = [_finished(api, *of_one, progress) for of_one in started]
+    return _finished(api, first, sequence, _started(api, sequence), progress), *labelled
+
+
+def _uploaded(api: Api, recording: DemoRecording, progress: Report) -> Item:
+    local = hashed_bag(recording.bag, progress)
+    sequence = _free_sequence(api, recording.run.name, local)
+    show_to_anybody(api, sequence, recording.run)
+    pin_calibration(api, sequence, recording.calibration)
     add_recording(api, sequence, local, progress)
-    follow(api, start_run(api, sequence, {})["id"], progress)
+    return sequence
+
+
+def _started(api: Api, sequence: Item) -> str:
+    """The id of the job that labels the sequence."""
+    return str(start_run(api, sequence, {})["id"])
+
+
+def _finished(api: Api, recording: DemoRecording, sequence: Item, job_id: str, progress: Report) -> LabelledRun:
+    follow(api, job_id, progress)
     labelled = find_sequence(api, sequence["id"])
-    download_labels(api, labelled, recorded.folder / "labels", progress)
-    return labelled
+    download_labels(api, labelled, recording.labels, progress)
+    return LabelledRun(recording, labelled)
 
 
-def show_to_anybody(api: Api, sequence: Item) -> None:
-    """Make the sequence public: the first page shows it without an account."""
+def show_to_anybody(api: Api, sequence: Item, run: DemoRun) -> None:
+    """Say the recording conditions and make the sequence public: the first page shows it without an account."""
     sequence_now = find_sequence(api, sequence["id"])
     match = {"If-Match": f'"{sequence_now["revision"]}"'}
-    api.send("PATCH", f"/sequences/{sequence['id']}", json={"is_public": True}, headers=match)
+    api.send("PATCH", f"/sequences/{sequence['id']}", json={"is_public": True, **run.conditions}, headers=match)
 
 
 def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -> dict[str, Any]:
@@ -118,24 +138,68 @@ def export_on_server(api: Api, sequence: Item, folder: Path, progress: Report) -
     return {"format": EXPORTED, "files": export["files"], **{key: arrived[key] for key in ("size_bytes", "sha256")}}
 
 
-def score_baseline(folder: Path, progress: Report) -> dict[str, Any]:
-    """Predict every frame from its own sweep in the export, validate and score that against the labels here.
+def enter_benchmark(
+    demo_server: DemoServer, labelled: Sequence[LabelledRun], folder: Path, progress: Report
+) -> tuple[dict[str, Any], dict[str, Any] | None]:
+    """The baseline's score here, and the entries on a board, as an administrator.
+
+    No board where the platform has splits of its own, where a run is too short for any, or where we are no
+    administrator: then the baseline predicts the first run.
+    """
+    with demo_server.administering() as api:
+        by_part = {one.recording.run.part: list[Item]() for one in labelled}
+        for one in labelled:
+            by_part[one.recording.run.part].append(one.sequence)
+        phase = benchmark_on_server(api, by_part, progress) if api and len(by_part) > 1 else None
+        if api is None or phase is None:
+            return score_baseline(
+                _of_first_run(folder), [folder / f"{EXPORTED}.tar"], folder / "labels", progress
+            ), None
+        return _entered(api, phase, labelled, folder, progress)
+
+
+def _entered(
+    api: Api, phase: DemoPhase, labelled: Sequence[LabelledRun], folder: Path, progress: Report
+) -> tuple[dict[str, Any], dict[str, Any]]:
+    gather_truth(labelled, folder / TRUTH)
+    manifest, sources = fetch_inputs(api, phase, folder, progress)
+    scores = score_baseline(manifest, sources, folder / TRUTH, progress)
+    files = {entry: write_entry(entry, manifest, sources, progress) for entry in ENTRIES if entry is not BASELINE}
+    return scores, submit_entries(api, phase, {BASELINE: folder / BASELINE.filename, **files}, progress)
+
+
+def gather_truth(labelled: Sequence[LabelledRun], truth: Path) -> None:
+    """Move the labels of the frames that the phase is scored by below one folder, as `stone score` reads them."""
+    (truth / "gts").mkdir(parents=True)
+    for one in labelled:
+        if one.recording.run.part == DemoPhase.part:
+            name = str(one.sequence["name"])
+            (one.recording.labels / "gts" / name).rename(truth / "gts" / name)
+            shutil.copyfile(one.recording.labels / TABLE, truth / "gts" / name / TABLE)
+
+
+def score_baseline(manifest: Path, sources: Sequence[Path], truth: Path, progress: Report) -> dict[str, Any]:
+    """Predict every frame from its own sweep, validate and score that against the labels here.
 
     Raises `SubmissionRefusedError`.
     """
-    manifest, output = folder / "manifest.json", folder / SUBMISSION
-    write_manifest(manifest, find_ground_truth(folder / "labels").manifest)
-    write_baseline([folder / f"{EXPORTED}.tar"], BaselinePlan(manifest, output, THREADS), progress)
+    output = write_entry(BASELINE, manifest, sources, progress)
     validation = validate(output, manifest, progress=progress)
     if not validation.ok:
         raise SubmissionRefusedError(validation)
-    return score(output, folder / "labels", progress=progress).as_record()
+    return score(output, truth, progress=progress, order=in_time_order).as_record()
 
 
-def _free_sequence(api: Api, local: LocalBag) -> Item:
+def _of_first_run(folder: Path) -> Path:
+    """The manifest of the first run's frames."""
+    write_manifest(folder / "manifest.json", find_ground_truth(folder / "labels").manifest)
+    return folder / "manifest.json"
+
+
+def _free_sequence(api: Api, name: str, local: LocalBag) -> Item:
     """`demo`, or `demo-2`, … where that name is taken by another recording: nothing of the user's is replaced."""
     for number in count(1):
-        sequence = ensure_sequence(api, SEQUENCE if number == 1 else f"{SEQUENCE}-{number}")
+        sequence = ensure_sequence(api, name if number == 1 else f"{name}-{number}")
         if not has_other_recording(api, sequence, local):
             return sequence
     raise AssertionError

@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterator
 from contextlib import AbstractContextManager, ExitStack, contextmanager
 from dataclasses import dataclass
 
-from services.runtime.embedded.first_start import PASSWORD_FILE
+from services.runtime.embedded.first_start import first_password_file
 from services.runtime.embedded.supervisor import RunningPlatform
 from stone_client.api import Api
 from stone_client.credentials import Server
@@ -43,10 +43,10 @@ def _by_token(server: Server) -> Iterator[Api | None]:
 
 @contextmanager
 def _by_first_password(running: RunningPlatform) -> Iterator[Api | None]:
-    path = running.platform.settings.root / PASSWORD_FILE
+    path = first_password_file(running.platform.settings)
     with ExitStack() as stack:
         api = None
-        if path.exists():
+        if path:
             signed_in = administering(running.url, running.keys.name, path.read_text("utf-8").strip())
             with _unless_the_password_is_another():
                 api = stack.enter_context(signed_in)

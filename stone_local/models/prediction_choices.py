@@ -25,6 +25,6 @@ def refuse_contradictions(inputs: list[Path] | None, bag: Path | None, of_record
     if bag is None:
         said = next((name for name, value in of_recordings.items() if value), None)
         if said is not None:
-            raise typer.BadParameter("it is of recordings, and needs --bag", param_hint=said)
+            raise typer.BadParameter("it applies to recordings, and needs --bag", param_hint=said)
     elif of_recordings["--calibration"] is None:
-        raise typer.BadParameter("a recording needs it: where its sensors sit", param_hint="--calibration")
+        raise typer.BadParameter("a recording needs it: the calibration of its sensors", param_hint="--calibration")

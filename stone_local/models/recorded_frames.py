@@ -24,7 +24,7 @@ from stone_exports.frames import ExportedDatum, ExportedFrame, ExportedSensor
 
 
 class DamagedSampleError(StoneError):
-    """What a sensor recorded is not what it should be."""
+    """The data of a sensor in a recording are damaged or incomplete."""
 
     code: ClassVar[str] = "damaged_sample"
 

@@ -80,7 +80,7 @@ def rate_of(report: StepReport) -> str:
 
 def watched_line(report: StepReport) -> str:
     """What the watched sequences scored after an epoch."""
-    return f"epoch {report.epoch + 1}, watched: {'  '.join(scores_said(report.scores))}"
+    return f"epoch {report.epoch + 1}, validation: {'  '.join(scores_said(report.scores))}"
 
 
 def scores_said(scores: Mapping[str, float | None]) -> list[str]:

@@ -195,6 +195,6 @@ class ChunkedStore(ABC):
 
 def behind_end(count: int, *, is_zero: bool) -> Finding:
     """What is to be said of so many bytes that follow the end of a whole file."""
-    kind = "zero bytes" if is_zero else "bytes that are no records"
-    message = f"{count} {kind} follow the end of the file; they are passed over, and nothing of it is missing."
+    kind = "zero bytes" if is_zero else "bytes that are not records"
+    message = f"{count} {kind} follow the end of the file; they are skipped, and the file itself is complete."
     return Finding("BAG-032", "info" if is_zero else "warning", "", message)

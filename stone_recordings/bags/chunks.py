@@ -87,7 +87,7 @@ def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
     except _DAMAGED as error:
         raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
     if len(found) < stop:
-        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(found)} came out"))
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {len(found)} decompressed"))
     return memoryview(found).toreadonly()[:stop]
 
 
@@ -124,7 +124,7 @@ def _inflated(packed: memoryview, chunk: Chunk) -> memoryview:
     except cramjam.DecompressionError as error:
         raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
     if size != chunk.uncompressed_bytes:
-        raise MalformedBagError(chunk.where, _problem(chunk, f"only {size} came out"))
+        raise MalformedBagError(chunk.where, _problem(chunk, f"only {size} decompressed"))
     return records.data.toreadonly()
 
 
@@ -139,7 +139,7 @@ def _check_true_size(packed: memoryview, chunk: Chunk) -> None:
     except _DAMAGED as error:
         raise MalformedBagError(chunk.where, _problem(chunk, str(error))) from None
     if total != chunk.uncompressed_bytes:
-        raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more came out"))
+        raise MalformedBagError(chunk.where, _problem(chunk, f"{total} or more decompressed"))
 
 
 def _pieces(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
@@ -180,4 +180,4 @@ def _zstd_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator
 
 
 def _problem(chunk: Chunk, fault: str) -> str:
-    return f"{chunk.compression} data does not inflate to the declared {chunk.uncompressed_bytes} bytes ({fault})"
+    return f"{chunk.compression} data does not decompress to the declared {chunk.uncompressed_bytes} bytes ({fault})"

@@ -14,7 +14,7 @@ class IngestError(StoneError):
 
 
 class NotABagError(IngestError):
-    """The first bytes are those of something else."""
+    """The file is not a recording: its first bytes belong to another format."""
 
     code = "BAG-001"
 
@@ -34,7 +34,7 @@ class CutBagError(IngestError):
         super().__init__(
             f"{name} was cut off at byte {size_bytes}: {missing}; "
             f"the recorder died or the copy is incomplete, so copy it again, "
-            f"or keep what is whole: stone recover {name} -o recovered.mcap"
+            f"or recover its intact part: stone recover {name} -o recovered.mcap"
         )
 
 
@@ -46,7 +46,7 @@ class MalformedBagError(IngestError):
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(
             f"{where}: {problem}; the file is damaged or was not written by a working recorder, "
-            "stone recover writes what is whole of it into another"
+            "stone recover writes its intact part to another file"
         )
 
 
@@ -63,7 +63,7 @@ class ChunkTooLargeError(IngestError):
 
 
 class EncodingRefusedError(IngestError):
-    """Messages are written in something else than CDR."""
+    """Messages are encoded otherwise than as CDR."""
 
     code = "BAG-014"
 
@@ -85,19 +85,19 @@ class UnknownTopicError(IngestError):
 
 
 class ChecksumError(IngestError):
-    """The bytes differ from those that were written."""
+    """A checksum does not match: the bytes differ from those that were recorded."""
 
     code = "BAG-016"
 
     def __init__(self, where: str, found: int, declared: int) -> None:
         super().__init__(
             f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording, "
-            "stone recover writes what is whole of it into another"
+            "stone recover writes its intact part to another file"
         )
 
 
 class CompressionRefusedError(IngestError):
-    """Chunks are packed with an algorithm that their container does not know."""
+    """Chunks are compressed with an algorithm that their container format does not have."""
 
     code = "BAG-017"
 
@@ -140,7 +140,7 @@ class MessageLayoutError(IngestError):
 
 
 class ByteOrderError(IngestError):
-    """A message serialised big-endian; nothing that is recorded today writes it."""
+    """A message is serialised big-endian, which no current recorder writes."""
 
     code = "MSG-302"
 
@@ -154,11 +154,11 @@ class CloudLayoutError(IngestError):
     code = "MSG-303"
 
     def __init__(self, problem: str) -> None:
-        super().__init__(f"sensor_msgs/msg/PointCloud2: {problem}; the driver that wrote it lies about its layout")
+        super().__init__(f"sensor_msgs/msg/PointCloud2: {problem}; the driver declares a wrong layout")
 
 
 class MixedFramesError(IngestError):
-    """One topic speaks about several pairs of frames where one is meant."""
+    """One topic has several pairs of frames."""
 
     code = "MSG-304"
 
@@ -170,7 +170,7 @@ class MixedFramesError(IngestError):
 
 
 class PoseValueError(IngestError):
-    """A pose that is no pose: NaN, infinity, or a quaternion of no length."""
+    """An invalid pose: NaN, infinity, or a quaternion of zero norm."""
 
     code = "MSG-305"
 
@@ -179,7 +179,7 @@ class PoseValueError(IngestError):
 
 
 class DatabaseRefusedError(IngestError):
-    """A `.db3` file is no rosbag2 database, or nothing can be read of it."""
+    """A `.db3` file is not a rosbag2 database, or nothing in it can be read."""
 
     code = "BAG-018"
 
@@ -198,7 +198,7 @@ class MembersRefusedError(IngestError):
 
 
 class RecoveryTargetError(IngestError):
-    """A recovery was asked to write over what it reads."""
+    """The output of a recovery is the file that it reads."""
 
     code = "BAG-026"
 
@@ -207,19 +207,19 @@ class RecoveryTargetError(IngestError):
 
 
 class PackedTooLargeError(IngestError):
-    """A message or a file that was compressed grows beyond anything a recorder packs."""
+    """A compressed message or file decompresses to more than any recorder writes."""
 
     code = "BAG-027"
 
     def __init__(self, where: str, packed_bytes: int, limit_bytes: int) -> None:
         super().__init__(
-            f"{where}: its {packed_bytes} compressed bytes grow beyond {limit_bytes}; "
-            f"unpack it elsewhere if it is what it should be"
+            f"{where}: its {packed_bytes} compressed bytes decompress to more than {limit_bytes}; "
+            f"decompress it yourself if that is its true size"
         )
 
 
 class NoRoomError(PlatformFaultError, IngestError):
-    """What must be unpacked or copied to be read does not fit the folder for temporary files."""
+    """A copy that must be decompressed to be read does not fit the folder for temporary files."""
 
     code = "BAG-028"
 

@@ -18,13 +18,13 @@ SNIFFED_BYTES = 512
 SQLITE_MAGIC = b"SQLite format 3\x00"
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
 
-OLD_ROS1 = "a ROS 1 bag of a version before 2.0: where ROS 1 runs, rosbag filter old.bag new.bag True writes it anew"
+OLD_ROS1 = "a ROS 1 bag of a version before 2.0: where ROS 1 runs, rosbag filter old.bag new.bag True rewrites it"
 _KNOWN: tuple[tuple[bytes, str], ...] = (
     (b"#ROSBAG V1", OLD_ROS1),
     (b"#ROSRECORD V1", OLD_ROS1),
     (b"PK\x03\x04", "a zip archive: unpack it first"),
     (b"\x1f\x8b", "a gzip archive: unpack it first"),
-    (ZSTD_MAGIC, "a file compressed with zstd, and no bag in it"),
+    (ZSTD_MAGIC, "a file compressed with zstd that is not a bag"),
     (b"\x04\x22\x4d\x18", "a file compressed with lz4: unpack it first"),
     (b"BZh", "a bzip2 archive: unpack it first"),
     (b"\xfd7zXZ", "an xz archive: unpack it first"),
@@ -49,7 +49,7 @@ def container_of(path: Path) -> Container:
     if not first and has_wal(path):
         return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself
     if first and (MAGIC.startswith(first) or ROS1_MAGIC.startswith(first)):
-        raise CutBagError(path.name, len(first), "not even its first record is there")
+        raise CutBagError(path.name, len(first), "its first record is missing")
     if _ends_as_mcap(path):
         return "mcap"
     raise NotABagError(path.name, first, _looks_like(first))
@@ -108,4 +108,4 @@ def _looks_like(first: bytes) -> str:
     if text.startswith((b"{", b"[")):
         return "JSON"
     is_text = all(byte >= 32 or byte in b"\t\r\n" for byte in first)
-    return "plain text" if is_text else "nothing that is known here"
+    return "plain text" if is_text else "an unknown format"

@@ -34,7 +34,7 @@ def members_of(path: Path) -> RecordingMembers:
         container_of(path)
         return RecordingMembers((path,))
     if is_joined(path):
-        raise MembersRefusedError(path.name, "it is joined of several recordings: name one of them")
+        raise MembersRefusedError(path.name, "it joins several recordings: name one of them")
     names = _names(path)
     if METADATA not in names:
         return _found(path, names)
@@ -51,7 +51,9 @@ def _names(folder: Path) -> list[str]:
     names = []
     for number, entry in enumerate(folder.iterdir()):
         if number >= MOST_MEMBERS:
-            raise MembersRefusedError(folder.name, f"it holds more than {MOST_MEMBERS} entries, no recording does")
+            raise MembersRefusedError(
+                folder.name, f"it holds more than {MOST_MEMBERS} entries, more than any recording"
+            )
         if entry.is_file() and not entry.name.startswith("."):
             names.append(entry.name)
     return sorted(names, key=_natural)

@@ -53,4 +53,4 @@ def _pieces(path: Path) -> Iterator[bytes]:
             while piece := stream.read(PIECE_BYTES):
                 yield piece
     except zstandard.ZstdError as error:
-        raise MalformedBagError(path.name, f"its zstd data does not unpack ({error})") from None
+        raise MalformedBagError(path.name, f"its zstd data cannot be decompressed ({error})") from None

@@ -29,9 +29,11 @@ def unpacked(payload: memoryview, where: str) -> memoryview:
     try:
         unpacked_bytes = cramjam.zstd.decompress_into(payload, message.data)
     except cramjam.DecompressionError as error:
-        raise MalformedBagError(where, f"its zstd frame does not unpack ({error})") from None
+        raise MalformedBagError(where, f"its zstd frame cannot be decompressed ({error})") from None
     if unpacked_bytes != size_bytes:
-        raise MalformedBagError(where, f"its zstd frame gives {unpacked_bytes} bytes and declares {size_bytes}")
+        raise MalformedBagError(
+            where, f"its zstd frame decompresses to {unpacked_bytes} bytes and declares {size_bytes}"
+        )
     return message.data.toreadonly()
 
 
@@ -39,7 +41,7 @@ def unpacked_head(payload: memoryview, where: str) -> memoryview:
     """At least the first `HEAD_BYTES` of the message in a frame, or all of it. Raises: MalformedBagError."""
     head = next(iter(pieces_of(payload, "zstd", HEAD_BYTES)), b"")
     if not head:
-        raise MalformedBagError(where, "its zstd frame does not unpack")
+        raise MalformedBagError(where, "its zstd frame cannot be decompressed")
     return memoryview(head)
 
 
@@ -48,7 +50,7 @@ def _size_of(payload: memoryview, where: str) -> int:
     try:
         declared_bytes = zstandard.get_frame_parameters(payload[:FRAME_HEAD_BYTES]).content_size
     except zstandard.ZstdError as error:
-        raise MalformedBagError(where, f"its zstd frame does not unpack ({error})") from None
+        raise MalformedBagError(where, f"its zstd frame cannot be decompressed ({error})") from None
     if declared_bytes <= max(UNDOUBTED_BYTES, DOUBTED_RATIO * len(payload)):
         return int(declared_bytes)
     size_bytes = 0

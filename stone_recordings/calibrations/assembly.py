@@ -55,7 +55,7 @@ def _check_kits(draft: RigDraft) -> None:
     parents = {parent for parent, _ in draft.tree.down}
     for frame in draft.frames:
         if "kit" in words_of(frame) and frame not in parents:
-            missing = f"it says where {frame} sits, but not what sits on it"
+            missing = f"it has the transform to {frame}, but none to the sensors on it"
             raise HalfRigError(draft.name, missing, "send sensor_kit_calibration.yaml along in a zip")
 
 
@@ -68,10 +68,10 @@ def _lidar(draft: RigDraft, rig: RigDocument) -> str:
     if found:
         return found[0]
     if not draft.frames and not draft.lenses:
-        raise HalfRigError(draft.name, "nothing in it has a place (an IMU's noise alone?)", "send the camchain with it")
+        raise HalfRigError(draft.name, "it has no extrinsics (only an IMU's noise model?)", "send the camchain with it")
     placed = ", ".join(list(dict.fromkeys((*draft.lenses, *draft.frames)))[:6])
-    missing = f"it places {placed} to each other, but no LiDAR" if draft.frames else f"it has {placed}, placed nowhere"
-    raise HalfRigError(draft.name, missing, f"{ADD_RIG} whose transforms say where the LiDAR sits to one of them")
+    missing = f"it has extrinsics of {placed}, but no LiDAR" if draft.frames else f"it has {placed} without extrinsics"
+    raise HalfRigError(draft.name, missing, f"{ADD_RIG} whose transforms place the LiDAR relative to one of them")
 
 
 def _ego(draft: RigDraft, rig: RigDocument, lidar: str) -> str:
@@ -80,7 +80,7 @@ def _ego(draft: RigDraft, rig: RigDocument, lidar: str) -> str:
     for frame in EGO_FRAMES:
         if frame in draft.frames and draft.tree.transform(frame, lidar) is not None:
             return frame
-    missing = f"nothing says where {lidar} sits on the robot (no frame is {', '.join(EGO_FRAMES)})"
+    missing = f"no transform places {lidar} on the robot (no frame is {', '.join(EGO_FRAMES)})"
     has_kit = any("kit" in words_of(frame) for frame in draft.frames)
     others = "send Autoware's sensors_calibration.yaml too, or " if has_kit else "send "
     remedy = f"{others}the robot's tf_static, or a rig.yaml whose transforms place {lidar} on base_link, in a zip"
@@ -159,10 +159,10 @@ def _lens(draft: RigDraft, frame: str, of: tuple[str, RigSensor | None]) -> tupl
     channel, sensor = of
     lens = next((found for name, found in draft.lenses.items() if draft.frame_of_lens(name) == frame), None)
     if lens is None:
-        sentence = f"{channel}: no file says how it projects (camera_info); points are not drawn on its pictures"
+        sentence = f"{channel}: no file has its intrinsics (camera_info); points are not projected into its images"
         return None, (Finding("CAL-426", "info", channel, sentence),)
     if sensor is not None and sensor.width_px is not None and sensor.height_px is not None and not lens.width_px:
         lens = replace(lens, width_px=sensor.width_px, height_px=sensor.height_px)
     if not lens.width_px:
-        return None, (warning("CAL-426", channel, "no file says how large its images are; its lens is not used"),)
+        return None, (warning("CAL-426", channel, "no file gives the size of its images; its intrinsics are not used"),)
     return lens, check_intrinsics(channel, lens)

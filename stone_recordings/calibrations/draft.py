@@ -72,7 +72,7 @@ def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
         for lens, intrinsics in part.lenses.items():
             known, file = lenses.setdefault(lens, (intrinsics, part.file))
             if known != intrinsics:
-                raise ConflictingFilesError(name, f"the lens of {lens}", (file, part.file))
+                raise ConflictingFilesError(name, f"the intrinsics of {lens}", (file, part.file))
         offsets_ns |= part.offsets_ns
         kinds |= part.kinds
         optical |= part.optical
@@ -91,4 +91,4 @@ def _add_edge(name: str, edges: dict[frozenset[str], tuple[Edge, str]], edge: Ed
     apart = np.abs(same.as_matrix() - edge.parent_from_child.as_matrix()).max()
     if apart > SAME_M_OR_RATIO or len(pair) == 1:
         files = tuple(dict.fromkeys((before, file)))
-        raise ConflictingFilesError(name, f"where {edge.child} sits to {edge.parent}", files)
+        raise ConflictingFilesError(name, f"the transform from {edge.child} to {edge.parent}", files)

@@ -41,16 +41,16 @@ class CalibrationFormatError(StoneError):
 
 
 class HalfRigError(StoneError):
-    """The files describe a part of a robot; nothing in them says the rest."""
+    """The calibration is incomplete: the files describe only a part of the sensor rig."""
 
     code = "CAL-424"
 
     def __init__(self, name: str, missing: str, remedy: str) -> None:
-        super().__init__(f"{name} is half a rig: {missing}; {remedy}")
+        super().__init__(f"{name} is an incomplete sensor rig: {missing}; {remedy}")
 
 
 class AmbiguousRigError(StoneError):
-    """Several things in the files could be the one that is meant."""
+    """The files are ambiguous: several sensors or frames could be the one that is meant."""
 
     code = "CAL-425"
 
@@ -60,7 +60,7 @@ class AmbiguousRigError(StoneError):
 
 
 class LensModelError(StoneError):
-    """A camera is calibrated with a lens model that is not projected here."""
+    """A camera is calibrated with a lens model that is not supported."""
 
     code = "CAL-427"
 
@@ -72,7 +72,7 @@ class LensModelError(StoneError):
 
 
 class ConflictingFilesError(StoneError):
-    """Two files of one bundle say different things of the same."""
+    """Two files of one bundle contradict each other."""
 
     code = "CAL-429"
 

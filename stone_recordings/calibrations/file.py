@@ -118,7 +118,7 @@ def _whole(calibration: Calibration, bundle: Bundle) -> Findings:
     aside: Findings = ()
     if bundle.aside:
         shown = ", ".join(bundle.aside[:5])[:200]
-        aside = (Finding("CAL-431", "info", "", f"{len(bundle.aside)} files were not looked at: {shown}"),)
+        aside = (Finding("CAL-431", "info", "", f"{len(bundle.aside)} files were not read: {shown}"),)
     return check_calibration(calibration) + name_findings(calibration) + aside
 
 

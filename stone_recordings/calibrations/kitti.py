@@ -94,8 +94,8 @@ def _raw_pair(document: Node) -> tuple[str, str]:
         return REFERENCE, LIDAR
     if name.endswith("imu_to_velo"):
         return LIDAR, IMU
-    missing = "nothing says between which frames its R and T are"
-    raise HalfRigError(document.file, missing, "leave it its name of KITTI's, calib_imu_to_velo.txt or the like")
+    missing = "the frames of its R and T are unknown"
+    raise HalfRigError(document.file, missing, "keep KITTI's file name, calib_imu_to_velo.txt or the like")
 
 
 def _projections(document: Node) -> dict[str, NDArray[np.float64]]:

@@ -66,4 +66,4 @@ def _transform(channel: str, kind: SensorKind, row: Node) -> tuple[SE3, Findings
 
 def _check_same(file: str, before: Edge | None, transform: SE3, channel: str) -> None:
     if before is not None and not np.allclose(before.parent_from_child.as_matrix(), transform.as_matrix(), atol=1e-6):
-        raise ConflictingFilesError(file, f"where {channel} sits", ("two of its rows",))
+        raise ConflictingFilesError(file, f"the extrinsics of {channel}", ("two of its rows",))

@@ -69,7 +69,7 @@ def opencv(document: Node, stem: str) -> CalibrationPart:
         edges.append(edge)
         findings += noticed
     if not lenses and not edges:
-        raise document.refused("no camera matrix and no transform under a key that is known was found")
+        raise document.refused("no camera matrix and no transform under a known key was found")
     frames = {frame for edge in edges for frame in (edge.parent, edge.child)}
     kinds: dict[str, SensorKind] = {LIDAR: "lidar", BODY: "imu"}
     optical = frozenset(lenses) | {frame for frame in frames if kind_of(frame) == "camera"}
@@ -144,7 +144,7 @@ def _doubt(camera: str, lidar_from_camera: SE3) -> Findings:
     )
     if up >= UPRIGHT_LEAST or up_of_inverse < UPRIGHT_LEAST:
         return ()
-    sentence = "as its key has it, the transform lays the camera on its side, and its inverse does not (inverted?)"
+    sentence = "read as its key says, the transform lays the camera on its side, its inverse does not (inverted?)"
     return (warning("CAL-404", camera, sentence),)
 
 

@@ -53,7 +53,7 @@ def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
     if whole:
         if len(documents) > 1:
             raise ConflictingFilesError(
-                name, "the rig, of which a native file says all", [file for file, _ in documents]
+                name, "the rig, which a native file describes completely", [file for file, _ in documents]
             )
         return RecognisedBundle(whole[0], (), RigDocument(stone_rig=1))
     tables: dict[str, object] = {file: found[0] for file, found in documents if isinstance(found[0], list)}
@@ -65,7 +65,7 @@ def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
             parts.append(_part(file, found))
     parts += _tables(tables)
     if len(rigs) > 1:
-        raise ConflictingFilesError(name, "what completes the rig", [file for file, _ in rigs])
+        raise ConflictingFilesError(name, "the rest of the rig", [file for file, _ in rigs])
     parts += [rig.rig_part(file, document) for file, document in rigs]
     return RecognisedBundle(None, tuple(parts), rigs[0][1] if rigs else RigDocument(stone_rig=1))
 
@@ -81,7 +81,7 @@ def _part(file: str, documents: tuple[object, ...]) -> CalibrationPart:
     if not isinstance(content, dict):
         raise CalibrationFormatError(file, "an empty file" if content is None else "plain text")
     if any(not isinstance(key, str) for key in content):
-        raise CalibrationFormatError(file, "another YAML file (a key is no text)")
+        raise CalibrationFormatError(file, "another YAML file (a key is not text)")
     if "transforms" in content:
         return ros.tf_message([Node(file, "", document) for document in documents])
     for is_it, read in READERS:

@@ -14,6 +14,7 @@ import numpy as np
 
 from stone.findings import Finding
 from stone_recordings.clocks.constants import SINCE_BOOT, constant_of
+from stone_recordings.clocks.host_stamps import GPS_REMEDY, StampLateness, host_stamp_finding, readable_ns
 from stone_recordings.clocks.measurement import ClockMeasurement
 from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, ImuLag, TopicClock
 from stone_recordings.clocks.timing import Timing, lost_messages
@@ -77,22 +78,14 @@ def _host_findings(clock: TopicClock) -> Iterator[Finding]:
         return
     if clock.own_jitter_ns is not None and clock.own_offset_ns is not None:
         is_gps = clock.role in ("ins", "gnss")
-        remedy = "GPS time is used instead" if is_gps else "Let the driver stamp with the sensor's time"
-        message = (
-            f"Stamped on the host (jitter {clock.own_jitter_ns / 1e6:.2f} ms). "
-            f"{remedy} (median offset {_readable(clock.own_offset_ns)})."
-        )
-        yield Finding("TIM-201", "warning", clock.topic, message)
+        remedy = GPS_REMEDY if is_gps else "Let the driver stamp with the sensor's time"
+        yield host_stamp_finding(clock.topic, StampLateness(clock.own_offset_ns, clock.own_jitter_ns), remedy)
     elif clock.role != "odometry":
         message = (
             "Stamped on the host, it seems: its stamps are as irregular as their publishing "
-            f"({_readable(clock.offset_ns or 0)} before they were recorded). Let the driver stamp by the sensor."
+            f"({readable_ns(clock.offset_ns or 0)} before they were recorded). Let the driver stamp by the sensor."
         )
         yield Finding("TIM-201", "warning", clock.topic, message)
-
-
-def _readable(duration_ns: int) -> str:
-    return f"{duration_ns / 1e6:.2f} ms" if abs(duration_ns) < CLOCK_DISTANCE_NS else f"{duration_ns / 1e9:.3f} s"
 
 
 def _unsynchronised(clock: TopicClock, measured: ClockMeasurement) -> Iterator[Finding]:
@@ -100,7 +93,7 @@ def _unsynchronised(clock: TopicClock, measured: ClockMeasurement) -> Iterator[F
     if own is None or own.total == len(own.own_ns):
         return
     message = (
-        f"In {own.total - len(own.own_ns)} of {own.total} messages the sensor knew no time: it was not synchronised."
+        f"In {own.total - len(own.own_ns)} of {own.total} messages the sensor had no time: it was not synchronised."
     )
     yield Finding("TIM-210", "warning", clock.topic, message)
 
@@ -179,7 +172,8 @@ def _lag_findings(lag: ImuLag) -> Iterator[Finding]:
         return
     late = "after" if lag.lag_ns > 0 else "before"
     message = (
-        f"Its gyro tells of turns {abs(lag.lag_ns) / 1e6:.1f} ± {lag.sigma_ns / 1e6:.1f} ms {late} {lag.reference} "
+        f"Its gyro lags: turns are seen {abs(lag.lag_ns) / 1e6:.1f} ± {lag.sigma_ns / 1e6:.1f} ms "
+        f"{late} {lag.reference} "
         f"(correlation {lag.correlation:.3f}). Nothing was shifted; set time_offset_ns to {-lag.lag_ns}."
     )
     yield Finding("TIM-209", "warning", lag.topic, message)

@@ -116,9 +116,9 @@ def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
     """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
     clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
-        raise NoUsableSweepError(topic, len(rows), "it has points, and not one that is a return")
+        raise NoUsableSweepError(topic, len(rows), "it has points, but none is a return")
 
 
 def _no_time(topic: str) -> Finding:
-    sentence = "its points carry no time that can be read; sweeps are taken as they are (a turning robot smears them)"
+    sentence = "its points have no readable time; sweeps are not deskewed (a turning robot smears them)"
     return Finding("TOP-102", "warning", topic, sentence)

@@ -15,10 +15,11 @@ from numpy.typing import NDArray
 
 from stone.errors import StoneError
 from stone.findings import Finding
-from stone.sensors.clocks import ClockLine, clock_line, interval_jitter_ns, spread
+from stone.sensors.clocks import ClockLine, clock_line, interval_jitter_ns
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.topic import Topic
 from stone_recordings.clocks.constants import constant_of
+from stone_recordings.clocks.host_stamps import HOST_JITTER_NS, StampLateness, lateness
 from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
 from stone_recordings.clocks.recorder_jumps import StampedTimes, without_jumps
 from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, StampSource, TopicClock
@@ -32,8 +33,6 @@ from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
 from stone_recordings.topics.roles import ROLE_OF_TYPE
 
-# Stamps of one clock differ from each other by rounding; a host's publish times differ by its scheduling.
-HOST_JITTER_NS = 500_000
 # From publishing to recording; exposure, transfer and a sweep take longer.
 LAST_PUBLISH_DELAY_NS = 5_000_000
 
@@ -115,14 +114,14 @@ def _pose_findings(topic: Topic, scan: Scan) -> list[Finding]:
 def _clock(log_times_ns: NDArray[np.int64], inspected: Inspected, own: OwnTimes | None) -> TopicClock:
     topic, role, timing = inspected
     line = clock_line(timing.stamps_ns, log_times_ns) if timing.has_header else None
-    late_ns = own.late_ns if own is not None and len(own.late_ns) else None
+    late = lateness(own.late_ns) if own is not None else None
     steps_ns = timing.steps_back_ns if timing.has_header else np.zeros(0, np.int64)
     return TopicClock(
         topic=topic.name,
         role=role,
         count=topic.count,
         rate_hz=timing.rate_hz,
-        stamp_source="recorder" if line is None else _source(timing.stamps_ns, line, late_ns),
+        stamp_source="recorder" if line is None else _source(timing.stamps_ns, line, late),
         offset_ns=None if line is None else line.offset_ns,
         drift_ppm=None if line is None else line.drift_ppm,
         drift_sigma_ppm=None if line is None else line.drift_sigma_ppm,
@@ -132,14 +131,14 @@ def _clock(log_times_ns: NDArray[np.int64], inspected: Inspected, own: OwnTimes 
         steps_back=len(steps_ns),
         worst_step_back_ns=int(steps_ns.max(initial=0)),
         repeats=timing.repeats if timing.has_header else 0,
-        own_offset_ns=None if late_ns is None else int(np.median(late_ns)),
-        own_jitter_ns=None if late_ns is None else round(spread(late_ns - np.median(late_ns))),
+        own_offset_ns=None if late is None else late.offset_ns,
+        own_jitter_ns=None if late is None else late.jitter_ns,
     )
 
 
-def _source(stamps_ns: NDArray[np.int64], line: ClockLine, late_ns: NDArray[np.int64] | None) -> StampSource:
-    if late_ns is not None:
-        return "host" if spread(late_ns - np.median(late_ns)) > HOST_JITTER_NS else "sensor"
+def _source(stamps_ns: NDArray[np.int64], line: ClockLine, late: StampLateness | None) -> StampSource:
+    if late is not None:
+        return "host" if late.is_host else "sensor"
     is_prompt = 0 < line.offset_ns < LAST_PUBLISH_DELAY_NS
     beat_ns = interval_jitter_ns(stamps_ns)
     return "host" if is_prompt and beat_ns > HOST_JITTER_NS and line.jitter_ns < beat_ns else "sensor"

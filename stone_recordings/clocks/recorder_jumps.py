@@ -70,8 +70,9 @@ def _finding(steps: Mapping[str, _Step], size_ns: int, following: Sequence[str])
     message = f"The recorder's clock jumped by {size_ns / 1e9:+.3f} s at {at_ns} ns, against the stamps of {against}. "
     if following:
         message += (
-            f"Those of {listed(following)} jump with it: they are made by that clock, and meet the others' no more. "
-            "Let sensors stamp, or hold the host's clock. "
+            f"Those of {listed(following)} jump with it: they are stamped by that clock "
+            "and no longer agree with the others. "
+            "Use sensor stamps, or keep the host's clock steady. "
         )
     return Finding("TIM-212", "warning", "", f"{message}Clocks are compared without the jump.")
 

@@ -41,8 +41,22 @@ class TopicClock:
     own_offset_ns: int | None = None
     own_jitter_ns: int | None = None
 
+    @property
+    def stated_jitter_ns(self) -> int | None:
+        """The one jitter that is shown of the topic: against the sensor's own time where it writes one."""
+        return self.jitter_ns if self.own_jitter_ns is None else self.own_jitter_ns
+
+    @property
+    def stated_against(self) -> str:
+        """What `stated_jitter_ns` is against: `sensor time`, `record time`, or nothing where there is none."""
+        if self.own_jitter_ns is not None:
+            return "sensor time"
+        return "" if self.jitter_ns is None else "record time"
+
     def as_record(self) -> dict[str, object]:
+        """The fields and what is stated of the jitter."""
         record = asdict(self)
+        record |= {"stated_jitter_ns": self.stated_jitter_ns, "stated_against": self.stated_against}
         for name, digits in (("rate_hz", 3), ("drift_ppm", 2), ("drift_sigma_ppm", 2)):
             record[name] = None if record[name] is None else round(record[name], digits)
         return record

@@ -84,7 +84,7 @@ def _timed_points(bag: Bag, sweeps: BagSweeps, row: int) -> tuple[NDArray[np.flo
 def _shared(triggers: Triggers, lidar: str) -> Iterator[Finding]:
     if abs(triggers.shared_ns) > ON_TIME_NS:
         message = (
-            f"The cameras fire {_when(triggers.shared_ns)} this LiDAR looks their way, all of them: "
+            f"The cameras fire {_when(triggers.shared_ns)} this LiDAR scans their direction, all of them: "
             "is its stamp late, or their trigger delayed? Nothing was shifted."
         )
         yield Finding("TIM-205", "warning", lidar, message)
@@ -94,7 +94,7 @@ def _late(triggers: Triggers, topics: Listed[str], period_ns: int) -> Iterator[F
     for topic, late_ns in zip(topics, triggers.late_ns.tolist(), strict=True):
         if abs(late_ns) > ON_TIME_NS:
             message = (
-                f"Fires {_when(late_ns)} the LiDAR looks its way, unlike the other cameras "
+                f"Fires {_when(late_ns)} the LiDAR scans its direction, unlike the other cameras "
                 f"({abs(late_ns) / period_ns * 360:.0f}° of its turn; limit {ON_TIME_NS / 1e6:g} ms). "
                 "Nothing was shifted; set its trigger's angle, or check its mount."
             )

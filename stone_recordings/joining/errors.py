@@ -11,7 +11,7 @@ OPTION = "--clock-offset {name}=SECONDS, what is added to its stamps"
 
 
 class UnmeasuredOffsetError(IngestError):
-    """Nothing tells how far the clock of a recording is off; nothing is guessed."""
+    """The clock offset of a recording cannot be determined."""
 
     code = "SYN-523"
 
@@ -19,24 +19,24 @@ class UnmeasuredOffsetError(IngestError):
         why = "; ".join(dict.fromkeys(reasons)) or "it holds no camera, radar or IMU"
         super().__init__(
             f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
-            f"say it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)"
+            f"give it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)"
         )
 
 
 class ContradictoryOffsetsError(IngestError):
-    """What a recording's sensors tell of its clock does not agree."""
+    """The sensors of a recording disagree about its clock offset."""
 
     code = "SYN-524"
 
     def __init__(self, name: str, told: Sequence[str]) -> None:
         super().__init__(
-            f"the sensors in {name} tell different offsets of its clock: {', '.join(told)}; is a mount in the "
-            f"calibration wrong, or one of them stamped by another clock? Say which it is: {OPTION.format(name=name)}"
+            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the "
+            f"calibration wrong, or one of them stamped by another clock? Give it: {OPTION.format(name=name)}"
         )
 
 
 class NoCommonTimeError(IngestError):
-    """A recording was not made while the others were."""
+    """A recording does not overlap the others in time."""
 
     code = "SYN-525"
 
@@ -44,12 +44,12 @@ class NoCommonTimeError(IngestError):
         when = "after the end" if apart_s > 0 else "before the beginning"
         super().__init__(
             f"{name} lies {abs(apart_s):.3f} s {when} of {reference}, on its clock: is it of another run, or is its "
-            f"offset another? {OPTION.format(name=name)}"
+            f"offset wrong? {OPTION.format(name=name)}"
         )
 
 
 class NotJoinedError(IngestError):
-    """What was named cannot be the recordings of one run."""
+    """The named files cannot be the recordings of one run."""
 
     code = "SYN-526"
 

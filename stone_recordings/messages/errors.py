@@ -6,7 +6,7 @@ SHOWN_CHARACTERS = 80
 
 
 class PictureError(IngestError):
-    """An image that is damaged, of an encoding that is not read, or larger than any camera's."""
+    """An image is damaged, of an encoding that is not read, or larger than any camera's."""
 
     code = "MSG-306"
 
@@ -15,7 +15,7 @@ class PictureError(IngestError):
 
 
 class DefinitionRefusedError(IngestError):
-    """A message definition that cannot be one: bad syntax, a cycle, or more than any real definition holds."""
+    """An invalid message definition: bad syntax, a cycle, or larger than any real one."""
 
     code = "MSG-307"
 
@@ -24,7 +24,7 @@ class DefinitionRefusedError(IngestError):
 
 
 class PacketError(IngestError):
-    """A radar packet whose lengths or counts contradict the ARS 548 interface."""
+    """The lengths or counts of a radar packet contradict the ARS 548 interface."""
 
     code = "MSG-308"
 
@@ -33,7 +33,7 @@ class PacketError(IngestError):
 
 
 class LidarPacketError(IngestError):
-    """LiDAR packets of a model that is not decoded here, or that are damaged."""
+    """LiDAR packets are of a model that is not decoded here, or are damaged."""
 
     code = "MSG-313"
 

@@ -57,7 +57,7 @@ def _jpeg(data: bytes, type_name: str) -> PictureHeader:
     at = 2
     while at + 4 <= len(data):
         if data[at] != 0xFF:
-            raise PictureError(type_name, f"byte {at} of the JPEG is no marker")
+            raise PictureError(type_name, f"byte {at} of the JPEG is not a marker")
         marker = data[at + 1]
         if marker == 0xFF or marker in _ALONE_MARKERS:
             at += 1 if marker == 0xFF else 2

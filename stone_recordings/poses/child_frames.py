@@ -31,13 +31,13 @@ def sensor_named(parent: str, child: str) -> str:
 def assumed_finding(parent: str, child: str) -> Finding:
     """CAL-405: the frame was taken for the ego frame, for nobody says where it is."""
     if not child:
-        sentence = "its messages do not say of which frame their poses are; they are taken for the ego frame's"
-        return Finding("CAL-405", "warning", "", f"{sentence} (--poses-frame FRAME says it)")
+        sentence = "its messages do not name the frame of their poses; they are taken as poses of the ego frame"
+        return Finding("CAL-405", "warning", "", f"{sentence} (give it with --poses-frame FRAME)")
     sentence = f"neither the calibration nor tf_static knows its frame {child!r}; it is taken for the ego frame"
     if sensor := sensor_named(parent, child):
         sentence += (
-            f", though under {parent!r} that is by its name the {sensor}'s, which sits above the ground and may be "
-            f"turned: add the sensor with frame_id {child} to the calibration, where it sits, or name the topic of the "
-            "base's poses"
+            f", although by its name under {parent!r} it is the {sensor}'s, which is above the ground and may be "
+            f"rotated: add the sensor with frame_id {child} and its extrinsics to the calibration, or name the topic "
+            "of the base's poses"
         )
     return Finding("CAL-405", "warning", child, sentence)

@@ -50,13 +50,13 @@ def _child_from_ego(name: str, frame: str, rig: RigMounts) -> tuple[SE3, tuple[F
         if frame and frame == mount.name:
             return (rig.calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse(), ()
     if not frame:
-        sentence = "it does not say of which frame its poses are; they are taken for the ego frame's (--poses-frame)"
+        sentence = "it does not name the frame of its poses; they are taken as poses of the ego frame (--poses-frame)"
         return SE3.identity(), (Finding("CAL-405", "warning", name, sentence),)
     step, assumed = child_from_ego("", frame, rig)
     if assumed:
         known = [mount.name for mount in rig.calibration.mounts] + [m.frame_id for m in rig.calibration.mounts]
         names = ", ".join(dict.fromkeys([*BASE_FRAMES[:1], plain(rig.lidar_frame), *known][:8]))
-        raise PoseFileMismatchError(name, f"nobody knows its frame {frame[:60]!r}; known are {names}")
+        raise PoseFileMismatchError(name, f"unknown frame {frame[:60]!r}; known are {names}")
     return step, ()
 
 

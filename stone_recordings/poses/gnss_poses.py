@@ -116,9 +116,9 @@ def _enu(
 
 
 def _left_out(samples: GnssSamples, used: int, topic: str) -> tuple[Finding, ...]:
-    told = Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (NavSatFix does not)")
+    told = Finding("GNS-301", "warning", topic, "the RTK status is unknown (NavSatFix has none)")
     total = len(samples.stamps_ns)
     if used == total:
         return (told,)
-    sentence = f"{total - used} of {total} positions were no fix, or without an attitude, and are left out"
+    sentence = f"{total - used} of {total} positions had no fix or no attitude and are left out"
     return (told, Finding("GNS-303", "warning", topic, sentence))

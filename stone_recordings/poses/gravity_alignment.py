@@ -50,7 +50,9 @@ def levelled(track: PoseTrack, imu: ImuTopic | None) -> PoseTrack:
     """
     up = _up(track.trajectory, imu) if imu is not None else np.full(3, np.nan)
     if not np.isfinite(up).all():
-        sentence = "the map's up is the robot's own where it began: on a slope, level ground is labelled as one"
+        sentence = (
+            "the map's up is the robot's own at its first pose: begun on a slope, level ground is labelled as sloping"
+        )
         return _said(track, Finding("SYN-506", "warning", track.topic, sentence))
     turn = shortest_turn_to_z(up)
     angle_deg = float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[1:]), turn[0])))

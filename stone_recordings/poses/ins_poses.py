@@ -19,6 +19,7 @@ from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.calibration_errors import MissingSensorError
+from stone_recordings.clocks.host_stamps import GPS_REMEDY, host_stamp_finding, lateness
 from stone_recordings.messages.batch import MOST_POSITION_M, StampedMessage
 from stone_recordings.messages.novatel import (
     INS_ALIGNMENT_COMPLETE,
@@ -35,7 +36,6 @@ from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import in_order
 
 USABLE_STATUS = (INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE)
-HOST_JITTER_NS = 500_000
 
 
 def track_from_ins(
@@ -53,9 +53,9 @@ def track_from_ins(
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
     trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
     solution = solution_quality(samples, rows, fixes)
-    findings = unread + ordered.findings + _clock(samples, rows, topic) + _left_out(samples, usable, topic)
+    findings = unread + ordered.findings + _clock(samples, topic) + _left_out(samples, usable, topic)
     if not solution.rtk.any():
-        findings += (Finding("GNS-301", "warning", topic, "nothing tells whether RTK was fixed (no BESTPOS)"),)
+        findings += (Finding("GNS-301", "warning", topic, "the RTK status is unknown (no BESTPOS)"),)
     return PoseTrack(trajectory, source, topic, findings, origin, solution, is_smooth=True)
 
 
@@ -115,21 +115,16 @@ def _usable(samples: InsSamples, source: str) -> NDArray[np.int64]:
     return rows
 
 
-def _clock(samples: InsSamples, rows: NDArray[np.int64], topic: str) -> tuple[Finding, ...]:
-    late_ns = samples.host_stamps_ns[rows] - samples.gps_stamps_ns[rows]
-    jitter_ns = float(np.std(late_ns - np.median(late_ns)))
-    if jitter_ns <= HOST_JITTER_NS:
-        return ()
-    sentence = (
-        f"stamped on the host (jitter {jitter_ns / 1e6:.2f} ms); GPS time is used instead "
-        f"(median offset {float(np.median(late_ns)) / 1e6:.2f} ms)"
-    )
-    return (Finding("TIM-201", "warning", topic, sentence),)
+def _clock(samples: InsSamples, topic: str) -> tuple[Finding, ...]:
+    """Of all messages with GPS time, as an inspection counts them."""
+    has_time = samples.gps_stamps_ns > 0
+    late = lateness(samples.host_stamps_ns[has_time] - samples.gps_stamps_ns[has_time])
+    return (host_stamp_finding(topic, late, GPS_REMEDY),) if late is not None and late.is_host else ()
 
 
 def _left_out(samples: InsSamples, used: int, topic: str) -> tuple[Finding, ...]:
     total = len(samples.ins_status)
     if used == total:
         return ()
-    sentence = f"{total - used} of {total} samples were no solution and are left out"
+    sentence = f"{total - used} of {total} samples had no solution and are left out"
     return (Finding("GNS-303", "warning", topic, sentence),)

@@ -31,7 +31,9 @@ def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibrati
     moved_m = moved_by_sweeps_m(sweeps, calibration)
     if moved_m > MOVED_M:
         raise StillPosesError(track.source, len(track.trajectory), moved_m)
-    sentence = f"its {len(track.trajectory)} poses never change, and nor do the sweeps: the robot stood"
+    sentence = (
+        f"its {len(track.trajectory)} poses never change, and the sweeps show no motion either: the robot stood still"
+    )
     return (Finding("SYN-510", "warning", track.topic, sentence),)
 
 

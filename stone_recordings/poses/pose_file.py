@@ -83,7 +83,7 @@ def _words(name: str, number: int, raw: bytes) -> list[str]:
     try:
         return raw.decode("utf-8-sig" if number == 1 else "utf-8").partition("#")[0].split()
     except UnicodeDecodeError:
-        raise PoseFileError(name, number, "the line is no text; is it a file of poses?") from None
+        raise PoseFileError(name, number, "the line is not text; is this a file of poses?") from None
 
 
 def _row(name: str, number: int, words: list[str], expected: int | None) -> list[float]:
@@ -93,7 +93,7 @@ def _row(name: str, number: int, words: list[str], expected: int | None) -> list
         raise PoseFileError(name, number, f"the line has {len(words)} words, the lines before it {expected}")
     wrong = [word for word in words if not NUMBER.fullmatch(word)]
     if wrong:
-        raise PoseFileError(name, number, f"{wrong[0][:40]!r} is no number")
+        raise PoseFileError(name, number, f"{wrong[0][:40]!r} is not a number")
     row = [float(word) for word in words]
     if not np.isfinite(row).all():
         raise PoseFileError(name, number, "a number is not finite")
@@ -142,7 +142,7 @@ def _kitti(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> S
         is_turn = (apart <= MOST_OFF_ROTATION) & (np.linalg.det(np.nan_to_num(turn)) > 0)
     off = np.flatnonzero(~is_turn)
     if len(off):
-        why = f"its 3 × 3 part is no rotation (off by {apart[off[0]]:.3g})"
+        why = f"its 3 × 3 part is not a rotation (off by {apart[off[0]]:.3g})"
         raise PoseFileError(name, int(lines[off[0]]), why)
     left, _, right = np.linalg.svd(turn)
     whole = np.tile(np.eye(4), (len(table), 1, 1))

@@ -23,7 +23,7 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
             "BAG-011",
             "info",
             "",
-            "No usable index: the whole file was walked. Record without `fastwrite`, or close the bag, to avoid it.",
+            "No usable index: the whole file was scanned. Record without `fastwrite`, or close the bag, to avoid it.",
         )
     for topic in bag.topics:
         if topic.encoding != "cdr":
@@ -34,12 +34,12 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
 def cloud_findings(topic: Topic, cloud: Cloud) -> Iterator[Finding]:
     """One cloud of a LiDAR topic, looked at in full."""
     if cloud.is_misdeclared:
-        message = "Declared big-endian, its points are little-endian: they are read as such. Mend the driver's flag."
+        message = "Declared big-endian, its points are little-endian: they are read as such. Correct the driver's flag."
         yield Finding("MSG-303", "warning", topic.name, message)
     points = lidar_points(cloud)
     if points.offset_ns is None and points.time_meaning == "another clock":
-        message = "The times of the points are of another clock than the header stamp: deskew is off."
+        message = "Point times are on another clock than the header stamp: sweeps are not deskewed."
         yield Finding("TOP-102", "warning", topic.name, message)
     elif points.offset_ns is None:
-        message = "The points carry no time: deskew is off, a turning robot smears its sweeps."
+        message = "The points have no time: sweeps are not deskewed, and a turning robot smears them."
         yield Finding("TOP-102", "warning", topic.name, message)

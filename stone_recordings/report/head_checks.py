@@ -53,8 +53,8 @@ def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArr
         yield Finding("MSG-312", "warning", topic.name, message)
     if role in FRAMED_ROLES and counts.frameless:
         message = (
-            f"{counts.frameless} of {topic.count} messages name no frame (header.frame_id is empty): nothing can tell "
-            "by it where the sensor sits. Set the frame in the driver."
+            f"{counts.frameless} of {topic.count} messages name no frame (header.frame_id is empty): the sensor "
+            "cannot be matched to the calibration. Set the frame in the driver."
         )
         yield Finding("TOP-115", "warning", topic.name, message)
     undated_ns = stamps_ns[np.abs(stamps_ns) < FIRST_DATE_NS]
@@ -74,6 +74,6 @@ def undated_finding(topic: Topic, role: Role, stamps_ns: NDArray[np.int64]) -> I
     if role in DATED_ROLES and len(set_ns) and np.abs(set_ns).max() < FIRST_DATE_NS:
         message = (
             f"Its stamps begin {int(set_ns[0]) / 1e9:.3f} s after 1970-01-01: its clock was never set, or time was "
-            "simulated. Recordings of two such runs cannot be told apart by time."
+            "simulated. Recordings of two such runs cannot be distinguished by time."
         )
         yield Finding("TIM-211", "warning", topic.name, message)

@@ -30,7 +30,7 @@ def picture_findings(bag: Bag, sequence: Sequence) -> tuple[Finding, ...]:
 
 def _unknown(calibration: Calibration, names: tuple[str, ...]) -> tuple[Finding, ...]:
     try:
-        require_mounts(calibration, names, "looking at the LiDAR's points in every picture")
+        require_mounts(calibration, names, "projecting the LiDAR's points into every image")
     except MissingSensorError as error:
         return (Finding(error.code, "warning", "", str(error)),)
     return ()

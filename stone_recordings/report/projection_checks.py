@@ -93,12 +93,12 @@ def _seen(view: CameraView, least_ratio: float) -> str:
     )
     if view.off_name_deg is not None:
         seen += f", it looks {view.off_name_deg:.0f}° from where its name says"
-    return seen if view.is_plausible else seen + " and its picture is not upright"
+    return seen if view.is_plausible else seen + " and its image is not upright"
 
 
 def _ego_finding(count: int) -> Finding:
     sentence = (
-        f"{EGO_FROM_LIDAR}: {count} cameras look away from where their names say, and all fit once it is turned "
-        "round; the transform is inverted: it is lidar_from_ego"
+        f"{EGO_FROM_LIDAR}: {count} cameras look away from where their names say, and all fit with its inverse: "
+        "the transform is lidar_from_ego"
     )
     return Finding("CAL-404", "error", EGO_FROM_LIDAR, sentence)

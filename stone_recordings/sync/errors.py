@@ -46,7 +46,7 @@ class WrongTopicError(StoneError):
 
 
 class AmbiguousTopicsError(StoneError):
-    """Several topics fit one role and nothing says which is meant."""
+    """Several topics fit one role, and none was chosen."""
 
     code = "TOP-110"
 
@@ -55,7 +55,7 @@ class AmbiguousTopicsError(StoneError):
 
 
 class NoPoseSourceError(StoneError):
-    """Nothing in the recording says where the robot was."""
+    """The recording has no pose source."""
 
     code = "SYN-502"
 
@@ -63,12 +63,12 @@ class NoPoseSourceError(StoneError):
         super().__init__(
             "no pose source: no NovAtel INSPVA(X), no nav_msgs/msg/Odometry, no /tf from odom, map or world to the "
             f"robot, no PoseStamped and no NavSatFix with an Imu (found: {listed(found)}); record one, name a topic "
-            "with --odometry, give a file with --poses, or have the sweeps tell: --odometry kiss-icp"
+            "with --odometry, give a file with --poses, or estimate them from the sweeps: --odometry kiss-icp"
         )
 
 
 class NoUsablePoseError(StoneError):
-    """There is a pose source, but none of its samples is a pose."""
+    """There is a pose source, but none of its samples is usable."""
 
     code = "SYN-503"
 
@@ -79,20 +79,20 @@ class NoUsablePoseError(StoneError):
 
 
 class NoAttitudeError(StoneError):
-    """The IMU beside a receiver tells no orientation."""
+    """The IMU beside a receiver gives no orientation."""
 
     code = "GNS-306"
 
     def __init__(self, topic: str, count: int) -> None:
         super().__init__(
-            f"{topic}: none of its {count} messages tells an orientation (orientation_covariance[0] is -1, or no "
-            "rotation), so positions of NavSatFix alone are no poses; record the filtered IMU (imu_filter_madgwick, "
-            "the driver's /imu/data), or have the sweeps tell: --odometry kiss-icp"
+            f"{topic}: none of its {count} messages gives an orientation (orientation_covariance[0] is -1, or no "
+            "rotation), so positions of NavSatFix alone are not poses; record the filtered IMU (imu_filter_madgwick, "
+            "the driver's /imu/data), or estimate them from the sweeps: --odometry kiss-icp"
         )
 
 
 class PoseFileError(StoneError):
-    """A file of poses holds something that is no pose."""
+    """A file of poses has a line that is not a pose."""
 
     code = "SYN-516"
 
@@ -102,7 +102,7 @@ class PoseFileError(StoneError):
 
 
 class PoseFileMismatchError(StoneError):
-    """A file of poses does not go with the recording or its calibration."""
+    """A file of poses does not match the recording or its calibration."""
 
     code = "SYN-517"
 
@@ -111,35 +111,36 @@ class PoseFileMismatchError(StoneError):
 
 
 class NoUsableSweepError(StoneError):
-    """Not one cloud of the LiDAR can be used."""
+    """None of the LiDAR's sweeps can be used."""
 
     code = "SYN-509"
 
     def __init__(self, topic: str, count: int, reason: str) -> None:
-        super().__init__(f"{topic}: none of its {count} sweeps can be used (the first: {reason}); look at the driver")
+        super().__init__(f"{topic}: none of its {count} sweeps can be used (the first: {reason}); check the driver")
 
 
 class StillPosesError(StoneError):
-    """The poses say that the robot stood, and its sweeps that it did not."""
+    """The poses do not move although the sweeps do."""
 
     code = "SYN-510"
 
     def __init__(self, source: str, count: int, moved_m: float) -> None:
         super().__init__(
             f"{source}: its {count} poses never change, but the sweeps show {moved_m:.1f} m of motion; was the source "
-            "ever set? Choose another one, or have the sweeps tell: --odometry kiss-icp"
+            "initialised? Choose another one, or estimate them from the sweeps: --odometry kiss-icp"
         )
 
 
 class SparsePosesError(StoneError):
-    """Poses come so rarely that no sweep has one."""
+    """Poses are too sparse for any sweep to have one."""
 
     code = "SYN-511"
 
     def __init__(self, source: str, period_s: float, limit_s: float) -> None:
         super().__init__(
             f"{source}: its poses come every {period_s:.3f} s, and nothing is interpolated across more than "
-            f"{limit_s:.3f} s, so no sweep has a pose; record them faster, or have the sweeps tell: --odometry kiss-icp"
+            f"{limit_s:.3f} s, so no sweep has a pose; record them at a higher rate, or estimate them from the sweeps: "
+            "--odometry kiss-icp"
         )
 
 
@@ -153,7 +154,8 @@ class NoPosedFramesError(StoneError):
         super().__init__(
             f"no sweep is usable ({reasons}): LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
             f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {apart_s:+.3f} s apart at the start (18 s is GPS, 37 s TAI, "
-            f"hours a time zone{_way_out(apart_s)}; for pose_gap, record poses more often, or have the sweeps tell: "
+            f"hours a time zone{_way_out(apart_s)}; for pose_gap, record poses more often, or estimate them "
+            "from the sweeps: "
             "--odometry kiss-icp)"
         )
 

@@ -76,8 +76,8 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
     sentence = (
         f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
         f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
-        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit.beyond_terrain()))} would put "
-        "it right, and ground auto puts this run on its ground"
+        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit.beyond_terrain()))} would "
+        "correct it, and ground auto corrects it for this run"
     )
     return (Finding("CAL-433", "warning", "", sentence),)
 

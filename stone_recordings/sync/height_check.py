@@ -87,17 +87,18 @@ def _findings(found: HeightDrift) -> tuple[Finding, ...]:
     if not found.is_beyond_terrain:
         return ()
     where = (
-        f"two looks at the same ground lie up to {found.apart_m:.2f} m apart by the poses ({found.links} pairs of "
+        f"two observations of the same ground lie up to {found.apart_m:.2f} m apart by the poses "
+        f"({found.links} pairs of "
         f"{found.looks} sweeps along {found.driven_m:.0f} m)"
     )
     if found.is_followed:
         sentence = (
             f"{where}: they drift in z, by {found.span_m:.2f} m over the run, and were moved up or down by what the "
-            f"ground says, after which such looks lie {found.left_m:.2f} m apart (95 %)"
+            f"ground says, after which such observations lie {found.left_m:.2f} m apart (95 %)"
         )
         return (Finding("SYN-514", "warning", "", sentence),)
     sentence = (
-        f"{where}, and moving the poses up and down leaves {found.left_m:.2f} m (95 %): that is no slow drift in "
+        f"{where}, and moving the poses up and down leaves {found.left_m:.2f} m (95 %): that is not a slow drift in "
         "z, and they stay as given; are they this robot's, of this time, and is the LiDAR mounted as entered?"
     )
     return (Finding("SYN-515", "warning", "", sentence),)

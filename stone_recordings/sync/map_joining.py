@@ -157,7 +157,7 @@ def _finding(sequence: Sequence, one: Break) -> Finding:
     where = f"the track breaks between {stamps_ns[one.before]} and {stamps_ns[one.after]} ns ({silent_s:.1f} s)"
     found = one.registered
     if not one.is_joined:
-        sentence = f"{where}; what follows is a map of its own, for it could not be joined: {found.doubt}"
+        sentence = f"{where}; what follows is a separate map, since it could not be joined: {found.doubt}"
         return Finding("SYN-508", "warning", "", sentence)
     moved = f"moved by {one.far_m:.2f} m and {np.rad2deg(one.turned_rad):.1f}°" if one.is_moved else "as given"
     fits = f"{found.overlap:.0%} overlap, surfaces {1000 * found.residual_m:.0f} mm apart"
@@ -166,7 +166,7 @@ def _finding(sequence: Sequence, one: Break) -> Finding:
 
 def _too_many(breaks: int) -> Finding:
     sentence = (
-        f"the track breaks {breaks} times; each stretch is a map of its own, for above {MOST_BREAKS} breaks none are "
+        f"the track breaks {breaks} times; each stretch is a separate map, since above {MOST_BREAKS} breaks none are "
         "joined (is this the right source of poses?)"
     )
     return Finding("SYN-508", "warning", "", sentence)

@@ -50,7 +50,7 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
     """
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
     if len(trajectory) < 2:
-        raise NoUsablePoseError(track.source, len(trajectory), "one pose is no track")
+        raise NoUsablePoseError(track.source, len(trajectory), "one pose is not a track")
     path = split_at_gaps(with_between(trajectory, max_gap_ns) if track.is_smooth else trajectory, max_gap_ns)
     at_stamp = path.at(stamps_ns, max_gap_ns)
     at_ends = [path.at(stamps_ns + offset_ns, max_gap_ns) for offset_ns in clock.span_ns]

@@ -7,18 +7,20 @@ from stone.errors import StoneError
 
 
 class BadProfileError(StoneError):
-    """A profile names a part there is none, a topic that cannot be, or one topic twice."""
+    """A topic profile names an unknown role, an impossible topic, or one topic twice."""
 
     code = "TOP-113"
 
     def __init__(self, found: str, expected: str) -> None:
-        super().__init__(f"a profile of topics cannot hold {found}; it holds {expected}")
+        super().__init__(f"a topic profile cannot hold {found}; expected is {expected}")
 
 
 class ProfileFileError(StoneError):
-    """A file is no profile of topics."""
+    """The file is not a topic profile."""
 
     code = "TOP-114"
 
     def __init__(self, name: str, fault: str) -> None:
-        super().__init__(f"{name} is no profile of topics: {fault}; it reads `stone_profile: 1` and `topics:` by part")
+        super().__init__(
+            f"{name} is not a topic profile: {fault}; expected are `stone_profile: 1` and `topics:` by role"
+        )

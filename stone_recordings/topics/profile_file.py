@@ -36,9 +36,9 @@ def read_profile(path: Path) -> TopicProfile:
         raise ProfileFileError(path.name, f"it has the unknown key {unknown[0]!r}")
     platform, topics = document.get("platform", ""), document.get("topics")
     if not isinstance(platform, str) or len(platform) > LONGEST_PLATFORM:
-        raise ProfileFileError(path.name, f"its platform is no text of at most {LONGEST_PLATFORM} characters")
+        raise ProfileFileError(path.name, f"its platform is not text of at most {LONGEST_PLATFORM} characters")
     if not isinstance(topics, dict) or not all(isinstance(name, str) for pair in topics.items() for name in pair):
-        raise ProfileFileError(path.name, "its topics are not names by part")
+        raise ProfileFileError(path.name, "its topics are not names by role")
     return TopicProfile(topics, platform)
 
 

@@ -40,13 +40,13 @@ class TopicProfile:
             raise BadProfileError(f"{len(self.topics)} topics", f"at most {MOST_TOPICS}")
         for part, topic in self.topics.items():
             if part not in PARTS and not CHANNEL.fullmatch(part):
-                raise BadProfileError(f"the part {part[:40]!r}", "lidar, pose, imu, CAM_… or RADAR_… (CAM_FRONT_LEFT)")
+                raise BadProfileError(f"the role {part[:40]!r}", "lidar, pose, imu, CAM_… or RADAR_… (CAM_FRONT_LEFT)")
             if not 0 < len(topic) <= LONGEST_TOPIC or not topic.isprintable() or topic != topic.strip():
                 raise BadProfileError(f"the topic {topic[:40]!r}", f"a name of 1 to {LONGEST_TOPIC} plain characters")
         for topic in self.topics.values():
             parts = [part for part, named in self.topics.items() if named == topic]
             if len(parts) > 1:
-                raise BadProfileError(f"the topic {topic[:40]!r} as {' and '.join(parts)}", "one part of each topic")
+                raise BadProfileError(f"the topic {topic[:40]!r} as {' and '.join(parts)}", "one role for each topic")
 
 
 @dataclass(frozen=True)
@@ -172,7 +172,7 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
         yield Finding("TOP-101", "error", packets[0].name if packets else "", message)
     if "pose" not in channels and not any(of_pose_role(role, _of_role(recorded, role)) for role in POSE_ROLES):
         message = (
-            "No source of poses: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."
+            "No pose source: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."
         )
         yield Finding("TOP-103", "warning", "", message)
 
@@ -185,5 +185,7 @@ def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) ->
         lost = [one for one in found if channel_of(kind, one.name, one.frame_id, channel_of_frame) is None]
         if lost:
             line = f"--topic {PREFIX[kind]}_FRONT={lost[0].name}"
-            message = f"Where the {kind} of {_listed(lost)} looks cannot be told from names; where ahead: {line}"
+            message = (
+                f"The viewing direction of the {kind} {_listed(lost)} cannot be inferred from names; if forward: {line}"
+            )
             yield Finding("TOP-112", "info", lost[0].name, message)

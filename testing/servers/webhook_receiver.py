@@ -84,8 +84,9 @@ class WebhookReceiver:
         return f"{self._scheme}://localhost:{self.port}{path}"
 
     def received(self) -> list[dict[str, Any]]:
+        """What came, but for a line that is just being written."""
         text = self._file.read_text("utf-8") if self._file.exists() else ""
-        return [json.loads(line) for line in text.splitlines()]
+        return [json.loads(line) for line in text.splitlines(keepends=True) if line.endswith("\n")]
 
 
 @contextmanager

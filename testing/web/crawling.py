@@ -14,7 +14,8 @@ from urllib.parse import urljoin, urlsplit
 import httpx
 
 LINK = re.compile(r'(?:href|src|hx-get|data-source)="([^"]+)"')
-ID = re.compile(r"(?<=/)[0-9a-f]{32}(?=/|$)|(?<=/)[0-9a-f]{16}(?=/)")
+ID = re.compile(r"(?<=/)[0-9a-f]{32}(?=/|$)|(?<=/)[0-9a-f]{16}(?=/)|(?<=^/codes/)[A-Za-z0-9_-]+$")
+ELSEWHERE = "/docs/"  # the manual has tests of its own
 EACH_SHAPE = 3
 MOST_PAGES = 400
 
@@ -55,7 +56,8 @@ def links(path: str, text: str) -> Iterator[str]:
     """The paths of this site that the page names."""
     for raw in LINK.findall(text):
         parts = urlsplit(urljoin(f"http://site{path}", unescape(raw)))
-        if parts.netloc == "site" and parts.scheme == "http" and not parts.path.endswith("/events"):
+        is_ours = parts.netloc == "site" and parts.scheme == "http" and not parts.path.startswith(ELSEWHERE)
+        if is_ours and not parts.path.endswith("/events"):
             yield f"{parts.path}?{parts.query}" if parts.query else parts.path
 
 

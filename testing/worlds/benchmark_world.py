@@ -196,7 +196,7 @@ def benchmark_over(platform: Platform, administrator: Person, dataset: str) -> t
     """A benchmark's name, and its phases over val (open) and test (hidden) of a version, their ground truth ready."""
     with platform.database.transaction() as session:
         version = session.scalars(select(Dataset).where(Dataset.name == dataset)).one()
-        asked = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Where can it go?", administrator.user_id)
+        asked = NewBenchmark(f"stone-{new_id()[-6:]}", "STONE", "Traversability of voxels", administrator.user_id)
         benchmark: Benchmark = create_benchmark(session, asked)
         val = create_phase(session, benchmark, version, NewPhase("val", part="val", is_hidden=False))
         test = create_phase(session, benchmark, version, NewPhase("test", part="test", is_hidden=True))

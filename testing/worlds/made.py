@@ -20,7 +20,15 @@ from sqlalchemy import select
 
 from services.domain.exports.requests import ExportResult, start_export, write_export
 from services.domain.sequences.label_comparisons import start_comparison
-from services.domain.viewer.playback import INDEX, PLAYBACK, PlaybackChannels, camera_file, cloud_file, index_record
+from services.domain.viewer.playback import (
+    CAMERAS,
+    INDEX,
+    PLAYBACK,
+    PlaybackChannels,
+    camera_file,
+    cloud_file,
+    index_record,
+)
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Artefact, Job, LabelledFrameRow, LabelSet, Recording, SequenceRow, Upload, new_id
@@ -144,9 +152,8 @@ def playback(platform: Platform, sequence_id: str, tokens: Listing[str], content
             session.add(Recording(**facts, size_bytes=1, sha256="0" * 64))
     files = {camera_file("CAM_FRONT", token): b"\xff\xd8" + token.encode() + content for token in tokens}
     files |= {cloud_file(token): b"STC1" + token.encode() + content for token in tokens}
-    return export(
-        platform, sequence_id, {**files, INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True))}, PLAYBACK
-    )
+    files |= {CAMERAS: b"STR1" + content, INDEX: index_record(PlaybackChannels(("CAM_FRONT",), True, True))}
+    return export(platform, sequence_id, files, PLAYBACK)
 
 
 def scene_json(name: str, tokens: Listing[str]) -> bytes:

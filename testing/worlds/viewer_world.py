@@ -15,15 +15,15 @@ from numpy.typing import NDArray
 from sqlalchemy import select
 
 from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes
-from services.domain.viewer.playback import INDEX, PLAYBACK, PlaybackChannels, cloud_file, index_record
-from services.runtime.orm import Artefact, LabelSet, SequenceRow, Upload
+from services.domain.viewer.playback import INDEX, PlaybackChannels, cloud_file, index_record
+from services.runtime.orm import Artefact, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from stone.labels.traversability import Reference, distance_squared, threshold
 from stone.labels.voxels import VOXEL_M
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
 from testing.worlds import made
-from testing.worlds.rows import recording_of
+from testing.worlds.viewer_cameras import CHANNELS, camera_files, played
 
 Grid = NDArray[np.uint8]
 Floats = NDArray[Any]
@@ -133,7 +133,9 @@ def observed_of(grid: Grid) -> Grid:
     return np.broadcast_to(seen[..., None], SHAPE).astype(np.uint8).copy()
 
 
-def viewed(platform: Platform, owner: Person, run: Run | None = None, *, has_clouds: bool = False) -> dict[str, Any]:
+def viewed(
+    platform: Platform, owner: Person, run: Run | None = None, *, has_clouds: bool = False, has_cameras: bool = False
+) -> dict[str, Any]:
     """A sequence of the run with labels and a scene as the labeler leaves them: its id, name and tokens."""
     run = run or Run()
     with platform.database.transaction() as session:
@@ -144,12 +146,11 @@ def viewed(platform: Platform, owner: Person, run: Run | None = None, *, has_clo
     labels = made.labels(platform, facts, seed=row.id.encode(), contents=_label_files(run))
     tokens = list(labels.frames)
     _replace_scene(platform, labels.id, scene_files(facts["name"], tokens, run))
-    if has_clouds:
-        upload_id = made.upload(platform, owner)
-        with platform.database.transaction() as session:
-            session.add(recording_of(session.get_one(Upload, upload_id), facts["id"], "registered"))
-        files = {cloud_file(token): _cloud(run, number) for number, token in enumerate(tokens)}
-        made.export(platform, facts["id"], {**files, INDEX: index_record(PlaybackChannels((), True))}, PLAYBACK)
+    if has_clouds or has_cameras:
+        files = {cloud_file(token): _cloud(run, number) for number, token in enumerate(tokens) if has_clouds}
+        files |= camera_files(tokens) if has_cameras else {}
+        shown = PlaybackChannels(tuple(CHANNELS) if has_cameras else (), has_clouds, has_cameras)
+        played(platform, owner, facts["id"], {**files, INDEX: index_record(shown)})
     return {**facts, "tokens": tokens, "label_set_id": labels.id}
 
 

@@ -36,7 +36,9 @@ class Answer:
         return "json" in self.headers.get("content-type", "")
 
     def heads(self) -> str:
-        return "\n".join(f"{name}: {value}" for name, value in self.headers.items())
+        """Without the body's own length, which tells nothing that the body does not and is any number."""
+        own = ("content-length", str(len(self.body)))
+        return "\n".join(f"{name}: {value}" for name, value in self.headers.items() if (name, value) != own)
 
 
 class Crawl:

@@ -10,10 +10,12 @@ from api.routes.admin.admin_jobs import AdminFilters
 from api.views.admin import job_counts
 from api.views.queues import queue_items
 from benchmarks.dashboard.rows import fill
+from services.domain.notifications.messages import message_of
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
-from services.runtime.orm import AuditEntry, Job
+from services.runtime.notifications.events import RUN_FAILED
+from services.runtime.orm import AuditEntry, Job, NotificationEvent
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
@@ -67,6 +69,39 @@ def test_jobs_of_one_run_are_one_act(api: httpx.Client, platform: Platform, admi
     items = acts(api, administrator, "cancel", *children, root_id)
     assert {(one["root_id"], one["state"]) for one in items} == {(root_id, "cancelled")}
     assert [one["failure"] for one in items] == [None] * 3
+
+
+def test_an_owner_is_told_why_an_administrator_cancelled_and_not_of_what_they_cancelled(
+    api: httpx.Client, platform: Platform, administrator: Person
+) -> None:
+    ada = person(platform, "curator")
+    forest = sequence(api, ada)
+    theirs, own = (run(platform, ada, "ingest.speak", sequence_id=forest["id"]) for _ in range(2))
+    acts(api, administrator, "cancel", theirs)
+    assert api.post(f"/api/v1/jobs/{own}/cancel", headers=ada.headers).status_code == 202
+    with platform.database.reading() as session:
+        (told,) = session.scalars(select(NotificationEvent).where(NotificationEvent.kind == RUN_FAILED)).all()
+        message = message_of(session, told)
+    assert (told.subject_id, told.user_id) == (theirs, ada.user_id)
+    assert message is not None
+    assert message.text == f"Processing of “forest” was cancelled by an administrator: {WHY}"
+
+
+@pytest.mark.parametrize(("body", "why"), [({"reason": WHY}, WHY), (None, "no reason was given")])
+def test_an_owner_is_told_once_of_a_run_that_an_administrator_cancels_on_the_sequences_page(
+    api: httpx.Client, platform: Platform, administrator: Person, body: dict[str, str] | None, why: str
+) -> None:
+    ada = person(platform, "curator")
+    theirs = run(platform, ada, "ingest.speak", sequence_id=sequence(api, ada)["id"])
+    with platform.database.transaction() as session:
+        for row in session.scalars(select(Job).where(Job.root_id == theirs)):
+            row.state = "running"  # so that it can be terminated too
+    cancelled = api.post(f"/api/v1/jobs/{theirs}/cancel", json=body, headers=administrator.headers)
+    assert (cancelled.status_code, cancelled.json()["cancel_reason"]) == (202, why)
+    acts(api, administrator, "terminate", theirs)
+    with platform.database.reading() as session:
+        (told,) = session.scalars(select(NotificationEvent).where(NotificationEvent.kind == RUN_FAILED)).all()
+    assert (told.subject_id, told.user_id, told.facts["failure"]) == (theirs, ada.user_id, why)
 
 
 @pytest.mark.parametrize(
@@ -126,6 +161,11 @@ def test_the_list_names_owner_and_sequence_and_says_when_a_run_will_end(
     assert item["progress"]["eta_s"] > 0
     detail = ask(api, administrator, f"/jobs/{item['id']}")
     assert (detail["owner"], detail["sequence"]) == (ada.name, "forest")
+    own = [api.get(f"/api/v1/jobs{path}", headers=ada.headers).json() for path in ("", f"/{item['id']}")]
+    told = {one["progress"]["eta_s"] for one in (item, detail, own[0]["items"][0], own[1])}
+    assert len(told) == 1, "one run, several estimates"
+    assert {child["progress"]["eta_s"] for child in detail["children"]} == {None}
+    assert item["title"] == "Labelling"
 
 
 def test_a_queue_says_how_long_its_oldest_waits_and_what_it_achieved(

@@ -90,7 +90,7 @@ def test_who_may_see_what_is_told_in_words_that_follow_the_phase(
         visibility: list[str] = shown["visibility"]
         return visibility
 
-    assert told("val")[0].startswith("The ground truth is open: everybody: totals rounded")
+    assert told("val")[0].startswith("The ground truth is open: everyone: totals rounded")
     assert told("test")[0].startswith("The ground truth is hidden and the phase has not ended")
     with platform.database.transaction() as session:
         session.execute(update(Phase).values(closes_ns=now_ns() - 1, named_from_ns=now_ns() + 10**12))

@@ -29,7 +29,7 @@ def test_a_benchmark_of_a_version_has_an_open_val_and_a_hidden_test(
         "test": ("test", True, []),
     }
     shown = api.get(f"{V1}/benchmarks/stone", headers=participant.headers).json()
-    assert (shown["title"], shown["description"]) == ("STONE", "Where can it go?\nIn 3D.")
+    assert (shown["title"], shown["description"]) == ("STONE", "Traversability of voxels\nIn 3D.")
     assert [phase["id"] for phase in shown["phases"]] == [phases["test"]["id"], phases["val"]["id"]]
     assert "findings" not in shown["phases"][0]
     listed = api.get(f"{V1}/benchmarks", headers=participant.headers).json()
@@ -105,6 +105,8 @@ def test_a_phase_is_changed_by_whom_has_read_it(api: httpx.Client, administrator
         "revision": 2,
     }
     assert problem(change(api, administrator, phase, tag, title="x")) == (412, "precondition_failed")
+    never = change(api, administrator, phase, tag, opens_at="1900-01-01T00:00:00Z")
+    assert [one["expected"] for one in never.json()["errors"]] == ["the year is 1900; expected 1970 to 2200"]
     freed = change(api, administrator, phase, changed.headers["etag"], closes_at=None, scorings_total=None, title=None)
     assert (freed.json()["closes_at"], freed.json()["scorings_total"]) == (None, None)
     assert freed.json()["title"] == phase["title"]

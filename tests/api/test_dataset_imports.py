@@ -76,8 +76,8 @@ def test_a_body_that_nobody_understands_is_refused(
     [
         ("classes: {0: free}", "no name"),
         ("name: theirs\nclasses: {0: grass}", "'grass'"),
-        ("name: theirs\nclasses: {256: free}", "no number from 0 to 255"),
-        ("{", "no YAML"),
+        ("name: theirs\nclasses: {256: free}", "not a number from 0 to 255"),
+        ("{", "not YAML"),
         ("a: &a [x, x]\nb: &b [*a, *a]\nname: n\nclasses: {0: *b}", "expected is one of"),
     ],
 )

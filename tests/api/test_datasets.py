@@ -234,7 +234,7 @@ def test_the_database_refuses_to_change_a_version(platform_on: Platform, release
 
 def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Platform, release_on: Release) -> None:
     with platform_on.database.reading() as session:
-        of_version = Artefact.name.not_like("scene/%") & (Artefact.name != "thumbnail.jpg")
+        of_version = Artefact.name.not_like("scene/%") & (Artefact.name != "thumbnail.png")
         held = session.scalars(select(Artefact.blob_sha256).where(of_version)).all()
     with platform_on.database.transaction() as session:
         session.execute(delete(LabelSet))

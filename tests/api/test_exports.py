@@ -1,4 +1,5 @@
-"""Exports over HTTP: asked for once, downloaded whole, in ranges or file by file, by their owner alone."""
+"""Exports over HTTP: asked for once, downloaded whole, in ranges or file by file, by their owner; those of a public
+sequence by whoever is signed in."""
 
 import io
 import tarfile
@@ -14,11 +15,12 @@ from sqlalchemy import func, select
 
 from services.runtime.access import storage_quota
 from services.runtime.jobs.control import cancel
-from services.runtime.orm import AuditEntry, Blob, Export, ExportPack, Job
+from services.runtime.orm import AuditEntry, Blob, Export, ExportPack, Job, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.garbage_collection import collect_garbage
 from testing.api.serving import Person, person
-from testing.worlds.made import NOBODY, export, labels, sequence
+from testing.worlds import published
+from testing.worlds.made import NOBODY, export, labels, playback, sequence
 
 URL = "/api/v1/sequences"
 FILES = {
@@ -210,6 +212,50 @@ def test_nobody_downloads_what_is_not_theirs(
         elsewhere = made.replace(forest["id"], mine["id"]) + route
         assert ask(api, curator, elsewhere).status_code == 404
         assert ask(api, curator, f"{URL}/{forest['id']}/exports/{NOBODY}{route}").status_code == 404
+
+
+def test_finished_exports_of_a_public_sequence_are_for_whoever_is_signed_in(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any], made: str
+) -> None:
+    played = f"{URL}/{forest['id']}/exports/{export_played(platform, forest['id'])}"
+    reader = person(platform, "participant")
+    with platform.database.transaction() as session:
+        session.get_one(SequenceRow, forest["id"]).is_public = True
+    for route in ("", "/archive", "/files", "/files/sha256sum.txt"):
+        assert api.get(made + route).status_code == 401
+        assert ask(api, reader, made + route).status_code == 200
+        assert ask(api, reader, played + route).status_code == 404
+    assert api.head(f"{made}/archive", headers=reader.headers).status_code == 200
+    listed = ask(api, reader, f"{URL}/{forest['id']}/exports").json()["items"]
+    assert [one["id"] for one in listed] == [made.rpartition("/")[2]]
+    assert len(ask(api, curator, f"{URL}/{forest['id']}/exports").json()["items"]) == 2
+    other = person(platform, "curator")
+    assert start(api, other, forest, "mesh").status_code == 404
+    assert api.delete(made, headers=other.headers).status_code == 404
+    with platform.database.transaction() as session:
+        session.get_one(Export, made.rpartition("/")[2]).finished_ns = None
+    assert ask(api, reader, made).status_code == ask(api, reader, f"{made}/archive").status_code == 404
+
+
+def export_played(platform: Platform, sequence_id: str) -> str:
+    """The id of a playback of the sequence."""
+    playback(platform, sequence_id, ["f" * 32], b"a picture")
+    with platform.database.reading() as session:
+        return session.scalars(select(Export.id).where(Export.format == "playback")).one()
+
+
+def test_what_is_hidden_is_exported_for_nobody_else_be_the_sequence_public(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any], made: str
+) -> None:
+    with platform.database.transaction() as session:
+        session.get_one(SequenceRow, forest["id"]).is_public = True
+    reader = person(platform, "participant")
+    assert ask(api, reader, f"{made}/archive").status_code == 200
+    published.dataset(platform, person(platform, "administrator").user_id, {"test": [forest["id"]]})
+    for route in ("", "/archive", "/files", "/files/sha256sum.txt"):
+        assert ask(api, reader, made + route).status_code == 404
+    assert ask(api, reader, f"{URL}/{forest['id']}/exports").status_code == 404
+    assert ask(api, curator, f"{made}/archive").status_code == 200
 
 
 def test_a_deleted_export_gives_everything_back(

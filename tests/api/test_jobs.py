@@ -167,10 +167,7 @@ def test_a_run_says_how_far_its_stages_are(api_on: httpx.Client, platform_on: Pl
     assert run_next(platform_on, "labeler", HANDLERS)
     body = shown(api_on, ada, f"{JOBS}/{root_id}")
     assert (body["state"], body["queue"], body["failure"], body["finished_at"]) == ("running", "", None, None)
-    assert body["progress"] | {"rate_per_s": 0, "eta_s": 0} == {
-        "stage": "", "done": 2, "total": 3, "rate_per_s": 0, "eta_s": 0,
-    }  # fmt: skip
-    assert body["progress"]["rate_per_s"] > 0
+    assert body["progress"] | {"eta_s": 0} == {"stage": "", "done": 2, "total": 3, "rate_per_s": None, "eta_s": 0}
     assert body["progress"]["eta_s"] > 0
     assert [(stage["kind"], stage["done"], stage["total"]) for stage in body["stages"]] == [
         ("ingest.fan_out", 1, 1),

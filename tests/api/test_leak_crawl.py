@@ -47,7 +47,7 @@ from tests.api.hidden_stage import (
 pytestmark = pytest.mark.whole
 
 UNBOUND = ApiSettings(requests_per_minute=10**7)
-OTHERS = ("recording_id", "export_id", "calibration_id", "comparison_id", "sequence_id", "token")
+OTHERS = ("recording_id", "export_id", "calibration_id", "comparison_id", "sequence_id", "token", "submission_id")
 NOBODYS = "e" * 32
 TELLING_THE_TIME = ("/readyz", "/quota", "/tokens")
 VOLATILE = {"date", "x-request-id", "ratelimit-remaining", "ratelimit-reset"}
@@ -127,6 +127,7 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
         for kind, subject in (("sequence_id", hidden), ("token", token), ("job_id", job)):
             others = {one: [NOBODYS] for one in OTHERS} | {"path": [EXPORTED], "name": ["bev.png"]}
             others |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"]}
+            others |= {"benchmark_name": [stage.world.benchmark], "phase_name": ["test", "val"]}
             there, absent = (
                 Crawl(client, _about(document, kind), others | {kind: [one]}) for one in (subject, STRANGER)
             )

@@ -136,7 +136,7 @@ def test_files_are_those_the_sequence_names(done: Done) -> None:
     shown = accepted(done.read(done.path()), 200)
     paths = {"report.json": "/report", "mesh.ply": "/mesh", "bev.png": "/previews/bev.png",
              "map.png": "/previews/map.png", "features.png": "/previews/features.png",
-             "thumbnail.jpg": "/previews/thumbnail.jpg",
+             "thumbnail.png": "/previews/thumbnail.png",
              "frames.parquet": "/frames.parquet", "sequence.npz": "/sequence.npz"}  # fmt: skip
     assert {file["name"] for file in shown["artefacts"]} == set(paths)
     for file in shown["artefacts"]:

@@ -70,6 +70,27 @@ def test_every_operation_has_a_summary_a_tag_and_a_name_of_its_own(document: dic
     assert len(names) == len(set(names))
 
 
+def test_summaries_are_short_phrases_that_tell_operations_apart(document: dict[str, Any]) -> None:
+    """Catches alone FastAPI's default, a function's name in title case ("Activate It")."""
+    seen = set()
+    for path, method, operation in operations(document):
+        summary, tag = operation["summary"], operation["tags"][0]
+        assert not operation["operationId"].endswith("_" + summary.replace(" ", "_").lower()), summary
+        assert 2 <= len(summary.split()) <= 9, summary
+        assert len(summary) <= 80, summary
+        assert not summary.endswith("."), summary
+        assert (tag, summary, method == "head") not in seen, (path, method, summary)
+        seen.add((tag, summary, method == "head"))
+
+
+def test_the_reference_fits_a_phone_and_follows_the_theme(platform: Platform) -> None:
+    with client_of(platform) as api:
+        page = api.get("/api/v1/docs").text
+    assert 'name="viewport"' in page
+    assert "color-scheme:light dark" in page
+    assert "`" not in re.sub("(?s)<pre>.*?</pre>", "", page), "code stands in code elements"
+
+
 def test_every_refusal_is_a_problem(document: dict[str, Any]) -> None:
     for path, method, operation in operations(document):
         for status, answer in operation["responses"].items():

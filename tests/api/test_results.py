@@ -61,13 +61,24 @@ def seen(look: Boarding, caller: Any) -> set[str]:
         "code version": origin["code_version"],
         "by frame": is_told(look.of(look.mine, "confusions", caller)),
         **{by: is_told(look.of(look.mine, "results/breakdowns", caller, by=by)) for by in BY},
+        "frames": refused(look.of(look.mine, f"frames/{NOBODY}.png", caller)) != (403, "frames_hidden"),
+        "predictions": is_told(look.of(look.mine, "predictions.zip", caller)),
+        "baseline zip": gives_baseline(look, caller),
     }
     return {field for field, value in told.items() if value}
 
 
+def gives_baseline(look: Boarding, caller: Any) -> bool:
+    """Whether the caller is given the zip of `mine` where it is a baseline."""
+    look.at.change(look.mine, kind="baseline")
+    reply = look.of(look.mine, "predictions.zip", caller)
+    look.at.change(look.mine, kind="entry")
+    return is_told(reply)
+
+
 def is_told(reply: httpx.Response) -> bool:
     """Whether it was answered; what is withheld is refused by its own code."""
-    if reply.status_code == 200:
+    if reply.status_code == 200 or refused(reply) == (404, "predictions_gone"):  # the scene keeps no zip
         return True
     assert refused(reply) == (403, "withheld")
     return False

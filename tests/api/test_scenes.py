@@ -12,12 +12,14 @@ from PIL import Image
 from sqlalchemy import update
 
 from services.domain.viewer.formats import MEDIA_TYPES
+from services.domain.viewer.playback import INDEX, camera_file
 from services.runtime.jobs.control import cancel
 from services.runtime.orm import Artefact, Export, SequenceRow
 from services.runtime.platform import Platform
 from testing.api.serving import Person
 from testing.worlds.benchmark_world import benchmark_world
 from testing.worlds.made import Labels, frame_labels, labels, playback, run, sequence
+from testing.worlds.viewer_cameras import played as with_playback
 from tests.services.runtime.view_decoding import Read
 
 URL = "/api/v1"
@@ -43,7 +45,7 @@ def scene(api: httpx.Client, caller: Person, forest: Mapping[str, Any]) -> dict[
 def paths_of(forest: Mapping[str, Any], made: Labels) -> list[str]:
     frame, of_sequence = f"{URL}/frames/{next(iter(made.frames))}", f"{URL}/sequences/{forest['id']}"
     of_frame = [f"{frame}/{part}" for part in ("voxels", "bev.png", "camera/CAM_FRONT.jpg", "cloud")]
-    return [*of_frame, *(f"{of_sequence}/scene{part}" for part in ("", "/tiles/0_-1", "/meshes/0_-1"))]
+    return [*of_frame, *(f"{of_sequence}/scene{part}" for part in ("", "/tiles/0_-1", "/meshes/0_-1", "/cameras"))]
 
 
 def make_public(platform: Platform) -> None:
@@ -58,7 +60,7 @@ def test_labels_of_an_earlier_version_have_no_scene_and_say_what_to_do(
         session.execute(update(Artefact).where(Artefact.name == "scene/scene.json").values(name="scene/scene.old"))
     answer = api.get(f"{URL}/sequences/{forest['id']}/scene", headers=curator.headers)
     assert (answer.status_code, answer.json()["code"]) == (404, "no_scene")
-    assert "processed again" in answer.json()["detail"]
+    assert "process the sequence again" in answer.json()["detail"]
 
 
 def test_a_sequence_without_labels_has_no_scene(api: httpx.Client, curator: Person, forest: Mapping[str, Any]) -> None:
@@ -114,7 +116,7 @@ def test_the_scene_is_what_the_labeler_wrote_with_what_is_known_of_it_now(
     assert {key: shown[key] for key in kept} == kept
     assert (shown["sequence_id"], shown["label_set_id"]) == (forest["id"], played.id)
     assert shown["playback"].pop("export_id")
-    assert shown["playback"] == {"state": "ready", "cameras": ["CAM_FRONT"], "has_clouds": True}
+    assert shown["playback"] == {"state": "ready", "cameras": ["CAM_FRONT"], "has_clouds": True, "has_rays": True}
 
 
 def test_tiles_surfaces_pictures_and_sweeps_are_the_files_that_were_made(
@@ -122,11 +124,12 @@ def test_tiles_surfaces_pictures_and_sweeps_are_the_files_that_were_made(
 ) -> None:
     token = next(iter(played.frames))
     answers = [api.get(path, headers=curator.headers) for path in paths_of(forest, played)]
-    assert [answer.status_code for answer in answers] == [200] * 7
-    _, _, camera, cloud, _, tile, mesh = answers
+    assert [answer.status_code for answer in answers] == [200] * 8
+    _, _, camera, cloud, _, tile, mesh, cameras = answers
     assert (camera.content, cloud.content) == (b"\xff\xd8" + token.encode(), b"STC1" + token.encode())
     assert (tile.content, mesh.content) == (played.files["scene/tile_0_-1.bin"], played.files["scene/mesh_0_-1.bin"])
     assert (camera.headers["content-type"], cloud.headers["content-type"]) == ("image/jpeg", MEDIA_TYPES["STC1"])
+    assert (cameras.content, cameras.headers["content-type"]) == (b"STR1", MEDIA_TYPES["STR1"])
 
 
 def test_the_voxels_of_a_frame_are_its_labels(
@@ -157,9 +160,11 @@ def test_the_picture_of_a_frame_shows_its_labels(
 def test_what_names_its_labels_is_kept_for_good_and_what_does_not_is_asked_for_again(
     api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any], played: Labels
 ) -> None:
+    export_id = scene(api, curator, forest)["playback"]["export_id"]
     for path in paths_of(forest, played):
+        version = export_id if path.endswith("/cameras") else played.id
         plain = api.get(path, headers=curator.headers)
-        named = api.get(path, params={"v": played.id}, headers=curator.headers)
+        named = api.get(path, params={"v": version}, headers=curator.headers)
         other = api.get(path, params={"v": "0" * 32}, headers=curator.headers)
         same = api.get(path, headers={**curator.headers, "If-None-Match": plain.headers["etag"]})
         assert plain.content == named.content == other.content
@@ -188,6 +193,25 @@ def test_what_is_public_is_played_to_visitors_and_its_exports_stay_the_owners(
     of_export = f"{URL}/sequences/{forest['id']}/exports/{export_id}"
     for path in (of_export, f"{of_export}/files", f"{of_export}/archive", f"{of_export}/files/playback.json"):
         assert (api.get(path).status_code, api.get(path, headers=participant.headers).status_code) == (401, 404)
+
+
+def test_a_playback_of_an_earlier_release_has_pictures_and_no_cameras_to_look_through(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any], made: Labels
+) -> None:
+    index = json.dumps({"cameras": ["CAM_FRONT"], "has_clouds": False}).encode()
+    token = next(iter(made.frames))
+    with_playback(platform, curator, forest["id"], {INDEX: index, camera_file("CAM_FRONT", token): b"\xff\xd8"})
+    assert scene(api, curator, forest)["playback"]["has_rays"] is False
+    answer = api.get(f"{URL}/sequences/{forest['id']}/scene/cameras", headers=curator.headers)
+    assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
+
+
+def test_labels_are_not_kept_for_good_in_pictures_that_can_be_made_anew(
+    api: httpx.Client, curator: Person, forest: Mapping[str, Any], played: Labels
+) -> None:
+    path = f"{URL}/sequences/{forest['id']}/scene/cameras"
+    answer = api.get(path, params={"v": played.id}, headers=curator.headers)
+    assert answer.headers["cache-control"] == "private, no-cache"
 
 
 def test_a_camera_that_took_no_picture_of_a_frame_is_404(

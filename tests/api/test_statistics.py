@@ -13,6 +13,7 @@ from services.domain.datasets.composition_figure import composition_png, figure_
 from services.domain.datasets.statistics import statistics_record
 from services.runtime.orm import LabelSet
 from services.runtime.platform import Platform
+from stone.labels.class_colours import CLASS_RGB
 from stone.splits.composition import CatalogueEntry
 from testing.api.serving import Person, person
 from testing.worlds.published import dataset, published_sequence
@@ -116,7 +117,7 @@ def test_the_figure_shows_classes_by_their_share() -> None:
     """In panel b (top right) the bars of each class cover what it has of the occupied voxels."""
     png = figure_of((entry(1, voxels=(500, 250, 250)), entry(2, voxels=(500, 250, 250))))
     panel = (760, 60, 1300, 365)
-    t, p, n = (share_of(png, rgb, panel) for rgb in ((38, 166, 91), (250, 205, 80), (176, 42, 55)))
+    t, p, n = (share_of(png, rgb, panel) for rgb in CLASS_RGB.values())
     assert t / (t + p + n) == pytest.approx(0.5, abs=0.03)
     assert p / (t + p + n) == pytest.approx(0.25, abs=0.03)
 

@@ -87,21 +87,21 @@ class Hostile:
 @pytest.mark.parametrize("content", [b"", b"weights", b"PK\3\4 no zip", b"\x80\x02]."])
 def test_files_that_hold_no_weights_are_refused_in_one_line(tmp_path: Path, name: str, content: bytes) -> None:
     (tmp_path / name).write_bytes(content)
-    with pytest.raises(BadRunError, match=f"{name} has not the weights") as refused:
+    with pytest.raises(BadRunError, match=f"{name} lacks the weights") as refused:
         load_backbone(Model(), tmp_path / name)
     assert "\n" not in str(refused.value)
 
 
 def test_nothing_that_a_file_brings_is_run(tmp_path: Path) -> None:
     torch.save({"conv1.weight": Hostile()}, tmp_path / "a.pth")
-    with pytest.raises(BadRunError, match="has not the weights") as refused:
+    with pytest.raises(BadRunError, match="lacks the weights") as refused:
         load_backbone(Model(), tmp_path / "a.pth")
     assert "\n" not in str(refused.value)
 
 
 def test_a_file_of_one_tensor_is_refused(tmp_path: Path) -> None:
     torch.save(torch.zeros(3), tmp_path / "a.pth")
-    with pytest.raises(BadRunError, match="has not the weights"):
+    with pytest.raises(BadRunError, match="lacks the weights"):
         load_backbone(Model(), tmp_path / "a.pth")
 
 

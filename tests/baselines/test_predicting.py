@@ -91,7 +91,7 @@ def test_labels_are_not_looked_at(plan: PredictionPlan, tmp_path: Path) -> None:
 
 
 def test_a_folder_that_is_no_run_is_refused(plan: PredictionPlan, meadow: Path) -> None:
-    with pytest.raises(BadRunError, match="it is no run of `stone train`"):
+    with pytest.raises(BadRunError, match="it is not a run of `stone train`"):
         predict(replace(plan, run=meadow), lambda *_: None)
 
 

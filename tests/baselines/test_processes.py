@@ -57,5 +57,5 @@ def test_two_processes_train_one_model_and_the_first_writes(meadow: Path, tmp_pa
     assert len(list((run / TENSORBOARD).iterdir())) == 1
     run_twice(meadow, run, "--resume")
     assert logged_steps(run) == list(range(1, 9))
-    with pytest.raises(BadRunError, match="its number of processes is not what it was: 2 then, 1 now"):
+    with pytest.raises(BadRunError, match="its number of processes has changed: 2 then, 1 now"):
         trained(TrainingPlan(small_row(batch=1), (meadow,), run, resume=True))

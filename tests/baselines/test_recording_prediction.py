@@ -212,7 +212,7 @@ def contradictions(driven: Driven, manifest: Path) -> Iterator[tuple[str, tuple[
     bag, calibration = ("--bag", driven.bag), ("--calibration", driven.calibration)
     yield "not from both", (driven.export, *bag, *calibration, "--manifest", manifest)
     yield "give exports to predict, or a recording", ("--manifest", manifest)
-    yield "where its sensors sit", bag
+    yield "the calibration of its sensors", bag
     yield "needs --bag", (driven.export, "--manifest", manifest, *calibration)
     yield "which of their frames", (driven.export,)
     yield "needs --manifest", (*bag, *calibration, "--submit", "--benchmark", "b", "--phase", "p", "--team", "t")

@@ -124,7 +124,7 @@ def test_a_log_that_a_kill_cut_is_read_to_its_last_whole_line(plan: TrainingPlan
 
 def test_a_folder_that_holds_a_run_is_not_written_over(plan: TrainingPlan) -> None:
     stopped_after(plan, 2)
-    with pytest.raises(RunExistsError, match="say --resume"):
+    with pytest.raises(RunExistsError, match="continue it with --resume"):
         trained(plan)
 
 
@@ -143,7 +143,7 @@ def test_a_run_goes_on_with_its_own_row_only(plan: TrainingPlan) -> None:
 def test_a_run_goes_on_with_its_own_data_only(plan: TrainingPlan, tmp_path: Path) -> None:
     stopped_after(plan, 3)
     other = write_small_export(tmp_path / "other", SmallExport("other", 9))
-    with pytest.raises(BadRunError, match="its data is not what it was"):
+    with pytest.raises(BadRunError, match="its data has changed"):
         trained(replace(plan, resume=True, exports=(other,)))
 
 
@@ -151,7 +151,7 @@ def test_a_run_goes_on_with_its_own_data_only(plan: TrainingPlan, tmp_path: Path
 def test_a_checkpoint_that_is_none_is_refused(plan: TrainingPlan, content: bytes) -> None:
     stopped_after(plan, 2)
     (plan.run / CHECKPOINT).write_bytes(content)
-    with pytest.raises(BadRunError, match="is no file of a run"):
+    with pytest.raises(BadRunError, match="is not a file of a run"):
         trained(replace(plan, resume=True))
 
 
@@ -168,7 +168,7 @@ def test_fewer_frames_than_a_step_takes_are_refused(plan: TrainingPlan) -> None:
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
 def test_a_gpu_that_is_not_there_is_refused(plan: TrainingPlan) -> None:
-    with pytest.raises(NoAcceleratorError, match=r"cuda:0 cannot be used here by torch .*: say --device cpu"):
+    with pytest.raises(NoAcceleratorError, match=r"cuda:0 cannot be used here by torch .*: use --device cpu"):
         trained(replace(plan, device="cuda"))
     assert not plan.run.exists()
 

@@ -38,7 +38,7 @@ def test_a_trained_row_reaches_the_board(served: Served, meadow: Path, tmp_path:
     assert (trained["steps"], trained["frames"]) == (4, 9)
     again = stone("train", tmp_path / "row.yaml", meadow, "-o", run, "--epochs", "1", "--watch", meadow, "--resume")
     assert again.exit_code == 0, again.stderr
-    assert "best mIoU of what was watched" in again.stdout
+    assert "best validation mIoU" in again.stdout
     assert f"Next: stone predict {run}" in again.stdout
     assert logged_steps(run) == [1, 2, 3, 4]
 

@@ -98,6 +98,22 @@ def test_the_pages_are_looked_at(url: str, browser: Browser, path: str) -> None:
         context.close()
 
 
+def test_the_search_finds_a_word_where_the_site_is_opened_from_a_folder(built: Built, browser: Browser) -> None:
+    context = browser.new_context(viewport=DESKTOP)  # type: ignore[arg-type]
+    context.set_default_timeout(PATIENCE_MS)
+    asked: list[str] = []
+    page = context.new_page()
+    page.on("request", lambda request: asked.append(request.url))
+    try:
+        page.goto((built.folder / "index.html").as_uri())
+        page.locator("[data-md-component='search-query']").press_sequentially("STONE_JOBS__LEASE_S")
+        found = page.locator(".md-search-result__item a[href*='reference/configuration.html']")
+        expect(found.first).to_be_attached()
+        assert {url.partition(":")[0] for url in asked} <= {"file", "data", "blob"}
+    finally:
+        context.close()
+
+
 def test_a_word_of_a_made_page_is_found_without_another_host(url: str, browser: Browser) -> None:
     context = browser.new_context(base_url=url, viewport=DESKTOP)  # type: ignore[arg-type]
     context.set_default_timeout(PATIENCE_MS)

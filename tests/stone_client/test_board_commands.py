@@ -122,8 +122,8 @@ def test_inputs_are_downloaded_and_go_on_where_they_broke_off(served: Served, tm
 
 
 def test_a_team_is_founded_invited_into_and_joined(served: Served, monkeypatch: pytest.MonkeyPatch) -> None:
-    assert stone("teams", "found", "Terrain Gang").stdout.startswith("founded: Terrain Gang (participant-")
-    assert refused(stone("teams", "found", "terrain  gang")) == "name_taken"
+    assert stone("teams", "create", "Terrain Gang").stdout.startswith("created: Terrain Gang (participant-")
+    assert refused(stone("teams", "create", "terrain  gang")) == "name_taken"
     invited = stone("teams", "invite", "terrain gang")
     assert "stone teams join" in invited.stderr
     newcomer = person(served.platform, "participant", "grace")

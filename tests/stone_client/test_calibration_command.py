@@ -85,7 +85,7 @@ def test_half_a_rig_is_shown_as_far_as_it_goes_and_refused(tmp_path: Path) -> No
     refused = calibration("check", tmp_path / "calib.txt")
     assert refused.exit_code == 1
     assert "reference <- velodyne" in refused.stdout
-    assert refused.stderr.startswith("CAL-424: calib.txt is half a rig")
+    assert refused.stderr.startswith("CAL-424: calib.txt is an incomplete sensor rig")
     record = answered("check", tmp_path / "calib.txt")
     assert (record["is_usable"], codes(record), record["files"][0]["format"]) == (False, ["CAL-424"], "kitti")
     (tmp_path / "noise.yaml").write_text("a: !!python/object/apply:os.system [true]\n")
@@ -112,7 +112,7 @@ def test_a_sensor_the_calibration_lacks_is_named_by_its_topic(run: Path, tmp_pat
     fewer = changed(run, tmp_path, lambda content: content["sensors"].pop("RADAR_LEFT"))
     told = calibration("check", fewer, "--bag", run)
     assert told.exit_code == 0
-    assert "warning: CAL-412: /radar/left/detections: the calibration places no radar of this topic" in told.stderr
+    assert "warning: CAL-412: /radar/left/detections: the calibration has no radar for this topic" in told.stderr
 
 
 def test_a_lidar_entered_too_low_cannot_be_used(run: Path, tmp_path: Path) -> None:

@@ -73,7 +73,7 @@ def test_other_numbers_need_a_file_that_says_what_they_mean(dataset: Path, tmp_p
     refused = run("check", dataset)
     assert refused.exit_code == 1
     assert "DST-066" in refused.stderr
-    assert "semantics has 11, 17, which 'stone' does not name (say it with --classes" in refused.stderr
+    assert "semantics has 11, 17, which 'stone' does not name (give it with --classes" in refused.stderr
     (tmp_path / "classes.yaml").write_text("name: theirs\nclasses: {11: T, 17: free}\n")
     record = json.loads(run("check", dataset, "--classes", tmp_path / "classes.yaml", "--json").stdout)
     assert record["classes"] == "theirs"

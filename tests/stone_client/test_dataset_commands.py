@@ -93,7 +93,7 @@ def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: 
 def test_a_proposal_that_cannot_be_says_why_and_ends_with_1(names: list[str]) -> None:
     result = stone("splits", "--propose", "2,2,2")
     assert result.exit_code == 1
-    assert "clash of split_sizes: 2 + 2 + 2 = 6 sequences are asked for" in result.stderr
+    assert "conflict of split_sizes: 2 + 2 + 2 = 6 sequences are asked for" in result.stderr
     assert "of the time" in result.stdout
 
 

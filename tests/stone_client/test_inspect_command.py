@@ -43,7 +43,9 @@ def test_people_get_a_row_for_each_topic_and_a_line_for_each_finding(recording: 
     record = json.loads(inspect(recording, "--json").stdout)
     for topic in record["topics"]:
         assert topic["name"] in result.stdout
-    assert len(result.stderr.splitlines()) == len(record["findings"])
+    *told, last = result.stderr.splitlines()
+    assert len(told) == len(record["findings"])
+    assert last.startswith("`stone explain ")
 
 
 @pytest.mark.parametrize(

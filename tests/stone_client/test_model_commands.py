@@ -16,7 +16,7 @@ def test_training_without_torch_is_refused_in_one_line(tmp_path: Path) -> None:
     (line,) = result.stderr.splitlines()
     assert line == (
         "no_torch: torch is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
-        "words (or pip install 'stone-platform[baselines]')"
+        "arguments (or pip install 'stone-platform[baselines]')"
     )
     assert not (tmp_path / "run").exists()
 

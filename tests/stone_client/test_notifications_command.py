@@ -17,7 +17,7 @@ def test_events_are_chosen_by_channel_and_taken_back(platform: Platform, owner: 
     assert stone("notifications", "on", "run.failed", "phase.opened", "--by", "email").exit_code == 0
     assert stone("notifications", "on", "quota.low", "--by", "webhook").exit_code == 0
     told = stone("notifications", "off", "phase.opened", "--by", "email")
-    assert "e-mail to: this platform sends none; webhook: none yet" in told.stderr
+    assert "e-mail to: e-mail is not configured on this platform; webhook: none yet" in told.stderr
     with platform.database.reading() as session:
         assert choices_of(session, owner.user_id) == {"email": ["run.failed"], "webhook": ["quota.low"]}
     listed = json.loads(stone("notifications", "list", "--json").stdout)
@@ -29,4 +29,4 @@ def test_events_are_chosen_by_channel_and_taken_back(platform: Platform, owner: 
 def test_an_event_that_is_none_is_refused_with_those_there_are() -> None:
     refused = stone("notifications", "on", "run.won", "--by", "email")
     assert refused.exit_code != 0
-    assert "'run.won': no such event; this server tells of run.done, run.failed" in refused.stderr
+    assert "'run.won': no such event; this server has run.done, run.failed" in refused.stderr

@@ -112,6 +112,24 @@ def test_what_is_no_zip_is_refused(tmp_path: Path, truth: Path, manifest: Path, 
         assert ": " in result.stderr.splitlines()[-1]
 
 
+def test_half_of_a_zip_is_called_cut_short(tmp_path: Path, manifest: Path) -> None:
+    whole = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, world()))
+    half = tmp_path / "half.zip"
+    for part in (0.5, 0.9):  # inside of the first frame, and behind its end record
+        half.write_bytes(whole.read_bytes()[: int(whole.stat().st_size * part)])
+        result = stone("validate", half, "--manifest", manifest)
+        assert result.exit_code == 1
+        assert result.stderr.startswith("truncated: "), result.stderr
+        assert "cut off inside a file" in result.stderr
+
+
+def test_the_hint_for_a_transposed_frame_turns_it(tmp_path: Path, manifest: Path) -> None:
+    turned = {TOKENS[0]: world(), TOKENS[1]: world().transpose(2, 0, 1).copy()}
+    result = stone("validate", write_zip(tmp_path / "sub.zip", turned), "--manifest", manifest)
+    assert result.exit_code == 1
+    assert "found (32, 256, 256) (axes are x, y, z: grid.transpose(1, 2, 0)" in result.stderr
+
+
 def test_a_label_of_four_is_refused(tmp_path: Path, truth: Path) -> None:
     grid = world()
     grid[7, 8, 9] = 4

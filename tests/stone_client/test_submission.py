@@ -205,8 +205,8 @@ def test_a_quota_that_is_used_up_says_when_the_next_is_free(served: Served, tmp_
         assert stone("submit", path, *options(served, "test"), "--no-wait").exit_code == 0
         result = stone("submit", path, *options(served, "test"), "--no-wait", "--again")
     assert refused(result) == "scorings_exhausted"
-    assert "1 of 1 scorings within 7 days" in result.stderr
-    assert "the next one is free at" in result.stderr
+    assert "1 of 1 submissions within 7 days" in result.stderr
+    assert "the next one is available at" in result.stderr
 
 
 def test_a_phase_that_is_closed_takes_nothing(served: Served, tmp_path: Path) -> None:
@@ -241,6 +241,6 @@ def test_a_baseline_is_for_organisers(served: Served, tmp_path: Path, monkeypatc
     path = zipped(served, tmp_path / "sub.zip")
     assert refused(stone("submit", path, *options(served), "--baseline")) == "forbidden"
     monkeypatch.setenv("STONE_TOKEN", served.world.administrator.secret)
-    assert stone("teams", "found", "Organisers").exit_code == 0
+    assert stone("teams", "create", "Organisers").exit_code == 0
     said = (*served.at("val"), "--team", "organisers", "--method", "G", "--modality", "L", "--baseline", "--no-wait")
     assert answered("submit", path, *said)["kind"] == "baseline"

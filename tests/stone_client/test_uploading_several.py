@@ -100,7 +100,7 @@ def test_several_recordings_of_a_run_go_to_one_sequence_and_are_processed_togeth
     assert (sent.exit_code, again.exit_code) == (0, 0), sent.stderr + again.stderr
     assert "run: run (2 files of one bag) is on" in sent.stdout
     assert "run: ins.mcap is on" in sent.stdout
-    assert "2 recordings of one run: it is processed from all of them" in sent.stdout
+    assert "2 recordings of one run: processing uses all of them on a common clock" in sent.stdout
     told = json.loads(again.stdout)
     assert [one["filename"] for one in told["recordings"]] == ["run", "ins.mcap"]
     with platform.database.reading() as session:

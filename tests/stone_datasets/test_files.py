@@ -30,7 +30,7 @@ def with_member(path: Path, name: str, kind: bytes = tarfile.REGTYPE) -> Path:
 
 @pytest.mark.parametrize("name", ["../above", "/etc/passwd", "samples/../../x", "a\\b"])
 def test_a_tar_whose_files_lead_outside_is_refused(tmp_path: Path, name: str) -> None:
-    with pytest.raises(PathLeavesDatasetError, match="leads out of the dataset"):
+    with pytest.raises(PathLeavesDatasetError, match="leads outside the dataset"):
         open_dataset(with_member(tmp_path / "bad.tar", name))
 
 

@@ -197,12 +197,12 @@ def test_annotations_beside_tables_say_the_splits_and_are_compared(copied: Path,
     reannotated(copied, lambda content: content["scene_infos"]["field-0000"].update({"e" * 32: {}}))
     faults = check_dataset(copied).faults.found
     assert [fault.code for fault in faults] == ["DST-030"]
-    assert "no frame of 'field-0000' in the tables" in str(faults[0])
+    assert "the tables have no frame of 'field-0000'" in str(faults[0])
 
 
 def test_the_first_fault_is_raised_where_a_dataset_is_only_read(copied: Path, tmp_path: Path) -> None:
     (copied / VERSION / "scene.json").unlink()
-    with pytest.raises(TableMissingError, match=r"v1\.0-trainval/scene\.json: it is not there"):
+    with pytest.raises(TableMissingError, match=r"v1\.0-trainval/scene\.json: it is missing"):
         read_dataset(copied)
     (tmp_path / "empty").mkdir()
     with pytest.raises(NotADatasetError, match=r"annotations\.json"):

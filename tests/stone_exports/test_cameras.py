@@ -112,12 +112,12 @@ def test_what_is_no_picture_is_refused(form: str, kept: int, tmp_path: Path) -> 
     span = file_of(tmp_path / "a", picture(), form)
     (tmp_path / "a").write_bytes((tmp_path / "a").read_bytes()[:kept])
     cut = ExportFileSpan(span.path, span.name, 0, kept)
-    with pytest.raises(DamagedExportError, match="it is no picture"):
+    with pytest.raises(DamagedExportError, match="it is not an image"):
         undistorted_picture(cut, LENSES["plumb_bob"], (WIDTH, HEIGHT))
 
 
 def test_formats_that_no_export_has_are_not_opened(tmp_path: Path) -> None:
-    with pytest.raises(DamagedExportError, match="it is no picture"):
+    with pytest.raises(DamagedExportError, match="it is not an image"):
         undistorted_picture(file_of(tmp_path / "a.gif", picture(), "GIF"), LENSES["pinhole"], (WIDTH, HEIGHT))
 
 

@@ -99,18 +99,18 @@ ATTACKS: dict[str, tuple[str, Callable[[Rows], object], str]] = {
     "no pose": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(ego_pose_token="x"), "no pose of 'samples/L"),
     "no file": ("sample_data", lambda rows: of(rows, "CAM_FRONT").update(filename="samples/a.jpg"), "no file of"),
     "a file elsewhere": ("sample_data", lambda rows: of(rows, "CAM_FRONT").update(filename="../../etc/x"), "no file"),
-    "a stamp of text": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(timestamp="now"), "no number of"),
-    "a stamp before 1970": ("sample", lambda rows: rows[0].update(timestamp=-1), "no number of microseconds"),
-    "a stamp of 2^62": ("sample", lambda rows: rows[0].update(timestamp=1 << 62), "no number of microseconds"),
-    "a stamp in seconds": ("sample", lambda rows: rows[0].update(timestamp=1.7e9), "no number of microseconds"),
-    "a pose that scales": ("ego_pose", lambda rows: rows[0].update(rotation=[2, 0, 0, 0]), "is no pose"),
-    "a pose far away": ("ego_pose", lambda rows: rows[0].update(translation=[1e8, 0, 0]), "is no pose"),
-    "a pose that is no number": ("ego_pose", lambda rows: rows[0].update(translation=[float("nan")] * 3), "is no pose"),
-    "a frame of no sequence": ("sample", lambda rows: rows[0].update(scene_token="x"), "is of no sequence"),
-    "a token that is none": ("sample", lambda rows: rows[0].update(token="../x"), "no frame token"),
+    "a stamp of text": ("sample_data", lambda rows: of(rows, "LIDAR_TOP").update(timestamp="now"), "a number of"),
+    "a stamp before 1970": ("sample", lambda rows: rows[0].update(timestamp=-1), "not a number of microseconds"),
+    "a stamp of 2^62": ("sample", lambda rows: rows[0].update(timestamp=1 << 62), "not a number of microseconds"),
+    "a stamp in seconds": ("sample", lambda rows: rows[0].update(timestamp=1.7e9), "not a number of microseconds"),
+    "a pose that scales": ("ego_pose", lambda rows: rows[0].update(rotation=[2, 0, 0, 0]), "not a pose"),
+    "a pose far away": ("ego_pose", lambda rows: rows[0].update(translation=[1e8, 0, 0]), "not a pose"),
+    "a pose that is no number": ("ego_pose", lambda rows: rows[0].update(translation=[float("nan")] * 3), "not a pose"),
+    "a frame of no sequence": ("sample", lambda rows: rows[0].update(scene_token="x"), "belongs to no sequence"),
+    "a token that is none": ("sample", lambda rows: rows[0].update(token="../x"), "not a frame token"),
     "a sequence above": ("scene", lambda rows: rows[0].update(name="../.."), "cannot be the name of a sequence"),
-    "a mount of nothing": ("calibrated_sensor", lambda rows: rows[0].update(sensor_token="x"), "is not there"),
-    "a mount on the moon": ("calibrated_sensor", lambda rows: rows[0].update(translation=[0, 0, 4e8]), "is no pose"),
+    "a mount of nothing": ("calibrated_sensor", lambda rows: rows[0].update(sensor_token="x"), "does not exist"),
+    "a mount on the moon": ("calibrated_sensor", lambda rows: rows[0].update(translation=[0, 0, 4e8]), "not a pose"),
 }  # fmt: skip
 
 
@@ -123,18 +123,21 @@ def test_tables_that_lie_are_refused(copied: Path, attack: str) -> None:
 
 
 LENSES: dict[str, tuple[dict[str, Any], str]] = {
-    "no matrix": ({"camera_intrinsic": []}, "matrix or model is none"),
-    "a matrix of text": ({"camera_intrinsic": [["a"]]}, "matrix or model is none"),
-    "a focal length of zero": ({"camera_intrinsic": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]}, "matrix or model is none"),
-    "a centre that is no number": ({"camera_intrinsic": [[1, 0, float("nan")], [0, 1, 1], [0, 0, 1]]}, "is none"),
-    "a model that is none": ({"camera_model": "omnidirectional"}, "matrix or model is none"),
-    "a model of a list": ({"camera_model": ["pinhole"]}, "matrix or model is none"),
+    "no matrix": ({"camera_intrinsic": []}, "matrix or model of a camera is not valid"),
+    "a matrix of text": ({"camera_intrinsic": [["a"]]}, "matrix or model of a camera is not valid"),
+    "a focal length of zero": (
+        {"camera_intrinsic": [[0, 0, 1], [0, 1, 1], [0, 0, 1]]},
+        "matrix or model of a camera is not valid",
+    ),
+    "a centre that is no number": ({"camera_intrinsic": [[1, 0, float("nan")], [0, 1, 1], [0, 0, 1]]}, "is not valid"),
+    "a model that is none": ({"camera_model": "omnidirectional"}, "matrix or model of a camera is not valid"),
+    "a model of a list": ({"camera_model": ["pinhole"]}, "matrix or model of a camera is not valid"),
     "four coefficients": ({"camera_distortion": [0.1, 0, 0, 0]}, "a plumb_bob camera has 4 coefficients .* are 5"),
     "a pinhole that bends": ({"camera_model": "pinhole"}, "a pinhole camera has 5 coefficients .* are 0"),
     "too few of eight": ({"camera_model": "rational_polynomial"}, "has 5 coefficients .* are 8"),
     "too many of four": ({"camera_model": "equidistant"}, "has 5 coefficients .* are 4"),
-    "endless coefficients": ({"camera_distortion": [float("inf")] * 5}, "matrix or model is none"),
-    "coefficients of null": ({"camera_distortion": None}, "matrix or model is none"),
+    "endless coefficients": ({"camera_distortion": [float("inf")] * 5}, "matrix or model of a camera is not valid"),
+    "coefficients of null": ({"camera_distortion": None}, "matrix or model of a camera is not valid"),
 }
 
 
@@ -157,5 +160,5 @@ def test_a_camera_of_no_size_has_no_lens(copied: Path) -> None:
 
 def test_a_table_that_is_missing_is_named(copied: Path) -> None:
     (copied / "v1.0-trainval" / "ego_pose.json").unlink()
-    with pytest.raises(DamagedExportError, match=r"'v1\.0-trainval/ego_pose\.json' cannot be read: it is not there"):
+    with pytest.raises(DamagedExportError, match=r"'v1\.0-trainval/ego_pose\.json' cannot be read: it is missing"):
         frames(copied)

@@ -67,15 +67,15 @@ LIES: dict[str, tuple[Callable[[], bytes], str]] = {
     "another shape": (lambda: npz_bytes(grids(semantics=np.zeros((256, 256, 31), np.uint8))), r"uint8 \(256, 256, 31"),
     "a mask of another shape": (lambda: npz_bytes(grids(mask_lidar=np.zeros(3, np.uint8))), r"mask_lidar is uint8"),
     "another type": (lambda: npz_bytes(grids(semantics=np.zeros(SHAPE, np.int8))), "semantics is int8"),
-    "no mask": (lambda: npz_bytes({"semantics": np.zeros(SHAPE, np.uint8)}), "no npz of semantics, mask_lidar"),
-    "no zip": (lambda: b"labels", "no npz of"),
-    "nothing": (lambda: b"", "no npz of"),
-    "cut": (lambda: NPY[: len(NPY) // 2], "no npz of"),
-    "flipped bytes": (lambda: NPY[:60] + bytes(b ^ 255 for b in NPY[60:90]) + NPY[90:], "no npz of"),
-    "no array": (lambda: zipped({"semantics.npy": b"x", "mask_lidar.npy": b"x"}), "no npz of"),
+    "no mask": (lambda: npz_bytes({"semantics": np.zeros(SHAPE, np.uint8)}), "not an npz of semantics, mask_lidar"),
+    "no zip": (lambda: b"labels", "not an npz of"),
+    "nothing": (lambda: b"", "not an npz of"),
+    "cut": (lambda: NPY[: len(NPY) // 2], "not an npz of"),
+    "flipped bytes": (lambda: NPY[:60] + bytes(b ^ 255 for b in NPY[60:90]) + NPY[90:], "not an npz of"),
+    "no array": (lambda: zipped({"semantics.npy": b"x", "mask_lidar.npy": b"x"}), "not an npz of"),
     "an array that ends early": (
         lambda: zipped({"semantics.npy": header(f"{{'descr': '|u1', 'fortran_order': False, 'shape': {SHAPE}, }}\n")}),
-        "no npz of",
+        "not an npz of",
     ),
     "an array in another order": (
         lambda: zipped({"semantics.npy": header(f"{{'descr': '|u1', 'fortran_order': True, 'shape': {SHAPE}, }}\n")}),
@@ -89,7 +89,7 @@ LIES: dict[str, tuple[Callable[[], bytes], str]] = {
         lambda: zipped({"semantics.npy": header("{'descr': '|O', 'fortran_order': False, 'shape': (1,), }\n")}),
         "expected is uint8",
     ),
-    "packed otherwise": (lambda: zipped({"semantics.npy": b"x"}, zipfile.ZIP_LZMA), "packed as no npz is"),
+    "packed otherwise": (lambda: zipped({"semantics.npy": b"x"}, zipfile.ZIP_LZMA), "a method that npz does not use"),
 }  # fmt: skip
 
 
@@ -125,7 +125,7 @@ def test_an_encrypted_archive_is_refused(tmp_path: Path) -> None:
     content = bytearray(NPY)
     content[6] |= 1
     content[content.index(b"PK\1\2") + 8] |= 1
-    with pytest.raises(DamagedExportError, match="no npz of"):
+    with pytest.raises(DamagedExportError, match="not an npz of"):
         observed_classes(span_of(tmp_path / "labels.npz", bytes(content)))
 
 

@@ -108,8 +108,8 @@ def forged(path: Path, at: int, field: bytes) -> Path:
     [
         (124, b"77777777777\0", "should end at byte"),
         (124, b"\x80" + b"\xff" * 11, "should end at byte"),
-        (124, b"-1         \0", "is no number"),
-        (124, b"9999       \0", "is no number"),
+        (124, b"-1         \0", "is not a number"),
+        (124, b"9999       \0", "is not a number"),
     ],
 )
 def test_sizes_that_lie_are_refused(tmp_path: Path, at: int, field: bytes, why: str) -> None:
@@ -123,7 +123,7 @@ def test_a_head_that_was_changed_is_refused(tmp_path: Path) -> None:
     content = bytearray(path.read_bytes())
     content[0] ^= 1
     path.write_bytes(content)
-    with pytest.raises(BadTarError, match="the checksum of the head at byte 0 is wrong"):
+    with pytest.raises(BadTarError, match="the checksum of the header at byte 0 is wrong"):
         tar_spans_of(path, bool)
 
 
@@ -140,5 +140,5 @@ def test_a_name_of_a_gigabyte_is_refused_before_it_is_read(tmp_path: Path) -> No
 def test_a_malformed_record_is_refused(tmp_path: Path, record: bytes) -> None:
     path = packed(tmp_path / "some.tar", {"name": record})
     forged(path, 156, b"x")
-    with pytest.raises(BadTarError, match=r"is malformed|is no size"):
+    with pytest.raises(BadTarError, match=r"is malformed|is not a size"):
         tar_spans_of(path, bool)

@@ -1,12 +1,13 @@
 """Sequences for the list: labelled ones with a real picture of their grid from above, one half-way, one empty."""
 
-import io
 from typing import Any
 
 import httpx
 import numpy as np
 from PIL import Image
 
+from services.domain.viewer.frame_picture import plan_indices
+from services.domain.viewer.indexed_pictures import png_of
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import SplitMember
 from services.runtime.platform import Platform
@@ -14,16 +15,13 @@ from testing.api.serving import Person
 from testing.worlds import made
 from testing.worlds.benchmark_world import ground, labels_npz
 
-COLOURS = np.array([[154, 161, 171], [38, 166, 91], [250, 205, 80], [176, 42, 55]], np.uint8)
 DRIVEN = (("farmland", "day"), ("mountain", "dusk"), ("lake", "night"), ("construction", "sunny"))
 
 
 def picture_of(seed: int) -> bytes:
-    """The grid from above in the paper's colours, 640 × 400."""
-    seen = ground(seed).max(axis=2)[48:208]
-    content = io.BytesIO()
-    Image.fromarray(COLOURS[seen]).resize((640, 400), Image.Resampling.NEAREST).save(content, "jpeg", quality=80)
-    return content.getvalue()
+    """The grid from above as labels are drawn, 640 × 400, with nothing round it."""
+    shown = np.pad(plan_indices(ground(seed))[58:198, 16:240], ((10, 10), (16, 16)))
+    return png_of(np.asarray(Image.fromarray(shown).resize((640, 400), Image.Resampling.NEAREST)))
 
 
 def listed_world(platform: Platform, api: httpx.Client, owner: Person) -> list[dict[str, Any]]:
@@ -34,7 +32,7 @@ def listed_world(platform: Platform, api: httpx.Client, owner: Person) -> list[d
         one = made.sequence(api, owner, f"{environment}-2026-05-0{number + 1}", **said)
         labels = made.labels(platform, one, seed=bytes([number]), contents=[labels_npz(ground(number))])
         with platform.database.transaction() as session:
-            made._artefact(session, platform, labels.id, "thumbnail.jpg", picture_of(number))
+            made._artefact(session, platform, labels.id, "thumbnail.png", picture_of(number))
         sequences.append(one)
     with platform.database.transaction() as session:
         parts = zip(sequences, ("train", "val", "test"), strict=False)

@@ -21,6 +21,7 @@ from testing.worlds import made
 from testing.worlds.frame_tables import frame_table_bytes
 from testing.worlds.rows import recording_of
 from testing.worlds.viewer_world import Run, viewed
+from tests.web.listed_world import picture_of
 
 CAMERAS = ("CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT", "CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT")
 FRAMES = 12
@@ -41,7 +42,10 @@ REPORT: dict[str, Any] = {
         {"name": "run.mcap", "offset_ns": 0, "sigma_ns": None, "known_by": ["reference"]},
         {"name": "cameras.mcap", "offset_ns": -80_000_000, "sigma_ns": 412_000, "known_by": ["camera motion"]},
     ],
-    "findings": [{"code": "LAB-603", "severity": "warning", "topic": "", "message": "the track spans 3.11 m"}],
+    "findings": [
+        {"code": "TIM-201", "severity": "warning", "topic": "/ins", "message": "Stamped on the host."},
+        {"code": "LAB-603", "severity": "warning", "topic": "", "message": "the track spans 3.11 m"},
+    ],
 }
 
 
@@ -49,7 +53,7 @@ def whole_sequence(platform: Platform, owner: Person) -> dict[str, Any]:
     """Its id, name and tokens; private, labelled, with a recording and a playback."""
     facts = viewed(platform, owner, Run(frames=FRAMES))
     table = frame_table_bytes(facts["tokens"], made.START_NS, b"", ("SYN-504", "POS-401"))
-    pictures = {"bev.png": _picture((90, 120, 60), "PNG"), "map.png": _picture((60, 90, 120), "PNG", (1200, 800))}
+    pictures = {"bev.png": picture_of(1), "map.png": _picture((60, 90, 120), "PNG", (1200, 800))}
     replace_files(
         platform,
         facts["label_set_id"],

@@ -52,8 +52,8 @@ def test_a_re_score_is_started_read_as_a_difference_and_activated(
     with site.visit(administrator) as page:
         page.goto(address(place))
         look(page, "admin-phase")
-        page.get_by_role("button", name="Start one").click()
-        give_reason(page, "labels of the quarry corrected", "Start one")
+        page.get_by_role("button", name="Start re-score").click()
+        give_reason(page, "labels of the quarry corrected", "Start re-score")
         expect(page.get_by_role("heading", name="labels of the quarry corrected")).to_be_visible()
         expect(page.get_by_text("5 of 5")).to_be_visible()
         expect(page.get_by_role("img", name=re.compile("Ranks before and after"))).to_be_visible()
@@ -61,7 +61,7 @@ def test_a_re_score_is_started_read_as_a_difference_and_activated(
         look(page, "admin-rescore")
         page.get_by_role("button", name="Activate").click()
         expect(page.get_by_role("dialog")).to_contain_text("with a new leader")
-        give_reason(page, "as announced", "Switch now")
+        give_reason(page, "as announced", "Activate now")
         expect(page.locator("#rescore")).to_contain_text("activated")
         expect(page.get_by_role("button", name="Abandon")).to_have_count(0)
     with platform.database.reading() as session:
@@ -84,12 +84,12 @@ def test_an_alarm_is_dismissed_and_a_team_granted_scorings(
         expect(alarms).to_contain_text("equal content")
         alarms.get_by_role("button", name="Dismiss").click()
         give_reason(page, "both wrapped the same baseline", "Dismiss")
-        expect(alarms).to_contain_text("Nothing to look at")
+        expect(alarms).to_contain_text("No open alarms")
         page.get_by_role("row", name=re.compile("Lake")).get_by_role("button", name="Grant").click()
-        page.get_by_label("How many more").fill("3")
+        page.get_by_label("Additional submissions").fill("3")
         give_reason(page, "the platform was away", "Grant")
         expect(page.get_by_role("dialog")).to_have_count(0)
-        expect(page.get_by_role("heading", name="Teams and their scorings")).to_be_visible()
+        expect(page.get_by_role("heading", name="Teams and quotas")).to_be_visible()
         page.wait_for_function("document.readyState === 'complete'")
     with platform.database.reading() as session:
         assert session.scalars(select(Alarm)).one().dismissed_ns is not None
@@ -98,26 +98,44 @@ def test_an_alarm_is_dismissed_and_a_team_granted_scorings(
         assert session.get_one(Team, lake).name == "Lake"
 
 
+def test_where_no_alarm_is_open_the_page_does_not_claim_that_nothing_is_equal(
+    site: Site, platform: Platform, administrator: Person, place: Place
+) -> None:
+    """Where the ground truth is open, an entry that equals a baseline raises no alarm."""
+    baseline = scored_entry(place, team(place, "Organisers"), 0.4, kind="baseline")
+    copied = scored_entry(place, team(place, "Forest"), 0.4)
+    with platform.database.transaction() as session:
+        scores = {row.submission_id: row for row in session.scalars(select(Score))}
+        scores[copied].content_sha256 = scores[baseline].content_sha256
+        raise_alarms(session, scores[copied])
+    with site.visit(administrator) as page:
+        page.goto(address(place))
+        alarms = page.get_by_role("region", name="Alarms")
+        expect(alarms).to_contain_text("No open alarms")
+        expect(alarms).to_contain_text("baselines are not compared where the ground truth is open")
+        expect(alarms).not_to_contain_text("no equal")
+
+
 def test_reported_rows_are_edited_and_put_back_at_once(
     site: Site, platform: Platform, administrator: Person, place: Place
 ) -> None:
     with site.visit(administrator, expected=["422"]) as page:
         page.goto(address(place))
-        editor = page.get_by_role("region", name="Rows that others reported")
+        editor = page.get_by_role("region", name="Reported results")
         for number in range(2):
             editor.get_by_role("button", name="Add a row").click()
             row = editor.get_by_role("row").nth(number + 1)
             row.get_by_label("Method").fill(f"Paper {number}")
-            row.get_by_label("Senses with").select_option("C+L")
+            row.get_by_label("Modality").select_option("C+L")
             row.get_by_label("Source").fill("authors, year, table 2")
             row.get_by_label("Note").fill("of another split")
             row.get_by_label("miou").fill("0.342")
-            row.get_by_label("Decimals of the per cent").fill("1")
+            row.get_by_label("Decimals (per cent)").fill("1")
         editor.get_by_label("Reason").fill("what the papers report")
         row.get_by_label("Source").fill("a\u200bb")
         editor.get_by_role("button", name="Save").click()
         expect(editor.get_by_role("alert")).to_contain_text("source")
-        row.get_by_role("button", name="Take this row away").click()
+        row.get_by_role("button", name="Remove this row").click()
         editor.get_by_role("button", name="Save").click()
         expect(page.get_by_text("1 reported row saved.")).to_be_visible()
         expect(editor.get_by_role("alert")).to_be_empty()
@@ -135,9 +153,13 @@ def test_rules_that_are_refused_say_why_and_the_benchmark_is_made_public(
         page.get_by_role("button", name="Edit rules").click()
         look(page, "admin-phase-rules")
         asking = page.get_by_role("dialog")
-        asking.get_by_label("Closes").fill("2199-10-01T00:00:00Z")
-        asking.get_by_label("Scorings in a window").fill("")
-        asking.get_by_label("Scorings in all").fill("40")
+        asking.get_by_label("Closes").fill("1900-10-01T00:00")
+        give_reason(page, "a slip of the keys", "Save")
+        expect(asking.get_by_role("alert")).to_contain_text("closes_at: the year is 1900; expected 1970 to 2200")
+        expect(asking.get_by_role("alert")).not_to_contain_text(re.compile("Value error|value error|expected the year"))
+        asking.get_by_label("Closes").fill("2199-10-01T00:00")
+        asking.get_by_label("Submissions per window").fill("")
+        asking.get_by_label("Submissions in total").fill("40")
         give_reason(page, "one month more", "Save")
         expect(asking.get_by_role("alert")).to_contain_text("has no sequence in val")
         page.keyboard.press("Escape")
@@ -157,4 +179,4 @@ def test_rules_that_are_refused_say_why_and_the_benchmark_is_made_public(
 def test_without_a_version_the_page_says_what_to_do_first(site: Site, administrator: Person) -> None:
     with site.visit(administrator) as page:
         page.goto("/admin/benchmarks")
-        expect(page.get_by_role("link", name="Make a version first.")).to_be_visible()
+        expect(page.get_by_role("link", name="Publish a version first.")).to_be_visible()

@@ -37,17 +37,32 @@ def test_the_work_is_seen_at_a_glance_and_found_by_state(site: Site, administrat
         page.get_by_role("link", name="Dead letters").click()
         expect(page.get_by_role("row").nth(1)).to_contain_text("worker_lost")
         page.get_by_label("Owner").fill("grace")
-        page.get_by_role("button", name="Find").click()
+        page.get_by_role("button", name="Filter").click()
         expect(page).to_have_url(re.compile("list=dead.*owner=grace"))
         page.get_by_label("Owner").fill("nobody")
         page.keyboard.press("Enter")
-        expect(page.get_by_role("heading", name="No such job")).to_be_visible()
+        expect(page.get_by_role("heading", name="No matching jobs")).to_be_visible()
         page.goto("/admin/queues")
         expect(page.get_by_text("worker-2:4719")).to_be_visible()
         look(page, "admin-queues")
         page.goto(f"/admin/jobs/{busy}")
-        expect(page.get_by_role("img", name=re.compile("labeler.surface: 1 running"))).to_be_visible()
+        expect(page.get_by_role("img", name=re.compile("Reconstruct the surface: 1 running"))).to_be_visible()
         look(page, "admin-run")
+
+
+def test_the_count_of_failed_jobs_is_red_only_where_there_are_some(
+    site: Site, platform: Platform, administrator: Person, curator: Person
+) -> None:
+    colour = "one => getComputedStyle(one).backgroundColor"
+    with site.visit(administrator) as page:
+        page.goto("/admin/jobs")
+        counts = {word: page.locator(f".count[data-list={word}]") for word in ("queued", "failed", "dead")}
+        assert len({one.evaluate(colour) for one in counts.values()}) == 1
+        job(platform, curator, "ingest.refuse")
+        run_all(platform)
+        page.goto("/admin/jobs")
+        expect(counts["failed"]).to_have_text("1")
+        assert counts["failed"].evaluate(colour) != counts["queued"].evaluate(colour)
 
 
 def test_many_are_selected_and_steered_with_what_came_of_each(
@@ -67,9 +82,9 @@ def test_many_are_selected_and_steered_with_what_came_of_each(
         job(platform, curator, "ingest.speak")
         expect(page.locator("[data-pick]")).to_have_count(5)
         expect(page.locator("[data-pick]:checked")).to_have_count(4)
-        page.get_by_role("button", name="Queue again").click()
+        page.get_by_role("button", name="Retry").click()
         reason(page, "the disk was full")
-        page.get_by_role("dialog").get_by_role("button", name="Queue again").click()
+        page.get_by_role("dialog").get_by_role("button", name="Retry").click()
         expect(page.get_by_role("dialog")).to_contain_text("3 queued again, 1 refused")
         expect(page.get_by_role("dialog")).to_contain_text("ingest.speak")
         look(page, "admin-jobs-acted")
@@ -111,9 +126,9 @@ def test_a_run_is_looked_at_cancelled_and_queued_again(
         page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
         expect(page.locator("#job")).to_have_attribute("data-state", "cancelled")
         expect(page.get_by_text("wrong calibration").first).to_be_visible()
-        page.get_by_role("button", name="Queue again").click()
+        page.get_by_role("button", name="Retry").click()
         reason(page, "the right one is there")
-        page.get_by_role("dialog").get_by_role("button", name="Queue again").click()
+        page.get_by_role("dialog").get_by_role("button", name="Retry").click()
         expect(page.locator("#job")).to_have_attribute("data-state", "queued")
         while run_next(platform, "labeler", HANDLERS):
             pass
@@ -128,6 +143,7 @@ def test_a_log_is_followed_until_one_scrolls_up(
     with site.visit(administrator) as page:
         page.goto(f"/admin/jobs/{job_id}")
         lines = page.get_by_role("log")
+        lines.scroll_into_view_if_needed()
         expect(lines.get_by_text("line 199")).to_be_in_viewport()
         lines.evaluate("at => { at.scrollTop = 0 }")
         follow = page.get_by_role("button", name="Follow again")

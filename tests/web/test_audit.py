@@ -25,18 +25,18 @@ def test_the_log_is_verified_filtered_and_unfolded(site: Site, administrator: Pe
     acts(site.platform, administrator)
     with site.visit(administrator) as page:
         page.goto("/admin/audit")
-        expect(page.get_by_text("The log is whole")).to_be_visible()
-        expect(page.get_by_text("4 lines, each follows from the one before.")).to_be_visible()
+        expect(page.get_by_text("The log is intact")).to_be_visible()
+        expect(page.get_by_text("4 lines verified.")).to_be_visible()
         lines = page.locator(".audit-line")
         expect(lines).to_have_count(4)
         lines.first.locator("summary").press("Enter")
         expect(lines.first.locator(".facts")).to_contain_text("participant")
         look(page, "audit")
-        page.get_by_label("Act").select_option("user.add")
-        page.get_by_role("button", name="Show", exact=True).click()
+        page.get_by_label("Action").select_option("user.add")
+        page.get_by_role("button", name="Filter", exact=True).click()
         expect(lines).to_have_count(3)
         page.goto("/admin/audit?actor=nobody")
-        expect(page.get_by_role("heading", name="No line of the log is like that")).to_be_visible()
+        expect(page.get_by_role("heading", name="No matching entries")).to_be_visible()
         look(page, "audit-none")
 
 

@@ -137,14 +137,18 @@ FEW = {"silences": {"these_places": "few_frames", "new_place": "few_sequences"}}
 @pytest.mark.parametrize(
     ("miou", "headline", "ground"),
     [
-        (BEHIND | HERE, "Bee is better than Ant", "its margin is +1.00 to +3.00 (95 % interval, p < 0.001)"),
-        (BEHIND | {"these_places": UNSURE}, "Ant and Bee do not surely differ", "its margin is −0.20 to +3.00"),
-        (BEHIND | HERE | {"new_place": SURE}, "Bee is better than Ant", "holds over whole sequences too"),
+        (BEHIND | HERE, "Bee is better than Ant", "the margin is +1.00 to +3.00 (95 % interval, p < 0.001)"),
+        (
+            BEHIND | {"these_places": UNSURE},
+            "No significant difference between Ant and Bee",
+            "the margin is −0.20 to +3.00",
+        ),
+        (BEHIND | HERE | {"new_place": SURE}, "Bee is better than Ant", "holds across whole sequences"),
         (BEHIND | HERE | {"new_place": UNSURE}, "Bee is better than Ant", "is open"),
-        (BEHIND | HERE | ELSEWHERE, "Bee is better than Ant", "Of a new place nothing is said: it takes 5 sequences"),
-        (BEHIND | FEW, "Bee is ahead of Ant", "more than chance is not said: there are too few frames"),
-        ({"a": 0.4, "b": 0.4, "difference": 0.0} | FEW, "Ant and Bee have the same mIoU", "there are too few frames"),
-        ({"a": 0.4}, "The two cannot be put in order", "a class is undefined"),
+        (BEHIND | HERE | ELSEWHERE, "Bee is better than Ant", "No statement about new places: at least 5 sequences"),
+        (BEHIND | FEW, "Bee is ahead of Ant", "No significance test: too few independent frames"),
+        ({"a": 0.4, "b": 0.4, "difference": 0.0} | FEW, "Ant and Bee have the same mIoU", "too few independent frames"),
+        ({"a": 0.4}, "The two entries cannot be ordered", "a class is undefined"),
     ],
 )
 def test_the_verdict_says_who_is_better_by_how_much_and_how_surely(

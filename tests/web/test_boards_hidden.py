@@ -35,10 +35,12 @@ class Reading:
     member: dict[str, str]
 
     def pages(self, cookie: dict[str, str] | None = None) -> str:
-        """The board, the method's page and the comparison, one after the other."""
+        """All sections of the benchmark, the method's page and the comparison, one after the other."""
         world = self.world
         compared = f"{world.path}/compare?a={world.mine}&b={world.entries[RIVAL]}"
-        return "".join(self.page(path, cookie) for path in (world.path, f"/entries/{world.mine}", compared))
+        sections = [f"{world.path}/{one}" for one in ("data", "rules", "submit")]
+        sections += [f"/benchmarks/{world.benchmark}", world.path, f"/entries/{world.mine}", compared]
+        return "".join(self.page(path, cookie) for path in sections)
 
     def page(self, path: str, cookie: dict[str, str] | None = None) -> str:
         answer = self.client.get(path, headers={"Accept": "text/html", **(cookie or {})})
@@ -94,7 +96,7 @@ def test_neither_a_visitor_nor_the_team_reads_a_figure_that_is_hidden(reading: R
 def test_the_rounded_total_and_the_rank_are_shown_while_the_rest_is_hidden(reading: Reading) -> None:
     miou = reading.world.at.score_row(reading.world.mine).record["total"]["miou"]
     assert f"{100 * round(miou, 4):.2f}" in reading.page(reading.world.path)
-    assert "do not surely differ from the first of them" in reading.page(reading.world.path)
+    assert "do not differ significantly from the first in the bracket" in reading.page(reading.world.path)
 
 
 def test_an_administrator_reads_what_others_do_not(reading: Reading) -> None:
@@ -115,7 +117,7 @@ def test_until_names_are_told_pages_hold_no_team_and_no_description(reading: Rea
     html = reading.pages()
     assert "Terrain Gang" not in html
     assert "Sparse convolutions" not in html
-    assert "team not named yet" in html
+    assert "team name hidden" in html
     assert "Terrain Gang" in reading.pages(reading.member)
 
 

@@ -26,7 +26,7 @@ def test_a_method_is_shown_with_its_parts_its_confusion_and_where_it_comes_from(
             expect(page.get_by_role("heading", name=part)).to_be_visible()
         assert page.locator(".matrix .heat").count() == 16
         expect(page.get_by_role("link", name="Your submission")).to_have_attribute("href", f"/submissions/{board.mine}")
-        expect(page.get_by_role("link", name="Counts by frame (npz)")).to_be_visible()
+        expect(page.get_by_role("link", name="Confusion counts per frame (npz)")).to_be_visible()
         look(page, "entry")
         page.locator("select[name=b]").select_option(label="1. TerrainFormer-L · Hanyang Robotics")
         page.get_by_role("button", name="Compare").click()
@@ -42,9 +42,9 @@ def test_an_older_score_stays_readable_beside_the_one_in_force(site: Site, board
         page.goto(f"/entries/{board.mine}")
         page.get_by_text("2 scores of this entry").click()
         page.get_by_role("link", name="Ground truth 1, stone-iou-2").click()
-        expect(page.get_by_text("An older score, by ground truth 1")).to_be_visible()
-        page.get_by_role("link", name="See the one in force").click()
-        expect(page.get_by_text("An older score")).to_have_count(0)
+        expect(page.get_by_text("Older score, with ground truth 1")).to_be_visible()
+        page.get_by_role("link", name="Show the active score").click()
+        expect(page.get_by_text("Older score")).to_have_count(0)
 
 
 def test_from_the_list_of_benchmarks_one_comes_to_rules_leaders_and_the_definition(site: Site, board: Season) -> None:
@@ -52,8 +52,10 @@ def test_from_the_list_of_benchmarks_one_comes_to_rules_leaders_and_the_definiti
         page.goto("/benchmarks")
         look(page, "benchmarks")
         page.get_by_role("link", name="STONE", exact=True).last.click()
-        expect(page.get_by_text("20 a day, free of quota")).to_be_visible()
+        expect(page.get_by_role("region", name="Leaders of")).to_be_visible()
         look(page, "benchmark")
+        page.get_by_role("link", name="Rules", exact=True).click()
+        expect(page.get_by_text("20 per day, not counted as submissions")).to_be_visible()
         page.get_by_role("link", name="stone-iou-2").first.click()
         expect(page.get_by_role("heading", name="What is undefined")).to_be_visible()
         assert page.locator("article em").first.inner_text() == "Occupied"

@@ -30,13 +30,13 @@ def test_a_version_shows_what_it_is_made_of_and_is_downloaded(
         page.goto("/dataset")
         expect(page.get_by_role("heading", name="stone-1.0", exact=True)).to_be_visible()
         expect(page.locator(".composition .square")).to_have_count(11)
-        expect(page.get_by_text("classes are not told")).to_be_visible()
+        expect(page.get_by_text("classes withheld")).to_be_visible()
         look(page, "dataset")
         with page.expect_download() as downloading:
             page.get_by_role("link", name="Manifest").click()
         manifest = json.loads(Path(downloading.value.path()).read_text("utf-8"))
         assert manifest["version"] == "stone-1.0"
-        page.get_by_text("The numbers").click()
+        page.get_by_text("Table", exact=True).click()
         page.get_by_text("11 sequences", exact=True).click()
         expect(page.get_by_role("row", name="night 3")).to_be_visible()
         look(page, "dataset-numbers")
@@ -47,7 +47,7 @@ def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
 ) -> None:
     with site.visit(administrator) as page:
         page.goto("/dataset/new")
-        expect(page.get_by_role("heading", name="It cannot be published yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="Cannot be published yet")).to_be_visible()
         look(page, "dataset-new-refused")
         put_apart(site.platform, sequences)
         page.reload()
@@ -56,7 +56,7 @@ def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
         page.get_by_label("Version").fill("stone-1.0")
         page.get_by_label("Licence").fill("CC-BY-4.0")
         page.get_by_label("Reason").fill("first release")
-        page.get_by_role("button", name="Publish for good").click()
+        page.get_by_role("button", name="Publish", exact=True).click()
         expect(page.get_by_role("heading", name="stone-1.0", exact=True)).to_be_visible(timeout=300_000)
         expect(page.locator(".lead")).to_contain_text("CC-BY-4.0")
         page.goto("/dataset?version=")
@@ -64,10 +64,10 @@ def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
 
 
 def test_without_a_version_or_labels_the_page_says_what_to_do(site: Site, participant: Person, curator: Person) -> None:
-    for who, link in ((participant, "Look at sequences"), (curator, "To the sequences")):
+    for who, link in ((participant, "browse the public sequences"), (curator, "appear here once they are labelled")):
         with site.visit(who) as page:
             page.goto("/dataset")
-            expect(page.get_by_role("link", name=link)).to_be_visible()
+            expect(page.locator(".empty").filter(has_text=link).get_by_role("link", name="Sequences")).to_be_visible()
             look(page, f"dataset-empty-{link[:2].lower()}")
 
 

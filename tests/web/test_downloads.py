@@ -29,7 +29,7 @@ def test_a_visitor_comes_from_the_benchmarks_to_the_one_line(offering: Site) -> 
     with offering.visit() as page:
         page.goto("/benchmarks")
         page.get_by_role("main").get_by_role("link", name="the client").click()
-        line = page.get_by_role("region", name="The line that installs it")
+        line = page.get_by_role("region", name="Install command")
         expect(line).to_have_text(f"pip install {offering.platform.settings.api.url}/downloads/{FILENAME}")
         expect(page.get_by_role("main")).to_contain_text(WHEEL.sha256)
         look(page, "downloads")

@@ -7,12 +7,17 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from sqlalchemy import select
 
+from services.runtime.orm import Benchmark, SequenceRow
 from services.runtime.platform import Platform
 from testing.api.serving import Person, serving
 from testing.web.browsing import Site
 from testing.web.crawling import crawled
-from testing.worlds.benchmark_world import World, benchmark_world
+from testing.worlds import made
+from testing.worlds.benchmark_world import World, benchmark_world, run_eval
+from testing.worlds.sending import guess, send, zipped
+from tests.api.inputs_made import made_input
 from tests.web.looking import serious_findings
 from tests.web.test_pages_access import cookie
 from web.main import make_site
@@ -24,7 +29,20 @@ WHO = ("visitor", "participant", "curator", "administrator")
 
 @pytest.fixture
 def world(platform: Platform) -> World:
-    return benchmark_world(platform)
+    """A public benchmark with a scored entry and a baseline, a public sequence with an export, inputs of a phase."""
+    world = benchmark_world(platform)
+    send(world, zipped(world, guess(world)))
+    send(world, zipped(world, guess(world, turn=1)), kind="baseline", team=1)
+    run_eval(platform)
+    name = next(iter(world.grids["val"]))
+    made_input(platform, world.val, name, {"sample.json": b"[]"})
+    with platform.database.transaction() as session:
+        session.scalars(select(Benchmark)).one().is_public = True
+        sequence = session.scalars(select(SequenceRow).where(SequenceRow.name == name)).one()
+        sequence.is_public = True
+        sequence_id = sequence.id
+    made.export(platform, sequence_id, {"mesh.ply": b"ply"})
+    return world
 
 
 def person_of(world: World, who: str) -> Person | None:

@@ -24,7 +24,7 @@ def make_public(platform: Platform) -> None:
 def test_an_empty_platform_says_what_to_do_next(site: Site) -> None:
     with site.visit() as page:
         page.goto("/")
-        expect(page.get_by_role("heading", name="No labels to look at yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="No labels yet")).to_be_visible()
         look(page, "home-empty")
 
 
@@ -36,7 +36,7 @@ def test_a_visitor_is_shown_what_is_public_in_3d_and_the_board(site: Site, curat
         board = boarding(client, site.platform)
     with site.visit() as page:
         page.goto("/")
-        expect(page.get_by_role("heading", name="No labels to look at yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="No labels yet")).to_be_visible()
         make_public(site.platform)
         page.reload()
         expect(page.get_by_role("link", name="forest")).to_be_visible()

@@ -29,7 +29,7 @@ SECTIONS = {
     "/exports": "SemanticKITTI",
     "/view": "data-viewer",
 }
-WORDS_OF_RECORDINGS = "poses are odometry|No recording yet|Nothing was started yet"
+WORDS_OF_RECORDINGS = "poses are odometry|No recording yet|Not processed yet"
 OF_FRAME = ("labels.npz", "voxels", "bev.png")
 
 

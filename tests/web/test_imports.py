@@ -39,18 +39,18 @@ def test_a_tar_is_sent_and_its_import_is_watched(site: Site, curator: Person, ta
     with site.visit(curator) as page:
         page.goto("/sequences")
         page.get_by_role("link", name="Import a dataset").click()
-        expect(page.get_by_role("heading", name="Nothing was imported yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="No imports yet")).to_be_visible()
         look(page, "imports-empty")
         page.locator('input[name="tar"]').set_input_files(tar)
         expect(page.get_by_role("textbox", name="Name")).to_have_value("offroad")
         page.locator('input[name="classes"]').set_input_files(tmp_path / "classes.yaml")
-        page.get_by_label("get a second label set").check()
-        page.get_by_text("What is true of all of them").click()
+        page.get_by_label("Add a second label set").check()
+        page.get_by_text("Metadata for all sequences").click()
         page.get_by_label("Environment").select_option("mountain")
         look(page, "imports-chosen")
         page.get_by_role("button", name="Import", exact=True).click()
         expect(page.get_by_role("heading", name="offroad")).to_be_visible(timeout=120_000)
-        expect(page.get_by_text("its tables are read")).to_be_visible()
+        expect(page.get_by_text("reading tables")).to_be_visible()
         look(page, "imports-begun")
     (made,) = imports(site.platform)
     assert (made.name, made.existing, made.sets_splits) == ("offroad", "add", False)
@@ -103,9 +103,9 @@ def test_an_import_that_failed_says_where_and_is_forgotten_by_the_keyboard(
         look(page, "imports-failed")
         page.goto("/imports")
         look(page, "imports-list")
-        page.get_by_role("button", name="Forget the import of offroad").focus()
+        page.get_by_role("button", name="Delete the import of offroad").focus()
         page.keyboard.press("Enter")
-        expect(page.get_by_role("heading", name="Nothing was imported yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="No imports yet")).to_be_visible()
     assert imports(site.platform) == []
 
 
@@ -148,11 +148,11 @@ def test_what_was_stopped_goes_on_where_it_was(site: Site, curator: Person, tmp_
         slow_down(page, 4 * 2**20)
         page.locator('input[name="tar"]').set_input_files(tar)
         page.get_by_role("button", name="Import", exact=True).click()
-        expect(page.locator("#sending-act")).to_have_text("Sending", timeout=120_000)
+        expect(page.locator("#sending-act")).to_have_text("Uploading", timeout=120_000)
         until(lambda: page.locator("#sending-bar").evaluate("bar => bar.value") > 0.1)
         look(page, "imports-sending")
         page.get_by_role("button", name="Stop").click()
-        expect(page.locator("#said")).to_contain_text("it goes on from there")
+        expect(page.locator("#said")).to_contain_text("start again to resume")
         slow_down(page, -1)
         page.goto("/imports")
         page.locator('input[name="tar"]').set_input_files(tar)
@@ -176,7 +176,7 @@ def test_a_participant_has_no_way_in_and_others_see_nothing_of_it(
     (made,) = imports(site.platform)
     with site.visit(person(site.platform, "curator"), expected=["404"]) as page:
         page.goto("/imports")
-        expect(page.get_by_role("heading", name="Nothing was imported yet")).to_be_visible()
+        expect(page.get_by_role("heading", name="No imports yet")).to_be_visible()
         answer = page.goto(f"/imports/{made.id}")
         assert answer is not None
         assert answer.status == 404

@@ -53,6 +53,31 @@ def test_somebody_signs_in_with_the_provider_comes_back_and_signs_out(site: Site
         expect(page.get_by_role("heading", name="Sign in", exact=True)).to_be_visible()
 
 
+def test_a_session_that_ends_is_taken_up_again_with_the_provider_in_another_tab(
+    site: Site, oidc_server: OidcServer
+) -> None:
+    oidc_server.know("s-ada", preferred_username="Ada", groups=["field-team"])
+    with site.visit(expected=["401", *ELSEWHERE]) as page:
+        page.goto("/account")
+        sign_in_at_the_provider(page, "s-ada")
+        expect(page.get_by_role("heading", name="ada", exact=True)).to_be_visible()
+        page.get_by_role("button", name="New token").click()
+        page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
+        page.context.clear_cookies()
+        page.get_by_role("dialog").get_by_role("button", name="Create").click()
+        asking = page.get_by_role("dialog", name="Your session has ended")
+        asking.get_by_role("button", name="I have signed in").click()
+        expect(asking.get_by_role("alert")).to_have_text("You are not signed in yet. Sign in first.")
+        look(page, "session-ended-provider")
+        with page.context.expect_page() as opened:
+            asking.get_by_role("link", name="Sign in with Field Robotics Lab").click()
+        opened.value.get_by_placeholder("sub").fill("s-ada")
+        opened.value.get_by_role("button", name="Authorize").click()
+        expect(opened.value.get_by_role("link", name="ada")).to_be_visible()
+        asking.get_by_role("button", name="I have signed in").click()
+        expect(page.locator("[data-secret]")).to_have_text(re.compile("^stone_"))
+
+
 def test_who_is_not_let_in_reads_why(site: Site, oidc_server: OidcServer) -> None:
     oidc_server.know("s-out", preferred_username="out", groups=["strangers"])
     with site.visit(expected=["403", *ELSEWHERE]) as page:
@@ -108,8 +133,8 @@ def test_a_code_is_typed_and_denied(site: Site, oidc_server: OidcServer) -> None
         sign_in_at_the_provider(page, "s-eve")
         look(page, "device-code")
         page.get_by_label("The code").fill("bcdf ghjk")
-        page.get_by_role("button", name="Look").click()
-        expect(page.get_by_role("alert")).to_contain_text("No program waits with the code bcdf ghjk")
+        page.get_by_role("button", name="Continue").click()
+        expect(page.get_by_role("alert")).to_contain_text("No program is waiting with the code bcdf ghjk")
         codes = begun(page)
         page.get_by_label("The code").fill(codes["user_code"].lower())
         page.keyboard.press("Enter")

@@ -50,7 +50,7 @@ def test_the_owner_compares_two_label_sets_and_sees_what_differs(
     with site.visit(curator) as page:
         to_label_sets(page, shown)
         page.get_by_role("button", name="Compare").click()
-        card = page.get_by_role("region", name="A against B")
+        card = page.get_by_role("region", name="A and B compared")
         expect(card).to_contain_text("queued")
         run_eval(platform)
         page.reload()

@@ -15,11 +15,11 @@ from tests.web.looking import look
 def test_events_are_chosen_and_a_webhook_is_set_whose_secret_is_shown_once(site: Site, participant: Person) -> None:
     with site.visit(participant) as page:
         page.goto("/account#notifications")
-        page.get_by_label("A run of mine failed: by webhook").check()
+        page.get_by_label("One of my runs failed: by webhook").check()
         page.locator("#choices").get_by_role("button", name="Save").click()
         expect(page.get_by_text("Saved.")).to_be_visible()
         page.get_by_label(re.compile("^URL")).fill("https://chat.example.org/hooks/abc")
-        page.get_by_role("button", name="Set it").click()
+        page.locator("#webhook").get_by_role("button", name="Save").click()
         expect(page.locator("[data-secret]")).to_have_text(re.compile("^whsec_"))
         expect(page.get_by_role("heading", name="Your webhook's secret")).to_be_visible()
         expect(page.locator("#webhook code")).to_have_text("https://chat.example.org/hooks/abc")
@@ -55,16 +55,16 @@ def test_the_mailed_link_leads_to_a_button_that_verifies_the_address(site: Site,
         secret = new_secret(session, row)
     with site.visit(participant) as page:
         page.goto(f"/account?email_secret={secret}#notifications")
-        expect(page.get_by_text("not verified yet")).to_be_visible()
+        expect(page.locator("#email").get_by_text("not verified")).to_be_visible()
         look(page, "account-verification")
-        page.get_by_role("button", name="It is mine").click()
+        page.get_by_role("button", name="Confirm address").click()
         expect(page.locator("#email").get_by_text("verified", exact=True)).to_be_visible()
-        expect(page.get_by_role("button", name="It is mine")).to_have_count(0)
+        expect(page.get_by_role("button", name="Confirm address")).to_have_count(0)
 
 
 def test_a_private_address_is_refused_where_it_is_typed(site: Site, participant: Person) -> None:
     with site.visit(participant, expected=["422"]) as page:
         page.goto("/account")
         page.get_by_label(re.compile("^URL")).fill("https://127.0.0.1/hooks/abc")
-        page.get_by_role("button", name="Set it").click()
+        page.locator("#webhook").get_by_role("button", name="Save").click()
         expect(page.locator("#webhook .said")).to_contain_text("may not be sent to")

@@ -18,6 +18,11 @@ PAGES = """
 /                     200 200 200 200
 /sign-in              200 200 200 200
 /downloads/           200 200 200 200
+/codes                200 200 200 200
+/codes/LAB-603        200 200 200 200
+/codes/none           401 404 404 404
+/docs/                200 200 200 200
+/help                 200 200 200 200
 /benchmarks           200 200 200 200
 /benchmarks/none      401 404 404 404
 /benchmarks/none/val  401 404 404 404
@@ -42,6 +47,8 @@ PAGES = """
 /teams                401 200 200 200
 /submissions/00000000000000000000000000000000 401 404 404 404
 /teams/00000000000000000000000000000000       401 404 404 404
+/benchmarks/none/val/data                     401 404 404 404
+/benchmarks/none/val/rules                    401 404 404 404
 /benchmarks/none/val/submit                   401 404 404 404
 /admin/jobs           401 403 403 200
 /admin/jobs?list=dead 401 403 403 200

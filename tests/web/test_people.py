@@ -27,9 +27,9 @@ def test_a_token_is_made_shown_once_works_and_is_revoked(site: Site, participant
         page.goto("/account")
         look(page, "account")
         page.get_by_role("button", name="New token…").click()
-        page.get_by_label("What it is for").fill("training cluster")
+        page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
         look(page, "account-new-token")
-        page.get_by_role("button", name="Make it").click()
+        page.get_by_role("dialog").get_by_role("button", name="Create").click()
         secret = page.locator("[data-secret]")
         expect(secret).to_have_text(re.compile("^stone_"))
         headers = {"Authorization": f"Bearer {secret.inner_text()}"}
@@ -37,7 +37,7 @@ def test_a_token_is_made_shown_once_works_and_is_revoked(site: Site, participant
         assert (me.status_code, me.json()["scopes"]) == (200, ["read"])
         expect(page.get_by_role("heading", name="training cluster", exact=True)).to_be_visible()
         look(page, "account-token")
-        page.get_by_role("button", name="I have it").click()
+        page.get_by_role("button", name="Done").click()
         expect(secret).to_be_hidden()
         page.get_by_role("button", name="Revoke training cluster…").click()
         page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
@@ -51,14 +51,14 @@ def test_the_password_is_changed_and_other_browsers_are_signed_out(site: Site, p
         with site.platform.database.transaction() as session:
             other = sessions.open_session(session, session.get_one(User, participant.user_id), 3600.0)
         page.goto("/account")
-        page.get_by_role("button", name="Sign the others out").click()
+        page.get_by_role("button", name="Sign out other browsers").click()
         expect(page.locator("#browsers li")).to_have_count(1)
         cookie = {"Cookie": f"stone_session={other.secret}"}
         assert httpx.get(f"{site.url}/api/v1/me", headers=cookie).status_code == 401
-        page.get_by_label("The one you have").fill(PASSWORD)
-        page.get_by_label(re.compile("^A new one")).fill("another horse, another battery")
-        page.get_by_label("The new one again").fill("another horse, another battery")
-        page.get_by_role("button", name="Change it").click()
+        page.get_by_label("Current password").fill(PASSWORD)
+        page.get_by_label(re.compile("^New password")).fill("another horse, another battery")
+        page.get_by_label("Repeat the new password").fill("another horse, another battery")
+        page.get_by_role("button", name="Change password").click()
         expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
 
 
@@ -66,9 +66,9 @@ def test_a_user_is_added_with_a_password_that_is_shown_once(site: Site, administ
     with site.visit(administrator) as page:
         page.goto("/admin/users")
         page.get_by_role("button", name="Add a user…").click()
-        page.get_by_label(re.compile("^Name small")).fill("ada")
+        page.get_by_label(re.compile("^Name lowercase")).fill("ada")
         page.get_by_role("radio", name="curator").check()
-        page.get_by_role("button", name="Suggest one").click()
+        page.get_by_role("button", name="Generate").click()
         page.get_by_label("Reason").fill("joins the field team")
         look(page, "users-add")
         page.get_by_role("button", name="Add", exact=True).click()
@@ -78,9 +78,9 @@ def test_a_user_is_added_with_a_password_that_is_shown_once(site: Site, administ
         assert httpx.post(f"{site.url}/api/v1/sessions", json=body).json()["role"] == "curator"
         expect(page.get_by_role("link", name="ada", exact=True)).to_be_visible()
         look(page, "users")
-        page.get_by_label("Name holds").fill("nobody")
-        page.get_by_role("button", name="Show", exact=True).click()
-        expect(page.get_by_role("heading", name="Nobody like that")).to_be_visible()
+        page.get_by_label("Name contains").fill("nobody")
+        page.get_by_role("button", name="Filter", exact=True).click()
+        expect(page.get_by_role("heading", name="No matching users")).to_be_visible()
 
 
 def test_a_users_role_access_and_tokens_are_changed_with_reasons(site: Site, administrator: Person) -> None:
@@ -100,17 +100,17 @@ def test_a_users_role_access_and_tokens_are_changed_with_reasons(site: Site, adm
         look(page, "user-role")
         page.get_by_role("dialog").get_by_role("button", name="Change the role…").click()
         expect(page.locator("h1 + .row .tag")).to_have_text("participant")
-        page.get_by_role("button", name="Set a new one…").click()
+        page.get_by_role("button", name="Reset password…").click()
         page.get_by_role("textbox", name=re.compile("^Password")).fill(PASSWORD)
         page.get_by_role("dialog").get_by_label("Reason").fill("forgot theirs")
-        page.get_by_role("button", name="Set it").click()
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
         expect(page.locator("[data-secret]")).to_have_text(PASSWORD)
-        expect(page.locator("#password")).to_contain_text("They have one")
-        page.get_by_role("button", name="Shut out…").click()
+        expect(page.locator("#password")).to_contain_text("Set")
+        page.get_by_role("button", name="Deactivate…").click()
         page.get_by_role("dialog").get_by_label("Reason").fill("left")
-        page.get_by_role("dialog").get_by_role("button", name="Shut out…").click()
-        expect(page.get_by_text("shut out", exact=True)).to_be_visible()
-        expect(page.get_by_role("button", name="Let in again…")).to_be_visible()
+        page.get_by_role("dialog").get_by_role("button", name="Deactivate…").click()
+        expect(page.get_by_text("deactivated", exact=True)).to_be_visible()
+        expect(page.get_by_role("button", name="Reactivate…")).to_be_visible()
         expect(page.get_by_text("left the field team").first).to_be_visible()
         look(page, "user")
     assert httpx.get(f"{site.url}/api/v1/me", headers=ada.headers).status_code == 401

@@ -127,7 +127,7 @@ def test_a_plot_says_in_words_what_it_shows() -> None:
 
 def test_a_plot_of_nothing_known_is_an_empty_one_that_says_so() -> None:
     plot = time_plot(PlotDescription("Speed", "m/s"), 4.0, [PlotSeries(np.arange(2.0), np.full(2, np.nan))])
-    assert plot.said == "Speed: nothing is known"
+    assert plot.said == "Speed: no data"
     assert plot.curves[0].path == ""
 
 

@@ -14,7 +14,8 @@ from tests.web.looking import look
 from tests.web.test_pages_access import cookie
 from web.main import make_site
 
-OPEN, OWN = ("", "/frames", "/track", "/calibration"), ("/recordings", "/processing", "/label-sets", "/exports")
+OPEN = ("", "/frames", "/track", "/calibration", "/exports")
+OWN = ("/recordings", "/processing", "/label-sets")
 
 
 def new_sequence(platform: Platform, owner: Person, name: str = "forest") -> dict[str, str]:
@@ -37,9 +38,9 @@ def test_a_new_sequence_says_what_is_to_be_done(site: Site, curator: Person) -> 
     shown = new_sequence(site.platform, curator)
     with site.visit(curator) as page:
         page.goto(f"/sequences/{shown['id']}")
-        way = page.get_by_role("list", name="What is to be done")
+        way = page.get_by_role("list", name="Setup steps")
         assert way.get_by_role("listitem").count() == 3
-        expect(page.get_by_role("heading", name="Bring its recording")).to_be_visible()
+        expect(page.get_by_role("heading", name="Upload the recording")).to_be_visible()
         expect(page.get_by_role("button", name="Start processing")).to_be_disabled()
         look(page, "sequence-new")
         page.goto(f"/sequences/{shown['id']}/track")
@@ -64,6 +65,21 @@ def test_stages_move_on_without_loading_the_page_again_and_the_run_is_cancelled(
         page.get_by_label("Reason").fill("the wrong calibration")
         page.get_by_role("dialog").get_by_role("button", name="Cancel this run").click()
         expect(page.locator("#runs .state").first).to_have_text("cancelled", timeout=PATIENCE_MS)
+
+
+def test_the_log_and_the_buttons_are_of_a_run_that_starts_while_the_page_is_open(site: Site, curator: Person) -> None:
+    shown = new_sequence(site.platform, curator)
+    before = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+    advance(site.platform, before, "ingest.synchronise", "failed")
+    with site.platform.database.transaction() as session:
+        session.get_one(Job, before).state = "failed"
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{shown['id']}/processing")
+        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{before}/logs")
+        expect(page.get_by_role("button", name="Cancel this run")).to_have_count(0)
+        now = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{now}/logs", timeout=PATIENCE_MS)
+        expect(page.get_by_role("button", name="Cancel this run")).to_be_visible()
 
 
 def test_a_page_follows_on_after_a_platform_that_was_busy_when_it_asked(site: Site, curator: Person) -> None:
@@ -96,7 +112,7 @@ def test_new_labels_are_shown_as_soon_as_they_count(site: Site, curator: Person)
         expect(page.locator(".run-dashes")).to_be_visible()
         made.labels(site.platform, shown, contents=[made.frame_labels()] * 3)
         advance(site.platform, run_id, "ingest.synchronise", "succeeded")
-        expect(page.get_by_role("heading", name="What came of it")).to_be_visible(timeout=PATIENCE_MS)
+        expect(page.get_by_role("heading", name="Summary")).to_be_visible(timeout=PATIENCE_MS)
 
 
 @pytest.mark.parametrize(("is_public", "seen"), [(False, 404), (True, 200)])

@@ -38,6 +38,24 @@ def test_the_overview_says_what_came_of_it_in_pictures_and_figures(
         look(page, "sequence")
 
 
+def test_findings_are_graded_by_harm_and_each_leads_to_the_page_of_its_code(
+    site: Site, curator: Person, shown: dict[str, Any]
+) -> None:
+    with site.visit(curator) as page:
+        to(page, shown)
+        harmful, harmless = page.locator(".finding", has_text="LAB-603"), page.locator(".finding", has_text="TIM-201")
+        expect(harmful).to_contain_text("labels may be wrong")
+        expect(harmless).not_to_be_visible()
+        page.get_by_text("1 without effect on the labels").click()
+        expect(harmless).to_contain_text("labels unaffected")
+        colour = "one => getComputedStyle(one).borderLeftColor"
+        assert harmful.evaluate(colour) != harmless.evaluate(colour)
+        look(page, "sequence-findings")
+        harmful.get_by_role("link", name="LAB-603").click()
+        expect(page).to_have_url(f"{site.url}/codes/LAB-603")
+        expect(page.get_by_role("heading", level=1)).to_have_text("LAB-603")
+
+
 def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
     site: Site, platform: Platform, curator: Person, shown: dict[str, Any]
 ) -> None:
@@ -73,8 +91,8 @@ def test_without_pictures_the_owner_has_them_made_and_they_are_asked_for_once(
 ) -> None:
     with site.visit(curator) as page:
         to(page, shown, "/frames")
-        page.get_by_role("button", name="Make them").click()
-        expect(page.get_by_text("pictures are being made")).to_be_visible()
+        page.get_by_role("button", name="Extract images").click()
+        expect(page.get_by_text("images are being prepared")).to_be_visible()
         look(page, "sequence-frames-making")
 
 
@@ -82,16 +100,16 @@ def test_the_track_tells_where_and_how_fast_at_every_moment(site: Site, curator:
     with site.visit(curator) as page:
         to(page, shown, "/track")
         expect(page.get_by_text("north is up")).to_be_visible()
-        slider = page.get_by_role("slider", name="Along the drive")
+        slider = page.get_by_role("slider", name="Position along the track")
         slider.focus()
         slider.press("ArrowRight")
         expect(page.locator("[data-said]")).to_contain_text("0.1 s")
         expect(page.locator("[data-robot]")).to_have_attribute("visibility", "visible")
-        expect(page.get_by_role("link", name="Open the frame")).to_have_attribute(
+        expect(page.get_by_role("link", name="Open frame")).to_have_attribute(
             "href", f"/sequences/{shown['id']}/frames?frame={shown['tokens'][1]}"
         )
         look(page, "sequence-track")
-        page.get_by_text("2 sweeps became no frames").click()
+        page.get_by_text("2 excluded sweeps").click()
         expect(page.get_by_role("cell", name="SYN-504", exact=True)).to_be_visible()
 
 
@@ -123,7 +141,7 @@ def test_calibration_and_processing_and_exports_are_whole_pages(
         expect(page.get_by_role("heading", name="Labelling")).to_be_visible()
         look(page, "sequence-processing")
         to(page, shown, "/exports")
-        page.get_by_role("button", name="Write Mesh").click()
+        page.get_by_role("button", name="Create Mesh").click()
         expect(page.locator(".export-list")).to_contain_text("queued")
         look(page, "sequence-exports")
 
@@ -132,7 +150,7 @@ def test_the_owner_edits_shares_and_deletes_it(site: Site, curator: Person, show
     with site.visit(curator) as page:
         to(page, shown)
         page.get_by_role("button", name="Edit").click()
-        expect(page.get_by_label("Name")).to_be_disabled()
+        expect(page.get_by_role("textbox", name="Name fixed")).to_be_disabled()
         page.get_by_label("Environment").select_option("lake")
         page.get_by_role("button", name="Save").click()
         expect(page.locator(".sequence-head")).to_contain_text("lake")
@@ -143,7 +161,13 @@ def test_the_owner_edits_shares_and_deletes_it(site: Site, curator: Person, show
         with site.visit() as visitor:
             to(visitor, shown)
             to(visitor, shown, "/frames")
-            assert visitor.locator(".tabs a").all_inner_texts() == ["Overview", "Frames", "Track", "Calibration"]
+            assert visitor.locator(".tabs a").all_inner_texts() == [
+                "Overview",
+                "Frames",
+                "Track",
+                "Calibration",
+                "Exports",
+            ]
         page.get_by_role("button", name="Delete").click()
-        page.get_by_role("button", name="Delete for good").click()
+        page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         expect(page).to_have_url(f"{site.url}/sequences")

@@ -5,9 +5,10 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.schemas.jobs import JOB_EXAMPLE, JobDetail, StageItem
+from api.schemas.jobs import JOB_EXAMPLE, STAGES_EXAMPLE, JobDetail, StageItem
 from api.schemas.sequences.exports import EXPORT_EXAMPLE, ExportItem
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
+from stone.splits.composition import duration_ns, path_length_m
 from stone_recordings.clocks import findings
 from stone_recordings.clocks.report import TopicClock
 from testing.worlds.frame_tables import frame_columns
@@ -23,8 +24,8 @@ from web.sequence.track import ground_of, is_sure, speeds_m_s, track_of
 START_NS = 1_777_800_000_000_000_000
 TOKENS = [f"{number:032x}" for number in range(12)]
 STAGES = [
-    StageItem(kind="labeler.surface", total=40, done=11, running=2, failed=0),
-    StageItem(kind="labeler.fuse", total=12, done=12, running=0, failed=0),
+    StageItem(**STAGES_EXAMPLE[1]),
+    StageItem(**STAGES_EXAMPLE[0]),
 ]
 ABOUT = {"pose_source": "/ins", "map_origin_deg_m": [48.0, 11.5, 559.0]}
 
@@ -63,7 +64,8 @@ def test_a_robot_at_a_steady_pace_has_that_speed_all_along() -> None:
     np.testing.assert_allclose(speeds_m_s(straight), 1.5)
     drawn = track_of(straight)
     assert drawn is not None
-    assert drawn.facts["distance_m"] == pytest.approx(1.65)
+    assert drawn.facts["distance_m"] == pytest.approx(path_length_m(straight.positions_map_m)) == pytest.approx(1.65)
+    assert drawn.facts["duration_s"] == duration_ns(straight.stamps_ns) / 1e9, "as the label set has it"
     assert drawn.facts["climb_m"] == 0.0
 
 
@@ -122,6 +124,7 @@ def test_clocks_that_nobody_keeps_time_by_are_left_out_and_the_wrong_ones_marked
     assert [topic for topic, row in rows.items() if row.drift and row.drift.is_bad] == ["/radar"]
     assert rows["/radar"].marks == ("TAI-UTC", "2 steps back")
     assert rows["/ins"].marks == ("11.1 ms after its own time",)
+    assert {row.against for row in found.rows if row.jitter} <= {"sensor time", "record time"}
 
 
 def test_offsets_keep_their_order_and_whiskers_reach_around_their_dot() -> None:
@@ -181,7 +184,11 @@ def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> 
     assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
     assert steps[-1].state == "waiting"
     ended = running.model_copy(update={"state": "failed"})
-    assert [step.kind for step in steps_of(ended)] == ["labeler.fuse", "labeler.surface"]
+    assert [(step.kind, step.state) for step in steps_of(ended)] == [
+        ("labeler.fuse", "succeeded"),
+        ("labeler.surface", "cancelled"),
+    ]
+    assert steps_of(ended)[0].lasted_s == 20.69
 
 
 def test_a_job_by_itself_is_one_step() -> None:

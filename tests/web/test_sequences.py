@@ -7,6 +7,7 @@ from playwright.sync_api import expect
 
 from testing.api.serving import Person
 from testing.web.browsing import Site
+from testing.worlds.made import sequence
 from tests.web.listed_world import listed_world
 from tests.web.looking import look
 
@@ -18,19 +19,19 @@ def test_an_owner_finds_a_sequence_by_what_is_said_of_it(site: Site, curator: Pe
         page.goto("/sequences")
         cards = page.locator(".sequence-card")
         expect(cards).to_have_count(6)
-        expect(cards.first).to_contain_text("no recording yet")
-        expect(cards.nth(1)).to_contain_text("being processed")
+        expect(cards.first).to_contain_text("no recording")
+        expect(cards.nth(1)).to_contain_text("queued")
         expect(cards.nth(2).get_by_role("img")).to_have_attribute("aria-label", re.compile("traversable 10.0 %"))
         expect(cards.nth(3)).to_contain_text("test")
         page.wait_for_function("[...document.images].every(one => one.complete && one.naturalWidth > 0)")
         look(page, "sequences")
         page.get_by_label("Environment").select_option("lake")
         page.keyboard.press("Tab")
-        page.get_by_role("button", name="Show").click()
+        page.get_by_role("button", name="Filter").click()
         expect(cards).to_have_count(1)
-        page.get_by_label("Name begins with").fill("forest")
+        page.get_by_label("Name contains").fill("forest")
         page.keyboard.press("Enter")
-        expect(page.get_by_role("heading", name="None is like that")).to_be_visible()
+        expect(page.get_by_role("heading", name="No matching sequences")).to_be_visible()
         page.get_by_role("link", name="Clear").click()
         expect(cards).to_have_count(6)
         link = cards.last.get_by_role("heading").get_by_role("link")
@@ -47,7 +48,19 @@ def test_a_visitor_is_shown_what_is_public_and_nothing_of_its_split(site: Site, 
         page.reload()
         expect(page.locator(".sequence-card")).to_have_count(1)
         expect(page.locator(".sequence-split")).to_have_count(0)
-        expect(page.get_by_role("link", name="Bring new ones")).to_have_count(0)
+        expect(page.get_by_role("link", name="Upload recordings")).to_have_count(0)
+
+
+def test_a_name_is_found_by_any_part_of_it(site: Site, curator: Person) -> None:
+    with httpx.Client(base_url=site.url) as api:
+        for name in ("2026-05-Hill_north", "2026-05-hillXnorth", "lake"):
+            sequence(api, curator, name)
+    with site.visit(curator) as page:
+        page.goto("/sequences")
+        page.get_by_label("Name contains").fill("hill_N")
+        page.keyboard.press("Enter")
+        expect(page.locator(".sequence-card")).to_have_count(1)
+        expect(page.locator(".sequence-card")).to_contain_text("2026-05-Hill_north")
 
 
 def test_a_list_that_is_long_goes_on_by_its_cursor(site: Site, curator: Person) -> None:

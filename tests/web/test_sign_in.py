@@ -1,15 +1,21 @@
-"""Signing in and out at a page."""
+"""Signing in and out at a page, and where the first administrator's password is told to be."""
 
 import logging
 
+import httpx
 import pytest
 from playwright.sync_api import expect
 
 from services.runtime.access import passwords, users
+from services.runtime.embedded.first_start import PASSWORD_FILE, ensure_keys
 from services.runtime.orm import User
-from testing.api.serving import Person
+from services.runtime.platform import Platform
+from services.runtime.settings import ApiSettings, Settings
+from testing.api.serving import Person, serving
+from testing.servers.fixtures import Bells, opened
 from testing.web.browsing import Site
 from tests.web.looking import look
+from web.main import make_site
 
 PASSWORD = "correct horse battery staple"
 
@@ -65,3 +71,42 @@ def test_a_fault_of_ours_is_a_page_with_the_requests_id_and_nothing_of_our_insid
         assert answer.status == 500
         expect(page.get_by_text("Request ", exact=False).last).to_be_visible()
         assert "secret" not in page.content()
+
+
+@pytest.fixture
+def first_password(platform: Platform) -> str:
+    """The password of the platform's first start."""
+    return ensure_keys(platform).password
+
+
+@pytest.mark.parametrize("path", ["/sign-in", "/account"])
+def test_on_loopback_the_file_of_the_first_password_is_told_and_never_the_password(
+    path: str, site: Site, first_password: str
+) -> None:
+    text = httpx.get(site.url + path, headers={"Accept": "text/html"}).text
+    assert str(site.platform.settings.root / PASSWORD_FILE) in text
+    assert "<code>admin</code>" in text
+    assert first_password
+    assert first_password not in text
+
+
+@pytest.mark.parametrize(
+    ("name", "value"), [("Host", "stone.example"), ("Host", "10.0.0.1"), ("X-Forwarded-For", "192.0.2.7")]
+)
+@pytest.mark.usefixtures("first_password")
+def test_a_reader_elsewhere_is_not_told_where_the_first_password_is(name: str, value: str, site: Site) -> None:
+    answer = httpx.get(f"{site.url}/sign-in", headers={name: value})
+    assert answer.status_code == 200
+    assert PASSWORD_FILE not in answer.text
+
+
+def test_a_platform_that_is_known_by_another_name_does_not_tell_its_files(settings: Settings, bells: Bells) -> None:
+    platform = opened(settings.model_copy(update={"api": ApiSettings(url="https://stone.example")}), bells)
+    ensure_keys(platform)
+    with serving(platform, make_site(platform)) as url:
+        assert PASSWORD_FILE not in httpx.get(f"{url}/sign-in").text
+    platform.database.close()
+
+
+def test_without_the_file_nothing_is_told(site: Site) -> None:
+    assert PASSWORD_FILE not in httpx.get(f"{site.url}/sign-in").text

@@ -9,9 +9,9 @@ from playwright.sync_api import Dialog, Locator, Page, expect
 from services.domain.datasets.splits import current_splits
 from services.runtime.platform import Platform
 from stone.splits.splits import Split
-from testing.api.serving import Person
+from testing.api.serving import Person, person
 from testing.web.browsing import Site
-from tests.web.dataset_world import Driven, campaign, put, put_apart
+from tests.web.dataset_world import Driven, campaign, driven, put, put_apart
 from tests.web.looking import look
 
 URL = "/dataset/splits"
@@ -40,20 +40,20 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
     with site.visit(administrator) as page:
         page.goto(URL)
         verdict = page.locator("[data-verdict]")
-        expect(verdict).to_have_text("Every rule is kept")
+        expect(verdict).to_have_text("All rules satisfied")
         look(page, "splits")
         page.get_by_role("button", name="farmland-03").press("3")
-        expect(verdict).to_have_text("One rule is broken")
+        expect(verdict).to_have_text("One rule is violated")
         expect(page.get_by_role("status").first).to_have_text("farmland-03 is in test now.")
         expect(page.locator("[data-findings]")).to_contain_text("Gyeonggi")
         expect(column(page, "Test").filter(has_text="farmland-03")).to_have_count(1)
         expect(page.get_by_role("button", name="Save…")).to_be_disabled()
-        page.get_by_role("button", name="Test regions apart").click()
+        page.get_by_role("button", name="Test and train regions disjoint").click()
         look(page, "splits-broken")
         page.get_by_role("button", name="farmland-03").press("0")
-        expect(verdict).to_have_text("Every rule is kept")
+        expect(verdict).to_have_text("All rules satisfied")
         page.get_by_role("button", name="Save…").click()
-        expect(page.get_by_role("dialog")).to_contain_text("farmland-03: train → no split")
+        expect(page.get_by_role("dialog")).to_contain_text("farmland-03: train → unassigned")
         page.get_by_label("Reason").fill("the lake was dry")
         look(page, "splits-save")
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
@@ -77,7 +77,7 @@ def test_nothing_moves_when_the_rules_have_answered(
     put(site.platform, Split(train=(near[0],), val=(), test=tuple(near[1:])))
     with site.visit(administrator) as page:
         page.goto(URL)
-        expect(page.locator("[data-verdict]")).to_contain_text("broken")
+        expect(page.locator("[data-verdict]")).to_contain_text("violated")
         assert page.evaluate(SHIFTED) < 0.01
 
 
@@ -86,7 +86,7 @@ def test_arrows_walk_space_picks_several_and_undo_takes_back(
 ) -> None:
     with site.visit(administrator) as page:
         page.goto(URL)
-        expect(page.locator("[data-verdict]")).to_have_text("Nothing is in a split yet")
+        expect(page.locator("[data-verdict]")).to_have_text("No sequence is in a split yet")
         names = sorted(one.name for one in sequences)
         page.get_by_role("button", name=names[0]).focus()
         page.keyboard.press("Space")
@@ -102,7 +102,7 @@ def test_arrows_walk_space_picks_several_and_undo_takes_back(
         expect(page.get_by_role("button", name=names[0])).to_be_focused()
         page.keyboard.press("Control+z")
         page.keyboard.press("Control+z")
-        expect(column(page, "In no split")).to_have_text(names)
+        expect(column(page, "Unassigned")).to_have_text(names)
         expect(page.get_by_role("button", name="Undo")).to_be_disabled()
 
 
@@ -133,7 +133,7 @@ def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
         look(page, "splits-propose")
         page.get_by_role("button", name="Propose", exact=True).click()
         expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=300_000)
-        expect(page.get_by_role("heading", name="A proposal that keeps every rule")).to_be_visible()
+        expect(page.get_by_role("heading", name="A proposal that satisfies every rule")).to_be_visible()
         look(page, "splits-proposal")
         page.get_by_role("button", name="Adopt").click()
         for part, wanted in (("Train", 5), ("Val", 4), ("Test", 4)):
@@ -149,7 +149,7 @@ def test_who_saves_second_is_told_by_whom_and_decides(
     with site.visit(administrator, expected=["412"]) as page:
         page.goto(URL)
         page.get_by_role("button", name="farmland-03").press("0")
-        expect(page.locator("[data-verdict]")).to_have_text("Every rule is kept")
+        expect(page.locator("[data-verdict]")).to_have_text("All rules satisfied")
         page.get_by_role("button", name="Save…").click()
         page.get_by_label("Reason").fill("the lake was dry")
         body = {"train": split.train, "val": split.val, "test": split.test, "reason": "as it was"}
@@ -158,9 +158,9 @@ def test_who_saves_second_is_told_by_whom_and_decides(
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
         notice = page.get_by_role("alert").filter(has_text="saved the splits while you worked")
         expect(notice).to_contain_text(administrator.name)
-        expect(notice).to_contain_text("farmland-03 (no split here, train there)")
+        expect(notice).to_contain_text("farmland-03 (unassigned here, train there)")
         look(page, "splits-theirs")
-        notice.get_by_role("button", name="Go on with mine").click()
+        notice.get_by_role("button", name="Keep mine").click()
         page.get_by_role("button", name="Save…").click()
         page.get_by_label("Reason").fill("the lake was dry")
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
@@ -193,6 +193,18 @@ def test_a_curator_sees_where_their_own_are_and_moves_nothing(
         expect(page.get_by_role("region", name="Test", exact=True).get_by_role("link")).to_have_count(4)
         expect(page.get_by_role("button", name=re.compile("Save|Propose"))).to_have_count(0)
         look(page, "splits-curator")
+
+
+def test_a_curator_reads_of_their_own_sequences_what_is_true_of_them(
+    site: Site, platform: Platform, curator: Person, sequences: tuple[Driven, ...]
+) -> None:
+    other = person(platform, "curator")
+    own = driven(platform, other, 0)
+    put(platform, Split(train=(own.id, sequences[0].id, sequences[1].id), val=(sequences[2].id,), test=()))
+    with site.visit(other) as page:
+        page.goto(URL)
+        expect(page.locator(".lead")).to_contain_text("Of your sequences, 1 is in train, 0 in val, 0 in test.")
+        expect(page.locator(".lead")).to_contain_text("All together: 3 sequences in train, 1 in val, 0 in test.")
 
 
 def test_without_labels_the_page_says_what_to_do(site: Site, administrator: Person) -> None:

@@ -10,7 +10,7 @@ import stat
 import struct
 import zipfile
 from base64 import b64encode
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ import numpy as np
 import pytest
 
 from stone_submissions.archive import open_submission
-from stone_submissions.errors import SubmissionError
+from stone_submissions.errors import TO_XYZ, SubmissionError, shape_hint
 from stone_submissions.npz_frame import prediction_grid
 from testing.web.browsing import Site
 
@@ -109,6 +109,18 @@ def told() -> Iterator[bytes]:
     yield b"not a zip at all" * 9
     yield packed(whole()) + b"more"
     yield b"before" + packed(whole())
+    submission = of_frames(zipfile.ZIP_STORED)
+    yield from (submission[: len(submission) * part // 7] for part in range(1, 8))
+    yield submission + b"more"
+
+
+def of_frames(method: int) -> bytes:
+    """A submission of real frames, which are archives themselves."""
+    content, inner = io.BytesIO(), frame(np.savez_compressed, semantics=np.zeros((256, 256, 32), np.uint8))
+    with zipfile.ZipFile(content, "w", method) as archive:
+        for name in whole():
+            archive.writestr(name, inner)
+    return content.getvalue()
 
 
 def mangled(seed: int) -> bytes:
@@ -146,6 +158,8 @@ def frames() -> Iterator[bytes]:
     yield from (frame(save, semantics=grid.astype(np.int16)), frame(save, semantics=np.array([{}], object)))
     yield frame(save)
     yield b"PICKLED" * 9
+    sound = frame(save, semantics=grid)
+    yield from (b"", sound[: len(sound) // 2], sound[:-1], sound + b"x")
     yield packed(["semantics.npy"])
 
 
@@ -167,14 +181,14 @@ def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     return said
 
 
-def asked(site: Site, script: str, module: str, archives: list[bytes]) -> list[Any]:
-    """What the script says of the archives, by this module of the form."""
+def asked(site: Site, script: str, module: str, archives: list[bytes], tokens: Sequence[str] = TOKENS) -> list[Any]:
+    """What the script says of the archives and tokens, by this module of the form."""
     with site.visit() as page:
         page.goto("/sign-in")
         sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
         at = f"{sheet.rpartition('/')[0]}/modules/submission/{module}.js"
         zips = [b64encode(archive).decode() for archive in archives]
-        said: list[Any] = page.evaluate(script, {"at": at, "zips": zips, "tokens": list(TOKENS)})
+        said: list[Any] = page.evaluate(script, {"at": at, "zips": zips, "tokens": list(tokens)})
     return said
 
 
@@ -205,4 +219,10 @@ def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site) -> None:
         archives.append(content.getvalue())
     ours = [code_by_the_platform(npz) for npz in given]
     assert asked(site, LOOK, "first_frame", archives) == ours
-    assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz"} == set(ours)
+    assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz", "truncated"} == set(ours)
+
+
+def test_the_page_gives_the_hints_for_shapes_that_the_platform_gives(site: Site) -> None:
+    script = "async ({at, tokens}) => { const { shapeHint } = await import(at); return tokens.map(shapeHint); }"
+    found = [*TO_XYZ, "(4, 4)"]
+    assert asked(site, script, "first_frame", [], found) == [shape_hint(one) for one in found]

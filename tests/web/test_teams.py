@@ -40,14 +40,14 @@ def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, par
         page.goto("/teams")
         look(page, "teams-empty")
         page.get_by_label("Name").fill("Terrain Gang")
-        page.get_by_role("button", name="Found it").click()
+        page.get_by_role("button", name="Create team").click()
         expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
         where = page.url
-        page.get_by_role("button", name="Invite somebody").click()
+        page.get_by_role("button", name="Create invitation").click()
         expect(page.get_by_label("Invitation", exact=True)).to_have_value(re.compile("invite_"))
         secret = page.get_by_label("Invitation", exact=True).input_value()
         expect(page.locator("#invitations li")).to_have_count(1)
-        expect(page.locator("#invitations")).to_contain_text("good until")
+        expect(page.locator("#invitations")).to_contain_text("valid until")
         look(page, "team-inviting")
     assert re.fullmatch(r"invite_[A-Za-z0-9_-]{43}", secret)
     with site.visit(guest, expected=["404"]) as page:
@@ -59,12 +59,12 @@ def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, par
         assert secret not in page.url
         page.get_by_role("button", name="Join").click()
         expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
-        expect(page.get_by_role("button", name="Invite somebody")).to_have_count(0)
+        expect(page.get_by_role("button", name="Create invitation")).to_have_count(0)
     with site.visit(participant) as page:
         page.goto(where)
         page.get_by_role("button", name="Make captain").click()
-        page.get_by_role("button", name="Hand over").click()
-        expect(page.get_by_text(f"led by {guest.name}")).to_be_visible()
+        page.get_by_role("dialog").get_by_role("button", name="Make captain").click()
+        expect(page.get_by_text(f"captain {guest.name}")).to_be_visible()
         page.get_by_role("button", name="Leave", exact=True).click()
         page.locator("dialog[open]").get_by_role("button", name="Leave").click()
         expect(page.get_by_role("heading", name="No team yet")).to_be_visible()
@@ -77,8 +77,8 @@ def test_a_team_sees_what_it_may_still_have_scored(site: Site, world: World) -> 
         scoring_quota.grant(session, phase, world.teams[0], 1, "a day was lost")
     with site.visit(world.captains[0]) as page:
         page.goto(f"/teams/{world.teams[0]}")
-        expect(page.get_by_text("2 of 4 left within 7 d")).to_be_visible()
-        expect(page.get_by_role("img", name="1 used, 1 under way, 2 left")).to_be_visible()
+        expect(page.get_by_text("2 of 4 submissions left within 7 d")).to_be_visible()
+        expect(page.get_by_role("img", name="1 used, 1 in progress, 2 left")).to_be_visible()
         look(page, "team")
         page.goto("/teams")
         look(page, "teams")
@@ -90,8 +90,8 @@ def test_who_has_no_team_is_asked_for_one_where_they_would_submit(
     with site.visit(participant) as page:
         page.goto(f"/benchmarks/{world.benchmark}/val/submit")
         look(page, "submit-without-team")
-        page.get_by_label("Name of the team").fill("Lone Wolf")
-        page.get_by_role("button", name="Found it").click()
+        page.get_by_label("Team name").fill("Lone Wolf")
+        page.get_by_role("button", name="Create team").click()
         expect(page.get_by_text("Choose a zip first.")).to_be_visible()
 
 
@@ -101,7 +101,7 @@ def test_a_closed_phase_says_so_instead_of_a_form(site: Site, world: World) -> N
         phase.opens_ns, phase.closes_ns = 1, 2
     with site.visit(world.captains[0]) as page:
         page.goto(f"/benchmarks/{world.benchmark}/test/submit")
-        expect(page.get_by_role("heading", name="takes no submissions any more")).to_be_visible()
+        expect(page.get_by_role("heading", name="This phase is closed")).to_be_visible()
         expect(page.locator("form#submit")).to_have_count(0)
         look(page, "submit-closed")
 

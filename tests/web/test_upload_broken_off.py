@@ -95,7 +95,7 @@ def test_the_api_is_killed_in_the_middle_and_the_page_goes_on(
         page.get_by_role("button", name="Upload").click()
         row = row_of(page, "long-run.mcap")
         hold_at(page, platform, ENOUGH)
-        expect(row.locator("[data-phase]")).to_have_text("sending")
+        expect(row.locator("[data-phase]")).to_have_text("uploading")
         expect(row.locator(".transfer-line")).to_contain_text("left")
         keep(page, "upload-sending")
         process.kill()
@@ -145,6 +145,6 @@ def test_a_pause_holds_still_and_what_is_there_can_be_given_up(site: Site, curat
         look(page, "upload-paused")
         row.get_by_role("button", name="Remove").click()
         page.reload()
-        page.get_by_role("button", name="Give up long-run.mcap").click()
+        page.get_by_role("button", name="Discard long-run.mcap").click()
         expect(page.get_by_role("region", name="Unfinished uploads")).to_be_hidden()
     assert [row.state for row in uploads(site.platform)] == ["terminated"]

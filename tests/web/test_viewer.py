@@ -66,7 +66,7 @@ def test_a_crosshair_picks_by_keys_what_a_click_picks_and_says_what_the_tile_say
     at_viewer.keyboard.press("c")
     at_viewer.keyboard.press("Shift+ArrowDown")
     expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Place in the map"]))
+    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Map position"]))
     by_keys = readout(at_viewer)
     at_viewer.keyboard.press("Escape")
     expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
@@ -97,7 +97,7 @@ def expected(place: str) -> dict[str, str]:
         "Slope": f"{np.degrees(slope):.1f}°",
         "Roughness": f"{1000 * np.exp(rough / 2):.0f} mm (log {rough:.1f})",
         "D²": f"{d2:.1f}",
-        "Place in the map": place,
+        "Map position": place,
         "class": names[int(tile.classes[row])],
     }
 
@@ -126,11 +126,11 @@ def test_of_imported_labels_a_voxel_says_its_class_and_that_nothing_explains_it(
         canvas(page).focus()
         page.keyboard.press("c")
         page.keyboard.press("Shift+ArrowDown")
-        expect(page.locator(".viewer-readout")).to_contain_text("Imported labels: no features")
-        assert set(readout(page)) == {"Place in the map", "class"}
+        expect(page.locator(".viewer-readout")).to_contain_text("Imported labels have no features")
+        assert set(readout(page)) == {"Map position", "class"}
         page.locator("summary").click()
         assert page.get_by_label("Colour by").locator("option").all_inner_texts() == ["Class"]
-        expect(page.get_by_text("there is no D², slope or roughness to see")).to_be_visible()
+        expect(page.get_by_text("D², slope and roughness are not available")).to_be_visible()
         look(page, "viewer-imported")
 
 
@@ -157,7 +157,7 @@ def test_a_browser_without_webgl_shows_the_frames_from_above(site: Site, curator
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
         page.goto(f"/sequences/{seen['id']}/view")
         expect(host(page)).to_have_attribute("data-state", "picture")
-        expect(page.get_by_text("draws no 3D")).to_be_visible()
+        expect(page.get_by_text("3D is not available")).to_be_visible()
         page.get_by_role("button", name="Next frame").click()
         expect(page.get_by_role("img", name="frame 2 of 6")).to_be_visible()
         look(page, "viewer-pictures")
@@ -167,7 +167,7 @@ def test_a_sequence_without_labels_says_what_to_do(site: Site, curator: Person) 
     with site.visit(curator) as page:
         page.goto(f"/sequences/{_bare(site.platform, curator)}/view")
         expect(page.get_by_role("heading", name="No labels yet")).to_be_visible()
-        expect(page.get_by_role("link", name="To the sequence")).to_be_visible()
+        expect(page.get_by_role("link", name="Sequence", exact=True)).to_be_visible()
         look(page, "viewer-empty")
 
 
@@ -177,7 +177,7 @@ def test_labels_made_before_there_was_a_viewer_say_so(site: Site, curator: Perso
     with site.visit(curator, expected=["404"]) as page:
         page.goto(f"/sequences/{seen['id']}/view")
         expect(host(page)).to_have_attribute("data-state", "empty")
-        expect(page.get_by_text("processed again")).to_be_visible()
+        expect(page.get_by_text("process the sequence again")).to_be_visible()
 
 
 def test_a_frame_that_does_not_come_is_said_in_the_picture(at_viewer: Page, seen: dict[str, Any]) -> None:

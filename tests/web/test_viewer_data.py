@@ -159,3 +159,14 @@ def _stepped(grid: Any, start: Any, direction: Any) -> Any:
 def test_the_grid_of_the_modules_is_the_grid_of_the_labels(loaded: Page) -> None:
     script = "const { SHAPE, VOXEL_M, GRID_MIN_M } = await load('data/formats'); return [SHAPE, VOXEL_M, GRID_MIN_M];"
     assert run(loaded, script) == [list(SHAPE), 0.2, [-25.6, -25.6, -2]]
+
+
+def test_a_place_just_below_zero_has_no_minus_before_its_zero(loaded: Page) -> None:
+    script = """
+    const { Readout } = await load("controls/readout");
+    const readout = new Readout({ profile: "imported" }, () => undefined);
+    const picked = { id: 1, index: [0, 0, 0], centre_m: [-0.04, 0.04, -12.34], kind: 3, seen: true, found: null };
+    readout.say({ ...picked, scope: "frame", difference: null });
+    return readout.element.querySelector("dd").textContent;
+    """
+    assert run(loaded, script) == "0.0, 0.0, -12.3 m"

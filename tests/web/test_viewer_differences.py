@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Page, expect
 
+from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB
 from services.runtime.platform import Platform
-from stone.scoring.agreement import DIFFERENCES, differences
+from stone.labels.class_colours import CLASS_RGB
+from stone.scoring.agreement import DIFFERENCES, SAME, differences
 from testing.api.serving import Person
 from testing.web.browsing import PATIENCE_MS, Site
 from testing.worlds import made
@@ -17,7 +19,7 @@ from tests.web.looking import look
 from tests.web.test_viewer_data import IMPORTS
 
 RUN = Run(frames=2, reach_m=3.0)
-SAME_RGB, T_RGB = [0xCE, 0xCE, 0xCA], [0x26, 0xA6, 0x5B]  # tokens --same and --t of the light page
+SAME_RGB, T_RGB = list(DIFFERENCE_RGB[SAME]), list(CLASS_RGB[1])  # tokens --same and --t of the light page
 
 
 @dataclass(frozen=True)
@@ -93,7 +95,7 @@ def test_differences_are_shown_with_their_shares_and_classes_when_asked_for(
         shares = [f"{round(100 * count / counts.sum())} %" for count in counts]
         assert list(legend(page).values()) == shares
         assert list(legend(page)) == [
-            "The same class", "Only in A", "Only in B", "Easier to drive in B", "Harder to drive in B",
+            "The same class", "Only in A", "Only in B", "More traversable in B", "Less traversable in B",
         ]  # fmt: skip
         assert painted_first(page) == SAME_RGB
         look(page, "viewer-differences")
@@ -115,5 +117,5 @@ def test_a_voxel_that_is_picked_says_how_it_differs(site: Site, curator: Person,
         page.keyboard.press("Shift+ArrowDown")
         expect(page.locator(".viewer-readout h3")).to_be_visible()
         assert page.locator(".viewer-readout h3").inner_text().strip() in (
-            "The same class", "Only in A", "Only in B", "Easier to drive in B", "Harder to drive in B",
+            "The same class", "Only in A", "Only in B", "More traversable in B", "Less traversable in B",
         )  # fmt: skip

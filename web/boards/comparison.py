@@ -77,7 +77,9 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
     """The verdict in words: the better in mIoU, by how much, how surely."""
     found = answer.ratios["miou"]
     if found.difference is None:
-        return ComparisonVerdict("The two cannot be put in order", ("One of them has no mIoU: a class is undefined.",))
+        return ComparisonVerdict(
+            "The two entries cannot be ordered", ("One of them has no mIoU: a class is undefined.",)
+        )
     better, worse = (names.a, names.b) if found.difference >= 0 else (names.b, names.a)
     margin = f"{better} is ahead by {abs(100 * found.difference):.2f} points of mIoU."
     if found.difference == 0:
@@ -86,7 +88,7 @@ def verdict(answer: ComparisonAnswer, names: Names) -> ComparisonVerdict:
         return ComparisonVerdict(f"{better} is ahead of {worse}", (margin, _uncertain(answer, found)))
     grounds = (margin, _here(answer, found.difference, found.these_places), *_elsewhere(answer, found))
     if found.these_places.p > 1 - answer.interval_level:
-        return ComparisonVerdict(f"{names.a} and {names.b} do not surely differ", grounds)
+        return ComparisonVerdict(f"No significant difference between {names.a} and {names.b}", grounds)
     return ComparisonVerdict(f"{better} is better than {worse}", grounds)
 
 
@@ -98,11 +100,9 @@ def signed(difference: float) -> str:
 
 def _uncertain(answer: ComparisonAnswer, found: RatioDifferenceItem) -> str:
     if answer.is_withheld:
-        return (
-            "Whether that is more than chance is told when the phase has ended: until then its ground truth is hidden."
-        )
+        return "Significance is shown when the phase has ended: until then its ground truth is hidden."
     if found.these_places is None:
-        return f"Whether that is more than chance is not said: {_silence(found, 'these_places')}."
+        return f"No significance test: {_silence(found, 'these_places')}."
     return _here(answer, found.difference or 0.0, found.these_places)
 
 
@@ -110,16 +110,16 @@ def _here(answer: ComparisonAnswer, difference: float, told: DifferenceItem) -> 
     """The interval of the better one's margin."""
     low, high = told.interval if difference >= 0 else (-told.interval[1], -told.interval[0])
     level = round(100 * answer.interval_level)
-    return f"On this ground its margin is {signed(low)} to {signed(high)} ({level} % interval, {_p(told.p)})."
+    return f"On these sequences the margin is {signed(low)} to {signed(high)} ({level} % interval, {_p(told.p)})."
 
 
 def _elsewhere(answer: ComparisonAnswer, found: RatioDifferenceItem) -> tuple[str, ...]:
     told = found.new_place
     if told is None:
-        return (f"Of a new place nothing is said: {_silence(found, 'new_place')}.",)
+        return (f"No statement about new places: {_silence(found, 'new_place')}.",)
     if told.p <= 1 - answer.interval_level:
-        return (f"It holds over whole sequences too, so a new place would likely agree ({_p(told.p)}).",)
-    return (f"Whether it would hold in a new place is open: over whole sequences {_p(told.p)}.",)
+        return (f"It also holds across whole sequences, so it is likely to hold in new places ({_p(told.p)}).",)
+    return (f"Whether it holds in new places is open: across whole sequences {_p(told.p)}.",)
 
 
 def _silence(found: RatioDifferenceItem, scope: Scope) -> str:

@@ -24,9 +24,9 @@ RATIO_COLUMNS = (("iou_occ", "occupied"), ("iou_t", "T"), ("iou_p", "P"), ("iou_
 RATIO_NAMES = ("miou", *(name for name, _ in RATIO_COLUMNS))
 TITLES: Mapping[EntryStatus, str] = {
     "ranked": "Entries",
-    "baseline": "Baselines, scored here and not ranked",
-    "undefined": "Entries without a rank: a class is undefined",
-    "reported": "Reported elsewhere, not scored here",
+    "baseline": "Baselines (not ranked)",
+    "undefined": "Unranked entries (a class is undefined)",
+    "reported": "Reported by others, not evaluated here",
 }
 FEW = 5
 

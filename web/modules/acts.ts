@@ -1,10 +1,11 @@
 // Forms that act: `<form data-act="POST /api/v1/…" data-then="…">` sends its fields as JSON to the API.
 //
 // A field's `data-kind` says what its text means: number, boolean, lines (a list), nullable (empty is null), optional
-// (empty is left out). `data-match` is an If-Match. `data-then`: reload, goto:/path, refresh:#id (htmx fetches that part
+// (empty is left out), days (sent as seconds), moment (a date in the form's time zone, sent as UTC). `data-match` is an If-Match. `data-then`: reload, goto:/path, refresh:#id (htmx fetches that part
 // of the page again), close. A path may hold {name}, which a field or, after an answer, the answer fills in.
 
 import { call } from "./api.js";
+import { momentOf } from "./moments.js";
 import { sayError, toast } from "./notices.js";
 import { refresh } from "./refresh.js";
 
@@ -94,6 +95,10 @@ function valueOf(field: Field): unknown {
       return text === "" ? undefined : Number(text);
     case "nullable-number":
       return text === "" ? null : Number(text);
+    case "days": // kept as seconds
+      return text === "" ? undefined : Math.round(Number(text) * 86_400);
+    case "moment":
+      return field instanceof HTMLInputElement ? momentOf(field) : undefined;
     case "boolean":
       return text === "true";
     case "lines":

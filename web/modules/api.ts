@@ -1,5 +1,7 @@
 // The API as the pages call it: same origin, the session's CSRF token, problems as errors.
 
+import { again, csrfToken } from "./session.js";
+
 /** A refusal as the API says it (RFC 9457). */
 export interface Problem {
   title: string;
@@ -39,11 +41,18 @@ export async function bytes(path: string, signal?: AbortSignal): Promise<Uint8Ar
   return new Uint8Array(await answer.arrayBuffer());
 }
 
-export function csrfToken(): string {
-  return document.querySelector<HTMLMetaElement>('meta[name="csrf-token"]')?.content ?? "";
+/** The answer; where the session has ended, once more after the reader has signed in again. */
+async function ask(method: string, path: string, init: RequestInit): Promise<Response> {
+  const sentWith = csrfToken();
+  try {
+    return await asked(method, path, init);
+  } catch (error) {
+    if (!(error instanceof RefusedError) || !(await again(error.problem, sentWith))) throw error;
+    return asked(method, path, init);
+  }
 }
 
-async function ask(method: string, path: string, init: RequestInit): Promise<Response> {
+async function asked(method: string, path: string, init: RequestInit): Promise<Response> {
   const headers = new Headers(init.headers);
   headers.set("Accept", headers.get("Accept") ?? "application/json");
   if (method !== "GET") headers.set("X-CSRF-Token", csrfToken());
@@ -67,6 +76,6 @@ async function problemOf(answer: Response): Promise<Problem> {
 }
 
 function away(): Problem {
-  const detail = "The platform cannot be reached. Is the network there? Nothing was changed; try again.";
+  const detail = "The platform cannot be reached. Check the network connection; nothing was changed. Try again.";
   return { title: "No answer", status: 0, detail, code: "no_answer", request_id: "" };
 }

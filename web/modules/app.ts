@@ -1,12 +1,16 @@
 // What every page does: forms that act, parts that refresh, dialogs, times, the theme.
 
 import { installActs } from "./acts.js";
+import { installColours } from "./colours.js";
 import { installDialogs } from "./dialogs.js";
+import { installMoments } from "./moments.js";
 import { installRefreshing } from "./refresh.js";
 import { installTimes } from "./times.js";
 
 installActs();
+installColours();
 installDialogs();
+installMoments();
 installRefreshing();
 installTimes();
 

@@ -14,9 +14,7 @@ export function sayProblem(place: HTMLElement, problem: Problem): void {
     const list = document.createElement("ul");
     for (const one of findings.slice(0, SHOWN)) {
       const item = document.createElement("li");
-      const where = [one.file, one.frame, one.where].filter(Boolean).join(" ");
-      const values = [one.expected && `expected ${one.expected}`, one.actual && `found ${one.actual}`].filter(Boolean);
-      item.textContent = [where, one.code.replaceAll("_", " "), values.join(", ")].filter(Boolean).join(": ");
+      item.textContent = lineOf(one);
       list.append(item);
     }
     const total = problem.errors_total ?? findings.length;
@@ -27,6 +25,14 @@ export function sayProblem(place: HTMLElement, problem: Problem): void {
     place.append(Object.assign(document.createElement("p"), { className: "hint", textContent: `Request ${problem.request_id}` }));
   }
   place.dataset["tone"] = "error";
+}
+
+/** One finding: of a field of a form it is a sentence already, of a file what was expected and found. */
+function lineOf({ code, file, frame, where, expected, actual }: NonNullable<Problem["errors"]>[number]): string {
+  if (where && expected && !file && !actual) return `${where}: ${expected}`;
+  const place = [file, frame, where].filter(Boolean).join(" ");
+  const values = [expected && `expected ${expected}`, actual && `found ${actual}`].filter(Boolean).join(", ");
+  return [place, code.replaceAll("_", " "), values].filter(Boolean).join(": ");
 }
 
 /** Whatever was thrown, as a sentence in `place`. */

@@ -61,6 +61,6 @@ function keepFresh(part: HTMLElement): void {
 function followEvents(part: HTMLElement): void {
   followStream(part.dataset["follow"] ?? "", {
     progress: () => void refresh(`#${part.id}`),
-    ended: () => void refresh(`#${part.id}`).then(() => toast("It has ended.")),
+    ended: () => void refresh(`#${part.id}`).then(() => toast("Finished.")),
   });
 }

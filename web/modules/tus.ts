@@ -5,13 +5,15 @@
 import "tus-js-client";
 import type { DetailedError, HttpRequest } from "tus-js-client";
 
-import { csrfToken, RefusedError, type Problem } from "./api.js";
+import { RefusedError, type Problem } from "./api.js";
 import { CheckedPieces, Pace } from "./pieces.js";
+import { again, csrfToken } from "./session.js";
 
 const AT = "/api/v1/uploads";
 const VERSION = "1.0.0";
 const RETRY_MS = [0, 500, 1000, 2000, 4000, 8000, 15_000, 30_000, 30_000, 30_000];
 const AGAIN = [0, 408, 423, 429, 500, 502, 503, 504];
+const MOST_SESSIONS = 10;
 
 /** An upload that is open: its id, and how many bytes of it are there. */
 export interface Opened {
@@ -44,14 +46,33 @@ export async function findUpload(id: string): Promise<Opened | null> {
 
 /**
  * Send what is missing, each piece with its checksum; `heard` is told the bytes that are there. Who is patient in a way
- * of their own gives `retry_ms` as null. Throws `RefusedError`, and `AbortError`.
+ * of their own gives `retry_ms` as null. Where the session ends it goes on once the reader has signed in again. Throws
+ * `RefusedError`, and `AbortError`.
  */
-export function sendMissing(
+export async function sendMissing(
   file: File,
   upload: Opened,
   heard: (done_bytes: number) => void,
   signal: AbortSignal,
   retry_ms: number[] | null = RETRY_MS,
+): Promise<void> {
+  for (let sessions = 1; ; sessions++) {
+    const sentWith = csrfToken();
+    try {
+      return await sendRest(file, upload, heard, signal, retry_ms);
+    } catch (error) {
+      const isOver = !(error instanceof RefusedError) || sessions >= MOST_SESSIONS;
+      if (isOver || !(await again(error.problem, sentWith))) throw error;
+    }
+  }
+}
+
+function sendRest(
+  file: File,
+  upload: Opened,
+  heard: (done_bytes: number) => void,
+  signal: AbortSignal,
+  retry_ms: number[] | null,
 ): Promise<void> {
   return new Promise((resolve, reject) => {
     signal.throwIfAborted(); // a signal that has fired already says so to nobody
@@ -84,6 +105,16 @@ export function sendMissing(
 }
 
 async function asked(method: string, path: string, headers: Record<string, string>): Promise<Response> {
+  const sentWith = csrfToken();
+  try {
+    return await answered(method, path, headers);
+  } catch (error) {
+    if (!(error instanceof RefusedError) || !(await again(error.problem, sentWith))) throw error;
+    return answered(method, path, headers);
+  }
+}
+
+async function answered(method: string, path: string, headers: Record<string, string>): Promise<Response> {
   const own = { "Tus-Resumable": VERSION, "X-CSRF-Token": csrfToken(), Accept: "application/json" };
   let answer: Response;
   try {
@@ -112,9 +143,9 @@ function problemOf(text: string, status: number): Problem {
 
 function unsaid(status: number): Problem {
   const detail = status
-    ? `The platform answered ${status}; what was sent is kept. Try again.`
-    : "The platform cannot be reached; what was sent is kept, and sending goes on from there. Try again.";
-  return { title: "The file was not sent", status, detail, code: "not_sent", request_id: "" };
+    ? `The platform answered ${status}; uploaded data is kept. Try again.`
+    : "The platform cannot be reached; uploaded data is kept, and the upload resumes from there. Try again.";
+  return { title: "The file was not uploaded", status, detail, code: "not_sent", request_id: "" };
 }
 
 /** Base64 of the text's UTF-8, as tus writes metadata. */

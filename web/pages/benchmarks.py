@@ -19,9 +19,11 @@ from api.schemas.phase_bodies import BenchmarkName, MetricName
 from api.views.benchmarks import benchmark_items, metric_item, phase_item, phases_of
 from api.views.results import viewer_for
 from api.visible import benchmark_of, benchmarks_of
+from services.domain.benchmarks.phases.open_frames import open_truth_of
 from services.domain.benchmarks.visibility import Viewer
-from services.runtime.orm import Benchmark
+from services.runtime.orm import Benchmark, Phase
 from services.runtime.platform import Platform
+from web.boards.open_example import chosen_frame
 from web.boards.rows import ShownBoard, shortened, shown_board
 from web.markdown import html_of
 from web.rendering import page
@@ -60,8 +62,15 @@ def show_benchmark(
     with platform.database.reading() as session:
         row = benchmark_of(session, caller, benchmark_name)
         phases, viewer = _phases(session, row), viewer_for(session, caller)
-    shown = [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases]
-    return page(request, caller, "boards/benchmark.html", benchmark=row, phases=shown)
+        first = min(phases, key=lambda one: one.is_hidden, default=None)
+        truth = open_truth_of(session, session.get_one(Phase, first.id)) if first else None
+    known: dict[str, Any] = {
+        "benchmark": row,
+        "phases": [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases],
+        "first": first,
+        "example": chosen_frame(platform, truth),
+    }
+    return page(request, caller, "boards/benchmark.html", **known)
 
 
 @router.get("/benchmarks/{benchmark_name}/{phase_name}/metrics/{metric}")

@@ -10,7 +10,7 @@ from api.deps import PlatformDep
 from api.routes.benchmarks import PhasePath
 from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
 from api.schemas.phase_bodies import ns_of
-from api.views.benchmarks import phase_item
+from api.views.benchmarks import phase_item, phases_of
 from api.views.boards import history_answer
 from api.views.results import viewer_for
 from services.domain.benchmarks.boards.entries import TRACKS, BoardQuery
@@ -52,7 +52,8 @@ def show_board(
     with platform.database.reading() as session:
         phase = at.find(session)
         viewer, shown_phase = viewer_for(session, caller), phase_item(session, phase)
-        title = session.get_one(Benchmark, phase.benchmark_id).title or at.benchmark
+        row = session.get_one(Benchmark, phase.benchmark_id)
+        phases = phases_of(session, row)
         changes = history_answer(session, phase, asked.query.track).changes
         tracks = tracks_with_rows(session, phase)
     shown = shown_board(platform, phase.id, viewer, asked.query, asked.sort)
@@ -60,7 +61,8 @@ def show_board(
         request,
         caller,
         "boards/board.html",
-        benchmark_title=title,
+        benchmark=row,
+        phases=phases,
         phase=shown_phase,
         board=shown,
         tracks=[track for track in TRACKS if track in tracks or track in ("all", asked.query.track)],

@@ -36,9 +36,9 @@ Cursor = Annotated[str | None, Query(max_length=512)]
 def list_calibrations(
     request: Request, caller: Reader, platform: PlatformDep, name: NameQuery = None, cursor: Cursor = None
 ) -> HTMLResponse:
-    """The newest first, each with how many sequences pin it."""
+    """The newest first, each with how many sequences pin it; those whose name contains `name`, where it is given."""
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
-    narrowed = mine.where(CalibrationRow.name == name) if name else mine
+    narrowed = mine.where(CalibrationRow.name.icontains(name, autoescape=True)) if name else mine
     with platform.database.reading() as session:
         found = paged(session, narrowed, CalibrationRow.id.desc(), PageQuery(cursor or None, SHOWN))
         ids = [row.id for row in found.rows]

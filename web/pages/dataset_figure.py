@@ -12,6 +12,7 @@ from typing import Any
 
 from services.domain.datasets.statistics import CLASSES, Record
 from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS
+from stone_base.counts import counted
 
 LEFT_PX, TOP_PX, CELL_PX, ROW_PX, BAR_PX, END_PX = 128, 58, 84, 88, 150, 86
 LARGEST_PX = 62
@@ -78,7 +79,7 @@ def figure_of(record: Record) -> CompositionFigure:
     bars_px = LEFT_PX + CELL_PX * max(len(words), 1)
     scale = _FigureScale(cells, {row["key"]: row for row in record["environments"]})
     lines = tuple(_line(place, number, words, scale) for number, place in enumerate(places))
-    lights = tuple(Heading(word or "not said", LEFT_PX + CELL_PX * n, CELL_PX) for n, word in enumerate(words))
+    lights = tuple(Heading(word or "unspecified", LEFT_PX + CELL_PX * n, CELL_PX) for n, word in enumerate(words))
     return CompositionFigure(
         width_px=bars_px + BAR_PX + END_PX,
         height_px=TOP_PX + ROW_PX * len(places) + 8,
@@ -112,12 +113,13 @@ def _line(place: str, number: int, words: list[str], scale: _FigureScale) -> Env
         for at, word in enumerate(words)
         if (cell := scale.cells.get((place, word))) is not None
     ]
-    return EnvironmentLine(place or "not said", y_px, distance_m, scale.bar_px(distance_m), tuple(squares))
+    return EnvironmentLine(place or "unspecified", y_px, distance_m, scale.bar_px(distance_m), tuple(squares))
 
 
 def _square(cell: Record, x_px: float, y_px: float, side_px: float) -> Square:
     top_px = y_px - side_px / 2 - 6
-    said = f"{cell['environment'] or 'not said'}, {cell['illumination'] or 'not said'}: {cell['sequences']} sequence(s)"
+    conditions = f"{cell['environment'] or 'unspecified'}, {cell['illumination'] or 'unspecified'}"
+    said = f"{conditions}: {counted(cell['sequences'], 'sequence')}"
     return Square(said, x_px, top_px, side_px, cell["frames"], _stripes(cell["class_ratios"], top_px, side_px))
 
 

@@ -1,4 +1,4 @@
-"""The page that says the one line which installs the client, and the wheel itself; for everybody."""
+"""The page with the line that installs the client, the wheel itself and the starter code; for everybody."""
 
 from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
@@ -8,6 +8,7 @@ from api.client_wheel import ClientWheel, install_line
 from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made
+from services.domain.benchmarks.starter import FILENAME, starter_code
 from web.rendering import page
 
 router = APIRouter()
@@ -19,6 +20,12 @@ def show_downloads(request: Request, caller: Looker, platform: PlatformDep) -> H
     wheel: ClientWheel | None = request.app.state.client_wheel
     url = platform.settings.api.url.rstrip("/")
     return page(request, caller, "downloads.html", wheel=wheel, line=install_line(url, wheel), url=url)
+
+
+@router.get(f"/downloads/{FILENAME}")
+def send_starter(request: Request) -> Response:
+    """The starter code of participants, without sign-in."""
+    return answer_made(request, starter_code(), GeneratedFile("text/x-python", FILENAME))
 
 
 @router.get("/downloads/{filename}")

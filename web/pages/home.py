@@ -1,4 +1,4 @@
-"""The first page: the newest labelled sequence in 3D, the board of the newest benchmark, and where to go from here."""
+"""The first page: the newest labelled sequence in 3D, the board of the newest benchmark, the first steps."""
 
 from dataclasses import dataclass
 
@@ -16,6 +16,7 @@ from api.visible import benchmarks_of, sequences_shown_to
 from services.domain.benchmarks.visibility import Viewer
 from services.runtime.orm import Activation, Benchmark, LabelSet, Phase, SequenceRow
 from web.boards.rows import ShownBoard, shown_board
+from web.first_steps import FirstStep, steps_for
 from web.rendering import page
 
 router = APIRouter()
@@ -23,23 +24,31 @@ router = APIRouter()
 
 @dataclass(frozen=True)
 class HomeContent:
-    """The content of the first page; None where there is nothing of the kind that the caller may see."""
+    """The content of the first page; None where there is nothing of the kind that the caller may see.
+
+    `steps` are the caller's first ones, none once all are done.
+    """
 
     sequence: SequenceItem | None
     phase_id: str | None
     viewer: Viewer
+    steps: tuple[FirstStep, ...]
 
 
 @router.get("/")
 def home(request: Request, caller: Looker, platform: PlatformDep) -> HTMLResponse:
     with platform.database.reading() as session:
+        steps = steps_for(session, caller)
         featured = HomeContent(
-            _newest_labelled(session, caller), _newest_board(session, caller), viewer_for(session, caller)
+            _newest_labelled(session, caller),
+            _newest_board(session, caller),
+            viewer_for(session, caller),
+            () if all(step.is_done for step in steps) else steps,
         )
     board: ShownBoard | None = None
     if featured.phase_id is not None:
         board = shown_board(platform, featured.phase_id, featured.viewer)
-    return page(request, caller, "home.html", sequence=featured.sequence, board=board)
+    return page(request, caller, "home.html", sequence=featured.sequence, board=board, steps=featured.steps)
 
 
 def _newest_labelled(session: Session, caller: Caller) -> SequenceItem | None:

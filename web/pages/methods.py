@@ -1,11 +1,13 @@
 """The page of a method: what an entry scored, where it is strong and what that was computed from."""
 
-from fastapi import APIRouter, Request
+from typing import Annotated
+
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.schemas.base import IdPath
+from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.leaderboard import BoardRow
 from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
 from api.views.results import (
@@ -16,18 +18,26 @@ from api.views.results import (
     results_answer,
     viewer_for,
 )
+from services.domain.benchmarks.phases.open_frames import locate_open_truth
 from services.domain.benchmarks.submissions.results import BY, ScoreView, breakdown, provenance, results
 from services.runtime.orm import Benchmark
+from web.boards.open_example import chosen_frame
 from web.boards.results import CLASS_NAMES, breakdowns, matrix, totals
 from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
 router = APIRouter()
+FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description="the token of the frame to look at")]
 
 
 @router.get("/entries/{submission_id}")
 def show_method(
-    request: Request, submission_id: IdPath, caller: Looker, platform: PlatformDep, score: ScoreQuery = None
+    request: Request,
+    submission_id: IdPath,
+    caller: Looker,
+    platform: PlatformDep,
+    score: ScoreQuery = None,
+    frame: FrameQuery = None,
 ) -> HTMLResponse:
     with platform.database.reading() as session:
         viewer = viewer_for(session, caller)
@@ -35,6 +45,7 @@ def show_method(
         answer = results_answer(session, viewer, found)
         seen = known_score(session, caller, submission_id, score)
         told, made_by = _breakdowns(seen), _provenance(seen)
+        truth = locate_open_truth(session, seen.phase, seen.truth) if seen.submission.blob_sha256 else None
         title = session.get_one(Benchmark, seen.phase.benchmark_id).title or answer.benchmark
     board = shown_board(platform, seen.phase.id, viewer)
     return page(
@@ -48,6 +59,8 @@ def show_method(
         is_standing=_stands(seen),
         is_own=seen.submission.team_id in viewer.team_ids,
         shows_counts=seen.policy.shows("confusions"),
+        frame=chosen_frame(platform, truth, frame) if seen.policy.shows("frames") else None,
+        score_query=f"&score={score}" if score else "",
         totals=totals(answer),
         breakdowns=breakdowns(told),
         matrix=matrix(answer.confusion),

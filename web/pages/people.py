@@ -27,14 +27,14 @@ DELIVERIES = 10
 MAY = {
     "participant": "Downloads the dataset, submits to benchmarks.",
     "curator": "Also uploads, processes and exports sequences.",
-    "administrator": "Also steers jobs, splits, benchmarks and people.",
+    "administrator": "Also manages jobs, splits, benchmarks and users.",
 }
 ALLOWS = {
-    "read": "look and download",
+    "read": "view and download",
     "submit": "submit to benchmarks",
     "upload": "upload and process",
-    "admin": "administrate",
-    "account": "issue and revoke tokens, sign browsers out",
+    "admin": "administer",
+    "account": "manage tokens and sessions",
 }
 Part = Annotated[str, Query(pattern=PLAIN, max_length=64)]
 Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]

@@ -1,4 +1,4 @@
-"""The page of a sequence: its labels frame by frame, its track, its calibration.
+"""The page of a sequence: its labels frame by frame, its track, its calibration, its exports.
 
 **Conventions.** One address per section, so that each can be linked to and opens quickly. These sections are shown to
 whoever is shown the sequence; its owner's alone are in `web/pages/sequence_own.py`. View models are worked out in
@@ -9,23 +9,31 @@ from typing import Annotated
 
 from fastapi import APIRouter, Query
 from fastapi.responses import HTMLResponse
+from sqlalchemy import select
 
 from api.callers import Looker
 from api.deps import Caller
 from api.schemas.base import ID_PATTERN
 from api.views.artefact_files import artefact_file
-from api.visible import labels_of, shown_sequence
+from api.views.exports import export_items
+from api.views.jobs import job_items
+from api.visible import exports_shown_to, labels_of, shown_sequence
 from services.domain.viewer.playback import Playback, playback_of, shown_by
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Export, Job
+from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.frame_table import NAME, FrameTable, frame_table
 from web.sequence.recording import rig_place
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, Visit, choosable, shown_section
 from web.sequence.status import SequenceStatus, sequence_status_of
 from web.sequence.timeline import timeline_of
+from web.sequence.topic_choices import topic_choices_of
 from web.sequence.track import track_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}")
 FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN)]
+MOST_EXPORTS = 50
 OVERLAY, CAMERA = "overlay_", "CAM_"
 DOWNLOADS = {
     "mesh.ply": ("mesh", "the mesh, classes by colour"),
@@ -47,6 +55,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         scene = artefact_file(session, row, labels, "scene/scene.json")
         is_setting_up = status.may_change and status.sequence.labels is None
         calibrations = choosable(session, caller, status) if is_setting_up else []
+        choices = topic_choices_of(session, at.sequence_id) if is_setting_up else None
     return shown_section(
         at,
         (caller, status),
@@ -56,6 +65,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         report=read_report(at.platform.store, file),
         downloads=[(*DOWNLOADS[one.name], one) for one in status.sequence.artefacts if one.name in DOWNLOADS],
         may_set_up=is_setting_up,
+        choices=choices,
         calibrations=calibrations,
     )
 
@@ -96,6 +106,21 @@ def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
     channels = sorted((name.removeprefix(OVERLAY).rpartition(".")[0] for name in overlays), key=rig_place)
     named = [(f"{OVERLAY}{channel}.jpg", _spoken(channel)) for channel in channels]
     return shown_section(at, (caller, status), "calibration", overlays=named, calibrations=calibrations)
+
+
+@router.get("/exports")
+def exports(at: AtSequence, caller: Looker) -> HTMLResponse:
+    """The labels in formats that others open; those of a public sequence for every reader."""
+    with at.platform.database.reading() as session:
+        status = sequence_status_of(session, caller, at.sequence_id)
+        newest = exports_shown_to(session, caller, at.sequence_id).order_by(Export.id.desc())
+        items = export_items(session, at.sequence_id, session.scalars(newest.limit(MOST_EXPORTS)).all())
+        alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
+        progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}
+    under_way = {one.id: progress[one.job_id] for one in items if one.job_id in progress}
+    offers = offers_beside(items)
+    looking = (caller, status)
+    return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=TITLES, offers=offers)
 
 
 def _spoken(channel: str) -> str:

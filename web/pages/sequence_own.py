@@ -1,7 +1,9 @@
-"""Sections of a sequence's page for its owner and administrators: recordings, runs, label sets, exports.
+"""Sections of a sequence's page for its owner and administrators: recordings, runs, label sets.
 
 **Conventions.** Somebody else is answered as if the sequence were not there, be it public.
 """
+
+from typing import Literal
 
 from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
@@ -11,19 +13,17 @@ from sqlalchemy.orm import Session
 from api.callers import Reader
 from api.deps import Caller
 from api.views.artefact_files import artefact_file
-from api.views.exports import export_items
-from api.views.jobs import job_items
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
 from api.visible import labels_of, sequence_of
-from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Export, Job, LabelComparison, LabelSet, Recording
+from services.runtime.orm import LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix
-from web.sequence.export_formats import TITLES, offers_beside
+from web.sequence.again import choices_of
 from web.sequence.recording import recording_view
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, shown_section
 from web.sequence.status import SequenceStatus, sequence_status_of
+from web.sequence.topic_choices import topic_choices_of
 
 router = APIRouter(prefix="/sequences/{sequence_id}")
 MOST_SHOWN = 50
@@ -47,11 +47,13 @@ def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
 
 
 @router.get("/processing")
-def processing(at: AtSequence, caller: Reader) -> HTMLResponse:
-    """How far the platform is, and what it did before."""
+def processing(at: AtSequence, caller: Reader, profile: Literal["paper", "local"] | None = None) -> HTMLResponse:
+    """How far the platform is, and what it did before; with `profile` to process again as before, but for that."""
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)
-    return shown_section(at, (caller, status), "processing")
+        again = choices_of(session, labels_of(session, at.sequence_id), profile) if profile else None
+        choices = topic_choices_of(session, at.sequence_id) if status.may_process else None
+    return shown_section(at, (caller, status), "processing", again=again, choices=choices)
 
 
 @router.get("/label-sets")
@@ -74,21 +76,6 @@ def label_sets(at: AtSequence, caller: Reader) -> HTMLResponse:
         matrices=matrices,
         class_names=CLASS_NAMES,
     )
-
-
-@router.get("/exports")
-def exports(at: AtSequence, caller: Reader) -> HTMLResponse:
-    """The labels in formats that others open."""
-    with at.platform.database.reading() as session:
-        status = _own(session, caller, at.sequence_id)
-        newest = select(Export).where(Export.sequence_id == at.sequence_id).order_by(Export.id.desc())
-        items = export_items(session, at.sequence_id, session.scalars(newest.limit(MOST_SHOWN)).all())
-        alive = select(Job).where(Job.id.in_([one.job_id for one in items]), Job.state.not_in(TERMINAL))
-        progress = {job.id: job.progress for job in job_items(session, session.scalars(alive).all())}
-    under_way = {one.id: progress[one.job_id] for one in items if one.job_id in progress}
-    offers = offers_beside(items)
-    looking = (caller, status)
-    return shown_section(at, looking, "exports", exports=items, under_way=under_way, titles=TITLES, offers=offers)
 
 
 def _own(session: Session, caller: Caller, sequence_id: str) -> SequenceStatus:

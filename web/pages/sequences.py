@@ -8,27 +8,31 @@ from typing import Annotated, Literal
 
 from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
-from sqlalchemy import select
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
 
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.paging import PageQuery
 from api.paging import page as paged
-from api.routes.sequences.sequences import Prefix, SequenceFilters
-from api.schemas.base import LineQuery
+from api.routes.sequences.sequences import SequenceFilters
+from api.schemas.base import PLAIN, LineQuery
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.calibrations import calibration_item
 from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs
-from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import CalibrationRow, SequenceRow
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
+from web.sequence.sequence_states import SequenceRuns, is_troubled, runs_of, state_of
 
 router = APIRouter(prefix="/sequences")
 SHOWN = 24
+MOVING = ("queued", "processing", "reading")
 MOST_CALIBRATIONS = 200
+MOST_REMEMBERED = 1000
 Cursor = Annotated[str | None, Query(max_length=512)]
+Contains = Annotated[str | None, Query(pattern=PLAIN, max_length=100, description="what the name contains")]
 Whose = Annotated[Literal["", "mine"], Query(description="everybody's that one may see, or one's own")]
 
 
@@ -36,7 +40,7 @@ Whose = Annotated[Literal["", "mine"], Query(description="everybody's that one m
 class SequenceFilterForm:
     """The fields of the form above the list."""
 
-    name: Prefix = None
+    name: Contains = None
     environment: LineQuery = None
     illumination: LineQuery = None
     whose: Whose = ""
@@ -45,13 +49,15 @@ class SequenceFilterForm:
     def is_narrow(self) -> bool:
         return any((self.name, self.environment, self.illumination, self.whose))
 
-    def filters(self, caller: Caller) -> SequenceFilters:
-        return SequenceFilters(
+    def narrowed(self, statement: Select[SequenceRow], caller: Caller) -> Select[SequenceRow]:
+        """Upper and lower case of a name are the same here; the API's `name` is a prefix to the letter."""
+        filters = SequenceFilters(
             environment=self.environment or None,
             illumination=self.illumination or None,
-            name=self.name or None,
             owner_id=caller.user_id if self.whose and caller.user_id else None,
         )
+        found = filters.narrowed(statement)
+        return found.where(SequenceRow.name.icontains(self.name, autoescape=True)) if self.name else found
 
 
 @router.get("")
@@ -63,11 +69,14 @@ def list_sequences(
     cursor: Cursor = None,
 ) -> HTMLResponse:
     """The newest first; while something of a page is being made, the page says how it goes on."""
-    narrowed = asked.filters(caller).narrowed(sequences_shown_to(caller))
+    narrowed = asked.narrowed(sequences_shown_to(caller), caller)
     with platform.database.reading() as session:
         found = paged(session, narrowed, SequenceRow.id.desc(), PageQuery(cursor or None, SHOWN))
         items = sequence_items(session, found.rows, caller)
-    shown = [(item, *status_in_words(item)) for item in items]
+        own = [item.id for item in items if caller.is_administrator or item.owner_id == caller.user_id]
+        runs = runs_of(session, own)
+    known = [(item, runs.get(item.id, SequenceRuns())) for item in items]
+    shown = [(item, state_of(item, of_item), is_rerun_failed(item, of_item)) for item, of_item in known]
     return page(
         request,
         caller,
@@ -77,7 +86,7 @@ def list_sequences(
         asked=asked,
         environments=ENVIRONMENTS,
         illuminations=ILLUMINATIONS,
-        is_moving=any(state in ("queued", "running") for _, state, _ in shown),
+        is_moving=any(state in MOVING for _, state, _ in shown),
     )
 
 
@@ -87,23 +96,31 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
     newest = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     with platform.database.reading() as session:
         calibrations = [calibration_item(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
+        last_used = calibrations_by_robot(session, caller.user_id)
+    ids = {one.id for one in calibrations}
     return page(
         request,
         caller,
         "sequences/new.html",
         needs_wasm=True,
         calibrations=calibrations,
+        of_robots={robot: known for robot, known in last_used.items() if known in ids},
         environments=ENVIRONMENTS,
         illuminations=ILLUMINATIONS,
     )
 
 
-def status_in_words(item: SequenceItem) -> tuple[str, str]:
-    """The state that a list shows of a sequence, and in words what it means."""
-    if item.job is not None and item.job.state not in TERMINAL:
-        return item.job.state, "being read" if item.job.kind == "ingest.register" else "being processed"
-    if item.labels is not None:
-        return "ready", "labelled"
-    if item.job is not None and item.job.state == "failed":
-        return "failed", "failed"
-    return ("received", "not labelled yet") if item.recordings else ("empty", "no recording yet")
+def is_rerun_failed(item: SequenceItem, runs: SequenceRuns) -> bool:
+    """Whether it has labels, and its last labelling, which was to replace them, did not succeed."""
+    return item.labels is not None and is_troubled(item, runs)
+
+
+def calibrations_by_robot(session: Session, owner_id: str) -> dict[str, str]:
+    """The id of the calibration that an owner last used, by the robot of the sequence; newest robot first."""
+    columns = select(SequenceRow.platform, SequenceRow.calibration_id)
+    own = columns.where(SequenceRow.owner_id == owner_id, SequenceRow.deleted_ns.is_(None))
+    used = own.where(SequenceRow.platform != "", SequenceRow.calibration_id.is_not(None))
+    found: dict[str, str] = {}
+    for robot, calibration_id in session.execute(used.order_by(SequenceRow.id.desc()).limit(MOST_REMEMBERED)):
+        found.setdefault(robot, calibration_id or "")
+    return found

@@ -9,6 +9,7 @@ from api.callers import Looker
 from api.deps import PlatformDep
 from api.own_pages import LONGEST, own_page
 from api.views.people import sign_in_ways
+from web.first_password import first_password_of
 from web.rendering import page
 
 router = APIRouter()
@@ -17,4 +18,5 @@ Back = Annotated[str, Query(max_length=LONGEST)]
 
 @router.get("/sign-in")
 def sign_in(request: Request, caller: Looker, platform: PlatformDep, back: Back = "/") -> HTMLResponse:
-    return page(request, caller, "sign_in.html", back=own_page(back), ways=sign_in_ways(platform.settings))
+    ways, first = sign_in_ways(platform.settings), first_password_of(request)
+    return page(request, caller, "sign_in.html", back=own_page(back), ways=ways, first_password=first)

@@ -24,11 +24,11 @@ router = APIRouter()
 RULES = {
     WHOLE: "Whole sequences",
     LENGTH: f"{SHORTEST_S:g} s or longer",
-    REGIONS: "Test regions apart",
-    LIGHT: "Day and night",
-    SEPARATED_PLACES: "Every environment",
-    UNSAID: "Everything said",
-    EXPOSED: "Test unseen",
+    REGIONS: "Test and train regions disjoint",
+    LIGHT: "Day and night in each split",
+    SEPARATED_PLACES: "Every environment in each split",
+    UNSAID: "Metadata complete",
+    EXPOSED: "Test not public",
 }
 
 
@@ -66,4 +66,4 @@ def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResp
 def columns_of(shown: SplitsAnswer) -> list[Column]:
     """Train, val, test and what is in none."""
     parts = [Column(part, part.capitalize(), key, getattr(shown, part)) for key, part in enumerate(PARTS, start=1)]
-    return [*parts, Column("", "In no split", 0, shown.unassigned)]
+    return [*parts, Column("", "Unassigned", 0, shown.unassigned)]

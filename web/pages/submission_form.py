@@ -1,5 +1,6 @@
 """The form by which a team submits predictions: checked in the page, then checked or scored by the platform."""
 
+from collections.abc import Sequence
 from typing import Annotated, Any
 
 from fastapi import APIRouter, Depends, Request
@@ -7,16 +8,19 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.callers import Submitter
+from api.callers import Looker
+from api.client_wheel import ClientWheel
 from api.deps import Caller, PlatformDep
 from api.routes.benchmarks import PhasePath
 from api.schemas.submissions import SubmissionDetail
-from api.views.benchmarks import phase_item
+from api.views.benchmarks import phase_item, phases_of
 from api.views.submissions import quota_answer, submission_detail
 from api.visible import submissions_of
 from services.domain.benchmarks.submissions.submissions import largest_bytes
 from services.runtime.orm import Benchmark, Phase, PhaseTeam, SubmissionRow, Team, TeamMember, Upload
+from services.runtime.platform import Platform
 from services.runtime.uploads.completion import bytes_here
+from web.boards.submission_steps import TEAM, StepsPlace, submission_steps
 from web.rendering import page
 
 router = APIRouter()
@@ -25,21 +29,33 @@ AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 
 @router.get("/benchmarks/{benchmark_name}/{phase_name}/submit")
-def show_form(request: Request, caller: Submitter, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
+def show_form(request: Request, caller: Looker, platform: PlatformDep, at: AtPhase) -> HTMLResponse:
+    """To a visitor the steps alone; whoever is signed in needs the scope to submit, as the routes do."""
     with platform.database.reading() as session:
         row = at.find(session)
-        phase, teams = phase_item(session, row), own_teams(session, row, caller)
-        drafts = [(draft, _upload(session, draft, caller)) for draft in _drafts(session, row, caller)]
+        owner = session.get_one(Benchmark, row.benchmark_id)
+        phase, teams = phase_item(session, row), [] if caller.is_visitor else own_teams(session, row, caller)
+        of_caller = [] if caller.is_visitor else _drafts(session, row, caller)
+        drafts = [(draft, _upload(session, draft, caller)) for draft in of_caller]
         values: dict[str, Any] = {
-            "benchmark": session.get_one(Benchmark, row.benchmark_id).title or at.benchmark,
+            "owner": owner,
+            "phases": phases_of(session, owner),
+            "benchmark": owner.title or at.benchmark,
             "standings": [(team, quota_answer(session, row, team.id)) for team in teams],
         }
     values |= {
         "drafts": [(draft, bytes_here(platform, upload) if upload else 0) for draft, upload in drafts],
         "most_bytes": largest_bytes(phase.active.frames) if phase.active else 0,
         "at": at,
+        "steps": submission_steps(_steps_of(request, platform, at, teams)),
     }
     return page(request, caller, "submissions/form.html", needs_wasm=True, phase=phase, **values)
+
+
+def _steps_of(request: Request, platform: Platform, at: PhasePath, teams: Sequence[Team]) -> StepsPlace:
+    wheel: ClientWheel | None = request.app.state.client_wheel
+    url = platform.settings.api.url.rstrip("/")
+    return StepsPlace(url, wheel, at.benchmark, at.phase, teams[0].name if teams else TEAM)
 
 
 def own_teams(session: Session, phase: Phase, caller: Caller) -> list[Team]:

@@ -2,21 +2,28 @@
 
 **Conventions.** The page decides who may look and what is said while there is nothing to see; what is seen comes from
 the API's routes of the scene. `frame` names where the timeline begins; the module keeps it in the address. `compare`
-names a comparison of two label sets whose differences can be shown.
+names a comparison of two label sets whose differences are shown first; without it the newest one with the label set
+that counts is offered as a colour, to those who may look at comparisons. The module keeps more in the address (layers,
+colour, camera), which the server does not read.
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
+from sqlalchemy import func, or_, select
+from sqlalchemy.orm import Session
 
 from api.callers import Looker
 from api.deps import PlatformDep
 from api.schemas.base import ID_PATTERN, IdPath
 from api.views.sequences import sequence_items
-from api.visible import shown_sequence
+from api.visible import labels_of, sequences_of, shown_sequence
+from services.runtime.orm import LabelComparison, LabelSet, SequenceRow
 from web.assets import Assets
 from web.rendering import page
+from web.sequence.recording import RIG
+from web.sequence.status import may_change_own
 
 router = APIRouter()
 PRELOADED = ("modules/viewer/", "modules/libraries/three")
@@ -33,10 +40,34 @@ def view(
 ) -> HTMLResponse:
     with platform.database.reading() as session:
         sequence = sequence_items(session, [shown_sequence(session, caller, sequence_id)])[0]
-    start, modules = frame or "first", _modules(request)
-    return page(
-        request, caller, "viewer/view.html", sequence=sequence, start=start, comparison=compare, modules=modules
-    )
+        is_own = session.scalar(sequences_of(caller).where(SequenceRow.id == sequence_id)) is not None
+        label_sets = _label_sets(session, sequence_id) if is_own else 0
+        difference = _newest_comparison(session, sequence_id) if label_sets > 1 else None
+    values: dict[str, Any] = {
+        "sequence": sequence,
+        "start": frame or "first",
+        "comparison": compare,
+        "difference": difference,
+        "label_sets": label_sets,
+        "may_change": is_own and may_change_own(caller),
+        "rig": RIG,
+        "modules": _modules(request),
+    }
+    return page(request, caller, "viewer/view.html", **values)
+
+
+def _label_sets(session: Session, sequence_id: str) -> int:
+    return session.scalar(select(func.count()).select_from(LabelSet).where(LabelSet.sequence_id == sequence_id)) or 0
+
+
+def _newest_comparison(session: Session, sequence_id: str) -> str | None:
+    """The newest comparison with the label set that counts; frames are compared as they are asked for."""
+    labels = labels_of(session, sequence_id)
+    if labels is None:
+        return None
+    is_of_labels = or_(LabelComparison.a_id == labels.id, LabelComparison.b_id == labels.id)
+    newest = select(LabelComparison.id).where(is_of_labels).order_by(LabelComparison.id.desc())
+    return session.scalar(newest.limit(1))
 
 
 def _modules(request: Request) -> list[str]:

@@ -150,6 +150,6 @@ def _clock(at_s: float, step_s: float) -> str:
 
 def _said(about: PlotDescription, known: Floats) -> str:
     if not len(known):
-        return f"{about.title}: nothing is known"
+        return f"{about.title}: no data"
     low, middle, high = np.quantile(known, (0.0, 0.5, 1.0)).tolist()
     return f"{about.title}: from {low:.3g} to {high:.3g} {about.unit}, median {middle:.3g}".replace(" ,", ",")

@@ -37,7 +37,7 @@ class ClockWhisker:
 
 @dataclass(frozen=True)
 class ClockRow:
-    """One topic; `marks` are what else was noticed of its stamps."""
+    """One topic; `jitter` is robust σ `against` sensor time or record time, `marks` what else was noticed."""
 
     topic: str
     role: str
@@ -45,6 +45,7 @@ class ClockRow:
     offset: ClockWhisker | None
     drift: ClockWhisker | None
     jitter: str
+    against: str
     marks: tuple[str, ...]
 
 
@@ -83,14 +84,18 @@ def clocks_of(report: Mapping[str, Any]) -> Clocks | None:
 
 
 def _row(topic: Mapping[str, Any], offsets: Scale, drifts: Scale) -> ClockRow:
-    offset_ns, jitter_ns, drift_ppm = topic.get("offset_ns"), topic.get("jitter_ns"), topic.get("drift_ppm")
+    offset_ns, drift_ppm = topic.get("offset_ns"), topic.get("drift_ppm")
+    own_jitter_ns = topic.get("own_jitter_ns")
+    jitter_ns = topic.get("jitter_ns") if own_jitter_ns is None else own_jitter_ns
+    against = "record time" if own_jitter_ns is None else "sensor time"
     return ClockRow(
         topic["topic"],
         topic["role"],
         topic["stamp_source"],
         None if offset_ns is None else _offset(topic, offsets),
         None if drift_ppm is None else _drift(topic, drifts),
-        "" if jitter_ns is None else duration_text(jitter_ns),
+        "" if jitter_ns is None else f"{jitter_ns / 1e6:.2f} ms",
+        "" if jitter_ns is None else against,
         tuple(_marks(topic)),
     )
 

@@ -17,14 +17,14 @@ class Offer:
 
 OFFERS: tuple[Offer, ...] = (
     Offer("nuscenes", "nuScenes", "Frames, sensors and label grids as the nuScenes devkit reads them."),
-    Offer("inputs", "Model inputs", "Sweeps and pictures of each frame, without labels: what a method is given."),
+    Offer("inputs", "Model inputs", "Sweeps and images of each frame, without labels."),
     Offer("kitti", "KITTI", "SemanticKITTI folders: velodyne, labels and poses."),
     Offer("mesh", "Mesh", "The reconstructed surface by class, as PLY and glTF."),
     Offer("mcap", "MCAP", "Labels beside the recording, for Foxglove."),
     Offer("rrd", "Rerun", "A recording for the Rerun viewer."),
-    Offer("previews", "Pictures and film", "Pictures of every frame and a film of the drive."),
+    Offer("previews", "Previews", "Images of every frame and a video of the run."),
 )
-TITLES = {offer.format: offer.title for offer in OFFERS} | {"playback": "Pictures for these pages"}
+TITLES = {offer.format: offer.title for offer in OFFERS} | {"playback": "Viewer images"}
 
 
 def offers_beside(exports: Iterable[ExportItem]) -> tuple[Offer, ...]:

@@ -168,7 +168,7 @@ def _rtk(rtk: Mapping[str, Any] | None, span_s: float) -> RtkSummary | None:
         return None
     at_s = np.array(rtk["at_ns"], np.float64) / NS_PER_S
     stdev = PlotSeries(at_s, np.array(rtk["stdev_m"], np.float64) * 100)
-    plot = time_plot(PlotDescription("Horizontal deviation the receiver claims", "cm", floor=0.0), span_s, [stdev])
+    plot = time_plot(PlotDescription("Horizontal standard deviation (receiver)", "cm", floor=0.0), span_s, [stdev])
     return RtkSummary(
         rtk["topic"], float(rtk.get("fixed_ratio") or 0), _words(at_s.tolist(), rtk["words"], span_s), plot
     )
@@ -197,12 +197,12 @@ def _camera(one: Mapping[str, Any]) -> SensorRow:
 def _lidar(one: Mapping[str, Any]) -> SensorRow:
     slots = median(one["slots"]) if one["slots"] else 0
     sparks = _sparks(("Points returned", "%", _percent(one["valid_ratio"])), ("Median range", "m", one["range_m"]))
-    return SensorRow(one["topic"], f"{slots:,.0f} points a sweep", sparks)
+    return SensorRow(one["topic"], f"{slots:,.0f} points per sweep", sparks)
 
 
 def _radar(one: Mapping[str, Any], channels: Mapping[str, str]) -> SensorRow:
     name = channels.get(one["topic"]) or one["topic"]
-    return SensorRow(name, f"{len(one['detections'])} scans looked at", _sparks(("Detections", "", one["detections"])))
+    return SensorRow(name, f"{len(one['detections'])} scans sampled", _sparks(("Detections", "", one["detections"])))
 
 
 def _sparks(*named: tuple[str, str, Sequence[float]]) -> tuple[tuple[str, str, Spark], ...]:

@@ -10,6 +10,7 @@ from typing import Any
 
 from api.files import StoredFile
 from services.runtime.store.protocol import Store
+from stone_base.codes.catalogue import PROFILE_CODES
 
 MOST_BYTES = 4_000_000
 CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
@@ -41,6 +42,11 @@ class Report:
     map_points: int | None
     findings: tuple[Mapping[str, str], ...]
     recordings: tuple[ClockShift, ...] = ()
+
+    @property
+    def asks_for_local(self) -> bool:
+        """Whether profile local solves what a finding says of these labels."""
+        return self.profile == "paper" and any(one["code"] in PROFILE_CODES for one in self.findings)
 
 
 def read_report(store: Store, file: StoredFile | None) -> Report | None:

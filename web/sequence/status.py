@@ -1,10 +1,9 @@
 """The status of a sequence and its next step, shown at the top of every section of its page.
 
-**Conventions.** Words: `running` while a run of it is alive, `ready` with labels, `failed` where the last labelling did
-not succeed, `recorded` with a recording, `empty` before.
+**Conventions.** `state` is one of `web/sequence/sequence_states.py`. Followed is the labelling; exports, comparisons
+and readings beside it are said in a line of their own.
 """
 
-from collections.abc import Sequence as Listing
 from dataclasses import dataclass
 
 from sqlalchemy import select
@@ -22,6 +21,7 @@ from services.runtime.access import roles
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
 from web.sequence.origin import LabelOrigin, origin_of
+from web.sequence.sequence_states import RunTrouble, SequenceRuns, runs_of, state_of, trouble_of
 
 MOST_RUNS = 12
 
@@ -43,24 +43,27 @@ SECTIONS = (
     Section("/calibration", "Calibration"),
     Section("/processing", "Processing", is_own=True),
     Section("/label-sets", "Label sets", is_own=True),
-    Section("/exports", "Exports", is_own=True),
+    Section("/exports", "Exports"),
 )
 
 
 @dataclass(frozen=True)
 class SequenceStatus:
-    """A sequence as who looks may see it: `run` is the one that is alive, else the last labelling; others see none.
+    """A sequence as who looks may see it: `run` is the labelling that is alive, else the last; others see none.
 
-    `origin` is what the labels that count were imported from.
+    `runs` are the newest of all kinds. `trouble` is why labels are missing or older than the last labelling. `origin`
+    is what the labels that count were imported from.
     """
 
     sequence: SequenceDetail
     is_own: bool
     may_change: bool
-    word: str
+    state: str
     match: str
     run: JobDetail | None
     runs: tuple[JobItem, ...]
+    is_reading: bool = False
+    trouble: RunTrouble | None = None
     origin: LabelOrigin | None = None
 
     @property
@@ -74,7 +77,22 @@ class SequenceStatus:
 
     @property
     def is_alive(self) -> bool:
+        """Whether it is being labelled, or waits for it."""
         return self.run is not None and self.run.state not in TERMINAL
+
+    @property
+    def beside(self) -> tuple[JobItem, ...]:
+        """The runs that are alive and are no labellings."""
+        return tuple(run for run in self.runs if run.kind != PROCESS and run.state not in TERMINAL)
+
+    @property
+    def processing_step(self) -> str:
+        """The third step of setting up: open, running, failed or done."""
+        if self.is_alive:
+            return "running"
+        if self.run is not None and self.run.state in ("failed", "cancelled"):
+            return "failed"
+        return "done" if self.run is not None else "open"
 
 
 def sequence_status_of(session: Session, caller: Caller, sequence_id: str) -> SequenceStatus:
@@ -82,35 +100,25 @@ def sequence_status_of(session: Session, caller: Caller, sequence_id: str) -> Se
     row = shown_sequence(session, caller, sequence_id)
     shown = sequence_detail(session, row, caller)
     is_own = caller.is_administrator or row.owner_id == caller.user_id
+    runs = runs_of(session, [sequence_id]).get(sequence_id, SequenceRuns()) if is_own else SequenceRuns()
     jobs = _runs(session, sequence_id) if is_own else []
-    followed = next((job for job in jobs if job.state not in TERMINAL), None) or _labelling(jobs)
     return SequenceStatus(
         shown,
         is_own,
-        is_own and "upload" in caller.scopes and roles.allows(caller.role, ("curator",)),
-        word_of(shown, jobs),
+        is_own and may_change_own(caller),
+        state_of(shown, runs),
         etag(shown.revision),
-        job_detail(session, followed) if followed else None,
+        job_detail(session, runs.labelling) if runs.labelling else None,
         tuple(job_items(session, jobs)),
+        runs.is_reading,
+        trouble_of(session, shown, runs),
         origin_of(labels_of(session, sequence_id)),
     )
 
 
-def word_of(sequence: SequenceDetail, runs: Listing[Job]) -> str:
-    """One word, as in the head of this module."""
-    if any(run.state not in TERMINAL for run in runs):
-        return "running"
-    if sequence.labels is not None:
-        return "ready"
-    last = _labelling(runs)
-    if last is not None and last.state != "succeeded":
-        return last.state
-    return "recorded" if sequence.recordings else "empty"
-
-
-def _labelling(runs: Listing[Job]) -> Job | None:
-    """The last labelling, ended or not."""
-    return next((run for run in runs if run.kind == PROCESS), None)
+def may_change_own(caller: Caller) -> bool:
+    """Whether the caller may change sequences of their own, as the API's routes decide it."""
+    return "upload" in caller.scopes and roles.allows(caller.role, ("curator",))
 
 
 def _runs(session: Session, sequence_id: str) -> list[Job]:

@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.splits.composition import duration_ns, path_length_m
 from web.plots.scales import nice_step
 from web.plots.time_plot import Plot, PlotDescription, PlotSeries, PlotSpan, marked, time_plot
 from web.sequence.frame_table import NS_PER_S, FrameTable
@@ -58,11 +59,10 @@ def track_of(table: FrameTable) -> TrackView | None:
     if not len(table):
         return None
     speeds = speeds_m_s(table)
-    path_m = np.linalg.norm(np.diff(table.positions_map_m, axis=0), axis=1)
     heights_m = table.positions_map_m[:, 2]
     facts = {
-        "distance_m": float(path_m.sum()),
-        "duration_s": float(table.times_s[-1]),
+        "distance_m": path_length_m(table.positions_map_m),
+        "duration_s": duration_ns(table.stamps_ns) / NS_PER_S,
         "top_speed_m_s": float(np.nanmax(speeds)) if np.isfinite(speeds).any() else 0.0,
         "climb_m": float(np.maximum(np.diff(heights_m), 0.0).sum()),
         "relief_m": float(np.ptp(heights_m)),
@@ -126,10 +126,10 @@ def plots_of(table: FrameTable, speeds: Floats) -> tuple[Plot, ...]:
             _series(times_s, table.stdev_m[:, axis] * 100, SERIES_STYLES[axis], name)
             for axis, name in enumerate(("east", "north", "up"))
         ]
-        plots.append(time_plot(PlotDescription("Position known to", "cm", floor=0.0), span_s, series, out))
+        plots.append(time_plot(PlotDescription("Position standard deviation", "cm", floor=0.0), span_s, series, out))
     if np.isfinite(table.pose_gap_ns).any():
         gaps = [_series(times_s, table.pose_gap_ns / 1e6)]
-        plots.append(time_plot(PlotDescription("Between poses", "ms", floor=0.0), span_s, gaps, out))
+        plots.append(time_plot(PlotDescription("Pose interval", "ms", floor=0.0), span_s, gaps, out))
     return tuple(plots)
 
 

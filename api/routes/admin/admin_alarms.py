@@ -29,7 +29,7 @@ def list_alarms(
     query: PageDep,
     dismissed: bool = False,
 ) -> Page[AlarmItem]:
-    """The alarms of the phase that nobody has dismissed, newest first; with `dismissed` all of them."""
+    """List the open alarms of the phase, newest first; with `dismissed` all of them."""
     with platform.database.reading() as session:
         of_phase = phase_of(session, phase_id).id
         seen = select(Alarm).where(Alarm.phase_id == of_phase) if dismissed else open_alarms(of_phase)
@@ -38,7 +38,7 @@ def list_alarms(
 
 @router.post("/alarms/{alarm_id}/dismiss", responses=refusals(404, 409))
 def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> AlarmItem:
-    """Say that an alarm was looked at, and what came of it; it is not raised again."""
+    """Dismiss an alarm with the outcome of its review; it is not raised again."""
     with platform.database.transaction() as session:
         alarm = dismiss(session, alarm_id)
         facts = {"phase_id": alarm.phase_id, "kind": alarm.kind}
@@ -46,9 +46,14 @@ def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, pla
         return alarm_item(alarm)
 
 
-@router.post("/teams/{team_id}/grants", status_code=201, responses=refusals(404))
+@router.post(
+    "/teams/{team_id}/grants",
+    summary="Grant a team more submissions, or take them back",
+    status_code=201,
+    responses=refusals(404),
+)
 def grant_scorings(team_id: IdPath, body: GrantBody, caller: Administrator, platform: PlatformDep) -> GrantItem:
-    """Let a team have more scored in a phase than its rules say, or take such a grant back."""
+    """Grant a team more submissions in a phase, or take a grant back."""
     with platform.database.transaction() as session:
         phase = phase_of(session, body.phase_id)
         if session.get(Team, team_id) is None:

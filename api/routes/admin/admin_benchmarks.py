@@ -30,7 +30,7 @@ from services.runtime.orm import Benchmark, Phase
 router = APIRouter(prefix="/admin", tags=["benchmarks"])
 
 
-@router.post("/benchmarks", status_code=201, responses=refusals(404, 409))
+@router.post("/benchmarks", summary="Create a benchmark", status_code=201, responses=refusals(404, 409))
 def create(
     body: NewBenchmarkBody, caller: Administrator, platform: PlatformDep, response: Response
 ) -> CreatedBenchmark:
@@ -46,7 +46,9 @@ def create(
     return CreatedBenchmark(**shown | {"phases": details})
 
 
-@router.patch("/benchmarks/{benchmark_name}", responses=refusals(404))
+@router.patch(
+    "/benchmarks/{benchmark_name}", summary="Change a benchmark's description or visibility", responses=refusals(404)
+)
 def change_benchmark(
     benchmark_name: BenchmarkName, body: BenchmarkChange, caller: Administrator, platform: PlatformDep
 ) -> BenchmarkDetail:
@@ -59,7 +61,12 @@ def change_benchmark(
         return benchmark_detail(session, benchmark)
 
 
-@router.post("/benchmarks/{benchmark_name}/phases", status_code=201, responses=refusals(404, 409))
+@router.post(
+    "/benchmarks/{benchmark_name}/phases",
+    summary="Add a phase to a benchmark",
+    status_code=201,
+    responses=refusals(404, 409),
+)
 def add_phase(
     benchmark_name: BenchmarkName,
     body: AddedPhaseBody,
@@ -79,7 +86,7 @@ def add_phase(
     return shown
 
 
-@router.get("/phases/{phase_id}", responses=refusals(404))
+@router.get("/phases/{phase_id}", summary="A phase as an administrator sees it", responses=refusals(404))
 def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response) -> PhaseDetail:
     """A phase with what was noticed of it: labels may have become public since it was made."""
     with platform.database.reading() as session:
@@ -88,7 +95,7 @@ def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, respon
         return phase_detail(session, phase)
 
 
-@router.patch("/phases/{phase_id}", responses=refusals(404, 409, 412, 428))
+@router.patch("/phases/{phase_id}", summary="Change a phase's dates and limits", responses=refusals(404, 409, 412, 428))
 def change(
     phase_id: IdPath,
     body: PhaseChange,

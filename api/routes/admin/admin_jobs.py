@@ -39,7 +39,7 @@ router = APIRouter(prefix="/admin", tags=["administration"])
 QueueName = Annotated[str, Path(pattern=r"^[a-z]{1,16}$", examples=["labeler"])]
 QueueAct = Literal["pause", "drain", "resume"]
 MODE_AFTER = {"pause": "paused", "drain": "draining", "resume": "open"}
-IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="how an id begins or ends")]
+IdPart = Annotated[str | None, Query(pattern="^[0-9a-f]{4,32}$", description="start or end of an ID")]
 
 
 @dataclass(frozen=True)
@@ -89,27 +89,27 @@ def list_all_jobs(
         return Page[AdminJobItem](items=admin_job_items(session, found.rows), next=found.next)
 
 
-@router.get("/jobs/counts", responses=refusals(403))
+@router.get("/jobs/counts", summary="How many jobs are in each state", responses=refusals(403))
 def count_jobs(_caller: Administrator, platform: PlatformDep, filters: AdminFiltersDep) -> JobCounts:
     """How many of them are in each state; `state` and `dead` of the filters change nothing here."""
     with platform.database.reading() as session:
         return job_counts(session, filters.of_any_state(select(Job)), filters.flat(select(Job)))
 
 
-@router.post("/jobs/acts", responses=refusals(403))
+@router.post("/jobs/acts", summary="Cancel, terminate or retry many runs", responses=refusals(403))
 def steer_many(body: JobActsBody, caller: Administrator, platform: PlatformDep) -> list[JobActItem]:
     """The same act on the runs of many jobs: each is done or refused for itself, and says so."""
     return act_on_each(platform, caller, body)
 
 
-@router.get("/jobs/{job_id}", responses=refusals(403, 404))
+@router.get("/jobs/{job_id}", summary="Any job and its progress", responses=refusals(403, 404))
 def show_any_job(job_id: IdPath, caller: Administrator, platform: PlatformDep) -> AdminJobDetail:
     """A job; of a run also its jobs, those that have not succeeded first."""
     with platform.database.reading() as session:
         return admin_job_detail(session, job_of(session, caller, job_id))
 
 
-@router.get("/jobs/{job_id}/logs", responses=refusals(403, 404))
+@router.get("/jobs/{job_id}/logs", summary="The log of any job", responses=refusals(403, 404))
 def read_any_logs(
     job_id: IdPath, caller: Administrator, platform: PlatformDep, query: Annotated[LogQuery, Depends(log_query)]
 ) -> LogPage:
@@ -118,28 +118,33 @@ def read_any_logs(
         return log_page(session, job_of(session, caller, job_id), query, is_administrator=caller.is_administrator)
 
 
-@router.post("/jobs/{job_id}/{act}", status_code=202, responses=refusals(403, 404, 409))
+@router.post(
+    "/jobs/{job_id}/{act}",
+    summary="Cancel, terminate or retry a run",
+    status_code=202,
+    responses=refusals(403, 404, 409),
+)
 def steer_job(
     job_id: IdPath, act: JobAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> AdminJobDetail:
     """Steer the whole run of a job: `cancel` asks it to stop, `terminate` stops its processes, `retry` queues again."""
     with platform.database.transaction() as session:
         root_id = job_of(session, caller, job_id).root_id
-        run = control_run(session, platform, act, root_id, body.reason)
+        run = control_run(session, platform, caller, act, root_id, body.reason)
         audit.record_admin_act(session, caller, f"job.{act}", root_id, body.reason)
         session.flush()
         return admin_job_detail(session, run)
 
 
-@router.get("/queues", responses=refusals(403))
+@router.get("/queues", summary="The queues: mode and job counts", responses=refusals(403))
 def list_queues(_caller: Administrator, platform: PlatformDep) -> list[QueueItem]:
-    """Each queue with its switch, its jobs and the bells that nobody has heard yet."""
+    """List the queues with mode, job counts and unacknowledged broker notifications."""
     wake_ups = pending_wake_ups_of(platform)
     with platform.database.reading() as session:
         return queue_items(session, wake_ups)
 
 
-@router.post("/queues/{queue}/{act}", responses=refusals(403, 404))
+@router.post("/queues/{queue}/{act}", summary="Pause, drain or resume a queue", responses=refusals(403, 404))
 def switch_queue(
     queue: QueueName, act: QueueAct, body: ReasonBody, caller: Administrator, platform: PlatformDep
 ) -> QueueItem:
@@ -154,7 +159,7 @@ def switch_queue(
         return queue_items(session, wake_ups)[QUEUES.index(queue)]
 
 
-@router.get("/workers", responses=refusals(403))
+@router.get("/workers", summary="The workers and what they run", responses=refusals(403))
 def list_workers(_caller: Administrator, platform: PlatformDep) -> WorkersAnswer:
     """Who works and what runs now, by the database, and whether the broker answers."""
     is_reachable = all(count is not None for count in pending_wake_ups_of(platform).values())

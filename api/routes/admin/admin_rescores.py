@@ -65,7 +65,12 @@ def show(phase_id: IdPath, rescore_id: IdPath, _caller: Administrator, platform:
         return rescore_item(session, rescore_of(session, phase_id, rescore_id))
 
 
-@router.get("/{rescore_id}/diff", response_model=RescoreDiffAnswer, responses={**AS_PAGE, **refusals(404)})
+@router.get(
+    "/{rescore_id}/diff",
+    summary="What activating a re-score would change",
+    response_model=RescoreDiffAnswer,
+    responses={**AS_PAGE, **refusals(404)},
+)
 def show_diff(
     phase_id: IdPath,
     rescore_id: IdPath,
@@ -86,7 +91,7 @@ def show_diff(
         return diff_answer(rescore_item(session, rescore), diff)
 
 
-@router.post("/{rescore_id}/activate", responses=refusals(404, 409, 412, 428))
+@router.post("/{rescore_id}/activate", summary="Activate a re-score", responses=refusals(404, 409, 412, 428))
 def activate_it(
     phase_id: IdPath,
     rescore_id: IdPath,

@@ -59,7 +59,7 @@ def list_ground_truths(
         return Page[TruthItem](items=truth_items(session, phase, rows.rows), next=rows.next)
 
 
-@router.get("/reported", responses=refusals(404))
+@router.get("/reported", summary="The reported rows of the phase", responses=refusals(404))
 def list_reported(
     phase_id: IdPath, _caller: Administrator, platform: PlatformDep, response: Response
 ) -> Sequence[ReportedItem]:

@@ -54,7 +54,12 @@ FormOnly = Annotated[None, Depends(refuse_other_types)]
 ValidityDep = Annotated[Validity, Depends(asked_validity)]
 
 
-@router.post("", status_code=201, responses={200: {"model": CalibrationItem}, **refusals(413, 415)})
+@router.post(
+    "",
+    summary="Upload a calibration",
+    status_code=201,
+    responses={200: {"model": CalibrationItem}, **refusals(413, 415)},
+)
 def add_calibration_file(
     caller: Curator,
     _form: FormOnly,
@@ -111,7 +116,7 @@ def download_calibration(calibration_id: IdPath, caller: Reader, platform: Platf
     return answer_file(request, platform.store, file)
 
 
-@router.get("/{calibration_id}/diff", responses=refusals(404))
+@router.get("/{calibration_id}/diff", summary="How two calibrations differ", responses=refusals(404))
 def diff_calibrations(
     calibration_id: IdPath, caller: Reader, platform: PlatformDep, against: AgainstQuery = None
 ) -> CalibrationDiffItem:

@@ -2,14 +2,14 @@
 
 **Conventions.** Equal requests are one export: asking again answers with the one that stands, so an unchanged sequence
 is not written twice. Archives are laid out, never built: any range of one is served, and its bytes and sha256 stay the
-same, so that a download goes on where it broke off. An export shows its owner's labels and is its owner's alone.
+same, so that a download goes on where it broke off. An export is its owner's to make and
+to delete; the finished ones of a sequence that is shown to others may be downloaded by whoever is signed in.
 """
 
 from dataclasses import dataclass
 from typing import Annotated
 
 from fastapi import APIRouter, Depends, Path, Query, Request, Response
-from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
@@ -28,7 +28,7 @@ from api.views.exports import (
     served_file,
 )
 from api.views.jobs import job_items
-from api.visible import export_of, sequence_of
+from api.visible import export_of, exports_shown_to, readable_export, sequence_of, shown_sequence
 from services.domain.exports.requests import delete_export, start_export
 from services.runtime.orm import Export, SequenceRow
 from services.runtime.platform import Platform
@@ -74,16 +74,15 @@ def create_export(
 def list_exports(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportItem]:
     """The exports of a sequence, newest first; stale ones too."""
     with platform.database.reading() as session:
-        sequence = sequence_of(session, caller, sequence_id)
-        found = page(session, select(Export).where(Export.sequence_id == sequence.id), Export.id.desc(), query)
-        return Page[ExportItem](items=export_items(session, sequence.id, found.rows), next=found.next)
+        found = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
+        return Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
 
 
-@router.get("/{export_id}", responses=refusals(404))
+@router.get("/{export_id}", summary="An export and its progress", responses=refusals(404))
 def show_export(at: AtExport, caller: Reader, platform: PlatformDep) -> ExportItem:
     """An export: how far it is, what it was made of, how large it is."""
     with platform.database.reading() as session:
-        export = export_of(session, caller, at.sequence_id, at.export_id)
+        export = readable_export(session, caller, at.sequence_id, at.export_id)
         return export_items(session, export.sequence_id, [export])[0]
 
 
@@ -97,7 +96,7 @@ def remove_export(at: AtExport, caller: Curator, platform: PlatformDep) -> None:
         delete_export(session, export)
 
 
-@router.get("/{export_id}/files", responses=refusals(404, 409))
+@router.get("/{export_id}/files", summary="The files of an export", responses=refusals(404, 409))
 def list_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportFileItem]:
     """The files of an export in the order of the archives: by name, and the checksums last."""
     stored, _, _ = _finished(platform, caller, at)
@@ -144,7 +143,7 @@ def describe_archive(
 def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, SequenceRow]:
     """The files of an export. Raises `NotFoundError`, `ExportUnfinishedError`."""
     with platform.database.reading() as session:
-        sequence = sequence_of(session, caller, at.sequence_id)
-        export = export_of(session, caller, sequence.id, at.export_id)
+        sequence = shown_sequence(session, caller, at.sequence_id)
+        export = readable_export(session, caller, sequence.id, at.export_id)
         located = locate_export(session, export)
     return stored_files(platform.store, located), export, sequence

@@ -14,7 +14,7 @@ from api.callers import Looker
 from api.deps import PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
 from api.routes.sequences.frames import TokenPath
-from api.views.scenes import VersionQuery, frame_picture, frame_voxels, labels_file, played_file
+from api.views.scenes import ColoursQuery, VersionQuery, frame_picture, frame_voxels, labels_file, played_file
 from services.domain.viewer.formats import MEDIA_TYPES
 from services.domain.viewer.playback import camera_file, cloud_file
 
@@ -23,7 +23,12 @@ ChannelPath = Annotated[str, Path(pattern=r"^[A-Z][A-Z0-9_]{0,63}$", examples=["
 VOXELS, CLOUD, PNG, JPEG = MEDIA_TYPES["STV1"], MEDIA_TYPES["STC1"], "image/png", "image/jpeg"
 
 
-@router.get("/voxels", response_class=Response, responses=file_responses(VOXELS))
+@router.get(
+    "/voxels",
+    summary="A frame's voxels: class and whether seen (STV1)",
+    response_class=Response,
+    responses=file_responses(VOXELS),
+)
 def download_voxels(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:
@@ -36,13 +41,18 @@ def download_voxels(
 
 @router.get("/bev.png", response_class=Response, responses=file_responses(PNG))
 def download_picture(
-    token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
+    token: TokenPath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    version: VersionQuery = None,
+    colours: ColoursQuery = "default",
 ) -> Response:
-    """The labels from above, forward up; grey is what was never seen."""
+    """The labels from above, forward up; grey is what was never seen, and the ground is transparent."""
     with platform.database.reading() as session:
         file = labels_file(session, caller, token, version)
     facts = GeneratedFile(PNG, f"{token}-bev.png", file.is_lasting)
-    return answer_made(request, frame_picture(platform.store, file), facts)
+    return answer_made(request, frame_picture(platform.store, file, colours), facts)
 
 
 @router.get("/camera/{channel}.jpg", response_class=Response, responses=file_responses(JPEG))
@@ -59,7 +69,7 @@ def download_camera(
     return answer_bytes(request, replace(served, media_type=JPEG))
 
 
-@router.get("/cloud", response_class=Response, responses=file_responses(CLOUD))
+@router.get("/cloud", summary="A frame's point cloud (STC1)", response_class=Response, responses=file_responses(CLOUD))
 def download_cloud(
     token: TokenPath, caller: Looker, platform: PlatformDep, request: Request, version: VersionQuery = None
 ) -> Response:

@@ -38,7 +38,7 @@ def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> Frame
     )
 
 
-@router.get("/labels.npz", response_class=Response, responses=file_responses(NPZ))
+@router.get("/labels.npz", summary="A frame's labels (npz)", response_class=Response, responses=file_responses(NPZ))
 def download_labels(token: TokenPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """`semantics`, `mask_lidar` and `mask_camera` of a frame, (256, 256, 32) uint8 each, as a NumPy npz."""
     with platform.database.reading() as session:

@@ -27,6 +27,7 @@ from api.schemas.sequences.label_sets import (
 )
 from api.views.jobs import job_items
 from api.views.label_sets import comparison_items, label_set_items, pair_differences, pair_picture
+from api.views.scenes import ColoursQuery
 from api.visible import label_comparison_of, sequence_of
 from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_pair
 from services.domain.viewer.formats import MEDIA_TYPES
@@ -86,7 +87,7 @@ def list_label_comparisons(
         return Page[LabelComparisonItem](items=comparison_items(session, found.rows), next=found.next)
 
 
-@router.get("/label-comparisons/{comparison_id}", responses=refusals(404))
+@router.get("/label-comparisons/{comparison_id}", summary="A comparison of two label sets", responses=refusals(404))
 def show_label_comparison(at: AtComparison, caller: Reader, platform: PlatformDep) -> LabelComparisonItem:
     """A comparison: how far it is, and how alike the two are."""
     with platform.database.reading() as session:
@@ -95,18 +96,27 @@ def show_label_comparison(at: AtComparison, caller: Reader, platform: PlatformDe
 
 
 @router.get(
-    "/label-comparisons/{comparison_id}/frames/{token}.png", response_class=Response, responses=file_responses(PNG)
+    "/label-comparisons/{comparison_id}/frames/{token}.png",
+    summary="A frame of both label sets from above",
+    response_class=Response,
+    responses=file_responses(PNG),
 )
 def download_label_difference(
-    at: AtComparison, token: TokenPath, caller: Reader, platform: PlatformDep, request: Request
+    at: AtComparison,
+    token: TokenPath,
+    caller: Reader,
+    platform: PlatformDep,
+    request: Request,
+    colours: ColoursQuery = "default",
 ) -> Response:
     """The labels of a frame from above: A, B, and where they differ."""
-    picture = pair_picture(platform.store, _pair(platform, caller, at, token))
+    picture = pair_picture(platform.store, _pair(platform, caller, at, token), colours)
     return answer_made(request, picture, GeneratedFile(PNG, f"{token}-difference.png"))
 
 
 @router.get(
     "/label-comparisons/{comparison_id}/frames/{token}/voxels",
+    summary="How the voxels of a frame differ (STD1)",
     response_class=Response,
     responses=file_responses(DIFFERENCES),
 )

@@ -13,14 +13,15 @@ from api.answers import refusals
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
-from api.files import StoredFile, answer_file, file_responses
+from api.files import GeneratedFile, StoredFile, answer_file, answer_made, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.sequences.processing import FrameItem, ProcessBody
 from api.views.artefact_files import artefact_file
 from api.views.jobs import job_detail
-from api.views.preview_files import PICTURE_TYPES, PictureName, sequence_preview
+from api.views.preview_files import PICTURE_TYPES, PictureName, picture_in, sequence_preview
+from api.views.scenes import ColoursQuery
 from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
 from services.domain.sequences.processing import start_processing
 from services.runtime.orm import LabelledFrameRow
@@ -51,7 +52,9 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
         return page(session, statement, LabelledFrameRow.ordinal, query).shown(_frame)
 
 
-@router.get("/report", response_class=Response, responses=file_responses("application/json"))
+@router.get(
+    "/report", summary="The labelling report", response_class=Response, responses=file_responses("application/json")
+)
 def download_report(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """What the labels were made of, with which parameters, how good the poses were and what was noticed."""
     with platform.database.reading() as session:
@@ -67,7 +70,12 @@ def download_frame_table(sequence_id: IdPath, caller: Looker, platform: Platform
     return answer_file(request, platform.store, file)
 
 
-@router.get("/sequence.npz", response_class=Response, responses=file_responses("application/octet-stream"))
+@router.get(
+    "/sequence.npz",
+    summary="The synchronised sequence (npz)",
+    response_class=Response,
+    responses=file_responses("application/octet-stream"),
+)
 def download_synchronised(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
     with platform.database.reading() as session:
@@ -83,9 +91,19 @@ def download_mesh(sequence_id: IdPath, caller: Looker, platform: PlatformDep, re
     return answer_file(request, platform.store, file)
 
 
-@router.get("/previews/{name}", response_class=Response, responses=file_responses(*PICTURE_TYPES))
+@router.get(
+    "/previews/{name}",
+    summary="A preview picture of a sequence",
+    response_class=Response,
+    responses=file_responses(*PICTURE_TYPES),
+)
 def download_preview(
-    sequence_id: IdPath, name: PictureName, caller: Looker, platform: PlatformDep, request: Request
+    sequence_id: IdPath,
+    name: PictureName,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    colours: ColoursQuery = "default",
 ) -> Response:
     """A picture: `bev.png` shows the labels from above, `overlay_CAM_FRONT.jpg` the LiDAR's points on a camera's image.
 
@@ -95,7 +113,10 @@ def download_preview(
         sequence = shown_sequence(session, caller, sequence_id)
         labels = labels_of(session, sequence.id)
         file = artefact_file(session, sequence, labels, name) or sequence_preview(session, sequence, labels, name)
-    return answer_file(request, platform.store, file)
+    if colours == "default":
+        return answer_file(request, platform.store, file)
+    facts = GeneratedFile(file.media_type, file.filename, file.is_lasting)
+    return answer_made(request, picture_in(platform.store, file, colours), facts)
 
 
 def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:

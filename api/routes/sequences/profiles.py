@@ -77,7 +77,11 @@ def save_profile(
     return shown
 
 
-@router.get("/sequences/{sequence_id}/recordings/{recording_id}/roles", responses=refusals(404, 409))
+@router.get(
+    "/sequences/{sequence_id}/recordings/{recording_id}/roles",
+    summary="Which topic plays which part",
+    responses=refusals(404, 409),
+)
 def show_roles(
     sequence_id: IdPath,
     recording_id: IdPath,

@@ -71,7 +71,12 @@ def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, pl
         return recording_detail(session, recording_of(session, caller, sequence_id, recording_id))
 
 
-@router.get("/{recording_id}/previews/{name}", response_class=Response, responses=file_responses(*PREVIEW_TYPES))
+@router.get(
+    "/{recording_id}/previews/{name}",
+    summary="A preview picture of a recording",
+    response_class=Response,
+    responses=file_responses(*PREVIEW_TYPES),
+)
 def download_recording_preview(
     at: Annotated[RecordingPreview, Depends()], caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:

@@ -1,29 +1,37 @@
 """Routes of the viewer's scene: the labels' metadata, and the map by tiles.
 
 **Conventions.** The binary formats are told in `services/domain/viewer/formats.py`. An address with `v`, the label set
-that is meant, answers for good; without it a browser asks each time whether what it has still counts.
+that is meant (of cameras, the playback), answers for good; without it a browser asks each time whether what it has
+still counts.
 """
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 
 from api.answers import refusals
 from api.callers import Looker
 from api.deps import PlatformDep
-from api.files import GeneratedFile, answer_file, answer_made, file_responses
-from api.schemas.base import IdPath
+from api.files import GeneratedFile, answer_bytes, answer_file, answer_made, file_responses
+from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.sequences.scenes import SceneDetail
-from api.views.scenes import VersionQuery, scene_bytes, scene_file, scene_of
+from api.views.scenes import VersionQuery, played_cameras, scene_bytes, scene_file, scene_of
+from services.domain.viewer.formats import MEDIA_TYPES
 
 router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
 TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}(_\d{1,4})?$", examples=["0_-1"])]
 JSON = "application/json"
 BINARY = "application/octet-stream"
+CAMERAS = MEDIA_TYPES["STR1"]
+PlaybackQuery = Annotated[
+    str | None,
+    Query(alias="v", pattern=ID_PATTERN, description="The playback that is meant: the answer may then be kept"),
+]
 
 
 @router.get(
     "",
+    summary="The scene of the 3D view",
     response_class=Response,
     responses={200: {"model": SceneDetail}, 304: {"description": "The caller has it already"}, **refusals(404)},
 )
@@ -32,6 +40,20 @@ def show_scene(sequence_id: IdPath, caller: Looker, platform: PlatformDep, reque
     with platform.database.reading() as session:
         scene = scene_of(session, caller, sequence_id)
     return answer_made(request, scene_bytes(platform.store, scene), GeneratedFile(JSON, scene.file.filename))
+
+
+@router.get(
+    "/cameras", response_class=Response, responses=file_responses(CAMERAS), summary="Lens rays and camera poses"
+)
+def download_cameras(
+    sequence_id: IdPath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    version: PlaybackQuery = None,
+) -> Response:
+    """How the pictures of the playback look at the labels (`STR1`); `no_playback` while there are no pictures."""
+    return answer_bytes(request, played_cameras(platform, (caller, sequence_id, version)))
 
 
 @router.get("/tiles/{tile_name}", response_class=Response, responses=file_responses(BINARY))
@@ -49,7 +71,12 @@ def download_tile(
     return answer_file(request, platform.store, file)
 
 
-@router.get("/meshes/{tile_name}", response_class=Response, responses=file_responses(BINARY))
+@router.get(
+    "/meshes/{tile_name}",
+    summary="The surface of a tile (STM1)",
+    response_class=Response,
+    responses=file_responses(BINARY),
+)
 def download_surface(
     sequence_id: IdPath,
     tile_name: TilePath,

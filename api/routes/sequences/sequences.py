@@ -61,7 +61,7 @@ class SequenceFilters:
         return statement.where(func.substr(SequenceRow.name, 1, len(self.name)) == self.name)
 
 
-@router.post("", status_code=201, responses=refusals(409))
+@router.post("", summary="Create a sequence", status_code=201, responses=refusals(409))
 def create_sequence(
     body: NewSequenceBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> SequenceDetail:
@@ -90,7 +90,7 @@ def list_sequences(
         return Page[SequenceItem](items=sequence_items(session, found.rows, caller), next=found.next)
 
 
-@router.get("/{sequence_id}", responses=refusals(404))
+@router.get("/{sequence_id}", summary="A sequence with its newest run and labels", responses=refusals(404))
 def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep, response: Response) -> SequenceDetail:
     """A sequence with its newest run, its newest labels and their files."""
     with platform.database.reading() as session:
@@ -127,7 +127,11 @@ def change_sequence(
     return shown
 
 
-@router.put("/{sequence_id}/calibration", responses=refusals(404, 412))
+@router.put(
+    "/{sequence_id}/calibration",
+    summary="Choose the calibration a sequence is processed with",
+    responses=refusals(404, 412),
+)
 def pin_calibration(
     sequence_id: IdPath,
     body: PinCalibrationBody,

@@ -34,7 +34,7 @@ router = APIRouter(prefix="/device-grants", tags=["people"])
 REFUSALS = {"pending": DevicePendingError, "denied": DeviceDeniedError, "unknown": DeviceCodeError}
 
 
-@router.post("", status_code=201, summary="Ask for the codes by which a program signs in", responses=refusals(400))
+@router.post("", status_code=201, summary="Ask for the codes a program signs in with", responses=refusals(400))
 def begin(body: DeviceBody, request: Request, response: Response, platform: PlatformDep) -> DeviceCodesItem:
     """`user_code` is for a person, who types it at `url`; `device_code` is the program's secret."""
     request.app.state.limits.admit_from(request, "device grant")

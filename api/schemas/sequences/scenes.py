@@ -17,6 +17,7 @@ PLAYBACK_EXAMPLE: dict[str, Any] = {
     "state": "ready",
     "cameras": ["CAM_FRONT", "CAM_BACK"],
     "has_clouds": True,
+    "has_rays": True,
 }
 GRID_EXAMPLE = {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
 REFERENCE_EXAMPLE: dict[str, Any] = {
@@ -89,7 +90,10 @@ class MeshItem(Answer):
 
 
 class PlaybackItem(Answer):
-    """Whether there are pictures and sweeps beside the voxels, and of which cameras."""
+    """Whether there are pictures and sweeps beside the voxels, and of which cameras.
+
+    `has_rays`: `scene/cameras` says how the pictures look at the labels; playbacks of earlier releases have none.
+    """
 
     model_config = example(**PLAYBACK_EXAMPLE)
 
@@ -97,6 +101,7 @@ class PlaybackItem(Answer):
     state: Literal["none", "making", "ready"]
     cameras: list[str]
     has_clouds: bool
+    has_rays: bool
 
 
 class SceneDetail(Answer):

@@ -41,12 +41,13 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
         "frames": 1200,
         "code_version": "0.1.0+71299b6a455d",
         "created_at": "2026-05-03T10:20:00Z",
+        "chosen_at": "2026-05-03T10:20:00Z",
     },
     "class_voxels": {"t": 812345, "p": 2045312, "n": 4198273},
     "duration_s": 120.1,
     "distance_m": 143.7,
     "split": "train",
-    "picture": "thumbnail.jpg",
+    "picture": "thumbnail.png",
     "revision": 3,
     "created_at": "2026-05-03T09:12:44.120000Z",
 }
@@ -75,7 +76,7 @@ Region = Annotated[
 
 
 class NewSequenceBody(Body):
-    """A sequence to be; its name is unique among its owner's. '' means that something is not said.
+    """A new sequence; its name is unique among its owner's. '' is unspecified.
 
     Each illumination is day or night, dawn and dusk being day; a region is a plain name of one's own choice.
     """
@@ -124,13 +125,17 @@ class JobGlance(Answer):
 
 
 class LabelGlance(Answer):
-    """The newest label set of a sequence; `code_version` names the sources that made it."""
+    """The label set of a sequence that counts; `code_version` names the sources that made it.
+
+    `chosen_at` is when it came to count: made, or asked for again.
+    """
 
     id: str
     job_id: str
     frames: int
     code_version: str
     created_at: datetime
+    chosen_at: datetime
 
 
 class ClassVoxels(Answer):

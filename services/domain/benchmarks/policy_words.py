@@ -16,22 +16,26 @@ WORDS: dict[Field, str] = {
     "ranks": "intervals of ranks and ties",
     "comparison": "paired comparisons",
     "breakdowns": "results by sequence, environment, illumination and distance",
-    "extras": "extra figures and supports",
-    "confusions": "counts by frame",
-    "content": "whether two files predict the same",
-    "provenance": "what a score was computed from",
+    "extras": "additional metrics and supports",
+    "confusions": "confusion counts per frame",
+    "content": "equality of predictions",
+    "provenance": "provenance of scores",
     "method": "methods and modalities",
-    "description": "pages of methods",
+    "description": "method descriptions",
     "team": "teams",
     "file": "size and sha256 of files",
-    "state": "how far a submission is",
-    "problems": "what is wrong with a file",
-    "reason": "why an entry was hidden",
+    "state": "progress of submissions",
+    "problems": "problems of files",
+    "reason": "reasons for hiding entries",
+    "frames": "pictures of frames beside the ground truth",
+    "predictions": "zips of entries",
+    "baseline": "zips of baselines",
 }
 VIEWERS: dict[tuple[Relation, ...], str] = {
-    ("administrator", "member", "other"): "everybody",
+    ("administrator", "member", "other"): "everyone",
     ("administrator", "member"): "the team and administrators",
     ("administrator",): "administrators only",
+    (): "nobody",
 }
 WHEN: dict[Secrecy, str] = {
     "open": "The ground truth is open",
@@ -45,7 +49,7 @@ def policy_sentences(phase: Phase, at_ns: int) -> tuple[str, ...]:
     now = secrecy_of(phase, at_ns)
     later: tuple[Secrecy, ...] = ("ended",) if now == "running" and phase.closes_ns is not None else ()
     named = phase.named_from_ns is not None and at_ns < phase.named_from_ns
-    hidden_names = ("Until named_from_at, only members and administrators see teams and pages of methods.",)
+    hidden_names = ("Until named_from_at, only members and administrators see teams and method descriptions.",)
     return (*(_sentence(state) for state in (now, *later)), *(hidden_names if named else ()))
 
 

@@ -19,7 +19,8 @@ Relation = Literal["administrator", "member", "other"]
 Secrecy = Literal["open", "running", "ended"]
 Field = Literal[
     "totals", "exact", "intervals", "ranks", "comparison", "breakdowns", "extras", "confusions", "content",
-    "provenance", "method", "description", "team", "file", "state", "problems", "reason",
+    "provenance", "method", "description", "team", "file", "state", "problems", "reason", "frames", "predictions",
+    "baseline",
 ]  # fmt: skip
 
 RATIO_DIGITS = 4
@@ -49,6 +50,11 @@ TABLE: Mapping[Field, Mapping[Secrecy, tuple[Relation, ...]]] = {
     "state": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
     "problems": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},
     "reason": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},  # why an entry was hidden
+    # Pictures of predictions beside the labels; labels that are hidden are shown of no phase, to nobody, for good.
+    "frames": {"open": _ALL, "running": (), "ended": ()},
+    "predictions": {"open": _TEAM, "running": _TEAM, "ended": _TEAM},  # the zip of an entry
+    # The zip of a baseline. Whoever owns hidden labels may have sent them as a baseline.
+    "baseline": {"open": _ALL, "running": _TEAM, "ended": _TEAM},
 }
 NAMING: tuple[Field, ...] = ("team", "description")
 

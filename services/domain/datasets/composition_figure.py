@@ -12,17 +12,18 @@ from threading import Lock
 from typing import TYPE_CHECKING, Any
 
 from services.domain.datasets.statistics import CLASSES, Record
+from stone.labels.class_colours import PALETTES, ColourName, hex_of
 from stone.splits.splits import PARTS
 from stone.splits.surroundings import DAYLIGHT, HALVES, ILLUMINATIONS
+from stone_base.counts import counted
 
 if TYPE_CHECKING:
     from matplotlib.axes import Axes
 
-FIGURE_VERSION = 1
+FIGURE_VERSION = 2
 SIZE_IN = (11.0, 7.4)
 DPI = 120
 INK, SOFT, EMPTY = "#1e2228", "#6a7078", "#c9ccd1"
-CLASS_COLOURS = dict(zip(CLASSES, ("#26a65b", "#facd50", "#b02a37"), strict=True))
 CLASS_WORDS = dict(zip(CLASSES, ("traversable", "potentially", "non-traversable"), strict=True))
 LIGHT_COLOURS = {
     "day": "#f2c14e",
@@ -35,13 +36,13 @@ LIGHT_COLOURS = {
     "floodlit": "#8d7fb8",
 }
 STYLE: dict[Any, Any] = {"font.family": "DejaVu Sans", "font.size": 9.5, "text.color": INK, "axes.labelcolor": INK}
-UNSAID_WORD = "not said"
+UNSAID_WORD = "unspecified"
 FEW = 0.06
 _drawing = Lock()
 
 
-def composition_png(record: Record, title: str) -> bytes:
-    """The figure of this record. An empty dataset has empty axes."""
+def composition_png(record: Record, title: str, colours: ColourName = "default") -> bytes:
+    """The figure of this record, its classes in the colours of this palette. An empty dataset has empty axes."""
     with _drawing:
         import matplotlib as mpl
         from matplotlib.figure import Figure
@@ -53,7 +54,7 @@ def composition_png(record: Record, title: str) -> bytes:
             figure.suptitle(title, x=0.01, ha="left", fontsize=13, parse_math=False)
             (frames, classes), (distance, parts) = figure.subplots(2, 2)
             _draw_frames(frames, record)
-            _draw_classes(classes, record)
+            _draw_classes(classes, record, colours)
             _draw_distance(distance, record)
             _draw_parts(parts, record)
             content = io.BytesIO()
@@ -72,13 +73,14 @@ def _draw_frames(axes: "Axes", record: Record) -> None:
     _finished(axes, "a  Frames by environment and illumination", "frames")
 
 
-def _draw_classes(axes: "Axes", record: Record) -> None:
+def _draw_classes(axes: "Axes", record: Record, colours: ColourName) -> None:
     """T, P and N of the occupied voxels: of each environment, day and night, and all."""
     groups = [*record["environments"], *record["halves"], {**record["total"], "key": "all"}]
     known = [group for group in groups if group["class_ratios"]]
     rows = [group["key"] for group in known]
     series = {name: {g["key"]: 100 * g["class_ratios"][name] for g in known} for name in CLASSES}
-    _stacked(axes, rows, series, CLASS_COLOURS, CLASS_WORDS)
+    hexes = dict(zip(CLASSES, map(hex_of, PALETTES[colours].values()), strict=True))
+    _stacked(axes, rows, series, hexes, CLASS_WORDS)
     for row, group in enumerate(known):
         left = 0.0
         for name in CLASSES:
@@ -90,8 +92,8 @@ def _draw_classes(axes: "Axes", record: Record) -> None:
     axes.set_xlim(0, 100)
     told = record["total"]["voxels_known"]
     hidden = record["total"]["sequences"] - told
-    note = f"; of {hidden} not told" if hidden else ""
-    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {told} sequence(s){note}")
+    note = f"; of {hidden} withheld" if hidden else ""
+    _finished(axes, "b  Occupied voxels by class", f"% of occupied voxels of {counted(told, 'sequence')}{note}")
 
 
 def _draw_distance(axes: "Axes", record: Record) -> None:
@@ -115,10 +117,10 @@ def _draw_parts(axes: "Axes", record: Record) -> None:
     most = max((row["frames"] for row in rows.values()), default=1)
     for place, key in enumerate(keys):
         row = rows[key]
-        said = f"{row['sequences']} sequences, {row['duration_s'] / 60:.1f} min"
+        said = f"{counted(row['sequences'], 'sequence')}, {row['duration_s'] / 60:.1f} min"
         axes.text(row["frames"] + 0.015 * most, place, said, va="center", color=SOFT)
     axes.set_xlim(0, 1.6 * most)
-    _rows(axes, [key or "in no split" for key in keys])
+    _rows(axes, [key or "unassigned" for key in keys])
     _finished(axes, "d  Splits", "frames")
     axes.xaxis.grid(False)  # it would run through the words
 
@@ -169,4 +171,4 @@ def _in_order(keys: set[str], order: tuple[str, ...]) -> list[str]:
 def figure_title(total: Mapping[str, Any], name: str) -> str:
     """`name`, and how much there is."""
     minutes = total["duration_s"] / 60
-    return f"{name}: {total['sequences']} sequences, {total['frames']:,} frames, {minutes:.0f} min"
+    return f"{name}: {counted(total['sequences'], 'sequence')}, {counted(total['frames'], 'frame')}, {minutes:.0f} min"

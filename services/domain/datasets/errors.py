@@ -11,7 +11,7 @@ class NoSplitsError(StoneError):
     code = "no_splits"
 
     def __init__(self) -> None:
-        super().__init__("no sequence is in train, val or test; put the splits first (PUT /splits)")
+        super().__init__("no sequence is in train, val or test; save the splits first (PUT /splits)")
 
 
 class BrokenSplitsError(StoneError):
@@ -30,13 +30,13 @@ class SplitsChangedError(StoneError):
     code = "splits_changed"
 
     def __init__(self, before: int, now: int) -> None:
-        super().__init__(f"the splits went from revision {before} to {now} meanwhile; look at them and publish again")
+        super().__init__(f"the splits went from revision {before} to {now} meanwhile; review them and publish again")
 
 
 class HiddenPartError(StoneError):
-    """The labels of test are nobody's to download."""
+    """The labels of test cannot be downloaded."""
 
     code = "hidden_part"
 
     def __init__(self, part: str) -> None:
-        super().__init__(f"the files of {part!r} are not given out; train and val are")
+        super().__init__(f"the files of {part!r} cannot be downloaded; train and val can")

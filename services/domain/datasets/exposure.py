@@ -1,4 +1,4 @@
-"""Exposure: why anybody may have the labels of a sequence, in words.
+"""Exposure: why anybody may have the labels of a sequence, in words; and which labels are hidden.
 
 **Conventions.** What was public stays exposed, since whoever fetched its labels has them; so does what a version has in
 train or val. A sequence that shares a file of its recordings with a public one is exposed too, also where that one is
@@ -8,10 +8,10 @@ deleted: the rows of its uploads stay.
 from collections.abc import Mapping
 from datetime import UTC, datetime
 
-from sqlalchemy import select
+from sqlalchemy import Select, and_, or_, select
 from sqlalchemy.orm import Session
 
-from services.runtime.orm import Dataset, DatasetMember, Recording, RecordingFile, SequenceRow, Upload
+from services.runtime.orm import Dataset, DatasetMember, Phase, Recording, RecordingFile, SequenceRow, Upload
 from stone.splits.splits import PARTS
 
 HIDDEN = "test"
@@ -21,6 +21,13 @@ OPEN = tuple(part for part in PARTS if part != HIDDEN)
 def exposures(session: Session) -> Mapping[str, str]:
     """Of every sequence whose labels anybody may have, the plainest reason, by its id."""
     return {**_sharing(session), **_in_versions(session), **_public(session)}
+
+
+def hidden_truths() -> Select[str]:
+    """The ids of the sequences that a version hides, or whose labels a hidden phase is scored against."""
+    same_part = and_(Phase.dataset_id == DatasetMember.dataset_id, Phase.part == DatasetMember.part)
+    members = select(DatasetMember.sequence_id).outerjoin(Phase, and_(same_part, Phase.is_hidden))
+    return members.where(or_(DatasetMember.part == HIDDEN, Phase.id.is_not(None)))
 
 
 def _public(session: Session) -> dict[str, str]:

@@ -4,9 +4,9 @@
 sequence is not written again, and labels made anew make earlier exports stale: they stay until they are deleted. Each
 function is part of the caller's transaction and locks the sequence's row first
 (`services/domain/sequences/processing.py`). Its
-bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence, so it
-is its owner's alone: what others download of a sequence with hidden frames must never be made from here. Of a playback
-single files are shown to whoever may look at the sequence, which nobody but its owner may where frames are hidden.
+bytes are counted against the sequence's owner under the export's id. An export shows all labels of its sequence:
+whoever is signed in may download the finished ones of a sequence that is shown to them, which one with hidden frames is
+to nobody but its owner (`api/visible.py`). Of a playback single files are shown to whoever may look at the sequence.
 """
 
 from collections.abc import Sequence as Listing
@@ -206,7 +206,7 @@ def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> La
     """Raises `NothingToExportError`."""
     labels = counting_labels(session, sequence.id)
     if labels is None:
-        raise NothingToExportError(sequence.id, "it has no labels; have it processed first")
+        raise NothingToExportError(sequence.id, "it has no labels; process it first")
     synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
     if session.scalar(synchronised) is None:
         raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")

@@ -4,7 +4,7 @@ from stone.errors import StoneError
 
 
 class BadWebhookUrlError(StoneError):
-    """A webhook's URL that the platform does not send to."""
+    """The webhook URL is not allowed."""
 
     code = "bad_webhook_url"
 
@@ -27,7 +27,7 @@ class NoEmailError(StoneError):
     code = "no_email"
 
     def __init__(self) -> None:
-        super().__init__("this platform sends no e-mail: its administrator has named no server for it (SMTP)")
+        super().__init__("e-mail is not configured on this platform (SMTP)")
 
 
 class EmailVerificationError(StoneError):

@@ -12,9 +12,10 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from services.runtime.notifications import events
-from services.runtime.notifications.run_events import TOLD_FAILED
+from services.runtime.notifications.run_events import STOPPED, TOLD_FAILED
 from services.runtime.orm import Benchmark, Job, NotificationEvent, Phase, SequenceRow, SubmissionRow
 from stone.errors import one_line
+from stone_base.counts import counted
 
 LONGEST_NAME = 120
 GIB = 2**30
@@ -54,6 +55,9 @@ def _run(session: Session, event: NotificationEvent) -> EventWords | None:
     if event.kind == events.RUN_DONE:
         return EventWords(f"{what} is done.", path, data)
     failure = one_line(str(event.facts["failure"])).translate(HARMLESS)
+    if event.facts["code"] == STOPPED:
+        text = f"{what} was cancelled by an administrator: {failure}"
+        return EventWords(text, path, {**data, "code": STOPPED})
     return EventWords(f"{what} failed ({event.facts['code']}): {failure}", path, {**data, "code": event.facts["code"]})
 
 
@@ -62,8 +66,9 @@ def _labels(session: Session, event: NotificationEvent) -> EventWords | None:
     if sequence is None or sequence.deleted_ns is not None:
         return None
     first = one_line(str(event.facts["message"]))[:500].translate(HARMLESS)
-    text = f"Labels of {_quoted(sequence.name)} are not to be relied on ({event.facts['code']}): {first}"
-    return EventWords(text, f"/sequences/{sequence.id}", {"sequence_id": sequence.id, "code": event.facts["code"]})
+    text = f"Labels of {_quoted(sequence.name)} are unreliable ({event.facts['code']}): {first}"
+    data = {"sequence_id": sequence.id, "code": event.facts["code"], "page": f"/codes/{event.facts['code']}"}
+    return EventWords(text, f"/sequences/{sequence.id}", data)
 
 
 def _submission(session: Session, event: NotificationEvent) -> EventWords | None:
@@ -98,16 +103,18 @@ def _quota(session: Session, event: NotificationEvent) -> EventWords | None:
     place = _place(session, event.subject_id)
     if place is None:
         return None
-    return EventWords(f"Your team has {facts['left']} scorings left in {place[0]}.", place[1], dict(facts))
+    return EventWords(
+        f"Your team has {counted(facts['left'], 'submission')} left in {place[0]}.", place[1], dict(facts)
+    )
 
 
 def _webhook_disabled(_session: Session, _event: NotificationEvent) -> EventWords | None:
-    text = "Your webhook took nothing for days and was switched off; set it again on your account's page."
+    text = "Your webhook failed for days and was disabled; set it again on your account page."
     return EventWords(text, "/account#notifications")
 
 
 def _verification(_session: Session, _event: NotificationEvent) -> EventWords | None:
-    text = "Somebody, we hope you, asked that this address be told of what happens. Sign in and follow the link."
+    text = "Somebody (hopefully you) asked for notifications at this address. Sign in and open the link."
     return EventWords(text, "/account")
 
 

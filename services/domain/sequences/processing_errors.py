@@ -9,16 +9,16 @@ class SequenceDeletedError(StoneError):
     code = "sequence_deleted"
 
     def __init__(self, sequence_id: str) -> None:
-        super().__init__(f"sequence {sequence_id} was deleted; nothing more can be made of it")
+        super().__init__(f"sequence {sequence_id} was deleted and cannot be processed")
 
 
 class NoCalibrationError(StoneError):
-    """Nothing says where the sensors sit."""
+    """No calibration is assigned."""
 
     code = "no_calibration"
 
     def __init__(self, sequence_id: str) -> None:
-        super().__init__(f"sequence {sequence_id} has no calibration; give it one first")
+        super().__init__(f"sequence {sequence_id} has no calibration; assign one first")
 
 
 class NoRecordingError(StoneError):
@@ -52,7 +52,7 @@ class UnknownRecordingError(StoneError):
 
 
 class RecordingNamesError(StoneError):
-    """Two different recordings have one name, by which nobody could tell them apart."""
+    """Two different recordings have the same name."""
 
     code = "recordings_named_alike"
 
@@ -83,7 +83,7 @@ class UnknownStagesError(StoneError):
 
 
 class AlreadyProcessingError(StoneError):
-    """One run at a time: a second would race the first for the same results. `job_id` is the run that is alive."""
+    """A run is already in progress; `job_id` is that run."""
 
     code = "already_processing"
 

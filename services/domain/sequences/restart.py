@@ -29,7 +29,7 @@ RESTARTS = "restarts"  # the argument of a run that counts them
 
 
 class RestartedTooOftenError(StoneError):
-    """Workers of two versions of the code begin the run again in turns."""
+    """Workers of two code versions keep restarting the run."""
 
     code = "restarted_too_often"
 

@@ -4,14 +4,13 @@ from stone.errors import StoneError
 
 
 class NoSceneError(StoneError):
-    """The labels were made before there was a viewer."""
+    """The labels were made by a release without a viewer."""
 
     code = "no_scene"
 
     def __init__(self, label_set_id: str) -> None:
         super().__init__(
-            f"labels {label_set_id} were made by a version that kept nothing for the viewer; have the sequence "
-            "processed again"
+            f"labels {label_set_id} were made by a version that kept nothing for the viewer; process the sequence again"
         )
 
 

@@ -1,4 +1,4 @@
-"""The viewer's binary formats: five zstd-compressed layouts, written here and read in the browser.
+"""The viewer's binary formats: six zstd-compressed layouts, written here and read in the browser.
 
 | magic | holds | after the magic |
 |---|---|---|
@@ -7,12 +7,17 @@
 | `STT1` | the labelled voxels of a tile | u32 n; i32 i, j, k; u8 class; f32 elevation, slope, roughness, D² |
 | `STM1` | the tile's surface | u32 v, u32 t; f32 x y z a vertex; u8 class a vertex; u32 corners, three a triangle |
 | `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
+| `STR1` | the cameras of a playback | u32 cameras, frames, columns, rows; u8 has a picture; f32 rays; f32 poses |
 
 **Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel in C order, 256 × 256 × 32,
 the first in the lowest bit. In `STT1` each of the eight arrays stands whole before the next; voxels are in the order of
 i, then j, then k; the centre of one is (index + 0.5) · 0.2 m in the map frame. `STM1` counts from the tile's `min_m`
 (scene.json); class 0 is a vertex outside every voxel. Equal values give equal bytes. Of imported labels elevation,
-slope, roughness and D² are NaN: a dataset says the class alone.
+slope, roughness and D² are NaN: a dataset says the class alone. In `STR1` cameras stand in the order of
+`playback.json`: a byte for each frame of each camera, 1 where there is a picture; then of each camera rows × columns
+unit vectors x y z in its optical frame, through places spread evenly from edge to edge of the image, NaN where the lens
+sees nothing; then for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz, from where the camera was
+when it took the picture into the ego frame of the labels, NaN where it is not known.
 """
 
 from dataclasses import dataclass
@@ -27,6 +32,7 @@ MEDIA_TYPES = {
     "STT1": "application/vnd.stone.tile",
     "STM1": "application/vnd.stone.mesh",
     "STC1": "application/vnd.stone.cloud",
+    "STR1": "application/vnd.stone.cameras",
 }
 PLANES = 3
 LEVEL = 3
@@ -53,6 +59,18 @@ class TileMesh:
     vertices_m: Floats
     classes: NDArray[np.uint8]
     triangles: NDArray[np.integer]
+
+
+@dataclass(frozen=True, eq=False)
+class PlaybackCameras:
+    """C cameras of N frames: `has_picture` (C, N) bool, `rays` (C, rows, columns, 3) unit vectors, optical frame.
+
+    `ego_from_camera` (C, N, 7) is tx ty tz qw qx qy qz, of the shutter's place in the frame's ego; NaN: not known.
+    """
+
+    has_picture: NDArray[np.bool_]
+    rays: Floats
+    ego_from_camera: Floats
 
 
 def voxels_bytes(semantics: NDArray[np.uint8], observed: NDArray[np.uint8]) -> bytes:
@@ -90,6 +108,13 @@ def cloud_bytes(points_ego: Floats, intensity: Floats) -> bytes:
     light = np.clip(np.rint(intensity[is_near]), 0, 255)
     parts = [cm[is_near].astype("<i2").tobytes(), light.astype("u1").tobytes()]
     return _frame(b"STC1", (int(is_near.sum()),), parts)
+
+
+def cameras_bytes(cameras: PlaybackCameras) -> bytes:
+    """`STR1`."""
+    _, rows, columns, _ = cameras.rays.shape
+    parts = (cameras.has_picture.astype("u1"), cameras.rays.astype("<f4"), cameras.ego_from_camera.astype("<f4"))
+    return _frame(b"STR1", (*cameras.has_picture.shape, columns, rows), [part.tobytes() for part in parts])
 
 
 def _frame(magic: bytes, counts: tuple[int, ...], parts: list[bytes]) -> bytes:

@@ -1,9 +1,10 @@
 """The playback of a label set: small pictures and thinned sweeps beside the viewer's voxels.
 
-    playback.json   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+    playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
 
 **Conventions.** An export of its own format, made after labels are published; its files are shown one by one to whoever
-may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool}.
+may look at the sequence. `playback.json` is {"cameras": [channel, ...], "has_clouds": bool, "has_rays": bool};
+`cameras.bin` (`STR1`) is there where `has_rays` is true, and what was made by earlier releases does not say `has_rays`.
 """
 
 import json
@@ -20,7 +21,7 @@ from services.runtime.store.pack_archive import ExportLocation, locate_export, s
 from services.runtime.store.pack_reading import file_pieces
 from services.runtime.store.protocol import Store
 
-PLAYBACK, INDEX = "playback", "playback.json"
+PLAYBACK, INDEX, CAMERAS = "playback", "playback.json", "cameras.bin"
 HELD = 64
 State = Literal["none", "making", "ready"]
 
@@ -36,10 +37,11 @@ class Playback:
 
 @dataclass(frozen=True)
 class PlaybackChannels:
-    """The channels of a playback in the order of the rig, and whether there are sweeps."""
+    """The channels of a playback in the order of the rig, whether there are sweeps, and `cameras.bin`."""
 
     cameras: tuple[str, ...] = ()
     has_clouds: bool = False
+    has_rays: bool = False
 
 
 def camera_file(channel: str, token: str) -> str:
@@ -76,9 +78,10 @@ def _shown(store: Store, located: ExportLocation) -> PlaybackChannels:
     ordinal = stored.files.ordinals[INDEX]
     span = (0, int(stored.files.sizes_bytes[ordinal]))
     record = json.loads(b"".join(file_pieces(stored.files, ordinal, span, stored.reader(store))))
-    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]))
+    return PlaybackChannels(tuple(record["cameras"]), bool(record["has_clouds"]), bool(record.get("has_rays", False)))
 
 
 def index_record(shown: PlaybackChannels) -> bytes:
     """The content of `playback.json`."""
-    return json.dumps({"cameras": list(shown.cameras), "has_clouds": shown.has_clouds}).encode()
+    record = {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
+    return json.dumps(record).encode()

@@ -8,13 +8,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.ply_file import open_mesh
+from services.labeler.map.ply import VERTEX_RGB
 
 MOST_TRIANGLES = 1 << 17
 
 
 @dataclass(frozen=True, eq=False)
 class MeshPart:
-    """`vertices_map` (V, 3), each in some triangle, their colours `rgb` (V, 3), and `triangles` (T, 3) of them."""
+    """`vertices_map` (V, 3), each in some triangle, `rgb` (V, 3) of their classes, and `triangles` (T, 3) of them."""
 
     vertices_map: NDArray[np.float32]
     rgb: NDArray[np.uint8]
@@ -30,6 +31,6 @@ def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[Mes
         vertices = mesh.vertices[rows]
         yield MeshPart(
             np.ascontiguousarray(vertices["xyz"]),
-            np.ascontiguousarray(vertices["rgb"]),
+            VERTEX_RGB[mesh.classes(rows)],
             triangles.reshape(-1, 3).astype(np.uint32),
         )

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from services.labeler.exports.errors import MeshTooLargeError
 from services.labeler.exports.ply_file import MeshFile, open_mesh
 from services.labeler.exports.source import LabelledSequence
+from services.labeler.map.ply import VERTEX_RGB
 from services.labeler.run import Step
 
 ROWS_AT_ONCE = 1 << 20
@@ -57,7 +58,7 @@ def write_glb(file: IO[bytes], mesh: MeshFile) -> None:
         file.write(_y_up(mesh.vertices["xyz"][rows]).tobytes())
     for rows in _parts(vertices):
         opaque = np.full((len(mesh.vertices[rows]), 4), 255, np.uint8)
-        opaque[:, :3] = mesh.vertices["rgb"][rows]
+        opaque[:, :3] = VERTEX_RGB[mesh.classes(rows)]
         file.write(opaque.tobytes())
     for rows in _parts(triangles):
         file.write(mesh.faces["indices"][rows].astype("<u4").tobytes())

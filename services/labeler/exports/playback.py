@@ -1,11 +1,12 @@
 """Sensor data for the viewer: reduced camera images and thinned sweeps.
 
-    playback.json   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
+    playback.json   cameras.bin   cameras/<CHANNEL>/<frame_token>.jpg   clouds/<frame_token>.bin
 
 **Conventions.** Pictures are at most `WIDTH_PX` wide, as the cameras saw them (a lens that bends bends here too). Of a
 sweep at most `MOST_POINTS` are kept, drawn evenly by the golden ratio, so that no ring or stretch of it is left out and
 equal sweeps give equal points; they stand in the ego frame. A picture that is missing, damaged or too large is left
-out. Memory holds one frame.
+out. `cameras.bin` says how the pictures look at the labels (`playback_cameras.py`); without any picture there is none.
+Memory holds one frame.
 """
 
 import io
@@ -15,8 +16,9 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.domain.viewer.formats import cloud_bytes
-from services.domain.viewer.playback import INDEX, PlaybackChannels, camera_file, cloud_file, index_record
+from services.domain.viewer.formats import cameras_bytes, cloud_bytes
+from services.domain.viewer.playback import CAMERAS, INDEX, PlaybackChannels, camera_file, cloud_file, index_record
+from services.labeler.exports.playback_cameras import playback_cameras
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.previews.picture_opening import opened
 from services.labeler.run import Step
@@ -38,19 +40,22 @@ def write_playback(source: LabelledSequence, out: Path, step: Step) -> None:
         (out / "cameras" / channel).mkdir(parents=True)
     (out / "clouds").mkdir()
     has_clouds = total > 0 and sequence.frames.sweeps is not None
-    shown = set[str]()
+    has_picture = np.zeros((len(taken), total), np.bool_)
     for index, token in enumerate(sequence.frames.tokens):
-        for channel in taken:
+        for place, channel in enumerate(taken):
             picture = small_picture(source.samples.camera(channel, index))
             if picture is not None:
                 (out / camera_file(channel, token)).write_bytes(picture)
-                shown.add(channel)
+                has_picture[place, index] = True
         if has_clouds:
             sweep = source.samples.lidar(index)
             (out / cloud_file(token)).write_bytes(small_cloud(sweep, sequence.calibration.ego_from_lidar))
         step(index + 1, total)
-    cameras = tuple(channel for channel in taken if channel in shown)
-    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds)))
+    is_shown = has_picture.any(axis=1)
+    cameras = tuple(taken[place] for place in np.flatnonzero(is_shown))
+    if cameras:
+        (out / CAMERAS).write_bytes(cameras_bytes(playback_cameras(sequence, cameras, has_picture[is_shown])))
+    (out / INDEX).write_bytes(index_record(PlaybackChannels(cameras, has_clouds, bool(cameras))))
 
 
 def small_picture(sample: CameraSample | None) -> bytes | None:

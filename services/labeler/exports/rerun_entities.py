@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.mesh_parts import MeshPart
 from stone.geometry.se3 import SE3
-from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, TRACK
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, PAPER
 from stone.labels.grid import GRID_MIN_M, Grid
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import CameraIntrinsics
@@ -110,8 +110,8 @@ def mesh(part: MeshPart) -> Columns:
 
 
 def track(positions_map: NDArray[np.float64]) -> Columns:
-    """The poses (P, 3) as one line."""
-    return rr.LineStrips3D.columns(strips=[positions_map.astype(np.float32)], colors=[TRACK], radii=[TRACK_RADIUS_M])
+    """The poses (P, 3) as one line, white: the viewer's ground is dark."""
+    return rr.LineStrips3D.columns(strips=[positions_map.astype(np.float32)], colors=[PAPER], radii=[TRACK_RADIUS_M])
 
 
 def _normals(part: MeshPart) -> NDArray[np.float32]:

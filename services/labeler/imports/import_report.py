@@ -20,8 +20,8 @@ from stone.sensors.sequence import Sequence
 from stone_datasets.classes import MEANINGS, ClassMap
 
 NO_MASK = {
-    "mask_lidar": "no voxel is told apart that no ray reached: what is free may never have been seen",
-    "mask_camera": "no voxel is told apart that no camera sees: scores within the cameras' view count all",
+    "mask_lidar": "which voxels a ray reached is unknown: free voxels may never have been observed",
+    "mask_camera": "which voxels a camera sees is unknown: scores within the cameras' view count all",
 }
 
 

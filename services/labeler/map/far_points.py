@@ -50,7 +50,8 @@ def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
         return ()
     sentence = (
         f"{found.points} points in {found.sweeps} of {found.read} sweeps lie farther than {FARTHEST_POINT_M:g} m from "
-        "the LiDAR, which none sees, and are left out: does its driver write a number where nothing came back, are "
+        "the LiDAR, beyond the range of any, and are excluded: does its driver write a number "
+        "where nothing came back, are "
         "its points in millimetres, or is the recording damaged?"
     )
     return (Finding("LAB-608", "warning", "", sentence),)

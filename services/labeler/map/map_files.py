@@ -21,7 +21,7 @@ from services.labeler.scratch import whole
 from services.labeler.stage import Arguments, StageFiles, StageResult
 from stone.labels.traversability import Reference
 
-MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.jpg", "mesh.ply"
+MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.png", "mesh.ply"
 
 
 def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
@@ -41,7 +41,7 @@ def map_folder(run: LabelRun) -> Path:
 
 
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
-    """Write `bev.png`, `thumbnail.jpg`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
+    """Write `bev.png`, `thumbnail.png`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
     the order of the tiles, and leave in scratch how the profiles compare and how much of the way is T."""
     view, counter, scene = TopView({}), ComparisonCounter(run, tiles, reference), SceneFiles(run, reference, out)
     driven = CoverageCounter(run)

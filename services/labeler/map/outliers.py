@@ -74,7 +74,7 @@ def outlier_findings(counts: OutlierCounts | None, parameters: LabelParameters, 
         return []
     sentence = (
         f"of {counts.voxels} driven voxels some are far from the rest: {'; '.join(_far(counts, at) for at in spoilt)}. "
-        "Is something taken for ground that is none, or is it of several kinds? "
+        "Are non-ground surfaces included, or several kinds of terrain? "
         f"{_advice(parameters)}; {changed_ratio:.1%} of the map's voxels would change their class"
     )
     return [Finding("LAB-606", "warning", "", sentence)]

@@ -11,12 +11,12 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import Keys, keys_of
-from stone.labels.class_colours import CLASS_RGB
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
 from stone.labels.voxels import VOXEL_M
 
 HEADER = """ply
 format binary_little_endian 1.0
-comment map frame, metres; green traversable, yellow potentially traversable, red non-traversable
+comment map frame, metres; classes by colour: {colours}
 element vertex {vertices}
 property float x
 property float y
@@ -31,19 +31,20 @@ end_header
 VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
 FACE = np.dtype([("n", "u1"), ("indices", "<i4", 3)])
 UNLABELLED = (128, 128, 128)
+VERTEX_RGB = np.array([UNLABELLED, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)
+"""The colour of a vertex by its class, 0 to 3."""
 
 Piece = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]  # vertices, triangles, class per vertex
 
 
 def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Piece]]) -> None:
     """Write the pieces, each loaded twice (once for vertices, once for faces) so that memory holds one at a time."""
-    palette = np.array([UNLABELLED, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)
     with path.open("wb") as file:
-        file.write(HEADER.format(vertices=totals[0], triangles=totals[1]).encode())
+        file.write(header_of(*totals))
         for load in pieces:
             vertices, _, classes = load()
             rows = np.empty(len(vertices), VERTEX)
-            rows["xyz"], rows["rgb"] = vertices, palette[classes]
+            rows["xyz"], rows["rgb"] = vertices, VERTEX_RGB[classes]
             file.write(rows.tobytes())
         first = 0
         for load in pieces:
@@ -52,6 +53,12 @@ def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Pi
             faces["n"], faces["indices"] = 3, triangles + first
             file.write(faces.tobytes())
             first += len(vertices)
+
+
+def header_of(vertices: int, triangles: int) -> bytes:
+    """The header of a mesh of so many vertices and triangles."""
+    colours = ", ".join(f"({r} {g} {b}) {CLASS_NAME[kind]}" for kind, (r, g, b) in CLASS_RGB.items())
+    return HEADER.format(vertices=vertices, triangles=triangles, colours=colours).encode()
 
 
 def class_at(vertices: NDArray[np.float32], keys: Keys, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:

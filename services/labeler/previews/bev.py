@@ -32,7 +32,9 @@ def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = 
     for radius_m in RINGS_M:
         _ring(pen, radius_m, fine_px)
     for run in runs_inside(around.track_ego):
-        pen.line(_pixels(run, fine_px), fill=TRACK, width=max(2, round(fine_px / 220)), joint="curve")
+        width_px = max(2, round(fine_px / 220))
+        for colour, wider_px in ((PAPER, 2 * FINER), (TRACK, 0)):
+            pen.line(_pixels(run, fine_px), fill=colour, width=width_px + wider_px, joint="curve")
     x, y = around.footprint.length_m / 2, around.footprint.width_m / 2
     outline = np.array([(x, y), (x, -y), (-x, -y), (-x, y)])
     pen.polygon(_pixels(outline, fine_px), fill=INK)

@@ -2,8 +2,8 @@
 
 **Conventions.** One below the other, so that they can be read on a phone. Per column the highest voxel shows; a pixel
 of several columns is their mean. The colours rise evenly in lightness (cividis, inferno, viridis), so they survive grey
-printing and colour blindness; what lies beyond a bar's ends has their colour. Axes are metres in the map frame. Memory
-is that of one tile and of the picture.
+printing and colour blindness; what lies beyond a bar's ends has their colour. The ground is transparent.
+Axes are metres in the map frame. Memory is that of one tile and of the picture.
 """
 
 from dataclasses import dataclass
@@ -26,7 +26,7 @@ MOST_SIDE_PX = 640
 DOTS_PER_IN, TEXT_POINTS, WIDTH_IN, LEAST_RATIO, MOST_RATIO = 100, 17, 9.0, 0.3, 1.6
 QUANTILES = (0.02, 0.98)
 STEEPEST_DEG = 60.0
-GROUND, INK = "#ffffff", "#1e2228"
+INK = "#70767e"  # read on white and on the dark ground of a page
 TRACK_COLOUR = {ELEVATION: "#d1322f", SLOPE: "#7fd3ff", ROUGHNESS: "#d1322f"}
 COLOURS = {ELEVATION: "cividis", SLOPE: "inferno", ROUGHNESS: "viridis"}
 HEIGHT = {"paper": "elevation h, m", "local": "height above local ground, m"}
@@ -88,7 +88,7 @@ def feature_figure(rasters: Rasters, track_map: NDArray[np.float64], profile: st
     west, east, south, north = rasters.bounds_m
     ratio = min(max((north - south) / (east - west), LEAST_RATIO), MOST_RATIO)
     size_in = (WIDTH_IN, 3 * (0.75 * WIDTH_IN * ratio + 1.1))
-    figure = Figure(figsize=size_in, facecolor=GROUND, layout="constrained")
+    figure = Figure(figsize=size_in, facecolor="none", layout="constrained")
     words = {ELEVATION: HEIGHT[profile], SLOPE: "slope θ, °", ROUGHNESS: "roughness r, ln m²"}
     for feature, axes in zip(ORDER, figure.subplots(3, 1).flat, strict=True):
         _panel(figure, axes, rasters, feature)
@@ -110,6 +110,9 @@ def _panel(figure: Figure, axes: Axes, rasters: Rasters, feature: int) -> None:
     bar = figure.colorbar(picture, cax=beside, extend="max" if feature == SLOPE else "both", extendfrac=0.03)
     for part in (axes, bar.ax):
         part.tick_params(colors=INK, labelsize=TEXT_POINTS, length=3)
+    axes.set_facecolor("none")
+    for spine in (*axes.spines.values(), *bar.ax.spines.values(), bar.outline):
+        spine.set_edgecolor(INK)
     axes.set_aspect("equal", adjustable="box")
     axes.locator_params(nbins=6)
     axes.set_xlabel("east, m", color=INK, fontsize=TEXT_POINTS)

@@ -1,7 +1,7 @@
 """`bev.png`: the labelled map from above, coloured by class, shaded by relief, with the robot's track.
 
-**Conventions.** x to the right, y up; per column the highest labelled voxel shows. Colours are those of
-`stone/labels/class_colours.py`.
+**Conventions.** x to the right, y up; per column the highest labelled voxel shows. Pictures are those of
+`services/domain/viewer/indexed_pictures.py`: their ground is transparent.
 """
 
 from dataclasses import dataclass
@@ -12,9 +12,20 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
+from services.domain.viewer.indexed_pictures import (
+    CASING_INDEX,
+    GROUND_INDEX,
+    OPAQUE_INDEX,
+    TRACK_INDEX,
+    Indices,
+    lit,
+    of_class,
+    png_of,
+    with_words,
+)
 from stone.geometry.lattice import Keys, indices_of
 from stone.geometry.se3 import SE3
-from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK
+from stone.labels.class_colours import CLASS_NAME
 from stone.labels.voxels import VOXEL_M
 
 MARGIN_PX, LEGEND_PX, MAX_SIDE_PX, MIN_SIDE_PX = 16, 44, 4000, 900
@@ -23,9 +34,9 @@ MOST_PIXELS = 4_000_000  # of a map before it is scaled: two parts of it may lie
 
 @dataclass(frozen=True, eq=False)
 class ShadedMap:
-    """`pixels` (Y, X, 3), north up, of `side_m` each; `low` (2,) is the lowest place in x and y, in such sides."""
+    """`indices` (Y, X), north up, of `side_m` each; `low` (2,) is the lowest place in x and y, in such sides."""
 
-    pixels: NDArray[np.uint8]
+    indices: Indices
     low: NDArray[np.int64]
     side_m: float
 
@@ -43,13 +54,13 @@ class TopView:
             last = np.append((np.diff(indices[:, :2], axis=0) != 0).any(axis=1), True)  # keys sort z lowest
             self.columns[tile] = (indices[last], classes[last])
 
-    def draw(self, map_from_ego: SE3) -> Image.Image:
+    def draw(self, map_from_ego: SE3) -> Indices:
         """The picture, at least `MIN_SIDE_PX` and at most about `MAX_SIDE_PX` a side."""
         whole = self.shaded()
-        image = Image.fromarray(whole.pixels)
+        image = Image.fromarray(whole.indices)
         scale = _scale(max(image.size))
         side = (max(1, round(image.width * scale)), max(1, round(image.height * scale)))
-        image = image.resize(side, Image.Resampling.NEAREST if scale >= 1 else Image.Resampling.BOX)
+        image = image.resize(side, Image.Resampling.NEAREST)
         track = (map_from_ego.translation_m[:, :2] / whole.side_m - whole.low) * scale
         return _framed(image, np.stack([track[:, 0], side[1] - track[:, 1]], axis=1), scale / whole.side_m)
 
@@ -69,7 +80,7 @@ class TopView:
 
 def write_top_view(path: Path, view: TopView, map_from_ego: SE3) -> None:
     """Draw and save; the folder exists."""
-    view.draw(map_from_ego).save(path, "png", optimize=True)
+    path.write_bytes(png_of(view.draw(map_from_ego), compress_level=9))
 
 
 def _scale(side: int) -> float:
@@ -79,46 +90,48 @@ def _scale(side: int) -> float:
     return float(max(1, round(MIN_SIDE_PX / side)))
 
 
-def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArray[np.int64]) -> NDArray[np.uint8]:
-    """(Y, X, 3) uint8, north up: class colour, lit from the north-west by the relief of the top voxels."""
+def _shaded(indices: NDArray[np.int64], classes: NDArray[np.uint8], size: NDArray[np.int64]) -> Indices:
+    """(Y, X), north up: classes, lit from the north-west by the relief of the top voxels."""
     top = np.full((size[1], size[0]), np.nan)
     kind = np.zeros((size[1], size[0]), np.uint8)
     rows, columns = size[1] - 1 - indices[:, 1], indices[:, 0]
     top[rows, columns], kind[rows, columns] = indices[:, 2], classes
-    palette = np.array([PAPER, *(CLASS_RGB[c] for c in (1, 2, 3))], np.float64)
     down, right = (np.nan_to_num(np.diff(top, axis=axis, append=np.nan)) for axis in (0, 1))
-    light = np.clip(1.0 + 0.09 * np.clip(down + right, -4, 4), 0.6, 1.25)
-    light[kind == 0] = 1.0
-    lit = palette[kind]
-    lit *= light[..., None]
-    return np.clip(lit, 0, 255, out=lit).astype(np.uint8)
+    return lit(kind, down + right)
 
 
-def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Image.Image:
-    """The map on paper with the track, its start, a legend and a scale bar."""
+def _framed(image: Image.Image, track: NDArray[np.float64], px_per_m: float) -> Indices:
+    """The map with the track, its start, a legend and a scale bar."""
     width = max(image.width, 620) + 2 * MARGIN_PX
-    sheet = Image.new("RGB", (width, image.height + 2 * MARGIN_PX + LEGEND_PX), PAPER)
+    sheet = Image.new("L", (width, image.height + 2 * MARGIN_PX + LEGEND_PX), GROUND_INDEX)
     sheet.paste(image, (MARGIN_PX, MARGIN_PX))
     pen = ImageDraw.Draw(sheet)
-    points = [(float(x) + MARGIN_PX, float(y) + MARGIN_PX) for x, y in track]
+    draw_line(pen, [(float(x) + MARGIN_PX, float(y) + MARGIN_PX) for x, y in track], width_px=3)
+    for (x, y), radius in ((track[0] + MARGIN_PX, 6), (track[-1] + MARGIN_PX, 4)):
+        pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=TRACK_INDEX, outline=CASING_INDEX, width=1)
+    words = Image.new("L", sheet.size)
+    _legend((pen, ImageDraw.Draw(words)), image.height + 2 * MARGIN_PX, px_per_m)
+    return with_words(np.asarray(sheet), words)
+
+
+def draw_line(pen: ImageDraw.ImageDraw, points: list[tuple[float, float]], width_px: int) -> None:
+    """A track in its casing, which sets it off from dark labels and from a dark page."""
     if len(points) > 1:
-        pen.line(points, fill=TRACK, width=3, joint="curve")
-    for (x, y), radius in ((points[0], 6), (points[-1], 4)):
-        pen.ellipse((x - radius, y - radius, x + radius, y + radius), fill=TRACK, outline=PAPER, width=1)
-    _legend(pen, image.height + 2 * MARGIN_PX, px_per_m)
-    return sheet
+        pen.line(points, fill=CASING_INDEX, width=width_px + 2, joint="curve")
+        pen.line(points, fill=TRACK_INDEX, width=width_px, joint="curve")
 
 
-def _legend(pen: ImageDraw.ImageDraw, top: int, px_per_m: float) -> None:
-    font = ImageFont.load_default(size=14)
+def _legend(pens: tuple[ImageDraw.ImageDraw, ImageDraw.ImageDraw], top: int, px_per_m: float) -> None:
+    """With the pen of the picture and that of its words."""
+    (pen, writing), font = pens, ImageFont.load_default(size=14)
     x = float(MARGIN_PX)
     for kind, name in CLASS_NAME.items():
-        pen.rectangle((x, top, x + 14, top + 14), fill=CLASS_RGB[kind])
-        pen.text((x + 20, top - 2), name, fill=INK, font=font)
-        x += 34 + pen.textlength(name, font=font)
-    pen.line((x, top + 7, x + 20, top + 7), fill=TRACK, width=3)
-    pen.text((x + 26, top - 2), "track", fill=INK, font=font)
+        pen.rectangle((x, top, x + 14, top + 14), fill=of_class(kind))
+        writing.text((x + 20, top - 2), name, fill=255, font=font)
+        x += 34 + writing.textlength(name, font=font)
+    draw_line(pen, [(x, top + 7), (x + 20, top + 7)], width_px=3)
+    writing.text((x + 26, top - 2), "track", fill=255, font=font)
     x += 84
     bar_m = next((m for m in (100, 50, 20, 10, 5, 2) if m * px_per_m <= 120), 1)
-    pen.line((x, top + 7, x + bar_m * px_per_m, top + 7), fill=INK, width=2)
-    pen.text((x + bar_m * px_per_m + 6, top - 2), f"{bar_m} m", fill=INK, font=font)
+    pen.line((x, top + 7, x + bar_m * px_per_m, top + 7), fill=OPAQUE_INDEX, width=2)
+    writing.text((x + bar_m * px_per_m + 6, top - 2), f"{bar_m} m", fill=255, font=font)

@@ -68,5 +68,5 @@ def _server(settings: NotificationSettings) -> smtplib.SMTP:
 
 def _hint(letter: Letter) -> str:
     if letter.kind == EMAIL_VERIFICATION:
-        return "If you did not ask for this, do nothing: you are not written to again."
-    return f"You chose to be told of this. To be told no more: {letter.settings_url}"
+        return "If you did not ask for this, ignore it: no further mail is sent."
+    return f"You enabled this notification. To disable it: {letter.settings_url}"

@@ -20,7 +20,7 @@ class DeliveryFailedError(StoneError):
 
     def __init__(self, channel: str, tries: int, answer: str) -> None:
         super().__init__(
-            f"the {channel} did not take it in {tries} tries; the last: {answer}; retry the job to try again"
+            f"the {channel} did not accept it in {tries} attempts; the last: {answer}; retry the job to try again"
         )
 
 
@@ -30,6 +30,4 @@ class UnknownDeliveryError(StoneError):
     code = "unknown_delivery"
 
     def __init__(self, delivery_id: str) -> None:
-        super().__init__(
-            f"delivery {delivery_id[:40]} is forgotten: it is older than deliveries are kept, or its user is gone"
-        )
+        super().__init__(f"delivery {delivery_id[:40]} no longer exists: it expired, or its user was removed")

@@ -34,7 +34,7 @@ def prepared(session: Session, row: NotificationDelivery, settings: Settings) ->
     """The delivery ready to be sent, or why it is not to be sent at all."""
     event = session.get_one(NotificationEvent, row.event_id)
     if not is_to_be_told(session, event, row.user_id, row.channel):
-        return "not told any more: chosen otherwise, shut out, or no longer of the team"
+        return "not sent: preferences changed, account deactivated, or no longer in the team"
     message = message_of(session, event)
     if message is None:
         return "what it tells of is gone"

@@ -15,7 +15,7 @@ class WeakPasswordError(StoneError):
 
 
 class GuessablePasswordError(StoneError):
-    """A password is among the first that somebody would try."""
+    """The password is easy to guess."""
 
     code = "guessable_password"
 
@@ -51,7 +51,7 @@ class UnknownRoleError(StoneError):
 
 
 class LastAdministratorError(StoneError):
-    """Without this administrator there would be none left to steer the platform."""
+    """The last administrator cannot be removed."""
 
     code = "last_administrator"
 
@@ -69,7 +69,7 @@ class BusyError(StoneError):
 
 
 class PasswordsOffError(StoneError):
-    """Nobody signs in by name and password here."""
+    """Password sign-in is disabled."""
 
     code = "passwords_off"
 

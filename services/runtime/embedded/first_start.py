@@ -16,6 +16,7 @@ from services.runtime.access.tokens import find, issue
 from services.runtime.access.users import create_user
 from services.runtime.orm import User
 from services.runtime.platform import Platform
+from services.runtime.settings import Settings
 
 ADMINISTRATOR = "admin"
 PASSWORD_FILE = "admin-password"
@@ -46,6 +47,12 @@ def ensure_keys(platform: Platform) -> FirstStartKeys:
             secret = issue(session, user, "this machine", TOKEN_SCOPES, platform.settings.api.token_s)
             _keep(root / TOKEN_FILE, secret)
         return FirstStartKeys(user.name, password, secret)
+
+
+def first_password_file(settings: Settings) -> Path | None:
+    """The file that holds the first administrator's password; None where there is none or nobody signs in by one."""
+    file = settings.root / PASSWORD_FILE
+    return file if settings.api.passwords and file.exists() else None
 
 
 def find_administrator(session: Session) -> User | None:

@@ -36,11 +36,11 @@ class UnknownKindError(StoneError):
     code = "unknown_kind"
 
     def __init__(self, kind: str, known: list[str]) -> None:
-        super().__init__(f"no stage {kind!r} in this worker; it knows {known} (do all services run the same version?)")
+        super().__init__(f"no stage {kind!r} in this worker; it knows {known} (are all services of the same version?)")
 
 
 class QueueDrainingError(StoneError):
-    """The queue takes nothing new until it is opened again."""
+    """The queue accepts no new jobs until it is resumed."""
 
     code = "queue_draining"
 

@@ -105,9 +105,7 @@ def lose_silent(session: Session, seen: Job, lease_s: float) -> bool:
     if (now.state, now.attempt, now.heartbeats) != ("running", seen.attempt, seen.heartbeats):
         return False
     claim = Claim(seen.id, seen.root_id, seen.sequence_id, seen.kind, seen.attempt, {})
-    return lose(
-        session, claim, Failure("worker_lost", f"attempt {seen.attempt} gave no sign of life for {lease_s:g} s")
-    )
+    return lose(session, claim, Failure("worker_lost", f"attempt {seen.attempt} sent no heartbeat for {lease_s:g} s"))
 
 
 def _ready(session: Session) -> dict[str, int]:

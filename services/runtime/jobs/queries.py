@@ -1,63 +1,70 @@
-"""Progress of jobs for people and pages: stages with counts, rate and time left."""
+"""Progress of jobs for people and pages: stages with counts and times.
+
+How long a run has left is estimated in `services/domain/runs`.
+"""
 
 from dataclasses import dataclass
 
-from sqlalchemy import ColumnElement, Select, case, func, select
+from sqlalchemy import BigInteger, ColumnElement, Select, case, cast, func, select
 from sqlalchemy.orm import Session
 
-from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
-from services.runtime.orm.base import now_ns
 
 
 @dataclass(frozen=True)
 class StageProgress:
-    """Jobs of one kind in a run: how many there are, how many succeeded, failed and are running."""
+    """Jobs of one kind in a run: how many there are, how many succeeded, failed and are running.
+
+    `began_ns` is the first beginning, `ended_ns` the last end; `busy_ns` is the time of those that succeeded together.
+    """
 
     kind: str
     total: int
     done: int
     running: int
     failed: int
+    began_ns: int | None = None
+    ended_ns: int | None = None
+    busy_ns: int = 0
 
 
 @dataclass(frozen=True)
 class Progress:
-    """`done` of `total` in units of the job (or jobs of the run), per second, and seconds left (None: unknown)."""
+    """`done` of `total` in units of the job (or jobs of the run); `rate_per_s` of a single job that runs, else None."""
 
     stage: str
     done: int
     total: int
-    rate_per_s: float | None
-    eta_s: float | None
-    stages: tuple[StageProgress, ...]
+    rate_per_s: float | None = None
+    stages: tuple[StageProgress, ...] = ()
 
 
 def progress_of(session: Session, job: Job) -> Progress:
     """A job's own progress; of a run, that of its jobs."""
     if job.queue:
-        return rated(job, job.stage, job.done, job.total, ())
+        return Progress(job.stage, job.done, job.total, _rate_per_s(job))
     stages = tuple(StageProgress(*row) for row in session.execute(_stages(job.id)))
     active = next((stage.kind for stage in reversed(stages) if stage.running), "")
-    return rated(job, active, sum(s.done for s in stages), sum(s.total for s in stages), stages)
+    return Progress(active, sum(s.done for s in stages), sum(s.total for s in stages), None, stages)
 
 
-def _stages(root_id: str) -> Select[str, int, int, int, int]:
+def _rate_per_s(job: Job) -> float | None:
+    """Units a second since it began, by its last report."""
+    if job.state != "running" or not job.started_ns or not job.done:
+        return None
+    until_ns = job.progress_ns or 0
+    return job.done / (until_ns - job.started_ns) * 1e9 if until_ns > job.started_ns else None
+
+
+def _stages(root_id: str) -> Select[str, int, int, int, int, int | None, int | None, int]:
     def counted(state: str) -> ColumnElement[int]:
         return func.sum(case((Job.state == state, 1), else_=0))
 
+    lasted = func.sum(case((Job.state == "succeeded", func.coalesce(Job.finished_ns - Job.started_ns, 0)), else_=0))
+    spans = (func.min(Job.started_ns), func.max(Job.finished_ns), cast(lasted, BigInteger))
     return (
-        select(Job.kind, func.count(), counted("succeeded"), counted("running"), counted("failed"))
+        select(Job.kind, func.count(), counted("succeeded"), counted("running"), counted("failed"), *spans)
         .where(Job.root_id == root_id, Job.queue != "")
         .group_by(Job.kind)
         .order_by(func.min(Job.id))
     )
-
-
-def rated(job: Job, stage: str, done: int, total: int, stages: tuple[StageProgress, ...] = ()) -> Progress:
-    """The progress with its rate since the job began, as long as it runs."""
-    if not job.started_ns or not done or job.state in TERMINAL:
-        return Progress(stage, done, total, None, None, stages)
-    passed_s = max((job.progress_ns or now_ns()) - job.started_ns, 1) / 1e9
-    rate = done / passed_s
-    return Progress(stage, done, total, rate, max(total - done, 0) / rate, stages)

@@ -21,7 +21,7 @@ NONE: ColumnElement[int] = literal_column("0")
 
 def next_job(session: Session, queue: str) -> Job | None:
     """The job of `queue` to be taken next, its row locked; None where each that is ready is being taken."""
-    owners = session.execute(_owners(queue)).all()
+    owners = session.execute(owners_waiting(queue)).all()
     for owner_id, priority, _running, _oldest in owners:
         of_owner = (Job.owner_id == owner_id, Job.priority == priority)
         found = session.scalar(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id))
@@ -45,7 +45,7 @@ def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job]:
     return free.with_for_update(skip_locked=True, key_share=True).execution_options(populate_existing=True)
 
 
-def _owners(queue: str) -> Select[str, int, int, str]:
+def owners_waiting(queue: str) -> Select[str, int, int, str]:
     """(owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
     heads = _hopped(queue)
     urgent, busy = aliased(Job), aliased(Job)

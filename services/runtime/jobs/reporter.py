@@ -203,7 +203,9 @@ class Reporter:
     def _time_out(self) -> None:
         """Raises what the database raises; the next turn tries again."""
         limit_s = self._limits.time_limit_s
-        sentence = f"ran longer than {limit_s:.0f} s and was stopped; stages are cut to take minutes, is the input odd?"
+        sentence = (
+            f"ran longer than {limit_s:.0f} s and was stopped; stages normally take minutes: is the input unusual?"
+        )
         with self._platform.database.transaction() as session:
             fail(session, self._claim, Failure("time_limit", sentence))
         self._end_process("time limit")

@@ -24,15 +24,15 @@ SUBMISSION_SCORED, SUBMISSION_INVALID, SUBMISSION_FAILED = (
 PHASE_OPENED, PHASE_CLOSED = "phase.opened", "phase.closed"
 QUOTA_LOW, LABELS_UNUSABLE = "quota.low", "labels.unusable"
 EVENTS: Mapping[str, str] = {
-    RUN_DONE: "A run of mine is done",
-    RUN_FAILED: "A run of mine failed",
-    LABELS_UNUSABLE: "A finding makes labels of mine unusable",
-    SUBMISSION_SCORED: "A submission of my team is scored",
+    RUN_DONE: "One of my runs finished",
+    RUN_FAILED: "One of my runs failed",
+    LABELS_UNUSABLE: "A finding makes my labels unreliable",
+    SUBMISSION_SCORED: "A submission of my team was scored",
     SUBMISSION_INVALID: "A submission of my team is invalid",
     SUBMISSION_FAILED: "A submission of my team could not be scored",
     PHASE_OPENED: "A phase of a benchmark opens",
     PHASE_CLOSED: "A phase of a benchmark closes",
-    QUOTA_LOW: "My storage or my team's scorings run low",
+    QUOTA_LOW: "My storage or my team's submissions are running low",
 }
 """What each kind tells, in the words of who chooses."""
 EMAIL_VERIFICATION, WEBHOOK_DISABLED = "email.verification", "webhook.disabled"

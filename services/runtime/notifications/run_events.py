@@ -14,14 +14,16 @@ TOLD = {
     "sequence.process": "processing",
     "dataset.import": "the import of a dataset",
     "labeler.export": "the export",
-    "dataset.inputs": "making a dataset's inputs",
-    "phase.inputs": "making a phase's inputs",
-    "eval.truth": "making a ground truth",
+    "dataset.inputs": "creating a dataset's inputs",
+    "phase.inputs": "creating a phase's inputs",
+    "eval.truth": "creating a ground truth",
     "phase.rescore": "a re-score",
 }
 """Runs that are told of, by their kind, in words."""
 TOLD_FAILED = {**TOLD, "ingest.register": "reading a recording"}
 LONGEST_FAILURE = 500
+STOPPED = "cancelled"
+"""The code of a run that an administrator stopped."""
 
 
 def tell_run_succeeded(session: Session, run: Job) -> None:
@@ -35,6 +37,11 @@ def tell_run_failed(session: Session, run: Job, code: str, sentence: str) -> Non
     if run.kind in TOLD_FAILED and not _is_playback(session, run):
         facts = {"code": code, "failure": sentence[:LONGEST_FAILURE]}
         record(session, NewEvent(RUN_FAILED, run.id, user_id=run.owner_id, facts=facts))
+
+
+def tell_run_stopped(session: Session, run: Job, reason: str) -> None:
+    """Record that somebody other than its owner stopped the run, where its failure would be told."""
+    tell_run_failed(session, run, STOPPED, reason)
 
 
 def _is_playback(session: Session, run: Job) -> bool:

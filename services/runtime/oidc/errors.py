@@ -22,7 +22,7 @@ class SignInStateError(StoneError):
 
 
 class ProviderRefusedError(StoneError):
-    """The provider did not let somebody in."""
+    """The provider denied the sign-in."""
 
     code = "provider_refused"
 
@@ -58,18 +58,20 @@ class IdTokenRefusedError(StoneError):
 
 
 class NotAdmittedError(StoneError):
-    """The provider knows somebody whom none of the platform's groups lets in."""
+    """None of the user's groups is admitted."""
 
     code = "not_admitted"
 
     def __init__(self, claim: str) -> None:
-        super().__init__(f"none of your groups (the claim {claim!r}) is let in here; ask an administrator which one is")
+        super().__init__(
+            f"none of your groups (the claim {claim!r}) is admitted here; ask an administrator which one is"
+        )
 
 
 class ShutOutError(StoneError):
-    """An administrator has shut this account out."""
+    """The account is deactivated."""
 
     code = "shut_out"
 
     def __init__(self, name: str) -> None:
-        super().__init__(f"the account {name!r} is shut out; ask an administrator of the platform")
+        super().__init__(f"the account {name!r} is deactivated; ask an administrator of the platform")

@@ -10,7 +10,7 @@ class SandboxCrashedError(StoneError):
 
     def __init__(self, fate: str) -> None:
         self.fate = fate
-        super().__init__(f"the process that read the input {fate}; is the file damaged, or made to do this?")
+        super().__init__(f"the process that read the input {fate}; is the file damaged or malicious?")
 
 
 class SandboxInterruptedError(PlatformFaultError):

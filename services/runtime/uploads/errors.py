@@ -22,7 +22,7 @@ class UploadTooLargeError(StoneError):
 
 
 class TooManyUploadsError(StoneError):
-    """The owner has more unfinished or unused uploads than anybody needs."""
+    """The owner has too many unfinished or unused uploads."""
 
     code = "too_many_uploads"
 
@@ -169,7 +169,7 @@ class FileMismatchError(StoneError):
 
 
 class DiskFullError(StoneError):
-    """There is no room; what was written before counts."""
+    """The disk is full; what was written before is kept."""
 
     code = "disk_full"
 

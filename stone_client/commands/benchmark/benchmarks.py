@@ -13,7 +13,7 @@ BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", 
 
 
 def benchmarks(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """List the benchmarks with their phases: whether they run, how much may be scored, what is shown to whom."""
+    """List the benchmarks with their phases: dates, quotas, and the visibility of results."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import phases_table, read_benchmark, read_benchmarks
 

@@ -13,7 +13,7 @@ SecondArgument = Annotated[str, typer.Argument(metavar="B", help="Another submis
 
 
 def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show how two submissions differ and whether that is more than chance, frame held against frame."""
+    """Compare two submissions frame by frame: differences, intervals and significance."""
     from stone_client.connection import connected
     from stone_client.server.scores import compare as compare_both
     from stone_client.server.scores import comparison_table, submission_id
@@ -25,4 +25,4 @@ def compare(a: FirstArgument, b: SecondArgument, server: ServerOption = None, as
         return
     show(comparison_table(record))
     if record["is_withheld"]:
-        echo_notice("intervals and tests of a hidden phase are told once it has ended")
+        echo_notice("intervals and tests of a hidden phase are shown once it has ended")

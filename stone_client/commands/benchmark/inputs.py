@@ -10,7 +10,7 @@ from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_json
 
 OutputOption = Annotated[
-    Path, typer.Option("-o", "--output", metavar="DIR", file_okay=False, help="A tar for each sequence goes there.")
+    Path, typer.Option("-o", "--output", metavar="DIR", file_okay=False, help="Output folder, one tar per sequence.")
 ]
 
 
@@ -21,7 +21,7 @@ def inputs(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Download what is to be predicted from: nuScenes tables and samples, without labels; goes on if begun."""
+    """Download the inputs of a phase: nuScenes tables and samples, without labels; resumes if interrupted."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import download_inputs
 
@@ -33,4 +33,4 @@ def inputs(
     for file in files:
         typer.echo(f"{file['output']} ({file['size_bytes']:,} bytes, sha256 {file['sha256']})")
     if not files:
-        typer.echo("there are no inputs yet; the organiser has them made", err=True)
+        typer.echo("there are no inputs yet; the organiser creates them", err=True)

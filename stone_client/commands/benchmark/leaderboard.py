@@ -23,12 +23,12 @@ class Form(StrEnum):
 
 TrackOption = Annotated[Modality | None, typer.Option(help="Entries of this declared modality only.")]
 AsOfOption = Annotated[
-    str, typer.Option(metavar="TIME", help="The board as it stood then, such as 2026-06-01T00:00:00Z.")
+    str, typer.Option(metavar="TIME", help="The leaderboard as of this time, such as 2026-06-01T00:00:00Z.")
 ]
-AllOption = Annotated[bool, typer.Option("--all", help="Every entry, not the best of each team.")]
-FormOption = Annotated[Form | None, typer.Option("--format", help="As a file instead of a table.")]
+AllOption = Annotated[bool, typer.Option("--all", help="All entries, not only the best of each team.")]
+FormOption = Annotated[Form | None, typer.Option("--format", help="Export in this format instead of printing a table.")]
 OutputOption = Annotated[
-    Path | None, typer.Option("-o", "--output", metavar="FILE", dir_okay=False, help="Where to; else stdout.")
+    Path | None, typer.Option("-o", "--output", metavar="FILE", dir_okay=False, help="Output file; else stdout.")
 ]
 
 
@@ -43,12 +43,12 @@ def leaderboard(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the board of a phase, or write it as CSV, Parquet, Markdown or LaTeX."""
+    """Show the leaderboard of a phase, or export it as CSV, Parquet, Markdown or LaTeX."""
     from stone_client.connection import connected
     from stone_client.server.boards import BoardSelection, board_file, board_table, read_board, reported_notes
 
     if form is Form.PARQUET and output is None:
-        raise typer.BadParameter("parquet is not for a terminal; name a file", param_hint="--output")
+        raise typer.BadParameter("parquet is binary; name a file with --output", param_hint="--output")
     tracked = "all" if track is None else track.value
     asked = BoardSelection(benchmark, phase, tracked, as_of, "all" if everything else "best")
     with connected(server) as api:

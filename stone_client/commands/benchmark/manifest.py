@@ -5,10 +5,11 @@ from typing import Annotated
 
 import typer
 
+from stone_base.counts import counted
 from stone_client.options import BenchmarkArgument, PhaseArgument, ServerOption
 from stone_client.streams import JsonOption, echo_json
 
-OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="M.json", dir_okay=False, help="Where to.")]
+OutputOption = Annotated[Path, typer.Option("-o", "--output", metavar="M.json", dir_okay=False, help="Output file.")]
 
 
 def manifest(
@@ -30,4 +31,4 @@ def manifest(
     if as_json:
         echo_json(record)
     else:
-        typer.echo(f"{output}: {record['frames']:,} frames of {record['sequences']} sequences")
+        typer.echo(f"{output}: {counted(record['frames'], 'frame')} of {counted(record['sequences'], 'sequence')}")

@@ -17,8 +17,8 @@ class PublishedName(StrEnum):
 
 
 TableArgument = Annotated[PublishedName, typer.Argument(metavar="TABLE", help="table2: Table II of the STONE paper.")]
-ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
-ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace rows of these methods that stand otherwise.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
+ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace existing rows of these methods that differ.")]
 
 
 def reported(
@@ -30,7 +30,7 @@ def reported(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Put the rows of a published table on a board, unranked; for administrators. Those that stand already stay."""
+    """Add the rows of a published table to a leaderboard, unranked; for administrators. Existing rows are kept."""
     from stone_client.connection import connected
     from stone_client.server.boards import reported_notes
     from stone_client.server.published_tables import TABLES

@@ -27,13 +27,15 @@ class ResultGrouping(StrEnum):
 IdArgument = Annotated[
     str | None, typer.Argument(metavar="[SUBMISSION]", help="Its id, latest, latest~1, …; else all of your teams.")
 ]
-ByOption = Annotated[ResultGrouping | None, typer.Option("--by", help="In parts; of a hidden phase once it has ended.")]
+ByOption = Annotated[
+    ResultGrouping | None, typer.Option("--by", help="Break down by this; for a hidden phase once it has ended.")
+]
 
 
 def results(
     submission: IdArgument = None, by: ByOption = None, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Show what a submission scored, whole or in parts, or list the submissions of your teams."""
+    """Show the scores of a submission, in total or broken down, or list the submissions of your teams."""
     from stone_client.connection import connected
     from stone_client.server.scores import submission_id
 

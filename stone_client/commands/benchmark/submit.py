@@ -15,20 +15,31 @@ from stone_client.tables import show
 LONGEST_PAGE = 20_000
 
 TeamOption = Annotated[str, typer.Option(metavar="TEAM", help="A team of yours, by name or id.")]
-MethodOption = Annotated[str, typer.Option(metavar="NAME", help="What the method is called on the board.")]
-ModalityOption = Annotated[
-    Modality, typer.Option(help="What it senses with: a sum of C (cameras), L (LiDAR), R (radar).")
-]
+MethodOption = Annotated[str, typer.Option(metavar="NAME", help="Name of the method on the leaderboard.")]
+ModalityOption = Annotated[Modality, typer.Option(help="Modality: C (cameras), L (LiDAR), R (radar), combined with +.")]
 DescriptionOption = Annotated[
     Path | None,
-    typer.Option("--description", metavar="FILE", exists=True, dir_okay=False, help="The method's page: plain text."),
+    typer.Option(
+        "--description",
+        metavar="FILE",
+        exists=True,
+        dir_okay=False,
+        help="File with the description of the method, plain text.",
+    ),
 ]
 ValidateOption = Annotated[
-    bool, typer.Option("--validate-only", help="Have it checked by the server; costs no scoring.")
+    bool,
+    typer.Option(
+        "--validate-only", help="Validation-only: the server checks the file; does not count towards the quota."
+    ),
 ]
-BaselineOption = Annotated[bool, typer.Option("--baseline", help="Shown and not ranked; for the organisers.")]
-WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Stay until it has ended.")]
-AgainOption = Annotated[bool, typer.Option("--again", help="Even where this file was submitted under this name.")]
+BaselineOption = Annotated[
+    bool, typer.Option("--baseline", help="Submit as a baseline, shown but not ranked; for organisers.")
+]
+WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Wait until it is finished.")]
+AgainOption = Annotated[
+    bool, typer.Option("--again", help="Submit even if this file was submitted under this name before.")
+]
 
 
 def submit(
@@ -46,7 +57,7 @@ def submit(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send predictions to be scored and print what they scored; begun again after anything, it goes on where it was."""
+    """Submit predictions, wait and print the scores; run again, it resumes where it stopped."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import read_phase
     from stone_client.server.scores import read_results
@@ -55,7 +66,7 @@ def submit(
     from stone_client.server.teams import find_team
 
     if validate_only and baseline:
-        raise typer.BadParameter("a baseline is scored", param_hint="--baseline")
+        raise typer.BadParameter("a baseline cannot be validation-only", param_hint="--baseline")
     kind = "validation" if validate_only else "baseline" if baseline else "entry"
     with connected(server) as api:
         at = read_phase(api, benchmark, phase)["id"], find_team(api, team)["id"]

@@ -10,11 +10,11 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show
 
-teams = typer.Typer(help="Found a team, invite into it, join one, list yours.", no_args_is_help=True)
+teams = typer.Typer(help="Create, list and join teams, and invite members.", no_args_is_help=True)
 
-NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="What the team is called on boards.")]
+NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of the team on leaderboards.")]
 TeamArgument = Annotated[str, typer.Argument(metavar="TEAM", help="A team of yours, by name or id.")]
-SecretArgument = Annotated[str, typer.Argument(metavar="SECRET", help="What `stone teams invite` printed.")]
+SecretArgument = Annotated[str, typer.Argument(metavar="SECRET", help="Invitation printed by `stone teams invite`.")]
 
 
 @teams.command("list")
@@ -36,18 +36,21 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
 
 
 @teams.command()
-def found(name: NameArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Found a team; you are its captain."""
+def create(name: NameArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
+    """Create a team; you are its captain."""
     from stone_client.connection import connected
     from stone_client.server.teams import found_team
 
     with connected(server) as api:
-        _say(found_team(api, name), "founded", as_json)
+        _say(found_team(api, name), "created", as_json)
+
+
+teams.command("found", hidden=True)(create)  # its name in releases before
 
 
 @teams.command()
 def invite(team: TeamArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Print a secret by which one user may join the team; it is shown this once."""
+    """Print an invitation for one user; it is shown only once."""
     from stone_client.connection import connected
     from stone_client.server.teams import invite as invite_into
 
@@ -62,7 +65,7 @@ def invite(team: TeamArgument, server: ServerOption = None, as_json: JsonOption 
 
 @teams.command()
 def join(secret: SecretArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Join the team that an invitation is into."""
+    """Join a team with an invitation."""
     from stone_client.connection import connected
     from stone_client.server.teams import join as join_by
 

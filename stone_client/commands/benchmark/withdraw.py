@@ -8,13 +8,13 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
 IdArgument = Annotated[str, typer.Argument(metavar="SUBMISSION", help="Its id, or latest, latest~1, …")]
-ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
 
 
 def withdraw(
     submission: IdArgument, reason: ReasonOption = "", server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """Take a submission off every board, for good; its scoring stays used."""
+    """Withdraw a submission from every leaderboard, permanently; it still counts towards the quota."""
     from stone_client.connection import connected
     from stone_client.server.scores import submission_id
     from stone_client.server.submission import withdraw as take_off

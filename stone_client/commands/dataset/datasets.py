@@ -9,15 +9,17 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
 VersionArgument = Annotated[str | None, typer.Argument(metavar="[VERSION]", help="A version's name; else all.")]
-CreateOption = Annotated[bool, typer.Option("--create", help="Publish the splits as they stand, as VERSION.")]
-LicenceOption = Annotated[str, typer.Option(metavar="TEXT", help="Of the version that is published.")]
-ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+CreateOption = Annotated[bool, typer.Option("--create", help="Publish the current splits as VERSION.")]
+LicenceOption = Annotated[str, typer.Option(metavar="TEXT", help="Licence of the published version.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
 DownloadOption = Annotated[
     Path | None,
-    typer.Option("--download", metavar="DIR", file_okay=False, help="Fetch manifest, train and val; goes on if begun."),
+    typer.Option(
+        "--download", metavar="DIR", file_okay=False, help="Download manifest, train and val; resumes if interrupted."
+    ),
 ]
 InputsOption = Annotated[
-    bool, typer.Option("--inputs", help="With --download: what the sensors gave, too, a tar for each sequence.")
+    bool, typer.Option("--inputs", help="With --download: also the sensor data, one tar per sequence.")
 ]
 
 

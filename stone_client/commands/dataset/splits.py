@@ -13,16 +13,17 @@ SIZES = re.compile(r"(\d{1,4}),(\d{1,4}),(\d{1,4})")
 REFUSED = 1
 
 ProposeOption = Annotated[
-    str | None, typer.Option(metavar="TRAIN,VAL,TEST", help="Have splits of these sizes proposed, such as 31,7,5.")
+    str | None, typer.Option(metavar="TRAIN,VAL,TEST", help="Propose splits of these sizes, such as 31,7,5.")
 ]
 LeaveOutOption = Annotated[
-    list[str] | None, typer.Option("--leave-out", metavar="SEQUENCE", help="Not in the proposal; may be repeated.")
+    list[str] | None,
+    typer.Option("--leave-out", metavar="SEQUENCE", help="Exclude this sequence from the proposal; repeatable."),
 ]
 PutOption = Annotated[
     Path | None,
-    typer.Option(metavar="FILE", exists=True, dir_okay=False, help="Put the splits of this JSON file."),
+    typer.Option(metavar="FILE", exists=True, dir_okay=False, help="Save the splits of this JSON file."),
 ]
-ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Why; kept in the audit log.")]
+ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
 
 
 def splits(
@@ -33,12 +34,12 @@ def splits(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Show the splits and what the rules say of them, propose others, or put those of a file."""
+    """Show the splits and their findings, propose new ones, or save those of a file."""
     from stone_client.connection import connected
     from stone_client.server.splits import current, proposal, put_file, show_splits
 
     if propose is not None and put is not None:
-        raise typer.BadParameter("propose, look, then put; not both at once", param_hint="--put")
+        raise typer.BadParameter("propose first, review, then save with --put; not both at once", param_hint="--put")
     sizes = _sizes(propose) if propose is not None else None
     with connected(server) as api:
         if sizes is not None:

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_base.counts import counted
 from stone_client.options import ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_json
@@ -19,7 +20,7 @@ DatasetArgument = Annotated[
     typer.Argument(metavar="DATASET", exists=True, readable=True, help="A folder or tar: v1.0-*/ tables, or Occ3D's."),
 ]
 NameOption = Annotated[
-    str | None, typer.Option("--name", metavar="NAME", help="What to call it; else as its folder or tar is called.")
+    str | None, typer.Option("--name", metavar="NAME", help="Name of the import; else that of the folder or tar.")
 ]
 ClassesOption = Annotated[
     Path | None,
@@ -28,11 +29,11 @@ ClassesOption = Annotated[
     ),
 ]
 AddOption = Annotated[
-    bool, typer.Option("--add-to-existing", help="Give sequences that you have by these names a second label set.")
+    bool, typer.Option("--add-to-existing", help="Add a second label set to your sequences of the same name.")
 ]
 SplitsOption = Annotated[bool, typer.Option("--set-splits", help="Put the sequences into train, val and test.")]
-PublicOption = Annotated[bool, typer.Option("--public", help="Let anybody look at the sequences.")]
-NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="Leave once it is sent; the server goes on.")]
+PublicOption = Annotated[bool, typer.Option("--public", help="Make the sequences public.")]
+NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="Return once it is uploaded; the server continues.")]
 ListOption = Annotated[bool, typer.Option("--list", help="List your imports instead.")]
 
 
@@ -48,7 +49,7 @@ def import_dataset(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send a published dataset with its labels, and have a sequence made of every scene: of all of them, or of none.
+    """Import a published dataset with its labels: a sequence for every scene, all of them or none.
 
     Begun again after anything, it goes on where it was. `stone check` tells beforehand what is wrong with a dataset.
     """
@@ -111,9 +112,10 @@ def _say(record: dict[str, Any]) -> None:
         return
     names = [scene["name"] for scene in record["scenes"]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
-    typer.echo(f"{len(names)} sequences, {record['frames']:,} frames: {', '.join(names[:MOST_NAMED])}{more}")
+    told = f"{counted(len(names), 'sequence')}, {counted(record['frames'], 'frame')}"
+    typer.echo(f"{told}: {', '.join(names[:MOST_NAMED])}{more}")
     if refused := record["splits_refused"]:
-        typer.echo(f"The draft splits stay as they were: the rules forbid the dataset's ({', '.join(refused)})")
+        typer.echo(f"The draft splits were not changed: the dataset's splits violate the rules ({', '.join(refused)})")
     typer.echo(f"Next: stone download {names[0]} -o DIR")
 
 

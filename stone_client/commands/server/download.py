@@ -20,7 +20,7 @@ OutputOption = Annotated[
     ),
 ]
 FormatOption = Annotated[
-    Format | None, typer.Option("--format", help="Instead of labels an export; see `stone exports`.")
+    Format | None, typer.Option("--format", help="Download an export instead of labels; see `stone exports`.")
 ]
 
 
@@ -31,7 +31,7 @@ def download(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Fetch labels, laid out as `stone label` does, or an export; an interrupted export goes on where it was."""
+    """Download labels, in the layout of `stone label`, or an export; an interrupted download resumes."""
     record = _labels(sequence, output, server) if form is None else _export(sequence, form, output, server)
     if as_json:
         echo_json(record)

@@ -25,13 +25,13 @@ class Format(StrEnum):
     PLAYBACK = "playback"
 
 
-FormatOption = Annotated[Format | None, typer.Option("--format", help="Have this one made, and stay until it is.")]
+FormatOption = Annotated[Format | None, typer.Option("--format", help="Create this export and wait for it.")]
 
 
 def exports(
     sequence: SequenceArgument, form: FormatOption = None, server: ServerOption = None, as_json: JsonOption = False
 ) -> None:
-    """List the exports of a sequence, or have one made; one that stands is not made again."""
+    """List the exports of a sequence, or create one; an existing one is reused."""
     from stone_client.connection import connected
     from stone_client.server.exports import exports_of, exports_table, make_export
     from stone_client.server.sequences import find_sequence

@@ -11,7 +11,7 @@ if TYPE_CHECKING:
     from stone_client.browser_sign_in import ShownCode
 
 UrlArgument = Annotated[str, typer.Argument(metavar="[URL]", help="The server; http where no scheme is named.")]
-NameOption = Annotated[str | None, typer.Option(help="Who you are there; asked for otherwise.")]
+NameOption = Annotated[str | None, typer.Option(help="User name; prompted for otherwise.")]
 PasswordOption = Annotated[bool, typer.Option("--password-stdin", help="Read the password from stdin.")]
 TokenOption = Annotated[
     bool, typer.Option("--token-stdin", help="Read a token from stdin, instead of name and password.")
@@ -19,7 +19,7 @@ TokenOption = Annotated[
 BrowserOption = Annotated[
     bool, typer.Option("--browser", help="Show a code to approve in a browser, instead of name and password.")
 ]
-AdminOption = Annotated[bool, typer.Option("--admin", help="A token that may also administrate.")]
+AdminOption = Annotated[bool, typer.Option("--admin", help="Request a token with the scope admin.")]
 
 
 def login(
@@ -40,9 +40,9 @@ def login(
     from stone_client.sign_in import sign_in_by_password, sign_in_by_token
 
     if token_stdin and (password_stdin or name or admin):
-        raise typer.BadParameter("a token says who you are and what you may", param_hint="--token-stdin")
+        raise typer.BadParameter("a token already identifies you and its scopes", param_hint="--token-stdin")
     if browser and (token_stdin or password_stdin or name):
-        raise typer.BadParameter("who you are is said in the browser", param_hint="--browser")
+        raise typer.BadParameter("you identify yourself in the browser", param_hint="--browser")
     server = plain_url(url)
     if token_stdin:
         signed_in = sign_in_by_token(server, sys.stdin.readline().strip())
@@ -55,7 +55,7 @@ def login(
     if as_json:
         echo_json(signed_in.as_record())
     else:
-        typer.echo(f"{signed_in.name} ({signed_in.role}) at {signed_in.url}; may {', '.join(signed_in.scopes)}")
+        typer.echo(f"{signed_in.name} ({signed_in.role}) at {signed_in.url}; scopes: {', '.join(signed_in.scopes)}")
 
 
 def _show(code: "ShownCode") -> None:

@@ -10,7 +10,7 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show
 
-notifications = typer.Typer(help="Choose what you are told of by e-mail or webhook.", no_args_is_help=True)
+notifications = typer.Typer(help="Choose the events you are notified of by e-mail or webhook.", no_args_is_help=True)
 
 
 class Channel(StrEnum):
@@ -29,7 +29,7 @@ LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="How m
 
 @notifications.command("list")
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show the events there are, and which you are told of."""
+    """List the events and which of them are enabled."""
     from stone_client.connection import connected
     from stone_client.server.notifications import read_notifications
 
@@ -40,19 +40,19 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
 
 @notifications.command()
 def on(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Be told of events."""
+    """Enable notifications."""
     _choose(events, by, server, as_json, is_wanted=True)
 
 
 @notifications.command()
 def off(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Be told of events no more."""
+    """Disable notifications."""
     _choose(events, by, server, as_json, is_wanted=False)
 
 
 @notifications.command()
 def deliveries(limit: LimitOption = 20, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show what you were told last, and what came of it."""
+    """List the latest deliveries with their results."""
     from stone_client.connection import connected
     from stone_client.server.notifications import read_deliveries
 
@@ -91,7 +91,7 @@ def _say(found: Mapping[str, Any], as_json: bool) -> None:
 def _email(found: Mapping[str, Any]) -> str:
     address = found["email_address"]
     if address is None:
-        return "no address yet" if found["sends_email"] else "this platform sends none"
+        return "no address yet" if found["sends_email"] else "e-mail is not configured on this platform"
     return f"{address['address']}{'' if address['is_verified'] else ' (not verified yet)'}"
 
 
@@ -99,4 +99,4 @@ def _webhook(found: Mapping[str, Any]) -> str:
     target = found["webhook_target"]
     if target is None:
         return "none yet"
-    return f"{target['url']}{' (switched off)' if target['disabled_at'] else ''}"
+    return f"{target['url']}{' (disabled)' if target['disabled_at'] else ''}"

@@ -19,9 +19,9 @@ from stone_client.streams import JsonOption, echo_json
 
 RecordingOption = Annotated[
     list[str],
-    typer.Option("--recording", metavar="FILE", help="Of several recordings only this one; repeatable."),
+    typer.Option("--recording", metavar="FILE", help="Use only this recording; repeatable."),
 ]
-WatchOption = Annotated[bool, typer.Option("--watch", help="Stay until it has ended.")]
+WatchOption = Annotated[bool, typer.Option("--watch", help="Wait until it is finished.")]
 
 
 def process(
@@ -36,7 +36,7 @@ def process(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Have every frame of a sequence labelled; asked twice, it is done once.
+    """Label every frame of a sequence; a repeated request reuses the same run.
 
     It is made of all its recordings, on one clock, and again by itself once one is added; not where some are named.
     """

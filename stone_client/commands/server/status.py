@@ -13,7 +13,7 @@ SubjectArgument = Annotated[
 
 
 def status(subject: SubjectArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
-    """Show your sequences, or one of them, or a job with its stages, attempts and last lines."""
+    """Show your sequences, one of them, or a job with its stages, attempts and latest log lines."""
     from stone_client.connection import connected
     from stone_client.server.status import server_status_of
 

@@ -11,7 +11,7 @@ from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_findings, echo_json
 
 NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence; else the bag's own name.")]
-ProcessOption = Annotated[bool, typer.Option("--process", help="Have it processed at once, and watch.")]
+ProcessOption = Annotated[bool, typer.Option("--process", help="Process it immediately and follow the run.")]
 
 
 def upload(
@@ -23,7 +23,7 @@ def upload(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Send the recordings of a run and its calibration; begun again after anything, it goes on where it was.
+    """Upload the recordings of a run and its calibration; run again, it resumes where it stopped.
 
     A folder of a split bag is one recording, and so are files whose names count on (run_0.mcap run_1.mcap): every file
     of the bag is sent, and then they are sealed together. Other files are recordings of their own (LiDAR here, cameras
@@ -54,7 +54,7 @@ def upload(
             parts = f" ({len(recording['files'])} files of one bag)" if len(recording["files"]) > 1 else ""
             typer.echo(f"{sequence['name']}: {recording['filename']}{parts} is on {api.url}")
         if len(recordings) > 1:
-            typer.echo(f"{len(recordings)} recordings of one run: it is processed from all of them, on one clock.")
+            typer.echo(f"{len(recordings)} recordings of one run: processing uses all of them on a common clock.")
         _say_next(sequence["name"], is_processed=process)
     noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
     echo_findings(Finding(**finding) for finding in noticed)

@@ -8,7 +8,7 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
 SubjectArgument = Annotated[
-    str, typer.Argument(metavar="JOB|SEQUENCE", help="A job's id, or a sequence, whose newest run it is then.")
+    str, typer.Argument(metavar="JOB|SEQUENCE", help="A job's ID, or a sequence (its latest run).")
 ]
 
 

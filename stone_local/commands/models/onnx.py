@@ -16,7 +16,7 @@ OutputOption = Annotated[
 
 
 def onnx(run: RunArgument, output: OutputOption, as_json: JsonOption = False) -> None:
-    """Write the network of a ColumnNet run as ONNX: all that it learned, after points are sorted into columns. Needs
+    """Write the network of a ColumnNet run as ONNX: all learned layers, after points are sorted into columns. Needs
     torch.
     """
     with torch_needed():

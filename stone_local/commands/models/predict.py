@@ -42,7 +42,7 @@ BagOption = Annotated[
 ]
 OfBagOption = Annotated[
     Path | None,
-    typer.Option("--calibration", metavar="CAL", exists=True, help="With --bag: where the sensors sit."),
+    typer.Option("--calibration", metavar="CAL", exists=True, help="With --bag: the calibration of its sensors."),
 ]
 SequenceOption = Annotated[
     str | None,

@@ -45,26 +45,25 @@ RunOption = Annotated[
 WatchOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--watch", metavar="EXPORTS", exists=True, help="Scored after each epoch, never trained on; repeatable."
+        "--watch", metavar="EXPORTS", exists=True, help="Validation data, scored after each epoch; repeatable."
     ),
 ]
-ResumeOption = Annotated[bool, typer.Option("--resume", help="Go on from the run's checkpoint.")]
-DeviceOption = Annotated[Device, typer.Option(help="Where to compute.")]
-EpochsOption = Annotated[
-    int | None, typer.Option(min=1, max=10_000, show_default=THE_ROWS, help="Times over all frames.")
-]
-BatchOption = Annotated[int | None, typer.Option(min=1, max=256, show_default=THE_ROWS, help="Frames at once.")]
+ResumeOption = Annotated[bool, typer.Option("--resume", help="Resume from the run's checkpoint.")]
+DeviceOption = Annotated[Device, typer.Option(help="Device.")]
+EpochsOption = Annotated[int | None, typer.Option(min=1, max=10_000, show_default=THE_ROWS, help="Number of epochs.")]
+BatchOption = Annotated[int | None, typer.Option(min=1, max=256, show_default=THE_ROWS, help="Batch size in frames.")]
 AccumulateOption = Annotated[
-    int | None, typer.Option(min=1, max=1024, show_default=THE_ROWS, help="Batches whose gradients make one step.")
+    int | None,
+    typer.Option(min=1, max=1024, show_default=THE_ROWS, help="Batches per optimiser step (gradient accumulation)."),
 ]
 RateOption = Annotated[
-    float | None, typer.Option("--learning-rate", min=0.0, show_default=THE_ROWS, help="The highest of the schedule.")
+    float | None, typer.Option("--learning-rate", min=0.0, show_default=THE_ROWS, help="Peak learning rate.")
 ]
 StrideOption = Annotated[
     int | None, typer.Option(min=1, show_default=THE_ROWS, help="Train on every n-th frame of a sequence.")
 ]
 SeedOption = Annotated[
-    int | None, typer.Option(min=0, show_default=THE_ROWS, help="Of weights, order and augmentation.")
+    int | None, typer.Option(min=0, show_default=THE_ROWS, help="Seed of weights, order and augmentation.")
 ]
 PrecisionOption = Annotated[Precision | None, typer.Option(show_default=THE_ROWS, help="Of the network.")]
 BackboneOption = Annotated[
@@ -73,7 +72,7 @@ BackboneOption = Annotated[
 ]
 CacheOption = Annotated[
     Path | None,
-    typer.Option("--cache", metavar="DIR", file_okay=False, help="Where read frames are kept, for several runs."),
+    typer.Option("--cache", metavar="DIR", file_okay=False, help="Cache folder for read frames, shared by runs."),
 ]
 LoadersOption = Annotated[int, typer.Option(min=0, max=64, help="Processes that read frames beside the training.")]
 CheckpointOption = Annotated[
@@ -81,7 +80,7 @@ CheckpointOption = Annotated[
 ]
 
 GradientsOption = Annotated[
-    bool, typer.Option("--checkpoint-gradients", help="Less memory for more time: activations are computed twice.")
+    bool, typer.Option("--checkpoint-gradients", help="Gradient checkpointing: less memory, more time.")
 ]
 
 
@@ -106,7 +105,7 @@ def train(
     checkpoint_steps: CheckpointOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Train a row on exported frames; killed at any moment it goes on with --resume. Needs torch: `make baselines`."""
+    """Train a row on exported frames; an interrupted run continues with --resume. Needs torch: `make baselines`."""
     with torch_needed():
         from baselines.row_config import read_row, with_checkpointed_gradients
         from baselines.train import TrainingPlan
@@ -127,5 +126,5 @@ def train(
         return
     typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
     if ended.best_miou is not None:
-        typer.echo(f"best mIoU of what was watched: {100 * ended.best_miou:.2f} %")
+        typer.echo(f"best validation mIoU: {100 * ended.best_miou:.2f} %")
     typer.echo(f"Next: stone predict {output} INPUTS --manifest M.json -o sub.zip")

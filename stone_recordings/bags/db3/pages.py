@@ -38,7 +38,7 @@ class Db3Pages:
         self._main, self._wal = main, wal
         header = bytes(main[:HEADER_BYTES]) or _wal_first_page(wal)
         if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
-            raise DatabaseRefusedError(name, "its first page is no SQLite header")
+            raise DatabaseRefusedError(name, "its first page is not an SQLite header")
         self.page_bytes = 65536 if header[16:18] == b"\x00\x01" else int(_U16.unpack_from(header, 16)[0])
         self.usable_bytes = self.page_bytes - header[20]
         if self.page_bytes < 512 or self.page_bytes & (self.page_bytes - 1) or self.usable_bytes < 480:

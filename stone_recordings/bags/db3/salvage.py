@@ -90,6 +90,6 @@ def _unique(found: Db3CollectedRows) -> NDArray[np.int64]:
 
 def _finding(name: str, problem: str, rowid: NDArray[np.int64]) -> Finding:
     missing = int(rowid[-1]) - len(rowid) if len(rowid) else 0
-    lost = f"at least {missing} more are lost" if missing > 0 else "what came after the last of them cannot be known"
+    lost = f"at least {missing} more are lost" if missing > 0 else "whether more followed the last of them is unknown"
     message = f"{name} is damaged ({problem}): {len(rowid)} messages could be read from its pages, {lost}."
     return Finding("BAG-030", "error", name, message)

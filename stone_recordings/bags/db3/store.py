@@ -121,14 +121,14 @@ class SqliteStore:
         known = sum(len(rows) for rows in self._order.values())
         count = self._rows.index.left_out + len(self._rows.index.rowid) - known
         if count:
-            message = f"{count} rows of {self._name} are no messages (other columns, or a topic that is not listed)."
+            message = f"{count} rows of {self._name} are not messages (other columns, or a topic that is not listed)."
             yield Finding("BAG-031", "warning", self._name, message)
 
 
 def _rows_of(place: Db3Location, name: str) -> Db3Rows:
     """SQLite is asked only after its schema was found to be a recorder's, and believed when it says no."""
     if place.path.stat().st_size == 0:  # SQLite would not read the log of an empty file but delete it
-        return SalvagedRows(place, name, "its own file is empty, all there is lies in its log")
+        return SalvagedRows(place, name, "its file is empty, all data is in its write-ahead log")
     try:
         tables_of(opened_pages(place, name), name)
         return SqlRows(place, name)

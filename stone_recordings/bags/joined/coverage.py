@@ -60,7 +60,7 @@ def _missing(spans: Sequence[_Span]) -> Iterator[Finding]:
                 for which, ns in (("first", late_ns), ("last", early_ns))
                 if ns > LEAST_MISSING_NS
             ]
-            sentence = f"it holds nothing of {' and '.join(missing)} of the run: frames there lack its sensors"
+            sentence = f"it has no messages in {' and '.join(missing)} of the run: frames there lack its sensors"
             yield Finding("SYN-527", "warning", span.name, sentence)
 
 

@@ -63,7 +63,7 @@ class _Draft:
 
     def finished(self, where: str, is_indexed: bool) -> Catalogue:
         if missing := self.missing():
-            raise MalformedBagError(where, f"its records speak of {missing[0]}, which is nowhere defined")
+            raise MalformedBagError(where, f"its records refer to {missing[0]}, which is not defined")
         entries = {channel_id: growing.finished() for channel_id, growing in self.entries.items()}
         return Catalogue(self.schemas, self.channels, tuple(self.chunks), entries, is_indexed)
 
@@ -79,7 +79,7 @@ def read_catalogue(view: memoryview, name: str) -> Catalogue:
     footer_offset = size - len(wire.MAGIC) - FOOTER_BYTES
     footer = wire.record_at(view, footer_offset, size - len(wire.MAGIC), name)
     if footer.opcode != wire.FOOTER or footer.stop - footer.start != FOOTER_BYTES - wire.PREFIX_BYTES:
-        raise MalformedBagError(name, f"no footer stands before the closing magic (opcode {footer.opcode})")
+        raise MalformedBagError(name, f"there is no footer before the closing magic (opcode {footer.opcode})")
     summary_offset = _summary_offset(view, footer, name)
     data = Record(0, len(wire.MAGIC), summary_offset)
     draft = _from_summary(view, data, footer_offset, name) if summary_offset < footer_offset else None
@@ -134,7 +134,7 @@ def _add_indexed_chunk(view: memoryview, data: Record, index: wire.ChunkIndex, d
         raise MalformedBagError(name, f"the message index of the chunk at byte {index.chunk_offset} ends past the data")
     for channel_id, offset in index.message_index_offsets:
         if offset < record.stop:
-            raise MalformedBagError(name, f"a message index is said to lie at byte {offset}, inside its chunk")
+            raise MalformedBagError(name, f"a message index is declared at byte {offset}, inside its chunk")
         _add_message_index(view, wire.record_at(view, offset, stop, name), channel_id, draft, name)
     return stop
 

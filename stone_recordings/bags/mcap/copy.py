@@ -118,14 +118,14 @@ class Copy:
 
     def _schema(self, schema_id: int, schema: extras.SchemaBytes) -> None:
         if self._schemas.setdefault(schema_id, schema) != schema:
-            self.losses.add(f"a second, other definition of schema {schema_id}")
+            self.losses.add(f"a second, different definition of schema {schema_id}")
         elif schema_id not in self._schema_ids:
             self._schema_ids[schema_id] = self._registered_schema(schema)
 
     def _channel(self, channel_id: int, whole: extras.ChannelWhole) -> None:
         schema_id = self._schema_ids.get(whole.channel.schema_id)
         if self._channels.setdefault(channel_id, whole) != whole:
-            self.losses.add(f"what followed a second, other definition of channel {channel_id}")
+            self.losses.add(f"messages after a second, different definition of channel {channel_id}")
             self._written.pop(channel_id, None)
         elif channel_id not in self._written and schema_id is not None:
             self._written[channel_id] = (self._registered_channel(whole, schema_id), whole.channel.topic)

@@ -98,7 +98,7 @@ class Fields:
 def record_at(view: memoryview, offset: int, stop: int, where: str) -> Record:
     """The record that starts at `offset` and must end by `stop`."""
     if not 0 <= offset <= stop - PREFIX_BYTES:
-        raise MalformedBagError(where, f"a record is said to start at byte {offset}, the data ends at {stop}")
+        raise MalformedBagError(where, f"a record is declared at byte {offset}, the data ends at {stop}")
     opcode, length = _PREFIX.unpack_from(view, offset)
     start = offset + PREFIX_BYTES
     if opcode == 0 or length > stop - start:

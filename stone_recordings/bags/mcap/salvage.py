@@ -72,7 +72,7 @@ def complete_records(
             if resumed is None:
                 yield from _of_cut_chunk(view, name, losses)
                 return
-            losses.add(f"the bytes {losses.stop_byte} to {resumed} of {name}, which are no whole records")
+            losses.add(f"the bytes {losses.stop_byte} to {resumed} of {name}, which are not complete records")
             losses.stop_byte = resumed
             continue
         if record.opcode == wire.DATA_END:

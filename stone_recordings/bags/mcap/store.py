@@ -65,7 +65,7 @@ class McapStore(ChunkedStore):
             message_head(view, record, where)
         except MalformedBagError as error:
             return error
-        return MalformedBagError(where, f"the message at byte {offset} is not the one that the index promised")
+        return MalformedBagError(where, f"the message at byte {offset} is not the one that the index lists")
 
     def _refuse_other_encodings(self) -> None:
         other = [topic for topic in self.topics if topic.encoding != "cdr"]
@@ -78,7 +78,7 @@ def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:
         return ()
     message = (
         "Its first bytes are not those of an MCAP file, its last are: its beginning is damaged. What the summary at "
-        f"its end knows is read; for other programs: stone recover {name} -o recovered.mcap."
+        f"its end lists is read; for other programs: stone recover {name} -o recovered.mcap."
     )
     return (Finding("BAG-033", "warning", "", message),)
 

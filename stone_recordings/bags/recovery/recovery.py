@@ -88,7 +88,7 @@ def _lost(sources: list[RecoverySource], noticed: tuple[Finding, ...], copy: Cop
 def _lost_of(source: RecoverySource, rate_s: float) -> Iterator[str]:
     left_bytes = source.total_bytes - source.read_bytes
     if left_bytes:
-        yield f"of the last {left_bytes} bytes (about {left_bytes * rate_s:.3f} s) what was not whole"
+        yield f"the incomplete part of the last {left_bytes} bytes (about {left_bytes * rate_s:.3f} s)"
     if not source.losses.is_sealed:
         yield "whatever the recorder had not written yet"
     yield from source.losses.problems

@@ -59,9 +59,11 @@ def read_ros1_catalogue(view: memoryview, name: str, *, is_tolerant: bool = Fals
     walk = Ros1Walk(view, name, draft.starts, is_tolerant=is_tolerant)
     walk.follow(header.stop)
     if is_there and walk.read_bytes < index_at and not is_tolerant:
-        raise MalformedBagError(name, f"no whole record stands at byte {walk.read_bytes}, the index is at {index_at}")
+        raise MalformedBagError(
+            name, f"there is no complete record at byte {walk.read_bytes}, the index is at {index_at}"
+        )
     if not walk.draft.entries and not is_there:
-        raise CutBagError(name, len(view), "no message of it is whole")
+        raise CutBagError(name, len(view), "it has no complete message")
     is_closed = is_there and index_at <= walk.read_bytes
     return _finished(walk.draft, BagState(False, is_closed, walk.read_bytes, walk.draft.losses))
 
@@ -76,7 +78,7 @@ def _bag_header(view: memoryview, name: str) -> Ros1Record:
         header = wire.record_at(view, len(wire.MAGIC), name)
     except MalformedBagError:
         if len(view) < len(wire.MAGIC) + BAG_HEADER_BYTES:
-            raise CutBagError(name, len(view), "its first record is not whole") from None
+            raise CutBagError(name, len(view), "its first record is not complete") from None
         raise
     if header.op != wire.BAG_HEADER:
         raise MalformedBagError(name, f"its first record is of op {header.op}, not the header of a bag")

@@ -43,7 +43,7 @@ def read_index(view: memoryview, header: Ros1Record, draft: Ros1Draft, name: str
             raise MalformedBagError(name, f"the chunk at byte {info.at} overlaps the one before it")
         reached = _add_chunk(view, info, draft, name)
     if undefined := draft.undefined():
-        raise MalformedBagError(name, f"its index speaks of connection {undefined[0]}, which is nowhere described")
+        raise MalformedBagError(name, f"its index refers to connection {undefined[0]}, which is not defined")
     return at
 
 
@@ -58,7 +58,9 @@ def _add_chunk(view: memoryview, info: _ChunkInfo, draft: Ros1Draft, name: str) 
         counts[number] = counts.get(number, 0) + len(offsets)
         draft.entries_of(number).extend(times_ns, len(draft.chunks) - 1, offsets)
     if counts != info.counts:
-        raise MalformedBagError(name, f"the index of the chunk at byte {info.at} counts other messages than are listed")
+        raise MalformedBagError(
+            name, f"the index of the chunk at byte {info.at} does not have as many messages as the chunk info declares"
+        )
     return record.stop
 
 

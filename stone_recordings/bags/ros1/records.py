@@ -99,12 +99,12 @@ def header_fields(header: memoryview, where: str) -> HeaderFields:
         name, equals, value = raw[at + PREFIX_BYTES : at + PREFIX_BYTES + size].partition(b"=")
         at += PREFIX_BYTES + size
         if at > len(raw) or not equals:
-            raise MalformedBagError(where, "a header's fields are no name=value of the length that they declare")
+            raise MalformedBagError(where, "a header's fields are not name=value of the declared length")
         values[name] = value
     return HeaderFields(values, where)
 
 
 def _length_at(view: memoryview, at: int, where: str) -> int:
     if not 0 <= at <= len(view) - PREFIX_BYTES:
-        raise MalformedBagError(where, f"a record is said to start at byte {at}, the data ends at {len(view)}")
+        raise MalformedBagError(where, f"a record is declared at byte {at}, the data ends at {len(view)}")
     return int(_U32.unpack_from(view, at)[0])

@@ -76,7 +76,7 @@ class Ros1Store(ChunkedStore):
         is_promised = record.op == wire.MESSAGE and self._topic_of(record) == topic
         is_promised = is_promised and record.fields.time_ns("time") == self._entries[topic].log_time_ns[index]
         if not is_promised or record.stop > self._size_of(number):
-            problem = f"the record at byte {offset} is not the message that the index promised"
+            problem = f"the record at byte {offset} is not the message that the index lists"
             raise MalformedBagError(self._where(number), problem)
         return record
 
@@ -93,7 +93,7 @@ def _ended(path: Path, file: MappedFile, state: BagState, messages: int) -> Iter
     if not state.is_closed:
         message = (
             f"{file.name} was not closed by its recorder, or its end is missing: {messages} messages up to byte "
-            f"{state.read_bytes} of {len(file.view)} are read, what was not whole behind them is left out."
+            f"{state.read_bytes} of {len(file.view)} are read, the incomplete data after them is left out."
         )
         yield Finding("BAG-010", "warning", "", message)
     elif left_bytes:

@@ -47,7 +47,7 @@ def _read(told: Ros1Type) -> Ros2Type | Finding:
     try:
         return ros2_type(told)
     except DefinitionMissingError as error:
-        message = f"The bag does not describe {told.name!r}, nor does ROS 1 Noetic: the topic is left unread."
+        message = f"The bag has no definition of {told.name!r}, nor has ROS 1 Noetic: the topic is not read."
         return Finding(error.code, "warning", "", message)
     except DefinitionRefusedError as error:
         return Finding(error.code, "warning", "", str(error))
@@ -57,6 +57,6 @@ def _agreed(found: Sequence[Ros2Type | Finding]) -> Ros2Type | Finding:
     first, *others = found
     for other in others:
         if isinstance(first, Ros2Type) and isinstance(other, Ros2Type) and other != first:
-            message = f"Its publishers wrote it as {first.name} and as {other.name}, or describe that differently."
+            message = f"Its publishers use the types {first.name} and {other.name}, or define them differently."
             return Finding("BAG-012", "warning", "", message)
     return next((one for one in found if isinstance(one, Finding)), first)

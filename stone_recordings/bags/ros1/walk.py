@@ -31,7 +31,7 @@ class Ros1Walk:
             self.read_bytes = following
             following = self._step(following) if following < len(self._view) else None
         for number in self.draft.undefined():
-            self._lose(MalformedBagError(self._name, f"connection {number} is used and nowhere described"))
+            self._lose(MalformedBagError(self._name, f"connection {number} is used and not defined"))
             del self.draft.entries[number]
 
     def _step(self, at: int) -> int | None:
@@ -90,7 +90,7 @@ class Ros1Walk:
         """Where the walk goes on where no record stands at `at`."""
         following = self._known_after(at)
         if following is not None:
-            self._lose(MalformedBagError(self._name, f"the bytes {at} to {following} are no whole records"))
+            self._lose(MalformedBagError(self._name, f"the bytes {at} to {following} are not complete records"))
         return following
 
     def _known_after(self, at: int) -> int | None:
@@ -109,7 +109,7 @@ def _records(view: memoryview, where: str) -> Iterator[Ros1Record]:
     while at < len(view):
         record = wire.record_at(view, at, where)
         if record.op not in (wire.MESSAGE, wire.CONNECTION):
-            raise MalformedBagError(where, f"the record at byte {at} is of op {record.op}, no message")
+            raise MalformedBagError(where, f"the record at byte {at} is of op {record.op}, not a message")
         yield record
         at = record.stop
 

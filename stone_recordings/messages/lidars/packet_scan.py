@@ -69,7 +69,7 @@ def packet_scan(payload: memoryview, type_name: str) -> PacketScan:
     read = PACKET_READERS[type_name]
     count = cursor.count(LEAST_PACKET_BYTES)
     if count > MOST_PACKETS:
-        raise MessageLayoutError(type_name, f"{count} packets are no revolution, which has at most {MOST_PACKETS}")
+        raise MessageLayoutError(type_name, f"{count} packets in one scan, the limit is {MOST_PACKETS}")
     parts = [(cursor.stamp_ns(), read(cursor)) for _ in range(count)]
     cursor.end()
     return PacketScan(stamp_ns, frame_id, np.array([at for at, _ in parts], np.int64), tuple(one for _, one in parts))

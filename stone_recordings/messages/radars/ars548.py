@@ -96,7 +96,7 @@ def _layout(payload: memoryview, plan: Sequence[Node]) -> _Layout:
     run = pieces[f"{PLACES}.s_rcs"].run
     is_alone = run is not None and (run.first, run.step) == (0, 1) and not any(piece.above for piece in inside.values())
     if run is None or not is_alone or first_at + run.elements * run.stride > len(payload):
-        raise MessageLayoutError(TYPE, f"its definition makes another thing of {PLACES}")
+        raise MessageLayoutError(TYPE, f"its definition declares {PLACES} with another layout")
     if max(pieces[name].offset + 4 for name in STAMPS) > first_at:
         raise MessageLayoutError(TYPE, f"its definition has stamps behind {PLACES}")
     stamps = _record({name: pieces[name] for name in STAMPS}, 0, first_at)
@@ -113,7 +113,7 @@ def _counts(payloads: Sequence[memoryview], layout: _Layout) -> list[int]:
     unpack = Struct("<I").unpack_from
     counts = [unpack(payload, layout.count_at)[0] for payload in payloads]
     if max(counts) > layout.places:
-        raise MessageLayoutError(TYPE, f"{COUNT} is {max(counts)}, the list has {layout.places} places")
+        raise MessageLayoutError(TYPE, f"{COUNT} is {max(counts)}, the list has {layout.places} elements")
     return counts
 
 

@@ -89,16 +89,18 @@ def detection_lists(messages: Iterable[StampedMessage], schema: str = "") -> Det
     table = decode_table(TYPE, messages, resolved(TYPE, schema).registry)
     packets = table.columns.get("packets.data")
     if not isinstance(packets, Ragged) or not isinstance(packets.values, Ragged):
-        raise MessageLayoutError(TYPE, "its definition makes no packets of bytes of packets.data")
+        raise MessageLayoutError(TYPE, "its definition does not declare packets.data as packets of bytes")
     offsets, content = packets.values.offsets, packets.values.values
     if not isinstance(content, np.ndarray) or content.dtype != np.uint8 or content.ndim != 1:
-        raise MessageLayoutError(TYPE, "its definition makes no bytes of packets.data")
+        raise MessageLayoutError(TYPE, "its definition does not declare packets.data as bytes")
     rows = np.repeat(np.arange(table.count), np.diff(packets.offsets))
     ours = _detection_packets(offsets, content)
     raw = [content[offsets[place] : offsets[place + 1]] for place in ours]
     lists = np.frombuffer(b"".join(part.tobytes() for part in raw), DETECTION_LIST)
     if len(lists) and lists["number_of_detections"].max() > PLACES:
-        raise PacketError(f"{lists['number_of_detections'].max()} detections are declared, a list has {PLACES} places")
+        raise PacketError(
+            f"{lists['number_of_detections'].max()} detections are declared, a list has {PLACES} elements"
+        )
     return DetectionLists(table.stamps_ns(), rows[ours], lists)
 
 

@@ -38,7 +38,7 @@ class Cursor:
         """Offset of the next `size` bytes in the payload."""
         start = self.at + -(self.at - HEAD_BYTES) % alignment
         if size > len(self.payload) - start:
-            problem = f"{size} bytes are said to follow at byte {start}, the message has {len(self.payload)}"
+            problem = f"{size} bytes are declared at byte {start}, the message has {len(self.payload)}"
             raise MessageLayoutError(self.type_name, problem)
         self.at = start + size
         return start
@@ -85,7 +85,7 @@ class Cursor:
 def check_encapsulation(payload: memoryview, type_name: str) -> None:
     """Raises: MessageLayoutError (no CDR), ByteOrderError (big-endian CDR)."""
     if len(payload) < HEAD_BYTES:
-        raise MessageLayoutError(type_name, f"{len(payload)} bytes are no CDR message")
+        raise MessageLayoutError(type_name, f"{len(payload)} bytes are not a CDR message")
     if payload[0] == 0 and payload[1] == 0:
         raise ByteOrderError(type_name)
     if payload[0] != 0 or payload[1] != 1:

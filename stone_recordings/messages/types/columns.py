@@ -50,8 +50,9 @@ class MessageTable:
         column = self._column(name)
         shape = () if length is None else (length,)
         if not isinstance(column, np.ndarray) or column.shape[1:] != shape or column.dtype.kind not in kinds:
-            kind = "number" if length is None else f"array of {length}"
-            raise MessageLayoutError(self.type_name, f"its definition makes no {kind} of {name}")
+            one, many = ("a number", "numbers") if "f" in kinds else ("an integer", "integers")
+            kind = one if length is None else f"an array of {length} {many}"
+            raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as {kind}")
         return column
 
     def vectors(self, name: str, axes: str = "xyz") -> NDArray[np.float64]:
@@ -63,7 +64,7 @@ class MessageTable:
         """One text a message."""
         column = self._column(name)
         if not isinstance(column, list):
-            raise MessageLayoutError(self.type_name, f"its definition makes no text of {name}")
+            raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as a string")
         return column
 
     def ragged(self, name: str) -> tuple[NDArray[np.int64], NDArray[Any]]:
@@ -71,14 +72,14 @@ class MessageTable:
         column = self._column(name)
         if isinstance(column, Ragged) and isinstance(column.values, np.ndarray) and column.values.ndim == 1:
             return column.offsets, column.values
-        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of numbers of {name}")
+        raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as a sequence of numbers")
 
     def ragged_texts(self, name: str) -> tuple[NDArray[np.int64], list[str]]:
         """Offsets (N + 1,) and texts (M) of a sequence."""
         column = self._column(name)
         if isinstance(column, Ragged) and isinstance(column.values, list):
             return column.offsets, column.values
-        raise MessageLayoutError(self.type_name, f"its definition makes no sequence of texts of {name}")
+        raise MessageLayoutError(self.type_name, f"its definition does not declare {name} as a sequence of strings")
 
     def stamps_ns(self, name: str = "header.stamp") -> NDArray[np.int64]:
         sec, nanosec = (self.numbers(f"{name}.{part}", kinds="iu").astype(np.int64) for part in ("sec", "nanosec"))

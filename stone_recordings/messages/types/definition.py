@@ -55,7 +55,7 @@ def full_name(name: str, where: str) -> str:
     """package/Name or package/msg/Name → package/msg/Name. Raises: DefinitionRefusedError."""
     match = _TYPE.fullmatch(name)
     if match is None:
-        raise DefinitionRefusedError(where, f"{name[:60]!r} is no name of a type (package/msg/Name)")
+        raise DefinitionRefusedError(where, f"{name[:60]!r} is not the name of a type (package/msg/Name)")
     return f"{match[1]}/msg/{match[2]}"
 
 
@@ -116,7 +116,7 @@ def _fields(lines: list[str], type_name: str) -> tuple[Field, ...]:
 def _field(match: re.Match[str], type_name: str) -> Field:
     base = _base(match[1], type_name)
     if match[2] and base not in ("string", "wstring"):
-        raise DefinitionRefusedError(type_name, f"{match[0].strip()[:60]!r} bounds what is no string")
+        raise DefinitionRefusedError(type_name, f"{match[0].strip()[:60]!r} bounds a type that is not a string")
     inside = (match[3] or "").strip("[]")
     if not match[3]:
         return Field(match[4], base)

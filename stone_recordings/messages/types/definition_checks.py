@@ -24,7 +24,7 @@ def definition_findings(topics: Sequence[Topic]) -> Iterator[Finding]:
         yield from _of_topic(topic)
     if len(described) > MOST_DEFINITIONS:
         left = len(described) - MOST_DEFINITIONS
-        yield Finding("BAG-020", "info", "", f"The definitions of {left} further topics were not looked at.")
+        yield Finding("BAG-020", "info", "", f"The definitions of {left} further topics were not checked.")
 
 
 def _of_topic(topic: Topic) -> Iterator[Finding]:
@@ -34,7 +34,7 @@ def _of_topic(topic: Topic) -> Iterator[Finding]:
         known = f"known beside ROS 2 Humble's: {', '.join(PACKAGES)}"
         message = (
             f"The recording has no definition for {topic.type!r}, nor has the registry ({known}). "
-            "Upload its .msg files, or record with -s mcap; until then the topic passes through unread."
+            "Upload its .msg files, or record with -s mcap; until then the topic is not decoded."
         )
         yield Finding(error.code, "warning", topic.name, message)
     except StoneError as error:

@@ -44,7 +44,7 @@ def _texts(folder: Path) -> Iterator[MessageText]:
         try:
             yield MessageText(f"{package}/msg/{name}", content.decode())
         except UnicodeDecodeError:
-            raise DefinitionRefusedError(file.name, "it is no UTF-8 text") from None
+            raise DefinitionRefusedError(file.name, "it is not UTF-8 text") from None
 
 
 def _schema(type_name: str, texts: dict[str, str]) -> str:

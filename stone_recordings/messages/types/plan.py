@@ -69,7 +69,7 @@ Node = Leaf | TextNode | Repeat
 
 
 def compiled(type_name: str, types: Types) -> tuple[Node, ...]:
-    """Raises: DefinitionRefusedError (a type that is missing, holds itself, or is larger than any real message)."""
+    """Raises: DefinitionRefusedError (a type that is missing, contains itself, or is larger than any real message)."""
     plan = tuple(_Compiler(type_name, types).nodes(type_name, "", ()))
     fixed_bytes = sum(_least_bytes(node) for node in plan)
     if fixed_bytes > MOST_FIXED_BYTES:
@@ -95,7 +95,7 @@ class _Compiler:
         if type_name not in self._types:
             raise DefinitionRefusedError(self._type_name, f"{type_name} is used and not defined")
         if type_name in above or len(above) > MOST_DEPTH:
-            problem = "holds itself" if type_name in above else f"is nested deeper than {MOST_DEPTH}"
+            problem = "contains itself" if type_name in above else f"is nested deeper than {MOST_DEPTH}"
             raise DefinitionRefusedError(self._type_name, f"{type_name} {problem}")
         for field in self._types[type_name]:
             yield from self._of_field(field, prefix + field.name, (*above, type_name))

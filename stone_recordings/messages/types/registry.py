@@ -154,14 +154,14 @@ def _difference(known: Mapping[str, tuple[Field, ...]], types: Mapping[str, tupl
 
 def _of_file(path: Path) -> MessageText:
     if path.suffix != ".msg":
-        raise DefinitionRefusedError(path.name, "it is no .msg file")
+        raise DefinitionRefusedError(path.name, "it is not a .msg file")
     if path.stat().st_size > MOST_CHARACTERS:
         raise DefinitionRefusedError(path.name, f"the file is larger than {MOST_CHARACTERS} bytes")
     package = path.parent.parent.name if path.parent.name == "msg" else path.parent.name
     try:
         return MessageText(full_name(f"{package}/{path.stem}", path.name), path.read_text(encoding="utf-8"))
     except UnicodeDecodeError:
-        raise DefinitionRefusedError(path.name, "it is no UTF-8 text") from None
+        raise DefinitionRefusedError(path.name, "it is not UTF-8 text") from None
 
 
 @cache

@@ -11,6 +11,9 @@ from pathlib import Path
 from jinja2 import Environment, FileSystemLoader, StrictUndefined
 from markupsafe import Markup, escape
 
+from stone_base.codes.catalogue import CATALOGUE, harm_of
+from stone_base.codes.meaning import HARM_WORDS
+
 LONGEST_NAME, LONGEST_SENTENCE = 80, 600
 DASH = "–"
 TEMPLATES = Path(__file__).parent / "templates"
@@ -86,4 +89,5 @@ _TEMPLATES = Environment(
     trim_blocks=True,
     lstrip_blocks=True,
 )
+_TEMPLATES.globals |= {"meaning_of": CATALOGUE.get, "harm_of": harm_of, "harm_words": HARM_WORDS}
 _TEMPLATES.filters |= {"name": name, "number": number, "percent": percent}

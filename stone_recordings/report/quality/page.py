@@ -14,21 +14,28 @@ from stone_recordings.report.quality.markup import LONGEST_NAME, number, rendere
 from stone_recordings.report.quality.report import Quality
 from stone_recordings.report.quality.score import FULL_SCORE
 from stone_recordings.report.quality.section_clocks import clocks_section
-from stone_recordings.report.quality.section_overview import Picture, ordered, pictures_section, verdict_of
+from stone_recordings.report.quality.section_overview import (
+    Picture,
+    codes_section,
+    ordered,
+    pictures_section,
+    verdict_of,
+)
 from stone_recordings.report.quality.section_sensors import cameras_section, clouds_section, rtk_section
 from stone_recordings.report.quality.section_time import coverage_section, rates_section
 
 # By anchor: in the navigation, above the section.
 TITLES = {
-    "lost": ("Score", "What the score lost"),
-    "pictures": ("Pictures", "At a glance"),
+    "lost": ("Score", "Score deductions"),
+    "pictures": ("Overview", "Overview"),
     "findings": ("Findings", "Findings"),
-    "coverage": ("Coverage", "Coverage of every topic"),
+    "coverage": ("Coverage", "Topic coverage"),
     "rates": ("Rates", "Rates over time"),
     "clocks": ("Clocks", "Clocks"),
     "rtk": ("Position", "Position solution"),
     "cameras": ("Cameras", "Cameras"),
     "clouds": ("LiDAR, radar", "LiDAR and radar"),
+    "codes": ("Codes", "What the codes mean"),
 }
 ALWAYS = ("lost", "findings")
 MOST_FINDINGS = 200
@@ -49,6 +56,7 @@ def quality_page(name: str, inspection: Inspection, quality: Quality, pictures: 
         "rtk": rtk_section(facts.rtk, span_ns),
         "cameras": cameras_section(facts.cameras, span_ns),
         "clouds": clouds_section(facts.lidars, facts.radars, span_ns),
+        "codes": codes_section(findings[:MOST_FINDINGS], quality.deductions),
     }
     shown = [(anchor, *titles) for anchor, titles in TITLES.items() if anchor in ALWAYS or sections[anchor]]
     page = rendered(
@@ -71,7 +79,7 @@ def _facts(inspection: Inspection, quality: Quality) -> list[str]:
     facts = [number(inspection.duration_ns / NS_PER_S) + " s", f"{len(inspection.topics)} topics"]
     facts.append(number(messages, 0) + " messages")
     if begun := _date(quality.facts.start_ns):
-        facts.append(f"begun {begun}")
+        facts.append(f"started {begun}")
     return facts
 
 

@@ -98,7 +98,7 @@ def _uncovered(coverage: Sequence[Coverage]) -> Iterator[Deduction]:
     if silent:
         worst = max(silent, key=lambda name: silent[name])
         points = min(MOST_UNCOVERED, max(1, round(POINTS_UNCOVERED * sum(silent.values()))))
-        message = f"{len(silent)} sensors fall silent, {worst} for {silent[worst] * 100:.1f} % of the recording."
+        message = f"{len(silent)} sensors have gaps, {worst} for {silent[worst] * 100:.1f} % of the recording."
         yield Deduction("QLT-601", points, message)
 
 
@@ -116,7 +116,7 @@ def _blurred(cameras: Sequence[CameraFacts]) -> Iterator[Deduction]:
     limit = max(FLAT_SHARPNESS, BLURRED_RATIO * usual if len(medians) >= LEAST_PEERS else 0.0)
     blurred = [topic for topic, value in medians.items() if value < limit]
     if blurred:
-        message = f"{_names(blurred)} less sharp than the other cameras by far: look at the lens and its focus."
+        message = f"{_names(blurred)} much less sharp than the other cameras: check the lens and its focus."
         yield Deduction("QLT-602", min(15, 5 * len(blurred)), message)
 
 
@@ -127,7 +127,7 @@ def _exposed(cameras: Sequence[CameraFacts]) -> Iterator[Deduction]:
         if max(middle(camera.dark_ratio) or 0.0, middle(camera.bright_ratio) or 0.0) > MOST_CLIPPED_RATIO
     ]
     if clipped:
-        message = f"{_names(clipped)} black or white over {MOST_CLIPPED_RATIO * 100:.0f} % of the picture."
+        message = f"{_names(clipped)} black or white over {MOST_CLIPPED_RATIO * 100:.0f} % of the image."
         yield Deduction("QLT-603", min(9, 3 * len(clipped)), message)
 
 

@@ -18,7 +18,7 @@ MOST_ROWS = 40
 NS_PER_MS = 1e6
 TOLD = (
     "Each row is a sensor, by its number in the table: the dot is the median time from stamp to recording, "
-    "the bar its scatter. Another clock stands far from zero."
+    "the bar its scatter. A sensor on another clock is far from zero."
 )
 
 
@@ -54,7 +54,7 @@ def _table(stamped: Sequence[TopicClock]) -> HtmlTable:
             clock.stamp_source,
             _ms(clock.offset_ns) + _constant(clock),
             number(clock.drift_ppm, 1),
-            _ms(clock.jitter_ns),
+            _jitter(clock),
             str(clock.steps_back),
         )
         for place, clock in enumerate(stamped, start=1)
@@ -65,6 +65,13 @@ def _table(stamped: Sequence[TopicClock]) -> HtmlTable:
 
 def _constant(clock: TopicClock) -> Markup:
     return Markup('<br><span class="soft">= {}?</span>').format(clock.constant) if clock.constant else Markup()
+
+
+def _jitter(clock: TopicClock) -> Markup:
+    if clock.stated_jitter_ns is None:
+        return number(None, 2)
+    against = Markup('<br><span class="soft">{}</span>').format(clock.stated_against)
+    return number(clock.stated_jitter_ns / NS_PER_MS, 2) + against
 
 
 def _ms(value_ns: int | None) -> Markup:

@@ -4,25 +4,27 @@
 """
 
 from base64 import b64encode
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterable, Iterator, Sequence
 
 from markupsafe import Markup
 
 from stone.findings import Finding
+from stone_base.codes.catalogue import CATALOGUE, harm_rank
+from stone_base.codes.meaning import CodeMeaning
 from stone_recordings.report.quality.markup import DrawnFigure
+from stone_recordings.report.quality.score import Deduction
 
 # From this score on: the class of the ring, and the word.
 VERDICTS = (
     (90, "good", "Good"),
-    (70, "usable", "Usable: look at what it lost"),
-    (0, "poor", "Poor: labels will suffer"),
+    (70, "usable", "Usable: see the deductions"),
+    (0, "poor", "Poor: labels will be affected"),
 )
-SEVERITIES = ("error", "warning", "info")
 WIDE = "cameras.jpg"
 TOLD = {
-    WIDE: ("What the cameras saw", "One picture of each camera from the middle of the recording."),
+    WIDE: ("Camera images", "One image of each camera from the middle of the recording."),
     "sweep.png": ("One sweep from above", "The LiDAR's sweep in the middle of the recording, coloured by height."),
-    "track.png": ("Where the robot went", "The track of the recording's own positions, seen from above."),
+    "track.png": ("Track", "The recording's own positions, seen from above."),
 }
 Picture = tuple[str, str, bytes]
 
@@ -39,8 +41,14 @@ def pictures_section(pictures: Sequence[Picture]) -> dict[str, list[DrawnFigure]
 
 
 def ordered(findings: Sequence[Finding]) -> list[Finding]:
-    """Errors first."""
-    return sorted(findings, key=lambda finding: SEVERITIES.index(finding.severity))
+    """With the most harm to labels first, of equal harm errors first."""
+    return sorted(findings, key=lambda finding: harm_rank(finding.code, finding.severity))
+
+
+def codes_section(findings: Iterable[Finding], deductions: Iterable[Deduction]) -> list[CodeMeaning]:
+    """What the codes of these findings and deductions mean, each once, in order of code."""
+    codes = {finding.code for finding in findings} | {deduction.code for deduction in deductions}
+    return [CATALOGUE[code] for code in sorted(codes) if code in CATALOGUE]
 
 
 def _figures(pictures: Sequence[Picture], *, is_wide: bool) -> Iterator[DrawnFigure]:

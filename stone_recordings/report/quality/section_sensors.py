@@ -42,11 +42,11 @@ def rtk_section(rtk: RtkFacts | None, duration_ns: int) -> RtkSection | None:
         return None
     line = PlotLine(_seconds(rtk.at_ns), tuple(100 * value for value in rtk.stdev_m), "c3")
     plot = time_plot(Frame("stdev", duration_ns / NS_PER_S, "standard deviation, cm", low=0.0), [line])
-    told = Markup("The receiver's own horizontal deviation, median {} cm.").format(
+    told = Markup("Horizontal standard deviation that the receiver reports, median {} cm.").format(
         number(100 * (middle(rtk.stdev_m) or 0.0))
     )
     bars = word_strip([at_ns / max(1, duration_ns) for at_ns in rtk.at_ns], rtk.words)
-    return RtkSection(rtk, bars, DrawnFigure("What the receiver thinks it knows", plot, told))
+    return RtkSection(rtk, bars, DrawnFigure("Reported position accuracy", plot, told))
 
 
 def cameras_section(cameras: Sequence[CameraFacts], duration_ns: int) -> CamerasSection | None:
@@ -59,7 +59,7 @@ def cameras_section(cameras: Sequence[CameraFacts], duration_ns: int) -> Cameras
         _lines(cameras, lambda seen: tuple(100 * value for value in seen.brightness_ratio)),
     )
     of_blur = "Variance of the Laplacian; a camera far below the others has a dirty lens or is out of focus."
-    of_light = "Mean of the picture from black (0) to white (100); jumps are the exposure hunting."
+    of_light = "Mean brightness of the image from black (0) to white (100); jumps are auto-exposure hunting."
     figures = (DrawnFigure("Sharpness", sharp, of_blur), DrawnFigure("Exposure", bright, of_light))
     legend = tuple((series_colour(place), camera.channel or name(camera.topic)) for place, camera in enumerate(cameras))
     return CamerasSection(legend, figures, _camera_table(cameras))
@@ -86,8 +86,8 @@ def _camera_table(cameras: Sequence[CameraFacts]) -> HtmlTable:
         )
         for camera in cameras
     )
-    columns = ("topic", "pixels", "pictures seen", "sharpness", "brightness", "black", "white")
-    return HtmlTable("Medians over the pictures that were looked at", columns, rows, frozenset(range(1, 7)))
+    columns = ("topic", "pixels", "images sampled", "sharpness", "brightness", "black", "white")
+    return HtmlTable("Medians over the sampled images", columns, rows, frozenset(range(1, 7)))
 
 
 def _lidars(lidars: Sequence[LidarFacts], span_s: float) -> DrawnFigure:
@@ -103,8 +103,8 @@ def _lidars(lidars: Sequence[LidarFacts], span_s: float) -> DrawnFigure:
         for lidar in lidars
     )
     columns = ("topic", "points a sweep", "returned", "median range, m")
-    table = HtmlTable("Medians over the sweeps seen", columns, rows, frozenset({1, 2, 3}))
-    told = f"Share of a sweep's points that came back, in {len(lidars[0].at_ns)} sweeps; the sky never does."
+    table = HtmlTable("Medians over the sampled sweeps", columns, rows, frozenset({1, 2, 3}))
+    told = f"Share of a sweep's points with a return, in {len(lidars[0].at_ns)} sweeps; the sky gives none."
     return DrawnFigure("LiDAR returns", plot, told, _legend(lidars), table)
 
 

@@ -93,10 +93,10 @@ def _rates(steady: Sequence[Coverage], span_s: float) -> RatesSection:
     relative = [replace(line, values=_share(topic)) for line, topic in zip(lines, steady, strict=True)]
     usual_hz = [topic.rate_hz or 1.0 for topic in steady]
     frame = Frame("rates", span_s, "messages per second", min(usual_hz) / 4, 2.5 * max(usual_hz), is_log=True)
-    told = f"One line for each of {len(steady)} sensors; a level line is a sensor that keeps its pace."
+    told = f"One line for each of {len(steady)} sensors; a flat line is a constant rate."
     absolute = DrawnFigure("Messages per second", time_plot(frame, lines), told, table=_rate_table(steady))
     share_plot = time_plot(Frame("relative-rates", span_s, "of the usual rate, %", 0.0, 200.0), relative)
-    of_usual = "The same against what is usual for each: a dip is loss, a peak a burst."
+    of_usual = "The same relative to each sensor's usual rate: a dip is loss, a peak a burst."
     legend = tuple((ROLE_COLOUR[role], role) for role in ROLE_COLOUR if any(topic.role == role for topic in steady))
     return RatesSection(legend, (absolute, DrawnFigure("Share of the usual rate", share_plot, of_usual)))
 

@@ -67,7 +67,7 @@ def channel_findings(matches: Iterable[ChannelMatch], calibration: Calibration) 
     seen = {match.sensor for match in matched}
     for sensor in placed_sensors(calibration):
         if sensor.mount.name not in seen:
-            sentence = f"the calibration places {sensor.mount.name}, and no {sensor.mount.kind} topic is its"
+            sentence = f"the calibration has {sensor.mount.name}, but no {sensor.mount.kind} topic matches it"
             findings.append(Finding("CAL-437", "info", sensor.mount.name, sentence))
     return tuple(findings)
 
@@ -75,6 +75,6 @@ def channel_findings(matches: Iterable[ChannelMatch], calibration: Calibration) 
 def _unknown(match: ChannelMatch) -> Finding:
     frame = f"frame {match.frame_id}" if match.frame_id else "no frame"
     sentence = (
-        f"the calibration places no {match.role} of this topic ({frame}): a sensor's frame_id or channel names it"
+        f"the calibration has no {match.role} for this topic ({frame}): it is matched by a sensor's frame_id or channel"
     )
     return Finding(MissingSensorError.code, "warning", match.topic, sentence)

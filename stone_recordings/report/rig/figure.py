@@ -172,7 +172,7 @@ def _footer(calibration: Calibration, is_given: bool, far: list[str]) -> str:
     said += "" if is_given else " (the default: none is given)"
     if not calibration.self_boxes_ego:
         said += ", no self boxes"
-    return said + (f", too far to be drawn: {', '.join(map(_plain, far[:4]))}" if far else "")
+    return said + (f", too far away to draw: {', '.join(map(_plain, far[:4]))}" if far else "")
 
 
 def _legend(figure: Figure, footer: str, near: list[PlacedSensor]) -> None:

@@ -41,7 +41,7 @@ def missing(read: CalibrationRead) -> list[str]:
     if not is_footprint_given(read):
         said.append("footprint: the paper's is taken; T is the ground that the footprint was driven over")
     if not calibration.self_boxes_ego:
-        said.append("self_boxes_ego: points on the robot itself are taken for obstacles")
+        said.append("self_boxes_ego: points on the robot itself count as obstacles")
     return said + _missing_sensors(calibration)
 
 
@@ -66,11 +66,11 @@ def _missing_sensors(calibration: Calibration) -> list[str]:
     said = []
     cameras = calibration.of_kind("camera")
     if not cameras:
-        said.append("cameras: mask_camera will hold nothing")
+        said.append("cameras: mask_camera will be empty")
     if unlensed := [mount.name for mount in cameras if mount.intrinsics is None]:
-        said.append(f"lenses of {', '.join(unlensed)}: they count for no mask_camera")
+        said.append(f"intrinsics of {', '.join(unlensed)}: they do not count for mask_camera")
     if not calibration.of_kind("ins"):
-        said.append("INS: its lever arm is needed where the poses are an INS's, and not with odometry")
+        said.append("INS: its lever arm is needed where the poses come from an INS, not with odometry")
     return said
 
 

@@ -21,7 +21,14 @@ INSTEAD = {  # of what is usually named
     "/api/v1/submissions/{submission_id}/withdraw": {"submission_id": "settled_submission"},
     **{
         f"/api/v1/submissions/{{submission_id}}/{part}": {"submission_id": "scored_submission"}
-        for part in ("results", "results/breakdowns", "provenance", "confusions")
+        for part in (
+            "results",
+            "results/breakdowns",
+            "provenance",
+            "confusions",
+            "frames/{token}.png",
+            "predictions.zip",
+        )
     },
 }
 IN_BODIES = ("team_id", "upload_id")

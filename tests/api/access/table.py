@@ -131,6 +131,7 @@ GET    /api/v1/frames/{token}/bev.png                         401  404  200   40
 GET    /api/v1/frames/{token}/camera/{channel}.jpg            401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/frames/{token}/cloud                           401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/scene                  401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/scene/cameras          401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/scene/tiles/{tile_name}  401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/sequences/{sequence_id}/scene/meshes/{tile_name} 401 404 200 404 200 404 403 401 401 200 200
 GET    /api/v1/splits                                         401  200  200   200   200  200 403  401  401  200 200
@@ -158,6 +159,7 @@ GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}           401 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/manifest  401 200 200 200 200 200 403 401 401 200 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/metrics/{metric} 401 200 200 200 200 200 403 401 401 200 200
 GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/metrics/{metric}/vectors 401 200 200 200 200 200 403 401 401 200 200
+GET    /api/v1/benchmarks/{benchmark_name}/phases/{phase_name}/frames/{token}.png 401 404 404 404 404 404 403 401 401 404 404
 GET    /api/v1/phases/{phase_id}                              401  200  200   200   200  200 403  401  401  200 200
 POST   /api/v1/admin/benchmarks                               401  403  403   403   201  403 403  401  401  403 403
 PATCH  /api/v1/admin/benchmarks/{benchmark_name}              401  403  403   403   200  403 403  401  401  403 403
@@ -196,6 +198,9 @@ GET    /api/v1/submissions/{submission_id}/results            401  404  200   40
 GET    /api/v1/submissions/{submission_id}/results/breakdowns 401  404  403   404   200  404 403  401  401  403 403
 GET    /api/v1/submissions/{submission_id}/provenance         401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/submissions/{submission_id}/confusions         401  404  403   404   200  404 403  401  401  403 403
+GET    /api/v1/submissions/{submission_id}/frames/{token}.png     401  404  403   404   403  404 403  401  401  403 403
+GET    /api/v1/submissions/{submission_id}/predictions.zip        401  404  200   404   200  404 403  401  401  200 200
+HEAD   /api/v1/submissions/{submission_id}/predictions.zip        401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/jobs                                           401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/jobs/{job_id}                                  401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/jobs/{job_id}/logs                             401  404  200   404   200  404 403  401  401  200 200

@@ -201,7 +201,7 @@ STOWAWAYS: Mapping[str, Case] = {
     "bytes between two files": ("unsupported_zip", raw(replace(FIRST, between=b"stow"), SECOND)),
     "bytes before the directory": ("unsupported_zip", raw(FIRST, replace(SECOND, between=PNG))),
     "bytes behind the end": ("not_zip", raw(*PAIR, behind=PNG)),
-    "an end record in the comment": ("not_zip", raw(*PAIR, comment=raw_zip([]) + b"tail")),
+    "an end record in the comment": ("truncated", raw(*PAIR, comment=raw_zip([]) + b"tail")),
     "another archive in the comment": ("truncated", raw(*PAIR, comment=raw_zip(PAIR))),
     "two archives": ("truncated", lambda: written(raw_zip(PAIR) + raw_zip(PAIR))),
     "bytes in a folder": ("unexpected_file", raw(Entry(b"run/", b"stow"), *folders(0))),

@@ -10,7 +10,14 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_files.npz import npz_bytes
-from stone_submissions.errors import NotZipError, SubmissionError, TooLargeError, TruncatedError
+from stone_submissions.errors import (
+    BadShapeError,
+    NotZipError,
+    SubmissionError,
+    TooLargeError,
+    TruncatedError,
+    shape_hint,
+)
 from stone_submissions.npz_frame import prediction_grid
 from stone_submissions.zip_directory import payload_span, read_directory
 from tests.services.eval.attacks import grid, saved, stored
@@ -48,6 +55,58 @@ def test_honest_archives_are_read_as_zipfile_reads_them(files: dict[str, bytes],
             assert stop - start == info.compress_size
             if method == zipfile.ZIP_STORED:
                 assert raw[start:stop] == files[member.name]
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_a_submission_cut_off_anywhere_is_called_cut_short(method: int) -> None:
+    """Where frames are stored, the last end record of what is left is that of a frame."""
+    whole = archive_of({f"{number}.npz": NPZ for number in range(4)}, method)
+    inner = [place + 22 for place in range(len(whole)) if whole.startswith(b"PK\5\6", place)]
+    cuts = {*range(4, len(whole), len(whole) // 40), *(place for place in inner if place < len(whole)), len(whole) - 1}
+    for stop in sorted(cuts):
+        raw = whole[:stop]
+        with pytest.raises(TruncatedError):
+            read_directory(reader(raw), len(raw), 10)
+
+
+@pytest.mark.parametrize("method", [zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED])
+def test_bytes_behind_a_whole_archive_are_told_from_a_cut(method: int, monkeypatch: pytest.MonkeyPatch) -> None:
+    files = {f"{number}.npz": NPZ for number in range(4)}
+    narrow = archive_of(files, method)
+    monkeypatch.setattr(zipfile, "ZIP_FILECOUNT_LIMIT", 2)
+    for whole in (narrow, archive_of(files, method)):
+        with pytest.raises(NotZipError, match="found 1 bytes more"):
+            read_directory(reader(whole + b"x"), len(whole) + 1, 10)
+
+
+@pytest.mark.parametrize("raw", [b"", b"PK\3", b"<!DOCTYPE html><html>", b"PK\5\6", b"\0" * 100])
+def test_what_does_not_begin_as_a_zip_is_none(raw: bytes) -> None:
+    with pytest.raises(NotZipError):
+        read_directory(reader(raw), len(raw), 10)
+
+
+@pytest.mark.parametrize(
+    ("shape", "steps"),
+    [
+        ((32, 256, 256), ["grid.transpose(1, 2, 0)", "grid.transpose(2, 1, 0)"]),
+        ((256, 32, 256), ["grid.transpose(0, 2, 1)", "grid.transpose(2, 0, 1)"]),
+        ((1, 256, 256, 32), ["grid[0]"]),
+        ((256, 256, 32, 1), ["grid[..., 0]"]),
+        ((4, 256, 256, 32), ["grid.argmax(0)"]),
+        ((256, 256, 32, 4), ["grid.argmax(-1)"]),
+    ],
+)
+def test_the_hint_for_a_shape_makes_it_the_right_one(shape: tuple[int, ...], steps: list[str]) -> None:
+    hint = str(BadShapeError("(256, 256, 32)", str(shape)))
+    for step in steps:
+        assert step in hint
+        assert eval(step, {"grid": np.zeros(shape, np.uint8)}).shape == (256, 256, 32)
+    assert "ascontiguousarray" not in hint
+
+
+def test_only_another_order_is_mended_by_a_copy_and_other_shapes_are_told_the_axes() -> None:
+    assert "numpy.ascontiguousarray(grid)" in shape_hint("Fortran order")
+    assert "axes are x, y, z" in shape_hint("(200, 200, 16)")
 
 
 def test_zip64_end_records_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -55,7 +55,7 @@ def made(tmp_path_factory):
 def test_every_frame_has_its_labels_and_nothing_else_is_left(made):
     tokens = set(sequence_of(WORLD).frames.tokens)
     files = {"frames.parquet", "mesh.ply", "bev.png", "map.png", "features.png", "report.json", "sequence.npz"}
-    assert {path.name for path in made.iterdir()} == {"gts", "scene", "thumbnail.jpg", *files}
+    assert {path.name for path in made.iterdir()} == {"gts", "scene", "thumbnail.png", *files}
     assert {path.name for path in (made / "gts").iterdir()} == {"small"}
     assert {path.name for path in (made / "gts" / "small").iterdir()} == tokens
     assert [path.name for path in made.parent.iterdir()] == ["out"]
@@ -210,7 +210,7 @@ def test_the_mesh_is_a_ply_of_whole_triangles_in_the_colours_of_the_classes(made
 
 def test_the_top_view_opens_and_shows_all_three_classes(made):
     with Image.open(made / "bev.png") as picture:
-        colours = {colour for _, colour in picture.convert("RGB").getcolors(1 << 24)}
+        colours = {colour[:3] for _, colour in picture.convert("RGBA").getcolors(1 << 24)}
     assert set(CLASS_RGB.values()) <= colours
 
 

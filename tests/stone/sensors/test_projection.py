@@ -10,7 +10,7 @@ from scipy.optimize import brentq
 
 from stone.errors import ShapeError
 from stone.sensors.calibration import CameraIntrinsics
-from stone.sensors.projection import corner_reach, field_limit, is_folded, project
+from stone.sensors.projection import corner_reach, field_limit, is_folded, project, rays_through
 
 LENSES = {
     "pinhole": CameraIntrinsics("pinhole", 640, 480, 500, 505, 322.5, 241.0),
@@ -109,6 +109,42 @@ def test_what_is_behind_or_nowhere_is_not_seen(lens: CameraIntrinsics) -> None:
     nowhere = np.array([[0.0, 0, -5], [0, 0, 0], [np.nan, 0, 1], [0, np.inf, 1], [0, 0, -np.inf]])
     assert not project(nowhere, lens)[1].any()
     assert project(np.zeros((0, 3)), lens)[0].shape == (0, 2)
+
+
+@MODELS
+def test_the_ray_through_a_pixel_is_seen_in_that_pixel(lens: CameraIntrinsics) -> None:
+    """Catches alone an inverse that is off, or that goes on beyond where the lens turns."""
+    random = np.random.default_rng(7)
+    pixels = random.uniform(-0.5, (lens.width_px - 0.5, lens.height_px - 0.5), (500, 2))
+    rays = rays_through(pixels, lens)
+    is_known = np.isfinite(rays).all(axis=1)
+    assert is_known.mean() > 0.75
+    np.testing.assert_allclose(np.linalg.norm(rays[is_known], axis=1), 1)
+    seen, _ = project(rays[is_known] * random.uniform(0.5, 50, (int(is_known.sum()), 1)), lens)
+    np.testing.assert_allclose(seen, pixels[is_known], atol=1e-3)
+
+
+@given(
+    coefficients=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.05, 0.05), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3))
+)
+def test_rays_of_drawn_lenses_are_exact_and_hold_all_that_is_seen(coefficients: tuple[float, ...]) -> None:
+    lens = CameraIntrinsics("plumb_bob", 640, 480, 500, 505, 322.5, 241.0, (*coefficients, 0.0))
+    assume(not is_folded(lens))
+    pixels = np.stack(np.meshgrid(np.linspace(-0.5, 639.5, 17), np.linspace(-0.5, 479.5, 13)), axis=-1).reshape(-1, 2)
+    rays = rays_through(pixels, lens)
+    assert np.isfinite(rays).all()
+    np.testing.assert_allclose(project(rays, lens)[0], pixels, atol=1e-3)
+
+
+def test_beyond_the_turn_of_a_lens_there_is_no_ray() -> None:
+    lens = CameraIntrinsics("plumb_bob", 640, 480, 200, 200, 320, 240, (-0.3, 0, 0, 0, 0))
+    assert np.isfinite(rays_through(np.array([[320.0, 240.0]]), lens)).all()
+    assert np.isnan(rays_through(np.array([[0.0, 0.0], [639.0, 479.0]]), lens)).all()
+
+
+def test_pixels_that_are_no_pixels_are_refused() -> None:
+    with pytest.raises(ShapeError, match="pixels"):
+        rays_through(np.zeros((3, 3)), LENSES["pinhole"])
 
 
 def test_the_image_reaches_half_a_pixel_around_its_pixels() -> None:

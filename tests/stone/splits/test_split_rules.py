@@ -83,7 +83,7 @@ def test_labels_that_anybody_may_have_are_told_of_in_test_and_nowhere_else() -> 
     a, b, c = (entry(number, exposure="it is public") for number in (1, 2, 3))
     finding = only(check_exposed(split_of((a,), (b,), (c, entry(4))), (a, b, c, entry(4))))
     assert (finding.code, finding.severity, finding.sequences) == (EXPOSED, "warning", (c.id,))
-    assert finding.message == f"{c.name} is in test and anybody may have its labels: it is public"
+    assert finding.message == f"{c.name} is in test and its labels may be known: it is public"
 
 
 def test_twins_of_which_one_is_left_out_are_not_found() -> None:
@@ -155,9 +155,7 @@ def test_an_empty_split_asks_for_nothing() -> None:
 def test_a_split_of_another_size_is_found() -> None:
     a, b = entry(1), entry(2)
     findings = check_sizes(split_of((a,), (), (b,)), (1, 1, 1))
-    assert [(f.code, f.severity, f.message) for f in findings] == [
-        (SIZES, "error", "val has 0 sequence(s); asked for are 1")
-    ]
+    assert [(f.code, f.severity, f.message) for f in findings] == [(SIZES, "error", "val has 0 sequences; expected 1")]
 
 
 def test_what_was_not_said_is_warned_of() -> None:

@@ -33,14 +33,14 @@ def test_the_files_of_a_rosbag2_folder_are_one_bag(names: list[str]) -> None:
     [
         (["run.mcap"], "these are 1 files"),
         ([f"{number}.mcap" for number in range(MOST_FILES + 1)], f"these are {MOST_FILES + 1} files"),
-        (["metadata.yaml", "notes.txt"], "'notes.txt' is no part of a bag"),
+        (["metadata.yaml", "notes.txt"], "'notes.txt' is not part of a bag"),
         (["metadata.yaml", "metadata.yaml"], "2 files have only 1 names"),
         (["run.mcap", "RUN.mcap"], "2 files have only 1 names"),
         (["run.mcap", "run.db3"], "several kinds are there: .db3, .mcap"),
         (["run_0.db3", "run_1.db3-wal"], "'run_1.db3-wal' has no 'run_1.db3' beside it"),
         (["run_0.mcap", "run_0.db3-wal"], "has no 'run_0.db3' beside it"),
         (["metadata.yaml", "run.db3-wal"], "there is no .mcap, no .db3 and no .bag file"),
-        (["Metadata.yaml", "run.mcap"], "'Metadata.yaml' is no part of a bag"),
+        (["Metadata.yaml", "run.mcap"], "'Metadata.yaml' is not part of a bag"),
     ],
 )
 def test_files_that_cannot_be_one_bag_are_refused_with_the_reason(names: list[str], why: str) -> None:

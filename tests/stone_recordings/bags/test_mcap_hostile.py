@@ -154,7 +154,7 @@ def test_random_bytes_are_refused(tmp_path: Path, content: bytes, has_magic: boo
         (b"hello there", "plain text"),
         (b"<?xml version='1.0'?><Error/>", "XML"),
         (b"\x00" * 257 + b"ustar\x00", "a tar archive"),
-        (b"\x00\x01\x02\x03", "nothing that is known"),
+        (b"\x00\x01\x02\x03", "an unknown format"),
         (b"", "an empty file"),
     ],
 )
@@ -204,7 +204,7 @@ def test_a_chunk_that_inflates_to_another_size_is_refused(
 ) -> None:
     path = tmp_path / "lying.mcap"
     path.write_bytes(_with_chunk(compression.encode(), declared_bytes, _packed(compression, 1000)))
-    with pytest.raises(MalformedBagError, match=rf"does not inflate to the declared {declared_bytes} bytes"):
+    with pytest.raises(MalformedBagError, match=rf"does not decompress to the declared {declared_bytes} bytes"):
         open_bag(path)
 
 

@@ -268,13 +268,13 @@ def test_a_big_endian_message_and_one_of_another_encapsulation_are_refused() -> 
         decode_odometry([_message(b"\x00\x00" + content[2:])])
     with pytest.raises(MessageLayoutError, match=r"encapsulation 0003 is not plain CDR"):
         decode_odometry([_message(b"\x00\x03" + content[2:])])
-    with pytest.raises(MessageLayoutError, match=r"2 bytes are no CDR message"):
+    with pytest.raises(MessageLayoutError, match=r"2 bytes are not a CDR message"):
         decode_odometry([_message(b"\x00\x01")])
 
 
 def test_a_message_of_another_type_is_refused_by_its_length() -> None:
     content = serialised(random_message(IMU, np.random.default_rng(1)))
-    with pytest.raises(MessageLayoutError, match=r"nav_msgs/msg/Odometry: \d+ bytes are said to follow"):
+    with pytest.raises(MessageLayoutError, match=r"nav_msgs/msg/Odometry: \d+ bytes are declared at"):
         decode_odometry([_message(content)])
     with pytest.raises(MessageLayoutError, match=r"fields end at byte \d+, the message has \d+"):
         decode_imu([_message(_odometry())])

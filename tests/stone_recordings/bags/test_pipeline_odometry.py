@@ -94,7 +94,7 @@ def test_a_sensor_that_nobody_places_is_named_with_what_to_add(tmp_path, parent,
     sequence, _ = synchronised(written(tmp_path / "a.mcap", sweeps(), poses))
     finding = next(f for f in sequence.findings if f.code == "CAL-405")
     assert (finding.severity, finding.topic) == ("warning", child)
-    assert f"by its name the {sensor}'s" in finding.message
+    assert f"it is the {sensor}'s" in finding.message
     assert f"frame_id {child}" in finding.message
 
 

@@ -38,7 +38,7 @@ def refused(tmp_path: Path, content: bytes, leaf: type[StoneError], match: str) 
     "name", ["../../etc/x.yaml", "/etc/x.yaml", "a/../../x.yaml", "a\\..\\x.yaml", "a\x1b[2J.yaml"]
 )
 def test_a_name_that_leads_out_is_refused(tmp_path: Path, name: str) -> None:
-    refused(tmp_path, zipped((name, b"a: 1")), CalibrationBundleError, "which leads out of it")
+    refused(tmp_path, zipped((name, b"a: 1")), CalibrationBundleError, "which leads outside the bundle")
     assert [file.name for file in tmp_path.iterdir()] == ["rig.zip"]
 
 
@@ -63,7 +63,7 @@ def test_more_files_than_a_rig_has_are_refused(tmp_path: Path) -> None:
 
 @pytest.mark.parametrize("method", [zipfile.ZIP_BZIP2, zipfile.ZIP_LZMA])
 def test_a_packing_that_may_ask_for_gigabytes_is_refused(tmp_path: Path, method: int) -> None:
-    refused(tmp_path, zipped(("a.yaml", b"a: 1"), method=method), CalibrationBundleError, "packed by method")
+    refused(tmp_path, zipped(("a.yaml", b"a: 1"), method=method), CalibrationBundleError, "compressed by method")
 
 
 def test_an_encrypted_member_is_refused(tmp_path: Path) -> None:

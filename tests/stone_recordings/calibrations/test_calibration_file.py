@@ -187,7 +187,7 @@ def test_a_number_beyond_floats_is_refused(written):
         ("image_width: 640\nimage_height: 480\n", "a camera_info file without its camera_matrix"),
         ('[{"token": "a", "channel": "b", "modality": "c"}]', "a nuScenes sensor table without its calibrated_sensor"),
         ("[1, 2]", "a list"),
-        ("1: 2", "another YAML file .a key is no text"),
+        ("1: 2", "another YAML file .a key is not text"),
         ("<html>", "plain text"),
         ("", "an empty file"),
         ("colour: red\n", "another YAML file"),

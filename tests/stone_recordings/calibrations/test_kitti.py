@@ -113,7 +113,7 @@ def test_the_three_files_of_a_raw_day_say_the_same_and_the_size(tmp_path: Path) 
 
 def test_a_raw_transform_that_lost_its_name_is_refused(tmp_path: Path) -> None:
     numbers = {"calib_time": "now", "R": "1 0 0 0 1 0 0 0 1", "T": "0 0 1"}
-    with pytest.raises(HalfRigError, match="nothing says between which frames its R and T are"):
+    with pytest.raises(HalfRigError, match="the frames of its R and T are unknown"):
         read_any_calibration(written(tmp_path, {"000000.txt": lines(), "calib.txt": numbers}))
 
 

@@ -76,7 +76,7 @@ def test_an_inverted_ego_from_lidar_is_named_itself(drive: Drive) -> None:
     calibration = drive.sequence.calibration
     findings = found(drive, replace(calibration, ego_from_lidar=calibration.ego_from_lidar.inverse()))
     assert [(finding.code, finding.topic) for finding in findings] == [("CAL-404", "ego_from_lidar")]
-    assert "it is lidar_from_ego" in findings[0].message
+    assert "the transform is lidar_from_ego" in findings[0].message
 
 
 def test_a_camera_that_looks_at_the_sky_sees_too_few_points(drive: Drive) -> None:

@@ -108,20 +108,25 @@ def test_two_files_that_disagree_are_refused_and_named(tmp_path: Path) -> None:
     other = [float(value) for value in files["frames.yaml"]["T_base_link__camera_left"]["data"]]
     other[3] += 0.01
     files["later.yaml"] = {"T_base_link__camera_left": other}
-    refused(tmp_path, files, ConflictingFilesError, r"frames\.yaml and later\.yaml disagree about where camera_left")
+    refused(
+        tmp_path,
+        files,
+        ConflictingFilesError,
+        r"frames\.yaml and later\.yaml disagree about the transform from camera_left",
+    )
     files = robots.ros_matrices()
     files["twice.yaml"] = {**files["camera_left.yaml"], "image_width": 961}
-    refused(tmp_path / "again", files, ConflictingFilesError, "disagree about the lens of camera_left")
+    refused(tmp_path / "again", files, ConflictingFilesError, "disagree about the intrinsics of camera_left")
 
 
 def test_what_completes_a_rig_is_said_once(tmp_path: Path) -> None:
     files = {**robots.kalibr(), "other.yaml": {"stone_rig": 1}}
-    refused(tmp_path, files, ConflictingFilesError, "other.yaml and rig.yaml disagree about what completes the rig")
+    refused(tmp_path, files, ConflictingFilesError, "other.yaml and rig.yaml disagree about the rest of the rig")
 
 
 def test_a_native_file_stands_alone(tmp_path: Path) -> None:
     files = {**robots.ros_matrices(), "native.yaml": {"stone_calibration": 1}}
-    refused(tmp_path, files, ConflictingFilesError, "a native file says all")
+    refused(tmp_path, files, ConflictingFilesError, "a native file describes completely")
 
 
 @pytest.mark.parametrize(
@@ -153,7 +158,7 @@ def test_two_lidars_are_not_chosen_between(tmp_path: Path) -> None:
 def test_a_lidar_that_nobody_places_on_the_robot_is_half_a_rig(tmp_path: Path) -> None:
     files = robots.kalibr()
     del files["rig.yaml"]["transforms"][0]
-    refused(tmp_path, files, HalfRigError, "nothing says where hesai_lidar sits on the robot")
+    refused(tmp_path, files, HalfRigError, "no transform places hesai_lidar on the robot")
 
 
 @pytest.mark.parametrize(
@@ -198,7 +203,10 @@ def test_a_wrong_nuscenes_table_is_refused(tmp_path: Path) -> None:
     rows = files["calibrated_sensor.json"]
     twice = {**rows[1], "translation": [9, 0, 0]}
     refused(
-        tmp_path, {**files, "calibrated_sensor.json": [*rows, twice]}, ConflictingFilesError, "where CAM_FRONT sits"
+        tmp_path,
+        {**files, "calibrated_sensor.json": [*rows, twice]},
+        ConflictingFilesError,
+        "the extrinsics of CAM_FRONT",
     )
     scaled = {**rows[1], "rotation": [2 * value for value in rows[1]["rotation"]]}
     refused(tmp_path, {**files, "calibrated_sensor.json": [rows[0], scaled]}, QuaternionNormError, "norm 2")

@@ -92,7 +92,7 @@ def test_the_late_one_is_named_with_how_late_and_how_far_it_turned(tmp_path: Pat
     (found,) = _found(_bag(tmp_path / "run.mcap"), fired_ns)
     assert (found.code, found.topic) == ("TIM-205", "/cam_back/image")
     assert "Fires 5.0" in found.message
-    assert "after the LiDAR looks its way" in found.message
+    assert "after the LiDAR scans its direction" in found.message
     assert "(18° of its turn; limit 2 ms)" in found.message
 
 

@@ -154,7 +154,7 @@ REFUSED = {
         b"\xff\xd8\xff\xe0\0\x04\0\0\xff\xda\0\x02" + bytes(30),
         r"ends before it says its size",
     ),
-    "a JPEG of anything": (b"\xff\xd8\xff\xe0\0\x03\0\0\0\0\0", r"byte 7 of the JPEG is no marker"),
+    "a JPEG of anything": (b"\xff\xd8\xff\xe0\0\x03\0\0\0\0\0", r"byte 7 of the JPEG is not a marker"),
 }
 
 

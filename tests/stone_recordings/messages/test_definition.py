@@ -76,15 +76,15 @@ REFUSED = {
     "a name that is none": ("float64 1x", r"is neither a field nor a constant"),
     "a tail": ("int32 x y", r"'int32 x y' is neither a field nor a constant"),
     "a path": ("../../etc/passwd x", r"is neither a field nor a constant"),
-    "a path of three": ("a/b/c x", r"'a/b/c' is no name of a type"),
-    "a capital package": ("Std/Header x", r"'Std/Header' is no name of a type"),
+    "a path of three": ("a/b/c x", r"'a/b/c' is not the name of a type"),
+    "a capital package": ("Std/Header x", r"'Std/Header' is not the name of a type"),
     "two of a name": ("int32 x\nint64 x", r"field 'x' is declared twice"),
     "an array of nothing": ("int32[0] x", r"'x' has 0 elements, 1 to 1048576 are read"),
     "an array of millions": (f"int32[{MOST_ELEMENTS + 1}] x", r"has 1048577 elements"),
     "an endless number": ("int32[99999999999999999999] x", r"is neither a field nor a constant"),
-    "a bound on a number": ("int32<=4 x", r"bounds what is no string"),
+    "a bound on a number": ("int32<=4 x", r"bounds a type that is not a string"),
     "a type of nobody": ("Other x", r"my_msgs/msg/Other is used and not defined"),
-    "itself": ("Thing[] more", r"my_msgs/msg/Thing holds itself"),
+    "itself": ("Thing[] more", r"my_msgs/msg/Thing contains itself"),
     "a wide string": ("wstring x", r"x is a wstring, which has no agreed form on the wire"),
     "more fields than anyone has": ("\n".join(f"int8 f{n}" for n in range(MOST_FIELDS + 1)), r"the limit is 1024"),
     "more text than anyone has": ("#" * (MOST_CHARACTERS + 1), rf"has {MOST_CHARACTERS + 1} characters"),
@@ -103,7 +103,7 @@ def test_a_definition_that_is_none_is_refused(case: str) -> None:
 
 @pytest.mark.parametrize("name", ["Thing", "my_msgs/srv/Thing", "my_msgs/msg/../Thing", "", "a" * 5000, "My/Thing"])
 def test_a_bad_name_of_a_type_is_refused(name: str) -> None:
-    with pytest.raises(DefinitionRefusedError, match="is no name of a type"):
+    with pytest.raises(DefinitionRefusedError, match="is not the name of a type"):
         registry((MessageText(name, "int32 x"),))
 
 
@@ -130,7 +130,7 @@ def test_definitions_that_multiply_are_refused_at_once() -> None:
 
 def test_a_cycle_of_several_types_is_refused() -> None:
     ring = [MessageText(f"my_msgs/msg/{a}", f"{b}[] x") for a, b in ("AB", "BC", "CA")]
-    with pytest.raises(DefinitionRefusedError, match=r"my_msgs/msg/A holds itself"):
+    with pytest.raises(DefinitionRefusedError, match=r"my_msgs/msg/A contains itself"):
         registry(ring)
 
 
@@ -161,10 +161,10 @@ def test_files_that_are_no_definitions_are_refused(tmp_path: Path) -> None:
     folder = tmp_path / "my_msgs" / "msg"
     folder.mkdir(parents=True)
     for name, content, sentence in (
-        ("Thing.txt", b"int32 x", r"it is no .msg file"),
-        ("Thing.msg", b"\xff\xfe", r"it is no UTF-8 text"),
+        ("Thing.txt", b"int32 x", r"it is not a .msg file"),
+        ("Thing.msg", b"\xff\xfe", r"it is not UTF-8 text"),
         ("Large.msg", b"#" * (MOST_CHARACTERS + 1), r"larger than 262144 bytes"),
-        ("9.msg", b"int32 x", r"'my_msgs/9' is no name of a type"),
+        ("9.msg", b"int32 x", r"'my_msgs/9' is not the name of a type"),
     ):
         (folder / name).write_bytes(content)
         with pytest.raises(DefinitionRefusedError, match=sentence):

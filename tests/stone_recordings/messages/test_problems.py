@@ -62,9 +62,9 @@ def picture(data: bytes, stamp: int = 7) -> bytes:
         (picture(b"noise"), "malformed_sweep", "neither JPEG nor PNG"),
         (picture(b""), "malformed_sweep", "first bytes none"),
         (picture(b"\xff\xd8\xff and more")[:-4], "malformed_sweep", "its picture ends at byte"),
-        (picture(b"\xff\xd8\xff")[:10], "malformed_sweep", "8 bytes are said to follow"),
+        (picture(b"\xff\xd8\xff")[:10], "malformed_sweep", "8 bytes are declared at"),
         (b"\0\0" + picture(b"\xff\xd8\xff")[2:], "malformed_sweep", "big-endian"),
-        (b"", "malformed_sweep", "0 bytes are no CDR message"),
+        (b"", "malformed_sweep", "0 bytes are not a CDR message"),
     ],
 )
 def test_the_first_bytes_tell_what_is_wrong(head: bytes, code: str, reason: str) -> None:

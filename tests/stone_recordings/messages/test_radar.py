@@ -183,14 +183,14 @@ def _return(azimuth: float, elevation: float, distance: float) -> Any:
 
 
 def test_more_detections_than_places_are_refused() -> None:
-    with pytest.raises(MessageLayoutError, match=r"list_numofdetections is 801, the list has 800 places"):
+    with pytest.raises(MessageLayoutError, match=r"list_numofdetections is 801, the list has 800 elements"):
         decode_radar(ARS548, wire(_lists(1, [5, 801], ["front"])))
 
 
 def test_a_list_of_another_driver_is_followed_by_the_definition_it_embeds() -> None:
     """One place less in the list and a field more before it: only the recording knows."""
     text = message_definition(ARS548).replace("uint64 crc", "uint64 crc\nuint64 other").replace("[800]", "[3]")
-    with pytest.raises(MessageLayoutError, match=r"bytes are said to follow|fields end at byte"):
+    with pytest.raises(MessageLayoutError, match=r"bytes are declared at|fields end at byte"):
         decode_radar(ARS548, wire(_lists(1, [2], ["front"])), text)
     renamed = message_definition(ARS548).replace("s_rcs", "s_cross_section")
     with pytest.raises(MessageLayoutError, match=r"its definition has no list_detections.s_rcs"):

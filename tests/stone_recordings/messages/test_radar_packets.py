@@ -119,7 +119,7 @@ def test_other_packets_are_passed_over_and_lists_of_one_message_are_one_scan() -
 
 
 def test_a_list_that_lies_about_its_size_is_refused() -> None:
-    with pytest.raises(PacketError, match=r"801 detections are declared, a list has 800 places"):
+    with pytest.raises(PacketError, match=r"801 detections are declared, a list has 800 elements"):
         decode_radar(TYPE, wire([_message([_list(801).tobytes()])]))
     with pytest.raises(PacketError, match=r"a detection list of 35335 bytes declares 35328; it has 35336") as caught:
         decode_radar(TYPE, wire([_message([_list(1).tobytes()[:-1]])]))

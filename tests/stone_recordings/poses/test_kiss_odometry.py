@@ -220,7 +220,7 @@ def test_a_recording_that_has_poses_is_read_without_them_when_asked(tmp_path):
     place_m = sequence.frames.map_from_ego.translation_m
     np.testing.assert_allclose(place_m, np.zeros_like(place_m), atol=0.02)
     said = next(finding for finding in sequence.findings if finding.code == "SYN-506")
-    assert (said.severity, "the robot's own where it began" in said.message) == ("warning", True)
+    assert (said.severity, "the robot's own at its first pose" in said.message) == ("warning", True)
 
 
 def test_the_platform_takes_the_same_name_and_makes_the_same_sequence(platform: Platform, tmp_path: Path) -> None:

@@ -57,9 +57,9 @@ def test_what_was_written_is_read_again(tmp_path_factory: pytest.TempPathFactory
         ("# nothing\n", "it holds no pose"),
         ("1 2 3\n", "line 1: the line has 3 words; TUM has 8 numbers, KITTI 12"),
         (GOOD + EYE, "line 2: the line has 12 words, the lines before it 8"),
-        ("#\n" + GOOD.replace("3", "three"), "line 2: 'three' is no number"),
+        ("#\n" + GOOD.replace("3", "three"), "line 2: 'three' is not a number"),
         (GOOD.replace(" 3 ", " nan "), "line 1: a number is not finite"),
-        (GOOD.replace("1700000000.1", "1_7"), "line 1: '1_7' is no number"),
+        (GOOD.replace("1700000000.1", "1_7"), "line 1: '1_7' is not a number"),
         (GOOD.replace("1700000000.1", "1700000000123456789"), "is not in seconds since 1970"),
         (GOOD.replace("1700000000.1", "-5"), "is not in seconds since 1970"),
         (GOOD + "\n" + GOOD, "line 3: its time is not after that of line 1"),
@@ -67,9 +67,9 @@ def test_what_was_written_is_read_again(tmp_path_factory: pytest.TempPathFactory
         (GOOD.replace("0 0 0 1", "0 0 0 2"), "line 1: its quaternion has the norm 2"),
         (GOOD.replace("0 0 0 1", "0 0 0 0"), "line 1: its quaternion has the norm 0"),
         (GOOD.replace("0 0 0 1", "0 0 0 1e200"), "line 1: its quaternion has the norm"),
-        (EYE + EYE.replace("1", "2", 1), r"line 2: its 3 × 3 part is no rotation \(off by 3\)"),
-        (EYE.replace("1", "-1", 1), r"line 1: its 3 × 3 part is no rotation"),
-        (EYE.replace("0", "1e200", 1), "line 1: its 3 × 3 part is no rotation"),
+        (EYE + EYE.replace("1", "2", 1), r"line 2: its 3 × 3 part is not a rotation \(off by 3\)"),
+        (EYE.replace("1", "-1", 1), r"line 1: its 3 × 3 part is not a rotation"),
+        (EYE.replace("0", "1e200", 1), "line 1: its 3 × 3 part is not a rotation"),
         ("1 " * 600, "line 1: the line has more than 1000 characters"),
         ("\x00\x01" * 20, "line 1: the line has 1 words"),
     ],
@@ -83,7 +83,7 @@ def test_a_file_that_is_none_is_refused_with_its_line(tmp_path: Path, text: str,
 def test_a_file_that_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     path = tmp_path / "p.txt"
     path.write_bytes(b"\xff\xd8\xff\xe0 a picture\n")
-    with pytest.raises(PoseFileError, match="line 1: the line is no text"):
+    with pytest.raises(PoseFileError, match="line 1: the line is not text"):
         read_pose_file(path)
     monkeypatch.setattr(pose_file, "MOST_POSES", 1)
     with pytest.raises(PoseFileError, match="line 2: it has more than 1 poses"):

@@ -122,7 +122,7 @@ def test_samples_without_a_solution_are_left_out_and_said(tmp_path):
         tmp_path / "a.mcap", [rigs.wall_sweep(int(s)) for s in SWEEPS_NS], unaligned + ins_messages(POSES_NS[4:])
     )
     sequence, _ = synchronised(path)
-    assert "4 of 32 samples were no solution" in " ".join(f.message for f in sequence.findings)
+    assert "4 of 32 samples had no solution" in " ".join(f.message for f in sequence.findings)
     assert sequence.excluded[0].code == "no_pose_before_first"
 
 

@@ -139,8 +139,8 @@ def test_the_order_of_topics_does_not_matter(topics: list[Candidate]) -> None:
 @pytest.mark.parametrize(
     ("topics", "found"),
     [
-        ({"cam_front": "/a"}, "the part 'cam_front'"),
-        ({"CAM": "/a"}, "the part 'CAM'"),
+        ({"cam_front": "/a"}, "the role 'cam_front'"),
+        ({"CAM": "/a"}, "the role 'CAM'"),
         ({"lidar": ""}, "the topic ''"),
         ({"lidar": "/a\n"}, "the topic"),
         ({"lidar": "/" + "a" * LONGEST_TOPIC}, "the topic"),

@@ -38,7 +38,7 @@ function install(section: HTMLElement): void {
     tail.keepEnd();
   });
   button.addEventListener("click", () => tail.follow(!tail.isFollowing));
-  lines.addEventListener("scroll", () => tail.follow(isAtEnd(lines)));
+  lines.addEventListener("scroll", () => tail.moved());
   void tail.run();
 }
 
@@ -46,8 +46,13 @@ function isAtEnd(lines: HTMLElement): boolean {
   return lines.scrollTop + lines.clientHeight >= lines.scrollHeight - 8;
 }
 
+function sizeOf(lines: HTMLElement): string {
+  return `${lines.clientHeight}/${lines.scrollHeight}`;
+}
+
 class Tail {
   isFollowing = true;
+  #size = "";
   #after: string | null = null;
   #count = 0;
 
@@ -63,7 +68,14 @@ class Tail {
   }
 
   keepEnd(): void {
+    this.#size = sizeOf(this.lines);
     if (this.isFollowing) this.lines.scrollTop = this.lines.scrollHeight;
+  }
+
+  /** Whoever scrolls up stops following. Lines that grew since (a font that came late, a window that was made smaller) are no reader. */
+  moved(): void {
+    if (sizeOf(this.lines) === this.#size || isAtEnd(this.lines)) this.follow(isAtEnd(this.lines));
+    else this.keepEnd();
   }
 
   async run(): Promise<void> {
@@ -72,6 +84,7 @@ class Tail {
       try {
         const hadEnded = hasEnded();
         const got = await this.#more();
+        this.keepEnd();
         if (!got && hadEnded) return;
         wait_ms = got === AT_ONCE ? 0 : EVERY_MS;
       } catch (error) {
@@ -95,13 +108,12 @@ class Tail {
     const count = this.section.querySelector("[data-log-count]");
     if (count) count.textContent = this.#count === 1 ? "1 line" : `${this.#count.toLocaleString("en")} lines`;
     this.section.querySelector("[data-log-empty]")?.setAttribute("hidden", "");
-    this.keepEnd();
     return page.items.length;
   }
 }
 
 function hasEnded(): boolean {
-  return ENDED.includes(document.getElementById("job")?.dataset["state"] ?? "");
+  return ENDED.includes(document.querySelector<HTMLElement>("[data-run-state]")?.dataset["runState"] ?? "");
 }
 
 function drawn(line: Line): HTMLElement {

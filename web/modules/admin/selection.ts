@@ -18,9 +18,9 @@ interface Outcome {
 type Act = "retry" | "cancel" | "terminate";
 
 const WORDS: Record<Act, { title: string; says: string; done: string }> = {
-  retry: { title: "Queue again", says: "What failed or was cancelled of them is queued again; what succeeded stays.", done: "queued again" },
-  cancel: { title: "Cancel", says: "What is queued will not start, what runs stops at its next step.", done: "cancelled" },
-  terminate: { title: "Terminate", says: "Their processes are ended now, whatever they are in.", done: "terminated" },
+  retry: { title: "Retry", says: "Failed and cancelled jobs are queued again; succeeded ones are kept.", done: "queued again" },
+  cancel: { title: "Cancel", says: "Queued jobs will not start; running jobs stop at their next step.", done: "cancelled" },
+  terminate: { title: "Terminate", says: "Their processes are killed immediately.", done: "terminated" },
 };
 
 /** The chosen rows: id → name. */

@@ -19,7 +19,7 @@ export function installPicking(): void {
     if (!(event.target instanceof HTMLFormElement) || event.target.id !== "comparing") return;
     if (new FormData(event.target).getAll("entry").length === MOST) return;
     event.preventDefault();
-    say("Choose two entries first, by the boxes at the left of the board.");
+    say("Select two entries with the checkboxes on the left first.");
   });
 }
 
@@ -27,7 +27,7 @@ function tell(picked: readonly HTMLInputElement[]): void {
   const names = picked.map((box) => box.closest("tr")?.querySelector(".method .row > :first-child")?.textContent ?? "");
   if (names.length === MOST) say(`${names[0]} against ${names[1]}`);
   else if (names.length === 1) say(`${names[0]} against …`);
-  else say("Choose two entries to see whether they differ by more than chance.");
+  else say("Select two entries to test whether their difference is significant.");
 }
 
 function say(sentence: string): void {

@@ -45,7 +45,7 @@ export function partOf(word: string | undefined): Part {
 
 /** How a part is called in a sentence. */
 export function called(part: Part): string {
-  return part || "no split";
+  return part || "unassigned";
 }
 
 export function moved(arrangement: Arrangement, ids: Iterable<string>, part: Part): Arrangement {

@@ -1,5 +1,6 @@
 // The heads of the board's columns: how much is in each, of which classes, and which conditions it covers.
 
+import { counted } from "../counts.js";
 import { type Part, type Totals, totalsOf } from "./arrangement.js";
 import type { EditorState } from "./editor_state.js";
 
@@ -46,7 +47,7 @@ export function minutes(duration_s: number): string {
 
 function amount(totals: Totals, assigned_s: number): string {
   const share = assigned_s > 0 ? ` · ${percent(totals.duration_s / assigned_s)} of the time` : "";
-  return `${minutes(totals.duration_s)} · ${totals.frames.toLocaleString("en")} frames${share}`;
+  return `${minutes(totals.duration_s)} · ${counted(totals.frames, "frame")}${share}`;
 }
 
 function cover(tag: HTMLElement, here: ReadonlySet<string>, anywhere: ReadonlySet<string>): void {

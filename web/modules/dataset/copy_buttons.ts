@@ -1,5 +1,6 @@
 // Buttons that copy: `data-copies` is the text.
 
+import { putOnClipboard } from "../clipboard.js";
 import { toast } from "../notices.js";
 
 const SHOWN_MS = 20_000;
@@ -10,10 +11,10 @@ document.addEventListener("click", (event) => {
   if (text) void copy(text);
 });
 
-/** To the clipboard; where the browser lends none (no TLS), the text is shown to be copied by hand. */
+/** To the clipboard; where the browser lets no page copy, the text is shown to be copied by hand. */
 async function copy(text: string): Promise<void> {
   try {
-    await navigator.clipboard.writeText(text);
+    await putOnClipboard(text);
     toast("Copied.");
   } catch {
     toast(text, SHOWN_MS);

@@ -1,6 +1,7 @@
 // A proposal by the solver: asked for by sizes, shown beside what stands, adopted by a button.
 
 import { call } from "../api.js";
+import { counted } from "../counts.js";
 import { sayError } from "../notices.js";
 import { type Part, arranged, differences } from "./arrangement.js";
 import { percent, showShares } from "./columns.js";
@@ -78,16 +79,16 @@ function show(place: HTMLElement, found: Proposal, state: EditorState, tell: (se
     tell(sentence);
   };
   place.replaceChildren(
-    make("h2", { textContent: found.is_feasible ? "A proposal that keeps every rule" : "No splits of these sizes keep every rule" }),
+    make("h2", { textContent: found.is_feasible ? "A proposal that satisfies every rule" : "No splits of these sizes satisfy every rule" }),
     make("p", { textContent: sentenceOf(found, moves) }),
     ...(found.conflict.length ? [list(found.conflict)] : []),
     shares(found),
     row(
       pressed("Adopt", "primary", () => {
         state.put(next);
-        done(`${moves} sequences moved; nothing is saved yet.`);
+        done(`${counted(moves, "sequence")} moved; nothing is saved yet.`);
       }),
-      pressed("Leave it", "quiet", () => done("The proposal was left.")),
+      pressed("Discard", "quiet", () => done("Proposal discarded.")),
     ),
   );
   place.hidden = false;
@@ -97,8 +98,8 @@ function show(place: HTMLElement, found: Proposal, state: EditorState, tell: (se
 
 function sentenceOf(found: Proposal, moves: number): string {
   const moved = moves === 1 ? "1 sequence would move." : `${moves} sequences would move.`;
-  const proven = found.is_best ? "No other is more alike." : "The solver stopped at its limits; there may be a better one.";
-  return found.is_feasible ? `${moved} ${proven}` : `These rules cannot all be kept. What follows bends them least; ${moved.toLowerCase()}`;
+  const proven = found.is_best ? "No other is better balanced." : "The solver reached its limit; there may be a better one.";
+  return found.is_feasible ? `${moved} ${proven}` : `These rules cannot all be satisfied. This proposal violates the fewest; ${moved.toLowerCase()}`;
 }
 
 /** Time and classes of each part beside those of the whole, to see that they are alike. */
@@ -109,7 +110,7 @@ function shares(found: Proposal): HTMLElement {
     const bar = document.querySelector("[data-shares]")?.cloneNode(true) as Element;
     const ratios = share.class_ratios;
     showShares(bar, ratios ? [ratios.traversable, ratios.potentially_traversable, ratios.non_traversable] : []);
-    const amount = name === "whole" ? `${share.sequences} sequences` : `${share.sequences} · ${percent(share.duration_ratio)} of the time`;
+    const amount = name === "whole" ? counted(share.sequences, "sequence") : `${share.sequences} · ${percent(share.duration_ratio)} of the time`;
     table.append(make("strong", { textContent: name }), make("span", { className: "hint", textContent: amount }), bar);
   }
   return table;
@@ -145,7 +146,7 @@ function count(form: HTMLFormElement, state: EditorState): void {
   const asked = SIZED.reduce((sum, part) => sum + sizeOf(form, part), 0);
   const there = state.entries.size - leftOut(form, state).length;
   const said = form.querySelector("[data-sizes-said]");
-  if (said) said.textContent = `${asked} of ${there} sequences${asked > there ? ": more than there are" : ""}`;
+  if (said) said.textContent = `${asked} of ${counted(there, "sequence")}${asked > there ? ": more than there are" : ""}`;
 }
 
 function sizeOf(form: HTMLFormElement, part: Part): number {

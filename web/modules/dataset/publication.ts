@@ -15,7 +15,7 @@ if (form && place) {
   });
   const tick = (): void => {
     if (place.hidden || !elapsed) return;
-    elapsed.textContent = `${Math.round((performance.now() - since_ms) / 1000)} s by now; it goes on if you leave.`;
+    elapsed.textContent = `${Math.round((performance.now() - since_ms) / 1000)} s elapsed; publishing continues if you leave.`;
     setTimeout(tick, 1000);
   };
   watched.observe(form, { attributeFilter: ["aria-busy"] });

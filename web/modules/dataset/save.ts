@@ -115,15 +115,15 @@ export class Saving {
       make("h2", { textContent: `${who?.actor ?? "Somebody else"} saved the splits while you worked on them` }),
       make("p", {
         textContent: `${who?.reason ? `Revision ${theirs.revision}: “${who.reason}”. ` : `They are at revision ${theirs.revision}. `}${
-          apart.length ? `They stand apart from yours in ${named.join(", ")}${more}.` : "They stand as yours do."
+          apart.length ? `They differ from yours in ${named.join(", ")}${more}.` : "They equal yours."
         } Nothing of yours was saved or lost.`,
       }),
-      pressed("Take theirs", "", () => {
+      pressed("Use theirs", "", () => {
         this.state.rebase(saved, theirs.revision);
         this.state.put(saved);
         settle();
       }),
-      pressed("Go on with mine", "primary", () => {
+      pressed("Keep mine", "primary", () => {
         this.state.rebase(saved, theirs.revision);
         settle();
       }),

@@ -22,7 +22,7 @@ interface Answer {
 
 type Tone = "waiting" | "good" | "warning" | "error";
 
-const SAID: Readonly<Record<Tone, string>> = { waiting: "", good: ": kept", warning: ": as far as the data allow", error: ": broken" };
+const SAID: Readonly<Record<Tone, string>> = { waiting: "", good: ": satisfied", warning: ": as far as the data allow", error: ": violated" };
 
 export class Verdicts {
   private asked = 0;
@@ -55,7 +55,7 @@ export class Verdicts {
       const answer = await call<Answer>("POST", "/api/v1/splits/verdicts", listsOf(this.state.current));
       if (number === this.asked) this.show(answer);
     } catch (error) {
-      if (number === this.asked) this.say("waiting", `The rules cannot be asked: ${error instanceof Error ? error.message : String(error)}`);
+      if (number === this.asked) this.say("waiting", `The rules could not be checked: ${error instanceof Error ? error.message : String(error)}`);
     }
   }
 
@@ -65,10 +65,10 @@ export class Verdicts {
     const errors = answer.findings.filter((one) => one.severity === "error");
     const broken = new Set(errors.map((one) => one.code)).size;
     this.isEmpty = Object.values(listsOf(this.state.current)).every((ids) => !ids.length);
-    if (broken) this.say("error", broken === 1 ? "One rule is broken" : `${broken} rules are broken`);
-    else if (this.isEmpty) this.say("warning", "Nothing is in a split yet");
-    else if (answer.findings.length) this.say("warning", "Kept, as far as the data allow");
-    else this.say("good", "Every rule is kept");
+    if (broken) this.say("error", broken === 1 ? "One rule is violated" : `${broken} rules are violated`);
+    else if (this.isEmpty) this.say("warning", "No sequence is in a split yet");
+    else if (answer.findings.length) this.say("warning", "Satisfied as far as the data allow");
+    else this.say("good", "All rules satisfied");
     for (const rule of this.root.querySelectorAll<HTMLElement>("[data-rule]")) this.showRule(rule);
     this.list();
     this.told(answer.revision);

@@ -39,7 +39,7 @@ function install(form: HTMLFormElement): void {
     try {
       location.assign(`/imports/${await imported(form, values, stop.signal)}`);
     } catch (error) {
-      if (stop.signal.aborted) said.textContent = "Stopped. What was sent is kept: begin again, and it goes on from there.";
+      if (stop.signal.aborted) said.textContent = "Stopped. Uploaded data is kept; start again to resume.";
       else sayError(said, error);
       sending = undefined;
       show(form, false);
@@ -53,15 +53,15 @@ async function imported(form: HTMLFormElement, values: FormData, signal: AbortSi
   if (!tar) throw new Error("Choose a tar first.");
   const classes = await classesOf(values);
   const { act, bytes } = meter(form);
-  act("Counting the checksum");
+  act("Computing the checksum");
   const heard: Heard = {
     counted: (_file, done_bytes) => bytes(done_bytes, tar.size),
     sent: (_file, done_bytes) => bytes(done_bytes, tar.size),
     away: (problem, wait_ms) => act(`${problem.title}. Trying again in ${Math.ceil(wait_ms / 1000)} s`),
-    back: () => act("Sending"),
+    back: () => act("Uploading"),
   };
   const sum = await summed(tar, heard, signal);
-  act("Sending");
+  act("Uploading");
   const uploadId = await sent(tar, sum, { name: "dataset", target_id: null }, heard, signal);
   signal.throwIfAborted();
   const body = {

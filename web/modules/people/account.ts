@@ -21,13 +21,13 @@ for (const again of document.querySelectorAll<HTMLInputElement>("[data-again]"))
   const first = again.form?.elements.namedItem(again.dataset["again"] ?? "");
   const compare = (): void => {
     const isSame = first instanceof HTMLInputElement && first.value === again.value;
-    again.setCustomValidity(isSame ? "" : "This is not what stands above.");
+    again.setCustomValidity(isSame ? "" : "The passwords do not match.");
   };
   again.form?.addEventListener("input", compare);
 }
 
 for (const boxes of document.querySelectorAll("[data-issues] .may-choices")) {
   const all = [...boxes.querySelectorAll<HTMLInputElement>('input[type="checkbox"]')];
-  const check = (): void => all[0]?.setCustomValidity(all.some((box) => box.checked) ? "" : "A token may do one thing at least.");
+  const check = (): void => all[0]?.setCustomValidity(all.some((box) => box.checked) ? "" : "Select at least one scope.");
   boxes.addEventListener("change", check);
 }

@@ -19,12 +19,12 @@ if (chain) {
 async function verify(chain: HTMLElement): Promise<void> {
   const again = chain.querySelector<HTMLButtonElement>("[data-verify]");
   if (again) again.disabled = true;
-  say(chain, "waiting", "Reading the whole chain…", "");
+  say(chain, "waiting", "Verifying the hash chain…", "");
   try {
     const found = await call<Verification>("GET", "/api/v1/admin/audit-log/verification");
     const lines = found.lines === 1 ? "1 line" : `${found.lines.toLocaleString("en")} lines`;
-    if (found.is_whole) say(chain, "good", "The log is whole", `${lines}, each follows from the one before.`);
-    else say(chain, "error", `The log is broken at line ${found.first_broken ?? 0}`, "That line, or one before it, was changed or taken out.");
+    if (found.is_whole) say(chain, "good", "The log is intact", `${lines} verified.`);
+    else say(chain, "error", `The log is broken at line ${found.first_broken ?? 0}`, "That entry, or one before it, was changed or removed.");
     showHead(chain, found.head_hash);
   } catch (error) {
     say(chain, "error", "The log could not be verified", error instanceof Error ? error.message : String(error));

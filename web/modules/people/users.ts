@@ -19,7 +19,7 @@ document.addEventListener("acted", (event) => {
   const name = form.dataset["name"] ?? valueOf(form, "name");
   form.reset();
   form.closest("dialog")?.close(); // first, so that the focus goes where the password is
-  if (password) showOnce(password, `The password of ${name}, to hand over`);
+  if (password) showOnce(password, `New password of ${name}`);
 });
 
 /** 100 random bits in groups that can be read aloud: 20 of 32 letters that are not taken for others. */

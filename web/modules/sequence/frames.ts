@@ -3,6 +3,7 @@
 // Pictures are shown together once all of a frame have come, so that cameras never show different moments; the frames
 // after it are fetched ahead.
 
+import { withColours } from "../colours.js";
 import { Player } from "./player.js";
 import { onDrag, nearest, pageData, part, placeCursors } from "./parts.js";
 
@@ -51,6 +52,7 @@ class FramePage {
     });
     const last_s = this.points.times_s.at(-1) ?? 0;
     onDrag(part(this.root, "[data-strip]"), (share) => this.choose(nearest(this.points.times_s, share * last_s)));
+    document.addEventListener("colours", () => this.held.clear());
     document.addEventListener("visibilitychange", () => document.hidden && this.player.pause());
   }
 
@@ -109,14 +111,15 @@ class FramePage {
       x += width;
     });
     const words = ["traversable", "potentially", "non-traversable"].map((word, place) => `${word} ${((100 * (counts[place] ?? 0)) / total).toFixed(1)} %`);
-    part(this.root, "[data-share-words]").textContent = words.join(" · ");
+    part(this.root, "[data-share-words]").textContent = `Share of this frame's occupied voxels: ${words.join(" · ")}`;
     this.root.querySelector("[data-shares] svg")?.setAttribute("aria-label", `This frame: ${words.join(", ")}`);
   }
 
   private address(picture: HTMLImageElement, index: number): string {
     const camera = picture.dataset["camera"];
     const name = camera ? `camera/${camera}.jpg` : "bev.png";
-    return `/api/v1/frames/${this.points.tokens[index] ?? ""}/${name}?v=${this.root.dataset["version"] ?? ""}`;
+    const address = `/api/v1/frames/${this.points.tokens[index] ?? ""}/${name}?v=${this.root.dataset["version"] ?? ""}`;
+    return camera ? address : withColours(address);
   }
 
   private fetchAhead(): void {

@@ -1,7 +1,8 @@
 // A sequence's page while the platform is at it: one stream of events freshens what moves.
 //
 // `#standing` carries the stream's address and the id of the labels the page shows. Parts marked `data-live-part` are
-// fetched again with it. When other labels count the page is loaded anew, unless somebody is in the middle of a dialog.
+// fetched again with it. When other labels count, or another run is followed (`data-run`), whose log and buttons stand
+// elsewhere on the page, the page is loaded anew, unless somebody is in the middle of a dialog.
 
 import { followStream } from "../event_stream.js";
 import { toast } from "../notices.js";
@@ -15,6 +16,7 @@ const LEAST_BETWEEN_MS = 700;
 /** Whether something happened that was not fetched, for a dialog was open. */
 let isOwed = false;
 
+const followed = runShown();
 const standing = document.getElementById("standing");
 if (standing?.dataset["live"]) follow(standing, standing.dataset["live"]);
 
@@ -39,6 +41,11 @@ async function fetchAgain(): Promise<void> {
   isOwed = document.querySelector("dialog[open]") !== null;
   if (isOwed) return;
   await htmx.ajax("GET", location.href, { target: "#standing", select: "#standing", selectOOB: others, swap: "outerMorph" });
+  if (runShown() !== followed) location.reload();
+}
+
+function runShown(): string {
+  return document.querySelector<HTMLElement>("#runs[data-run]")?.dataset["run"] ?? "";
 }
 
 function renew(): void {

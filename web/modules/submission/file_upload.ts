@@ -47,18 +47,18 @@ export async function submit(
   heard: Heard,
   signal: AbortSignal,
 ): Promise<{ id: string; isKnown: boolean }> {
-  heard.act("Counting the checksum");
+  heard.act("Computing the checksum");
   const sha256 = await sha256Of(file, (done_bytes) => heard.bytes(done_bytes, file.size), signal);
   const found = await standing(entry, file, sha256);
   if (found && found.state !== "draft") return { id: found.id, isKnown: true };
   const draft = await described(found ?? (await announced(entry, file, sha256)), entry);
-  heard.act("Sending");
+  heard.act("Uploading");
   const upload = await opened(draft, file, sha256);
   heard.bytes(upload.offset_bytes, file.size);
   if (upload.offset_bytes < file.size) {
     await sendMissing(file, upload, (done_bytes) => heard.bytes(done_bytes, file.size), signal);
   }
-  heard.act("Putting it into the queue");
+  heard.act("Queueing");
   signal.throwIfAborted();
   await patiently("POST", `/api/v1/submissions/${draft.id}/finalize`, { upload_id: upload.id }, `finalize-${upload.id}`);
   return { id: draft.id, isKnown: false };

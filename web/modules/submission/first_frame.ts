@@ -3,8 +3,9 @@
 // What most often is wrong is wrong in every frame. The platform looks into all of them; the codes are its own
 // (stone_submissions/npz_frame.py). Nothing but literals is read, and no stream is followed beyond its bound.
 
-import { Fault, plain } from "./archive.js";
+import { Bytes, Fault, plain } from "./archive.js";
 import { type Member, readDirectory } from "./zip.js";
+import { beginsAsZip } from "./zip_end.js";
 
 const LOCAL = 0x04034b50;
 const LOCAL_BYTES = 30;
@@ -13,6 +14,22 @@ const MOST_ARRAYS = 64;
 const KEYS = ["semantics", "arr_0"];
 const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
 const SHAPE = "256, 256, 32";
+/** As stone_submissions/errors.py has it. */
+const TO_XYZ: Record<string, string> = {
+  "(32, 256, 256)": "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
+  "(256, 32, 256)": "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+  "(1, 256, 256, 32)": "grid[0]: a frame has no batch axis",
+  "(256, 256, 32, 1)": "grid[..., 0]: a frame has no channel axis",
+  "(4, 256, 256, 32)": "grid.argmax(0): a frame holds one class per voxel, not a score per class",
+  "(256, 256, 32, 4)": "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+  "Fortran order": "numpy.ascontiguousarray(grid)",
+};
+
+/** What makes a frame of the shape or order that was found one of (256, 256, 32). */
+export function shapeHint(found: string): string {
+  const step = TO_XYZ[found];
+  return step ? `axes are x, y, z: ${step}` : "axes are x, y, z, with 256 × 256 × 32 voxels of 0.2 m, in C order";
+}
 
 /** What would be refused of this frame; null where nothing is seen, or nothing can be said. */
 export async function faultIn(archive: Blob, member: Member): Promise<Fault | null> {
@@ -28,9 +45,10 @@ export async function faultIn(archive: Blob, member: Member): Promise<Fault | nu
 }
 
 async function arrayOf(npz: Blob): Promise<Member> {
-  const members = await readDirectory(npz, MOST_ARRAYS).catch((error: unknown) => {
-    if (error instanceof Fault && error.code === "not_zip") throw new Fault("not_npz", "an npz file (a zip of .npy arrays)", "another file");
-    throw error;
+  const members = await readDirectory(npz, MOST_ARRAYS).catch(async (error: unknown) => {
+    if (!(error instanceof Fault) || error.code !== "not_zip") throw error;
+    const isCut = !npz.size || (await beginsAsZip(new Bytes(npz)));
+    throw new Fault(isCut ? "truncated" : "not_npz", "an npz file (a zip of .npy arrays)", npz.size ? error.actual : "an empty file");
   });
   const listed = plain(members.map(({ name }) => name.replace(/\.npy$/, "")).join(", ")) || "no array";
   const known = KEYS.map((key) => members.find(({ name }) => name === `${key}.npy` || name === key)).find(Boolean);

@@ -34,7 +34,7 @@ function install(form: HTMLFormElement): void {
   async function chosen(): Promise<void> {
     const file = fileOf(form).files?.[0] ?? null;
     state.file = file;
-    state.why = file ? "Looking at the zip…" : "Choose a zip first.";
+    state.why = file ? "Checking the zip…" : "Choose a zip first.";
     if (file) goOnWith(form, file);
     show();
     if (!file) return;
@@ -54,7 +54,7 @@ function install(form: HTMLFormElement): void {
       const { id, isKnown } = await submit(file, entry, heard, state.sending.signal);
       location.assign(`/submissions/${id}${isKnown ? "?known=true" : ""}`);
     } catch (error) {
-      if (state.sending?.signal.aborted) said(form).textContent = "Stopped. What was sent is kept: send again, and it goes on from there.";
+      if (state.sending?.signal.aborted) said(form).textContent = "Stopped. Uploaded data is kept; submit again to resume.";
       else sayError(said(form), error);
       state.sending = null;
       show();
@@ -71,13 +71,13 @@ async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manif
     const known = await manifest;
     const verdict = await examined(file, known);
     showVerdict(place, file, known, verdict);
-    if (isUnreadable(verdict)) return "Choose another file: this one would be refused.";
-    if (verdict.problems.length) return "Repair the zip first: as it is, it would be refused.";
+    if (isUnreadable(verdict)) return "Select another file: this one would be rejected.";
+    if (verdict.problems.length) return "Fix the zip first: it would be rejected.";
     await warned(place, file, verdict);
     return file.size > most_bytes ? `It has ${sized(file.size)}; frames of this phase never need more than ${sized(most_bytes)}.` : "";
   } catch (error) {
     sayError(place, error);
-    return "The zip could not be looked at.";
+    return "The zip could not be checked.";
   }
 }
 

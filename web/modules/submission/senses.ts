@@ -1,6 +1,6 @@
 // What a method senses with: boxes for cameras, LiDAR and radar, which the API knows as their sum.
 
-const MISSING = "Choose what the method senses with.";
+const MISSING = "Select at least one modality.";
 
 export function installSenses(form: HTMLFormElement): void {
   const told = (): void => boxes(form)[0]?.setCustomValidity(modalityOf(form) ? "" : MISSING);

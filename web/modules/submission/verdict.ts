@@ -1,12 +1,17 @@
 // What the first look at a zip found, drawn: a strip of frames for each sequence, and the problems by kind.
 
+import { count, counted } from "../counts.js";
 import { type Fault, plain } from "./archive.js";
+import { shapeHint } from "./first_frame.js";
 import type { Manifest, Problem, Verdict } from "./frames.js";
 
 const MOST_STRIPS = 24;
 const MOST_CELLS = 160;
 const SHOWN = 100;
 const SVG = "http://www.w3.org/2000/svg";
+const CUT_SHORT = "The zip was cut short or damaged: its directory, which is written last, is missing or incomplete. Zip it again, or copy it again.";
+/** Names and sizes are what is known before the file is sent. */
+const LATER = "What is in them is checked after sending.";
 const SAID: Record<string, [string, string]> = {
   missing_frame: ["missing frame", "missing frames"],
   unexpected_file: ["file that does not belong", "files that do not belong"],
@@ -28,7 +33,7 @@ export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, 
 export function showWarning(place: HTMLElement, file: string, { code, expected, actual }: Fault): void {
   const said = part("p", "finding");
   said.dataset["severity"] = "warning";
-  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}. Is it so in all?`);
+  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}${code === "bad_shape" ? ` (${shapeHint(actual)})` : ""}. Is it so in all?`);
   said.append(words);
   place.append(said);
 }
@@ -38,10 +43,13 @@ export function isUnreadable({ frames, problems }: Verdict): boolean {
 }
 
 function sentence(manifest: Manifest, verdict: Verdict): string {
-  const [all, found] = [manifest.tokens.size, verdict.frames.size];
-  if (isUnreadable(verdict)) return "This cannot be read as a submission.";
-  if (!verdict.problems.length) return `All ${count(all)} frames are there.`;
-  return found === all ? `All ${count(all)} frames are there, and more than that.` : `${count(found)} of ${count(all)} frames are as they should be.`;
+  const all = manifest.tokens.size;
+  if (isUnreadable(verdict)) {
+    return verdict.problems[0]?.code === "truncated" ? CUT_SHORT : "This cannot be read as a submission.";
+  }
+  if (!verdict.problems.length) return `All ${count(all)} frames are present. ${LATER}`;
+  const absent = verdict.problems.filter(({ code }) => code === "missing_frame").length;
+  return absent ? `${count(all - absent)} of ${count(all)} frames are present. ${LATER}` : `All ${count(all)} frames are present, but not all files are as agreed. ${LATER}`;
 }
 
 function named(file: File, { folder }: Verdict): string {
@@ -57,12 +65,12 @@ function strips(manifest: Manifest, { frames }: Verdict): HTMLElement {
   for (const [name, tokens] of ordered.slice(0, MOST_STRIPS)) {
     const missing = gaps(tokens);
     const item = part("li", "strip");
-    const says = missing ? `${count(missing)} of ${count(tokens.length)} missing` : `all ${count(tokens.length)}`;
+    const says = missing ? `${count(missing)} of ${count(tokens.length)} missing or faulty` : `all ${count(tokens.length)}`;
     item.append(part("span", "strip-name wraps", name), strip(tokens.map((token) => frames.has(token)), `${name}: ${says}`), part("span", "hint", says));
     list.append(item);
   }
   const more = ordered.length - MOST_STRIPS;
-  if (more > 0) list.append(part("li", "hint", `and ${count(more)} more sequences`));
+  if (more > 0) list.append(part("li", "hint", `and ${counted(more, "more sequence")}`));
   return list;
 }
 
@@ -113,11 +121,6 @@ function kindPart([code, total, problems]: [string, number, Problem[]]): HTMLEle
 function title(code: string, n: number): string {
   const [one, many] = SAID[code] ?? [code.replaceAll("_", " "), code.replaceAll("_", " ")];
   return `${count(n)} ${n === 1 ? one : many}`;
-}
-
-/** `12,345`. */
-export function count(n: number): string {
-  return n.toLocaleString("en-US");
 }
 
 /** `2.5 GB`, as the server writes it. */

@@ -8,7 +8,8 @@ const END_BYTES = 22;
 const LOCATOR_BYTES = 20;
 const WIDE_BYTES = 56;
 const MOST_COMMENT_BYTES = 0xffff;
-const [END, LOCATOR, WIDE] = [0x06054b50, 0x07064b50, 0x06064b50];
+const [END, LOCATOR, WIDE, FIRST_FILE] = [0x06054b50, 0x07064b50, 0x06064b50, 0x04034b50];
+const SATURATED = 0xffffffff;
 
 /** The directory as the archive's end announces it. */
 export interface End {
@@ -23,12 +24,10 @@ export async function readEnd(bytes: Bytes): Promise<End> {
   const tail = await bytes.at(bytes.size - tail_bytes, tail_bytes);
   const at = lastEnd(tail);
   if (at < 0 || tail.byteLength - at < END_BYTES) {
+    if (await beginsAsZip(bytes)) throw cutShort(bytes.size);
     throw new Fault("not_zip", "a zip that ends in its directory", bytes.size ? "none" : "an empty file");
   }
   const comment_bytes = tail.getUint16(at + 20, true);
-  if (at + END_BYTES + comment_bytes !== tail.byteLength) {
-    throw new Fault("not_zip", "the end record last in the file", "more bytes behind it");
-  }
   const position = bytes.size - tail_bytes + at;
   const [here, entries] = [tail.getUint16(at + 8, true), tail.getUint16(at + 10, true)];
   const narrow: End = {
@@ -36,6 +35,11 @@ export async function readEnd(bytes: Bytes): Promise<End> {
     directory_bytes: tail.getUint32(at + 12, true),
     directory_offset: tail.getUint32(at + 16, true),
   };
+  const more = tail.byteLength - at - END_BYTES - comment_bytes;
+  if (more) {
+    if (!mayEndAt(narrow, position) && (await beginsAsZip(bytes))) throw cutShort(bytes.size);
+    throw new Fault("not_zip", "the end record last in the file", `${more} bytes more`);
+  }
   const isOne = !tail.getUint16(at + 4, true) && !tail.getUint16(at + 6, true) && here === entries;
   const locator_at = position - LOCATOR_BYTES;
   const locator = locator_at >= 0 ? await bytes.at(locator_at, LOCATOR_BYTES) : null;
@@ -48,6 +52,21 @@ export async function readEnd(bytes: Bytes): Promise<End> {
 function lastEnd(tail: DataView): number {
   for (let at = tail.byteLength - 4; at >= 0; at--) if (tail.getUint32(at, true) === END) return at;
   return -1;
+}
+
+export async function beginsAsZip(bytes: Bytes): Promise<boolean> {
+  const first = await bytes.at(0, 4);
+  return first.byteLength === 4 && first.getUint32(0, true) === FIRST_FILE;
+}
+
+/** Whether a record at byte `position` can be of this archive: those of archives inside tell of other places. */
+function mayEndAt({ directory_bytes, directory_offset }: End, position: number): boolean {
+  if (directory_bytes === SATURATED || directory_offset === SATURATED) return true;
+  return [0, WIDE_BYTES + LOCATOR_BYTES].includes(position - directory_offset - directory_bytes);
+}
+
+function cutShort(size_bytes: number): Fault {
+  return new Fault("truncated", "the zip's directory at its end", `none: ${size_bytes} bytes, cut off inside a file`);
 }
 
 async function readWide(bytes: Bytes, locator: DataView, at: number): Promise<End> {

@@ -3,17 +3,20 @@
 // The rules are the platform's own (`stone_files/bag_files.py`), said here before anything is sent. Several bags in
 // one folder without a metadata.yaml stay several, unless their names count on: run_0.mcap, run_1.mcap.
 
+import { refusalOf } from "./magic.js";
+
 /** A file and where it lay: `run/run_0.mcap` in a folder that was dropped, `run.mcap` where it was chosen by itself. */
 export interface Found {
   file: File;
   path: string;
 }
 
-/** The files of one recording. `trouble` says why they cannot be one; it is empty where they can. */
+/** The files of one recording. `trouble` says why they cannot be one, `code` what kind of fault that is; empty where they can. */
 export interface Bag {
   name: string;
   files: File[];
   trouble: string;
+  code: string;
 }
 
 /** What was chosen: bags by name, and the files that belong to none, with the reason. */
@@ -39,7 +42,7 @@ export function isBagPart(name: string): boolean {
 /** Why files so called are not one bag; empty where they are. */
 export function troubleOf(names: readonly string[]): string {
   const unnameable = names.find((name) => UNSEEN.test(name) || new TextEncoder().encode(name).length > LONGEST_NAME_BYTES);
-  if (unnameable) return `The name ${JSON.stringify(unnameable.slice(0, 100))} has characters that nobody can see, or too many.`;
+  if (unnameable) return `The name ${JSON.stringify(unnameable.slice(0, 100))} has non-printable characters, or is too long.`;
   return names.length > 1 ? severalTrouble(names) : "";
 }
 
@@ -88,12 +91,23 @@ function bagOf(name: string, files: File[]): Bag {
   const ordered = [...files].sort((a, b) => (a.name < b.name ? -1 : 1));
   const [only] = ordered;
   const isSeveral = ordered.length > 1;
-  return { name: isSeveral || !only ? name : only.name, files: ordered, trouble: troubleOf(ordered.map((file) => file.name)) };
+  const trouble = troubleOf(ordered.map((file) => file.name));
+  return { name: isSeveral || !only ? name : only.name, files: ordered, trouble, code: trouble && "bad_recording_files" };
+}
+
+/** The bag with what the first bytes of its files say: a file of another kind is refused before it is sent. */
+export async function lookedInto(bag: Bag): Promise<Bag> {
+  for (const file of bag.trouble ? [] : bag.files.filter(({ name }) => BAG_FILE.test(name))) {
+    const hasWal = bag.files.some(({ name, size }) => name === `${file.name}-wal` && size > 0);
+    const trouble = await refusalOf(file, hasWal).catch(() => ""); // what cannot be read says so when it is sent
+    if (trouble) return { ...bag, trouble, code: "BAG-001" };
+  }
+  return bag;
 }
 
 function whyLeft(name: string): string {
-  if (/\.(ya?ml|json)$/i.test(name)) return "It is no part of a bag. A calibration goes to the calibrations.";
-  return "It is no part of a bag.";
+  if (/\.(ya?ml|json|zip)$/i.test(name)) return "Not part of a bag, and no calibration: a calibration has 1 byte to 1 MiB.";
+  return "Not part of a bag.";
 }
 
 /** What a sequence of this bag is called unless its owner says otherwise: a plain name. */

@@ -4,6 +4,7 @@ import { call } from "../api.js";
 import { refresh } from "../refresh.js";
 import { toast } from "../notices.js";
 import { mountCalibrations } from "./calibrations.js";
+import { mountFacts } from "./facts.js";
 import { Panel, type Registered } from "./panel.js";
 import { mountProcessing } from "./processing_form.js";
 
@@ -11,6 +12,7 @@ const AFTER_A_RECORDING = ["#recordings", "#process"];
 
 for (const root of document.querySelectorAll<HTMLElement>("[data-uploader]")) new Panel(root);
 for (const root of document.querySelectorAll<HTMLElement>("[data-calibrations]")) mountCalibrations(root);
+for (const form of document.querySelectorAll<HTMLFormElement>("form[data-bags]")) mountFacts(form);
 for (const form of document.querySelectorAll<HTMLFormElement>("form[data-process]")) mountProcessing(form);
 
 addEventListener("registered", (event) => void registered((event as CustomEvent<Registered>).detail));
@@ -24,7 +26,7 @@ async function registered({ sequenceId, isWhole }: Registered): Promise<void> {
   if (!isWhole || !wish?.checked || !calibration?.value) return;
   try {
     await call("POST", `/api/v1/sequences/${sequenceId}/process`, {});
-    toast("It is being processed now.");
+    toast("Processing started.");
   } catch (error) {
     toast(String(error instanceof Error ? error.message : error));
   }

@@ -2,7 +2,10 @@
 
 import { valuesOf } from "../acts.js";
 import { call } from "../api.js";
-import { type Bag, type Found, plainName, sorted } from "./bags.js";
+import { ASKING } from "../session.js";
+import { type Bag, type Found, isBagPart, lookedInto, plainName, sorted } from "./bags.js";
+import { mayBeCalibration } from "./calibration_file.js";
+import { takeCalibrations } from "./dropped_calibrations.js";
 import { chosen, dropped } from "./dropped_files.js";
 import { Row } from "./row.js";
 import { freshKey } from "./file_upload.js";
@@ -28,6 +31,8 @@ export class Panel {
   readonly #keys = new Map<string, string>();
   readonly #made = new Map<string, Promise<string>>(); // while they are being made
   #begun: Unfinished[] = [];
+  /** Until the calibrations that were dropped are read: a sequence that is made meanwhile would have none. */
+  #calibrating: Promise<unknown> = Promise.resolve();
 
   constructor(private readonly root: HTMLElement) {
     this.#listen();
@@ -50,17 +55,20 @@ export class Panel {
     const [files, folder] = [this.#part<HTMLInputElement>("files"), this.#part<HTMLInputElement>("folder")];
     for (const input of [files, folder]) {
       const takeChosen = (): void => {
-        if (input?.files?.length) this.add(chosen(input.files));
+        if (input?.files?.length) void this.add(chosen(input.files));
         if (input) input.value = "";
       };
       input?.addEventListener("change", takeChosen);
       queueMicrotask(takeChosen); // what was chosen before this module was there
     }
     this.root.addEventListener("click", (event) => this.#clicked(event));
-    listenForDrops(this.#part("drop"), (found) => this.add(found));
+    listenForDrops(this.#part("drop"), (found) => void this.add(found));
     this.#facts?.addEventListener("submit", (event) => {
       event.preventDefault();
       for (const { transfer } of this.#lines) void this.#start(transfer);
+    });
+    addEventListener(ASKING, (event) => {
+      for (const { transfer } of this.#lines) transfer.signingIn((event as CustomEvent<boolean>).detail);
     });
     addEventListener("beforeunload", (event) => {
       if (this.#lines.some(({ transfer }) => transfer.isUnderWay)) event.preventDefault();
@@ -77,14 +85,26 @@ export class Panel {
     }
   }
 
-  /** Take files in: bags get a line each, the rest is named with the reason. */
-  add(found: readonly Found[]): void {
-    const { bags, left } = sorted(found);
-    for (const bag of bags) if (!this.#has(bag)) this.#addBag(bag);
+  /** Take files in: bags and calibrations get a line each, the rest is named with the reason. */
+  async add(found: readonly Found[]): Promise<void> {
+    const maybe = found.filter(({ file }) => !isBagPart(file.name) && mayBeCalibration(file));
+    const { bags, left } = sorted(found.filter((one) => !maybe.includes(one)));
+    for (const bag of await Promise.all(bags.map(lookedInto))) if (!this.#has(bag)) this.#addBag(bag);
+    this.#showLeft(left, !bags.length && !maybe.length);
+    const lines = this.#part("transfers");
+    if (!maybe.length || !lines) return;
+    const isCalibrated = this.root.dataset["calibrated"] !== undefined;
+    const taking = takeCalibrations(maybe, { lines, sequenceId: this.#sequenceId, isCalibrated, facts: this.#facts });
+    this.#calibrating = Promise.allSettled([this.#calibrating, taking]);
+    const none = await taking;
+    if (none.length) this.#showLeft([...none, ...left], true);
+  }
+
+  #showLeft(left: readonly { name: string; why: string }[], isOpen: boolean): void {
     const place = this.#part<HTMLDetailsElement>("left");
     if (!place) return;
     place.hidden = !left.length;
-    place.open = !bags.length;
+    place.open = isOpen;
     fill(this.#part("left-line"), `${left.length} ${left.length === 1 ? "file was" : "files were"} left out`);
     const items = left.map(({ name, why }) => Object.assign(document.createElement("li"), { textContent: `${name}: ${why}` }));
     this.#part("left-list")?.replaceChildren(...items);
@@ -141,6 +161,7 @@ export class Panel {
     if (field && known) field.disabled = true;
     if (known) return () => Promise.resolve(known);
     return async () => {
+      await this.#calibrating;
       const body = JSON.stringify({ ...said(this.#facts), name: field?.value.trim() ?? "" });
       const key = this.#keys.get(body) ?? freshKey();
       this.#keys.set(body, key);

@@ -11,11 +11,17 @@ export function asked(form: HTMLFormElement): Record<string, unknown> {
     .filter((field) => field.value !== "")
     .map((field) => [field.dataset["parameter"], field.valueAsNumber]);
   return {
+    ...keptFrom(form),
     profile: String(fields.get("profile") ?? "paper"),
     parameters: Object.fromEntries(parameters),
     stages: String(fields.get("stages") ?? "synchronise,label").split(","),
     ...Object.fromEntries(topics.filter(([, topic]) => topic)),
   };
+}
+
+/** What the run before was asked for and the form has no fields for: only where it was filled in from a run. */
+function keptFrom(form: HTMLFormElement): Record<string, unknown> {
+  return JSON.parse(form.dataset["kept"] ?? "{}") as Record<string, unknown>;
 }
 
 export function mountProcessing(form: HTMLFormElement): void {

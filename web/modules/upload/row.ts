@@ -5,11 +5,12 @@ import type { Phase, Transfer } from "./transfer.js";
 
 const SAID: Record<Phase, string> = {
   waiting: "waiting",
-  counting: "checking",
-  sending: "sending",
+  counting: "hashing",
+  sending: "uploading",
   away: "waiting for the platform",
+  "signing-in": "waiting for sign-in",
   paused: "paused",
-  reading: "being read",
+  reading: "reading",
   registered: "registered",
   refused: "refused",
 };
@@ -19,6 +20,7 @@ const LOOKS: Record<Phase, string> = {
   counting: "running",
   sending: "uploading",
   away: "paused",
+  "signing-in": "paused",
   paused: "paused",
   reading: "running",
   registered: "ready",
@@ -93,6 +95,8 @@ export class Row {
   #acts(phase: Phase): void {
     const { isUnderWay, bag, sequenceId, problem } = this.transfer();
     const resume = this.button("resume");
+    this.part("counted")?.closest(".transfer-bars")?.toggleAttribute("hidden", bag.trouble !== "");
+    this.part("sequence-name")?.closest("label")?.toggleAttribute("hidden", bag.trouble !== "");
     this.button("pause")?.toggleAttribute("hidden", !isUnderWay || phase === "reading");
     const mayTry = phase === "refused" && problem !== undefined && !bag.trouble; // what was read and refused stays so
     resume?.toggleAttribute("hidden", !(phase === "paused" || mayTry));
@@ -121,8 +125,16 @@ export function findingOf(code: string, severity: string, message: string): HTML
   const item = Object.assign(document.createElement("li"), { className: "finding" });
   item.dataset["severity"] = severity;
   const coded = Object.assign(document.createElement("code"), { textContent: code });
-  item.append(coded, " ", Object.assign(document.createElement("span"), { textContent: message }));
+  item.append(linked(code, coded), " ", Object.assign(document.createElement("span"), { textContent: message }));
   return item;
+}
+
+/** Codes of findings have a page each, but for those of published datasets. */
+function linked(code: string, coded: HTMLElement): HTMLElement {
+  if (!/^[A-Z]{3}-\d{3}$/.test(code) || code.startsWith("DST-")) return coded;
+  const link = Object.assign(document.createElement("a"), { className: "code", href: `/codes/${code}` });
+  link.append(coded);
+  return link;
 }
 
 function fill(place: HTMLElement | null, text: string): void {
@@ -133,22 +145,24 @@ function lineOf(transfer: Transfer): string {
   const { size_bytes, step } = transfer;
   switch (transfer.phase) {
     case "counting":
-      return rated("Counting its sha256", size_bytes - transfer.counted_bytes, transfer.countedSpeed.per_s);
+      return rated("Computing sha256", size_bytes - transfer.counted_bytes, transfer.countedSpeed.per_s);
     case "sending": {
       const still_s = transfer.sentSpeed.still_s;
-      if (still_s > STALL_S) return `${size(transfer.sent_bytes)} of ${size(size_bytes)} · nothing has moved for ${span(still_s)}`;
+      if (still_s > STALL_S) return `${size(transfer.sent_bytes)} of ${size(size_bytes)} · no progress for ${span(still_s)}`;
       return rated(`${size(transfer.sent_bytes)} of ${size(size_bytes)}`, size_bytes - transfer.sent_bytes, transfer.sentSpeed.per_s);
     }
     case "away":
       return `${transfer.awaySentence} Trying again in ${span((transfer.awayUntil_ms - performance.now()) / 1000)}.`;
+    case "signing-in":
+      return "The session has ended. Uploaded data is kept; the upload resumes once you have signed in.";
     case "paused":
-      return "What the platform has stays there; sending goes on from it.";
+      return "Paused. Uploaded data is kept; resume at any time.";
     case "reading":
       return step.total ? `The platform reads it: step ${Math.min(step.total, step.done + 1)} of ${step.total}` : "The platform reads it";
     case "registered":
-      return transfer.findings.length ? "Whole, read and kept. What was noticed:" : "Whole, read and kept. Nothing was noticed.";
+      return transfer.findings.length ? "Registered with findings:" : "Registered. No findings.";
     case "refused":
-      return transfer.problem ? "" : "The platform read it and refuses it:";
+      return transfer.problem ? "" : "Refused after reading:";
     default:
       return "";
   }

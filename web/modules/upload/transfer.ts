@@ -9,10 +9,10 @@ import { type Heard, type Purpose, sent, summed } from "./file_upload.js";
 import { Speed } from "./speed.js";
 import { forgetSum } from "./checksums.js";
 
-export type Phase = "waiting" | "counting" | "sending" | "away" | "paused" | "reading" | "registered" | "refused";
+export type Phase = "waiting" | "counting" | "sending" | "away" | "signing-in" | "paused" | "reading" | "registered" | "refused";
 
 /** Phases in which something happens by itself. */
-export const UNDER_WAY: readonly Phase[] = ["counting", "sending", "away", "reading"];
+export const UNDER_WAY: readonly Phase[] = ["counting", "sending", "away", "signing-in", "reading"];
 
 /** Where a bag goes: the id of its sequence, made where there is none yet. */
 export type Target = (signal: AbortSignal) => Promise<string>;
@@ -36,7 +36,9 @@ export class Transfer implements Heard {
     readonly target: Target,
     private readonly changed: (transfer: Transfer) => void,
   ) {
-    if (bag.trouble) this.#refuse({ title: "No bag", status: 422, detail: bag.trouble, code: "bad_recording_files", request_id: "" });
+    if (!bag.trouble) return;
+    this.problem = { title: "No bag", status: 422, detail: bag.trouble, code: bag.code, request_id: "" };
+    this.phase = "refused"; // not by a change: nobody can be shown what is still being made
   }
 
   get size_bytes(): number {
@@ -118,14 +120,20 @@ export class Transfer implements Heard {
   }
 
   away(problem: Problem, wait_ms: number): void {
-    this.awaySentence = problem.status ? problem.detail : "The platform does not answer; what it has stays there.";
+    this.awaySentence = problem.status ? problem.detail : "The platform does not respond; uploaded data is kept.";
     this.awayUntil_ms = performance.now() + wait_ms;
     this.#enter("away");
   }
 
+  /** The session has ended, and the reader is asked to sign in: nothing goes on until they have answered. */
+  signingIn(isAsked: boolean): void {
+    if (isAsked && this.isUnderWay) this.#enter("signing-in");
+    else if (!isAsked) this.back();
+  }
+
   /** The platform answers again. */
   back(): void {
-    if (this.phase !== "away") return;
+    if (this.phase !== "away" && this.phase !== "signing-in") return;
     const isSent = this.sent_bytes >= this.size_bytes;
     this.#enter(isSent ? "reading" : this.sent_bytes > 0 ? "sending" : "counting");
   }
@@ -150,7 +158,7 @@ function problemOf(error: unknown): Problem {
   if (error instanceof RefusedError) return error.problem;
   const isUnreadable = error instanceof DOMException && ["NotReadableError", "NotFoundError"].includes(error.name);
   const detail = isUnreadable
-    ? "The file can no longer be read: it changed, or went, since it was chosen. Choose it again."
+    ? "The file can no longer be read: it was changed or removed since it was selected. Select it again."
     : String(error);
   return { title: "Not sent", status: 0, detail, code: isUnreadable ? "file_changed" : "error", request_id: "" };
 }

@@ -36,7 +36,7 @@ export function showUnfinished(place: HTMLElement, begun: readonly Unfinished[],
   const title = Object.assign(document.createElement("h3"), { textContent: "Unfinished" });
   const advice = Object.assign(document.createElement("p"), {
     className: "hint",
-    textContent: "Choose or drop the same files again: sending goes on where it stopped, and nothing is sent twice.",
+    textContent: "Select or drop the same files again: the upload resumes where it stopped.",
   });
   const list = document.createElement("ul");
   list.append(...begun.map((one) => itemOf(one, again)));
@@ -48,9 +48,9 @@ function itemOf({ upload, sequenceName }: Unfinished, again: () => void): HTMLLI
   const words = document.createElement("span");
   const part = upload.length_bytes ? Math.floor((100 * upload.offset_bytes) / upload.length_bytes) : 100;
   words.append(Object.assign(document.createElement("strong"), { textContent: upload.filename }));
-  words.append(` for ${sequenceName}: ${part} % of ${size(upload.length_bytes)} are here, kept until ${written(new Date(upload.expires_at))}`);
-  const give = Object.assign(document.createElement("button"), { type: "button", className: "small quiet", textContent: "Give up" });
-  give.setAttribute("aria-label", `Give up ${upload.filename}`);
+  words.append(` for ${sequenceName}: ${part} % of ${size(upload.length_bytes)} uploaded, kept until ${written(new Date(upload.expires_at))}`);
+  const give = Object.assign(document.createElement("button"), { type: "button", className: "small quiet", textContent: "Discard" });
+  give.setAttribute("aria-label", `Discard ${upload.filename}`);
   give.addEventListener("click", () => void giveUp(upload).then(again));
   item.append(words, give);
   return item;
@@ -59,7 +59,7 @@ function itemOf({ upload, sequenceName }: Unfinished, again: () => void): HTMLLI
 async function giveUp(upload: UploadItem): Promise<void> {
   try {
     await call("DELETE", `/api/v1/uploads/${upload.id}`, undefined, { "Tus-Resumable": "1.0.0" });
-    toast(`${upload.filename} was given up; its room is free again.`);
+    toast(`${upload.filename} was discarded.`);
   } catch (error) {
     toast(String(error));
   }

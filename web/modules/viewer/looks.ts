@@ -1,5 +1,6 @@
 // How voxels are coloured: by class or by a value on a ramp, as an index into a palette of 256 colours.
 
+import { fixed } from "../counts.js";
 import type { SceneFacts } from "./scene.js";
 
 export type Mode = "class" | "difference" | "d2" | "elevation" | "slope" | "roughness";
@@ -21,7 +22,7 @@ export interface Values {
 }
 
 /** How a voxel differs between two label sets, by code (`stone/scoring/agreement.py`); 0 is free in both. */
-export const DIFFERENCES = ["", "The same class", "Only in A", "Only in B", "Easier to drive in B", "Harder to drive in B"] as const;
+export const DIFFERENCES = ["", "The same class", "Only in A", "Only in B", "More traversable in B", "Less traversable in B"] as const;
 export const FADED = 3;
 export const RAMP_FIRST = 10;
 export const RAMP_LAST = 250;
@@ -60,12 +61,16 @@ export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string]
   if (mode === "slope") return ["0°", "30°", "60° and more"];
   if (mode === "roughness") return ["smooth", `${(1000 * Math.exp((ROUGHNESS[0] + ROUGHNESS[1]) / 4)).toFixed(0)} mm`, "rough"];
   const [low, high] = elevationRange(scene);
-  return [low, (low + high) / 2, high].map((value) => `${value.toFixed(1)} m`) as [string, string, string];
+  return [low, (low + high) / 2, high].map((value) => `${fixed(value, 1)} m`) as [string, string, string];
+}
+
+export function isShown(look: Look, kind: number, seen: boolean): boolean {
+  return ((look.classes >> kind) & 1) === 1 && (seen || look.unseen !== "hide");
 }
 
 /** The palette's index of a voxel; 0 where it is not shown. */
 export function colourOf(look: Look, kind: number, seen: boolean, values: Values | null, scene: SceneFacts): number {
-  if (!((look.classes >> kind) & 1) || (!seen && look.unseen === "hide")) return 0;
+  if (!isShown(look, kind, seen)) return 0;
   if (look.mode === "difference") return 0; // the map has none
   if (look.mode === "class") return seen || look.unseen !== "fade" ? kind : kind + FADED;
   if (values === null) return NO_VALUE;

@@ -1,5 +1,7 @@
 // Viewers of a page: `<div data-viewer data-sequence="ID" data-start="first|middle|TOKEN" data-compact data-address
-// data-comparison="ID">`.
+// data-comparison="ID" data-difference="ID" data-rig="FRONT_LEFT FRONT …" data-may-change>`: `comparison` is a comparison
+// of two label sets whose differences are shown first, `difference` one whose differences are offered; `rig` is the order
+// of the cameras.
 //
 // What the element holds (a picture, say) is shown until the labels are. The viewer is fetched when the element comes
 // near the window. `data-state` says how it stands: loading, ready, empty, picture (no WebGL2), error. It tells the
@@ -34,20 +36,23 @@ export async function mount(host: HTMLElement): Promise<void> {
   state(host, "loading");
   const poster = make("div", { class: "viewer-poster" }, ...host.childNodes);
   host.replaceChildren(poster);
-  if (hasWebGl2()) void import("./viewer.js"); // on its way beside the scene
+  const draws = hasWebGl2();
+  if (draws) void import("./viewer.js"); // on its way beside the scene
   try {
     const scene = await call<SceneFacts>("GET", `/api/v1/sequences/${host.dataset["sequence"]}/scene`);
-    if (host.dataset["comparison"]) scene.comparison_id = host.dataset["comparison"];
-    await (scene.frames.tokens.length ? open(host, scene) : say(host, "empty", "This run has no labelled frame."));
+    const compared = host.dataset["comparison"] ?? host.dataset["difference"];
+    if (compared) scene.comparison_id = compared;
+    scene.starts_with_difference = host.dataset["comparison"] !== undefined;
+    await (scene.frames.tokens.length ? open(host, scene, draws) : say(host, "empty", "This run has no labelled frame."));
   } catch (error) {
     sayRefusal(host, error);
   }
   if (host.dataset["state"] === "ready") poster.remove();
 }
 
-async function open(host: HTMLElement, scene: SceneFacts): Promise<void> {
+async function open(host: HTMLElement, scene: SceneFacts, draws: boolean): Promise<void> {
   const start = startOf(host, scene);
-  if (!hasWebGl2()) {
+  if (!draws) {
     const { showPictures } = await import("./controls/pictures.js");
     await showPictures(host, scene, start);
     return state(host, "picture");
@@ -74,7 +79,7 @@ function hasWebGl2(): boolean {
 function sayRefusal(host: HTMLElement, error: unknown): void {
   const problem = error instanceof RefusedError ? error.problem : null;
   if (problem?.code === "no_scene") return say(host, "empty", problem.detail);
-  if (problem?.status === 404) return say(host, "empty", "There are no labels to look at yet. They appear here once the sequence was processed.");
+  if (problem?.status === 404) return say(host, "empty", "There are no labels yet. They appear here once the sequence has been processed.");
   const why = problem?.detail ?? (error instanceof Error ? error.message : String(error));
   say(host, "error", `The labels cannot be shown: ${why}`);
 }

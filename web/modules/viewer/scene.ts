@@ -18,13 +18,15 @@ export interface SceneFacts {
   label_set_id: string;
   /** A comparison of two label sets, whose differences can be shown; the page says which. */
   comparison_id?: string;
+  /** The page was opened for the differences; else they are one of the colours that can be chosen. */
+  starts_with_difference?: boolean;
   profile: string;
   footprint_m: [number, number];
   reference: { mean: Vector; covariance: [Vector, Vector, Vector]; d2_limit: number } | null;
   frames: { tokens: string[]; stamps_ns: string[]; map_from_ego: Pose[] };
   tiles: Piece[];
   meshes: { name: string; min_m?: Vector; triangles: number; bytes: number }[];
-  playback: { export_id: string | null; state: "none" | "making" | "ready"; cameras: string[]; has_clouds: boolean };
+  playback: { export_id: string | null; state: "none" | "making" | "ready"; cameras: string[]; has_clouds: boolean; has_rays: boolean };
 }
 
 /** The point of the ego frame in the map. */

@@ -1,12 +1,17 @@
 // The viewer of one sequence: stage, timeline, panel and readout, put together.
 
 import { Aiming } from "./controls/pointer.js";
+import { Asking } from "./data/worker_client.js";
+import { Address, type Standing, type Viewpoint, read } from "./controls/address.js";
+import { CameraPanel } from "./controls/camera_panel.js";
 import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
 import { button, make } from "./controls/elements.js";
 import { keysPanel } from "./controls/keys.js";
-import { classLegend, differenceLegend, rampLegend } from "./controls/legend.js";
-import type { Ray } from "./data/model.js";
+import { classLegend, differenceLegend, pointLegend, rampLegend } from "./controls/legend.js";
+import { CLASS_NAMES } from "./controls/explanation.js";
+import type { Picked, Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
+import { isShown } from "./looks.js";
 import type { SceneFacts } from "./scene.js";
 import { Stage } from "./drawing/stage.js";
 import { Timeline } from "./controls/timeline.js";
@@ -35,25 +40,35 @@ export class Viewer {
   private readonly legend = make("div", { class: "viewer-corner" });
   private readonly said = make("p", { class: "viewer-said", role: "status", hidden: true });
   private readonly follows: HTMLButtonElement;
+  private readonly cameras: CameraPanel | null;
+  private readonly address: Address;
+  private readonly begins: { enlarged: string | null; at: Viewpoint | null };
+  private isMoved = false;
   private counts: readonly number[] = [0, 0, 0];
 
   constructor(private readonly host: HTMLElement, private readonly scene: SceneFacts, private readonly options: Options) {
+    const asking = new Asking(); // its scripts come while WebGL starts
     const canvas = make("canvas", {
       class: "viewer-canvas", tabindex: "0", role: "application", "aria-roledescription": "3D view",
-      "aria-label": `Labels of ${scene.name} in 3D. Arrows turn, plus and minus near, comma and full stop step, space plays, c aims.`,
+      "aria-label": `Labels of ${scene.name} in 3D. Arrow keys rotate, plus and minus zoom, comma and full stop step through frames, space plays, c shows the crosshair.`,
     });
     this.frameIn(canvas);
     this.choices = firstChoices(scene);
+    this.begins = options.isAddressed ? read(new URL(location.href), scene, this.choices) : { enlarged: null, at: null };
+    this.address = new Address(() => this.standing(), firstChoices(scene));
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
-    this.world = new World(scene, this.stage, this.choices);
+    this.world = new World(scene, asking, this.stage, this.choices);
     this.readout = new Readout(scene, () => this.drop());
     this.aiming = new Aiming(this.stage, this.world.origin, (ray) => void this.pick(ray));
     this.timeline = new Timeline(scene.frames.stamps_ns.map(BigInt), (index) => this.show(index));
-    this.follows = button("Follow the robot", FOLLOW, () => this.follow());
-    this.follows.setAttribute("aria-pressed", "true");
+    this.follows = button("Follow the robot (f)", "Follow", FOLLOW, () => this.follow());
+    this.follows.setAttribute("aria-pressed", String(this.choices.follows));
+    this.stage.orbit.moved = () => this.moved(true);
+    const acts = { picked: (id: number) => void this.pickVoxel(id), unknown: (why: string) => this.say(why), enlarged: () => this.note() };
+    this.cameras = options.isCompact ? null : new CameraPanel(host, scene, this.stage, this.world.asking, this.choices, acts);
     this.furnish(canvas.parentElement!);
-    canvas.addEventListener("webglcontextlost", () => this.say("The graphics card let go of the picture. It comes back by itself, or load the page again."));
+    canvas.addEventListener("webglcontextlost", () => this.say("The graphics context was lost. It is restored automatically; otherwise reload the page."));
     canvas.addEventListener("webglcontextrestored", () => (this.say(null), this.stage.ask()));
     host.addEventListener("keydown", (event) => this.key(event));
     host.addEventListener("show-frame", (event) => this.asked(event as CustomEvent<{ index?: number; token?: string }>));
@@ -64,18 +79,21 @@ export class Viewer {
     await this.world.open();
     this.world.index = this.options.start;
     this.world.look("behind");
+    if (this.begins.at) [this.world.viewpoint, this.isMoved] = [this.begins.at, true];
     await this.show(this.options.start);
     this.stage.draw();
     performance.mark("first-voxel");
+    void this.cameras?.open(this.options.start, this.begins.enlarged);
   }
 
   /** Shows the frame and says so; a refusal is said in the picture. */
   async show(index: number): Promise<void> {
     this.host.setAttribute("aria-busy", "true");
     try {
-      const counts = await this.world.show(index);
+      const counts = await this.world.show(index, () => this.cameras?.take(index, this.timeline.isPlaying) ?? Promise.resolve());
       if (counts === null) return;
       this.counts = counts;
+      this.cameras?.put(index);
       this.stand(index);
     } catch (error) {
       this.say(isAbort(error) ? null : `Frame ${index + 1} cannot be shown: ${words(error)}`);
@@ -86,6 +104,8 @@ export class Viewer {
 
   end(): void {
     this.timeline.pause();
+    this.address.end();
+    this.cameras?.end();
     this.world.end();
     this.stage.end();
   }
@@ -96,14 +116,32 @@ export class Viewer {
     this.timeline.stand(index);
     this.drawLegend();
     if (this.aiming.isOn) this.aiming.again();
-    else this.readout.say(null);
+    else this.choose(null);
     this.host.dataset["frame"] = String(index);
     this.host.dispatchEvent(new CustomEvent("frame", { bubbles: true, detail: { index, token } }));
-    if (this.options.isAddressed) {
-      const address = new URL(location.href);
-      address.searchParams.set("frame", token);
-      history.replaceState(null, "", address);
-    }
+    this.note();
+  }
+
+  private standing(): Standing {
+    const token = this.scene.frames.tokens[this.world.index]!;
+    const isAside = this.isMoved || !this.choices.follows; // a camera that follows nothing is left behind by the robot
+    const at = isAside ? this.world.viewpoint : null;
+    return { token, choices: this.choices, enlarged: this.cameras?.enlarged ?? null, at };
+  }
+
+  /** The address follows. */
+  private note(): void {
+    if (this.options.isAddressed) this.address.changed();
+  }
+
+  private moved(isMoved: boolean): void {
+    this.isMoved = isMoved;
+    this.note();
+  }
+
+  private look(from: "behind" | "above"): void {
+    this.world.look(from);
+    this.moved(from !== "behind");
   }
 
   private async changed(): Promise<void> {
@@ -115,34 +153,62 @@ export class Viewer {
     } catch (error) {
       this.say(words(error));
     }
+    this.note();
   }
 
   private drawLegend(): void {
-    const { look: { mode }, scope } = this.choices;
+    const { look: { mode }, scope, layers, points } = this.choices;
     const counts = scope === "frame" ? this.counts : [];
     if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
     else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
+    const ramp = layers.points ? pointLegend(points) : null;
+    if (ramp) this.legend.append(ramp);
   }
 
   private async pick(ray: Ray): Promise<void> {
     const picked = await this.world.pick(ray).catch(() => null);
-    this.world.mark(picked);
-    this.readout.say(picked);
+    this.choose(picked);
     if (!picked && this.aiming.isOn) this.say("No voxel there.");
     else this.say(null);
   }
 
+  /** The voxel that a picture shows where it was clicked. */
+  private async pickVoxel(id: number): Promise<void> {
+    this.aiming.toggle(false);
+    const picked = id ? await this.world.pickVoxel(id).catch(() => null) : null;
+    this.choose(picked);
+    if (!picked) this.say("No label there: free, or farther than 25 m from the robot.");
+    else if (picked.difference === null && !isShown(this.choices.look, picked.kind, picked.seen)) {
+      this.say(`Switched off: ${CLASS_NAMES[picked.kind]}${picked.seen ? "" : ", not observed"}.`);
+    } else this.say(null);
+  }
+
+  /** Explained, and marked in 3D and in the pictures. */
+  private choose(picked: Picked | null): void {
+    this.world.mark(picked);
+    this.readout.say(picked);
+    this.cameras?.mark(picked?.id ?? 0);
+  }
+
   private drop(): void {
     this.aiming.toggle(false);
-    this.readout.say(null);
-    this.world.mark(null);
+    this.choose(null);
     this.stage.canvas.focus();
   }
 
   private follow(): void {
     this.choices.follows = !this.choices.follows;
     this.follows.setAttribute("aria-pressed", String(this.choices.follows));
-    if (this.choices.follows) this.world.look("behind");
+    if (this.choices.follows) this.look("behind");
+    this.note();
+  }
+
+  /** With labels, without, hidden, in turn. */
+  private turnCameras(): void {
+    const select = this.host.querySelector<HTMLSelectElement>("[data-chooses=cameras]");
+    if (!select || select.disabled) return;
+    select.selectedIndex = (select.selectedIndex + 1) % select.options.length;
+    select.dispatchEvent(new Event("change"));
   }
 
   private key(event: KeyboardEvent): void {
@@ -159,8 +225,9 @@ export class Viewer {
       c: () => this.aiming.toggle(),
       Escape: () => this.drop(),
       f: () => this.follow(),
-      "1": () => this.world.look("behind"),
-      "2": () => this.world.look("above"),
+      v: () => this.turnCameras(),
+      "1": () => this.look("behind"),
+      "2": () => this.look("above"),
     };
     const act = acts[event.key];
     act?.();
@@ -185,12 +252,16 @@ export class Viewer {
     const tools = make("div", { class: "viewer-tools", role: "toolbar", "aria-label": "Camera" });
     tools.append(
       this.follows,
-      button("Behind the robot (1)", BEHIND, () => this.world.look("behind")),
-      button("From above (2)", ABOVE, () => this.world.look("above")),
-      button("Pick by keys (c)", AIM, () => (this.aiming.toggle(), this.stage.canvas.focus())),
-      ...(document.fullscreenEnabled ? [button("Full screen", FULL, () => void toggleFull(this.host))] : []),
+      button("Behind the robot (1)", "Behind", BEHIND, () => this.look("behind")),
+      button("From above (2)", "Above", ABOVE, () => this.look("above")),
+      button("Crosshair (c)", "Crosshair", AIM, () => (this.aiming.toggle(), this.stage.canvas.focus())),
+      ...(document.fullscreenEnabled ? [button("Full screen", "Full screen", FULL, () => void toggleFull(this.host))] : []),
     );
     stage.append(this.legend, tools, this.aiming.crosshair, this.readout.element, this.said);
+    if (this.cameras) {
+      stage.append(this.cameras.strip.large);
+      this.host.append(this.cameras.strip.element);
+    }
     this.host.append(this.timeline.element);
     if (this.options.isCompact) return;
     const panel = make("aside", { class: "viewer-panel", "aria-label": "What is shown" });

@@ -2,15 +2,18 @@
 
 import { Matrix4, type Object3D, Quaternion, Vector3 } from "three";
 import { bytes } from "../api.js";
-import { Asking } from "./data/worker_client.js";
+import type { Asking } from "./data/worker_client.js";
+import type { Viewpoint } from "./controls/address.js";
 import type { Choices } from "./controls/choices.js";
 import { GRID_MIN_M } from "./data/formats.js";
 import { FrameStore } from "./data/frame_store.js";
+import { GroundHeight } from "./drawing/ground_height.js";
 import { MapLayer } from "./drawing/map_layer.js";
 import type { Picked, Ray } from "./data/model.js";
-import { type Pose, type SceneFacts, type Vector, headingOf, toMap } from "./scene.js";
-import { CloudLayer, SurfacePaint } from "./drawing/sensed_layers.js";
+import { type Pose, type SceneFacts, type Vector, headingOf, toEgo, toMap } from "./scene.js";
+import { SurfacePaint } from "./drawing/sensed_layers.js";
 import type { Stage } from "./drawing/stage.js";
+import { SweepLayer } from "./drawing/sweeps.js";
 import { Ground, Marker, Robot, Track } from "./drawing/surroundings.js";
 import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 
@@ -22,25 +25,27 @@ export class World {
   readonly origin: Vector;
   readonly map: MapLayer;
   index = 0;
-  private readonly asking = new Asking();
   private readonly paint = new VoxelPaint();
   private readonly frame = new VoxelBlock(this.paint);
   private readonly ground = new Ground();
   private readonly robot: Robot;
   private readonly track: Track;
   private readonly marker = new Marker();
-  private readonly cloud: CloudLayer;
+  private readonly height: GroundHeight;
+  private readonly cloud: SweepLayer;
   private readonly store: FrameStore;
   private round = 0;
 
-  constructor(readonly scene: SceneFacts, private readonly stage: Stage, private readonly choices: Choices) {
+  constructor(readonly scene: SceneFacts, readonly asking: Asking, private readonly stage: Stage, private readonly choices: Choices) {
     const first = scene.frames.map_from_ego[0] ?? [0, 0, 0, 1, 0, 0, 0];
     this.origin = [first[0], first[1], first[2]];
+    this.height = new GroundHeight(scene.frames.map_from_ego);
     const surfaces = new SurfacePaint(this.paint);
     this.map = new MapLayer(this.asking, scene, this.paint, this.origin, surfaces);
     this.robot = new Robot(scene.footprint_m);
     this.track = new Track(scene.frames.map_from_ego, scene.footprint_m[1], this.origin);
-    this.cloud = new CloudLayer(this.paint, () => stage.canvas.clientHeight);
+    this.cloud = new SweepLayer(this.paint, () => stage.canvas.clientHeight);
+    stage.orbit.floor = (x, y) => this.height.at(x + this.origin[0], y + this.origin[1]) - this.origin[2];
     this.paint.paint(choices.look.mode);
     this.store = new FrameStore(this.asking, scene, { ...choices.look });
     for (const prop of [this.paint, surfaces, this.frame, this.map, this.ground, this.robot, this.track, this.marker, this.cloud]) {
@@ -55,17 +60,22 @@ export class World {
     return this.asking.ask({ kind: "open", scene: this.scene });
   }
 
-  /** Counts by class of the frame once it is on the stage; null when another was asked for meanwhile. */
-  async show(index: number): Promise<readonly number[] | null> {
+  /**
+   * Counts by class of the frame once it is on the stage; null when another was asked for meanwhile. What is shown beside
+   * it is waited for once the worker holds the frame, so that both change together.
+   */
+  async show(index: number, beside?: () => Promise<unknown>): Promise<readonly number[] | null> {
     const round = ++this.round;
     const before = this.pose(this.index);
     const pose = this.pose(index);
     if (!["class", "difference"].includes(this.choices.look.mode)) await this.map.know(place(pose), KNOWN_M);
     const drawn = await this.store.take(index);
+    if (round === this.round) await beside?.();
     if (round !== this.round) return null;
     const forwards = index >= this.index ? 1 : -1;
     this.index = index;
     this.frame.show(drawn, [...GRID_MIN_M]);
+    this.height.stand(drawn.lowest, pose);
     this.stand(pose, before);
     void this.choose()
       .catch(() => undefined) // said where it was chosen
@@ -83,6 +93,7 @@ export class World {
     this.robot.group.visible = layers.robot;
     this.ground.mesh.visible = layers.grid;
     this.cloud.group.visible = layers.points;
+    this.cloud.colourBy(this.choices.points);
     const redraw = (): void => this.stage.ask();
     redraw();
     const here = place(this.pose(this.index));
@@ -107,6 +118,13 @@ export class World {
     return this.asking.ask({ kind: "pick", ray, scope: this.choices.scope, token, look: { ...this.choices.look } });
   }
 
+  /** The voxel of the frame with this id (1 + its index), as `pick` tells it. */
+  async pickVoxel(id: number): Promise<Picked> {
+    await this.map.know(place(this.pose(this.index)), KNOWN_M).catch(() => undefined);
+    const token = this.scene.frames.tokens[this.index] ?? "";
+    return this.asking.ask({ kind: "pick-voxel", token, voxel: id, look: { ...this.choices.look } });
+  }
+
   mark(picked: Picked | null): void {
     const centre = picked && (picked.centre_m.map((value, axis) => value - this.origin[axis]!) as Vector);
     this.marker.mark(centre, picked?.scope === "frame" ? headingOf(this.pose(this.index)) : 0);
@@ -124,6 +142,22 @@ export class World {
     this.stage.ask();
   }
 
+  /** Where the camera stands, as the robot does. */
+  get viewpoint(): Viewpoint {
+    const { orbit } = this.stage;
+    const pose = this.pose(this.index);
+    const { x, y, z } = orbit.target;
+    const target = toEgo(pose, [x + this.origin[0], y + this.origin[1], z + this.origin[2]]);
+    return [turned(orbit.yaw_rad - headingOf(pose)), orbit.pitch_rad, orbit.distance_m, target[0], target[1], target[2]];
+  }
+
+  set viewpoint([yaw_rad, pitch_rad, distance_m, ahead, left, up]: Viewpoint) {
+    const pose = this.pose(this.index);
+    this.stage.orbit.target.set(...this.local(toMap(pose, [ahead, left, up])));
+    this.stage.orbit.stand(yaw_rad + headingOf(pose), pitch_rad, distance_m);
+    this.stage.ask();
+  }
+
   end(): void {
     this.asking.end();
     this.frame.end();
@@ -131,10 +165,8 @@ export class World {
   }
 
   private stand(pose: Pose, before: Pose): void {
-    const matrix = new Matrix4().compose(
-      new Vector3(...this.local(place(pose))), new Quaternion(pose[4], pose[5], pose[6], pose[3]), new Vector3(1, 1, 1),
-    );
-    for (const group of [this.frame.group, this.robot.group, this.cloud.group]) {
+    const matrix = this.matrixOf(pose);
+    for (const group of [this.frame.group, this.robot.group]) {
       group.matrix.copy(matrix);
       group.matrixWorldNeedsUpdate = true;
     }
@@ -156,11 +188,20 @@ export class World {
 
   private async showCloud(index: number): Promise<void> {
     if (!this.scene.playback.has_clouds) return;
-    const content = await bytes(`/api/v1/frames/${this.scene.frames.tokens[index]}/cloud?v=${this.scene.label_set_id}`);
+    const path = `/api/v1/frames/${this.scene.frames.tokens[index]}/cloud?v=${this.scene.label_set_id}`;
+    const content = await bytes(path).catch((error: unknown) => {
+      if (index === this.index) this.cloud.clear(); // none rather than another frame's
+      throw error;
+    });
     const cloud = await this.asking.ask({ kind: "cloud", content });
     if (index !== this.index) return;
-    this.cloud.show(cloud);
+    this.cloud.show(index, BigInt(this.scene.frames.stamps_ns[index]!), cloud, this.matrixOf(this.pose(index)));
     this.stage.ask();
+  }
+
+  private matrixOf(pose: Pose): Matrix4 {
+    const [place_m, turned] = [new Vector3(...this.local(place(pose))), new Quaternion(pose[4], pose[5], pose[6], pose[3])];
+    return new Matrix4().compose(place_m, turned, new Vector3(1, 1, 1));
   }
 
   private pose(index: number): Pose {
@@ -170,6 +211,11 @@ export class World {
   private local(point: Vector): Vector {
     return [point[0] - this.origin[0], point[1] - this.origin[1], point[2] - this.origin[2]];
   }
+}
+
+/** The same direction between −π and π. */
+function turned(yaw_rad: number): number {
+  return Math.atan2(Math.sin(yaw_rad), Math.cos(yaw_rad));
 }
 
 function place(pose: Pose): Vector {

@@ -7,6 +7,7 @@ from api.callers import Administrator
 from api.deps import PlatformDep
 from api.schemas.base import IdPath
 from api.views.admin import admin_job_detail, job_spans_of
+from api.views.jobs import job_items
 from api.visible import job_of
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
@@ -24,12 +25,14 @@ def job(job_id: IdPath, request: Request, caller: Administrator, platform: Platf
         detail = admin_job_detail(session, row)
         spans = job_spans_of(session, row) if row.id == row.root_id else []
         root = session.get_one(Job, row.root_id)
+        (run,) = job_items(session, [root])
     return page(
         request,
         caller,
         "admin/job.html",
         job=detail,
         root=root,
+        run=run,
         picture=stage_picture(spans, now_ns()),
         is_over=row.state in TERMINAL,
         is_root_over=root.state in TERMINAL,

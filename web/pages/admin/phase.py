@@ -22,6 +22,7 @@ from services.domain.benchmarks.modalities import MODALITIES
 from services.domain.benchmarks.phases.reported_results import reported_in
 from services.domain.benchmarks.rescores.diff import rescore_diff
 from services.runtime.orm import Alarm, GroundTruthRow, Job, Rescore
+from stone.scoring.metric import METRICS
 from web.boards.slopes import slope_picture
 from web.pages.admin.benchmarks import versions
 from web.rendering import page
@@ -54,6 +55,9 @@ def phase(
             "reported": [reported_item(one) for one in reported_in(session, row.id)],
             "datasets": versions(session),
         }
+    detail = values["phase"]
+    values["metrics"] = [metric for metric in METRICS.values() if metric.successor is None]
+    values["superseded"] = detail.active and detail.active.metric in METRICS and METRICS[detail.active.metric].successor
     return page(request, caller, "admin/phase.html", modalities=MODALITIES, ratios=RATIOS, **values)
 
 

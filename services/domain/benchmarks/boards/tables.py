@@ -165,13 +165,13 @@ def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
 def notes(board: Board) -> Iterator[str]:
     """Notes for the reader of the board."""
     if board.silence is None:
-        yield "Entries of one tie group do not surely differ from its first (all pairs of the board at once, 95 %)."
+        yield "Entries of one tie group do not differ significantly from its first (all pairs tested jointly, 95 %)."
     else:
-        yield f"Nothing is said of ties and of intervals of ranks: {SILENCES[board.silence]}."
+        yield f"No ties and no intervals of ranks: {SILENCES[board.silence]}."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
     sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
     if sequences < FEWEST_SEQUENCES:
-        yield f"Nothing is said of how entries would do in a new place: {SILENCES['few_sequences']}, here {sequences}."
+        yield f"No statement about new places: {SILENCES['few_sequences']}, here {sequences}."
     elif sequences < FEW_SEQUENCES:
         yield (
             f"{sequences} sequences are few: in the exact test over whole sequences no difference, however large, "

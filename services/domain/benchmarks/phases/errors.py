@@ -29,7 +29,7 @@ class OpenTestError(StoneError):
     code = "open_test"
 
     def __init__(self, part: str) -> None:
-        super().__init__(f"the labels of {part} are hidden, and an open phase tells exact results; make it hidden")
+        super().__init__(f"the labels of {part} are hidden, and an open phase shows exact results; make it hidden")
 
 
 class PhaseFixedError(StoneError):
@@ -48,7 +48,7 @@ class PhaseEndedError(StoneError):
 
     def __init__(self, phase: str) -> None:
         super().__init__(
-            f"hidden phase {phase!r} has ended and its results by sequence were told; add another phase instead"
+            f"hidden phase {phase!r} has ended and its results by sequence were shown; add another phase instead"
         )
 
 
@@ -90,4 +90,4 @@ class FramesUncomparedError(StoneError):
     code = "truth_changed"
 
     def __init__(self, phase: str) -> None:
-        super().__init__(f"the active ground truth of phase {phase!r} changed meanwhile; look at it and ask again")
+        super().__init__(f"the active ground truth of phase {phase!r} changed in the meantime; reload and retry")

@@ -12,6 +12,7 @@ from sqlalchemy.orm import Session
 from services.domain.benchmarks.phases.phases import HIDDEN_PART
 from services.runtime.orm import DatasetMember, Phase, SequenceRow
 from stone.findings import Finding
+from stone_base.counts import counted
 
 
 def findings_of(session: Session, phase: Phase) -> tuple[Finding, ...]:
@@ -22,17 +23,15 @@ def findings_of(session: Session, phase: Phase) -> tuple[Finding, ...]:
 def _findings(session: Session, phase: Phase) -> Iterator[Finding]:
     of_phase = select(DatasetMember.sequence_id)
     own = of_phase.where(DatasetMember.dataset_id == phase.dataset_id, DatasetMember.part == phase.part)
-    counted = select(func.count(func.distinct(DatasetMember.sequence_id))).where(DatasetMember.sequence_id.in_(own))
-    total = session.scalar(counted) or 0
-    if phase.is_hidden and (public := session.scalar(counted.where(DatasetMember.part != HIDDEN_PART))):
-        told = (
-            f"{public} of {total} sequence(s) are in train or val of a published version: anybody may have the labels"
-        )
+    members = select(func.count(func.distinct(DatasetMember.sequence_id))).where(DatasetMember.sequence_id.in_(own))
+    total = counted(session.scalar(members) or 0, "sequence")
+    if phase.is_hidden and (public := session.scalar(members.where(DatasetMember.part != HIDDEN_PART))):
+        told = f"in train or val of a published version: {public} of {total}; the labels may be known"
         yield Finding("labels_are_public", "warning", "", told)
     shown = select(func.count()).select_from(SequenceRow).where(SequenceRow.published_ns.is_not(None))
     if phase.is_hidden and (public := session.scalar(shown.where(SequenceRow.id.in_(own)))):
-        told = f"{public} of {total} sequence(s) are or were public by themselves: anybody may have fetched the labels"
+        told = f"public by themselves, now or before: {public} of {total}; the labels may have been downloaded"
         yield Finding("labels_were_public", "warning", "", told)
-    if not phase.is_hidden and (hidden := session.scalar(counted.where(DatasetMember.part == HIDDEN_PART))):
-        told = f"{hidden} of {total} sequence(s) are in test of another version: this phase tells what that one hides"
+    if not phase.is_hidden and (hidden := session.scalar(members.where(DatasetMember.part == HIDDEN_PART))):
+        told = f"in test of another version: {hidden} of {total}; this phase reveals what that one hides"
         yield Finding("labels_are_hidden_elsewhere", "warning", "", told)

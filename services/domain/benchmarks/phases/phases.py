@@ -80,7 +80,7 @@ class NewPhase:
     rules: Rules = field(default_factory=Rules)
 
 
-VAL = NewPhase("val", "val", False, rules=Rules("Validation: open ground truth, as many scorings as you like"))
+VAL = NewPhase("val", "val", False, rules=Rules("Validation: open ground truth, unlimited submissions"))
 TEST = NewPhase("test", "test", True, rules=Rules("Test: hidden ground truth", scorings_per_window=3))
 DEFAULTS = (VAL, TEST)
 

@@ -64,9 +64,7 @@ class BoardMovedError(StoneError):
     code: ClassVar[str] = "board_moved"
 
     def __init__(self, expected: str | None, found: str | None) -> None:
-        super().__init__(
-            f"the board is at activation {found}, not at {expected}; read the difference again and decide anew"
-        )
+        super().__init__(f"the board is at activation {found}, not at {expected}; review the difference again")
 
 
 class AlarmMissingError(StoneError):
@@ -79,9 +77,9 @@ class AlarmMissingError(StoneError):
 
 
 class AlarmDismissedError(StoneError):
-    """Somebody has dismissed the alarm before."""
+    """The alarm was already dismissed."""
 
     code: ClassVar[str] = "wrong_state"
 
     def __init__(self, alarm_id: str) -> None:
-        super().__init__(f"alarm {alarm_id} was dismissed before; its reason is in the audit log")
+        super().__init__(f"alarm {alarm_id} was already dismissed; the reason is in the audit log")

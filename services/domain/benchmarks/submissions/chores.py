@@ -23,8 +23,8 @@ from services.runtime.platform import Platform
 from services.runtime.uploads.rows import is_waiting
 
 AT_A_TIME = 200
-UNSAID = Failure("internal_error", "a fault of the platform ended it; the scoring was given back, please submit again")
-UNSETTLED = Failure("unsettled", "its jobs ended without a verdict; the scoring was given back, please submit again")
+UNSAID = Failure("internal_error", "a fault of the platform ended it; the quota was restored, please submit again")
+UNSETTLED = Failure("unsettled", "its jobs ended without a result; the quota was restored, please submit again")
 
 log = structlog.get_logger(__name__)
 

@@ -37,17 +37,25 @@ def expected_s(session: Session, submission: SubmissionRow) -> int | None:
     None when it is neither queued nor being scored, when nothing was scored yet to judge by, and while the queue is
     paused.
     """
-    if submission.state not in LIVE or _is_paused(session):
-        return None
-    pace_hz = _pace_hz(session)
+    return expected_of(session, [submission]).get(submission.job_id or "")
+
+
+def expected_of(session: Session, submissions: Iterable[SubmissionRow]) -> dict[str, int]:
+    """As `expected_s`, by the ids of their runs, of those of which it can be told."""
+    job_ids = {one.job_id for one in submissions if one.state in LIVE and one.job_id}
+    pace_hz = None if not job_ids or _is_paused(session) else _pace_hz(session)
     if pace_hz is None:
-        return None
+        return {}
     before = select(SubmissionRow.phase_id, SubmissionRow.job_id).where(SubmissionRow.state.in_(LIVE))
-    waiting = session.execute(before.where(SubmissionRow.job_id <= submission.job_id)).all()
+    waiting = session.execute(before.where(SubmissionRow.job_id <= max(job_ids)).order_by(SubmissionRow.job_id)).all()
     frames = _frames(session, {phase_id for phase_id, _ in waiting})
     left = _left(session, [job_id for _, job_id in waiting if job_id])
-    work = sum(frames[phase_id] * left.get(job_id or "", 1.0) for phase_id, job_id in waiting)
-    return max(1, ceil(work / pace_hz / STEP_S)) * STEP_S
+    work, expected = 0.0, dict[str, int]()
+    for phase_id, job_id in waiting:
+        work += frames[phase_id] * left.get(job_id or "", 1.0)
+        if job_id in job_ids:
+            expected[job_id] = max(1, ceil(work / pace_hz / STEP_S)) * STEP_S
+    return expected
 
 
 def busy_ns(spans: Iterable[tuple[int, int]]) -> int:

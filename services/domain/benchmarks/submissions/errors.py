@@ -7,13 +7,13 @@ from stone.errors import StoneError
 
 
 class ExhaustedError(StoneError):
-    """What a team may have done is done for now; `next_ns` is when the next may begin, null where none ever may."""
+    """The quota is used up; `next_ns` is when the next submission is available, null for never."""
 
     code = "exhausted"
 
     def __init__(self, sentence: str, next_ns: int | None) -> None:
         self.next_ns = next_ns
-        when = f"the next one is free at {_moment(next_ns)}" if next_ns else "an administrator may grant more"
+        when = f"the next one is available at {_moment(next_ns)}" if next_ns else "an administrator may grant more"
         super().__init__(f"{sentence}; {when}")
 
 
@@ -24,7 +24,7 @@ class ScoringsExhaustedError(ExhaustedError):
 
     def __init__(self, taken: int, limit: int, window_ns: int | None, next_ns: int | None) -> None:
         within = f"within {window_ns / DAY_NS:g} days" if window_ns else "in this phase"
-        super().__init__(f"{taken} of {limit} scorings {within} are used or under way", next_ns)
+        super().__init__(f"{taken} of {limit} submissions {within} are used or in progress", next_ns)
 
 
 class ValidationsExhaustedError(ExhaustedError):
@@ -33,7 +33,10 @@ class ValidationsExhaustedError(ExhaustedError):
     code = "validations_exhausted"
 
     def __init__(self, limit: int, next_ns: int | None) -> None:
-        super().__init__(f"all {limit} validations of a day are used ('stone validate' checks a file locally)", next_ns)
+        super().__init__(
+            f"all {limit} validation-only submissions of the day are used ('stone validate' checks a file locally)",
+            next_ns,
+        )
 
 
 class PhaseClosedError(StoneError):

@@ -1,12 +1,12 @@
-"""Errors of reading results: not scored, withheld, not comparable."""
+"""Errors of reading results: not scored, withheld, not comparable, frames or predictions that are not shown."""
 
 from services.domain.benchmarks.visibility import Secrecy
 from stone.errors import StoneError
 
 UNTIL = {
-    "open": "it is its team's and the administrators' to see",
-    "running": "while the phase runs only totals rounded to 4 digits are told, to its own team too",
-    "ended": "it stays the administrators' to see, since other phases may hide the same labels",
+    "open": "only its team and administrators may see it",
+    "running": "while the phase runs only totals rounded to 4 digits are shown, also to its own team",
+    "ended": "only administrators may see it, since other phases may hide the same labels",
 }
 
 
@@ -22,7 +22,7 @@ class NotScoredError(StoneError):
 
 
 class ScoreMissingError(StoneError):
-    """There is no such score of this submission, or it is not yours to know."""
+    """Score not found, or no access."""
 
     code = "score_missing"
 
@@ -50,4 +50,27 @@ class NotComparableError(StoneError):
         super().__init__(
             f"submission {submission_id} has no score by the evaluation version in force of phase {phase!r}; "
             "both must be scored entries of this phase"
+        )
+
+
+class FramesHiddenError(StoneError):
+    """Pictures of frames are not shown where the ground truth is hidden."""
+
+    code = "frames_hidden"
+
+    def __init__(self, phase: str) -> None:
+        super().__init__(
+            "pictures of frames are shown where the ground truth is open; "
+            f"that of phase {phase!r} is hidden and stays so"
+        )
+
+
+class PredictionsGoneError(StoneError):
+    """The zip of this submission is not kept any more."""
+
+    code = "predictions_gone"
+
+    def __init__(self, submission_id: str) -> None:
+        super().__init__(
+            f"the zip of submission {submission_id} is not kept any more; its scores stay, its predictions are gone"
         )

@@ -10,7 +10,8 @@ class AlreadyInTeamError(StoneError):
 
     def __init__(self, phase: str) -> None:
         super().__init__(
-            f"somebody of this team takes part in phase {phase!r} with another team; one may with one only"
+            f"somebody of this team takes part in phase {phase!r} with another team; "
+            "only one team per person and phase is allowed"
         )
 
 
@@ -44,12 +45,12 @@ class TeamFullError(StoneError):
 
 
 class TooManyError(StoneError):
-    """More teams or invitations than anybody needs."""
+    """Too many teams or invitations."""
 
     code = "too_many"
 
     def __init__(self, kind: str, most: int) -> None:
-        super().__init__(f"there are {most} {kind} already, the most there may be; give up some that are not needed")
+        super().__init__(f"there are {most} {kind} already, which is the limit; remove some that are not needed")
 
 
 class NotCaptainError(StoneError):
@@ -71,9 +72,11 @@ class NotMemberError(StoneError):
 
 
 class CaptainStaysError(StoneError):
-    """A captain leaves once somebody else leads the team."""
+    """The captain cannot leave while there are other members."""
 
     code = "captain_stays"
 
     def __init__(self) -> None:
-        super().__init__("the captain cannot leave while there are other members; hand the team over first")
+        super().__init__(
+            "the captain cannot leave while there are other members; make another member the captain first"
+        )

@@ -25,7 +25,7 @@ UNSEEN = re.compile(
 
 
 class BadTeamNameError(StoneError):
-    """A team cannot be called so."""
+    """Invalid team name."""
 
     code = "bad_team_name"
 

@@ -5,14 +5,23 @@ if any way of looking finds it. `a` is an administrator, `m` a member of the tea
 """
 
 from collections.abc import Callable, Mapping
+from dataclasses import replace
 from functools import partial
+
+from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.boards.board import LeaderboardRow, board
 from services.domain.benchmarks.boards.comparison import compare
 from services.domain.benchmarks.boards.entries import BoardQuery
-from services.domain.benchmarks.submissions.result_errors import WithheldError
+from services.domain.benchmarks.submissions.predicted_frames import downloadable_zip, pictured_zip
+from services.domain.benchmarks.submissions.result_errors import (
+    FramesHiddenError,
+    PredictionsGoneError,
+    WithheldError,
+)
 from services.domain.benchmarks.submissions.results import (
     BY,
+    ScoreView,
     SubmissionResults,
     breakdown,
     kept_confusions,
@@ -46,6 +55,9 @@ file             am     am       am      am
 method           amo    amo      amo     amo
 description      amo    amo      amo     am
 team             amo    amo      amo     am
+frames           amo    -        -       amo
+predictions      am     am       am      am
+baseline zip     amo    am       am      amo
 """
 RELATIONS = ("a", "m", "o")
 STANDINGS = tuple(EXPECTED.split("\n")[1].split())
@@ -65,6 +77,7 @@ def seen_fields(at: Scene, ids: tuple[str, str], viewer: Viewer) -> set[str]:
         found = results(session, viewer, rows[0])
         seen: set[str] = {by for by in BY if _is_told(partial(breakdown, found.seen, by))}
         seen |= {"by frame"} if _is_told(partial(kept_confusions, session, found.seen)) else set()
+        seen |= _zips_told(session, found.seen)
         origin = provenance(found.seen)
     row = next(
         row
@@ -89,6 +102,17 @@ def comparison_says(at: Scene, both: tuple[SubmissionRow, SubmissionRow], viewer
     """Whether the comparison tells more than the difference of the totals."""
     found = compare(at.platform, at.phase_id, both, viewer).ratios.values()
     return any(one.these_places or one.new_place or one.silences or one.sign_flip for one in found)
+
+
+def _zips_told(session: Session, seen: ScoreView) -> set[str]:
+    """Which uses of the zip are not refused; the scene keeps no zip, so what is allowed finds none."""
+    baseline = replace(seen, submission=SubmissionRow(id=seen.submission.id, kind="baseline"))
+    asked = {
+        "frames": partial(pictured_zip, session, seen),
+        "predictions": partial(downloadable_zip, session, seen),
+        "baseline zip": partial(downloadable_zip, session, baseline),
+    }
+    return {name for name, look in asked.items() if _is_told(look)}
 
 
 def _of_totals(told: list[dict[str, float | None]], exact: dict[str, float]) -> dict[str, bool]:
@@ -117,5 +141,7 @@ def _of_results(found: SubmissionResults, row: LeaderboardRow) -> dict[str, obje
 def _is_told(look: Callable[[], object]) -> bool:
     try:
         return bool(look())
-    except WithheldError:
+    except PredictionsGoneError:
+        return True
+    except (WithheldError, FramesHiddenError):
         return False

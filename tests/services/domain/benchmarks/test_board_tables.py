@@ -148,9 +148,9 @@ def test_an_empty_board_is_a_table_too(form: Form) -> None:
 def test_few_sequences_and_rounding_are_said() -> None:
     assert any("5 sequences are few" in note and "0.0625" in note for note in notes(board_of(ROW)))
     few = notes(replace(board_of(ROW), pair=replace(PAIR, sequences=3)))
-    assert any("in a new place: it takes 5 sequences or more, here 3" in note for note in few)
+    assert any("new places: at least 5 sequences are needed, here 3" in note for note in few)
     silent = list(notes(replace(board_of(ROW), silence="few_frames")))
-    assert any("of ties and of intervals of ranks: there are too few frames" in note for note in silent)
+    assert any("No ties and no intervals of ranks: too few independent frames" in note for note in silent)
     assert not any("tie group" in note for note in silent)
     assert not any("few" in note for note in notes(replace(board_of(ROW), pair=replace(PAIR, sequences=70))))
     assert any("rounded to 4 digits" in note for note in notes(replace(board_of(ROW), secrecy="running")))

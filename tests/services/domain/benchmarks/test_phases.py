@@ -190,7 +190,7 @@ def test_the_policy_in_words_names_every_field_once_for_each_state() -> None:
     hidden = Phase(is_hidden=True, closes_ns=20, named_from_ns=30)
     running, ended, names = policy_sentences(hidden, 10)
     assert "administrators only: exact totals" in running
-    assert "everybody: totals rounded to 4 digits, exact totals" in ended
+    assert "everyone: totals rounded to 4 digits, exact totals" in ended
     assert names.startswith("Until named_from_at")
     for sentence in (running, ended, *policy_sentences(Phase(is_hidden=False), 10)):
         assert all(sentence.count(word) >= 1 for word in WORDS.values())

@@ -43,7 +43,9 @@ def test_what_is_released_is_free_again_and_only_once(platform_on: Platform) -> 
     entrant = entrant_on(platform_on, scorings_per_window=1)
     first = reserved(entrant)
     assert (standing(entrant).used, standing(entrant).reserved) == (0, 1)
-    with pytest.raises(ScoringsExhaustedError, match="1 of 1 scorings within 7 days are used or under way; the next"):
+    with pytest.raises(
+        ScoringsExhaustedError, match="1 of 1 submissions within 7 days are used or in progress; the next"
+    ):
         reserved(entrant)
     for given_back in (1, 0):
         with platform_on.database.transaction() as session:
@@ -86,7 +88,7 @@ def test_a_total_that_is_used_up_has_no_next_time_until_more_are_granted(
     reserved(entrant)
     wait(monkeypatch, 300 * DAY_NS)
     assert (standing(entrant).total_left, standing(entrant).next_slot_ns) == (0, None)
-    with pytest.raises(ScoringsExhaustedError, match=r"1 of 1 scorings in this phase .* may grant more"):
+    with pytest.raises(ScoringsExhaustedError, match=r"1 of 1 submissions in this phase .* may grant more"):
         reserved(entrant)
     granted(entrant, 2)
     assert standing(entrant).total_left == 2

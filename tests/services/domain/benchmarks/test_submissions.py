@@ -235,7 +235,7 @@ def test_validations_are_counted_by_the_day(platform_on: Platform, monkeypatch: 
     with platform_on.database.transaction() as session:
         session.get_one(SubmissionRow, failed).state = "failed"
     finalised(entrant, waiting)
-    with pytest.raises(ValidationsExhaustedError, match="all 2 validations of a day") as refused:
+    with pytest.raises(ValidationsExhaustedError, match="all 2 validation-only submissions of the day") as refused:
         drafted(entrant, kind="validation")
     next_ns = refused.value.next_ns
     assert next_ns is not None

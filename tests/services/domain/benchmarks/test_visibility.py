@@ -52,7 +52,7 @@ def test_every_viewer_sees_exactly_what_the_table_says(platform: Platform, name:
 def test_the_table_of_expectations_has_every_cell() -> None:
     lines = EXPECTED.splitlines()[2:]
     assert all(len(line.rsplit(maxsplit=len(STANDINGS))) == len(STANDINGS) + 1 for line in lines)
-    assert len(lines) == 21
+    assert len(lines) == 24
 
 
 def test_the_policy_has_every_field_in_every_state() -> None:

@@ -10,7 +10,16 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as arrays
 from numpy.typing import NDArray
 
-from services.domain.viewer.formats import TileMesh, TileVoxels, cloud_bytes, mesh_bytes, tile_bytes, voxels_bytes
+from services.domain.viewer.formats import (
+    PlaybackCameras,
+    TileMesh,
+    TileVoxels,
+    cameras_bytes,
+    cloud_bytes,
+    mesh_bytes,
+    tile_bytes,
+    voxels_bytes,
+)
 from tests.services.runtime.view_decoding import Read
 
 COUNTS = st.integers(0, 40)
@@ -86,15 +95,32 @@ def test_a_sweep_keeps_centimetres_and_leaves_out_what_they_cannot_say(points: N
     assert read.is_over()
 
 
+def test_cameras_give_their_pictures_their_rays_and_their_poses() -> None:
+    random = np.random.default_rng(2)
+    rays, poses = random.normal(size=(2, 3, 4, 3)), random.normal(size=(2, 5, 7))
+    rays[1, 0, 0], poses[0, 4] = np.nan, np.nan
+    has_picture = random.random((2, 5)) < 0.5
+    read = Read(cameras_bytes(PlaybackCameras(has_picture, rays, poses)), b"STR1")
+    assert read.values("I", 4) == [2, 5, 4, 3]
+    assert read.values("B", 10) == has_picture.ravel().tolist()
+    np.testing.assert_array_equal(read.values("f", rays.size), float32(rays))
+    np.testing.assert_array_equal(read.values("f", poses.size), float32(poses))
+    assert read.is_over()
+
+
 def test_the_bytes_are_these() -> None:
     voxels = TileVoxels(np.array([[-1, 2, 3]]), np.array([2], np.uint8), np.array([[0.5, 0.25, -9.0]]), np.array([7.5]))
     content = zstandard.ZstdDecompressor().decompress(tile_bytes(voxels))
     assert content.hex() == ("5354543101000000ffffffff0200000003000000020000003f0000803e000010c10000f040")
     content = zstandard.ZstdDecompressor().decompress(cloud_bytes(np.array([[1.0, -2.0, 0.005]]), np.array([9.0])))
     assert content.hex() == "5354433101000000640038ff000009"
+    one = PlaybackCameras(np.ones((1, 1), np.bool_), np.full((1, 1, 1, 3), np.nan), np.arange(7.0)[None, None])
+    content = zstandard.ZstdDecompressor().decompress(cameras_bytes(one))
+    nan, pose = "0000c07f" * 3, "000000000000803f00000040000040400000804000" + "00a0400000c040"
+    assert content.hex() == "53545231" + "01000000" * 4 + "01" + nan + pose
 
 
-@pytest.mark.parametrize("magic", [b"STV1", b"STT1", b"STM1", b"STC1"])
+@pytest.mark.parametrize("magic", [b"STV1", b"STT1", b"STM1", b"STC1", b"STR1"])
 def test_a_frame_says_how_large_its_content_is(magic: bytes) -> None:
     none, rows = np.zeros((0, 3)), np.zeros(0, np.uint8)
     packed = {
@@ -102,6 +128,9 @@ def test_a_frame_says_how_large_its_content_is(magic: bytes) -> None:
         b"STT1": tile_bytes(TileVoxels(none.astype(np.int64), rows, none, np.zeros(0))),
         b"STM1": mesh_bytes(TileMesh(none, rows, none.astype(np.int32))),
         b"STC1": cloud_bytes(none, np.zeros(0)),
+        b"STR1": cameras_bytes(
+            PlaybackCameras(np.zeros((0, 0), np.bool_), np.zeros((0, 21, 33, 3)), np.zeros((0, 0, 7)))
+        ),
     }[magic]
     content = zstandard.ZstdDecompressor().decompress(packed)
     assert zstandard.get_frame_parameters(packed).content_size == len(content)

@@ -1,12 +1,14 @@
 """Two folders of labels: what is counted, by an oracle; what is drawn; what is refused."""
 
+import io
 from pathlib import Path
 
 import numpy as np
 import pytest
 from PIL import Image
 
-from services.domain.viewer.difference_picture import DIFFERENCE_RGB, difference_plan
+from services.domain.viewer.difference_picture import difference_picture
+from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB, GREY, SAME_ALPHA
 from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
@@ -68,9 +70,12 @@ def test_the_picture_shows_the_gravest_difference_of_each_column(tmp_path: Path)
     for (x, y), (_, (of_a, of_b)) in columns.items():
         a[x, y, 3], b[x, y, 3] = of_a, of_b
         a[x, y, 0] = b[x, y, 0] = 1  # alike, and less grave
-    pixels = difference_plan(a, b)
+    with Image.open(io.BytesIO(difference_picture(a, b))) as picture:
+        pixels = np.asarray(picture.convert("RGBA"))[::2, ::2]
     for (x, y), (code, _) in columns.items():
-        assert tuple(pixels[255 - x, 255 - y]) == DIFFERENCE_RGB[code]
+        shown = (*GREY, SAME_ALPHA) if code == SAME else (*DIFFERENCE_RGB[code], 255)
+        assert tuple(pixels[255 - x, 255 - y]) == shown
+    assert pixels[0, 0, 3] == 0
     opened = open_folders(
         write_labels(tmp_path / "a", {TOKENS[0]: {"semantics": a}}),
         write_labels(tmp_path / "b", {TOKENS[0]: {"semantics": b}}),

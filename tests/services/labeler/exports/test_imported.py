@@ -32,6 +32,7 @@ from stone_recordings.sync.samples import jpeg_of
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_annotated
 from tests.services.labeler.exports.imported import Imported, again, imported
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
+from tests.services.runtime.view_decoding import Read
 
 pytestmark = pytest.mark.whole
 
@@ -135,8 +136,20 @@ def test_mcap_has_the_same_messages_of_every_topic_at_their_microseconds(pair: P
 def test_playback_has_the_same_clouds_and_pictures(pair: Pair, tmp_path: Path) -> None:
     recorded, again = (files_of(out) for out in both(pair, write_playback, tmp_path))
     before, after = (json.loads(files.pop("playback.json")) for files in (recorded, again))
+    ours, theirs = (cameras_in(files.pop("cameras.bin")) for files in (recorded, again))
+    order = [after["cameras"].index(channel) for channel in before["cameras"]]
+    for mine, its in zip(ours, theirs, strict=True):
+        np.testing.assert_allclose(mine, its[order], atol=2e-4)  # stamps of a dataset are microseconds
     assert recorded == again
     assert {**before, "cameras": sorted(before["cameras"])} == {**after, "cameras": sorted(after["cameras"])}
+
+
+def cameras_in(content: bytes) -> tuple[np.ndarray, ...]:
+    """Pictures, rays and poses of `STR1`, the camera first."""
+    read = Read(content, b"STR1")
+    cameras, frames, columns, rows = read.values("I", 4)
+    shapes = (("B", (cameras, frames)), ("f", (cameras, rows, columns, 3)), ("f", (cameras, frames, 7)))
+    return tuple(np.array(read.values(code, int(np.prod(shape)))).reshape(shape) for code, shape in shapes)
 
 
 @pytest.mark.parametrize("form", ["rrd", "previews", "mesh"])

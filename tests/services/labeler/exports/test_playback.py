@@ -38,9 +38,10 @@ def test_every_frame_has_its_sweep_and_the_picture_of_every_camera(drive: Labell
     tokens = drive.source().sequence.frames.tokens
     told = json.loads(files["playback.json"])
     assert told["has_clouds"]
+    assert told["has_rays"]
     assert len(told["cameras"]) == 6
     names = {f"cameras/{channel}/{token}.jpg" for channel in told["cameras"] for token in tokens}
-    assert set(files) == {"playback.json", *names, *(f"clouds/{token}.bin" for token in tokens)}
+    assert set(files) == {"playback.json", "cameras.bin", *names, *(f"clouds/{token}.bin" for token in tokens)}
     sizes = {Image.open(io.BytesIO(files[name])).size for name in names}
     assert sizes == {(96, 60)}, "small ones are not blown up"
 

@@ -36,7 +36,7 @@ LABELS = (made_labels(1), made_labels(2))
 GOOD = SyntheticDataset(labels=LABELS, splits={"train": ["field-0000"], "val": ["field-0001"]})
 ARTEFACTS = {
     "bev.png", "frames.parquet", "labels/000000.pack", "map.png", "mesh.ply", "report.json", "scene/scene.json",
-    "sequence.npz", "source/000000.pack", "source/index.npz", "thumbnail.jpg",
+    "sequence.npz", "source/000000.pack", "source/index.npz", "thumbnail.png",
 }  # fmt: skip
 
 

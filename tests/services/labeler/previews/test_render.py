@@ -12,6 +12,7 @@ from services.labeler.previews.render import Boxes, Camera, Canvas, beads, voxel
 from services.labeler.previews.render_kernels import SHADE, SIDE_LIGHT, draw
 from services.labeler.previews.surroundings import surroundings_of
 from stone.labels.class_colours import CLASS_RGB, PAPER
+from testing.colour_vision import least_of_pairs
 from tests.services.labeler.previews.sources import source_of
 
 WIDTH, HEIGHT, FOCAL = 56, 40, 45.0
@@ -94,6 +95,11 @@ def test_ground_beside_a_wall_is_darker_than_open_ground():
     }
     assert top[(2, 3, 0)] == pytest.approx(1.0)
     assert top[(4, 3, 0)] == pytest.approx(1.0 - SHADE * 3 / 8)
+
+
+def test_no_side_is_so_dark_that_a_class_looks_like_another():
+    lights = np.linspace(min(SIDE_LIGHT) * (1.0 - SHADE), max(SIDE_LIGHT), 9)
+    assert least_of_pairs(list(CLASS_RGB.values()), lights) >= 22
 
 
 def test_what_is_behind_the_camera_is_not_drawn():

@@ -164,7 +164,7 @@ def test_of_a_deleted_sequence_nothing_is_told(platform: Platform, receiver: Web
         session.get_one(SequenceRow, ids[1]).deleted_ns = now_ns()
     all_sent(platform)
     (came,) = receiver.received()
-    assert "Labels of “kept” are not to be relied on (REC-104): stamps run back" in came["body"]
+    assert "Labels of “kept” are unreliable (REC-104): stamps run back" in came["body"]
     assert [row.state for row in deliveries(platform)] == ["delivered", "dropped"]
 
 

@@ -92,7 +92,7 @@ def test_an_event_is_one_plain_message_that_says_how_to_be_told_no_more(
     assert (message["To"], message["From"], row.state) == (ADDRESS, "stone@example.org", "delivered")
     assert message["Message-ID"] == f"<msg_{row.id}@example.org>"
     assert message["Subject"].startswith("[STONE] Your storage is nearly full")
-    assert "To be told no more: http://127.0.0.1:8080/account#notifications" in message.get_content()
+    assert "To disable it: http://127.0.0.1:8080/account#notifications" in message.get_content()
 
 
 def test_starttls_and_password_are_used_and_a_server_without_tls_is_told_nothing(

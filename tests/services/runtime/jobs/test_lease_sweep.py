@@ -93,7 +93,7 @@ def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(plat
         silence(platform_on, sweeper, clock)
     failed = job(platform_on, root)
     assert (failed.state, failed.failure_code) == ("failed", "worker_lost")
-    assert "no sign of life" in failed.failure
+    assert "no heartbeat" in failed.failure
     assert states(platform_on, root) == {"failed": 1, "cancelled": 1}
 
 

@@ -210,7 +210,7 @@ def test_a_split_recording_is_recovered_into_one_file(tmp_path: Path) -> None:
     kept = _content(tmp_path / "out.mcap")
     assert 40 <= len(kept) == recovery.messages < 60
     assert kept == _expected(messages)[: len(kept)]
-    assert "run_2.mcap: of the last" in recovery.lost
+    assert "run_2.mcap: the incomplete part of the last" in recovery.lost
     with open_bag(tmp_path / "out.mcap") as bag:
         assert [topic.name for topic in bag.topics] == ["/a", "/b"]
 

@@ -111,7 +111,7 @@ def test_a_connection_that_describes_nothing_is_of_noetic_or_missing() -> None:
     assert ros2_type(Ros1Type("sensor_msgs/Imu", " \n")) == ros2_type(ros1_of("sensor_msgs/msg/Imu"))
     with pytest.raises(DefinitionMissingError, match=r"no definition of 'acme_msgs/msg/Own' is known"):
         ros2_type(Ros1Type("acme_msgs/Own", ""))
-    with pytest.raises(DefinitionRefusedError, match="is no name of a type"):
+    with pytest.raises(DefinitionRefusedError, match="is not the name of a type"):
         ros2_type(Ros1Type("no type at all", "uint8 x\n"))
     with pytest.raises(DefinitionRefusedError, match="used and not defined"):
         ros2_type(Ros1Type("acme_msgs/Own", "Other x\n"))

@@ -80,21 +80,21 @@ def test_messages_outside_of_chunks_are_read(tmp_path: Path) -> None:
 @pytest.mark.parametrize(
     ("content", "refusal", "words"),
     [
-        (MAGIC[:7], CutBagError, "not even its first record is there"),
-        (MAGIC, CutBagError, "its first record is not whole"),
-        (bag_header()[:60], CutBagError, "its first record is not whole"),
-        (bag_header(), CutBagError, "no message of it is whole"),
-        (bag_header() + connection(), CutBagError, "no message of it is whole"),
+        (MAGIC[:7], CutBagError, "its first record is missing"),
+        (MAGIC, CutBagError, "its first record is not complete"),
+        (bag_header()[:60], CutBagError, "its first record is not complete"),
+        (bag_header(), CutBagError, "it has no complete message"),
+        (bag_header() + connection(), CutBagError, "it has no complete message"),
         (bag_header(encryptor=b"rosbag/AesCbcEncryptor") + connection() + text(), EncryptedBagError, "rosbag decrypt"),
         (b"#ROSBAG V1.2\n" + bytes(100), NotABagError, "of a version before 2.0: where ROS 1 runs, rosbag filter"),
         (b"#ROSRECORD V1.1\n" + bytes(100), NotABagError, "of a version before 2.0"),
         (MAGIC + record(5, bytes(9)), MalformedBagError, "first record is of op 5, not the header of a bag"),
         (MAGIC + record(3, bytes(9)), MalformedBagError, "field 'index_pos' of 8 bytes is missing"),
-        (MAGIC + u32(3) + bytes(5000), MalformedBagError, "no name=value"),
+        (MAGIC + u32(3) + bytes(5000), MalformedBagError, "not name=value"),
         (MAGIC + u32(1 << 30) + bytes(5000), MalformedBagError, "declares a header of 1073741824 bytes"),
-        (bag_header() + text(), MalformedBagError, "connection 0 is used and nowhere described"),
+        (bag_header() + text(), MalformedBagError, "connection 0 is used and not defined"),
         (bag_header() + connection() + connection(type=b"std_msgs/Int8") + text(), MalformedBagError, "twice"),
-        (bag_header(700, 1, 1) + connection() + bytes(900), MalformedBagError, "no whole record stands at byte"),
+        (bag_header(700, 1, 1) + connection() + bytes(900), MalformedBagError, "there is no complete record at byte"),
         (bag_header() + connection() + record(2, bytes(9)), MalformedBagError, "field 'time' of 8 bytes is missing"),
     ],
 )  # fmt: skip
@@ -118,7 +118,7 @@ def test_a_chunk_that_inflates_to_another_size_is_refused(
     tmp_path: Path, compression: str, declared_bytes: int
 ) -> None:
     content = chunk(compression.encode(), declared_bytes, packed(compression, bytes(1000)))
-    with pytest.raises(MalformedBagError, match=rf"does not inflate to the declared {declared_bytes} bytes"):
+    with pytest.raises(MalformedBagError, match=rf"does not decompress to the declared {declared_bytes} bytes"):
         open_bag(written(tmp_path, bag_header() + content))
 
 
@@ -224,7 +224,7 @@ def test_an_index_that_lies_about_a_message_is_found_out_when_that_is_read(
 
 
 @pytest.mark.parametrize(
-    ("tail", "severity", "words"), [(bytes(70), "info", "zero"), (b"junk" * 9, "warning", "no records")]
+    ("tail", "severity", "words"), [(bytes(70), "info", "zero"), (b"junk" * 9, "warning", "not records")]
 )
 def test_what_follows_the_end_is_said(tmp_path: Path, tail: bytes, severity: str, words: str) -> None:
     with open_bag(written(tmp_path, _indexed(*WHOLE) + tail)) as bag:

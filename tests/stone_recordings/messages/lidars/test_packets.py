@@ -162,7 +162,7 @@ def test_a_count_beyond_the_message_is_refused_before_anything_is_read() -> None
 
 def test_more_packets_than_a_revolution_has_are_refused() -> None:
     payload = encoding.nebula_packets([b"x"] * 10_001, [START_NS] * 10_001, START_NS)
-    with pytest.raises(MessageLayoutError, match="10001 packets are no revolution"):
+    with pytest.raises(MessageLayoutError, match="10001 packets in one scan"):
         sweep_cloud(memoryview(payload), NEBULA)
 
 

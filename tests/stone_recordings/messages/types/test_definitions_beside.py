@@ -88,7 +88,7 @@ def test_definitions_are_parts_of_a_bag_but_no_bag() -> None:
     check_bag_files(["run_0.db3", "field_msgs.Reading.msg"])
     with pytest.raises(BadBagFilesError, match=r"no \.mcap, no \.db3 and no \.bag file"):
         check_bag_files(["field_msgs.Part.msg", "field_msgs.Reading.msg"])
-    with pytest.raises(BadBagFilesError, match="is no part of a bag"):
+    with pytest.raises(BadBagFilesError, match="is not part of a bag"):
         check_bag_files(["run_0.db3", "reading.msg"])
 
 

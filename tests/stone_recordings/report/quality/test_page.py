@@ -10,6 +10,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stone.findings import Finding
+from stone_base.codes.catalogue import CATALOGUE
 from stone_recordings.bags.bag import Topic
 from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
 from stone_recordings.clocks.timing import measure
@@ -129,6 +130,22 @@ def test_identifiers_are_unique_and_links_lead_to_them(document: Document) -> No
     assert used <= set(identifiers)
 
 
+def test_a_code_leads_to_what_it_means_and_the_findings_with_most_harm_come_first() -> None:
+    findings = (Finding("TIM-201", "warning", "/ins", "host"), Finding("TIM-202", "warning", "/radar", "37 s"))
+    quality = Quality(90, (Deduction("QLT-602", 5, "blurred"),), Facts(), (Finding("XYZ-999", "info", "", "new"),))
+    page = quality_page("run.mcap", Inspection(S, (), findings), quality).decode()
+    document = Document(page)
+    assert {"#code-TIM-201", "#code-TIM-202"} <= {attributes["href"] for attributes in document.of("a")}
+    assert {attributes.get("id") for attributes in document.of("dt")} == {
+        "code-QLT-602",
+        "code-TIM-201",
+        "code-TIM-202",
+    }
+    assert page.index("(labels may be wrong)") < page.index("(labels unaffected)")
+    for code in ("QLT-602", "TIM-201", "TIM-202"):
+        assert CATALOGUE[code].remedy.replace("'", "&#39;") in page
+
+
 def test_every_picture_says_in_words_what_it_shows(document: Document) -> None:
     plots = [attributes for tag, attributes in document.elements if attributes.get("role") == "img"]
     assert len(plots) >= 8
@@ -166,7 +183,7 @@ def test_a_page_of_nothing_is_a_page() -> None:
     nothing = quality_page("empty.mcap", Inspection(0, (), ()), Quality(100, (), Facts(), ())).decode()
     document = Document(nothing)
     assert (document.faults, document.open) == ([], [])
-    assert "Nothing: the full score." in nothing
+    assert "None: full score." in nothing
 
 
 def test_a_page_of_thousands_of_topics_and_findings_is_bounded() -> None:

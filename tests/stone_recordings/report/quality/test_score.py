@@ -92,7 +92,7 @@ def test_one_muddy_lens_among_clean_ones_is_named() -> None:
     muddy = replace(CAMERA, topic="/muddy", sharpness=(2.0, 3.0))
     (deduction,) = deductions_of((), replace(GOOD, cameras=(*GOOD.cameras, muddy)))
     assert (deduction.code, deduction.points) == ("QLT-602", 5)
-    assert deduction.message.startswith("/muddy is less sharp")
+    assert deduction.message.startswith("/muddy is much less sharp")
 
 
 def test_two_cameras_are_not_compared_but_a_covered_lens_is_noticed() -> None:

@@ -2,6 +2,7 @@
 
 import { make } from "./elements.js";
 import { isImported } from "./explanation.js";
+import type { PointColour } from "../drawing/sweeps.js";
 import type { Look, Mode, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
@@ -10,32 +11,40 @@ export interface Choices {
   scope: "frame" | "map";
   look: Look;
   layers: Record<LayerName, boolean>;
+  points: PointColour;
+  cameras: CameraChoice;
   follows: boolean;
 }
+/** Pictures of cameras with labels in them, without, or none. */
+export type CameraChoice = "labels" | "plain" | "off";
 
-/** Differences where the scene is looked at for them, else classes. */
+/** Differences where they were asked for, else classes. */
 export function firstChoices(scene: SceneFacts): Choices {
   return {
     scope: "frame",
-    look: { mode: scene.comparison_id ? "difference" : "class", classes: 0b1110, unseen: "fade" },
+    look: { mode: scene.starts_with_difference ? "difference" : "class", classes: 0b1110, unseen: "fade" },
     layers: { labels: true, mesh: false, points: false, track: true, robot: true, grid: true },
+    points: "intensity",
+    cameras: "labels",
     follows: true,
   };
 }
 
-const SCOPES: [Choices["scope"], string][] = [["frame", "Around the robot"], ["map", "The whole run"]];
+const SCOPES: [Choices["scope"], string][] = [["frame", "Frame"], ["map", "Whole run"]];
 const MODES: [Mode, string][] = [
-  ["class", "Class"], ["d2", "D², distance to driven"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
+  ["class", "Class"], ["d2", "D², distance to reference terrain"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
 ];
 const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
-const UNSEEN: [Unseen, string][] = [["fade", "Pale"], ["show", "Like the others"], ["hide", "Not at all"]];
+const UNSEEN: [Unseen, string][] = [["fade", "Faded"], ["show", "Same as observed"], ["hide", "Hidden"]];
+const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the robot's wheels"], ["time", "Age, sweeps of the last second"]];
+const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["plain", "Shown without labels"], ["off", "Hidden"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
 
 let picks = 0;
 
 /** Why a layer is not there; undefined where it is. */
-function missing(layer: LayerName, scene: SceneFacts): string | undefined {
-  if (layer === "mesh" && !scene.meshes.length) return "This label set keeps no surface to look at.";
+export function missing(layer: LayerName, scene: SceneFacts): string | undefined {
+  if (layer === "mesh" && !scene.meshes.length) return "No surface is stored for this label set.";
   if (layer !== "points" || scene.playback.has_clouds) return undefined;
   return scene.playback.state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
 }
@@ -51,12 +60,12 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     check(label, choices.layers[name], (on) => (choices.layers[name] = on), missing(name, scene));
   const { look } = choices;
   const classes = CLASSES.map(([kind, label, fill]) => {
-    const row = check(label, true, (on) => (look.classes = on ? look.classes | (1 << kind) : look.classes & ~(1 << kind)));
+    const row = check(label, ((look.classes >> kind) & 1) === 1, (on) => (look.classes = on ? look.classes | (1 << kind) : look.classes & ~(1 << kind)));
     row.querySelector("input")?.after(swatch(fill));
     return row;
   });
   const hasValues = scene.tiles.length > 0;
-  const known = isImported(scene) ? MODES.slice(0, 1) : MODES;
+  const known = MODES.slice(0, isImported(scene) ? 1 : MODES.length);
   const modes = scene.comparison_id ? [...known, DIFFERENCE] : known;
   const scopes = pick("Show", SCOPES, choices.scope, (value) => {
     choices.scope = value;
@@ -67,18 +76,22 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     look.mode = value;
     if (value === "difference") choose(scopes, (choices.scope = "frame"));
     changed();
-  }, hasValues || modes !== known);
+  }, hasValues || scene.comparison_id !== undefined);
   const notes = (["mesh", "points"] as const).flatMap((name) => missing(name, scene) ?? []);
   return make(
     "div", { class: "viewer-choices" },
     group("Labels", scopes,
       ...classes,
       colours,
-      pick("What this frame did not see", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
+      pick("Voxels not observed in this frame", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
-      layer("robot", "Robot"), layer("grid", "Ground grid"), ...notes.map((note) => make("p", { class: "hint" }, note)),
-      ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled before the viewer kept terrain values: label the sequence again to see D² and slopes.")]),
-      ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels: no features, so there is no D², slope or roughness to see.")] : [])),
+      layer("robot", "Robot"), layer("grid", "Ground grid"),
+      pick("Points by", POINTS, choices.points, (value) => ((choices.points = value), changed()), missing("points", scene) === undefined),
+      pick("Cameras", CAMERAS, choices.cameras, (value) => ((choices.cameras = value), changed()), scene.playback.cameras.length > 0, "cameras"),
+      ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, "Labels reach 25 m from the robot; what is farther stays as it was photographed.")] : []),
+      ...notes.map((note) => make("p", { class: "hint" }, note)),
+      ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled by an earlier release without terrain values: process the sequence again for D² and slope.")]),
+      ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels have no features: D², slope and roughness are not available.")] : [])),
   );
 }
 
@@ -91,10 +104,10 @@ function group(title: string, ...children: HTMLElement[]): HTMLElement {
 }
 
 function pick<Value extends string>(
-  label: string, options: [Value, string][], chosen: Value, set: (value: Value) => void, isThere: boolean,
+  label: string, options: [Value, string][], chosen: Value, set: (value: Value) => void, isThere: boolean, name = "",
 ): HTMLElement {
   const id = `viewer-pick-${++picks}`;
-  const select = make("select", { id, disabled: !isThere });
+  const select = make("select", { id, disabled: !isThere, ...(name ? { "data-chooses": name } : {}) });
   select.append(...options.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
   select.addEventListener("change", () => set(select.value as Value));
   return make("div", { class: "viewer-pick" }, make("label", { for: id }, label), select);

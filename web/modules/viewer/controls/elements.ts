@@ -31,8 +31,10 @@ export function icon(path: string): SVGSVGElement {
   return drawing;
 }
 
-export function button(label: string, drawn: string, act: () => void): HTMLButtonElement {
-  const element = make("button", { type: "button", class: "quiet small viewer-icon", "aria-label": label, title: label }, icon(drawn));
+/** A button of a drawing and, beside it, a word that its label begins with or holds. */
+export function button(label: string, word: string, drawn: string, act: () => void): HTMLButtonElement {
+  const attributes = { type: "button", class: "quiet small viewer-icon", "aria-label": label, title: label };
+  const element = make("button", attributes, icon(drawn), make("span", {}, word));
   element.addEventListener("click", act);
   return element;
 }

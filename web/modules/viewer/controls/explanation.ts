@@ -1,18 +1,21 @@
 // Why a voxel has its class, in words: the distance to what the robot drove, and which property sets it apart.
 
+import { fixed } from "../../counts.js";
 import type { Found } from "../data/lookup.js";
 import type { Picked } from "../data/model.js";
 import type { SceneFacts, Vector } from "../scene.js";
 
 export const CLASS_NAMES = ["free", "Traversable", "Potentially traversable", "Non-traversable"] as const;
 const DEGREE = 180 / Math.PI;
+/** Half the last digit that is shown beyond upright: a wall that is stored as 90.000003° is no overhang. */
+const OVERHANG_DEG = 90.05;
 
 /** Name and value, as rows of the readout; imported labels have none. */
 export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
   if (isImported(scene)) return [];
   return [
-    [elevationName(scene), `${found.elevation_m.toFixed(2)} m`],
-    ["Slope", `${(found.slope_rad * DEGREE).toFixed(1)}°`],
+    [elevationName(scene), `${fixed(found.elevation_m, 2)} m`],
+    ["Slope", slopeWords(found.slope_rad)],
     ["Roughness", `${roughness_mm(found.roughness)} (log ${found.roughness.toFixed(1)})`],
     ["D²", number(found.d2)],
   ];
@@ -29,19 +32,19 @@ export function elevationName(scene: SceneFacts): string {
 
 /** One or two sentences. */
 export function reason(picked: Picked, scene: SceneFacts): string {
-  const source = isImported(scene) ? "" : "; the label comes from the rest of the run";
-  const unseen = picked.seen ? "" : ` This frame's LiDAR did not see it${source}.`;
+  const source = isImported(scene) ? "" : "; its label comes from the whole run";
+  const unseen = picked.seen ? "" : ` Not observed by this frame's LiDAR${source}.`;
   return `${because(picked, scene)}${unseen}`;
 }
 
 function because({ kind, found }: Picked, scene: SceneFacts): string {
-  if (isImported(scene)) return "Imported labels: no features. The dataset says the class, and not why.";
-  if (kind === 1) return "The robot drove here: it lies under the footprint swept along the track.";
+  if (isImported(scene)) return "Imported labels have no features, so there is no explanation.";
+  if (kind === 1) return "Driven over: under the robot's footprint swept along the track.";
   const { reference } = scene;
-  if (!found || !reference) return "These labels were made without terrain values for the viewer; label the sequence again to see why.";
+  if (!found || !reference) return "These labels have no terrain values for the viewer; process the sequence again for an explanation.";
   const [d2, limit] = [number(found.d2), reference.d2_limit.toFixed(1)];
-  if (found.d2 <= reference.d2_limit) return `D² ${d2} ≤ ${limit}: like what the robot drove.`;
-  return `D² ${d2} > ${limit}: unlike what the robot drove, most of all in ${apart(found, scene)}.`;
+  if (found.d2 <= reference.d2_limit) return `D² ${d2} ≤ ${limit}: similar to the terrain driven over.`;
+  return `D² ${d2} > ${limit}: unlike the terrain driven over, mainly in ${apart(found, scene)}.`;
 }
 
 /** The property that adds most to D², against the driven ground's mean ± standard deviation. */
@@ -50,11 +53,11 @@ function apart(found: Found, scene: SceneFacts): string {
   const feature = mostApart(found, mean, covariance);
   const spread = Math.sqrt(covariance[feature]![feature]!);
   if (feature === 1) {
-    return `slope (${degrees(found.slope_rad)} against ${degrees(mean[1])} ± ${degrees(spread)})`;
+    return `slope (${degrees(found.slope_rad)}${isOverhang(found.slope_rad) ? ", an overhang," : ""} against ${degrees(mean[1])} ± ${degrees(spread)})`;
   }
   if (feature === 2) return `roughness (${roughness_mm(found.roughness)} against ${roughness_mm(mean[2])})`;
   const name = scene.profile === "local" ? "height above the local ground" : "elevation";
-  return `${name} (${found.elevation_m.toFixed(2)} m against ${mean[0].toFixed(2)} ± ${spread.toFixed(2)} m)`;
+  return `${name} (${fixed(found.elevation_m, 2)} m against ${fixed(mean[0], 2)} ± ${spread.toFixed(2)} m)`;
 }
 
 /** D² = Σ dᵢ (Σ⁻¹ d)ᵢ: the index of the largest part. */
@@ -78,6 +81,16 @@ function determinant([a, b, c]: [Vector, Vector, Vector]): number {
   return (
     a[0] * (b[1] * c[2] - b[2] * c[1]) - a[1] * (b[0] * c[2] - b[2] * c[0]) + a[2] * (b[0] * c[1] - b[1] * c[0])
   );
+}
+
+/** The slope is the angle between the surface's normal and up: beyond 90° the surface faces down. */
+function slopeWords(rad: number): string {
+  const value = `${(rad * DEGREE).toFixed(1)}°`;
+  return isOverhang(rad) ? `${value} (overhang: the surface faces down)` : value;
+}
+
+function isOverhang(rad: number): boolean {
+  return rad * DEGREE >= OVERHANG_DEG;
 }
 
 function degrees(rad: number): string {

@@ -1,6 +1,7 @@
 // What the colours mean: classes with their counts, or a ramp with its values.
 
 import { swatch } from "./choices.js";
+import { HEIGHTS_M, OLDEST_S, type PointColour } from "../drawing/sweeps.js";
 import { make } from "./elements.js";
 import { DIFFERENCES, type Mode, ticksOf } from "../looks.js";
 import { ramp } from "../ramps.js";
@@ -28,18 +29,30 @@ function shareLegend(entries: readonly (readonly [string, string])[], counts: re
     const share = total ? `${((100 * counts[number]!) / total).toFixed(0)} %` : "";
     return make("li", {}, swatch(fill), make("span", {}, name), make("span", { class: "viewer-share" }, share));
   });
-  return make("ul", { class: "legend viewer-legend" }, ...items);
+  const list = make("ul", { class: "legend" }, ...items);
+  return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "of this frame's voxels")] : []));
+}
+
+/** What the colours of points mean, where a ramp says it. */
+export function pointLegend(by: PointColour): HTMLElement | null {
+  if (by === "intensity") return null;
+  if (by === "height") return ramped("Points, height", "viridis", [HEIGHTS_M[0], (HEIGHTS_M[0] + HEIGHTS_M[1]) / 2, HEIGHTS_M[1]].map((height) => `${height.toFixed(1)} m`));
+  return ramped("Points, age", "viridis", [`${OLDEST_S} s`, `${OLDEST_S / 2} s`, "now"]);
 }
 
 export function rampLegend(mode: Mode, scene: SceneFacts): HTMLElement {
+  return ramped(TITLES[mode], rampOf(mode), ticksOf(mode, scene));
+}
+
+function ramped(title: string, name: "viridis" | "inferno", words: readonly string[]): HTMLElement {
   const canvas = make("canvas", { width: String(WIDTH_PX), height: "10", role: "presentation" });
   const context = canvas.getContext("2d");
   for (let x = 0; context && x < WIDTH_PX; x++) {
-    context.fillStyle = `rgb(${ramp(rampOf(mode), x / (WIDTH_PX - 1)).join(" ")})`;
+    context.fillStyle = `rgb(${ramp(name, x / (WIDTH_PX - 1)).join(" ")})`;
     context.fillRect(x, 0, 1, 10);
   }
-  const ticks = ticksOf(mode, scene).map((tick) => make("span", {}, tick));
+  const ticks = words.map((tick) => make("span", {}, tick));
   return make(
-    "div", { class: "viewer-legend viewer-ramp" }, make("strong", {}, TITLES[mode]), canvas, make("div", { class: "viewer-ticks" }, ...ticks),
+    "div", { class: "viewer-legend viewer-ramp" }, make("strong", {}, title), canvas, make("div", { class: "viewer-ticks" }, ...ticks),
   );
 }

@@ -1,14 +1,15 @@
 // For browsers that draw no 3D: the frames from above as pictures, with the same timeline.
 
+import { withColours } from "../../colours.js";
 import { make } from "./elements.js";
 import type { SceneFacts } from "../scene.js";
 import { Timeline } from "./timeline.js";
 
 export async function showPictures(host: HTMLElement, scene: SceneFacts, start: number): Promise<void> {
   const { tokens } = scene.frames;
-  const picture = make("img", { alt: "", width: "512", height: "512", class: "viewer-above" });
+  const picture = make("img", { alt: "", width: "512", height: "512", class: "viewer-above", "data-coloured": "" });
   const show = async (index: number): Promise<void> => {
-    picture.src = `/api/v1/frames/${tokens[index]}/bev.png`;
+    picture.src = withColours(`/api/v1/frames/${tokens[index]}/bev.png`);
     picture.alt = `Labels around the robot from above, frame ${index + 1} of ${tokens.length}`;
     await picture.decode().catch(() => undefined);
     timeline.stand(index);
@@ -17,7 +18,7 @@ export async function showPictures(host: HTMLElement, scene: SceneFacts, start: 
   };
   const timeline = new Timeline(scene.frames.stamps_ns.map(BigInt), show);
   const sentence = make("p", { class: "viewer-message", role: "status" });
-  sentence.textContent = "This browser draws no 3D (WebGL 2 is missing or switched off), so the labels are shown from above.";
+  sentence.textContent = "3D is not available in this browser (WebGL 2 is missing or disabled), so the labels are shown from above.";
   host.replaceChildren(make("div", { class: "viewer-scene" }, picture), timeline.element, sentence);
   await show(start);
 }

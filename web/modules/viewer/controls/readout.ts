@@ -1,5 +1,6 @@
 // What a picked voxel is: its class, its values, and why.
 
+import { fixed } from "../../counts.js";
 import { swatch } from "./choices.js";
 import { make } from "./elements.js";
 import { CLASS_NAMES, reason, valuesOf } from "./explanation.js";
@@ -11,7 +12,7 @@ const DIFFERENCE_FILLS = ["", "fill-same", "fill-only-a", "fill-only-b", "fill-e
 const FILLS = ["fill-unseen", "fill-t", "fill-p", "fill-n"] as const;
 
 export class Readout {
-  readonly element = make("section", { class: "viewer-readout card", "aria-label": "Picked voxel", "aria-live": "polite", hidden: true });
+  readonly element = make("section", { class: "viewer-readout card", "aria-label": "Selected voxel", "aria-live": "polite", hidden: true });
 
   constructor(private readonly scene: SceneFacts, private readonly closed: () => void) {}
 
@@ -29,8 +30,8 @@ export class Readout {
   }
 
   private rows(picked: Picked): [string, string][] {
-    const place = picked.centre_m.map((value) => value.toFixed(1)).join(", ");
-    return [...(picked.found ? valuesOf(picked.found, this.scene) : []), ["Place in the map", `${place} m`]];
+    const place = picked.centre_m.map((value) => fixed(value, 1)).join(", ");
+    return [...(picked.found ? valuesOf(picked.found, this.scene) : []), ["Map position", `${place} m`]];
   }
 }
 

@@ -29,12 +29,12 @@ export class Timeline {
     this.slider = make("input", { type: "range", min: "0", max: last, step: "1", value: "0", "aria-label": "Frame" });
     this.slider.addEventListener("input", () => this.seek(this.slider.valueAsNumber));
     this.where = make("output", { class: "viewer-where" });
-    this.playing = button("Play", PLAY, () => this.toggle());
+    this.playing = button("Play", "Play", PLAY, () => this.toggle());
     this.speed = make("select", { "aria-label": "Speed", class: "viewer-speed" });
     this.speed.append(...SPEEDS.map((value) => make("option", { value: String(value), selected: value === 1 }, `${value}×`)));
     this.element = make(
       "div", { class: "viewer-timeline", role: "group", "aria-label": "Timeline" },
-      button("Previous frame", BACK, () => this.step(-1)), this.playing, button("Next frame", ON, () => this.step(1)),
+      button("Previous frame", "Previous", BACK, () => this.step(-1)), this.playing, button("Next frame", "Next", ON, () => this.step(1)),
       this.slider, this.where, this.speed,
     );
   }
@@ -98,7 +98,7 @@ export class Timeline {
   private say(isPlaying: boolean): void {
     this.element.dataset["playing"] = String(isPlaying);
     const label = isPlaying ? "Pause" : "Play";
-    this.playing.replaceChildren(icon(isPlaying ? PAUSE : PLAY));
+    this.playing.replaceChildren(icon(isPlaying ? PAUSE : PLAY), make("span", {}, label));
     this.playing.setAttribute("aria-label", label);
     this.playing.title = label;
   }

@@ -42,6 +42,21 @@ export interface Cloud {
   intensity: Uint8Array;
 }
 
+/**
+ * The cameras of a playback. By camera: whether there is a picture of each frame; unit vectors of the optical frame
+ * through rows × columns places from edge to edge of the image (NaN: the lens sees nothing there); for each frame where
+ * the camera was in the ego frame of its labels, tx ty tz qw qx qy qz (NaN: not known).
+ */
+export interface CameraFacts {
+  cameras: number;
+  frames: number;
+  columns: number;
+  rows: number;
+  hasPicture: Uint8Array;
+  rays: Float32Array;
+  egoFromCamera: Float32Array;
+}
+
 export class FormatError extends Error {}
 
 /** Reads one array after another; its views are copies, so that none is unaligned. */
@@ -113,6 +128,19 @@ export function cloudOf(content: Uint8Array): Cloud {
   const cloud = { points_cm: new Int16Array(reader.take(6 * n)), intensity: new Uint8Array(reader.take(n)) };
   reader.end();
   return cloud;
+}
+
+export function camerasOf(content: Uint8Array): CameraFacts {
+  const reader = new Reader(content, "STR1");
+  const [cameras, frames, columns, rows] = [reader.count(), reader.count(), reader.count(), reader.count()];
+  const facts = {
+    cameras, frames, columns, rows,
+    hasPicture: new Uint8Array(reader.take(cameras * frames)),
+    rays: new Float32Array(reader.take(12 * cameras * rows * columns)),
+    egoFromCamera: new Float32Array(reader.take(28 * cameras * frames)),
+  };
+  reader.end();
+  return facts;
 }
 
 /** The class of the voxel, 0–3. */

@@ -1,7 +1,11 @@
 // The scene in numbers, in the worker: planes of frames, tiles of the map, and what is drawn or picked of them.
 
 import { type Faces, facesOf } from "./faces.js";
-import { type Planes, type Tile, GRID_MIN_M, SHAPE, VOXEL_M, classAt, codeAt, coded, isObserved, labelled } from "./formats.js";
+import { CameraRays, type CameraView, type ViewSize } from "./camera_views.js";
+import { columnsOf, lowestOf } from "./columns.js";
+import {
+  type CameraFacts, type Planes, type Tile, GRID_MIN_M, SHAPE, VOXEL_M, classAt, codeAt, coded, isObserved, labelled,
+} from "./formats.js";
 import { type Found, Tiles } from "./lookup.js";
 import { DIFFERENCES, type Look, type Mode, colourOf } from "../looks.js";
 import { type Piece, type Pose, type SceneFacts, type Vector, toEgo, toMap, turnedToEgo } from "../scene.js";
@@ -10,8 +14,12 @@ import { firstVoxel } from "./ray_walk.js";
 
 const KEPT_FRAMES = 24;
 
-/** A voxel under the cursor; `index` and `centre_m` (map) of the grid it was picked in, `found` what the map says there. */
+/**
+ * A voxel under the cursor; `index` and `centre_m` (map) of the grid it was picked in, `found` what the map says there.
+ * `id` is 1 + its index in the frame's grid, as pictures of cameras know it; 0 where that grid does not reach.
+ */
 export interface Picked {
+  id: number;
   index: Vector;
   centre_m: Vector;
   kind: number;
@@ -28,6 +36,8 @@ export interface Drawn {
   counts: number[];
   origin: Vector;
   voxel: number;
+  /** Of a frame: the lowest labelled voxel in each 4 × 4 columns, row by row along y, −1 where there is none. */
+  lowest?: Int8Array;
 }
 
 export interface Ray {
@@ -38,6 +48,7 @@ export interface Ray {
 export class Model {
   readonly tiles = new Tiles();
   private readonly frames = new Map<string, Planes>();
+  private cameras: CameraRays | null = null;
 
   constructor(private readonly scene: SceneFacts) {}
 
@@ -53,7 +64,8 @@ export class Model {
 
   drawFrame(token: string, look: Look): Drawn {
     const planes = this.planes(token, look.mode);
-    if (look.mode === "difference") return drawnDifferences(planes);
+    const lowest = lowestOf(columnsOf(planes, look.mode === "difference"));
+    if (look.mode === "difference") return { ...drawnDifferences(planes), lowest };
     const pose = this.pose(token);
     const solid = new Solid(SHAPE);
     const counts: [number, number, number] = [0, 0, 0];
@@ -64,7 +76,7 @@ export class Model {
       const values = look.mode === "class" ? null : this.tiles.near(toMap(pose, centre(i, j, k)));
       solid.paint(i, j, k, colourOf(look, kind, isObserved(planes, index), values, this.scene));
     }
-    return { faces: facesOf(solid), counts, origin: [0, 0, 0], voxel: 1 };
+    return { faces: facesOf(solid), counts, origin: [0, 0, 0], voxel: 1, lowest };
   }
 
   /** A tile with voxels of 2^level lattice steps, each of the class that most of its own have. */
@@ -84,8 +96,60 @@ export class Model {
     return { faces: facesOf(solid), counts, origin: low, voxel };
   }
 
+  openCameras(facts: CameraFacts): void {
+    this.cameras = new CameraRays(facts);
+  }
+
+  /** What each camera sees of the frame: every labelled voxel hides what is behind it, also one that is not shown. */
+  cameraViews(token: string, look: Look, sizes: readonly ViewSize[]): CameraView[] {
+    const { cameras } = this;
+    if (!cameras) throw new Error("There are no cameras here.");
+    const planes = this.planes(token, look.mode);
+    const columns = columnsOf(planes, look.mode === "difference");
+    const frame = this.scene.frames.tokens.indexOf(token);
+    const colour = this.colouring(token, look, planes);
+    return sizes.map((size) => {
+      const ids = cameras.cast(columns, size, frame);
+      const colours = new Uint8Array(ids.length);
+      let [last, same] = [0, 0]; // neighbours often see one voxel
+      for (let pixel = 0; pixel < ids.length; pixel++) {
+        const id = ids[pixel]!;
+        if (id === 0) continue;
+        if (id !== last) [last, same] = [id, colour(id)];
+        colours[pixel] = same;
+      }
+      return { ...size, ids, colours };
+    });
+  }
+
+  /** The palette's index of a voxel by its id, looked up once for each. */
+  private colouring(token: string, look: Look, planes: Planes): (id: number) => number {
+    const [pose, known] = [this.pose(token), new Map<number, number>()];
+    const made = (index: number): number => {
+      if (look.mode === "difference") return codeAt(planes, index);
+      const values = look.mode === "class" ? null : this.tiles.near(toMap(pose, centre(...place(index))));
+      return colourOf(look, classAt(planes, index), isObserved(planes, index), values, this.scene);
+    };
+    return (id) => {
+      const held = known.get(id) ?? made(id - 1);
+      known.set(id, held);
+      return held;
+    };
+  }
+
   pick(ray: Ray, scope: "frame" | "map", token: string, look: Look): Picked | null {
-    return scope === "frame" ? this.pickFrame(ray, token, look) : this.pickMap(ray, look);
+    return scope === "frame" ? this.pickFrame(ray, token, look) : this.pickMap(ray, token, look);
+  }
+
+  /** The voxel of the frame with this id. */
+  pickedAt(token: string, id: number, look: Look): Picked {
+    const [planes, at] = [this.planes(token, look.mode), id - 1];
+    const index = place(at);
+    const centre_m = toMap(this.pose(token), centre(...index));
+    const picked = { id, index, centre_m, scope: "frame" as const };
+    if (look.mode === "difference") return { ...picked, kind: 0, seen: true, found: null, difference: codeAt(planes, at) };
+    const [kind, seen] = [classAt(planes, at), isObserved(planes, at)];
+    return { ...picked, kind, seen, found: this.tiles.near(centre_m), difference: null };
   }
 
   private pickFrame(ray: Ray, token: string, look: Look): Picked | null {
@@ -99,15 +163,10 @@ export class Model {
       const kind = classAt(planes, at);
       return kind > 0 && ((look.classes >> kind) & 1) === 1 && (look.unseen !== "hide" || isObserved(planes, at));
     });
-    if (!index) return null;
-    const at = (index[0] * SHAPE[1] + index[1]) * SHAPE[2] + index[2];
-    const centre_m = toMap(pose, centre(...index));
-    if (isDifference) return { index, centre_m, kind: 0, seen: true, scope: "frame", found: null, difference: codeAt(planes, at) };
-    const kind = classAt(planes, at);
-    return { index, centre_m, kind, seen: isObserved(planes, at), scope: "frame", found: this.tiles.near(centre_m), difference: null };
+    return index && this.pickedAt(token, idOf(index), look);
   }
 
-  private pickMap(ray: Ray, look: Look): Picked | null {
+  private pickMap(ray: Ray, token: string, look: Look): Picked | null {
     const from = ray.from_m.map((value) => value / VOXEL_M) as Vector;
     const [low, high] = bounds(this.scene.tiles);
     const index = firstVoxel({ from, direction: ray.direction, low, high }, (i, j, k) => {
@@ -117,12 +176,14 @@ export class Model {
     const found = index && this.tiles.at(...index);
     if (!index || !found) return null;
     const centre_m = index.map((value) => (value + 0.5) * VOXEL_M) as Vector;
-    return { index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
+    const inFrame = toEgo(this.pose(token), centre_m).map((value, axis) => Math.floor((value - GRID_MIN_M[axis]!) / VOXEL_M)) as Vector;
+    return { id: idOf(inFrame), index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
   }
 
   private planes(token: string, mode: Mode): Planes {
     const planes = this.frames.get(keyOf(token, mode));
     if (!planes) throw new Error(`The frame ${token} is not here.`);
+    this.keepFrame(token, mode, planes); // used last, forgotten last
     return planes;
   }
 
@@ -150,6 +211,12 @@ function drawnDifferences(planes: Planes): Drawn {
 
 function place(index: number): Vector {
   return [Math.floor(index / (SHAPE[1] * SHAPE[2])), Math.floor(index / SHAPE[2]) % SHAPE[1], index % SHAPE[2]];
+}
+
+/** 1 + index of the voxel in the frame's grid; 0 outside. */
+function idOf(index: Vector): number {
+  if (index.some((value, axis) => value < 0 || value >= SHAPE[axis]!)) return 0;
+  return (index[0] * SHAPE[1] + index[1]) * SHAPE[2] + index[2] + 1;
 }
 
 /** The centre of the frame's voxel in the ego frame. */

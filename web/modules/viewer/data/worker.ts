@@ -1,7 +1,8 @@
 // The worker: decompresses, decodes, builds what is drawn, and answers which voxel a ray meets.
 
 import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
-import { type Cloud, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
+import type { CameraView, ViewSize } from "./camera_views.js";
+import { type Cloud, camerasOf, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
 import type { Look } from "../looks.js";
 import { type Drawn, Model, type Picked, type Ray } from "./model.js";
 import type { Piece, SceneFacts } from "../scene.js";
@@ -13,6 +14,9 @@ export type Asked =
   | { kind: "draw-tile"; name: string; look: Look; level: number }
   | { kind: "mesh"; content: Uint8Array }
   | { kind: "cloud"; content: Uint8Array }
+  | { kind: "cameras"; content: Uint8Array }
+  | { kind: "camera-views"; token: string; look: Look; sizes: ViewSize[] }
+  | { kind: "pick-voxel"; token: string; voxel: number; look: Look }
   | { kind: "pick"; ray: Ray; scope: "frame" | "map"; token: string; look: Look };
 
 export interface Answers {
@@ -22,6 +26,10 @@ export interface Answers {
   "draw-tile": Drawn;
   mesh: Surface;
   cloud: Cloud;
+  /** Whether there is a picture, by camera and frame. */
+  cameras: { frames: number; hasPicture: Uint8Array };
+  "camera-views": CameraView[];
+  "pick-voxel": Picked;
   pick: Picked | null;
 }
 
@@ -59,6 +67,15 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
       return surfaceOf(decompress(asked.content));
     case "cloud":
       return cloudOf(decompress(asked.content));
+    case "cameras": {
+      const facts = camerasOf(decompress(asked.content));
+      model.openCameras(facts);
+      return { frames: facts.frames, hasPicture: facts.hasPicture.slice() };
+    }
+    case "camera-views":
+      return model.cameraViews(asked.token, asked.look, asked.sizes);
+    case "pick-voxel":
+      return model.pickedAt(asked.token, asked.voxel, asked.look);
     case "pick":
       return model.pick(asked.ray, asked.scope, asked.token, asked.look);
   }
@@ -70,7 +87,8 @@ function magicOf(look: Look): "STV1" | "STD1" {
 
 function buffersOf(value: Answers[Asked["kind"]]): Transferable[] {
   if (value === null) return [];
-  if ("faces" in value) return [value.faces.vertices.buffer, value.faces.indices.buffer];
+  if (Array.isArray(value)) return value.flatMap((view) => [view.ids.buffer, view.colours.buffer]);
+  if ("faces" in value) return [value.faces.vertices.buffer, value.faces.indices.buffer, ...(value.lowest ? [value.lowest.buffer] : [])];
   if ("triangles" in value) return [value.vertices_m.buffer, value.classes.buffer, value.triangles.buffer];
   if ("points_cm" in value) return [value.points_cm.buffer, value.intensity.buffer];
   return [];

@@ -17,7 +17,7 @@ export class Asking {
       else waiting?.reject(new Error(data.error));
     });
     this.worker.addEventListener("error", () => {
-      for (const one of this.waiting.values()) one.reject(new Error("The part that decodes ended. Load the page again."));
+      for (const one of this.waiting.values()) one.reject(new Error("The decoder stopped. Reload the page."));
       this.waiting.clear();
     });
   }

@@ -2,8 +2,10 @@
 
 import { PerspectiveCamera, Vector3 } from "three";
 
-const LOWEST_RAD = -0.2;
+const LOWEST_RAD = 0.03;
 const HIGHEST_RAD = Math.PI / 2 - 0.001;
+/** So high above the ground at least is the camera; what it turns around is not below it. */
+const ABOVE_GROUND_M = 0.5;
 const NEAREST_M = 2;
 const FARTHEST_M = 900;
 const TURN_RAD_PER_PX = 0.006;
@@ -17,6 +19,10 @@ export class Orbit {
   distance_m = 40;
   /** With the page: one finger scrolls it, the wheel zooms only once the view has the focus. */
   isShy = false;
+  /** The ground's height at a place: camera and target stay above it. */
+  floor: (x: number, y: number) => number = () => -Infinity;
+  /** The reader moved the camera. */
+  moved: () => void = () => undefined;
   private readonly fingers = new Map<number, { x: number; y: number }>();
 
   constructor(
@@ -36,12 +42,11 @@ export class Orbit {
 
   place(): void {
     const flat = Math.cos(this.pitch_rad) * this.distance_m;
+    this.target.z = Math.max(this.target.z, this.floor(this.target.x, this.target.y));
     const { x, y, z } = this.target;
-    this.camera.position.set(
-      x + flat * Math.cos(this.yaw_rad),
-      y + flat * Math.sin(this.yaw_rad),
-      z + Math.sin(this.pitch_rad) * this.distance_m,
-    );
+    const [eyeX, eyeY] = [x + flat * Math.cos(this.yaw_rad), y + flat * Math.sin(this.yaw_rad)];
+    const lowest = this.floor(eyeX, eyeY) + ABOVE_GROUND_M;
+    this.camera.position.set(eyeX, eyeY, Math.max(lowest, z + Math.sin(this.pitch_rad) * this.distance_m));
     this.camera.near = Math.max(0.1, this.distance_m / 200);
     this.camera.far = this.distance_m + 1500;
     this.camera.updateProjectionMatrix();
@@ -51,12 +56,12 @@ export class Orbit {
   turn(yaw_rad: number, pitch_rad: number): void {
     this.yaw_rad += yaw_rad;
     this.pitch_rad = Math.min(HIGHEST_RAD, Math.max(LOWEST_RAD, this.pitch_rad + pitch_rad));
-    this.changed();
+    this.act();
   }
 
   near(ratio: number): void {
     this.distance_m = Math.min(FARTHEST_M, Math.max(NEAREST_M, this.distance_m * ratio));
-    this.changed();
+    this.act();
   }
 
   /** Move over the ground: shares of the distance to the right and ahead, as the camera looks. */
@@ -64,6 +69,18 @@ export class Orbit {
     const [cos, sin] = [Math.cos(this.yaw_rad), Math.sin(this.yaw_rad)];
     this.target.x += this.distance_m * (-sin * right - cos * ahead);
     this.target.y += this.distance_m * (cos * right - sin * ahead);
+    this.act();
+  }
+
+  /** Looks so from now on, within what is allowed. */
+  stand(yaw_rad: number, pitch_rad: number, distance_m: number): void {
+    this.yaw_rad = yaw_rad;
+    this.pitch_rad = Math.min(HIGHEST_RAD, Math.max(LOWEST_RAD, pitch_rad));
+    this.distance_m = Math.min(FARTHEST_M, Math.max(NEAREST_M, distance_m));
+  }
+
+  private act(): void {
+    this.moved();
     this.changed();
   }
 

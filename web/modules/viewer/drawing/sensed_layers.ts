@@ -1,51 +1,14 @@
-// What was sensed and made of it: the frame's point cloud, and the reconstructed surface of a tile.
+// What was made of what was sensed: the reconstructed surface of a tile.
 
-import { BufferAttribute, BufferGeometry, DoubleSide, GLSL3, Group, Mesh, type PerspectiveCamera, Points, ShaderMaterial, Vector3 } from "three";
-import type { Cloud, Surface } from "../data/formats.js";
-import { CLOUD_FRAGMENT, CLOUD_VERTEX, SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
+import { BufferAttribute, BufferGeometry, DoubleSide, GLSL3, Mesh, type PerspectiveCamera, ShaderMaterial, Vector3 } from "three";
+import type { Surface } from "../data/formats.js";
+import { SURFACE_FRAGMENT, SURFACE_VERTEX } from "./shaders.js";
 import type { Prop } from "./stage.js";
 import type { Rgb, Theme } from "./theme.js";
 import type { VoxelPaint } from "./voxel_layer.js";
 
 const SUN = new Vector3(-0.45, -0.62, 0.64).normalize();
 const share = (rgb: Rgb): Vector3 => new Vector3(...rgb).divideScalar(255);
-
-/** The points of one frame, by how strongly they shone back. */
-export class CloudLayer implements Prop {
-  readonly group = new Group();
-  private readonly material: ShaderMaterial;
-  private readonly points: Points<BufferGeometry, ShaderMaterial>;
-
-  constructor(paint: VoxelPaint, private readonly height_px: () => number) {
-    const uniforms = {
-      dim: { value: new Vector3() }, bright: { value: new Vector3() }, pixels: { value: 800 }, paper: paint.paper, fade: paint.fade,
-    };
-    this.material = new ShaderMaterial({ glslVersion: GLSL3, vertexShader: CLOUD_VERTEX, fragmentShader: CLOUD_FRAGMENT, uniforms });
-    this.points = new Points(new BufferGeometry(), this.material);
-    this.points.frustumCulled = false;
-    this.points.scale.setScalar(0.01); // centimetres
-    this.group.add(this.points);
-    this.group.matrixAutoUpdate = false;
-  }
-
-  show(cloud: Cloud | null): void {
-    this.points.geometry.dispose();
-    this.points.geometry = new BufferGeometry();
-    this.points.visible = cloud !== null;
-    if (!cloud) return;
-    this.points.geometry.setAttribute("position", new BufferAttribute(cloud.points_cm, 3));
-    this.points.geometry.setAttribute("strength", new BufferAttribute(cloud.intensity, 1, true));
-  }
-
-  themed(theme: Theme): void {
-    this.material.uniforms["dim"]!.value = share(theme.soft);
-    this.material.uniforms["bright"]!.value = share(theme.accent);
-  }
-
-  drawing(camera: PerspectiveCamera): void {
-    this.material.uniforms["pixels"]!.value = this.height_px() / Math.tan((camera.fov * Math.PI) / 360);
-  }
-}
 
 /** The paint of all surfaces: colours of the classes, and the sun as the camera sees it. */
 export class SurfacePaint implements Prop {

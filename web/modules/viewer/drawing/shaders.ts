@@ -24,7 +24,7 @@ void main() {
   vec2 edge = wider * 0.015;
   place += axis == 0 ? vec3(0.0, edge) : axis == 1 ? vec3(edge.y, 0.0, edge.x) : vec3(edge, 0.0);
   float open = float((word >> 11) & 3) / 3.0;
-  colour = texelFetch(palette, ivec2(word & 255, 0), 0).rgb * light[direction] * mix(0.62, 1.0, open);
+  colour = texelFetch(palette, ivec2(word & 255, 0), 0).rgb * light[direction] * mix(0.82, 1.0, open);
   vec4 seen = modelViewMatrix * vec4(place, 1.0);
   away = length(seen.xyz);
   gl_Position = projectionMatrix * seen;
@@ -66,7 +66,7 @@ out vec4 painted;
 ${FADE}
 void main() {
   vec3 normal = normalize(cross(dFdx(seenFrom), dFdy(seenFrom)));
-  float lit = 0.62 + 0.42 * max(0.0, dot(normal, sun));
+  float lit = 0.72 + 0.3 * max(0.0, dot(normal, sun));
   painted = vec4(faded(colour * lit, length(seenFrom)), 1.0);
 }`;
 
@@ -75,11 +75,19 @@ in float strength;
 uniform vec3 dim;
 uniform vec3 bright;
 uniform float pixels;
+uniform sampler2D ramp;
+uniform int by;
+uniform float age;
+uniform float ground;
+uniform vec2 heights;
 out vec3 colour;
 out float away;
 void main() {
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
-  colour = mix(dim, bright, sqrt(strength));
+  float height = ((modelMatrix * vec4(position, 1.0)).z - ground - heights.x) / (heights.y - heights.x);
+  float share = by == 1 ? height : 1.0 - age;
+  vec3 ramped = texelFetch(ramp, ivec2(int(clamp(share, 0.0, 1.0) * 255.0 + 0.5), 0), 0).rgb;
+  colour = by == 0 ? mix(dim, bright, sqrt(strength)) : ramped;
   away = length(seen.xyz);
   gl_Position = projectionMatrix * seen;
   gl_PointSize = clamp(pixels * 0.07 / away, 1.5, 6.0);

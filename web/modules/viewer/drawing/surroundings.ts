@@ -52,7 +52,7 @@ export class Track implements Prop {
   }
 
   themed(theme: Theme): void {
-    for (const material of [this.ribbon, this.line, this.through]) material.color = tint(theme.accent);
+    for (const material of [this.ribbon, this.line, this.through]) material.color = tint(theme.track);
   }
 }
 
@@ -89,8 +89,8 @@ export class Robot implements Prop {
   }
 
   themed(theme: Theme): void {
-    this.body.color = tint(theme.accent);
-    this.edge.color = tint(theme.ink);
+    this.body.color = tint(theme.track);
+    this.edge.color = tint(theme.paper);
     this.nose.color = tint(theme.sheet);
   }
 }

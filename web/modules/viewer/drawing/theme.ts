@@ -13,6 +13,7 @@ export interface Theme {
   soft: Rgb;
   line: Rgb;
   accent: Rgb;
+  track: Rgb;
   unseen: Rgb;
   /** T, P, N. */
   classes: [Rgb, Rgb, Rgb];
@@ -30,17 +31,18 @@ export function themeOf(element: Element): Theme {
     soft: token("--ink-soft"),
     line: token("--line"),
     accent: token("--accent"),
+    track: token("--track"),
     unseen: token("--unseen"),
     classes: [token("--t"), token("--p"), token("--n")],
     differences: ["--same", "--only-a", "--only-b", "--easier", "--harder"].map(token),
   };
 }
 
-/** Calls back when the reader or their system changes the theme; what it returns ends that. */
+/** Calls back when the reader or their system changes the theme or the class colours; what it returns ends that. */
 export function onThemeChange(changed: () => void): () => void {
   const system = matchMedia("(prefers-color-scheme: dark)");
   const observer = new MutationObserver(changed);
-  observer.observe(document.documentElement, { attributeFilter: ["data-theme"] });
+  observer.observe(document.documentElement, { attributeFilter: ["data-theme", "data-colours"] });
   system.addEventListener("change", changed);
   return () => {
     observer.disconnect();
@@ -54,7 +56,7 @@ export function paletteOf(theme: Theme, mode: Mode): Uint8Array {
   const put = (index: number, colour: Rgb): void => palette.set(colour, index * 4);
   theme.classes.forEach((colour, number) => {
     put(number + 1, colour);
-    put(number + 1 + FADED, mixed(colour, mixed(theme.unseen, theme.paper, 0.45), 0.72));
+    put(number + 1 + FADED, mixed(colour, mixed(theme.unseen, theme.paper, 0.45), 0.6));
   });
   if (mode === "difference") theme.differences.forEach((colour, number) => put(number + 1, colour));
   for (let index = RAMP_FIRST; index <= RAMP_LAST; index++) {

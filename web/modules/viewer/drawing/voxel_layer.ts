@@ -77,7 +77,7 @@ export class VoxelBlock {
     const turned = new Matrix3().setFromMatrix4(this.group.matrixWorld);
     this.light.value = NORMALS.map((normal) => {
       const world = new Vector3(...normal).applyMatrix3(turned);
-      return 0.74 + 0.1 * world.z + 0.24 * Math.max(0, world.dot(SUN));
+      return 0.86 + 0.04 * world.z + 0.12 * Math.max(0, world.dot(SUN)); // never so dark that a class looks like another
     });
     const eye = camera.position.clone().applyMatrix4(this.mesh.matrixWorld.clone().invert());
     const [x, y, z] = [eye.x, eye.y, eye.z];

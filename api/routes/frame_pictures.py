@@ -1,0 +1,131 @@
+"""Routes of frames as pictures: the ground truth of an open phase from above, a prediction of it, where they differ.
+
+**Conventions.** Only of phases whose ground truth is open, and of sequences that nothing hides; of a hidden phase there
+is no picture for anybody, administrators included, also when it has ended. Pictures only: grids are what the dataset's
+downloads are for. What may be seen is decided at each request, before what was made earlier is looked up.
+"""
+
+from functools import lru_cache
+from typing import Annotated, Literal
+
+import numpy as np
+from fastapi import APIRouter, Query, Request, Response
+from numpy.typing import NDArray
+
+from api.answers import refusals
+from api.callers import Looker
+from api.deps import PlatformDep
+from api.errors import NotFoundError
+from api.files import GeneratedFile, answer_made, file_responses
+from api.routes.benchmarks import AT, AtPhase
+from api.routes.sequences.frames import TokenPath
+from api.schemas.base import IdPath
+from api.schemas.results import ScoreQuery
+from api.views.results import known_score
+from api.views.scenes import ColoursQuery
+from services.domain.benchmarks.phases.open_frames import (
+    OpenFrames,
+    OpenTruth,
+    all_tokens,
+    locate_open_truth,
+    open_frames,
+    open_truth_of,
+    truth_grids,
+)
+from services.domain.benchmarks.submissions.predicted_frames import pictured_zip, predicted_grid
+from services.domain.viewer.difference_picture import difference_picture
+from services.domain.viewer.frame_picture import picture_bytes
+from services.domain.viewer.indexed_pictures import recoloured
+from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.protocol import Store
+
+router = APIRouter(tags=["benchmarks"])
+PNG = "image/png"
+PICTURE = file_responses(PNG)
+PREDICTED = PICTURE | refusals(403, 409)
+HELD_PICTURES, HELD_GRIDS = 128, 4
+Shown = Literal["prediction", "truth", "difference"]
+ShowQuery = Annotated[
+    Shown, Query(description="the predicted labels, the ground truth of this score, or where they differ")
+]
+Grid = NDArray[np.uint8]
+
+
+@router.get(
+    f"{AT}/frames/{{token}}.png",
+    response_class=Response,
+    responses=PICTURE,
+    summary="Picture the ground truth of an open phase's frame",
+)
+def download_truth_picture(
+    token: TokenPath, at: AtPhase, platform: PlatformDep, request: Request, colours: ColoursQuery = "default"
+) -> Response:
+    """The ground truth of a frame from above, forward up; of open phases only."""
+    with platform.database.reading() as session:
+        located = open_truth_of(session, at.find(session))
+    frames = _showing(platform.store, located, token)
+    content = _truth_picture(platform.store, frames.located, token)  # type: ignore[arg-type]  # by identity
+    return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-truth.png"))
+
+
+@router.get(
+    "/submissions/{submission_id}/frames/{token}.png",
+    response_class=Response,
+    responses=PREDICTED,
+    summary="Picture a predicted frame of an open phase",
+)
+def download_predicted_picture(
+    submission_id: IdPath,
+    token: TokenPath,
+    caller: Looker,
+    platform: PlatformDep,
+    request: Request,
+    show: ShowQuery = "prediction",
+    score: ScoreQuery = None,
+    colours: ColoursQuery = "default",
+) -> Response:
+    """A predicted frame from above, the ground truth it was scored by, or where they differ; of open phases only."""
+    with platform.database.reading() as session:
+        seen = known_score(session, caller, submission_id, score)
+        key = pictured_zip(session, seen).object_key  # refused before anything is said of the frame
+        located = locate_open_truth(session, seen.phase, seen.truth)
+    frames = _showing(platform.store, located, token)
+    if show == "truth":
+        content = _truth_picture(platform.store, frames.located, token)  # type: ignore[arg-type]  # by identity
+    else:
+        content = _predicted_picture(platform.store, (key, frames.located), token, show)  # type: ignore[arg-type]
+    return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-{show}.png"))
+
+
+def _showing(store: Store, located: OpenTruth | None, token: str) -> OpenFrames:
+    """The frames that may be shown, this one among them. Raises `NotFoundError`."""
+    frames = open_frames(store, located) if located else None
+    if frames is None or token not in frames.sequences:
+        raise NotFoundError("frame of this phase", token)
+    return frames
+
+
+@lru_cache(maxsize=HELD_PICTURES)
+def _truth_picture(store: Store, located: ExportLocation, token: str) -> bytes:
+    return picture_bytes(*_truth(store, located, token))  # type: ignore[arg-type]  # by identity
+
+
+@lru_cache(maxsize=HELD_PICTURES)
+def _predicted_picture(store: Store, of: tuple[str, ExportLocation], token: str, show: Shown) -> bytes:
+    """Raises `NotFoundError` where the zip lacks the frame, which none has that was accepted."""
+    predicted = _predicted(store, of, token)  # type: ignore[arg-type]  # by identity
+    if predicted is None:
+        raise NotFoundError("frame of this submission", token)
+    truth, observed = _truth(store, of[1], token)  # type: ignore[arg-type]  # by identity
+    return picture_bytes(predicted, observed) if show == "prediction" else difference_picture(truth, predicted)
+
+
+@lru_cache(maxsize=HELD_GRIDS)
+def _truth(store: Store, located: ExportLocation, token: str) -> tuple[Grid, Grid]:
+    return truth_grids(store, located, token)
+
+
+@lru_cache(maxsize=HELD_GRIDS)
+def _predicted(store: Store, of: tuple[str, ExportLocation], token: str) -> Grid | None:
+    """A store that is a bucket brings the whole zip to this machine once."""
+    return predicted_grid(store.local(of[0]), all_tokens(store, of[1]), token)

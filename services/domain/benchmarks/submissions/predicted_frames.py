@@ -1,0 +1,52 @@
+"""The predictions that a submission holds: its zip as it was kept, and single frames of it.
+
+**Conventions.** Only zips that were scored are opened, which a sandboxed job has read whole and accepted; they are read
+by the same bounded reader (`stone_submissions/archive.py`) nevertheless. A scored zip is kept for re-scores; that of a
+withdrawn submission is purged some time later.
+"""
+
+from collections.abc import Sequence
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions.result_errors import (
+    FramesHiddenError,
+    PredictionsGoneError,
+    WithheldError,
+)
+from services.domain.benchmarks.submissions.results import ScoreView
+from services.runtime.orm import Blob
+from stone_submissions.archive import open_submission
+from stone_submissions.npz_frame import prediction_grid
+
+
+def downloadable_zip(session: Session, seen: ScoreView) -> Blob:
+    """The zip, for whoever may have its bytes. Raises `WithheldError`, `PredictionsGoneError`."""
+    if not seen.policy.shows("baseline" if seen.submission.kind == "baseline" else "predictions"):
+        raise WithheldError("the zip", "open")  # its sentence is true of zips whatever the phase hides
+    return _kept_zip(session, seen)
+
+
+def pictured_zip(session: Session, seen: ScoreView) -> Blob:
+    """The zip, to make pictures of its frames. Raises `FramesHiddenError`, `PredictionsGoneError`."""
+    if not seen.policy.shows("frames"):
+        raise FramesHiddenError(seen.phase.name)
+    return _kept_zip(session, seen)
+
+
+def predicted_grid(path: Path, tokens: Sequence[str], token: str) -> NDArray[np.uint8] | None:
+    """The classes (256, 256, 32) that the zip predicts for a frame, of all `tokens` it must hold; None without it.
+
+    Raises `SubmissionError` where the file is not what was accepted.
+    """
+    with open_submission(path, tokens) as opened:
+        return prediction_grid(opened.read(token)) if token in opened.frames else None
+
+
+def _kept_zip(session: Session, seen: ScoreView) -> Blob:
+    if seen.submission.blob_sha256 is None:
+        raise PredictionsGoneError(seen.submission.id)
+    return session.get_one(Blob, seen.submission.blob_sha256)

@@ -1,0 +1,64 @@
+"""The one estimate of the seconds that runs have left, of which every page, list, event and command shows the same."""
+
+from collections.abc import Mapping, Sequence
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.benchmarks.submissions.completion_estimate import expected_of
+from services.domain.runs.time_left import rounded_s, seconds_left
+from services.domain.runs.work import AliveRun, alive_runs, older_of_the_same, pace_of
+from services.runtime.jobs.specs import TERMINAL
+from services.runtime.orm import Job, SubmissionRow
+from services.runtime.orm.base import now_ns
+
+SCORE = "score"
+IMPORT, SCENE = "dataset.import", "labeler.import_scene"
+
+
+def time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
+    """Seconds left by id, rounded up, of those that are runs, alive, and of which it can be told.
+
+    A job within a run has none: its run's is the estimate. Nor has a run while a queue that it needs is paused.
+    """
+    runs = [job for job in jobs if job.id == job.root_id and job.state not in TERMINAL]
+    if not runs:
+        return {}
+    scores = [run for run in runs if run.kind == SCORE]
+    return {**_of_others(session, [run for run in runs if run.kind != SCORE]), **_of_scores(session, scores)}
+
+
+def _of_others(session: Session, runs: list[Job]) -> dict[str, int]:
+    if not runs:
+        return {}
+    before = [run for run in older_of_the_same(session, runs) if run.id not in {one.id for one in runs}]
+    alive = alive_runs(session, [*runs, *before], now_ns())
+    paces = {kind: pace_of(session, kind) for kind in {one.run.kind for one in alive}}
+    left = {one.run.id: None if _is_untold(one) else seconds_left(one.work, paces[one.run.kind]) for one in alive}
+    answers = dict[str, int]()
+    for one in alive:
+        own_s = left[one.run.id]
+        if own_s is not None and one.run in runs:
+            answers[one.run.id] = rounded_s(own_s + _ahead_s(one, alive, left))
+    return answers
+
+
+def _ahead_s(one: AliveRun, alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> float:
+    """The seconds that older runs of the same owner have left in its queue, whose jobs are taken first."""
+    older = [other.run for other in alive if other.queue == one.queue and other.run.id < one.run.id]
+    same = (one.run.owner_id, one.run.priority)
+    return sum(left[run.id] or 0.0 for run in older if (run.owner_id, run.priority) == same)
+
+
+def _is_untold(one: AliveRun) -> bool:
+    """Whether it cannot be told: a queue is paused, or an import has not read yet which scenes there are."""
+    scenes = any(stage.kind == SCENE for stage in one.work.stages)
+    return one.is_paused or (one.run.kind == IMPORT and not scenes)
+
+
+def _of_scores(session: Session, runs: list[Job]) -> dict[str, int]:
+    """As the submission's page says it."""
+    if not runs:
+        return {}
+    scored = select(SubmissionRow).where(SubmissionRow.job_id.in_([run.id for run in runs]))
+    return expected_of(session, session.scalars(scored).all())

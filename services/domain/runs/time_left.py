@@ -1,0 +1,217 @@
+"""Estimate of the time that a run has left, from what its jobs took and what such jobs took before.
+
+**Conventions.** The stages of a run are done in layers, one after the other. With `W` workers a layer takes
+
+    max(Σ seconds of its jobs / W, its longest job)   to   Σ seconds of its jobs / W + (1 − 1/W) · its longest job,
+
+the bounds of list scheduling (Graham, Bounds on Multiprocessing Timing Anomalies, 1969); the middle is taken. A job of
+a kind takes
+`c = (w·s·p + Σ busy) / (w + done)`: `w = JOB_WEIGHT` jobs as before (`p`, the platform's last runs, else `TYPICAL`) and
+the run's own that are done. `s = Σ busy / Σ p` over the run's done jobs tells a slower machine or a denser LiDAR; it is
+1 while none is done. Tiles of the surface differ a hundredfold, and the first ones are the margin of the map: they take
+`N·s·p` together, whatever the first took, and have no say in `s`. Times are seconds. There is no clock and no database
+here: the estimate is calibrated by replay (`python -m benchmarks.time_left`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from math import ceil
+
+LABELLING = "sequence.process"
+SYNCHRONISE, PARTS, FUSE, SURFACE = "ingest.synchronise", "labeler.parts", "labeler.fuse", "labeler.surface"
+SIGHT, REFERENCE, FRAMES, MAP = "labeler.sight", "labeler.reference", "labeler.frames", "labeler.map"
+PUBLISH = "labeler.publish"
+LAYERS = ((SYNCHRONISE,), (PARTS,), (FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP), (PUBLISH,))
+"""Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
+SHARES = (FUSE, FRAMES, "labeler.export")
+"""The kinds whose progress counts frames, which take about the same time each."""
+UNEVEN = (SURFACE,)
+LEAST_UNEVEN = 0.25
+LEAST_SHARE = 0.1
+SHARE_WEIGHT = 0.6
+JOB_WEIGHT = 3.0
+OVERDUE = 0.5
+"""Of a job that is beyond its time, this share of what it took is expected to come."""
+FRAMES_HZ = 10.0
+FRAMES_PER_PART = 60
+UNKNOWN_LENGTH_S = 60.0
+"""Of a recording that was registered before its length was kept."""
+
+TYPICAL: Mapping[str, float] = {
+    SYNCHRONISE: 0.2,
+    PARTS: 0.1,
+    FUSE: 1.0,
+    SURFACE: 1.0,
+    SIGHT: 0.2,
+    REFERENCE: 0.1,
+    FRAMES: 1.5,
+    MAP: 2.3,
+    PUBLISH: 0.3,
+}
+"""Seconds of a job by kind, where the platform has not labelled yet; of synchronisation per recorded second."""
+TYPICAL_TILES = 1.8
+
+
+@dataclass(frozen=True)
+class RunningJob:
+    """A job that runs: since when, and the share of it that is done where its units are frames, else None."""
+
+    elapsed_s: float
+    share: float | None = None
+
+
+@dataclass(frozen=True)
+class StageWork:
+    """The jobs of one kind of a run; `busy_s` is what the `done` ones took together."""
+
+    kind: str
+    queued: int = 0
+    running: tuple[RunningJob, ...] = ()
+    done: int = 0
+    busy_s: float = 0.0
+
+    @property
+    def left(self) -> int:
+        return self.queued + len(self.running)
+
+
+@dataclass(frozen=True)
+class RunWorkload:
+    """A run as it stands: `kind` of the run, the stages in the order in which their first jobs were made.
+
+    `recorded_s` is the length of its recordings, `frames` those that synchronisation found; each None where unknown.
+    Without `makes_labels` it ends with synchronisation. `workers` is the number of them that it can have.
+    """
+
+    kind: str
+    stages: tuple[StageWork, ...]
+    recorded_s: float | None = None
+    frames: int | None = None
+    cameras: int = 0
+    makes_labels: bool = True
+    workers: float = 1.0
+
+    @property
+    def length_s(self) -> float:
+        return UNKNOWN_LENGTH_S if self.recorded_s is None else self.recorded_s
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What jobs took in the last runs of the kind, by kind; of synchronisation per recorded second."""
+
+    seconds: Mapping[str, float] = field(default_factory=dict)
+    tiles_per_part: float | None = None
+
+    def of(self, kind: str) -> float | None:
+        return self.seconds.get(kind, TYPICAL.get(kind))
+
+    @property
+    def tiles(self) -> float:
+        return TYPICAL_TILES if self.tiles_per_part is None else self.tiles_per_part
+
+
+def seconds_left(work: RunWorkload, pace: Pace) -> float | None:
+    """The seconds until the run ends; None where nothing tells how long its jobs take."""
+    stages = {stage.kind: stage for stage in (*work.stages, *_to_come(work, pace))}
+    layers = _layers(work)
+    scale = _scale(work, pace)
+    left_s = 0.0
+    for layer in layers:
+        of_layer = [stages[kind] for kind in layer if kind in stages and stages[kind].left]
+        sum_s = longest_s = 0.0
+        for stage in of_layer:
+            own_s = _job_s(stage, work, pace, scale)
+            if own_s is None:
+                return None
+            running_s = [_running_s(stage.kind, job, own_s) for job in stage.running]
+            queued_s, longest_queued_s = _queued_s(stage, own_s)
+            sum_s += queued_s + sum(running_s)
+            longest_s = max(longest_s, longest_queued_s, *running_s)
+        left_s += _layer_s(sum_s, longest_s, work.workers)
+    return left_s
+
+
+def _layer_s(sum_s: float, longest_s: float, workers: float) -> float:
+    """Midway between the bounds of list scheduling."""
+    mean_s = sum_s / workers
+    return (max(mean_s, longest_s) + mean_s + (1 - 1 / max(1.0, workers)) * longest_s) / 2
+
+
+def _layers(work: RunWorkload) -> tuple[tuple[str, ...], ...]:
+    """Kinds that are worked on at the same time, one group after the other."""
+    known = {kind for layer in LAYERS for kind in layer} if work.kind == LABELLING else set[str]()
+    others = tuple((stage.kind,) for stage in work.stages if stage.kind not in known)
+    return (*LAYERS, *others) if work.kind == LABELLING else others
+
+
+def rounded_s(seconds: float) -> int:
+    """Rounded up, as far as it is worth: to 1 s up to 15 s, 5 s up to a minute, 10 s up to 5 min, then 1 and 5 min."""
+    step = next((step for limit, step in ((15, 1), (60, 5), (300, 10), (3600, 60)) if seconds <= limit), 300)
+    return max(1, ceil(seconds / step) * step)
+
+
+def _to_come(work: RunWorkload, pace: Pace) -> tuple[StageWork, ...]:
+    """The stages of a labelling that are not queued yet, because those before tell which there are."""
+    known = {stage.kind for stage in work.stages}
+    if work.kind != LABELLING or not work.makes_labels or FUSE in known or not known:
+        return ()
+    frames = work.frames if work.frames is not None else FRAMES_HZ * work.length_s
+    parts = max(1, ceil(frames / FRAMES_PER_PART))
+    counts = {PARTS: 1, FUSE: parts, SURFACE: max(1, round(parts * pace.tiles)), SIGHT: work.cameras}
+    counts |= {REFERENCE: 1, FRAMES: parts, MAP: 1, PUBLISH: 1}
+    return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if kind not in known and count)
+
+
+def _scale(work: RunWorkload, pace: Pace) -> float:
+    """How much longer this run's jobs take than such jobs did, by those that are done; 1 while none tells."""
+    busy_s = expected_s = 0.0
+    for stage in work.stages:
+        before_s = _before_s(stage.kind, work, pace)
+        if before_s is not None and stage.kind not in UNEVEN:
+            busy_s += stage.busy_s
+            expected_s += before_s * stage.done
+    return busy_s / expected_s if busy_s and expected_s else 1.0
+
+
+def _before_s(kind: str, work: RunWorkload, pace: Pace) -> float | None:
+    before_s = pace.of(kind)
+    if kind == SYNCHRONISE and before_s is not None:
+        return before_s * work.length_s
+    return before_s
+
+
+def _job_s(stage: StageWork, work: RunWorkload, pace: Pace, scale: float) -> float | None:
+    """The seconds of a job of the stage; None where neither this run nor one before tells."""
+    before_s = _before_s(stage.kind, work, pace)
+    if before_s is not None:
+        if stage.kind in UNEVEN:
+            return scale * before_s
+        return (JOB_WEIGHT * scale * before_s + stage.busy_s) / (JOB_WEIGHT + stage.done)
+    if stage.done:
+        return stage.busy_s / stage.done
+    done = sum(one.done for one in work.stages)
+    if done:
+        return sum(one.busy_s for one in work.stages) / done
+    shares = [job for job in stage.running if job.share and job.share >= LEAST_SHARE and stage.kind in SHARES]
+    return max(job.elapsed_s / (job.share or 1.0) for job in shares) if shares else None
+
+
+def _queued_s(stage: StageWork, own_s: float) -> tuple[float, float]:
+    """The seconds of the jobs that wait, and of the longest: of uneven ones what the others left of the sum of all."""
+    if not stage.queued:
+        return 0.0, 0.0
+    if stage.kind not in UNEVEN:
+        return stage.queued * own_s, own_s
+    others_s = stage.busy_s + sum(max(own_s, job.elapsed_s) for job in stage.running)
+    rest_s = own_s * (stage.done + stage.left) - others_s
+    return max(LEAST_UNEVEN * own_s * stage.queued, rest_s), own_s
+
+
+def _running_s(kind: str, job: RunningJob, own_s: float) -> float:
+    """Half by its progress, where that counts frames, and half by what such jobs take."""
+    usual_s = max(own_s - job.elapsed_s, OVERDUE * job.elapsed_s)
+    if kind not in SHARES or job.share is None or job.share < LEAST_SHARE:
+        return usual_s
+    by_share_s = job.elapsed_s * (1 - min(1.0, job.share)) / job.share
+    return (1 - SHARE_WEIGHT) * usual_s + SHARE_WEIGHT * by_share_s

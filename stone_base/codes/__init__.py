@@ -1,0 +1,1 @@
+"""Catalogue of codes: what a finding or a failed run means, whether it harms labels, and what to do."""

@@ -1,0 +1,51 @@
+"""All codes that have a meaning here: those of findings, of failed runs and of warnings about a phase.
+
+**Conventions.** Codes of published datasets (`DST-…`), of submissions and of the API are not findings and not in here.
+"""
+
+from collections.abc import Mapping
+
+from stone_base.codes import calibrations, clocks, containers, failures, labels, messages, poses
+from stone_base.codes.meaning import HARM_ORDER, CodeMeaning, Harm
+
+_MODULES = (containers, messages, clocks, poses, calibrations, labels, failures)
+CATALOGUE: Mapping[str, CodeMeaning] = {
+    one.code: one for one in sorted((one for module in _MODULES for one in module.MEANINGS), key=lambda one: one.code)
+}
+PROFILE_CODES = frozenset({"LAB-601", "LAB-603"})
+"""What processing again with profile `local` solves."""
+FAMILIES: Mapping[str, str] = {
+    "BAG": "Files of recordings",
+    "MSG": "Messages",
+    "TOP": "Topics",
+    "TIM": "Stamps and clocks",
+    "GNS": "Positions of a receiver",
+    "SYN": "Poses and frames",
+    "CAL": "Calibrations",
+    "LAB": "Labels",
+    "IMP": "Imported labels",
+    "QLT": "Quality of the data",
+    "": "Failed runs, and warnings about a phase",
+}
+"""Titles of the families of codes, in the order in which they are listed; "" is of codes in small letters."""
+
+
+def harm_of(code: str, severity: str) -> Harm | None:
+    """What a finding does to the labels; None for a code that is not in the catalogue."""
+    meaning = CATALOGUE.get(code)
+    return None if meaning is None else meaning.harm_as(severity)
+
+
+def harm_rank(code: str, severity: str) -> tuple[int, int]:
+    """A sort key: most harm first, errors before warnings; a code that is not in the catalogue goes by severity."""
+    harm = harm_of(code, severity) or {"error": "refused", "warning": "wrong"}.get(severity, "none")
+    grade = {"error": 0, "warning": 1}.get(severity, 2)
+    return (HARM_ORDER.index(harm), grade)
+
+
+def by_family() -> Mapping[str, tuple[CodeMeaning, ...]]:
+    """The catalogue by title of family."""
+    return {
+        title: tuple(one for one in CATALOGUE.values() if (one.code[:3] if one.code[:1].isupper() else "") == family)
+        for family, title in FAMILIES.items()
+    }

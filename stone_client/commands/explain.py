@@ -1,0 +1,43 @@
+"""`stone explain`: what a code of a finding or of a failed run means, without a server."""
+
+from dataclasses import asdict
+from typing import Annotated, Any
+
+import typer
+
+from stone_base.codes.catalogue import CATALOGUE
+from stone_base.codes.meaning import HARM_SENTENCES, HARM_WORDS, CodeMeaning
+from stone_client.errors import UnknownCodeError
+from stone_client.streams import JsonOption, echo_json
+
+
+def explain(
+    code: Annotated[str, typer.Argument(metavar="[CODE]", help="The code; default: list all.")] = "",
+    as_json: JsonOption = False,
+) -> None:
+    """Explain a code: what it means, whether it harms labels, and what to do."""
+    if not code:
+        return _list(as_json)
+    one = CATALOGUE.get(code) or CATALOGUE.get(code.upper())
+    if one is None:
+        raise UnknownCodeError(code)
+    if as_json:
+        return echo_json(_record(one))
+    typer.echo(f"{one.code}: {HARM_WORDS[one.harm]}\n")
+    others = (
+        f" As {'an error' if word == 'error' else 'a warning'}: {HARM_WORDS[harm]}."
+        for word, harm in one.differing.items()
+    )
+    typer.echo(f"{one.meaning}\n\nDoes it harm labels? {HARM_SENTENCES[one.harm]}{''.join(others)}")
+    typer.echo(f"What to do: {one.remedy}")
+
+
+def _list(as_json: bool) -> None:
+    if as_json:
+        return echo_json({"codes": [_record(one) for one in CATALOGUE.values()]})
+    for one in CATALOGUE.values():
+        typer.echo(f"{one.code}  {HARM_WORDS[one.harm]}: {one.meaning}")
+
+
+def _record(one: CodeMeaning) -> dict[str, Any]:
+    return {key: value for key, value in asdict(one).items() if value is not None}

@@ -1,0 +1,137 @@
+"""The estimate of the time left: what it must never do."""
+
+from dataclasses import replace
+
+import pytest
+from hypothesis import given
+from hypothesis import strategies as st
+
+from services.domain.runs.time_left import (
+    LABELLING,
+    LAYERS,
+    TYPICAL,
+    Pace,
+    RunningJob,
+    RunWorkload,
+    StageWork,
+    rounded_s,
+    seconds_left,
+)
+
+KINDS = tuple(kind for layer in LAYERS for kind in layer)
+SECONDS = st.floats(0.01, 1000.0)
+RUNNING = st.builds(RunningJob, SECONDS, st.one_of(st.none(), st.floats(0.0, 1.0)))
+
+
+@st.composite
+def stages(draw: st.DrawFn) -> tuple[StageWork, ...]:
+    """Stages of a labelling whose graph is known."""
+    made = []
+    for kind in KINDS:
+        done = draw(st.integers(0, 5))
+        busy_s = done * draw(SECONDS)
+        running = tuple(draw(st.lists(RUNNING, max_size=3)))
+        made.append(StageWork(kind, draw(st.integers(0, 5)), running, done, busy_s))
+    return tuple(made)
+
+
+WORKLOADS = st.builds(
+    RunWorkload,
+    st.just(LABELLING),
+    stages(),
+    recorded_s=st.one_of(st.none(), SECONDS),
+    cameras=st.integers(0, 6),
+    workers=st.floats(0.25, 16.0),
+)
+PACES = st.builds(Pace, st.dictionaries(st.sampled_from(KINDS), SECONDS), st.one_of(st.none(), st.floats(0.1, 3.0)))
+
+
+def told(work: RunWorkload, pace: Pace) -> float:
+    left_s = seconds_left(work, pace)
+    assert left_s is not None
+    return left_s
+
+
+@given(WORKLOADS, PACES, st.sampled_from(range(len(KINDS))))
+def test_it_is_never_negative_and_never_less_with_more_to_do(work: RunWorkload, pace: Pace, place: int) -> None:
+    left_s = told(work, pace)
+    assert left_s >= 0
+    more = replace(work.stages[place], queued=work.stages[place].queued + 1)
+    longer = replace(work, stages=(*work.stages[:place], more, *work.stages[place + 1 :]))
+    assert told(longer, pace) >= left_s - 1e-6
+
+
+@given(WORKLOADS, PACES)
+def test_twice_the_workers_never_take_longer(work: RunWorkload, pace: Pace) -> None:
+    assert told(replace(work, workers=2 * work.workers), pace) <= told(work, pace) + 1e-6
+
+
+@given(PACES)
+def test_what_is_done_has_nothing_left(pace: Pace) -> None:
+    done = tuple(StageWork(kind, done=3, busy_s=6.0) for kind in KINDS)
+    assert told(RunWorkload(LABELLING, done, recorded_s=20.0), pace) == 0
+
+
+@given(st.floats(0.1, 10.0), st.integers(1, 4))
+def test_before_anything_is_done_it_follows_what_such_runs_took(factor: float, workers: int) -> None:
+    queued = tuple(StageWork(kind, queued=2) for kind in KINDS)
+    work = RunWorkload(LABELLING, queued, recorded_s=20.0, workers=workers)
+    slower = Pace({kind: factor * seconds for kind, seconds in TYPICAL.items()})
+    assert told(work, slower) == pytest.approx(factor * told(work, Pace()))
+
+
+def test_a_machine_that_is_slower_than_before_is_found_out_by_the_jobs_that_are_done() -> None:
+    """Half of it took twice as long as before: so will the other half."""
+    pace = Pace({kind: 10.0 for kind in KINDS})
+    stages = (StageWork("labeler.fuse", done=4, busy_s=80.0), StageWork("labeler.reference", queued=1))
+    assert told(RunWorkload(LABELLING, stages, recorded_s=20.0), pace) == pytest.approx(20.0)
+
+
+def test_a_job_that_is_beyond_its_time_is_expected_to_go_on() -> None:
+    overdue = (StageWork("labeler.fuse", done=1, busy_s=1.0), StageWork("labeler.map", running=(RunningJob(400.0),)))
+    assert told(RunWorkload(LABELLING, overdue, recorded_s=20.0), Pace()) == pytest.approx(200.0)
+
+
+def test_the_first_tiles_do_not_pass_for_all_of_them() -> None:
+    """Eight tiles take 8 s together on one worker, of which the four at the margin took 0.4 s."""
+    tiles = (StageWork("labeler.fuse", done=1, busy_s=1.0), StageWork("labeler.surface", queued=4, done=4, busy_s=0.4))
+    pace = Pace({"labeler.fuse": 1.0, "labeler.surface": 1.0})
+    assert told(RunWorkload(LABELLING, tiles, recorded_s=20.0), pace) == pytest.approx(7.6)
+
+
+def test_two_workers_take_between_half_the_sum_and_that_with_the_longest_job_at_the_end() -> None:
+    frames = (StageWork("labeler.fuse", done=1, busy_s=2.0), StageWork("labeler.frames", queued=4))
+    pace = Pace({"labeler.fuse": 2.0, "labeler.frames": 2.0})
+    assert told(RunWorkload(LABELLING, frames, recorded_s=20.0, workers=2), pace) == pytest.approx(4.5)
+
+
+def test_frames_that_are_done_tell_more_than_history() -> None:
+    slow, quick = (
+        (StageWork("labeler.fuse", done=1), StageWork("labeler.frames", running=(RunningJob(elapsed_s, 0.5),)))
+        for elapsed_s in (30.0, 10.0)
+    )
+    slow_s, quick_s = (told(RunWorkload(LABELLING, one, recorded_s=20.0), Pace()) for one in (slow, quick))
+    assert slow_s > 2 * quick_s
+
+
+def test_stages_that_are_not_queued_yet_are_counted_by_the_length_of_the_recording() -> None:
+    first = (StageWork("ingest.synchronise", queued=1),)
+    short, long = (RunWorkload(LABELLING, first, recorded_s=seconds, cameras=6) for seconds in (20.0, 600.0))
+    assert told(long, Pace()) > 10 * told(short, Pace())
+    alone = replace(short, makes_labels=False)
+    assert told(alone, Pace()) == pytest.approx(20.0 * TYPICAL["ingest.synchronise"])
+
+
+def test_a_run_of_kinds_that_nobody_has_seen_is_not_told() -> None:
+    unknown = (StageWork("labeler.import_scene", queued=3, running=(RunningJob(2.0),)),)
+    assert seconds_left(RunWorkload("dataset.import", unknown), Pace()) is None
+    begun = (replace(unknown[0], done=2, busy_s=8.0, running=()),)
+    assert seconds_left(RunWorkload("dataset.import", begun), Pace()) == pytest.approx(12.0)
+
+
+@pytest.mark.parametrize(
+    ("seconds", "shown"),
+    [(0.0, 1), (4.0, 4), (12.1, 13), (15.1, 20), (61.0, 70), (299.0, 300), (301.0, 360), (3700.0, 3900)],
+)
+def test_what_is_shown_is_rounded_up(seconds: float, shown: int) -> None:
+    assert rounded_s(seconds) == shown

@@ -1,0 +1,107 @@
+"""Pictures whose class colours are exchanged without decoding them."""
+
+import io
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+from PIL import Image
+
+from services.domain.viewer.indexed_pictures import (
+    GROUND_INDEX,
+    LIGHTS,
+    UNSEEN_INDEX,
+    lit,
+    of_class,
+    palette_bytes,
+    png_of,
+    recoloured,
+    rgb_on_paper,
+    with_words,
+)
+from stone.labels.class_colours import CLASS_RGB, PALETTES, PAPER, UNSEEN, ColourName
+from testing.colour_vision import least_of_pairs
+
+RNG = np.random.default_rng(3)
+EVERY_INDEX = np.concatenate([np.arange(56), RNG.integers(0, 56, 56 * 9)]).astype(np.uint8).reshape(10, 56)
+PICTURES = {"every": EVERY_INDEX, "one colour": np.full((4, 4), of_class(1), np.uint8)}
+
+
+def opened(png: bytes) -> Image.Image:
+    image = Image.open(io.BytesIO(png))
+    image.load()  # which checks the chunks' CRC
+    return image
+
+
+@pytest.mark.parametrize("level", [3, 9])
+@pytest.mark.parametrize("picture", PICTURES.values(), ids=PICTURES)
+def test_colours_are_exchanged_and_back(picture: NDArray[np.uint8], level: int) -> None:
+    png = png_of(picture, level)
+    paper = recoloured(png, "paper")
+    assert paper != png
+    assert recoloured(paper, "default") == png
+    assert recoloured(png, "default") == png
+    np.testing.assert_array_equal(np.asarray(opened(paper)), picture)
+
+
+@pytest.mark.parametrize("colours", PALETTES)
+def test_classes_have_their_colours_and_what_is_no_class_keeps_its_own(colours: ColourName) -> None:
+    shown = np.asarray(opened(recoloured(png_of(EVERY_INDEX), colours)).convert("RGBA"))
+    default = np.asarray(opened(png_of(EVERY_INDEX)).convert("RGBA"))
+    for kind, rgb in PALETTES[colours].items():
+        assert tuple(shown[of_class(kind) == EVERY_INDEX][0]) == (*rgb, 255)
+    is_class = (EVERY_INDEX >= 1) & (EVERY_INDEX < UNSEEN_INDEX)
+    np.testing.assert_array_equal(shown[~is_class], default[~is_class])
+
+
+def foreign_files() -> dict[str, bytes]:
+    files = {}
+    for name, mode, format in (("jpeg", "RGB", "JPEG"), ("rgb", "RGB", "PNG"), ("indexed", "P", "PNG")):
+        content = io.BytesIO()
+        Image.new(mode, (300, 300), 7).save(content, format)
+        files[name] = content.getvalue()
+    whole = png_of(EVERY_INDEX)
+    return files | {"cut": whole[:500], "empty": b"", "mark": b"\x89PNG\r\n" + b"seed", "head": whole[:41]}
+
+
+@pytest.mark.parametrize(("name", "content"), foreign_files().items(), ids=foreign_files().keys())
+def test_what_is_no_picture_of_ours_stays_as_it_is(name: str, content: bytes) -> None:
+    """Catches alone a picture of an earlier label set, stored in the paper's colours, that is served damaged."""
+    assert recoloured(content, "paper") == content, name
+
+
+def test_relief_never_makes_one_class_look_like_another() -> None:
+    """Catches alone shading that undoes the palette: with the earlier light two classes came to CIEDE2000 3.5."""
+    assert len(LIGHTS) == 9
+    assert (min(LIGHTS), max(LIGHTS)) == pytest.approx((0.82, 1.18))
+    assert least_of_pairs(list(CLASS_RGB.values()), LIGHTS) >= 25
+
+
+def test_the_steeper_the_relief_the_brighter_up_to_four_steps() -> None:
+    kinds, steps = np.full(11, 1, np.uint8), np.arange(-5.0, 6.0)
+    brightness = rgb_on_paper(lit(kinds, steps)).sum(axis=1).tolist()
+    assert brightness == sorted(brightness)
+    assert len(set(brightness)) == 9
+    assert lit(np.array([0, 1, 2, 3], np.uint8), np.array([3, np.nan, 0, 0])).tolist() == [
+        GROUND_INDEX,
+        *(of_class(kind) for kind in (1, 2, 3)),
+    ]
+
+
+def test_on_paper_the_ground_is_paper_and_the_unseen_its_grey() -> None:
+    shown = rgb_on_paper(np.array([GROUND_INDEX, UNSEEN_INDEX, of_class(2)], np.uint8))
+    assert [tuple(colour) for colour in shown.tolist()] == [PAPER, UNSEEN, CLASS_RGB[2]]
+
+
+def test_words_are_laid_over_the_picture_and_read_on_light_and_dark() -> None:
+    mask = Image.new("L", (3, 1))
+    mask.putdata([0, 128, 255])
+    written = with_words(np.full((1, 3), of_class(1), np.uint8), mask)
+    colours = np.asarray(opened(png_of(written)).convert("RGBA"))[0]
+    assert tuple(colours[0]) == (*CLASS_RGB[1], 255)
+    assert [int(alpha) for alpha in colours[1:, 3]] == [136, 255]
+
+
+def test_palettes_are_whole_and_differ() -> None:
+    assert len({palette_bytes(name) for name in PALETTES}) == len(PALETTES)
+    assert {len(palette_bytes(name)) for name in PALETTES} == {768}

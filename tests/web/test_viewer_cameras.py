@@ -1,0 +1,298 @@
+"""The cameras beside the 3D view: what they see of the labels, held to numpy; pictures and 3D move together."""
+
+from collections.abc import Iterator
+from typing import Any
+
+import numpy as np
+import pytest
+from playwright.sync_api import Locator, Page, Route, expect
+
+from services.domain.viewer.playback import INDEX, PlaybackChannels, index_record
+from services.runtime.platform import Platform
+from stone.geometry.se3 import SE3
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.projection import project, rays_through
+from testing.api.serving import Person
+from testing.stone_serve import until
+from testing.web.browsing import Site
+from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
+from testing.worlds.viewer_world import BLOCK_M, MIN_M, SHAPE, Run, viewed
+from tests.web.looking import look
+from tests.web.test_viewer import canvas, host, readout
+from tests.web.test_viewer_data import IMPORTS
+
+RUN = Run(frames=6, reach_m=4.5)
+VIEWER = "const viewer = (await load('mount')).viewerOf(document.querySelector('[data-viewer]'));"
+
+
+# Where the top of the marked voxel is in the 3D view, as shares of its size; it fails where none is marked.
+MARKED_IN_3D = f"""async () => {{ {IMPORTS} {VIEWER}
+  const {{ marker }} = viewer.world, {{ camera, orbit }} = viewer.stage;
+  if (!marker.lines.visible) throw new Error("no voxel is marked in 3D");
+  const place = marker.lines.position.clone();
+  place.z += 0.099;
+  orbit.place();
+  camera.updateMatrixWorld();
+  place.project(camera);
+  return [(place.x + 1) / 2, (1 - place.y) / 2]; }}"""
+
+
+@pytest.fixture
+def seen(site: Site, curator: Person) -> dict[str, Any]:
+    return viewed(site.platform, curator, RUN, has_cameras=True)
+
+
+@pytest.fixture
+def at_viewer(site: Site, curator: Person, seen: dict[str, Any]) -> Iterator[Page]:
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
+        expect(strip(page)).to_have_attribute("data-frame", "1")
+        yield page
+
+
+def strip(page: Page) -> Locator:
+    return page.locator(".viewer-cameras")
+
+
+def picture(page: Page, name: str) -> Locator:
+    return page.locator(".viewer-camera-row").get_by_role("button", name=f"{name} camera")
+
+
+def press(page: Page, name: str) -> None:
+    """Click in a camera's picture where the ground is."""
+    box = picture(page, name).bounding_box()
+    assert box is not None
+    page.mouse.click(box["x"] + 0.55 * box["width"], box["y"] + 0.8 * box["height"])
+
+
+def views(page: Page, token: str, size: tuple[int, int]) -> list[Any]:
+    """The ids (rows, columns) that each camera sees of a frame, by the page's worker."""
+    script = f"""async given => {{ {IMPORTS} {VIEWER}
+      const sizes = given.cameras.map(camera => ({{ camera, width: given.width, height: given.height }}));
+      const look = {{ mode: "class", classes: 14, unseen: "fade" }};
+      const views = await viewer.world.asking.ask({{ kind: "camera-views", token: given.token, look, sizes }});
+      return views.map(view => Array.from(view.ids)); }}"""
+    given = {"cameras": list(range(len(CHANNELS))), "width": size[0], "height": size[1], "token": token}
+    return [np.array(ids).reshape(size[1], size[0]) for ids in page.evaluate(script, given)]
+
+
+def voxels_of(ids: Any) -> Any:
+    """(N, 3) indices of the voxels with these ids."""
+    return np.stack(np.unravel_index(ids - 1, SHAPE), axis=-1)
+
+
+def corners_of(voxels: Any) -> Any:
+    """(N, 8, 3) of voxels (N, 3) in the ego frame."""
+    corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
+    return (voxels[:, None] + corners) * VOXEL_M + MIN_M
+
+
+@pytest.mark.parametrize("channel", ["CAM_FRONT", "CAM_BACK_LEFT", "CAM_FRONT_RIGHT"])
+def test_every_pixel_with_a_label_is_where_numpy_projects_the_voxel(
+    at_viewer: Page, seen: dict[str, Any], channel: str
+) -> None:
+    """Catches alone a pixel off by a half, a quaternion transposed, the frame's pose in the place of the shutter's."""
+    size = (320, 200)
+    ids = views(at_viewer, seen["tokens"][1], size)[list(CHANNELS).index(channel)]
+    rows, columns = np.nonzero(ids)
+    assert len(rows) > 3000
+    voxels = voxels_of(ids[rows, columns])
+    assert (RUN.grids[1][tuple(voxels.T)] > 0).all()
+    lens = lens_of(channel)
+    camera_from_ego = shutter_pose(channel).inverse()
+    corners = (camera_from_ego @ corners_of(voxels).reshape(-1, 3)).reshape(-1, 8, 3)
+    whole = (corners[..., 2] > 0.05).all(axis=1)
+    pixels = np.stack([project(corners[whole, corner], lens)[0] for corner in range(8)], axis=1)
+    pixels = (pixels + 0.5) * (size[0] / lens.width_px)
+    at = np.stack([columns[whole] + 0.5, rows[whole] + 0.5], axis=1)
+    low, high = pixels.min(axis=1) - 0.25, pixels.max(axis=1) + 0.25
+    is_inside = ((at >= low) & (at <= high)).all(axis=1)
+    assert is_inside.mean() == 1.0, f"{(~is_inside).sum()} of {len(at)} pixels are outside their voxel"
+
+
+def test_what_a_pixel_shows_is_the_first_voxel_that_small_steps_meet(at_viewer: Page, seen: dict[str, Any]) -> None:
+    ids = views(at_viewer, seen["tokens"][1], (64, 40))
+    grid, random = RUN.grids[1], np.random.default_rng(3)
+    for place, channel in enumerate(CHANNELS):
+        pose, lens = shutter_pose(channel), lens_of(channel)
+        rows, columns = random.integers(0, 40, 60), random.integers(0, 64, 60)
+        scale = lens.width_px / 64
+        pixels = np.stack([(columns + 0.5) * scale - 0.5, (rows + 0.5) * scale - 0.5], axis=1)
+        rays = SE3(np.array([*pose.wxyz_xyz[:4], 0, 0, 0])) @ rays_through(pixels, lens)
+        same = sum(
+            _stepped(grid, pose.translation_m, ray) == ids[place][row, column]
+            for ray, row, column in zip(rays, rows, columns, strict=True)
+        )
+        assert same >= 58, f"{channel}: {same} of 60"  # a ray through an edge may meet either
+
+
+def _stepped(grid: Any, start_m: Any, ray: Any) -> int:
+    """1 + index of the first labelled voxel along the ray, by steps of a millimetre."""
+    steps = np.floor((np.arange(0.1, 40, 0.001)[:, None] * ray + start_m - MIN_M) / VOXEL_M).astype(int)
+    steps = steps[((steps >= 0) & (steps < SHAPE)).all(axis=1)]
+    met = np.flatnonzero(grid[tuple(steps.T)])
+    return int(np.ravel_multi_index(tuple(steps[met[0]]), SHAPE)) + 1 if len(met) else 0
+
+
+def test_the_block_hides_what_is_behind_it(at_viewer: Page, seen: dict[str, Any]) -> None:
+    ids = views(at_viewer, seen["tokens"][1], (320, 200))
+    x0, y0, x1, y1, high_m = BLOCK_M
+    pose = SE3(RUN.poses[1][[3, 4, 5, 6, 0, 1, 2]])
+    block = pose.inverse() @ np.array([(x0 + x1) / 2, (y0 + y1) / 2, high_m / 2])
+    hits = 0
+    for place, channel in enumerate(CHANNELS):
+        camera_from_ego = shutter_pose(channel).inverse()
+        pixels, is_in = project((camera_from_ego @ block)[None], lens_of(channel))
+        if not is_in[0]:
+            continue
+        column, row = ((pixels[0] + 0.5) / 2).astype(int)
+        met = voxels_of(ids[place][row, column][None])[0] * VOXEL_M + MIN_M
+        assert np.hypot(*(met[:2] - block[:2])) < 1.5, "the block, not the ground behind it"
+        hits += 1
+    assert hits
+
+
+def test_a_click_in_a_picture_and_one_in_3d_explain_the_same_voxel_and_both_mark_it(at_viewer: Page) -> None:
+    """The journey: a voxel chosen in a picture is marked in 3D and in the pictures; chosen in 3D it is the same one."""
+    press(at_viewer, "Front")
+    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
+    by_picture = readout(at_viewer)
+    assert set(by_picture) == {"Elevation", "Slope", "Roughness", "D²", "Map position", "class"}
+    marked = at_viewer.locator(".viewer-camera-row canvas[data-marked]:not([data-marked='0'])")
+    expect(marked.first).to_be_visible()
+    across, down = at_viewer.evaluate(MARKED_IN_3D)
+    canvas(at_viewer).press("Escape")
+    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
+    expect(marked).to_have_count(0)
+    box = canvas(at_viewer).bounding_box()
+    assert box is not None
+    at_viewer.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
+    assert readout(at_viewer) == by_picture
+    expect(marked.first).to_be_visible()
+    look(at_viewer, "viewer-cameras")
+
+
+def test_a_class_that_is_switched_off_still_hides_and_says_so(at_viewer: Page) -> None:
+    at_viewer.get_by_label("Non-traversable").uncheck()
+    at_viewer.get_by_label("Potentially").uncheck()
+    at_viewer.get_by_label("Traversable", exact=True).uncheck()
+    painted = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(v => v)"
+    front = picture(at_viewer, "Front").locator("canvas").first
+    until(lambda: not front.evaluate(painted))
+    box = picture(at_viewer, "Front").bounding_box()
+    assert box is not None
+    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.8)
+    expect(at_viewer.locator(".viewer-said")).to_contain_text("Switched off: ")
+    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + 3)
+    expect(at_viewer.locator(".viewer-said")).to_contain_text("No label there")
+
+
+def test_pictures_labels_and_slider_change_together(at_viewer: Page, seen: dict[str, Any]) -> None:
+    """One picture of the next frame is late: nothing of that frame is shown before it."""
+    late: list[Route] = []
+    at_viewer.route(f"**/frames/{seen['tokens'][4]}/camera/CAM_BACK.jpg*", lambda route: late.append(route))
+    slider = at_viewer.get_by_label("Frame", exact=True)
+    at_viewer.evaluate(
+        """() => { window.told = []; const host = document.querySelector("[data-viewer]");
+          const strip = host.querySelector(".viewer-cameras");
+          new MutationObserver(() => window.told.push([host.dataset.frame, strip.dataset.frame]))
+            .observe(host, { attributes: true, attributeFilter: ["data-frame"], subtree: true }); }"""
+    )
+    with at_viewer.expect_request("**/camera/CAM_BACK.jpg*"):
+        slider.fill("4")
+    at_viewer.wait_for_timeout(300)
+    assert strip(at_viewer).get_attribute("data-frame") == "1"
+    assert host(at_viewer).get_attribute("data-frame") == "1"
+    late[0].continue_()
+    expect(strip(at_viewer)).to_have_attribute("data-frame", "4")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "4")
+    sources = at_viewer.locator(".viewer-camera-row img").evaluate_all("all => all.map(one => one.src)")
+    assert len(sources) == 6
+    assert all(seen["tokens"][4] in source for source in sources)
+    assert at_viewer.evaluate("window.told")[-1] == ["4", "4"]
+
+
+def test_a_picture_that_takes_too_long_does_not_hold_the_frame(at_viewer: Page, seen: dict[str, Any]) -> None:
+    late: list[Route] = []
+    at_viewer.route(f"**/frames/{seen['tokens'][5]}/camera/CAM_BACK.jpg*", lambda route: late.append(route))
+    at_viewer.get_by_label("Frame", exact=True).press("End")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
+    expect(strip(at_viewer)).to_have_attribute("aria-busy", "true")
+    press(at_viewer, "Front")  # a voxel of frame 1, which would be explained as one of frame 5
+    expect(at_viewer.locator(".viewer-said")).to_have_text("The pictures of this frame are still loading.")
+    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
+    late[0].continue_()
+    expect(strip(at_viewer)).to_have_attribute("data-frame", "5")
+    expect(strip(at_viewer)).not_to_have_attribute("aria-busy", "true")
+
+
+def test_a_camera_is_enlarged_by_keys_and_esc_leads_back(at_viewer: Page) -> None:
+    picture(at_viewer, "Front left").focus()
+    at_viewer.keyboard.press("Enter")
+    large = at_viewer.get_by_role("region", name="Camera picture, large")
+    expect(large.locator("canvas")).to_have_attribute("width", "640")
+    expect(large.get_by_role("button", name="Close")).to_be_focused()
+    look(at_viewer, "viewer-camera-enlarged")
+    large.get_by_role("button", name="Close").focus()
+    at_viewer.keyboard.press("Escape")
+    expect(large).to_be_hidden()
+    expect(picture(at_viewer, "Front left")).to_be_focused()
+
+
+def test_cameras_are_shown_without_labels_or_not_at_all(at_viewer: Page) -> None:
+    at_viewer.get_by_label("Cameras").select_option("plain")
+    expect(at_viewer.locator(".viewer-camera-row canvas:visible")).to_have_count(0)
+    expect(at_viewer.locator(".viewer-camera-row img")).to_have_count(6)
+    press(at_viewer, "Front")
+    expect(at_viewer.locator(".viewer-said")).to_contain_text("No labels are drawn in this picture")
+    canvas(at_viewer).press("v")
+    expect(strip(at_viewer)).to_be_hidden()
+    canvas(at_viewer).press("v")
+    expect(at_viewer.locator(".viewer-camera-row canvas:visible")).to_have_count(6)
+
+
+def test_the_cameras_stand_as_on_the_rig(at_viewer: Page) -> None:
+    assert at_viewer.locator(".viewer-camera-row figcaption > span").all_inner_texts() == [
+        "Front left", "Front", "Front right", "Back left", "Back", "Back right",
+    ]  # fmt: skip
+
+
+def test_a_frame_without_one_picture_says_so_and_asks_for_none(site: Site, curator: Person, platform: Platform) -> None:
+    facts = viewed(platform, curator, RUN)
+    files = camera_files(facts["tokens"], without=("CAM_BACK", 2))
+    shown = PlaybackChannels(tuple(CHANNELS), False, True)
+    played(platform, curator, facts["id"], {**files, INDEX: index_record(shown)})
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{facts['id']}/view?frame={facts['tokens'][2]}")
+        expect(strip(page)).to_have_attribute("data-frame", "2")
+        expect(picture(page, "Back").last).to_contain_text("No picture of this frame")
+
+
+def test_pictures_of_an_earlier_release_are_shown_without_labels(
+    site: Site, curator: Person, platform: Platform
+) -> None:
+    facts = viewed(platform, curator, RUN)
+    files = {name: content for name, content in camera_files(facts["tokens"]).items() if name.endswith(".jpg")}
+    shown = PlaybackChannels(tuple(CHANNELS), False, False)
+    played(platform, curator, facts["id"], {**files, INDEX: index_record(shown)})
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{facts['id']}/view")
+        expect(strip(page)).to_have_attribute("data-frame", "0")
+        expect(strip(page)).to_contain_text("made by an earlier release")
+        expect(page.get_by_role("button", name="Prepare camera pictures")).to_be_visible()
+        expect(page.locator(".viewer-camera-row img")).to_have_count(6)
+        expect(page.locator(".viewer-camera-row canvas:visible")).to_have_count(0)
+
+
+def test_where_there_is_no_playback_it_is_said_and_the_owner_can_have_one_made(
+    site: Site, curator: Person, platform: Platform
+) -> None:
+    facts = viewed(platform, curator, RUN)
+    with site.visit(curator, expected=["409"]) as page:
+        page.goto(f"/sequences/{facts['id']}/view")
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        expect(strip(page)).to_contain_text("There are no camera pictures of these labels.")
+        expect(page.get_by_label("Cameras")).to_be_disabled()
+        page.get_by_role("button", name="Prepare camera pictures").click()
+        expect(strip(page)).to_contain_text("They cannot be prepared")  # its recording was never brought

@@ -1,0 +1,40 @@
+"""Frames of an open phase on pages: an example of labels, and the frame of a method that is looked at.
+
+**Conventions.** Which frames may be shown is decided by `services/domain/benchmarks/phases/open_frames.py`, as the
+routes of the pictures do; where there is none, a page has no picture.
+"""
+
+from dataclasses import dataclass
+
+from services.domain.benchmarks.phases.open_frames import OpenTruth, open_frames
+from services.runtime.platform import Platform
+
+STOPS = 24
+
+
+@dataclass(frozen=True)
+class ChosenFrame:
+    """A frame among those of its phase: `place` counts from 1 of `total`; neighbours are empty at either end."""
+
+    token: str
+    sequence: str
+    place: int
+    total: int
+    before: str
+    after: str
+
+
+def chosen_frame(platform: Platform, found: OpenTruth | None, token: str | None = None) -> ChosenFrame | None:
+    """The frame of this token, else the one in the middle; None where no frame may be shown.
+
+    Reads the store, so not within a transaction. The neighbours are as far as some `STOPS` of them span all frames.
+    """
+    shown = open_frames(platform.store, found).sequences if found else {}
+    if not shown:
+        return None
+    tokens = tuple(shown)
+    at = tokens.index(token) if token in shown else len(tokens) // 2
+    step = max(1, len(tokens) // STOPS)
+    before = tokens[max(at - step, 0)] if at > 0 else ""
+    after = tokens[min(at + step, len(tokens) - 1)] if at < len(tokens) - 1 else ""
+    return ChosenFrame(tokens[at], shown[tokens[at]], at + 1, len(tokens), before, after)

@@ -1,0 +1,91 @@
+"""The first steps of each role, on the home page and in Help: what to do first on a new platform, and what is done.
+
+**Conventions.** A step is done when its result exists, whoever looks; nothing is stored about the list itself. Its
+path answers its role. Each question is one row at most.
+"""
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+
+from sqlalchemy import Select, select
+from sqlalchemy.orm import Session
+
+from api.deps import Caller
+from api.visible import benchmarks_of, sequences_of
+from services.runtime.orm import (
+    Activation,
+    Benchmark,
+    Dataset,
+    LabelSet,
+    Recording,
+    SequenceRow,
+    SplitMember,
+    SubmissionRow,
+    TeamMember,
+    User,
+)
+
+
+@dataclass(frozen=True)
+class FirstStep:
+    """A step: where it is done, and what it is in a sentence."""
+
+    title: str
+    path: str
+    text: str
+    is_done: bool
+
+
+def steps_for(session: Session, caller: Caller) -> tuple[FirstStep, ...]:
+    """The steps of the caller's role, in their order; none for visitors."""
+    of_roles = {"participant": _participant, "curator": _curator, "administrator": _administrator}
+    return tuple(of_roles[caller.role](session, caller)) if caller.role in of_roles else ()
+
+
+def _participant(session: Session, caller: Caller) -> Iterator[FirstStep]:
+    has_team = _is_any(session, select(TeamMember.team_id).where(TeamMember.user_id == caller.user_id))
+    has_submitted = _is_any(session, select(SubmissionRow.id).where(SubmissionRow.user_id == caller.user_id))
+    text = "Read its task and rules, download its manifest and inputs."
+    if not _is_any(session, benchmarks_of(caller)):
+        text = "There is none on this platform yet: ask an administrator."
+    yield FirstStep("Choose a benchmark", "/benchmarks", text, has_team or has_submitted)
+    yield FirstStep("Create or join a team", "/teams", "You submit as a team, even alone.", has_team)
+    text = "Your zip is validated in the browser before anything is uploaded."
+    yield FirstStep("Submit predictions", "/benchmarks", text, has_submitted)
+
+
+def _curator(session: Session, caller: Caller) -> Iterator[FirstStep]:
+    own = sequences_of(caller).order_by(SequenceRow.id.desc())
+    recorded = own.join(Recording, Recording.sequence_id == SequenceRow.id)
+    yield FirstStep(
+        "Upload a recording",
+        "/sequences/new",
+        "ROS 2 or ROS 1 bags of one drive; an interrupted upload resumes.",
+        _is_any(session, recorded),
+    )
+    has_calibration = _is_any(session, own.where(SequenceRow.calibration_id.is_not(None)))
+    newest = session.scalars(own.limit(1)).first()
+    at = f"/sequences/{newest.id}" if newest else "/sequences"
+    text = "It says where the robot's sensors are mounted, and the cameras' intrinsics."
+    yield FirstStep("Assign a calibration", at, text, has_calibration)
+    is_labelled = _is_any(session, own.join(LabelSet, LabelSet.sequence_id == SequenceRow.id))
+    at = f"{at}/processing" if newest else "/sequences"
+    yield FirstStep("Process the sequence", at, "When it is done, open its labels in 3D.", is_labelled)
+
+
+def _administrator(session: Session, caller: Caller) -> Iterator[FirstStep]:
+    others = select(User.id).where(User.is_active, User.id != caller.user_id)
+    text = "Curators upload recordings, participants submit to benchmarks."
+    yield FirstStep("Add users", "/admin/users", text, _is_any(session, others))
+    text = "Upload and process recordings, import a published dataset, or run stone demo on this machine."
+    yield FirstStep("Label sequences", "/sequences/new", text, _is_any(session, select(LabelSet.id)))
+    text = "Assign each labelled sequence to train, val or test."
+    yield FirstStep("Assign splits", "/dataset/splits", text, _is_any(session, select(SplitMember.sequence_id)))
+    text = "A version never changes: benchmarks are made of one."
+    yield FirstStep("Publish a dataset version", "/dataset/new", text, _is_any(session, select(Dataset.id)))
+    text = "Create it, then its ground truth; from then on teams can submit."
+    yield FirstStep("Create a benchmark", "/admin/benchmarks", text, _is_any(session, select(Activation.id)))
+
+
+def _is_any(session: Session, found: Select[str] | Select[SequenceRow] | Select[Benchmark]) -> bool:
+    return session.execute(found.limit(1)).first() is not None

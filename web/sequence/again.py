@@ -1,0 +1,64 @@
+"""What the run that made the labels was asked for, to ask for the same with another profile.
+
+**Conventions.** Only the profile is another one; topics, parameters, ground, chosen recordings and clock offsets stay.
+The calibration is the one that is assigned to the sequence now.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.processing import GIVEN_GROUND, PROCESS, ProcessRequest, request_of
+from services.runtime.orm import Job, LabelSet
+from stone_base.counts import counted
+
+
+@dataclass(frozen=True)
+class RunChoices:
+    """Values for the form: `kept` are those that it has no fields for, as the API's body has them, and in words."""
+
+    profile: str
+    odometry_topic: str
+    lidar_topic: str
+    parameters: Mapping[str, float]
+    kept: Mapping[str, Any]
+    kept_words: tuple[str, ...]
+
+    @property
+    def has_details(self) -> bool:
+        """Whether a field is filled in that is one click behind."""
+        return bool(self.odometry_topic or self.lidar_topic or self.parameters)
+
+
+def choices_of(session: Session, labels: LabelSet | None, profile: str) -> RunChoices | None:
+    """What the run of these labels was asked for, with this profile; None for labels that no run of ours made."""
+    run = None if labels is None or labels.job_id is None else session.get(Job, labels.job_id)
+    if run is None or run.kind != PROCESS:
+        return None
+    asked = request_of(run.arguments)
+    return RunChoices(
+        profile=profile,
+        odometry_topic=asked.odometry_topic or "",
+        lidar_topic=asked.lidar_topic or "",
+        parameters=dict(asked.parameters),
+        kept=_kept(asked),
+        kept_words=_words(asked),
+    )
+
+
+def _kept(asked: ProcessRequest) -> dict[str, Any]:
+    offsets_s = {name: offset_ns / 1e9 for name, offset_ns in asked.clock_offsets_ns.items()}
+    return {
+        "ground": asked.ground,
+        "recording_ids": list(asked.recording_ids),
+        "clock_offsets_s": offsets_s,
+    }
+
+
+def _words(asked: ProcessRequest) -> tuple[str, ...]:
+    ground = () if asked.ground == GIVEN_GROUND else (f"ground {asked.ground}",)
+    chosen = (counted(len(asked.recording_ids), "chosen recording"),) if asked.recording_ids else ()
+    offsets = (f"{name} {ns / 1e9:+.6f} s" for name, ns in sorted(asked.clock_offsets_ns.items()))
+    return (*ground, *chosen, *offsets)

@@ -1,0 +1,86 @@
+"""The topics that a sequence may be processed with: those of its recordings that can be the odometry, or the LiDAR.
+
+**Conventions.** Read from the inspections of registered recordings; a topic of several recordings is one, its messages
+added. What is offered is what processing takes (`stone_recordings/topics/sources.py`) and its API accepts as a name.
+"""
+
+import re
+from collections.abc import Iterable
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Recording
+
+ODOMETRY_ROLES = ("ins", "odometry", "tf", "pose", "gnss")
+POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
+POSITION_TYPES = ("sensor_msgs/msg/NavSatFix",)
+ACCEPTED = re.compile(r"/?[A-Za-z0-9_][A-Za-z0-9_/]{0,254}")
+MOST_READ = 50
+
+
+@dataclass(frozen=True)
+class TopicChoice:
+    """A topic, its type without the package, and how many messages it has."""
+
+    name: str
+    type: str
+    messages: int
+
+
+@dataclass(frozen=True)
+class TopicChoices:
+    """What there is to choose from; `automatic_…` is the topic that is taken unless another is chosen, "" if unknown.
+
+    `is_read` says whether there is a recording that was read.
+    """
+
+    is_read: bool = False
+    odometry: tuple[TopicChoice, ...] = ()
+    lidar: tuple[TopicChoice, ...] = ()
+    automatic_odometry: str = ""
+    automatic_lidar: str = ""
+
+
+def topic_choices_of(session: Session, sequence_id: str) -> TopicChoices:
+    """The choices for a sequence."""
+    registered = select(Recording.inspection).where(
+        Recording.sequence_id == sequence_id, Recording.state == "registered"
+    )
+    return choices_in(session.scalars(registered.order_by(Recording.id).limit(MOST_READ)).all())
+
+
+def choices_in(inspections: Iterable[dict[str, Any] | None]) -> TopicChoices:
+    """The choices in the records of inspections; None is a recording without one."""
+    read = list(inspections)
+    records = [record for record in read if record]
+    topics = [topic for record in records for topic in record.get("topics", [])]
+    channels = [record.get("channels", {}) for record in records]
+    return TopicChoices(
+        bool(read),
+        _merged(topic for topic in topics if _may_be_odometry(topic)),
+        _merged(topic for topic in topics if topic["role"] == "lidar" or topic["type"] == POINT_CLOUD),
+        _only({one["pose"] for one in channels if "pose" in one}),
+        _only({one["lidar"] for one in channels if "lidar" in one}),
+    )
+
+
+def _may_be_odometry(topic: dict[str, Any]) -> bool:
+    is_position = topic["role"] != "gnss" or topic["type"] in POSITION_TYPES
+    return topic["role"] in ODOMETRY_ROLES and is_position
+
+
+def _merged(topics: Iterable[dict[str, Any]]) -> tuple[TopicChoice, ...]:
+    found: dict[str, TopicChoice] = {}
+    for topic in topics:
+        name = topic["name"]
+        before = found[name].messages if name in found else 0
+        if ACCEPTED.fullmatch(name):
+            found[name] = TopicChoice(name, topic["type"].rpartition("/")[2], before + topic["count"])
+    return tuple(found[name] for name in sorted(found))
+
+
+def _only(topics: set[str]) -> str:
+    return topics.pop() if len(topics) == 1 else ""
