@@ -47,7 +47,6 @@ export class Viewer {
   private counts: readonly number[] = [0, 0, 0];
 
   constructor(private readonly host: HTMLElement, private readonly scene: SceneFacts, private readonly options: Options) {
-    const asking = new Asking(); // its scripts come while WebGL starts
     const canvas = make("canvas", {
       class: "viewer-canvas", tabindex: "0", role: "application", "aria-roledescription": "3D view",
       "aria-label": `Labels of ${scene.name} in 3D. Arrow keys rotate, plus and minus zoom, comma and full stop step through frames, space plays, c shows the crosshair.`,
@@ -58,7 +57,7 @@ export class Viewer {
     this.address = new Address(() => this.standing(), firstChoices(scene));
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
-    this.world = new World(scene, asking, this.stage, this.choices);
+    this.world = new World(scene, new Asking(), this.stage, this.choices);
     this.readout = new Readout(scene, () => this.drop());
     this.aiming = new Aiming(this.stage, this.world.origin, (ray) => void this.pick(ray));
     this.timeline = new Timeline(scene.frames.stamps_ns.map(BigInt), (index) => this.show(index));
