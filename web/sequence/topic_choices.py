@@ -12,12 +12,12 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from api.schemas.sequences.processing import LONGEST_TOPIC, TOPIC_PATTERN
 from services.runtime.orm import Recording
 
 ODOMETRY_ROLES = ("ins", "odometry", "tf", "pose", "gnss")
 POINT_CLOUD = "sensor_msgs/msg/PointCloud2"
 POSITION_TYPES = ("sensor_msgs/msg/NavSatFix",)
-ACCEPTED = re.compile(r"/?[A-Za-z0-9_][A-Za-z0-9_/]{0,254}")
 MOST_READ = 50
 
 
@@ -77,7 +77,7 @@ def _merged(topics: Iterable[dict[str, Any]]) -> tuple[TopicChoice, ...]:
     for topic in topics:
         name = topic["name"]
         before = found[name].messages if name in found else 0
-        if ACCEPTED.fullmatch(name):
+        if len(name) <= LONGEST_TOPIC and re.fullmatch(TOPIC_PATTERN, name):
             found[name] = TopicChoice(name, topic["type"].rpartition("/")[2], before + topic["count"])
     return tuple(found[name] for name in sorted(found))
 

@@ -9,7 +9,9 @@ from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, e
 from services.domain.sequences.processing import ProcessRequest
 from stone_files.joined_file import MOST_MEMBERS, MOST_OFFSET_NS
 
-Topic = Annotated[str, Field(max_length=256, pattern=r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$")]
+TOPIC_PATTERN = r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$"
+LONGEST_TOPIC = 256
+Topic = Annotated[str, Field(max_length=LONGEST_TOPIC, pattern=TOPIC_PATTERN)]
 ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$")]
 
 

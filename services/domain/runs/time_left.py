@@ -5,12 +5,11 @@
     max(Σ seconds of its jobs / W, its longest job)   to   Σ seconds of its jobs / W + (1 − 1/W) · its longest job,
 
 the bounds of list scheduling (Graham, Bounds on Multiprocessing Timing Anomalies, 1969); the middle is taken. A job of
-a kind takes
-`c = (w·s·p + Σ busy) / (w + done)`: `w = JOB_WEIGHT` jobs as before (`p`, the platform's last runs, else `TYPICAL`) and
-the run's own that are done. `s = Σ busy / Σ p` over the run's done jobs tells a slower machine or a denser LiDAR; it is
-1 while none is done. Tiles of the surface differ a hundredfold, and the first ones are the margin of the map: they take
-`N·s·p` together, whatever the first took, and have no say in `s`. Times are seconds. There is no clock and no database
-here: the estimate is calibrated by replay (`python -m benchmarks.time_left`).
+a kind takes `c = (w·s·p + Σ busy) / (w + done)`: `w = JOB_WEIGHT` jobs as before (`p`, the platform's last runs, else
+`TYPICAL`) and the run's own that are done. `s = Σ busy / Σ p` over the run's done jobs tells a slower machine or a
+denser LiDAR; it is 1 while none is done. Tiles of the surface differ a hundredfold, and the first ones are the margin
+of the map: they take `N·s·p` together, whatever the first took, and have no say in `s`. Times are seconds. There is no
+clock and no database here: the estimate is calibrated by replay (`python -m benchmarks.time_left`).
 """
 
 from collections.abc import Mapping

@@ -47,7 +47,7 @@ class AliveRun:
 
 
 def alive_runs(session: Session, runs: Sequence[Job], at_ns: int) -> list[AliveRun]:
-    """The runs as they stand at `at_ns`; `ahead_s` is left to the caller."""
+    """The runs as they stand at `at_ns`."""
     stages = stages_of(session, [run.id for run in runs], at_ns)
     facts = _facts_of_labellings(session, [run for run in runs if run.kind == LABELLING])
     queues = {run.id: _queue_of(run, stages.get(run.id, ())) for run in runs}
