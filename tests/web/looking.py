@@ -9,7 +9,7 @@ from functools import cache
 from pathlib import Path
 from typing import Any
 
-from playwright.sync_api import Page
+from playwright.sync_api import Page, expect
 
 from testing.web.browsing import DESKTOP, PHONE
 
@@ -44,6 +44,13 @@ def keep(page: Page, name: str) -> None:
     """Keep a picture of the whole page."""
     PICTURES.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
+
+
+def pictures_load(page: Page) -> None:
+    """Wait until every picture is there. (`wait_for_function` cannot: the pages' CSP forbids what it evaluates.)"""
+    for picture in page.locator("img").all():
+        expect(picture).to_have_js_property("complete", True)
+        expect(picture).not_to_have_js_property("naturalWidth", 0)
 
 
 def serious_findings(page: Page, rules: dict[str, Any] = EVERY_RULE) -> list[str]:

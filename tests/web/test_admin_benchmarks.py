@@ -90,7 +90,7 @@ def test_an_alarm_is_dismissed_and_a_team_granted_scorings(
         give_reason(page, "the platform was away", "Grant")
         expect(page.get_by_role("dialog")).to_have_count(0)
         expect(page.get_by_role("heading", name="Teams and quotas")).to_be_visible()
-        page.wait_for_function("document.readyState === 'complete'")
+        page.wait_for_load_state()
     with platform.database.reading() as session:
         assert session.scalars(select(Alarm)).one().dismissed_ns is not None
         amounts = session.scalars(select(ScoringEntry.amount).where(ScoringEntry.team_id == lake))

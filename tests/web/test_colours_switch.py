@@ -55,7 +55,7 @@ def test_the_paper_s_colours_are_chosen_once_and_kept(site: Site, curator: Perso
         page.keyboard.press("ArrowDown")
         expect(choice).to_have_value("paper")
         expect(picture).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
-        page.wait_for_function("document.querySelector('img[data-bev]').complete")
+        expect(picture).to_have_js_property("complete", True)
         assert token_of(page, "--t") == hex_of(PAPER[1])
         assert has(pixels_of(picture), PAPER[1])
         page.get_by_label("Next frame").click()
@@ -87,7 +87,8 @@ def test_pictures_are_dark_on_a_dark_page(site: Site, curator: Person, shown: di
             page.goto(path)
             found = page.locator(picture).first
             found.scroll_into_view_if_needed()
-            page.wait_for_function("one => document.querySelector(one).naturalWidth > 0", arg=picture)
+            expect(found).not_to_have_js_property("naturalWidth", 0)
+            expect(found).to_have_js_property("complete", True)
             pixels = pixels_of(found)
             assert np.median(pixels[2:8].max(axis=-1)) < 80, path
             assert has(pixels, CLASS_RGB[1]), path

@@ -9,7 +9,7 @@ from testing.api.serving import Person
 from testing.web.browsing import Site
 from testing.worlds.made import sequence
 from tests.web.listed_world import listed_world
-from tests.web.looking import look
+from tests.web.looking import look, pictures_load
 
 
 def test_an_owner_finds_a_sequence_by_what_is_said_of_it(site: Site, curator: Person) -> None:
@@ -23,7 +23,7 @@ def test_an_owner_finds_a_sequence_by_what_is_said_of_it(site: Site, curator: Pe
         expect(cards.nth(1)).to_contain_text("queued")
         expect(cards.nth(2).get_by_role("img")).to_have_attribute("aria-label", re.compile("traversable 10.0 %"))
         expect(cards.nth(3)).to_contain_text("test")
-        page.wait_for_function("[...document.images].every(one => one.complete && one.naturalWidth > 0)")
+        pictures_load(page)
         look(page, "sequences")
         page.get_by_label("Environment").select_option("lake")
         page.keyboard.press("Tab")
