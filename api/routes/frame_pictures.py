@@ -64,7 +64,7 @@ def download_truth_picture(
     with platform.database.reading() as session:
         located = open_truth_of(session, at.find(session))
     frames = _showing(platform.store, located, token)
-    content = _truth_picture(platform.store, frames.located, token)  # type: ignore[arg-type]  # by identity
+    content = _truth_picture(platform.store, frames.located, token)
     return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-truth.png"))
 
 
@@ -91,9 +91,9 @@ def download_predicted_picture(
         located = locate_open_truth(session, seen.phase, seen.truth)
     frames = _showing(platform.store, located, token)
     if show == "truth":
-        content = _truth_picture(platform.store, frames.located, token)  # type: ignore[arg-type]  # by identity
+        content = _truth_picture(platform.store, frames.located, token)
     else:
-        content = _predicted_picture(platform.store, (key, frames.located), token, show)  # type: ignore[arg-type]
+        content = _predicted_picture(platform.store, (key, frames.located), token, show)
     return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-{show}.png"))
 
 
@@ -107,16 +107,16 @@ def _showing(store: Store, located: OpenTruth | None, token: str) -> OpenFrames:
 
 @lru_cache(maxsize=HELD_PICTURES)
 def _truth_picture(store: Store, located: ExportLocation, token: str) -> bytes:
-    return picture_bytes(*_truth(store, located, token))  # type: ignore[arg-type]  # by identity
+    return picture_bytes(*_truth(store, located, token))
 
 
 @lru_cache(maxsize=HELD_PICTURES)
 def _predicted_picture(store: Store, of: tuple[str, ExportLocation], token: str, show: Shown) -> bytes:
     """Raises `NotFoundError` where the zip lacks the frame, which none has that was accepted."""
-    predicted = _predicted(store, of, token)  # type: ignore[arg-type]  # by identity
+    predicted = _predicted(store, of, token)
     if predicted is None:
         raise NotFoundError("frame of this submission", token)
-    truth, observed = _truth(store, of[1], token)  # type: ignore[arg-type]  # by identity
+    truth, observed = _truth(store, of[1], token)
     return picture_bytes(predicted, observed) if show == "prediction" else difference_picture(truth, predicted)
 
 

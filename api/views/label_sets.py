@@ -47,12 +47,12 @@ def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[L
 
 def pair_picture(store: Store, pair: StoredPair, colours: ColourName) -> bytes:
     """A, B and the difference from above, a PNG. Raises `GridUnreadableError`."""
-    return recoloured(_picture(store, pair), colours)  # type: ignore[arg-type]  # by identity
+    return recoloured(_picture(store, pair), colours)
 
 
 def pair_differences(store: Store, pair: StoredPair) -> bytes:
     """`STD1` of where A and B differ. Raises `GridUnreadableError`."""
-    return _differences(store, pair)  # type: ignore[arg-type]  # by identity
+    return _differences(store, pair)
 
 
 @lru_cache(maxsize=HELD_PICTURES)

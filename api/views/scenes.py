@@ -70,7 +70,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
     playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
     known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
-    kept = _record(store, scene.file)  # type: ignore[arg-type]  # by identity
+    kept = _record(store, scene.file)
     record = {**known, **kept, "playback": playback}
     return json.dumps(record, separators=(",", ":")).encode()
 
@@ -96,12 +96,12 @@ def labels_file(session: Session, caller: Caller, token: str, version: str | Non
 
 def frame_voxels(store: Store, labels: StoredFile) -> bytes:
     """`STV1` of these labels. Raises `GridUnreadableError`."""
-    return _made(store, labels, voxels_bytes)  # type: ignore[arg-type]  # by identity
+    return _made(store, labels, voxels_bytes)
 
 
 def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> bytes:
     """These labels from above, a PNG. Raises `GridUnreadableError`."""
-    return recoloured(_made(store, labels, picture_bytes), colours)  # type: ignore[arg-type]  # by identity
+    return recoloured(_made(store, labels, picture_bytes), colours)
 
 
 def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name: Callable[[str], str]) -> ServedFile:

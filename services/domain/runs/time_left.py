@@ -208,7 +208,7 @@ def _queued_s(stage: StageWork, own_s: float) -> tuple[float, float]:
 
 
 def _running_s(kind: str, job: RunningJob, own_s: float) -> float:
-    """Half by its progress, where that counts frames, and half by what such jobs take."""
+    """By what such jobs take and, where its progress counts frames, `SHARE_WEIGHT` of it by that."""
     usual_s = max(own_s - job.elapsed_s, OVERDUE * job.elapsed_s)
     if kind not in SHARES or job.share is None or job.share < LEAST_SHARE:
         return usual_s

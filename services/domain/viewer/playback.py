@@ -68,7 +68,7 @@ def playback_of(session: Session, label_set_id: str) -> Playback:
 
 def shown_by(store: Store, playback: Playback) -> PlaybackChannels:
     """The channels of a playback; reads the store, so not within a transaction."""
-    return PlaybackChannels() if playback.located is None else _shown(store, playback.located)  # type: ignore[arg-type]  # by identity
+    return PlaybackChannels() if playback.located is None else _shown(store, playback.located)
 
 
 @lru_cache(maxsize=HELD)

@@ -51,7 +51,7 @@ def locate_export(session: Session, export: Export) -> ExportLocation:
 
 def stored_files(store: Store, located: ExportLocation) -> StoredFiles:
     """The files of an export; reads its index, so not within a transaction."""
-    return StoredFiles(_index(store, located.index_key), located.pack_keys)  # type: ignore[arg-type]  # by identity
+    return StoredFiles(_index(store, located.index_key), located.pack_keys)
 
 
 @lru_cache(maxsize=HELD)

@@ -22,6 +22,10 @@ class StoredObject:
 class Store(Protocol):
     """Objects by key. `ObjectMissingError` where there is none."""
 
+    def __hash__(self) -> int:
+        """By identity: what was read of a store may be kept by it."""
+        ...
+
     def write(self, key: str, source: Path) -> None:
         """Store a copy of the file `source`."""
         ...

@@ -1,6 +1,7 @@
 // The rules' verdicts, asked of the API after every move; the last question's answer is the one that is shown.
 
 import { call } from "../api.js";
+import { messageOf } from "../errors.js";
 import { listsOf } from "./arrangement.js";
 import type { Board } from "./board.js";
 import type { EditorState } from "./editor_state.js";
@@ -55,7 +56,7 @@ export class Verdicts {
       const answer = await call<Answer>("POST", "/api/v1/splits/verdicts", listsOf(this.state.current));
       if (number === this.asked) this.show(answer);
     } catch (error) {
-      if (number === this.asked) this.say("waiting", `The rules could not be checked: ${error instanceof Error ? error.message : String(error)}`);
+      if (number === this.asked) this.say("waiting", `The rules could not be checked: ${messageOf(error)}`);
     }
   }
 

@@ -2,6 +2,7 @@
 
 import "../dataset/copy_buttons.js";
 import { call } from "../api.js";
+import { messageOf } from "../errors.js";
 
 interface Verification {
   is_whole: boolean;
@@ -27,7 +28,7 @@ async function verify(chain: HTMLElement): Promise<void> {
     else say(chain, "error", `The log is broken at line ${found.first_broken ?? 0}`, "That entry, or one before it, was changed or removed.");
     showHead(chain, found.head_hash);
   } catch (error) {
-    say(chain, "error", "The log could not be verified", error instanceof Error ? error.message : String(error));
+    say(chain, "error", "The log could not be verified", messageOf(error));
   } finally {
     if (again) again.disabled = false;
   }

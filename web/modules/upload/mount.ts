@@ -1,6 +1,7 @@
 // What `parts/uploading.html` needs to be alive: bags, calibrations, the processing of a sequence.
 
 import { call } from "../api.js";
+import { messageOf } from "../errors.js";
 import { refresh } from "../refresh.js";
 import { toast } from "../notices.js";
 import { mountCalibrations } from "./calibrations.js";
@@ -28,7 +29,7 @@ async function registered({ sequenceId, isWhole }: Registered): Promise<void> {
     await call("POST", `/api/v1/sequences/${sequenceId}/process`, {});
     toast("Processing started.");
   } catch (error) {
-    toast(String(error instanceof Error ? error.message : error));
+    toast(messageOf(error));
   }
 }
 

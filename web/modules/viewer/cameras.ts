@@ -1,6 +1,7 @@
 // The pictures of a frame by its cameras, with what each sees of the labels: fetched and cast together.
 
 import { bytes } from "../api.js";
+import { messageOf } from "../errors.js";
 import type { CameraView, ViewSize } from "./data/camera_views.js";
 import type { Asking } from "./data/worker_client.js";
 import type { Look } from "./looks.js";
@@ -44,7 +45,7 @@ export class CameraFrames {
       this.hasRays = true;
       return null;
     } catch (error) {
-      return `Labels cannot be drawn in the pictures: ${error instanceof Error ? error.message : String(error)}`;
+      return `Labels cannot be drawn in the pictures: ${messageOf(error)}`;
     }
   }
 

@@ -8,6 +8,7 @@
 // frame it shows by the event `frame` {index, token} and follows `show-frame` {index} or {token}.
 
 import { RefusedError, call } from "../api.js";
+import { messageOf } from "../errors.js";
 import { make } from "./controls/elements.js";
 import type { SceneFacts } from "./scene.js";
 import type { Viewer } from "./viewer.js";
@@ -80,8 +81,7 @@ function sayRefusal(host: HTMLElement, error: unknown): void {
   const problem = error instanceof RefusedError ? error.problem : null;
   if (problem?.code === "no_scene") return say(host, "empty", problem.detail);
   if (problem?.status === 404) return say(host, "empty", "There are no labels yet. They appear here once the sequence has been processed.");
-  const why = problem?.detail ?? (error instanceof Error ? error.message : String(error));
-  say(host, "error", `The labels cannot be shown: ${why}`);
+  say(host, "error", `The labels cannot be shown: ${messageOf(error)}`);
 }
 
 function say(host: HTMLElement, name: "empty" | "error", sentence: string): void {

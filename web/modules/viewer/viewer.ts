@@ -1,5 +1,6 @@
 // The viewer of one sequence: stage, timeline, panel and readout, put together.
 
+import { messageOf } from "../errors.js";
 import { Aiming } from "./controls/pointer.js";
 import { Asking } from "./data/worker_client.js";
 import { Address, type Standing, type Viewpoint, read } from "./controls/address.js";
@@ -95,7 +96,7 @@ export class Viewer {
       this.cameras?.put(index);
       this.stand(index);
     } catch (error) {
-      this.say(isAbort(error) ? null : `Frame ${index + 1} cannot be shown: ${words(error)}`);
+      this.say(isAbort(error) ? null : `Frame ${index + 1} cannot be shown: ${messageOf(error)}`);
     } finally {
       this.host.removeAttribute("aria-busy");
     }
@@ -150,7 +151,7 @@ export class Viewer {
       await this.show(this.world.index);
       await this.world.choose();
     } catch (error) {
-      this.say(words(error));
+      this.say(messageOf(error));
     }
     this.note();
   }
@@ -275,8 +276,4 @@ function toggleFull(host: HTMLElement): Promise<void> {
 
 function isAbort(error: unknown): boolean {
   return error instanceof DOMException && error.name === "AbortError";
-}
-
-function words(error: unknown): string {
-  return error instanceof Error ? error.message : String(error);
 }

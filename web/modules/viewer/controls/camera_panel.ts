@@ -1,6 +1,7 @@
 // The cameras beside the 3D view: their pictures change together with the frame, and say so where there are none.
 
 import { call } from "../../api.js";
+import { messageOf } from "../../errors.js";
 import { CameraFrames, type CameraFrame } from "../cameras.js";
 import { CameraStrip } from "./camera_strip.js";
 import type { Choices } from "./choices.js";
@@ -14,6 +15,8 @@ import type { SceneFacts } from "../scene.js";
 const PATIENCE_MS = 1500;
 /** Views are coarse while frames play, and fine once none came for so long. */
 const RESTS_AFTER_MS = 250;
+
+const IN_PREPARATION = "The camera pictures are being prepared; reload the page in a minute or two.";
 
 export interface CameraActs {
   picked: (id: number) => void;
@@ -139,7 +142,7 @@ export class CameraPanel {
   private sayMissing(): void {
     const { state, cameras } = this.scene.playback;
     if (cameras.length || state === "ready") return;
-    if (state === "making") this.strip.say("The camera pictures are being prepared; reload the page in a minute or two.");
+    if (state === "making") this.strip.say(IN_PREPARATION);
     else this.strip.say("There are no camera pictures of these labels.", this.remake());
   }
 
@@ -151,8 +154,8 @@ export class CameraPanel {
       button.disabled = true;
       const asked = call("POST", `/api/v1/sequences/${this.scene.sequence_id}/exports`, { format: "playback" });
       asked.then(
-        () => this.strip.say("The camera pictures are being prepared; reload the page in a minute or two."),
-        (error: unknown) => this.strip.say(`They cannot be prepared: ${error instanceof Error ? error.message : String(error)}`),
+        () => this.strip.say(IN_PREPARATION),
+        (error: unknown) => this.strip.say(`They cannot be prepared: ${messageOf(error)}`),
       );
     });
     return button;

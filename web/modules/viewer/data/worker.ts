@@ -1,6 +1,7 @@
 // The worker: decompresses, decodes, builds what is drawn, and answers which voxel a ray meets.
 
 import { decompress } from "../../../libraries/fzstd/esm/index.mjs";
+import { messageOf } from "../../errors.js";
 import type { CameraView, ViewSize } from "./camera_views.js";
 import { type Cloud, camerasOf, cloudOf, planesOf, surfaceOf, tileOf, type Surface } from "./formats.js";
 import type { Look } from "../looks.js";
@@ -44,7 +45,7 @@ function answer(asked: Asked & { id: number }): void {
     const value = answerTo(asked);
     postMessage({ id: asked.id, value }, { transfer: buffersOf(value) });
   } catch (error) {
-    postMessage({ id: asked.id, error: error instanceof Error ? error.message : String(error) });
+    postMessage({ id: asked.id, error: messageOf(error) });
   }
 }
 
