@@ -190,7 +190,7 @@ def curl(served: Served, *arguments: str) -> tuple[int, dict[str, Any]]:
         pytest.skip("curl is not on PATH")
     command = [found, "--silent", "--show-error", "--header", f"Authorization: Bearer {served.owner.secret}"]
     done = subprocess.run(
-        [*command, "--write-out", "\n%{http_code}", *arguments], capture_output=True, text=True, timeout=60
+        [*command, "--write-out", "\n%{http_code}", *arguments], capture_output=True, text=True, timeout=300
     )
     assert done.returncode == 0, done.stderr
     body, _, status = done.stdout.rpartition("\n")

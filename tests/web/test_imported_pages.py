@@ -56,7 +56,7 @@ def shown(platform: Platform, curator: Person, tmp_path_factory: pytest.TempPath
         cookie = sessions.open_session(session, session.get_one(User, curator.user_id), 3600.0).secret
     with serving(platform, make_site(platform)) as url:
         cookies = {"Cookie": f"stone_session={cookie}"}
-        with httpx.Client(base_url=url, headers=cookies, timeout=60) as http:
+        with httpx.Client(base_url=url, headers=cookies, timeout=300) as http:
             yield Shown(http, sequence_id)
 
 

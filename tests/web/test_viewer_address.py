@@ -2,6 +2,7 @@
 
 from collections.abc import Iterator
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
@@ -47,6 +48,12 @@ def chosen(page: Page) -> dict[str, Any]:
     }
 
 
+def says_where_it_stands(page: Page) -> bool:
+    """Whether the address, which is written a while after the last change, has come to the camera's view."""
+    said = parse_qs(urlsplit(page.evaluate("location.href")).query).get("at", [""])[0]
+    return bool(said) and [float(value) for value in said.split(",")] == pytest.approx(page.evaluate(VIEW), rel=1e-3)
+
+
 def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
     site: Site, curator: Person, at_viewer: Page
 ) -> None:
@@ -65,12 +72,14 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
         page.keyboard.press(key)
     expect(host(page)).to_have_attribute("data-frame", "2")
     until(
-        lambda: all(
-            part in page.evaluate("location.href")
-            for part in ("colour=slope", "hide=n", "points=height", "follow=off", "at=")
+        lambda: (
+            says_where_it_stands(page)
+            and all(
+                part in page.evaluate("location.href")
+                for part in ("colour=slope", "hide=n", "points=height", "follow=off")
+            )
         )
     )
-    page.wait_for_timeout(600)
     before, address = chosen(page), page.evaluate("location.href")
     with site.visit(curator) as other:
         other.goto(address)
@@ -118,9 +127,9 @@ def test_while_frames_play_the_address_is_left_alone(at_viewer: Page) -> None:
     canvas(at_viewer).press("Space")
     expect(host(at_viewer)).to_have_attribute("data-frame", "5")
     expect(at_viewer.get_by_role("button", name="Play")).to_be_visible()
-    at_viewer.wait_for_timeout(600)
+    token = at_viewer.evaluate(TOKEN)
+    until(lambda: at_viewer.evaluate("location.href").endswith(f"frame={token}"))
     assert 1 <= at_viewer.evaluate("window.writes") <= 5
-    assert at_viewer.url.endswith(f"frame={at_viewer.evaluate(TOKEN)}")
 
 
 TOKEN = f"async () => {{ {IMPORTS} {VIEWER} return viewer.scene.frames.tokens[5]; }}"

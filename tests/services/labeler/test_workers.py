@@ -62,7 +62,7 @@ def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
     tasks = [Task((seconds,), _refuse_or_sleep, (seconds,)) for seconds in (0.0, 600.0)]
     with pytest.raises(NoUsableFramesError), Workers(2) as workers:
         list(workers.run(tasks))
-    assert time.monotonic() - begin < 60
+    assert time.monotonic() - begin < 300
 
 
 def _refuse_or_sleep(seconds: float) -> None:

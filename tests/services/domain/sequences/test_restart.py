@@ -125,7 +125,7 @@ def test_deleting_the_sequence_and_beginning_again_at_once_leave_no_run_alive(re
     with ThreadPoolExecutor(4) as pool:
         acts: list[Callable[[], object]] = [lambda: again(ready, root_id), bury, lambda: again(ready, root_id)]
         for done in [pool.submit(act) for act in acts]:
-            done.result(timeout=60)
+            done.result(timeout=300)
     assert {run.state for run in runs(ready)} == {"cancelled"}
     assert len(runs(ready)) <= 2
 

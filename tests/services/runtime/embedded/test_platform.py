@@ -83,7 +83,7 @@ def test_a_second_server_is_told_who_holds_the_folder(up: Up, folder: Path) -> N
     first = up()
     command = [*STONE, "serve", "--data", folder / "the data", "--port", "0"]
     second = subprocess.run(
-        command, env=environment(first.data), check=False, capture_output=True, text=True, timeout=60
+        command, env=environment(first.data), check=False, capture_output=True, text=True, timeout=300
     )
     assert second.returncode == 1
     assert second.stderr.startswith("already_serving: ")
@@ -94,7 +94,7 @@ def test_a_taken_port_is_refused_by_name_and_nothing_is_started(up: Up, tmp_path
     port = up().url.rpartition(":")[2]
     command = [*STONE, "serve", "--data", tmp_path / "other", "--port", port]
     refused = subprocess.run(
-        command, env=environment(tmp_path / "other"), check=False, capture_output=True, text=True, timeout=60
+        command, env=environment(tmp_path / "other"), check=False, capture_output=True, text=True, timeout=300
     )
     assert refused.returncode == 1
     assert refused.stderr.startswith(f"port_taken: cannot listen on 127.0.0.1 port {port}: ")
