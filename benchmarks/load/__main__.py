@@ -14,7 +14,6 @@ import sys
 import tempfile
 import threading
 import time
-from collections import defaultdict
 from contextlib import ExitStack
 from dataclasses import asdict, replace
 from pathlib import Path
@@ -22,7 +21,6 @@ from statistics import median
 from typing import Any
 
 import numpy as np
-import psutil
 from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
@@ -30,6 +28,7 @@ from sqlalchemy import select
 from benchmarks.api import database_url
 from benchmarks.api_rows import ENDED, fill
 from benchmarks.load.clients import LoadPlan
+from benchmarks.memory_watch import MemoryWatch
 from chaos.api_calls import await_run, begin_run, upload_sequence
 from chaos.inputs import Inputs, simulated
 from chaos.places import PlatformUnderTest
@@ -43,7 +42,6 @@ from stone_client.api import Api
 from testing.worlds.benchmark_world import World
 
 MIB = 2**20
-LOOK_S = 2.0
 LABELLED_WITHIN_S = 600.0
 CONSOLE = Console(width=130, highlight=False)
 
@@ -66,7 +64,7 @@ def main() -> int:
         running = stack.enter_context(running_platform(settings, CONSOLE.print))
         world = replace(world, platform=running.platform)
         plan = _plan(options, running, world, readers)
-        with _MemoryWatch(running) as watch, _Labelling(PlatformUnderTest(running, inputs), inputs) as labelling:
+        with MemoryWatch(running) as watch, _Labelling(PlatformUnderTest(running, inputs), inputs) as labelling:
             noted = clients(options.folder, plan)
     _show(options, noted, labelling)
     _show_memory(watch)
@@ -148,42 +146,6 @@ class _Labelling:
                 return
 
 
-class _MemoryWatch:
-    """The memory of the platform's processes, looked at by a thread."""
-
-    def __init__(self, running: RunningPlatform) -> None:
-        self.held: dict[str, list[int]] = defaultdict(list)
-        self._pids = {child.program.name: child.pid for child in running.children}
-        self._over = threading.Event()
-        self._thread = threading.Thread(target=self._look, name="watch")
-
-    def __enter__(self) -> "_MemoryWatch":
-        self._thread.start()
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self._over.set()
-        self._thread.join()
-
-    def _look(self) -> None:
-        while not self._over.wait(LOOK_S):
-            for name, pid in self._pids.items():
-                held = [_held_bytes(process) for process in [psutil.Process(pid), *_below(pid)]]
-                self.held[name].append(sum(held))
-
-
-def _below(pid: int) -> list[psutil.Process]:
-    return list(psutil.Process(pid).children(recursive=True))
-
-
-def _held_bytes(process: psutil.Process) -> int:
-    """Its share of memory (PSS), which counts what forked processes share once."""
-    try:
-        return int(process.memory_full_info().pss)
-    except psutil.Error:
-        return 0
-
-
 def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labelling) -> None:
     waited_s: dict[str, list[float]] = noted["waited_s"]
     title = f"{options.clients} clients, {options.minutes:g} minutes, pause {options.pause_s:g} s, {options.database}"
@@ -203,7 +165,7 @@ def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labell
         CONSOLE.print(f"  {words}")
 
 
-def _show_memory(watch: _MemoryWatch) -> None:
+def _show_memory(watch: MemoryWatch) -> None:
     table = Table("process", "first quarter MiB", "last quarter MiB", "most MiB", title="memory (PSS, medians)")
     for name, held in watch.held.items():
         quarter = max(1, len(held) // 4)

@@ -1,0 +1,46 @@
+"""The memory of a running platform, process by process, looked at while something else happens."""
+
+import threading
+from collections import defaultdict
+
+import psutil
+
+from services.runtime.embedded.supervisor import RunningPlatform
+
+LOOK_S = 2.0
+
+
+class MemoryWatch:
+    """The memory of the platform's processes by program, each with all below it, looked at by a thread every 2 s."""
+
+    def __init__(self, running: RunningPlatform) -> None:
+        self.held: dict[str, list[int]] = defaultdict(list)
+        self._pids = {child.program.name: child.pid for child in running.children}
+        self._over = threading.Event()
+        self._thread = threading.Thread(target=self._look, name="watch")
+
+    def __enter__(self) -> "MemoryWatch":
+        self._thread.start()
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self._over.set()
+        self._thread.join()
+
+    def _look(self) -> None:
+        while not self._over.wait(LOOK_S):
+            for name, pid in self._pids.items():
+                held = [_held_bytes(process) for process in [psutil.Process(pid), *_below(pid)]]
+                self.held[name].append(sum(held))
+
+
+def _below(pid: int) -> list[psutil.Process]:
+    return list(psutil.Process(pid).children(recursive=True))
+
+
+def _held_bytes(process: psutil.Process) -> int:
+    """Its share of memory (PSS), which counts what forked processes share once."""
+    try:
+        return int(process.memory_full_info().pss)
+    except psutil.Error:
+        return 0
