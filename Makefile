@@ -1,10 +1,13 @@
-# make install | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
+# What the platform runs on; what tests, checks and benchmarks need besides; what the docs site is built with.
 INSTALLED := .venv/.installed
+DEVELOPED := .venv/.developed
+DOCS_INSTALLED := .venv/.docs-installed
 BASELINES := .venv-baselines/.installed
 BUILT := web/built/app.js
 # The client's wheel, from where the platform serves it.
@@ -22,24 +25,36 @@ KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/sto
 	tests/simulator/test_noise.py
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
-install: $(INSTALLED) $(BUILT)
+# Packages and pages wait for nothing of each other.
+install:
+	@$(MAKE) --no-print-directory --jobs=2 $(INSTALLED) $(BUILT)
 
-$(INSTALLED): requirements.lock pyproject.toml deploy/client/pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
-	deploy/create-venv.sh
-	touch $@
+$(INSTALLED): deploy/runtime.lock pyproject.toml deploy/client/pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
+	@deploy/step.sh 1/2 "Python packages of deploy/runtime.lock" deploy/create-venv.sh
+	@touch $@
 
-$(BUILT): $(INSTALLED) $(MODULES) web/package-lock.json web/tsconfig.json deploy/build-pages.sh
-	deploy/build-pages.sh
-	touch $@
+$(BUILT): $(MODULES) web/package-lock.json web/tsconfig.json deploy/build-pages.sh
+	@deploy/step.sh 2/2 "the pages' modules" deploy/build-pages.sh
+	@touch $@
 
-$(MANUAL): $(INSTALLED) $(DOCS) deploy/build-docs.sh
+develop: install $(DEVELOPED)
+
+$(DEVELOPED): $(INSTALLED) requirements.lock
+	@deploy/step.sh 1/1 "Python packages of tests and checks: requirements.lock" deploy/add-packages.sh --require-hashes -r requirements.lock
+	@touch $@
+
+$(DOCS_INSTALLED): $(INSTALLED) deploy/docs.lock
+	@deploy/step.sh 1/1 "Python packages of the docs site: deploy/docs.lock" deploy/add-packages.sh --require-hashes -r deploy/docs.lock
+	@touch $@
+
+$(MANUAL): $(DOCS_INSTALLED) $(DOCS) deploy/build-docs.sh
 	deploy/build-docs.sh
 
 $(DOWNLOAD): $(CLIENT) deploy/build-wheels.sh
 	deploy/build-wheels.sh client
 	touch $@
 
-test-clients: install
+test-clients: develop
 	deploy/install-test-clients.sh
 	deploy/install-devkit.sh
 	deploy/install-browser.sh
@@ -47,7 +62,7 @@ test-clients: install
 
 baselines: $(BASELINES)
 
-$(BASELINES): $(INSTALLED) baselines/requirements-cpu.txt deploy/create-baselines-venv.sh
+$(BASELINES): $(DEVELOPED) baselines/requirements-cpu.txt deploy/create-baselines-venv.sh
 	deploy/create-baselines-venv.sh
 	touch $@
 
@@ -60,7 +75,7 @@ serve: install
 	$(MAKE) --no-print-directory $(DOWNLOAD) $(MANUAL)
 	$(BIN)/stone serve
 
-test: install
+test: develop
 	deploy/install-browser.sh
 	$(BIN)/pytest $(BESIDE) -m "not whole"
 
@@ -68,7 +83,7 @@ test-all: test-clients
 	$(MAKE) --no-print-directory test-kernels
 	$(BIN)/pytest $(BESIDE)
 
-test-kernels: install
+test-kernels: develop
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest $(BESIDE) -m "not whole" $(KERNELS)
 
 # What models need is in an environment of its own: the platform's tests run without torch.
@@ -86,10 +101,10 @@ check: test-clients
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all
 
-docs: install
+docs: install $(DOCS_INSTALLED)
 	deploy/build-docs.sh
 
-chaos: install
+chaos: develop
 	$(BIN)/python -m chaos
 	$(BIN)/python -m chaos.scoring
 	$(BIN)/python -m chaos.restore
@@ -98,33 +113,33 @@ chaos: install
 	$(BIN)/python -m chaos.upgrade --postgres --kill
 	$(BIN)/python -m chaos.machines || test $$? = 77  # no namespaces here: said, and skipped
 
-audit: install
+audit: develop
 	$(BIN)/python deploy/audit.py
 
-fuzz: install
+fuzz: develop
 	$(BIN)/python -m fuzz
 
-bench-read: install
+bench-read: develop
 	$(BIN)/python -m benchmarks.read
 
-bench-datasets: install
+bench-datasets: develop
 	$(BIN)/python -m benchmarks.datasets
 
-bench: install
+bench: develop
 	$(BIN)/python -m benchmarks.score
 
 bench-eval: bench
 
-bench-label: install
+bench-label: develop
 	$(BIN)/python -m benchmarks.label
 
-bench-platform: install
+bench-platform: develop
 	$(BIN)/python -m benchmarks.upload
 	$(BIN)/python -m benchmarks.api
 	$(BIN)/python -m benchmarks.platform_label
 	$(BIN)/python -m benchmarks.sandbox
 
-bench-time-left: install
+bench-time-left: develop
 	$(BIN)/python -m benchmarks.time_left
 
 bench-pages: test-clients
@@ -133,30 +148,30 @@ bench-pages: test-clients
 	$(BIN)/python -m benchmarks.dashboard
 	$(BIN)/python -m benchmarks.pages_upload
 
-bench-truth: install
+bench-truth: develop
 	$(BIN)/python -m benchmarks.truth
 
-bench-movers: install
+bench-movers: develop
 	$(BIN)/python -m benchmarks.movers
 
 # make bench-real FOLDER=... reads another folder than the tests' own.
-bench-real: install
+bench-real: develop
 	$(BIN)/python -m benchmarks.real $(FOLDER)
 
-bench-faults: install
+bench-faults: develop
 	$(BIN)/python -m benchmarks.faults
 
-bench-mounts: install
+bench-mounts: develop
 	$(BIN)/python -m benchmarks.mounts
 
 bench-models: baselines
 	.venv-baselines/bin/python -m benchmarks.models.overfit
 	.venv-baselines/bin/python -m benchmarks.models.unseen
 
-bench-decisions: install
+bench-decisions: develop
 	$(BIN)/python -m benchmarks.decisions
 
-season: install
+season: develop
 	$(BIN)/python -m benchmarks.season
 
 wheels: install

@@ -42,7 +42,7 @@ class AdvisoryAnswer:
 
 
 def main() -> int:
-    os.environ["PATH"] += f"{os.pathsep}{Path('.venv/node/bin').absolute()}"  # where build-pages.sh puts it
+    os.environ["PATH"] += f"{os.pathsep}{Path('build/node/bin').absolute()}"  # where build-pages.sh puts it
     accepted = _accepted()
     verdicts = (_python(accepted), _pages(accepted))
     for verdict in verdicts:

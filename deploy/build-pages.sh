@@ -1,7 +1,7 @@
 #!/bin/sh
-# Build what browsers load: build-pages.sh, from the project's root, after create-venv.sh.
+# Build what browsers load: build-pages.sh, from the project's root.
 #
-# The Node on PATH where it is new enough, else one from a wheel in .venv/node. Every package is checked against the
+# The Node on PATH where it is new enough, else one from a wheel in build/node. Every package is checked against the
 # integrity hashes of package-lock.json; no script of a package is run.
 set -eu
 
@@ -10,12 +10,12 @@ is_new_enough() {
 }
 
 if ! { command -v node >/dev/null && command -v npm >/dev/null && is_new_enough node; }; then
-    if [ ! -x .venv/node/bin/npm ]; then
-        rm -rf .venv/node
-        .venv/bin/python -m venv .venv/node
-        .venv/node/bin/pip install --quiet --disable-pip-version-check --require-hashes -r deploy/node.lock
+    if [ ! -x build/node/bin/npm ]; then
+        rm -rf build/node
+        "$(deploy/find-python.sh)" -m venv build/node
+        build/node/bin/pip install --quiet --disable-pip-version-check --require-hashes -r deploy/node.lock
     fi
-    PATH="$PWD/.venv/node/bin:$PATH"
+    PATH="$PWD/build/node/bin:$PATH"
     export PATH
 fi
 

@@ -5,9 +5,8 @@
 set -eu
 
 build() {
-    if command -v uv >/dev/null; then
-        uv build --quiet --wheel --out-dir dist "$1"
-    else
+    if ! deploy/uv.sh build --quiet --wheel --out-dir dist "$1"; then
+        [ -x .venv/bin/pip ] || .venv/bin/python -m ensurepip --default-pip
         .venv/bin/python -m pip wheel --quiet --disable-pip-version-check --no-deps --wheel-dir dist "$1"
     fi
 }

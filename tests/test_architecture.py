@@ -215,7 +215,9 @@ def test_the_lock_pins_every_requirement_by_hash_and_names_no_place() -> None:
 
 def test_the_lock_covers_what_the_project_asks_for() -> None:
     project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    asked = project["project"]["dependencies"] + project["dependency-groups"]["dev"]
+    groups = project["dependency-groups"]
+    developers = [name for name in groups["dev"] if isinstance(name, str)]
+    asked = project["project"]["dependencies"] + groups["docs"] + developers
     pinned = set(re.findall(r"(?m)^([a-z0-9-]+)==", (ROOT / "requirements.lock").read_text("utf-8")))
     ours = {"stone-client"}  # of the same checkout
     assert {re.split(r"[<>=!~\[]", name)[0].replace(".", "-") for name in asked} <= pinned | ours
@@ -235,7 +237,7 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
 def test_every_make_target_that_runs_something_installs_first() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     for target in ("demo", "serve", "test-clients", "test", "test-all", "test-kernels", "check", "chaos", "bench"):
-        assert re.search(rf"(?m)^{target}: (install|test-clients)$", makefile)
+        assert re.search(rf"(?m)^{target}: (install|develop|test-clients)$", makefile)
 
 
 # Those below docs/ lead to made pages too: tests/docsite follows them in the built site.

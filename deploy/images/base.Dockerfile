@@ -30,11 +30,11 @@ RUN python3 -m venv /srv/tools \
 
 FROM tools AS wheel-build
 WORKDIR /build/project
-COPY deploy/node.lock deploy/build-pages.sh deploy/
+COPY deploy/node.lock deploy/build-pages.sh deploy/find-python.sh deploy/
 COPY web/package.json web/package-lock.json web/tsconfig.json web/
 COPY web/libraries web/libraries
 COPY web/modules web/modules
-RUN python3 -m venv .venv && deploy/build-pages.sh
+RUN deploy/build-pages.sh
 COPY . .
 WORKDIR /build/project/deploy/client
 RUN /srv/tools/bin/python -m hatchling build -t wheel -d /wheel

@@ -1,10 +1,11 @@
-"""The lock of each image: what its dependency group needs, cut out of requirements.lock with versions and hashes.
+"""The locks cut out of requirements.lock with versions and hashes: of run time, of the docs site, and of each image.
 
-    python deploy/images/locks.py
+    python deploy/locks.py
 
 **Conventions.** Nothing is resolved here and no network is asked: which distribution needs which is read from what is
-installed, which version and which hashes from `requirements.lock`. So an image holds nothing but what was tested, and
-the locks are the same on every machine with the same environment.
+installed, which version and which hashes from `requirements.lock`, which has tests, docs and audits too. So an image
+and `make install` hold nothing but what was tested, and the locks are the same on every machine with the same
+environment (`make develop`).
 """
 
 import re
@@ -18,18 +19,25 @@ from packaging.markers import Marker, default_environment
 from packaging.requirements import Requirement
 from packaging.utils import canonicalize_name
 
-ROOT = Path(__file__).resolve().parents[2]
-LOCKS = Path(__file__).parent
-ROLES = ("api", "ingest", "labeler", "eval")
-HEAD = "# Of requirements.lock and the group role-{role} of pyproject.toml, by deploy/images/locks.py; do not edit.\n"
+ROOT = Path(__file__).resolve().parents[1]
+DEPLOY = Path(__file__).parent
+RUNTIME = "dependencies"
+LOCKS = {
+    "runtime.lock": RUNTIME,
+    "docs.lock": "docs",
+    **{f"images/{role}.lock": f"role-{role}" for role in ("api", "ingest", "labeler", "eval")},
+}
+HEAD = "# Of requirements.lock and {group} of pyproject.toml, by deploy/locks.py; do not edit.\n"
+PROJECTS = (Path("pyproject.toml"), Path("deploy/client/pyproject.toml"))
+OURS = {"stone-client"}
 OLDEST = {"python_version": "3.11", "python_full_version": "3.11.0"}
 ENTRY = re.compile(r"^([A-Za-z0-9._-]+)==\S+.*\n(?:    --hash=\S+.*\n)+", re.MULTILINE)
 
 
-def lock_of(role: str) -> str:
-    """The text of the role's lock, the distributions by name. Raises KeyError for one the main lock lacks."""
+def lock_of(group: str) -> str:
+    """The text of the group's lock, the distributions by name. Raises KeyError for one the main lock lacks."""
     entries = locked()
-    return HEAD.format(role=role) + "".join(entries[name] for name in sorted(needed(role)))
+    return HEAD.format(group=group) + "".join(entries[name] for name in sorted(needed(group)))
 
 
 def locked() -> dict[str, str]:
@@ -38,10 +46,10 @@ def locked() -> dict[str, str]:
     return {canonicalize_name(found[1]): _unescaped(found[0]) for found in ENTRY.finditer(text)}
 
 
-def needed(role: str) -> set[str]:
-    """The distributions that the role's group names, and all that those need here."""
+def needed(group: str) -> set[str]:
+    """The distributions that the group names, and all that those need here."""
     found: set[str] = set()
-    todo = list(asked(role))
+    todo = list(asked(group))
     seen: set[tuple[str, frozenset[str]]] = set()
     while todo:
         requirement = todo.pop()
@@ -53,10 +61,15 @@ def needed(role: str) -> set[str]:
     return found
 
 
-def asked(role: str) -> list[Requirement]:
-    """What the group `role-<role>` names, groups that it includes too."""
-    groups = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["dependency-groups"]
-    return [Requirement(line) for line in _lines(groups, f"role-{role}")]
+def asked(group: str) -> list[Requirement]:
+    """What the dependency group names, groups that it includes too; `RUNTIME`: what the project and its client need."""
+    projects = [tomllib.loads((ROOT / path).read_text("utf-8")) for path in PROJECTS]
+    if group == RUNTIME:
+        lines = [line for project in projects for line in project["project"]["dependencies"]]
+    else:
+        lines = list(_lines(projects[0]["dependency-groups"], group))
+    requirements = [Requirement(line) for line in lines]
+    return [one for one in requirements if canonicalize_name(one.name) not in OURS]
 
 
 def _lines(groups: Mapping[str, Any], group: str) -> Iterator[str]:
@@ -87,8 +100,8 @@ def _unescaped(lines: str) -> str:
 
 
 def main() -> None:
-    for role in ROLES:
-        (LOCKS / f"{role}.lock").write_text(lock_of(role), "utf-8")
+    for name, group in LOCKS.items():
+        (DEPLOY / name).write_text(lock_of(group), "utf-8")
 
 
 if __name__ == "__main__":
