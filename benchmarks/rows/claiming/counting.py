@@ -1,0 +1,177 @@
+"""What a real labelling asks of the database: a recording through API, sweeper and workers on a real PostgreSQL.
+
+**Conventions.** Counted are the workers' own transactions, from the run's start to its end, and those of the same
+processes while they are idle. Playback is made too, so that a run has every kind of job.
+"""
+
+import sys
+import tempfile
+import time
+from collections import Counter
+from collections.abc import Callable, Iterator, Sequence
+from contextlib import ExitStack, contextmanager
+from dataclasses import dataclass
+from pathlib import Path
+
+from sqlalchemy import select
+
+from benchmarks.rows.claiming.server_log import LOGGING, LoggedTransaction, transactions
+from services.runtime.access import roles
+from services.runtime.access.tokens import issue
+from services.runtime.access.users import create_user
+from services.runtime.database.migrate import upgrade
+from services.runtime.embedded.programs import environment_of
+from services.runtime.orm import Job, Worker
+from services.runtime.platform import Platform, open_silent_platform
+from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings, Settings
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone_client.api import Api
+from stone_client.credentials import Server
+from stone_client.files.bags import hashed_bag
+from stone_client.server.job_following import follow
+from stone_client.server.sequences import add_recording, ensure_sequence, pin_calibration, start_run
+from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.process import ServerProcess, answers, free_port
+from testing.servers.redis import running_redis
+
+WORKER = "worker"
+PROGRAMS = {
+    "api": ("services.runtime.processes.api",),
+    "sweeper": ("services.maintenance.sweeper",),
+    WORKER: ("services.runtime.processes.worker", "ingest", "labeler", "eval"),
+}
+START_S = 240.0
+
+
+@dataclass(frozen=True)
+class DatabaseLoad:
+    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements."""
+
+    processes: int
+    lasted_s: float
+    transactions: Counter[str]
+    statements: Counter[str]
+
+    def transactions_per_s(self) -> float:
+        """Of one process."""
+        return self.transactions.total() / self.lasted_s / self.processes
+
+
+@dataclass(frozen=True)
+class RunCost:
+    """What a run of `job_s` (seconds each job was held) asked for, and what idle processes ask for."""
+
+    idle: DatabaseLoad
+    run: DatabaseLoad
+    job_s: tuple[float, ...]
+
+    @property
+    def jobs(self) -> int:
+        return len(self.job_s)
+
+
+def counted(bag: Path, workers: int, idle_s: float) -> RunCost:
+    """Label the bag with so many worker processes, after they were idle for `idle_s`."""
+    with running_postgres(**LOGGING) as postgres, _platform(postgres, workers) as (platform, url):
+        with platform.database.transaction() as session:
+            user = create_user(session, "benchmark", "curator")
+            token = issue(session, user, "benchmark", roles.SCOPES_OF[user.role], 86_400.0)
+        with Api(Server(url, token)) as api:
+            sequence = ensure_sequence(api, "benchmark")
+            pin_calibration(api, sequence, calibration_path(bag))
+            add_recording(api, sequence, hashed_bag(bag, _silent), _silent)
+            with _loaded(postgres, workers) as idle:
+                time.sleep(idle_s)
+            with _loaded(postgres, workers) as run:
+                run_id = start_run(api, sequence, {})["id"]
+                follow(api, run_id, _silent)
+        return RunCost(idle[0], run[0], _job_s(platform, run_id))
+
+
+def recording(folder: Path, seconds: float) -> Path:
+    """A simulated recording, made once."""
+    folder.mkdir(parents=True, exist_ok=True)
+    bag = folder / f"claiming-{seconds:g}.mcap"
+    if not bag.exists():
+        simulate(bag, SimulateOptions(seconds))
+    return bag
+
+
+@contextmanager
+def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseLoad]]:
+    """A list that holds, after the end, what the workers asked for meanwhile."""
+    found: list[DatabaseLoad] = []
+    with postgres.log.open(errors="replace") as log:
+        log.seek(0, 2)
+        begun_s = time.monotonic()
+        yield found
+        lasted_s = time.monotonic() - begun_s
+        of_workers = [one for one in transactions(log) if one.program == WORKER]
+    found.append(_load(processes, lasted_s, of_workers))
+
+
+def _load(processes: int, lasted_s: float, asked: Sequence[LoggedTransaction]) -> DatabaseLoad:
+    statements = Counter[str]()
+    for one in asked:
+        statements[one.purpose] += len(one.statements)
+    return DatabaseLoad(processes, lasted_s, Counter(one.purpose for one in asked), statements)
+
+
+@contextmanager
+def _platform(postgres: PostgresServer, workers: int) -> Iterator[tuple[Platform, str]]:
+    """A platform of separate processes, each known to the database by its name; and the address of its API."""
+    with ExitStack() as stack:
+        folder = Path(stack.enter_context(tempfile.TemporaryDirectory(prefix="stone-claiming-")))
+        redis = stack.enter_context(running_redis())
+        port = free_port()
+        settings = Settings(
+            data_folder=folder / "data",
+            workers=workers,
+            database=DatabaseSettings(postgres.url()),
+            broker=BrokerSettings(redis.url),
+            api=ApiSettings(host="127.0.0.1", port=port, url=f"http://127.0.0.1:{port}", pages=False),
+        )
+        upgrade(settings)
+        platform = open_silent_platform(settings)
+        stack.callback(platform.database.close)
+        stack.enter_context(_process(settings, folder / "api", lambda: answers(port)))
+        for name in ("sweeper", WORKER):
+            stack.enter_context(_process(settings, folder / name, lambda: True))
+        _await_workers(platform, workers)
+        yield platform, settings.api.url
+
+
+@contextmanager
+def _process(settings: Settings, folder: Path, is_ready: Callable[[], bool]) -> Iterator[None]:
+    folder.mkdir()
+    command = [sys.executable, "-P", "-m", *PROGRAMS[folder.name]]
+    environment = {**environment_of(settings), "PGAPPNAME": folder.name}
+    server = ServerProcess(command, folder, is_ready, environment=environment, patience_s=START_S)
+    server.start()
+    try:
+        yield
+    finally:
+        server.stop()
+
+
+def _await_workers(platform: Platform, workers: int) -> None:
+    until_s = time.monotonic() + START_S
+    while True:
+        with platform.database.reading() as session:
+            here = len(session.scalars(select(Worker.name)).all())
+        if here >= workers:
+            return
+        if time.monotonic() > until_s:
+            raise TimeoutError(f"{here} of {workers} worker processes were there within {START_S:g} s")
+        time.sleep(0.2)
+
+
+def _job_s(platform: Platform, run_id: str) -> tuple[float, ...]:
+    with platform.database.reading() as session:
+        jobs = session.scalars(select(Job).where(Job.root_id == run_id, Job.queue != "")).all()
+    return tuple(((job.finished_ns or 0) - (job.started_ns or 0)) / 1e9 for job in jobs)
+
+
+def _silent(_stage: str, _done: int, _total: int) -> None:
+    return
