@@ -1,0 +1,71 @@
+"""Every list says the same bytes as ever, on both databases, to each who may ask.
+
+Where an answer is meant to change, `WRITES_GOLDEN=1` writes the files anew; the difference is then looked at.
+"""
+
+import json
+import os
+from pathlib import Path
+from urllib.parse import urlencode
+
+import httpx
+import pytest
+
+from services.runtime.platform import Platform
+from tests.api.listed.listed_rows import fill_listed, id_of
+
+GOLDEN = Path(__file__).parent / "golden"
+FIRST = id_of("sequence", 1)
+ASKED = {
+    "sequences": "/sequences",
+    "sequences_paged": "/sequences?limit=2",
+    "sequences_of_forest": "/sequences?environment=forest",
+    "sequences_named": "/sequences?name=forest-2",
+    "sequences_of_owner": f"/sequences?{urlencode({'owner_id': id_of('user', 2)})}",
+    "jobs": "/jobs",
+    "jobs_paged": "/jobs?limit=3",
+    "jobs_of_a_run": f"/jobs?{urlencode({'root_id': id_of('job', 10)})}",
+    "jobs_failed": "/jobs?state=failed",
+    "jobs_of_a_kind": "/jobs?kind=labeler.export",
+    "jobs_of_a_sequence": f"/jobs?{urlencode({'sequence_id': FIRST})}",
+    "submissions": "/submissions",
+    "submissions_queued": "/submissions?state=queued",
+    "exports": f"/sequences/{FIRST}/exports",
+    "exports_paged": f"/sequences/{FIRST}/exports?limit=1",
+    "datasets": "/datasets",
+    "datasets_paged": "/datasets?limit=1",
+    "a_sequence": f"/sequences/{FIRST}",
+    "a_job": f"/jobs/{id_of('job', 10)}",
+    "a_submission": f"/submissions/{id_of('submission', 3)}",
+    "me": "/me",
+}
+WHO = ("ada", "bob", "root", "visitor")
+
+
+def pages_of(api: httpx.Client, path: str, headers: dict[str, str]) -> list[str]:
+    """The status and the body of every page."""
+    found, following = list[str](), ""
+    while True:
+        answer = api.get(f"/api/v1{path}{following}", headers=headers | {"X-Request-ID": "golden"})
+        found.append(f"{answer.status_code} {answer.headers['content-type']} {answer.text}")
+        cursor = answer.json().get("next") if answer.status_code == 200 else None
+        if not cursor:
+            return found
+        following = f"{'&' if '?' in path else '?'}cursor={cursor}"
+
+
+@pytest.fixture
+def listed(api_on: httpx.Client, platform_on: Platform) -> dict[str, dict[str, list[str]]]:
+    people = fill_listed(platform_on)
+    headers = {name: one.headers for name, one in people.items()} | {"visitor": {}}
+    return {name: {who: pages_of(api_on, path, headers[who]) for who in WHO} for name, path in ASKED.items()}
+
+
+def test_lists_say_the_same_bytes_as_ever(listed: dict[str, dict[str, list[str]]]) -> None:
+    GOLDEN.mkdir(exist_ok=True)
+    for name, answers in listed.items():
+        golden = GOLDEN / f"{name}.json"
+        if os.environ.get("WRITES_GOLDEN"):
+            golden.write_text(json.dumps(answers, ensure_ascii=False, indent=1) + "\n")
+        assert answers == json.loads(golden.read_text()), name
+    assert {path.stem for path in GOLDEN.glob("*.json")} == set(ASKED)
