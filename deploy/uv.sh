@@ -29,7 +29,7 @@ fi
 setting() {
     echo "$settings" | sed -n "s/^[^ ]*\.$1='\(.*\)'\$/\1/p" | head -n 1
 }
-index=$(setting index-url)
+index=$(setting 'index.url')
 certificates=$(setting cert)
 if [ -n "$index" ]; then
     export UV_DEFAULT_INDEX="${UV_DEFAULT_INDEX:-$index}"

@@ -7,7 +7,7 @@ import click
 from typer.main import get_command
 
 from docsite.markdown import code, plain, table
-from stone_client.main import COMMANDS, GROUPS, app
+from stone_client.main import COMMANDS, PANELS, app
 
 HEAD = """# Commands
 
@@ -22,9 +22,8 @@ def commands_page() -> str:
     context = click.Context(group, info_name="stone")  # type: ignore[arg-type]
     known: dict[str, Any] = dict(group.commands)  # type: ignore[attr-defined]
     parts = [HEAD]
-    for panel, functions in COMMANDS.items():
-        names = [function.__name__ for function in functions]
-        names += [name for name, (of_panel, _) in GROUPS.items() if of_panel == panel]
+    for panel in PANELS:
+        names = [place.word for place in COMMANDS if place.panel == panel]
         parts.append(f"## {panel}\n")
         parts += [part for name in names for part in _in_words(known[name], context, f"stone {name}")]
     return "\n".join(parts)

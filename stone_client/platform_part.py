@@ -4,7 +4,7 @@
 is looked up when it is asked for. An installation that is there and broken keeps its own traceback.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Sequence
 from importlib import import_module
 from importlib.util import find_spec
 from typing import Any, NoReturn
@@ -12,6 +12,7 @@ from typing import Any, NoReturn
 import typer
 
 from stone_client.errors import PlatformNotInstalledError
+from stone_client.lazy_commands import CommandPlace
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
@@ -19,18 +20,17 @@ PLATFORM_COMMANDS = (
     "demo",
     "serve", "train", "predict", "onnx",
 )  # fmt: skip
-Commands = Mapping[str, tuple[Callable[..., None], ...]]
-Groups = Mapping[str, tuple[str, typer.Typer]]
+Places = Sequence[CommandPlace]
 
 
 def is_platform_installed() -> bool:
     return find_spec(PACKAGE) is not None
 
 
-def platform_commands() -> tuple[Commands, Groups]:
-    """The platform's commands and groups by panel and by name; none where it is not installed."""
+def platform_commands() -> tuple[Places, Places]:
+    """The platform's commands and its groups; none where it is not installed."""
     if not is_platform_installed():
-        return {}, {}
+        return (), ()
     registry = import_module(f"{PACKAGE}.registry")
     return registry.COMMANDS, registry.GROUPS
 

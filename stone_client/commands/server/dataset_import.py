@@ -77,9 +77,6 @@ def import_dataset(
         _say(record)
 
 
-import_dataset.__name__ = "import"  # what the command is called: a word of Python's own
-
-
 def _imported(api: Any, dataset: Path, wishes: Any, *, waits: bool) -> dict[str, Any]:
     """The import as it ended well, or as it is. Raises `JobFailedError`."""
     from stone_client.server.dataset_imports import read_import, send_dataset
