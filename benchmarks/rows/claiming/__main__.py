@@ -47,11 +47,11 @@ def _show_count(cost: RunCost) -> None:
     table = Table(title=f"{title}, load average {os.getloadavg()[0]:.1f} on {os.cpu_count()} processors")
     for column in ("what for", "transactions a job", "statements a job", "transactions/s of an idle process"):
         table.add_column(column, justify="left" if column == "what for" else "right")
-    for purpose, times in cost.run.transactions.most_common():
-        idle = cost.idle.transactions[purpose] / cost.idle.lasted_s / cost.idle.processes
+    for purpose, times in sorted(cost.run.transactions.items(), key=lambda one: -one[1]):
+        idle = cost.idle.transactions.get(purpose, 0) / cost.idle.lasted_s / cost.idle.processes
         per_job = (times / cost.jobs, cost.run.statements[purpose] / cost.jobs, idle)
         table.add_row(purpose, *(f"{figure:.2f}" for figure in per_job))
-    whole = (cost.run.transactions.total() / cost.jobs, cost.run.statements.total() / cost.jobs)
+    whole = (sum(cost.run.transactions.values()) / cost.jobs, sum(cost.run.statements.values()) / cost.jobs)
     table.add_row("all", *(f"{figure:.2f}" for figure in (*whole, cost.idle.transactions_per_s())))
     CONSOLE.print(table)
 

@@ -50,12 +50,12 @@ class DatabaseLoad:
 
     processes: int
     lasted_s: float
-    transactions: Counter[str]
-    statements: Counter[str]
+    transactions: dict[str, int]
+    statements: dict[str, int]
 
     def transactions_per_s(self) -> float:
         """Of one process."""
-        return self.transactions.total() / self.lasted_s / self.processes
+        return sum(self.transactions.values()) / self.lasted_s / self.processes
 
 
 @dataclass(frozen=True)
@@ -115,7 +115,7 @@ def _load(processes: int, lasted_s: float, asked: Sequence[LoggedTransaction]) -
     statements = Counter[str]()
     for one in asked:
         statements[one.purpose] += len(one.statements)
-    return DatabaseLoad(processes, lasted_s, Counter(one.purpose for one in asked), statements)
+    return DatabaseLoad(processes, lasted_s, dict(Counter(one.purpose for one in asked)), dict(statements))
 
 
 @contextmanager

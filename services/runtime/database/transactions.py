@@ -4,14 +4,20 @@
 each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and never
 commits. Neither is held while anything slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
 One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
+
+A server that ends says so on its connections before it closes them. So a connection on which nothing has come since it
+was used last is taken as it is, and only one that has something to read is asked whether it lives: a look at the
+socket costs the server nothing, a question would be a transaction before each transaction.
 """
 
+import select
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
+from sqlalchemy.exc import InvalidatePoolError
 from sqlalchemy.orm import Session
 
 from services.runtime.settings import Settings
@@ -72,9 +78,32 @@ def _engine(settings: Settings) -> Engine:
     password = settings.database.password.get_secret_value() or url.password
     url = url.set(drivername="postgresql+psycopg", password=password)
     # What is written may be a secret, so errors and logs show statements without it.
-    return create_engine(
-        url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, pool_pre_ping=True, **pool
-    )
+    engine = create_engine(url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, **pool)
+    event.listen(engine, "checkout", _refuse_lost)
+    return engine
+
+
+def _refuse_lost(connection: Any, _record: object, _pooled: object) -> None:
+    """Raises `InvalidatePoolError` where the server has closed the connection: the pool opens another then."""
+    if connection.closed or (has_news(connection.fileno()) and not _answers(connection)):
+        raise InvalidatePoolError
+
+
+def has_news(descriptor: int) -> bool:
+    """Whether there is anything to read on a socket, its end included."""
+    poll = select.poll()
+    poll.register(descriptor, select.POLLIN)
+    return bool(poll.poll(0))
+
+
+def _answers(connection: Any) -> bool:
+    """What came may be a notice: the server is asked."""
+    try:
+        connection.execute("")
+        connection.rollback()
+    except connection.OperationalError:
+        return False
+    return True
 
 
 def _prepare_sqlite(connection: Any, _record: object) -> None:
