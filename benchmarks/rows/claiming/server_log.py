@@ -18,7 +18,7 @@ PURPOSES: tuple[tuple[str, str], ...] = (
     ("end of a job", r"UPDATE job_attempts"),
     ("heartbeat", r"heartbeats=\(?(jobs\.)?heartbeats"),
     ("log lines", r"INSERT INTO job_lines"),
-    ("start of a run", r"jobs\.traceparent|started_ns=\S+ WHERE jobs\.id = \S+ AND jobs\.queue"),
+    ("start of a run", r"SELECT jobs\.traceparent|started_ns=\S+ WHERE jobs\.id = \S+ AND jobs\.queue"),
     ("claim of nothing", r"FROM queues"),
     ("presence", r"UPDATE workers|INTO workers|counter_rows"),
     ("liveness of a connection", r"^;?$"),

@@ -5,14 +5,14 @@ whose answer was lost the same lines are sent again, and those that are there st
 """
 
 from collections.abc import Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import asdict
 from typing import Any
 
 from sqlalchemy.exc import InterfaceError, OperationalError, TimeoutError
 from sqlalchemy.orm import Session
 
 from services.runtime.database.inserts import insert_new
-from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords
 from services.runtime.orm import JobLine
 
 AT_A_TIME = 500
@@ -21,38 +21,41 @@ OUTAGES = (OperationalError, InterfaceError, TimeoutError)
 what was to be written (a number that no column holds, a character that no text may have), and comes again."""
 
 
-@dataclass(frozen=True)
-class AttemptLine:
-    """One line; `number` counts from 0 within its attempt."""
-
-    number: int
-    level: str
-    event: str
-    facts: dict[str, Any]
-    logged_ns: int
+def write_lines(session: Session, words: Sequence[AttemptWords]) -> None:
+    """Insert those lines that are not there yet, of several attempts at once."""
+    rows = [_row(one, line) for one in words for line in one.lines]
+    for first in range(0, len(rows), AT_A_TIME):
+        insert_new(session, JobLine, rows[first : first + AT_A_TIME])
 
 
-def write_lines(session: Session, claim: Claim, lines: Sequence[AttemptLine]) -> None:
-    """Insert those that are not there yet."""
-    for first in range(0, len(lines), AT_A_TIME):
-        insert_new(session, JobLine, [_row(claim, line) for line in lines[first : first + AT_A_TIME]])
-
-
-def write_lines_singly(session: Session, claim: Claim, lines: Sequence[AttemptLine]) -> None:
+def write_lines_singly(session: Session, words: AttemptWords) -> None:
     """As `write_lines`, after the database refused one of them: that one's row says so instead of what it said."""
-    for line in lines:
+    for line in words.lines:
         try:
             with session.begin_nested():
-                insert_new(session, JobLine, [_row(claim, line)])
+                insert_new(session, JobLine, [_row(words, line)])
         except OUTAGES:
             raise
         except Exception as error:
             kept = AttemptLine(line.number, "warning", _unkept(error), {}, line.logged_ns)
-            insert_new(session, JobLine, [_row(claim, kept)])
+            insert_new(session, JobLine, [_row(words, kept)])
 
 
-def _row(claim: Claim, line: AttemptLine) -> dict[str, Any]:
-    return {"job_id": claim.job_id, "attempt": claim.attempt, **asdict(line)}
+def write_lines_beside(session: Session, words: AttemptWords) -> None:
+    """As `write_lines`, in a transaction that is about something else and that no line may make fail."""
+    if not words.lines:
+        return
+    try:
+        with session.begin_nested():
+            write_lines(session, [words])
+    except OUTAGES:
+        raise
+    except Exception:
+        write_lines_singly(session, words)
+
+
+def _row(words: AttemptWords, line: AttemptLine) -> dict[str, Any]:
+    return {"job_id": words.job_id, "attempt": words.attempt, **asdict(line)}
 
 
 def _unkept(error: Exception) -> str:

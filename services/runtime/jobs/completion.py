@@ -1,7 +1,8 @@
 """Ends jobs: succeeded (dependents become ready), failed or cancelled; and settles their run.
 
 **Conventions.** Each function is one transaction's worth and returns whether this attempt still held the job; when it
-did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open.
+did not, nothing was changed. The run's row is locked first, so two last jobs cannot both leave the run open. `words`
+are the last ones of the attempt, where its own process speaks; they are written with its end.
 """
 
 from dataclasses import dataclass
@@ -11,6 +12,8 @@ from sqlalchemy import Update, func, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
+from services.runtime.jobs.attempt_lines import write_lines_beside
+from services.runtime.jobs.attempt_words import AttemptWords
 from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.enqueue import add_jobs
@@ -34,15 +37,20 @@ class Failure:
         return {"failure_code": self.code, "failure": self.sentence[:LONGEST_FAILURE]}
 
 
-def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int) -> bool:
+def succeed(
+    session: Session, claim: Claim, outcome: Outcome, max_attempts: int, words: AttemptWords | None = None
+) -> bool:
     """Record the success, the rows it brings and the jobs that follow; wake-ups are sent for ready dependents.
 
     What follows in a run that was asked to stop is cancelled at once, not left out: a retry takes it up.
     """
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "succeeded", result=dict(outcome.result), done=Job.total):
+    told = _told(words)
+    if not _leave(
+        session, claim, "succeeded", **{**told, "result": dict(outcome.result), "done": told.get("total", Job.total)}
+    ):
         return False
-    _note(session, claim, "succeeded", None)
+    _note(session, claim, "succeeded", None, words)
     outcome.commit(session)
     if claim.job_id == claim.root_id:
         if outcome.then:
@@ -58,38 +66,38 @@ def succeed(session: Session, claim: Claim, outcome: Outcome, max_attempts: int)
     return True
 
 
-def fail(session: Session, claim: Claim, failure: Failure) -> bool:
+def fail(session: Session, claim: Claim, failure: Failure, words: AttemptWords | None = None) -> bool:
     """Record the failure; its run fails with it, and what the run had queued is cancelled."""
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "failed", **failure.columns()):
+    if not _leave(session, claim, "failed", **_told(words), **failure.columns()):
         return False
-    _note(session, claim, "failed", failure)
+    _note(session, claim, "failed", failure, words)
     fail_run(session, run, claim.job_id, failure)
     return True
 
 
-def cancelled(session: Session, claim: Claim) -> bool:
+def cancelled(session: Session, claim: Claim, words: AttemptWords | None = None) -> bool:
     """Record that the attempt stopped because it was asked to."""
     run = lock_run(session, claim.root_id)
-    if not _leave(session, claim, "cancelled"):
+    if not _leave(session, claim, "cancelled", **_told(words)):
         return False
-    _note(session, claim, "cancelled", None)
+    _note(session, claim, "cancelled", None, words)
     _finish_run(session, run)
     return True
 
 
-def lose(session: Session, claim: Claim, failure: Failure) -> bool:
+def lose(session: Session, claim: Claim, failure: Failure, words: AttemptWords | None = None) -> bool:
     """After an attempt that ended for no fault of the input: queue the job again, or end it when no try is left to it.
 
     A job that was asked to stop is not tried again: it ends cancelled.
     """
     run = lock_run(session, claim.root_id)
     if run.cancel_reason:
-        return cancelled(session, claim)
-    held = _held(claim).where(Job.attempts_left > 0)
-    if not rows_changed(session, held.values(state="queued", ready_ns=now_ns(), revision=Job.revision + 1)):
-        return fail(session, claim, failure)
-    _note(session, claim, "lost", failure)
+        return cancelled(session, claim, words)
+    held, again = _held(claim).where(Job.attempts_left > 0), {"state": "queued", "ready_ns": now_ns()}
+    if not rows_changed(session, held.values(**again, **_told(words), revision=Job.revision + 1)):
+        return fail(session, claim, failure, words)
+    _note(session, claim, "lost", failure, words)
     wake_up_after_commit(session, claim.kind.partition(".")[0])
     return True
 
@@ -160,10 +168,17 @@ def _leave(session: Session, claim: Claim, state: str, **columns: object) -> boo
     return rows_changed(session, _held(claim).values(**values)) == 1
 
 
-def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None) -> None:
+def _told(words: AttemptWords | None) -> dict[str, Any]:
+    """What the last words change in the job's row."""
+    return words.columns() if words else {}
+
+
+def _note(session: Session, claim: Claim, outcome: str, failure: Failure | None, words: AttemptWords | None) -> None:
     """Close the attempt's own row; what it cost, children included, is kept when its own process speaks."""
     attempt = update(JobAttempt).where(JobAttempt.job_id == claim.job_id, JobAttempt.number == claim.attempt)
     columns: dict[str, Any] = dict(failure.columns()) if failure else {}
     if claim.begun_cpu_s is not None:
         columns |= {"cpu_s": used_cpu_s() - claim.begun_cpu_s, "peak_bytes": peak_bytes()}
     session.execute(attempt.values(outcome=outcome, finished_ns=now_ns(), **columns))
+    if words:
+        write_lines_beside(session, words)

@@ -41,14 +41,14 @@ def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
 def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> tuple[str, str]:
     """Run the attempt; returns its outcome and the code of its failure."""
     try:
-        _succeed(platform, taken, _answer(taken, handlers, reporter))
+        _succeed(platform, taken, _answer(taken, handlers, reporter), reporter)
     except LostAttemptError as error:
         log.warning("attempt lost", reason=str(error))
         return "lost", error.code
     except JobCancelledError as error:
         reporter.log(str(error), "warning")
         with platform.database.transaction() as session:
-            cancelled(session, taken)
+            cancelled(session, taken, reporter.last_words())
         return "cancelled", error.code
     except Exception as error:
         failure = _failure_of(error, taken.kind)
@@ -56,7 +56,7 @@ def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Rep
             _fail(platform, taken, reporter, failure)
             return "failed", failure.code
         with platform.database.transaction() as session:
-            lose(session, taken, failure)
+            lose(session, taken, failure, reporter.last_words())
         return "lost", failure.code
     return "succeeded", ""
 
@@ -91,14 +91,14 @@ def _failure_of(error: Exception, kind: str) -> Failure:
     return Failure("internal_error", f"{type(error).__name__}: {words}")
 
 
-def _succeed(platform: Platform, taken: Claim, outcome: Outcome) -> None:
+def _succeed(platform: Platform, taken: Claim, outcome: Outcome, reporter: Reporter) -> None:
     """Raises `LostAttemptError` when the job went to somebody else meanwhile; nothing is written then."""
     with platform.database.transaction() as session:
-        if not succeed(session, taken, outcome, platform.settings.jobs.max_attempts):
+        if not succeed(session, taken, outcome, platform.settings.jobs.max_attempts, reporter.last_words()):
             raise LostAttemptError(taken.job_id, taken.attempt)
 
 
 def _fail(platform: Platform, taken: Claim, reporter: Reporter, failure: Failure) -> None:
     reporter.log(failure.sentence, "error", code=failure.code)
     with platform.database.transaction() as session:
-        fail(session, taken, failure)
+        fail(session, taken, failure, reporter.last_words())

@@ -1,11 +1,11 @@
 """The reporter of a running attempt: sends heartbeats, progress and log lines, receives cancellation.
 
-**Conventions.** A thread writes at most once every `progress_s` and at least once every `heartbeat_s`; the handler only
-touches memory. Writing is a compare-and-set: an attempt that no longer holds its job (terminated, or taken over after
-silence) ends its whole process at once, whatever library it is in, so that no zombie works on. A heartbeat is a
-transaction of its own, so that nothing else that is to be written can make it fail. No error of the database ends the
-thread: the attempt goes on in silence and tries again, and only a heartbeat that was answered says that the job is held
-no more. If the database stays away from this process alone for longer than a lease, another worker takes over.
+**Conventions.** A thread takes a turn at most once every `progress_s` and at least once every `heartbeat_s`; the
+handler only touches memory. What is said in a turn is a compare-and-set (`leases`): an attempt that no longer holds its
+job (terminated, or taken over after silence) ends its whole process at once, whatever library it is in, so that no
+zombie works on. No error of the database ends the thread: the attempt goes on in silence and says it all again, and
+only a heartbeat that was answered says that the job is held no more. If the database stays away from this process alone
+for longer than a lease, another worker takes over. The last words are written by the transaction that ends the attempt.
 """
 
 import os
@@ -16,15 +16,12 @@ from threading import Event, Lock, Thread
 from typing import Any
 
 import structlog
-from sqlalchemy import select, update
-from sqlalchemy.orm import Session
 
-from services.runtime.jobs.attempt_lines import OUTAGES, AttemptLine, write_lines, write_lines_singly
-from services.runtime.jobs.changes import rows_changed
+from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, JobProgress, progress_now
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.completion import Failure, fail
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.orm import Job
+from services.runtime.jobs.leases import renew
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.telemetry.stage_spans import StageSpans
@@ -44,10 +41,9 @@ class Reporter:
         self._lock = Lock()
         self._lines: list[AttemptLine] = []
         self._logged = 0
-        self._progress: tuple[str, int, int] | None = None
+        self._progress: JobProgress | None = None
         self._cancel_reason = ""
         self._begin = self._beaten = time.monotonic()
-        self._is_ending = False
         self._leaving = Event()
         self._stages = StageSpans()
         # With this attempt's context, so that what the thread says is told as this attempt's too.
@@ -75,13 +71,13 @@ class Reporter:
         return self
 
     def __exit__(self, *_: object) -> None:
-        self._flush(is_last=True)
+        self._fall_silent()
 
     def progress(self, stage: str, done: int, total: int) -> None:
         """Note how far the job is. Raises `JobCancelledError` when it is to stop."""
         self._stages.enter(stage)
         with self._lock:
-            self._progress = (stage, done, total)
+            self._progress = progress_now(stage, done, total)
         self.stop_if_asked()
 
     def stop_if_asked(self) -> None:
@@ -90,15 +86,13 @@ class Reporter:
             raise JobCancelledError(self._cancel_reason)
 
     def end(self) -> None:
-        """The handler is through: write its last words while the job is still held, then fall silent.
-
-        That the job is held no more is from now on found by whoever records the end.
-        """
-        self._is_ending = True
+        """The handler is through: fall silent. Whoever records the end writes the last words with it."""
         self._stages.enter("")
-        self._leaving.set()
-        self._thread.join()
-        self._flush(is_last=False)
+        self._fall_silent()
+
+    def last_words(self) -> AttemptWords:
+        """What was not written yet; the same again until the attempt's end is recorded."""
+        return self._words()
 
     def rest(self) -> None:
         """Wait before a fault of the machine is met again, twice as long each time; not where no try is left.
@@ -129,76 +123,42 @@ class Reporter:
             except Exception as error:  # this thread is what holds the job: it goes on, whatever is raised
                 self._warn("a turn of the reporter failed; the job goes on", error)
 
+    def _fall_silent(self) -> None:
+        self._leaving.set()
+        self._thread.join()
+
     def _take_turn(self) -> None:
         is_due = time.monotonic() - self._beaten >= self._limits.heartbeat_s
         if is_due or self._progress or self._lines:
-            self._flush(is_last=False)
+            self._speak_once()
         if time.monotonic() - self._begin > self._limits.time_limit_s:
             self._time_out()
 
-    def _flush(self, *, is_last: bool) -> None:
-        """Beat, then write the lines; the last time there is no job to hold any more."""
-        if is_last:
-            self._write_lines()
-        elif (is_ours := self._beat()) is not None:
-            self._write_lines()
-            if not is_ours:
-                self._end_process("attempt lost")
+    def _speak_once(self) -> None:
+        words = self._words()
+        try:
+            (answer,) = renew(self._platform.database, [words])
+        except Exception as error:
+            self._warn("heartbeat not written; the job goes on", error)
+            return
+        if not answer.is_held:
+            self._end_process("attempt lost")
+            return
+        self._beaten = time.monotonic()
+        self._cancel_reason = answer.cancel_reason
+        if answer.is_written:
+            self._forget(words)
 
-    def _beat(self) -> bool | None:
-        """Whether the job is still ours; None where the database did not say."""
+    def _words(self) -> AttemptWords:
         with self._lock:
-            progress, self._progress = self._progress, None
-        for told in (progress, None):  # the second time without what no column takes: a heartbeat needs no words
-            try:
-                with self._platform.database.transaction() as session:
-                    is_ours = self._renew(session, told)
-            except OUTAGES as error:
-                self._warn("heartbeat not written; the job goes on", error)
-                self._keep(told)
-                return None
-            except Exception as error:
-                self._warn("progress not written", error)
-                continue
-            self._beaten = time.monotonic()
-            return is_ours
-        return None
+            return AttemptWords(self.job_id, self._claim.attempt, self._progress, tuple(self._lines))
 
-    def _keep(self, told: tuple[str, int, int] | None) -> None:
-        """What was not written is told the next time, unless there is newer progress by then."""
+    def _forget(self, written: AttemptWords) -> None:
+        """What is written is not said again; newer words stay."""
         with self._lock:
-            if self._progress is None:
-                self._progress = told
-
-    def _renew(self, session: Session, progress: tuple[str, int, int] | None) -> bool:
-        held = update(Job).where(Job.id == self.job_id, Job.attempt == self._claim.attempt, Job.state == "running")
-        values: dict[str, Any] = {"heartbeats": Job.heartbeats + 1}
-        if progress:
-            stage, done, total = progress
-            values |= {"stage": stage, "done": done, "total": total, "progress_ns": now_ns()}
-            values["revision"] = Job.revision + 1
-        if not rows_changed(session, held.values(**values)):
-            return self._is_ending
-        own_or_run = select(Job.cancel_reason).where(Job.id.in_((self.job_id, self.root_id)), Job.cancel_reason != "")
-        self._cancel_reason = session.scalar(own_or_run) or ""
-        return True
-
-    def _write_lines(self) -> None:
-        with self._lock:
-            lines, self._lines = self._lines, []
-        for write in (write_lines, write_lines_singly):
-            if not lines:
-                return
-            try:
-                with self._platform.database.transaction() as session:
-                    write(session, self._claim, lines)
-                return
-            except Exception as error:
-                self._warn("log lines not written; the job goes on", error)
-                if isinstance(error, OUTAGES):
-                    break
-        with self._lock:
-            self._lines = lines + self._lines
+            del self._lines[: len(written.lines)]
+            if self._progress is written.progress:
+                self._progress = None
 
     def _time_out(self) -> None:
         """Raises what the database raises; the next turn tries again."""

@@ -1,18 +1,27 @@
 """The heartbeat of a job that lives: nothing that befalls the database, or is to be written, ends it."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from pathlib import Path
 from time import monotonic
 from time import sleep as wait
 
 import pytest
 from sqlalchemy import select
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
+from sqlalchemy.orm import Session
 
+from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, progress_now
+from services.runtime.jobs.claims import Claim, claim
+from services.runtime.jobs.completion import Failure, lose
 from services.runtime.jobs.control import cancel
+from services.runtime.jobs.leases import LeaseAnswer, renew
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import JobLine
+from services.runtime.orm import Job, JobLine
 from services.runtime.platform import Platform
+from services.runtime.settings import DatabaseSettings
+from testing.servers.fixtures import Bells, make_settings, opened
 from tests.services.runtime.jobs.outages import GONE, Away, LostAnswers, quick
 from tests.services.runtime.jobs.steps import a_job, an_owner, job, run_all
 
@@ -51,7 +60,7 @@ def ended(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return reasons
 
 
-@pytest.mark.parametrize("commits", [1, 2], ids=["of the heartbeat", "of the lines"])
+@pytest.mark.parametrize("commits", [1, 2], ids=["of the lines", "of the next heartbeat"])
 def test_a_commit_whose_answer_is_lost_silences_no_heartbeat_and_doubles_no_line(
     platform_on: Platform, monkeypatch: pytest.MonkeyPatch, ended: list[str], commits: int
 ) -> None:
@@ -162,6 +171,59 @@ def test_progress_that_no_column_takes_silences_no_heartbeat(
     job_id = a_job(platform, an_owner(platform), "ingest.babble")
     run_all(platform, {"ingest.babble": babble})
     assert (beats, ended, job(platform, job_id).state) == ([True], [], "succeeded")
+
+
+def test_a_row_that_somebody_else_holds_locked_delays_no_heartbeat_of_the_others(
+    tmp_path: Path, fresh_postgres_url: str, bells: Bells
+) -> None:
+    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), bells)
+    owner = an_owner(platform)
+    ids = [a_job(platform, owner, "ingest.work") for _ in range(2)]
+    with platform.database.transaction() as session:
+        words = [AttemptWords(one.job_id, one.attempt, progress_now("frames", 3, 8)) for one in claims(session, 2)]
+    with platform.database.transaction() as session:
+        session.get_one(Job, words[0].job_id, with_for_update=True)
+        answers = renew(platform.database, words)
+    assert answers == [LeaseAnswer(True, is_written=False), LeaseAnswer(True)]
+    assert [(job(platform, one).heartbeats, job(platform, one).done) for one in ids] == [(0, 0), (1, 3)]
+    platform.database.close()
+
+
+def test_many_attempts_are_renewed_at_once_and_each_is_answered_for_itself(platform_on: Platform) -> None:
+    """One goes on, one is to stop, one was given to somebody else, one says what no column takes."""
+    owner = an_owner(platform_on)
+    ids = [a_job(platform_on, owner, "ingest.work") for _ in range(4)]
+    with platform_on.database.transaction() as session:
+        fine, asked, lost, odd = claims(session, 4)
+        cancel(session, asked.job_id, "wrong bag")
+        lose(session, lost, Failure("worker_lost", "silent"))
+    line = AttemptLine(0, "info", "opened", {}, 1)
+    unkept = replace(line, event="a\ud800b")
+    with platform_on.database.transaction() as session:
+        heir = claim(session, "ingest")
+    assert heir is not None
+    assert (heir.job_id, heir.attempt) == (lost.job_id, 2)
+    words = [
+        AttemptWords(fine.job_id, 1, progress_now("frames", 3, 8), (line,)),
+        AttemptWords(asked.job_id, 1),
+        AttemptWords(lost.job_id, 1, progress_now("late", 1, 1), (line,)),
+        AttemptWords(heir.job_id, 2, progress_now("early", 2, 9), (line,)),
+        AttemptWords(odd.job_id, 1, progress_now("s" * 100, 1, 2), (line, replace(unkept, number=1))),
+    ]
+    held, told, gone, new, strange = renew(platform_on.database, words)
+    assert (held, told.cancel_reason, gone.is_held, new.is_held, strange.is_held) == (
+        LeaseAnswer(True), "wrong bag", False, True, True,
+    )  # fmt: skip
+    assert [job(platform_on, one).heartbeats for one in ids] == [1] * 4
+    assert [job(platform_on, one).stage for one in ids] == ["frames", "", "early", ""]
+    assert events_of(platform_on, fine.job_id) == ["opened"]
+    assert events_of(platform_on, lost.job_id) == ["opened", "opened"], "of both attempts"
+    assert "cannot be kept" in events_of(platform_on, odd.job_id)[1]
+
+
+def claims(session: Session, count: int) -> list[Claim]:
+    taken = [claim(session, "ingest") for _ in range(count)]
+    return [one for one in taken if one is not None]
 
 
 @pytest.mark.parametrize("facts", [{"x": object()}, {"topic": "a\ud800b"}, {"x": float("nan")}, {"topic": "a\x00b"}])

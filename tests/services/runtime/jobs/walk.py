@@ -82,7 +82,7 @@ class Walk:
                     yield name, False, world._replace(rows=rows, controls=world.controls - 1)
 
     def beat(self, rows: Rows, work: Work, unanswered: int = 0) -> tuple[Rows, Work | None, bool]:
-        """A turn of the real reporter, whose n-th commit is not answered; the rows, the process, whether it said so."""
+        """A turn of the real reporter, whose commit may not be answered; the rows, the process, whether it ended."""
 
         def speak(ids: list[str]) -> tuple[bool, bool, bool]:
             self.ended.clear()
@@ -90,7 +90,7 @@ class Walk:
             if work.has_line:
                 reporter.log("opened the bag")
             self.lost.after(unanswered)
-            reporter._flush(is_last=False)
+            reporter._speak_once()
             self.lost.after(0)
             return bool(reporter._lines), bool(reporter._cancel_reason), bool(self.ended)
 
@@ -127,9 +127,9 @@ class Walk:
         if world.rows.jobs[work.job].heartbeats < MOST_BEATS or work.has_line:
             rows, heard, _ = self.beat(world.rows, work)
             yield "beat", True, _after(world, rows, place, heard)
-            for unanswered in (1, 2) if world.faults else ():
-                rows, heard, _ = self.beat(world.rows, work, unanswered)
-                yield f"beat, commit {unanswered} unanswered", False, _after(world, rows, place, heard, faults=1)
+            if world.faults:
+                rows, heard, _ = self.beat(world.rows, work, unanswered=1)
+                yield "beat unanswered", False, _after(world, rows, place, heard, faults=1)
         if work.is_asked:
             rows, _ = self._held(world.rows, "cancelled", work, completion.cancelled)
             yield "stopped", True, _after(world, rows, place, None)

@@ -1,0 +1,91 @@
+"""Renews the leases of running attempts: heartbeats, progress and log lines of all of them in one transaction.
+
+**Conventions.** A row that somebody else holds locked just now (who ends the job, or judges it) is passed over and not
+waited for, so that one job never delays the heartbeats of the others: its attempt says the same again in the next turn.
+Words that the database refuses take no heartbeat with them: the heartbeats are written without them, then each
+attempt's lines alone.
+"""
+
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from sqlalchemy import ColumnElement, case, select, tuple_, update
+from sqlalchemy.orm import Session, aliased
+
+from services.runtime.database.transactions import Database
+from services.runtime.jobs.attempt_lines import OUTAGES, write_lines, write_lines_singly
+from services.runtime.jobs.attempt_words import AttemptKey, AttemptWords
+from services.runtime.orm import Job
+
+
+@dataclass(frozen=True)
+class LeaseAnswer:
+    """Whether the attempt still holds its job, why it is to stop if it is, and whether its words are written."""
+
+    is_held: bool
+    cancel_reason: str = ""
+    is_written: bool = True
+
+
+def renew(database: Database, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
+    """The answer to each, in order. Raises what the database raises where not even heartbeats could be written."""
+    try:
+        with database.transaction() as session:
+            answers = _beat(session, words)
+            write_lines(session, words)
+    except OUTAGES:
+        raise
+    except Exception:
+        return _renew_apart(database, words)
+    return answers
+
+
+def _renew_apart(database: Database, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
+    with database.transaction() as session:
+        answers = _beat(session, words)
+    for one in words:
+        if one.lines:
+            with database.transaction() as session:
+                write_lines_singly(session, one)
+    return answers
+
+
+def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
+    run = aliased(Job)
+    reason_of_run = select(run.cancel_reason).where(run.id == Job.root_id).scalar_subquery()
+    held = select(Job.id).where(_among(words), Job.state == "running").with_for_update(skip_locked=True, key_share=True)
+    beaten = update(Job).where(Job.id.in_(held)).values(heartbeats=Job.heartbeats + 1, **_progress(words))
+    beaten = beaten.returning(Job.id, Job.attempt, Job.cancel_reason, reason_of_run)
+    rows = session.execute(beaten, execution_options={"synchronize_session": False})
+    reasons = {(job_id, attempt): own or of_run or "" for job_id, attempt, own, of_run in rows}
+    passed = [one for one in words if one.key not in reasons]
+    running = _running(session, passed) if passed else set()
+    return [_answer(one.key, reasons, running) for one in words]
+
+
+def _answer(key: AttemptKey, reasons: Mapping[AttemptKey, str], running: set[AttemptKey]) -> LeaseAnswer:
+    if key in reasons:
+        return LeaseAnswer(is_held=True, cancel_reason=reasons[key])
+    return LeaseAnswer(is_held=key in running, is_written=False)
+
+
+def _running(session: Session, words: Sequence[AttemptWords]) -> set[AttemptKey]:
+    """Those that somebody else has locked: as far as anybody knows they run."""
+    found = session.execute(select(Job.id, Job.attempt).where(_among(words), Job.state == "running"))
+    return {(job_id, attempt) for job_id, attempt in found}
+
+
+def _among(words: Sequence[AttemptWords]) -> ColumnElement[bool]:
+    return tuple_(Job.id, Job.attempt).in_([one.key for one in words])
+
+
+def _progress(words: Sequence[AttemptWords]) -> Mapping[str, Any]:
+    """The new value of each column of progress, where an attempt said anything."""
+    said = [(_among([one]), columns) for one in words if (columns := one.columns())]
+    if not said:
+        return {}
+    columns = {
+        name: case(*((is_its, of[name]) for is_its, of in said), else_=getattr(Job, name)) for name in said[0][1]
+    }
+    return {**columns, "revision": case(*((is_its, Job.revision + 1) for is_its, _ in said), else_=Job.revision)}
