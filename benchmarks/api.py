@@ -107,6 +107,7 @@ def serving(settings: Settings) -> Iterator[tuple[int, int]]:
     told = {
         "STONE_DATA_FOLDER": str(settings.root),
         "STONE_DATABASE__URL": settings.database.url,
+        "STONE_BROKER__URL": settings.broker.url,
         "STONE_API__REQUESTS_PER_MINUTE": "100000000",
     }
     with socket.create_server(("127.0.0.1", 0)) as listening, open(settings.root / "api.log", "wb") as log:

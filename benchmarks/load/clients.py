@@ -133,6 +133,11 @@ class Client:
 async def read(client: Client, chance: random.Random) -> None:
     """One of the lists; a second look shows the tag of the first."""
     (what, path, _), *_ = chance.choices(READS, [share for *_, share in READS])
+    await read_path(client, what, path)
+
+
+async def read_path(client: Client, what: str, path: str) -> None:
+    """One path, with the tag that it had last where it is read again."""
     named = path.format(sequence=client.plan.sequence, benchmark=client.plan.benchmark, phase=client.plan.phase)
     headers = {"If-None-Match": client.tags[named]} if "again" in what and named in client.tags else {}
     answer = await client.ask(what, "GET", named, (200, 304), headers=headers)
@@ -154,6 +159,22 @@ async def upload(client: Client, chance: random.Random) -> None:
 
 async def submit(client: Client, chance: random.Random) -> None:
     """A submission from its draft to its score."""
+    submission_id = await send_submission(client, chance)
+    begun_s = time.perf_counter()
+    while True:
+        await asyncio.sleep(POLL_S)
+        found = (await client.ask("submit: look", "GET", f"/submissions/{submission_id}", (200,))).json()
+        if found["state"] == "scored":
+            client.noted.scored += 1
+            client.noted.waited_s["submit: until scored"].append(time.perf_counter() - begun_s)
+            client.noted.begun_s["submit: until scored"].append(begun_s)
+            return
+        if found["state"] not in ("queued", "scoring"):
+            raise UnexpectedError(f"submission ended {found['state']}: {found}")
+
+
+async def send_submission(client: Client, chance: random.Random) -> str:
+    """A submission from its draft until it waits for its checks; its id."""
     content = Path(client.plan.zip_path).read_bytes()
     digest = sha256(content).hexdigest()
     draft = {"team_id": client.team, "method": f"load {chance.random()}", "modality": "L", "sha256": digest}
@@ -164,17 +185,7 @@ async def submit(client: Client, chance: random.Random) -> None:
         patch, rest = {**BYTES, "Upload-Offset": str(here_bytes)}, content[here_bytes:]
         await client.ask("submit: PATCH of the file", "PATCH", path, (204, 200), headers=patch, body=rest)
     await _post(client, "submit: finalize", f"/submissions/{made['id']}/finalize", {"upload_id": path.split("/")[-1]})
-    begun_s = time.perf_counter()
-    while True:
-        await asyncio.sleep(POLL_S)
-        found = (await client.ask("submit: look", "GET", f"/submissions/{made['id']}", (200,))).json()
-        if found["state"] == "scored":
-            client.noted.scored += 1
-            client.noted.waited_s["submit: until scored"].append(time.perf_counter() - begun_s)
-            client.noted.begun_s["submit: until scored"].append(begun_s)
-            return
-        if found["state"] not in ("queued", "scoring"):
-            raise UnexpectedError(f"submission ended {found['state']}: {found}")
+    return str(made["id"])
 
 
 def _size(content: bytes) -> dict[str, int]:
