@@ -123,6 +123,7 @@ async def _ask_all(plan: LoadPlan, requests: int, client_of: ClientMaker) -> Non
     for client, what, path in (*((reader, what, path) for what, path, _ in READS), (other, *ALIVE)):
         for number in range(WARM + requests):
             await read_path(client, what if number >= WARM else WARMING, path)
+        await client.close()  # before the server does, which waits for the next request a few seconds only
     for _ in range(max(1, requests // READS_PER_UPLOAD)):
         await upload(reader, chance)
     for _ in range(SUBMISSIONS):
