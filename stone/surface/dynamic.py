@@ -12,8 +12,18 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stone.geometry.lattice import keys_of
 from stone.surface.neighbours import is_near
-from stone.surface.range_image import DynamicParameters, RangeImage, arctangent, lens_of, spread
+from stone.surface.range_image import (
+    AT_ONCE,
+    DynamicParameters,
+    RangeImage,
+    aim,
+    lens_of,
+    pixel,
+    spread,
+    workspace,
+)
 
 MISSES_PER_HIT = 2
 FEWEST_MISSES, FEWEST_IF_RARE, FEWEST_OF_A_STAY = 2, 1, 3
@@ -21,23 +31,49 @@ RARE_S = 0.25  # from image to image: by the next one a vehicle is somewhere els
 HITS, MISSES, MISSES_BEFORE, MISSES_SINCE = range(4)
 FEW_FRAMES, FEW_HITS, TOUCH_M, TOUCHES = 6, 2, 0.2, 2
 
-AT_ONCE = 1024  # points: what is computed of them stays in the cache
+PLACE_M = 4.0  # points of one cube are looked at together, so that those out of reach are passed over
+SLACK_M = 0.01  # beyond the rounding of any distance
 
 
-def vote(
-    points_map: NDArray[np.float64], image: RangeImage, parameters: DynamicParameters, votes: NDArray[np.int32]
-) -> None:
-    """Add this image's verdict on the points (N, 3) to `votes` (N, 4) int32: hits, misses, misses before the first hit
-    and since the last one. Images are to be given in the order of time."""
-    p = parameters
-    limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
-    around_m = spread(image.ranges_m, 1, 1)  # 0 where no ray went to any of the nine
-    _vote(points_map, image.map_from_view.inverse().as_matrix(), (image.ranges_m, around_m, lens_of(p)), limits, votes)
+class MotionVotes:
+    """What image after image, in the order of time, says of points (N, 3); `counts` are the votes so far.
 
+    Points lie in blocks of `AT_ONCE`, those of a block near each other: axis by axis, so that many are looked at at
+    once, and with the box around them, so that a block out of an image's reach is not looked at.
+    """
 
-def no_votes(points: int) -> NDArray[np.int32]:
-    """Before the first image, (points, 4)."""
-    return np.zeros((points, 4), np.int32)
+    def __init__(self, points_map: NDArray[np.float64], parameters: DynamicParameters) -> None:
+        self._parameters = parameters
+        self._order = np.argsort(keys_of(points_map, PLACE_M), kind="stable")
+        padded = np.append(self._order, np.repeat(self._order[-1:], -len(self._order) % AT_ONCE))  # whole blocks
+        by_block = np.ascontiguousarray(points_map[padded].reshape(-1, AT_ONCE, 3).transpose(0, 2, 1))
+        self._boxes = by_block.min(axis=2), by_block.max(axis=2)
+        self._points = by_block.reshape(-1)
+        self._votes = np.zeros(len(by_block) * 4 * AT_ONCE, np.int32)
+        self._work = workspace()
+
+    def add(self, image: RangeImage) -> None:
+        """Add this image's verdict on every point."""
+        p = self._parameters
+        limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
+        around_m = spread(image.ranges_m, 1, 1)  # 0 where no ray went to any of the nine
+        pixels = np.stack([image.ranges_m, around_m], axis=-1)
+        blocks = self._in_reach(image.map_from_view.translation_m, p.max_range_m)
+        view = (image.map_from_view.inverse().as_matrix(), pixels.reshape(-1), image.ranges_m.shape, lens_of(p))
+        _vote(self._points, blocks, view, limits, (self._votes, *self._work))
+
+    def counts(self) -> NDArray[np.int32]:
+        """(N, 4): hits, misses, misses before the first hit and since the last one."""
+        by_point = self._votes.reshape(-1, 4, AT_ONCE).transpose(0, 2, 1).reshape(-1, 4)
+        counts = np.empty((len(self._order), 4), np.int32)
+        counts[self._order] = by_point[: len(self._order)]
+        return counts
+
+    def _in_reach(self, place: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
+        """The blocks whose box lies within reach of a place (3,)."""
+        low, high = self._boxes
+        gaps_m = np.maximum(0.0, np.maximum(low - place, place - high))
+        return np.flatnonzero(np.linalg.norm(gaps_m, axis=1) < reach_m + SLACK_M)
 
 
 def fewest_misses(image_period_s: float) -> int:
@@ -69,45 +105,57 @@ def carried_along(
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _aim(block, m, lens, seen):  # type: ignore[no-untyped-def]
-    """Squared range, row and column (3, B) of the points of a block (3, B); no branch, rows by axis: vectorised."""
-    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
-    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
-    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
-    top, per_row, per_column = lens
-    squares, rows, columns = seen[0], seen[1], seen[2]
-    px, py, pz = block[0], block[1], block[2]
-    for p in range(px.size):
-        x = m00 * px[p] + m01 * py[p] + m02 * pz[p] + m03
-        y = m10 * px[p] + m11 * py[p] + m12 * pz[p] + m13
-        z = m20 * px[p] + m21 * py[p] + m22 * pz[p] + m23
-        across = x * x + y * y
-        squares[p] = across + z * z
-        rows[p] = (top - arctangent(z, math.sqrt(across))) / per_row
-        columns[p] = (math.pi - arctangent(y, x)) / per_column
+def _vote(points, blocks, view, limits, out):  # type: ignore[no-untyped-def]
+    """A block at a time: turned, aimed at, looked up, judged. Arrays are flat, as those of `aim` are."""
+    m, pixels, shape, lens = view
+    votes, block, seen, at = out
+    for b in blocks:
+        _turn(points[b * 3 * AT_ONCE : (b + 1) * 3 * AT_ONCE], m, block)
+        aim(block, lens, seen)
+        _find_pixels(seen, shape, limits, at)
+        _look_up(pixels, at, seen)
+        _judge(seen, limits[2], votes[b * 4 * AT_ONCE : (b + 1) * 4 * AT_ONCE])
 
 
 @njit(cache=True, nogil=True)
-def _vote(points, m, image, limits, votes):  # type: ignore[no-untyped-def]
-    ranges, around, lens = image
-    rows, columns = ranges.shape
-    block, seen = np.zeros((3, AT_ONCE)), np.empty((3, AT_ONCE))
-    for begin in range(0, points.shape[0], AT_ONCE):
-        count = min(AT_ONCE, points.shape[0] - begin)
-        for at in range(count):
-            for axis in range(3):
-                block[axis, at] = points[begin + at, axis]
-        _aim(block, m, lens, seen)
-        for at in range(count):
-            if not limits[0] <= seen[0, at] < limits[1] or not 1 <= seen[1, at] < rows - 1:
-                continue
-            r = math.sqrt(seen[0, at])
-            row, column = math.floor(seen[1, at]), math.floor(seen[2, at]) % columns
-            if around[row, column] > r + limits[2]:
-                votes[begin + at, MISSES] += 1
-                votes[begin + at, MISSES_SINCE] += 1
-                if votes[begin + at, HITS] == 0:
-                    votes[begin + at, MISSES_BEFORE] += 1
-            elif abs(ranges[row, column] - r) < limits[2]:
-                votes[begin + at, HITS] += 1
-                votes[begin + at, MISSES_SINCE] = 0
+def _turn(points, m, block):  # type: ignore[no-untyped-def]
+    """The points of a block as the view has them."""
+    m00, m01, m02, m03 = m[0, 0], m[0, 1], m[0, 2], m[0, 3]
+    m10, m11, m12, m13 = m[1, 0], m[1, 1], m[1, 2], m[1, 3]
+    m20, m21, m22, m23 = m[2, 0], m[2, 1], m[2, 2], m[2, 3]
+    for p in range(AT_ONCE):
+        x, y, z = points[p], points[AT_ONCE + p], points[2 * AT_ONCE + p]
+        block[p] = m00 * x + m01 * y + m02 * z + m03
+        block[AT_ONCE + p] = m10 * x + m11 * y + m12 * z + m13
+        block[2 * AT_ONCE + p] = m20 * x + m21 * y + m22 * z + m23
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _find_pixels(seen, shape, limits, at):  # type: ignore[no-untyped-def]
+    """The pixel of every point of a block, and its range in place of the square: NaN where it is not judged."""
+    rows, columns = shape
+    for p in range(AT_ONCE):
+        square, row, column = seen[p], seen[AT_ONCE + p], seen[2 * AT_ONCE + p]
+        is_judged = (limits[0] <= square) & (square < limits[1]) & (row >= 1) & (row < rows - 1)
+        at[p] = pixel(row if is_judged else 0.0, column if is_judged else 0.0, columns)
+        seen[p] = math.sqrt(square) if is_judged else np.nan
+
+
+@njit(cache=True, nogil=True)
+def _look_up(pixels, at, seen):  # type: ignore[no-untyped-def]
+    """What was seen in each point's pixel, and at the least around it."""
+    for p in range(AT_ONCE):
+        seen[AT_ONCE + p], seen[2 * AT_ONCE + p] = pixels[2 * at[p]], pixels[2 * at[p] + 1]
+
+
+@njit(cache=True, nogil=True)
+def _judge(seen, margin, votes):  # type: ignore[no-untyped-def]
+    for p in range(AT_ONCE):
+        r, there, around = seen[p], seen[AT_ONCE + p], seen[2 * AT_ONCE + p]
+        is_miss = around > r + margin
+        is_hit = (not is_miss) & (abs(there - r) < margin)
+        hits, misses = votes[p], votes[AT_ONCE + p]
+        before, since = votes[2 * AT_ONCE + p], votes[3 * AT_ONCE + p]
+        votes[p], votes[AT_ONCE + p] = hits + is_hit, misses + is_miss
+        votes[2 * AT_ONCE + p] = before + (is_miss & (hits == 0))
+        votes[3 * AT_ONCE + p] = 0 if is_hit else since + is_miss

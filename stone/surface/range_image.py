@@ -20,6 +20,8 @@ FIELD_PX, RAYS_PER_PIXEL, MAX_SPREAD_PX = 60_000, 2.0, 3
 MAX_RING_GAP_PX = 7
 MARGIN_PX = MAX_RING_GAP_PX - 1
 
+AT_ONCE = 512  # points: what is computed of them stays in the cache
+
 FEWEST_RAYS = math.ceil(RAYS_PER_PIXEL * FIELD_PX / (2 * MAX_SPREAD_PX + 1) ** 2)  # fewer leave holes between them
 
 
@@ -60,7 +62,7 @@ def range_image(
     """
     rows, columns = parameters.shape
     nearest_m = np.full((rows + 2 * MARGIN_PX, columns), np.inf, np.float32)
-    _project(points_ego, sensor_ego, lens_of(parameters), nearest_m)
+    _project(points_ego, sensor_ego, lens_of(parameters), nearest_m.reshape(-1), (columns, *workspace()))
     sideways, between_rings = spread_px(len(points_ego)), ring_spread_px(nearest_m)
     nearest_m = spread(nearest_m, max(sideways, between_rings), sideways)[MARGIN_PX:-MARGIN_PX]
     ranges_m = np.where(np.isfinite(nearest_m), nearest_m, np.float32(0))
@@ -107,6 +109,11 @@ def lens_of(p: DynamicParameters) -> tuple[float, float, float]:
     return math.radians(p.max_elevation_deg), math.radians(p.row_deg), math.radians(p.column_deg)
 
 
+def workspace() -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.int64]]:
+    """Of one block: three coordinates, what `aim` makes of them, and pixels; flat, a block of each after the other."""
+    return np.zeros(3 * AT_ONCE), np.zeros(3 * AT_ONCE), np.zeros(AT_ONCE, np.int64)
+
+
 @njit(inline="always")
 def arctangent(y, x):  # type: ignore[no-untyped-def]
     """atan2 to 3e-8 rad, without a branch, so that many are computed at once (Abramowitz & Stegun, 1964, 4.4.49)."""
@@ -126,12 +133,27 @@ def arctangent(y, x):  # type: ignore[no-untyped-def]
     return math.copysign(a, y)
 
 
+@njit(cache=True, nogil=True, error_model="numpy")
+def aim(block, lens, seen):  # type: ignore[no-untyped-def]
+    """Squared range, row and column, not rounded, of the points of a block; columns run clockwise from behind.
+
+    Coordinates stand `AT_ONCE` apart in one array, and so do the results: the compiler then knows which overlap, and
+    makes vector code.
+    """
+    top, per_row, per_column = lens
+    for p in range(AT_ONCE):
+        x, y, z = block[p], block[AT_ONCE + p], block[2 * AT_ONCE + p]
+        across = x * x + y * y
+        seen[p] = across + z * z
+        seen[AT_ONCE + p] = (top - arctangent(z, math.sqrt(across))) / per_row
+        seen[2 * AT_ONCE + p] = (math.pi - arctangent(y, x)) / per_column
+
+
 @njit(inline="always")
-def _pixel(x, y, z, lens):  # type: ignore[no-untyped-def]
-    """Row (may lie outside) and column of a direction; columns run clockwise from behind."""
-    row = math.floor((lens[0] - arctangent(z, math.sqrt(x * x + y * y))) / lens[1])
-    column = math.floor((math.pi - arctangent(y, x)) / lens[2])
-    return row, column
+def pixel(row, column, columns):  # type: ignore[no-untyped-def]
+    """The flat pixel of a row and a column as `aim` gives them: a whole turn leads back to the first column."""
+    i, j = np.int64(math.floor(row)), np.int64(math.floor(column))
+    return i * columns + (j if j < columns else j - columns)
 
 
 @njit(cache=True, nogil=True)
@@ -160,18 +182,26 @@ def _least_above_and_below(image, reach, out):  # type: ignore[no-untyped-def]
                 out[row, column] = min(out[row, column], image[other, column])
 
 
-@njit(cache=True, nogil=True)
-def _project(points, sensor, lens, nearest):  # type: ignore[no-untyped-def]
+@njit(cache=True, nogil=True, error_model="numpy")
+def _project(points, sensor, lens, nearest, work):  # type: ignore[no-untyped-def]
     """Fill `nearest`, whose rows begin `MARGIN_PX` above the field: what lies just outside may spread into it."""
-    for p in range(points.shape[0]):
-        x, y, z = points[p, 0] - sensor[0], points[p, 1] - sensor[1], points[p, 2] - sensor[2]
-        r = math.sqrt(x * x + y * y + z * z)
-        if r < 1e-3:
-            continue
-        row, column = _pixel(x, y, z, lens)
-        row, column = row + MARGIN_PX, column % nearest.shape[1]
-        if 0 <= row < nearest.shape[0]:
-            nearest[row, column] = min(nearest[row, column], r)
+    columns, block, seen, at = work
+    rows = nearest.size // columns
+    for begin in range(0, points.shape[0], AT_ONCE):
+        count = min(AT_ONCE, points.shape[0] - begin)
+        for p in range(count):
+            block[p] = points[begin + p, 0] - sensor[0]
+            block[AT_ONCE + p] = points[begin + p, 1] - sensor[1]
+            block[2 * AT_ONCE + p] = points[begin + p, 2] - sensor[2]
+        aim(block, lens, seen)
+        for p in range(AT_ONCE):
+            row, r = seen[AT_ONCE + p], math.sqrt(seen[p])
+            is_in = (row >= -MARGIN_PX) & (row < rows - MARGIN_PX) & (r >= 1e-3)
+            column = seen[2 * AT_ONCE + p] if is_in else 0.0
+            at[p] = pixel(row if is_in else 0.0, column, columns) + MARGIN_PX * columns
+            seen[p] = r if is_in else np.inf
+        for p in range(count):
+            nearest[at[p]] = min(nearest[at[p]], seen[p])
 
 
 @njit(cache=True, nogil=True)

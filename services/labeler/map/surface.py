@@ -22,7 +22,7 @@ from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_groun
 from stone.sensors.ego_path import datum_m, ego_path
 from stone.surface.band import band_of
 from stone.surface.contour import zero_surface
-from stone.surface.dynamic import carried_along, fewest_misses, is_moving, no_votes, vote
+from stone.surface.dynamic import MotionVotes, carried_along, fewest_misses, is_moving
 from stone.surface.mesh import Mesh, vertex_normals
 from stone.surface.neighbours import is_near
 from stone.surface.patches import patches_of
@@ -98,11 +98,13 @@ def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64],
 
 def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
     """Vote the points of this tile against every range image taken near enough to see them."""
-    votes, centroids = no_votes(len(points)), points.centroids_map()
     if len(points) == 0:
-        return is_moving(votes)
+        return np.zeros(0, np.bool_)
+    centroids = points.centroids_map()
+    motion = MotionVotes(centroids, run.parameters.dynamic)
     for image in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
-        vote(centroids, image, run.parameters.dynamic, votes)
+        motion.add(image)
+    votes = motion.counts()
     fewest = fewest_misses(run.period_s * run.every(run.parameters.dynamic.every_frame))
     return carried_along(centroids, points.frames_seen(), votes, is_moving(votes, fewest))
 

@@ -8,7 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
-from stone.surface.dynamic import FEWEST_MISSES, HITS, carried_along, fewest_misses, is_moving, no_votes, vote
+from stone.surface.dynamic import FEWEST_MISSES, HITS, MotionVotes, carried_along, fewest_misses, is_moving
 from stone.surface.range_image import (
     DynamicParameters,
     RangeImage,
@@ -48,11 +48,20 @@ def robot_at(x):
 
 
 def votes_on(points_map, visits):
-    votes = no_votes(len(points_map))
-    for x, has_box in visits:
-        image = range_image(seen(robot_at(x), has_box), robot_at(x), SENSOR_EGO, PARAMETERS)
-        vote(points_map, image, PARAMETERS, votes)
-    return votes
+    images = (range_image(seen(robot_at(x), has_box), robot_at(x), SENSOR_EGO, PARAMETERS) for x, has_box in visits)
+    return votes_by(points_map, images)
+
+
+def votes_by(points_map, images):
+    """The votes (N, 4) of images in the order of time."""
+    motion = MotionVotes(points_map, PARAMETERS)
+    for image in images:
+        motion.add(image)
+    return motion.counts()
+
+
+def no_votes(points):
+    return np.zeros((points, 4), np.int32)
 
 
 def wall_points():
@@ -106,13 +115,13 @@ def seen_under_sky(pose, has_box):
 
 
 def votes_under_sky(points_map, visits):
-    votes = no_votes(len(points_map))
+    images = []
     for x, has_box in visits:
         pose = robot_at(x)
         above = pose.inverse() @ np.array([[WALL_X_M, 0.0, 4.0]])  # a branch: rays do go up there
         points = np.concatenate([seen_under_sky(pose, has_box), above.astype(np.float32)])
-        vote(points_map, range_image(points, pose, SENSOR_EGO, PARAMETERS), PARAMETERS, votes)
-    return votes
+        images.append(range_image(points, pose, SENSOR_EGO, PARAMETERS))
+    return votes_by(points_map, images)
 
 
 def test_what_stood_before_the_sky_and_went_is_voted_out():
@@ -133,11 +142,20 @@ def test_where_no_ray_went_nothing_is_voted():
         assert not votes_on(points, [(0.3 * i, False) for i in range(8)]).any()
 
 
+@pytest.mark.parametrize("count", [1, 1023, 1024, 1025])
+def test_points_far_apart_and_not_a_whole_block_are_judged_each_in_its_place(count):
+    rng = np.random.default_rng(count)
+    near = rng.random(count) < 0.5
+    points = np.where(near[:, None], [5.0, 0.0, 0.0], [500.0, 0.0, 0.0]) + rng.uniform(-1, 1, (count, 3))
+    image = range_image((directions() * 60).astype(np.float32), robot_at(0), np.zeros(3), PARAMETERS)
+    np.testing.assert_array_equal(votes_by(points, [image])[:, 1], near)
+
+
 def test_points_out_of_reach_are_not_judged():
     reach = PARAMETERS.max_range_m
     image = range_image((directions() * 60).astype(np.float32), robot_at(0), np.zeros(3), PARAMETERS)
-    votes = no_votes(4)
-    vote(np.array([[reach + 0.1, 0, 0], [0.9, 0, 0], [reach - 0.1, 0, 0], [1.1, 0, 0]]), image, PARAMETERS, votes)
+    points = np.array([[reach + 0.1, 0, 0], [0.9, 0, 0], [reach - 0.1, 0, 0], [1.1, 0, 0]])
+    votes = votes_by(points, [image])
     assert votes.tolist() == [[0, 0, 0, 0], [0, 0, 0, 0], [0, 1, 1, 1], [0, 1, 1, 1]]
 
 
@@ -171,9 +189,7 @@ def test_votes_are_those_of_each_point_on_its_own(seed):
     images = blocks.repeat(13, axis=1).repeat(60, axis=2).astype(np.float32)
     points = rng.normal(size=(3000, 3)) * [10, 10, 3]
     view = SE3.from_parts(rng.normal(size=4), rng.normal(size=3))
-    votes = no_votes(len(points))
-    for ranges_m in images:
-        vote(view @ points, RangeImage(view, ranges_m), PARAMETERS, votes)
+    votes = votes_by(view @ points, [RangeImage(view, ranges_m) for ranges_m in images])
     slow = [[vote_slowly(point, ranges_m) for ranges_m in images] for point in points.tolist()]
     clear = np.array([verdicts[0][1] > 1e-4 for verdicts in slow])
     assert clear.mean() > 0.99
@@ -186,9 +202,8 @@ def test_votes_are_those_of_each_point_on_its_own(seed):
 @given(st.floats(-math.pi, math.pi), st.floats(-500, 500), st.floats(-500, 500))
 def test_moving_and_yawing_the_world_moves_no_vote_off_its_point(yaw, x, y):
     world = SE3(np.array([math.cos(yaw / 2), 0, 0, math.sin(yaw / 2), x, y, 3.0]))
-    votes = no_votes(len(box_points()))
     image = range_image(seen(robot_at(0), False), world @ robot_at(0), SENSOR_EGO, PARAMETERS)
-    vote(world @ box_points(), image, PARAMETERS, votes)
+    votes = votes_by(world @ box_points(), [image])
     assert (votes == votes_on(box_points(), [(0.0, False)])).all()
 
 
@@ -213,11 +228,8 @@ def empty_plain(rings):
 
 
 def votes_on_the_plain(points_map, rings):
-    votes = no_votes(len(points_map))
-    for x in np.arange(0.0, 4.0, 0.4):
-        image = range_image(empty_plain(rings), robot_at(x), SENSOR_EGO, PARAMETERS)
-        vote(points_map, image, PARAMETERS, votes)
-    return votes
+    places = (robot_at(x) for x in np.arange(0.0, 4.0, 0.4))
+    return votes_by(points_map, (range_image(empty_plain(rings), at, SENSOR_EGO, PARAMETERS) for at in places))
 
 
 @pytest.mark.parametrize("rings", [16, 32, 64, 128])
@@ -256,6 +268,5 @@ def test_what_lies_farther_than_the_sensor_sees_is_not_looked_through(farthest_m
     elevation_deg = np.degrees(np.arcsin(rays[:, 2]))
     points = (SENSOR_EGO + 5.0 * rays)[(elevation_deg < -15) | (elevation_deg > 15)]
     points[0] = SENSOR_EGO + np.array([0.0, farthest_m, 0.0])  # to the side, beside nothing else
-    votes = no_votes(len(wall_points()))
-    vote(wall_points(), range_image(points.astype(np.float32), robot_at(0), SENSOR_EGO, PARAMETERS), PARAMETERS, votes)
-    assert votes.any() == is_seen_through
+    image = range_image(points.astype(np.float32), robot_at(0), SENSOR_EGO, PARAMETERS)
+    assert votes_by(wall_points(), [image]).any() == is_seen_through
