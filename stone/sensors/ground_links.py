@@ -22,7 +22,7 @@ from scipy.sparse.linalg import spsolve
 from scipy.spatial import cKDTree
 
 from stone.geometry.lattice import keys_of
-from stone.sensors.ground_plane import FARTHEST_M, low_points
+from stone.sensors.ground_points import FARTHEST_M, low_points
 from stone.sensors.height_drift import HeightDrift
 
 SPACING_M, WIDEST_SPACING_M, MANY_LOOKS = 2.0, 8.0, 600

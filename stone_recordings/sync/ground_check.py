@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
-from stone.sensors.ground_plane import GroundFit, ground_fit, plane_around
+from stone.sensors.ground_plane import GroundFit, ground_fit
+from stone.sensors.ground_points import plane_around
 from stone.sensors.selection import world_points
 from stone.sensors.sequence import Sequence, SweepSource
 

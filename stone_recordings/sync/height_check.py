@@ -24,7 +24,8 @@ from stone.sensors.ground_links import (
     look,
     looks_along,
 )
-from stone.sensors.ground_plane import GroundFit, around_robot
+from stone.sensors.ground_plane import GroundFit
+from stone.sensors.ground_points import around_robot
 from stone.sensors.height_drift import HeightDrift
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_recordings.sync.ground_check import is_off, seen_around

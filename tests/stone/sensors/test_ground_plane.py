@@ -6,7 +6,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
-from stone.sensors.ground_plane import GroundFit, ground_fit, plane_around
+from stone.sensors.ground_plane import GroundFit, ground_fit
+from stone.sensors.ground_points import plane_around
 
 
 def ground(height_m=0.0, slope_x=0.0, slope_y=0.0, noise_m=0.02, seed=0, sides=(-10.0, 10.0)):
