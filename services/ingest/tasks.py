@@ -1,4 +1,4 @@
-"""The Celery task of the queue `ingest`: each wake-up runs one job.
+"""The Celery task of the queue `ingest`: each wake-up runs a job, or a row of short ones.
 
 **Conventions.** Loaded by the worker's parent before it forks, so the kernels are imported once; one thread for every
 library, said before any of them is loaded.
@@ -11,11 +11,12 @@ import services.runtime.one_thread  # noqa: F401
 from celery import shared_task
 
 from services.ingest.stages import handlers
-from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.draining import takes_jobs
+from services.runtime.jobs.execution import run_row
 from services.runtime.platform import platform
 
 
 @shared_task(name="ingest.work", ignore_result=True)
-def work() -> bool:
-    """Run the next job; false when there was none."""
-    return run_next(platform(), "ingest", handlers(platform()))
+def work() -> int:
+    """Run the next job, and the short ones after it; how many attempts it were."""
+    return run_row(platform(), "ingest", handlers(platform()), takes_jobs)

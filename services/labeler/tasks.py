@@ -1,4 +1,4 @@
-"""The Celery task of the queue `labeler`: each wake-up runs one job.
+"""The Celery task of the queue `labeler`: each wake-up runs a job, or a row of short ones.
 
 **Conventions.** Loaded by the worker's parent before it forks: the kernels are imported once, for all children. One
 thread for every library.
@@ -11,11 +11,12 @@ import services.runtime.one_thread  # noqa: F401
 from celery import shared_task
 
 from services.labeler.stages import handlers
-from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.draining import takes_jobs
+from services.runtime.jobs.execution import run_row
 from services.runtime.platform import platform
 
 
 @shared_task(name="labeler.work", ignore_result=True)
-def work() -> bool:
-    """Run the next job; false when there was none."""
-    return run_next(platform(), "labeler", handlers(platform()))
+def work() -> int:
+    """Run the next job, and the short ones after it; how many attempts it were."""
+    return run_row(platform(), "labeler", handlers(platform()), takes_jobs)

@@ -46,7 +46,8 @@ class Database:
             with session.begin():
                 yield session
             for queue, times in session.info.pop(WAKE_UPS, {}).items():
-                self._wake_up(queue, times)
+                if times:
+                    self._wake_up(queue, times)
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
@@ -59,7 +60,7 @@ class Database:
 
 
 def wake_up_after_commit(session: Session, queue: str, times: int = 1) -> None:
-    """Note that `times` jobs of `queue` became ready in this transaction."""
+    """Note that `times` jobs of `queue` became ready in this transaction; less than none: were taken without one."""
     wake_ups = session.info.setdefault(WAKE_UPS, {})
     wake_ups[queue] = wake_ups.get(queue, 0) + times
 

@@ -16,10 +16,20 @@ from services.runtime.telemetry.process_usage import used_cpu_s
 
 
 @dataclass(frozen=True)
+class JobOrigin:
+    """The origin of a job, and how long it was ready before it was claimed (None: not known)."""
+
+    traceparent: str = ""
+    request_id: str = ""
+    waited_s: float | None = None
+
+
+@dataclass(frozen=True)
 class Claim:
     """A job that is ours to run: nobody else holds this (job, attempt).
 
-    `tries_left` after this one; `begun_cpu_s` is what the process had used when it claimed, None where another speaks.
+    `tries_left` after this one; `begun_cpu_s` is what the process had used when it claimed, None where another speaks;
+    `begins_run`: its run has not begun yet.
     """
 
     job_id: str
@@ -30,15 +40,18 @@ class Claim:
     arguments: dict[str, Any]
     tries_left: int = 0
     begun_cpu_s: float | None = None
+    origin: JobOrigin = JobOrigin()
+    begins_run: bool = False
 
 
 def claim(session: Session, queue: str) -> Claim | None:
     """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
     if session.scalar(select(Queue.mode).where(Queue.name == queue)) == "paused":
         return None
-    job = next_job(session, queue)
-    if job is None:
+    found = next_job(session, queue)
+    if found is None:
         return None
+    job, state_of_run = found
     taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
     now = now_ns()
     values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
@@ -47,7 +60,10 @@ def claim(session: Session, queue: str) -> Claim | None:
         return None
     session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
     at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
-    return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s())
+    waited_s = None if job.ready_ns is None else max(now - job.ready_ns, 0) / 1e9
+    origin = JobOrigin(job.traceparent, job.request_id, waited_s)
+    begins_run = job.id != job.root_id and state_of_run != "running"
+    return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s(), origin, begins_run)
 
 
 def worker_name() -> str:
@@ -56,7 +72,7 @@ def worker_name() -> str:
 
 
 def start_run(session: Session, taken: Claim) -> None:
-    """Note that the run of this job has begun.
+    """Note that the run of this job has begun, where `begins_run`.
 
     A transaction of its own: with the job's row still locked, it would wait crosswise for somebody who cancels the run.
     """

@@ -1,64 +1,118 @@
-"""Runs one attempt at a job: claim, call its handler, record the outcome.
+"""Runs attempts at jobs: claim, call the handler, record the outcome and claim the next job with it.
 
-**Conventions.** A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else, and a
+**Conventions.** A wake-up is for one job. Whoever has done it takes the next one in the transaction that ends it, and
+takes a wake-up back for that, as long as its row of jobs has lasted less than `ROW_S`: a transaction more weighs most
+for short jobs, and other queues of the same worker have their turn after it.
+
+A `StoneError` is a refusal of the input: the job fails at once, with its code. Anything else, and a
 `PlatformFaultError`, is a fault of ours or of the machine: the worker rests a little longer each time, then the job is
 queued again until its attempts are used up; then it fails with that code, or as `internal_error` with the exception's
 own words. The traceback is in the attempt's log. Jobs of `RETICENT` queues have seen what their owners may not: of what
 raises there, administrators alone read the words.
 """
 
+import time
 import traceback
+from collections.abc import Callable
+from dataclasses import dataclass
 
 import structlog
+from sqlalchemy.orm import Session
 
+from services.runtime.database.transactions import wake_up_after_commit
 from services.runtime.jobs.claims import Claim, claim, start_run
 from services.runtime.jobs.completion import Failure, cancelled, fail, lose, succeed
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
-from services.runtime.jobs.instrumentation import instrumented, origin_of
+from services.runtime.jobs.instrumentation import instrumented
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
 from services.runtime.platform import Platform
 from stone.errors import PlatformFaultError, StoneError
 
+ROW_S = 2.0
+
 log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class JobRow:
+    """Jobs of `queue` that one process runs one after another while `goes_on()`, until `until_s` (monotonic)."""
+
+    platform: Platform
+    queue: str
+    handlers: Handlers
+    goes_on: Callable[[], bool]
+    until_s: float
+
+    def first(self) -> Claim | None:
+        with self.platform.database.transaction() as session:
+            return claim(session, self.queue)
+
+    def following(self, session: Session) -> Claim | None:
+        """The next one, taken in the transaction that ends the one before."""
+        if time.monotonic() > self.until_s or not self.goes_on():
+            return None
+        if (taken := claim(session, self.queue)) is not None:
+            wake_up_after_commit(session, self.queue, -1)
+        return taken
+
+
+@dataclass(frozen=True)
+class AttemptEnd:
+    """How an attempt ended, with the code of its failure; `following` is what its success took."""
+
+    outcome: str
+    code: str = ""
+    following: Claim | None = None
 
 
 def run_next(platform: Platform, queue: str, handlers: Handlers) -> bool:
     """Run the next ready job of `queue` to its end; False when there was none (another worker took it)."""
-    with platform.database.transaction() as session:
-        taken = claim(session, queue)
-    if taken is None:
-        return False
-    with platform.database.transaction() as session:
-        start_run(session, taken)
-        origin = origin_of(session, taken)
-    with instrumented(taken, origin) as instrumentation, Reporter(platform, taken) as reporter:
-        instrumentation.ended(*_attempt(platform, taken, handlers, reporter))
+    return run_row(platform, queue, handlers, lambda: False) > 0
+
+
+def run_row(platform: Platform, queue: str, handlers: Handlers, goes_on: Callable[[], bool]) -> int:
+    """Run the next ready job of `queue`, then the next one and so on while `goes_on()`; how many attempts it were."""
+    row, attempts = JobRow(platform, queue, handlers, goes_on, time.monotonic() + ROW_S), 0
+    taken = row.first()
+    while taken is not None:
+        attempts += 1
+        taken = _run(row, taken)
+    return attempts
+
+
+def _run(row: JobRow, taken: Claim) -> Claim | None:
+    """Run the attempt; the next one, where its success took it."""
+    if taken.begins_run:
+        with row.platform.database.transaction() as session:
+            start_run(session, taken)
+    with instrumented(taken) as instrumentation, Reporter(row.platform, taken) as reporter:
+        end = _attempt(row, taken, reporter)
+        instrumentation.ended(end.outcome, end.code)
         log.info("attempt ended", outcome=instrumentation.outcome)
-    return True
+    return end.following
 
 
-def _attempt(platform: Platform, taken: Claim, handlers: Handlers, reporter: Reporter) -> tuple[str, str]:
-    """Run the attempt; returns its outcome and the code of its failure."""
+def _attempt(row: JobRow, taken: Claim, reporter: Reporter) -> AttemptEnd:
+    """Run the attempt and record its end."""
     try:
-        _succeed(platform, taken, _answer(taken, handlers, reporter), reporter)
+        return AttemptEnd("succeeded", following=_succeed(row, taken, _answer(taken, row.handlers, reporter), reporter))
     except LostAttemptError as error:
         log.warning("attempt lost", reason=str(error))
-        return "lost", error.code
+        return AttemptEnd("lost", error.code)
     except JobCancelledError as error:
         reporter.log(str(error), "warning")
-        with platform.database.transaction() as session:
+        with row.platform.database.transaction() as session:
             cancelled(session, taken, reporter.last_words())
-        return "cancelled", error.code
+        return AttemptEnd("cancelled", error.code)
     except Exception as error:
         failure = _failure_of(error, taken.kind)
         if is_refusal(error):
-            _fail(platform, taken, reporter, failure)
-            return "failed", failure.code
-        with platform.database.transaction() as session:
+            _fail(row.platform, taken, reporter, failure)
+            return AttemptEnd("failed", failure.code)
+        with row.platform.database.transaction() as session:
             lose(session, taken, failure, reporter.last_words())
-        return "lost", failure.code
-    return "succeeded", ""
+        return AttemptEnd("lost", failure.code)
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
@@ -91,11 +145,15 @@ def _failure_of(error: Exception, kind: str) -> Failure:
     return Failure("internal_error", f"{type(error).__name__}: {words}")
 
 
-def _succeed(platform: Platform, taken: Claim, outcome: Outcome, reporter: Reporter) -> None:
-    """Raises `LostAttemptError` when the job went to somebody else meanwhile; nothing is written then."""
-    with platform.database.transaction() as session:
-        if not succeed(session, taken, outcome, platform.settings.jobs.max_attempts, reporter.last_words()):
+def _succeed(row: JobRow, taken: Claim, outcome: Outcome, reporter: Reporter) -> Claim | None:
+    """Record the success; what follows is taken with it.
+
+    Raises `LostAttemptError` when the job went to somebody else meanwhile; nothing is written then.
+    """
+    with row.platform.database.transaction() as session:
+        if not succeed(session, taken, outcome, row.platform.settings.jobs.max_attempts, reporter.last_words()):
             raise LostAttemptError(taken.job_id, taken.attempt)
+        return row.following(session)
 
 
 def _fail(platform: Platform, taken: Claim, reporter: Reporter, failure: Failure) -> None:

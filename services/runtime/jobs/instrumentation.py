@@ -13,8 +13,6 @@ from typing import Any
 
 from opentelemetry.trace import Span, SpanKind
 from opentelemetry.util.types import AttributeValue
-from sqlalchemy import select
-from sqlalchemy.orm import Session
 from structlog.contextvars import bound_contextvars
 
 from services.runtime.jobs.claims import Claim
@@ -25,15 +23,6 @@ from services.runtime.telemetry.metric_names import JOB_CPU_SECONDS, JOB_SECONDS
 from services.runtime.telemetry.origins import context_of
 from services.runtime.telemetry.process_usage import used_cpu_s
 from services.runtime.telemetry.tracing import mark_failed, span
-
-
-@dataclass(frozen=True)
-class JobOrigin:
-    """The origin of a job, and how long it was ready before it was claimed (None: not known)."""
-
-    traceparent: str = ""
-    request_id: str = ""
-    waited_s: float | None = None
 
 
 @dataclass
@@ -50,18 +39,10 @@ class JobInstrumentation:
             mark_failed(self.span, code)
 
 
-def origin_of(session: Session, taken: Claim) -> JobOrigin:
-    """The origin in the job's row."""
-    asked = select(Job.traceparent, Job.request_id, Job.ready_ns, Job.started_ns).where(Job.id == taken.job_id)
-    traceparent, request_id, ready_ns, started_ns = session.execute(asked).one()
-    waited_s = None if ready_ns is None or started_ns is None else max(started_ns - ready_ns, 0) / 1e9
-    return JobOrigin(traceparent, request_id, waited_s)
-
-
 @contextmanager
-def instrumented(taken: Claim, origin: JobOrigin) -> Iterator[JobInstrumentation]:
+def instrumented(taken: Claim) -> Iterator[JobInstrumentation]:
     """Instrument what is done inside as this attempt's."""
-    queue, begun_s, cpu_s = queue_of(taken.kind), time.monotonic(), used_cpu_s()
+    queue, begun_s, cpu_s, origin = queue_of(taken.kind), time.monotonic(), used_cpu_s(), taken.origin
     if origin.waited_s is not None:
         process_counters().observe(JOB_WAIT_SECONDS, (queue,), origin.waited_s)
     with (

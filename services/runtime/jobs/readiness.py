@@ -19,15 +19,19 @@ RUNNING: ColumnElement[str] = literal_column("'running'")
 NONE: ColumnElement[int] = literal_column("0")
 
 
-def next_job(session: Session, queue: str) -> Job | None:
-    """The job of `queue` to be taken next, its row locked; None where each that is ready is being taken."""
+def next_job(session: Session, queue: str) -> tuple[Job, str] | None:
+    """The job of `queue` to be taken next, its row locked, and the state of its run (its own where it is one).
+
+    None where each that is ready is being taken.
+    """
     owners = session.execute(owners_waiting(queue)).all()
     for owner_id, priority, _running, _oldest in owners:
         of_owner = (Job.owner_id == owner_id, Job.priority == priority)
-        found = session.scalar(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id))
+        found = session.execute(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id)).first()
         if found is not None:
-            return found
-    return session.scalar(_untaken(queue)) if owners else None
+            return found[0], found[1]
+    found = session.execute(_untaken(queue)).first() if owners else None
+    return None if found is None else (found[0], found[1])
 
 
 def wake_ups_wanted(session: Session, queue: str) -> int:
@@ -40,8 +44,10 @@ def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
     return and_(job.queue == queue, job.state == QUEUED, job.needs_left == NONE)
 
 
-def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job]:
-    free = select(Job).where(_is_ready(Job, queue), *claims).limit(1)
+def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job, str]:
+    run = aliased(Job)
+    state_of_run = select(run.state).where(run.id == Job.root_id).correlate(Job).scalar_subquery()
+    free = select(Job, state_of_run).where(_is_ready(Job, queue), *claims).limit(1)
     return free.with_for_update(skip_locked=True, key_share=True).execution_options(populate_existing=True)
 
 

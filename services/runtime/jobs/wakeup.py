@@ -1,13 +1,14 @@
 """Wake-ups: tell a queue's workers that a job is ready. They may fail; the sweeper sends them again.
 
-**Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database.
+**Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database. One wake-up is
+as good as another, so whoever took a job without one takes any of that queue back, or somebody would look in vain.
 """
 
 from collections.abc import Callable
 
 import structlog
 from kombu.exceptions import OperationalError
-from redis import Redis
+from redis import Redis, RedisError
 
 from services.runtime.jobs.broker_app import QUEUES, make_app
 from services.runtime.settings import Settings
@@ -16,7 +17,7 @@ log = structlog.get_logger(__name__)
 
 
 def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
-    """The function that sends `times` wake-ups to a queue in the broker of `settings`."""
+    """The function that sends `times` wake-ups to a queue in the broker of `settings`, or takes some back."""
     app = make_app(settings)
 
     def send_wake_ups(queue: str, times: int) -> None:
@@ -24,9 +25,11 @@ def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
             return
         try:
             with app.producer_pool.acquire(block=True) as producer:
+                for _ in range(-times):
+                    producer.channel.basic_get(queue, no_ack=True)
                 for _ in range(times):
                     app.send_task(f"{queue}.work", queue=queue, producer=producer, retry=False, ignore_result=True)
-        except (OperationalError, OSError) as error:
+        except (OperationalError, RedisError, OSError) as error:
             log.warning("wake-up not sent; the sweeper will send it again", queue=queue, times=times, reason=str(error))
 
     return send_wake_ups

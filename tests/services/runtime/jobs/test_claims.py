@@ -1,18 +1,22 @@
 """Who takes which job: one taker each, urgent first, owners in turn, nothing from a paused queue."""
 
 from collections import Counter
+from collections.abc import Iterator
+from contextlib import contextmanager
 from threading import Barrier, Thread
 
-from sqlalchemy import update
+import pytest
+from sqlalchemy import event, update
 
+from services.runtime.jobs import execution
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
-from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.instrumentation import origin_of
-from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.jobs.execution import run_next, run_row
+from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
-from tests.services.runtime.jobs.steps import a_job, an_owner, job, run_all
+from testing.servers.fixtures import Bells
+from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job, run_all, states
 
 
 def take(platform: Platform) -> str:
@@ -57,6 +61,54 @@ def test_a_wake_up_received_twice_does_the_work_once(platform_on: Platform) -> N
     assert len(calls) == 1
 
 
+def test_short_jobs_are_run_in_a_row_each_taken_with_the_end_of_the_one_before(
+    platform_on: Platform, bells: Bells
+) -> None:
+    owner = an_owner(platform_on)
+    jobs = [a_job(platform_on, owner) for _ in range(3)]
+    bells.clear()
+    with transactions_of(platform_on) as begun:
+        assert run_row(platform_on, "ingest", HANDLERS, lambda: True) == 3
+    assert len(begun) == 4, "one that takes the first, and an end each"
+    assert [job(platform_on, one).state for one in jobs] == ["succeeded"] * 3
+    assert bells == [("ingest", -1), ("ingest", -1)], "the first one's wake-up was received"
+
+
+def test_a_job_that_is_taken_by_who_made_it_ready_wakes_nobody(platform_on: Platform, bells: Bells) -> None:
+    run_id = a_run(
+        platform_on, an_owner(platform_on), JobSpec("ingest.ok", key="first"), JobSpec("ingest.ok", needs=("first",))
+    )
+    bells.clear()
+    assert run_row(platform_on, "ingest", HANDLERS, lambda: True) == 2
+    assert (states(platform_on, run_id), bells) == ({"succeeded": 2}, [])
+    assert job(platform_on, run_id).state == "succeeded"
+
+
+def test_a_row_of_jobs_ends_when_its_worker_is_to_stop_or_other_queues_wait(
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    owner = an_owner(platform)
+    for _ in range(3):
+        a_job(platform, owner)
+    answers = iter((True, False))
+    assert run_row(platform, "ingest", HANDLERS, lambda: next(answers)) == 2
+    monkeypatch.setattr(execution, "ROW_S", -1.0)
+    assert run_row(platform, "ingest", HANDLERS, lambda: True) == 1
+
+
+@contextmanager
+def transactions_of(platform: Platform) -> Iterator[list[object]]:
+    """A list that holds one for each transaction that was begun meanwhile."""
+    begun: list[object] = []
+
+    def note(connection: object) -> None:
+        begun.append(connection)
+
+    event.listen(platform.database.engine, "begin", note)
+    yield begun
+    event.remove(platform.database.engine, "begin", note)
+
+
 def test_the_urgent_job_is_taken_before_the_older(platform: Platform) -> None:
     owner = an_owner(platform)
     patient = a_job(platform, owner)
@@ -88,10 +140,6 @@ def test_how_long_a_job_was_ready_before_it_was_claimed_is_known_once_it_is(plat
         session.execute(update(Job).where(Job.id == queued_id).values(ready_ns=Job.ready_ns - 3 * 10**9))
     with platform.database.transaction() as session:
         taken = claim(session, "ingest")
-        assert taken is not None
-        waited_s = origin_of(session, taken).waited_s
-    assert waited_s is not None
-    assert 3.0 <= waited_s < 600.0
-    with platform.database.transaction() as session:
-        session.execute(update(Job).where(Job.id == taken.job_id).values(ready_ns=None))
-        assert origin_of(session, taken).waited_s is None
+    assert taken is not None
+    assert taken.origin.waited_s is not None
+    assert 3.0 <= taken.origin.waited_s < 600.0

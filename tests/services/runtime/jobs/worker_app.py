@@ -5,7 +5,8 @@ from pathlib import Path
 
 import services.runtime.processes.worker  # noqa: F401  # it drains as a deployed one does
 from services.runtime.jobs.broker_app import make_app
-from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.draining import takes_jobs
+from services.runtime.jobs.execution import run_row
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.platform import platform
 from services.runtime.settings import Settings
@@ -34,4 +35,4 @@ def freeze(attempt: Attempt) -> Outcome:
 
 @app.task(name="ingest.work")  # type: ignore[untyped-decorator]
 def work() -> None:
-    run_next(platform(), "ingest", {"ingest.note": note, "ingest.freeze": freeze})
+    run_row(platform(), "ingest", {"ingest.note": note, "ingest.freeze": freeze}, takes_jobs)
