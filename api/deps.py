@@ -17,15 +17,19 @@ from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import OperationalError
 from sqlalchemy.orm import Session
+from starlette.concurrency import run_in_threadpool
 
 from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
+from api.known_credentials import KnownCredentials
 from api.middleware.context import COOKIE
 from services.runtime.access import roles, sessions, tokens
+from services.runtime.access.credential_changes import credentials_generation
 from services.runtime.platform import Platform
 
 T = TypeVar("T")
 VISITING = "visitor"
 SAFE = ("GET", "HEAD", "OPTIONS")
+BY_COOKIE = "cookie\n"  # which no header begins with
 
 log = structlog.get_logger(__name__)
 
@@ -87,35 +91,44 @@ def at_once(kind: Callable[..., T]) -> Callable[..., Awaitable[T]]:
 def identify(request: Request) -> Caller | None:
     """The caller by token, else by session; None without either. Raises `UnauthenticatedError` for a false one."""
     if not hasattr(request.state, "caller"):
-        platform = platform_of(request)
-        header = request.headers.get("authorization")
-        secret = request.cookies.get(COOKIE)
+        shown = _shown_credential(request)
         request.state.caller = None
-        if header is not None:
-            request.state.caller = _by_token(platform, header)
-        elif secret is not None:
-            request.state.caller = _by_session(platform, secret)
-        if request.state.caller is not None:
+        if shown is not None:
+            request.state.caller = _known_credentials(request).find(shown) or _looked_up(request, shown)
             request.app.state.limits.know(request, request.state.caller.user_id)
     caller: Caller | None = request.state.caller
     return caller
 
 
-def require(scope: str, *accepted: str) -> Callable[..., Caller]:
+async def identify_async(request: Request) -> Caller | None:
+    """As `identify`, without holding up the event loop: only who must be looked up is given a thread."""
+    if hasattr(request.state, "caller"):
+        return identify(request)
+    shown = _shown_credential(request)
+    known = None if shown is None else _known_credentials(request).find(shown)
+    if shown is not None and known is None:
+        return await run_in_threadpool(identify, request)
+    request.state.caller = known
+    if known is not None:
+        request.app.state.limits.know(request, known.user_id)
+    return known
+
+
+def require(scope: str, *accepted: str) -> Callable[..., Awaitable[Caller]]:
     """A dependency that gives the caller, if they hold `scope` and at least one of the `accepted` roles."""
     return require_one((scope,), *accepted)
 
 
-def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Caller]:
+def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaitable[Caller]]:
     """As `require`, for callers who hold any of `scopes`; the document names the first."""
     asked = [scopes[0], *accepted]  # for the document only
 
-    def caller_who_may(
+    async def caller_who_may(
         request: Request,
         _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=asked)],
         _cookie: Annotated[str | None, Security(cookie, scopes=asked)],
     ) -> Caller:
-        caller = identify(request)
+        caller = await identify_async(request)
         if caller is None:
             raise UnauthenticatedError()
         if caller.is_session and request.method not in SAFE:
@@ -130,7 +143,7 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Caller
     return caller_who_may
 
 
-def look(
+async def look(
     request: Request,
     _bearer: Annotated[HTTPAuthorizationCredentials | None, Security(bearer, scopes=["read"])],
     _cookie: Annotated[str | None, Security(cookie, scopes=["read"])],
@@ -140,7 +153,7 @@ def look(
     A browser whose session has ended is a visitor too; a token that is not valid is refused, as everywhere.
     """
     try:
-        caller = identify(request) or VISITOR
+        caller = await identify_async(request) or VISITOR
     except UnauthenticatedError:
         if "authorization" in request.headers:
             raise
@@ -148,6 +161,29 @@ def look(
     request.state.caller = caller
     if "read" not in caller.scopes:
         raise ForbiddenError(f"this needs the scope 'read'; yours are {sorted(caller.scopes)}")
+    return caller
+
+
+def _shown_credential(request: Request) -> str | None:
+    """The header, else the cookie as a header of a scheme that is none; None without either."""
+    header, secret = request.headers.get("authorization"), request.cookies.get(COOKIE)
+    if header is not None:
+        return header
+    return None if secret is None else f"{BY_COOKIE}{secret}"
+
+
+def _known_credentials(request: Request) -> KnownCredentials[Caller]:
+    known: KnownCredentials[Caller] = request.app.state.known_credentials
+    return known
+
+
+def _looked_up(request: Request, shown: str) -> Caller:
+    platform, generation = platform_of(request), credentials_generation()
+    if shown.startswith(BY_COOKIE):
+        caller = _by_session(platform, shown.removeprefix(BY_COOKIE))
+    else:
+        caller = _by_token(platform, shown)
+    _known_credentials(request).learn(shown, caller, expires_ns=caller.expires_ns, generation=generation)
     return caller
 
 

@@ -13,6 +13,8 @@ from starlette.routing import BaseRoute
 
 from api import problems
 from api.client_wheel import client_wheel, install_line
+from api.deps import Caller
+from api.known_credentials import KnownCredentials
 from api.metrics import RequestMetrics
 from api.middleware.bodies import BodyLimit
 from api.middleware.entry import RequestMiddleware
@@ -131,7 +133,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
     api.state.provider = Provider(platform.settings.oidc, platform.settings.api.url)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
-    api.state.client_wheel = client_wheel()
+    api.state.client_wheel, api.state.known_credentials = client_wheel(), KnownCredentials[Caller]()
     problems.install(api, shown)
     # What is added last is met first.
     api.add_middleware(Idempotency)

@@ -6,6 +6,7 @@ from secrets import token_urlsafe
 from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
+from services.runtime.access.credential_changes import NOTES_USE
 from services.runtime.access.passwords import verify_password
 from services.runtime.access.tokens import USED_EVERY_NS, hash_of
 from services.runtime.orm import User, WebSession
@@ -58,7 +59,8 @@ def is_use_due(row: WebSession) -> bool:
 
 def note_use(session: Session, session_id: str) -> None:
     """Write that the session is used now."""
-    session.execute(update(WebSession).where(WebSession.id == session_id).values(used_ns=now_ns()))
+    used = update(WebSession).where(WebSession.id == session_id).values(used_ns=now_ns())
+    session.execute(used, execution_options=NOTES_USE)
 
 
 def close_session(session: Session, session_id: str) -> None:

@@ -13,6 +13,7 @@ from secrets import token_urlsafe
 from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
+from services.runtime.access.credential_changes import NOTES_USE
 from services.runtime.orm import Token, User
 from services.runtime.orm.base import now_ns
 
@@ -64,7 +65,8 @@ def is_use_due(token: Token) -> bool:
 
 def note_use(session: Session, token_id: str) -> None:
     """Write that the token is used now."""
-    session.execute(update(Token).where(Token.id == token_id).values(used_ns=now_ns()))
+    used = update(Token).where(Token.id == token_id).values(used_ns=now_ns())
+    session.execute(used, execution_options=NOTES_USE)
 
 
 def revoke(session: Session, user_id: str, token_id: str) -> str | None:
