@@ -19,6 +19,7 @@ from services.labeler.run import LabelRun, Part, Tile, parts_of
 from stone.labels.observed_voxels import Observed, union
 from stone.surface.pointmap import PointMap
 from stone.surface.range_image import RangeImage, view_of
+from stone_files.mapped_npz import mapped_npz, write_stored_npz
 
 Arrays = dict[str, NDArray[np.generic]]
 
@@ -26,7 +27,7 @@ Arrays = dict[str, NDArray[np.generic]]
 def save(path: Path, arrays: Arrays) -> None:
     """Write arrays to `path` (.npz, stored), atomically."""
     with whole(path) as staging, staging.open("wb") as file:
-        np.savez(file, **arrays)  # type: ignore[arg-type]
+        write_stored_npz(file, arrays)
 
 
 @contextmanager
@@ -42,9 +43,8 @@ def whole(path: Path) -> Iterator[Path]:
 
 
 def load(path: Path) -> Arrays:
-    """The arrays saved at `path`."""
-    with np.load(path, allow_pickle=False) as archive:
-        return {name: archive[name] for name in archive.files}
+    """The arrays saved at `path`, as views of the file's pages: what nobody looks at is not read."""
+    return mapped_npz(path)
 
 
 def fused_path(run: LabelRun, tile: Tile, part: Part) -> Path:
@@ -78,34 +78,28 @@ def load_points(run: LabelRun, tile: Tile, low: NDArray[np.float64], high: NDArr
     """The point maps of this tile, part by part: the voxels whose centres lie in [low, high) (2,) in plan."""
     voxel_m = run.parameters.surface.point_voxel_m
     first, end = (np.ceil(bound / voxel_m - 0.5).astype(np.int64) for bound in (low, high))
-    found = []
-    for path in _fused_parts(run, tile):
-        with np.load(path, allow_pickle=False) as archive:
-            found.append(fused_points(archive, voxel_m, (first, end)))
-    return found
+    return [fused_points(load(path), voxel_m, (first, end)) for path in _fused_parts(run, tile)]
 
 
 def load_observed(run: LabelRun, tile: Tile) -> Observed:
     """What any part observed in this tile."""
-    found = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
-    for path in _fused_parts(run, tile):
-        with np.load(path, allow_pickle=False) as archive:
-            found.append(fused_observed(archive))
-    return union(found)
+    nothing = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
+    return union([nothing, *(fused_observed(load(path)) for path in _fused_parts(run, tile))])
 
 
 def images_near(
     run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> Iterator[RangeImage]:
-    """The range images of a map taken within reach of the box [low, high] (3,), one in memory at a time.
+    """The range images of a map taken within reach of the box [low, high] (3,), a part's at a time.
 
     Which those are is told by the run's poses alone, never by which parts happen to be fused already.
     """
     poses = run.sequence.frames.map_from_ego
     for part, indices in _by_part(run, imaged_near(run, number, low, high)):
-        with np.load(images_path(run, part), allow_pickle=False) as archive:
-            for index in indices:
-                yield RangeImage(view_of(poses[index], run.sensor_ego), archive[image_name(index)])
+        images = load(images_path(run, part))
+        for index in indices:
+            ranges_m: NDArray[np.float32] = images[image_name(index)]  # type: ignore[assignment]
+            yield RangeImage(view_of(poses[index], run.sensor_ego), ranges_m)
 
 
 def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:

@@ -21,7 +21,6 @@ from stone.surface.range_image import (
     aim,
     lens_of,
     pixel,
-    spread,
     workspace,
 )
 
@@ -56,10 +55,12 @@ class MotionVotes:
         """Add this image's verdict on every point."""
         p = self._parameters
         limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
-        around_m = spread(image.ranges_m, 1, 1)  # 0 where no ray went to any of the nine
-        pixels = np.stack([image.ranges_m, around_m], axis=-1)
         blocks = self._in_reach(image.map_from_view.translation_m, p.max_range_m)
-        view = (image.map_from_view.inverse().as_matrix(), pixels.reshape(-1), image.ranges_m.shape, lens_of(p))
+        if not len(blocks):
+            return
+        pixels = np.empty(2 * image.ranges_m.size, np.float32)
+        _pair_up(image.ranges_m, pixels)
+        view = (image.map_from_view.inverse().as_matrix(), pixels, image.ranges_m.shape, lens_of(p))
         _vote(self._points, blocks, view, limits, (self._votes, *self._work))
 
     def counts(self) -> NDArray[np.int32]:
@@ -102,6 +103,22 @@ def carried_along(
         doubtful = np.flatnonzero(~moved & (frames_seen <= FEW_FRAMES) & (votes[:, HITS] <= FEW_HITS))
         moved[doubtful[is_near(points_map[doubtful], points_map[moved], TOUCH_M)]] = True
     return moved
+
+
+@njit(cache=True, nogil=True)
+def _pair_up(ranges, pixels):  # type: ignore[no-untyped-def]
+    """The range of every pixel, and beside it the least of the nine around: 0 where no ray went to any of them."""
+    rows, columns = ranges.shape
+    least = np.empty(columns + 2, np.float32)
+    for row in range(rows):
+        here, above, below = ranges[row], ranges[max(row - 1, 0)], ranges[min(row + 1, rows - 1)]
+        for column in range(columns):
+            least[column + 1] = min(here[column], min(above[column], below[column]))
+        least[0], least[columns + 1] = least[columns], least[1]  # the columns close into a ring
+        out = pixels[2 * row * columns : 2 * (row + 1) * columns]
+        for column in range(columns):
+            out[2 * column] = here[column]
+            out[2 * column + 1] = min(least[column + 1], min(least[column], least[column + 2]))
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
