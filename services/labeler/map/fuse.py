@@ -14,7 +14,7 @@ from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.observed_voxels import BRICK, Carver, Observed
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
-from stone.sensors.selection import world_points
+from stone.sensors.selection import selected
 from stone.surface.pointmap import PointMap, PointMapBuilder
 from stone.surface.range_image import range_image
 
@@ -31,15 +31,14 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
         pose, far = frames.map_from_ego[index], far + far_points_of(sweep)
-        points_ego = world_points(
+        points = selected(
             sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
         )
-        builder.insert(points_ego, pose, run.sensor_ego, reach)
+        builder.insert(points.world_ego, pose, run.sensor_ego, reach)
         if index % followed == 0:
-            carver.carve(points_ego, pose, run.sensor_ego)
+            carver.carve(points.world_ego, pose, run.sensor_ego)
         if index % imaged == 0:
-            all_ego = world_points(sweep.points_lidar, calibration.ego_from_lidar, (), 0.0)
-            image = range_image(all_ego, pose, run.sensor_ego, parameters.dynamic)
+            image = range_image(points.points_ego, pose, run.sensor_ego, parameters.dynamic)
             images[image_name(index)] = image.ranges_m
         step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())

@@ -3,13 +3,14 @@
 import math
 
 import numpy as np
+import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
 from stone.sensors.reach import FARTHEST_POINT_M
-from stone.sensors.selection import within, world_points
+from stone.sensors.selection import AT_ONCE, selected, world_points
 
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.3, -0.1, 1.2]))
 BOXES = (Box((-1.0, -0.5, 0.0), (1.5, 0.5, 2.0)), Box((-3.0, -3.0, -1.0), (-2.0, 3.0, 1.0)))
@@ -53,17 +54,25 @@ def test_points_that_are_not_numbers_are_not_of_the_world():
     assert world_points(points, SE3.identity(), (), 1.0).tolist() == [[9, 0, 0]]
 
 
-@settings(max_examples=20, deadline=None)
-@given(st.integers(0, 2**32))
-def test_within_is_half_open(seed):
-    points = np.random.default_rng(seed).integers(-4, 5, (300, 3)).astype(np.float32) / 2
-    box = Box((-1.0, -1.5, -0.5), (1.0, 1.5, 2.0))
-    assert within(points, box).tolist() == points[inside(points, box)].tolist()
+@pytest.mark.parametrize("count", [0, 1, AT_ONCE - 1, AT_ONCE, AT_ONCE + 1, 3 * AT_ONCE])
+def test_the_robots_own_points_follow_those_of_the_world_and_none_in_reach_is_lost(count):
+    points = np.random.default_rng(count).uniform(-4, 4, (count, 3)).astype(np.float32)
+    points[::50] = math.nan
+    made = selected(points, EGO_FROM_LIDAR, BOXES, 1.0)
+    world, everything = (world_points(points, EGO_FROM_LIDAR, *rest) for rest in ((BOXES, 1.0), ((), 0.0)))
+    assert made.world_ego.tobytes() == world.tobytes()
+    assert sorted(made.points_ego.tolist()) == sorted(everything.tolist())
+    assert len(everything) == np.isfinite(points).all(axis=1).sum()
+
+
+def test_a_box_is_half_open():
+    points = np.array([[-1, 9, 1], [1.5, 9, 1], [-1.1, 9, 1]], np.float32)
+    assert world_points(points, SE3.identity(), (Box((-1, 9, 1), (1.5, 10, 2)),), 0.0).tolist() == points[1:].tolist()
 
 
 def test_no_points_stay_none():
     none = np.zeros((0, 3), np.float32)
-    assert within(none, BOXES[0]).shape == world_points(none, EGO_FROM_LIDAR, BOXES, 1.0).shape == (0, 3)
+    assert world_points(none, EGO_FROM_LIDAR, BOXES, 1.0).shape == (0, 3)
 
 
 HOSTILE = (math.nan, math.inf, -math.inf, 0.0, 1e-45, -1e-30, 1.0, -3.0, 700.0, 1e3, 1e19, -1e30, 1e38, 3e38, -3e38)
