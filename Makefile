@@ -1,6 +1,6 @@
-# make install | develop | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 
 BIN := .venv/bin
@@ -8,6 +8,8 @@ BIN := .venv/bin
 INSTALLED := .venv/.installed
 DEVELOPED := .venv/.developed
 DOCS_INSTALLED := .venv/.docs-installed
+KERNELS_COMPILED := .venv/.kernels-compiled
+STEPS := 6
 BASELINES := .venv-baselines/.installed
 BUILT := web/built/app.js
 # The client's wheel, from where the platform serves it.
@@ -25,34 +27,43 @@ KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/sto
 	tests/simulator/test_noise.py
 MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
-# Packages and pages wait for nothing of each other.
+# What waits for nothing of each other is done at once. Kernels are compiled once, here: it takes a minute of a core.
 install:
-	@$(MAKE) --no-print-directory --jobs=2 $(INSTALLED) $(BUILT)
+	@$(MAKE) --no-print-directory --jobs=2 STEPS=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED)
+
+# With what the platform serves besides its pages: the client's wheel and the docs site.
+platform:
+	@$(MAKE) --no-print-directory --jobs=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED) $(DOWNLOAD) $(MANUAL)
 
 $(INSTALLED): deploy/runtime.lock pyproject.toml deploy/client/pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
-	@deploy/step.sh 1/2 "Python packages of deploy/runtime.lock" deploy/create-venv.sh
+	@deploy/step.sh 1/$(STEPS) packages "Python packages of deploy/runtime.lock" deploy/create-venv.sh
 	@touch $@
 
 $(BUILT): $(MODULES) web/package-lock.json web/tsconfig.json deploy/build-pages.sh
-	@deploy/step.sh 2/2 "the pages' modules" deploy/build-pages.sh
+	@deploy/step.sh 2/$(STEPS) pages "the pages' modules" deploy/build-pages.sh
 	@touch $@
+
+# Those that change afterwards are compiled where they are first called.
+$(KERNELS_COMPILED): $(INSTALLED) deploy/warm_kernels.py
+	@deploy/step.sh 3/$(STEPS) kernels "compiled kernels" $(BIN)/python deploy/warm_kernels.py
+	@touch $@
+
+$(DOWNLOAD): $(CLIENT) deploy/build-wheels.sh | $(INSTALLED)
+	@deploy/step.sh 4/$(STEPS) client "the client's wheel" deploy/build-wheels.sh client
+	@touch $@
+
+$(DOCS_INSTALLED): $(INSTALLED) deploy/docs.lock
+	@deploy/step.sh 5/$(STEPS) docs-packages "Python packages of the docs site: deploy/docs.lock" deploy/add-packages.sh --require-hashes -r deploy/docs.lock
+	@touch $@
+
+$(MANUAL): $(DOCS_INSTALLED) $(DOCS) deploy/build-docs.sh
+	@deploy/step.sh 6/$(STEPS) docs "the docs site" deploy/build-docs.sh
 
 develop: install $(DEVELOPED)
 
 $(DEVELOPED): $(INSTALLED) requirements.lock
-	@deploy/step.sh 1/1 "Python packages of tests and checks: requirements.lock" deploy/add-packages.sh --require-hashes -r requirements.lock
+	@deploy/step.sh 1/1 develop "Python packages of tests and checks: requirements.lock" deploy/add-packages.sh --require-hashes -r requirements.lock
 	@touch $@
-
-$(DOCS_INSTALLED): $(INSTALLED) deploy/docs.lock
-	@deploy/step.sh 1/1 "Python packages of the docs site: deploy/docs.lock" deploy/add-packages.sh --require-hashes -r deploy/docs.lock
-	@touch $@
-
-$(MANUAL): $(DOCS_INSTALLED) $(DOCS) deploy/build-docs.sh
-	deploy/build-docs.sh
-
-$(DOWNLOAD): $(CLIENT) deploy/build-wheels.sh
-	deploy/build-wheels.sh client
-	touch $@
 
 test-clients: develop
 	deploy/install-test-clients.sh
@@ -66,13 +77,10 @@ $(BASELINES): $(DEVELOPED) baselines/requirements-cpu.txt deploy/create-baseline
 	deploy/create-baselines-venv.sh
 	touch $@
 
-# The docs site is built beside the demo, whose first half a minute leaves a core idle.
-demo: install
-	$(MAKE) --no-print-directory $(DOWNLOAD)
-	$(MAKE) --no-print-directory $(MANUAL) & $(BIN)/stone demo; status=$$?; wait; exit $$status
+demo: platform
+	$(BIN)/stone demo
 
-serve: install
-	$(MAKE) --no-print-directory $(DOWNLOAD) $(MANUAL)
+serve: platform
 	$(BIN)/stone serve
 
 test: develop

@@ -1,13 +1,12 @@
 #!/bin/sh
-# Run a step of the installation: step.sh NUMBER/ALL TITLE COMMAND…, from the project's root.
+# Run a step of the installation: step.sh NUMBER/ALL NAME TITLE COMMAND…, from the project's root.
 #
-# A line says that it begins and a line that it is done. What the command says goes to build/install/<its name>.log; where
-# it fails, the end of that is shown.
+# A line says that it begins and a line that it is done. What the command says goes to build/install/NAME.log; where it
+# fails, the end of that is shown.
 set -eu
 
-count=$1 title=$2
-shift 2
-log=build/install/$(basename "$1" .sh).log
+count=$1 log=build/install/$2.log title=$3
+shift 3
 mkdir -p build/install
 started=$(date +%s)
 echo "[$count] $title (log: $log)"

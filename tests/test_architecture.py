@@ -237,7 +237,7 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
 def test_every_make_target_that_runs_something_installs_first() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     for target in ("demo", "serve", "test-clients", "test", "test-all", "test-kernels", "check", "chaos", "bench"):
-        assert re.search(rf"(?m)^{target}: (install|develop|test-clients)$", makefile)
+        assert re.search(rf"(?m)^{target}: (install|develop|platform|test-clients)$", makefile)
 
 
 # Those below docs/ lead to made pages too: tests/docsite follows them in the built site.

@@ -1,16 +1,19 @@
 """The installation says what it does and where its log is, and comes through without uv."""
 
+import ast
 import os
 import re
 import shutil
 import subprocess
+import sys
 from pathlib import Path
 
 import pytest
 
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
-TOOLS = ("basename", "mkdir", "date", "tail", "sed", "grep", "head", "touch", "rm", "cat")
+TOOLS = ("mkdir", "date", "tail", "sed", "grep", "head", "touch", "rm", "cat")
+OF_LARGER_RUNS = {"moments.move_rows", "observed_voxels._rehash", "selection._within"}  # where a table or a map grows
 INDEX = "-".join(("index", "url"))  # pip's word, which no file of ours may set: tests/test_architecture.py
 WHEEL_HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
@@ -43,7 +46,7 @@ def run(project: Path, *arguments: str, **environment: str) -> subprocess.Comple
 
 def test_a_step_says_that_it_begins_and_ends_and_keeps_the_rest_in_its_log(project: Path) -> None:
     program(project / "fetch.sh", "echo a hundred lines; echo warning >&2")
-    outcome = run(project, "deploy/step.sh", "1/2", "packages", "./fetch.sh")
+    outcome = run(project, "deploy/step.sh", "1/2", "fetch", "packages", "./fetch.sh")
     begins, ends = outcome.stdout.splitlines()
     assert begins == "[1/2] packages (log: build/install/fetch.log)"
     assert re.fullmatch(r"\[1/2\] packages: done in \d+ s", ends)
@@ -53,7 +56,7 @@ def test_a_step_says_that_it_begins_and_ends_and_keeps_the_rest_in_its_log(proje
 
 def test_a_step_that_fails_shows_the_end_of_its_log_and_where_it_is(project: Path) -> None:
     program(project / "fetch.sh", "i=0; while [ $i -lt 99 ]; do i=$((i + 1)); echo line $i; done; exit 3")
-    outcome = run(project, "deploy/step.sh", "1/2", "packages", "./fetch.sh")
+    outcome = run(project, "deploy/step.sh", "1/2", "fetch", "packages", "./fetch.sh")
     assert outcome.returncode == 3
     assert "failed with exit code 3. The end of build/install/fetch.log:" in outcome.stderr
     assert "    line 99\n" in outcome.stderr
@@ -121,3 +124,24 @@ def test_every_script_is_one(script: Path) -> None:
     outcome = subprocess.run(["sh", "-n", script], check=False, capture_output=True, text=True)
     assert (outcome.returncode, outcome.stderr) == (0, "")
     assert os.access(script, os.X_OK)
+
+
+def product_kernels() -> set[str]:
+    """The functions that numba keeps compiled, by module and name."""
+    found = set()
+    for package in ("stone", "stone_recordings", "stone_local", "services", "simulator"):
+        for path in (ROOT / package).rglob("*.py"):
+            functions = (node for node in ast.parse(path.read_bytes()).body if isinstance(node, ast.FunctionDef))
+            kept = [one.name for one in functions if any("cache=True" in ast.unparse(d) for d in one.decorator_list)]
+            found |= {f"{path.stem}.{name}" for name in kept}
+    return found
+
+
+@pytest.mark.whole
+def test_the_installation_leaves_every_kernel_compiled(tmp_path: Path) -> None:
+    environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
+    command = [sys.executable, str(DEPLOY / "warm_kernels.py")]
+    subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)
+    compiled = {path.name.partition("-")[0] for path in tmp_path.rglob("*.nbi")}
+    assert len(compiled) > 60
+    assert product_kernels() - compiled == OF_LARGER_RUNS
