@@ -12,10 +12,10 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import BIAS, MASK, VoxelTable, check_reach, find, keys_of, pack, table_of
+from stone.geometry.lattice import VoxelTable, check_reach, find, keys_of, pack, table_of
+from stone.surface.neighbour_search import fit
 
 AROUND = 27  # a cell and those around it
-FEWEST = 4  # three points always lie on a plane and say nothing
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,7 +69,7 @@ def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k:
     """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
     mean_square = np.empty(len(asked[0]))
     normals = np.zeros((len(asked[0]), 3))
-    _fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, (mean_square, normals))
+    fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, (mean_square, normals))
     return PlaneFits(mean_square, normals)
 
 
@@ -90,59 +90,6 @@ def is_near(queries: NDArray[np.float64], points: NDArray[np.float64], radius_m:
     return near
 
 
-@njit(inline="always")
-def smallest_eigenvalue(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
-    """Of a symmetric 3 × 3 matrix, in closed form (Smith, 1961)."""
-    off = a01 * a01 + a02 * a02 + a12 * a12
-    q = (a00 + a11 + a22) / 3.0
-    p = math.sqrt(((a00 - q) ** 2 + (a11 - q) ** 2 + (a22 - q) ** 2 + 2.0 * off) / 6.0)
-    if p < 1e-150:
-        return q
-    b00, b11, b22 = (a00 - q) / p, (a11 - q) / p, (a22 - q) / p
-    b01, b02, b12 = a01 / p, a02 / p, a12 / p
-    r = 0.5 * (b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02) + b02 * (b01 * b12 - b11 * b02))
-    angle = math.acos(min(1.0, max(-1.0, r))) / 3.0
-    return q + 2.0 * p * math.cos(angle + 2.0943951023931953)
-
-
-@njit(inline="always")
-def eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
-    """Unit eigenvector of a symmetric 3 × 3 matrix: the longest cross product of two rows of A − λ."""
-    x, y, z = a00 - value, a11 - value, a22 - value
-    u0, u1, u2 = a01 * a12 - a02 * y, a02 * a01 - x * a12, x * y - a01 * a01
-    v0, v1, v2 = a01 * z - a02 * a12, a02 * a02 - x * z, x * a12 - a01 * a02
-    w0, w1, w2 = y * z - a12 * a12, a12 * a02 - a01 * z, a01 * a12 - a02 * y
-    nu, nv, nw = u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2
-    if nv > nu and nv >= nw:
-        u0, u1, u2, nu = v0, v1, v2, nv
-    elif nw > nu:
-        u0, u1, u2, nu = w0, w1, w2, nw
-    s = 1.0 / math.sqrt(nu + 1e-300)
-    return u0 * s, u1 * s, u2 * s
-
-
-@njit(inline="always")
-def _offer(points, b, at, best, count):  # type: ignore[no-untyped-def]
-    """Insert point `b` into the sorted list of the nearest; the new length."""
-    distances, rows = best
-    d = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
-    k = distances.size
-    if count < k:
-        slot = count
-        count += 1
-    elif d < distances[k - 1]:
-        slot = k - 1
-    else:
-        return count
-    while slot > 0 and distances[slot - 1] > d:
-        distances[slot] = distances[slot - 1]
-        rows[slot] = rows[slot - 1]
-        slot -= 1
-    distances[slot] = d
-    rows[slot] = b
-    return count
-
-
 @njit(cache=True, nogil=True)
 def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untyped-def]
     """Append the point ranges of the cells exactly `ring` cells away; the new number of spans."""
@@ -157,101 +104,6 @@ def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untype
                     spans[filled, 0], spans[filled, 1] = start[row], start[row + 1]
                     filled += 1
     return filled
-
-
-@njit(cache=True, nogil=True)
-def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
-    """(mean square distance, normal) of the first `count` neighbours."""
-    s0 = s1 = s2 = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
-    for t in range(count):
-        b = best[1][t]
-        x, y, z = points[b, 0] - at[0], points[b, 1] - at[1], points[b, 2] - at[2]
-        s0, s1, s2 = s0 + x, s1 + y, s2 + z
-        c00, c01, c02 = c00 + x * x, c01 + x * y, c02 + x * z
-        c11, c12, c22 = c11 + y * y, c12 + y * z, c22 + z * z
-    w = 1.0 / count
-    s0, s1, s2 = s0 * w, s1 * w, s2 * w
-    a00, a01, a02 = c00 * w - s0 * s0, c01 * w - s0 * s1, c02 * w - s0 * s2
-    a11, a12, a22 = c11 * w - s1 * s1, c12 * w - s1 * s2, c22 * w - s2 * s2
-    value = smallest_eigenvalue(a00, a01, a02, a11, a12, a22)
-    n0, n1, n2 = eigenvector(a00, a01, a02, a11, a12, a22, value)
-    return max(value, 0.0), n0, n1, n2
-
-
-@njit(inline="always")
-def _advance(keys, target, row):  # type: ignore[no-untyped-def]
-    """The first row from `row` on whose key is not below `target`."""
-    while row < keys.size and keys[row] < target:
-        row += 1
-    return row
-
-
-@njit(cache=True, nogil=True)
-def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
-    """Move the row ranges of the square of columns around a cell, each `reach` cells up and down, on to this cell.
-
-    Cells come in the order of their keys and neighbours are a fixed step away, so every range only ever moves forward.
-    """
-    at = 0
-    for di in range(-reach, reach + 1):
-        for dj in range(-reach, reach + 1):
-            target = key + (np.int64(di) << 42) + (np.int64(dj) << 21)
-            columns[at, 0] = _advance(keys, target - reach, columns[at, 0])
-            columns[at, 1] = _advance(keys, target + reach + 1, max(columns[at, 0], columns[at, 1]))
-            at += 1
-
-
-@njit(inline="always")
-def _offer_rows(points, start, rows, at, best, count):  # type: ignore[no-untyped-def]
-    for b in range(start[rows[0]], start[rows[1]]):
-        count = _offer(points, b, at, best, count)
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _offer_ring(points, start, columns, at, best, count):  # type: ignore[no-untyped-def]
-    """Offer what lies two cells away: all of the outer columns, and the ends of those that were searched before."""
-    near, wide = columns
-    for column in range(wide.shape[0]):
-        i, j = column // 5 - 1, column % 5 - 1
-        first, end = wide[column, 0], wide[column, 1]
-        if not (0 <= i < 3 and 0 <= j < 3):
-            count = _offer_rows(points, start, (first, end), at, best, count)
-            continue
-        count = _offer_rows(points, start, (first, near[3 * i + j, 0]), at, best, count)
-        count = _offer_rows(points, start, (near[3 * i + j, 1], end), at, best, count)
-    return count
-
-
-@njit(cache=True, nogil=True)
-def _fit(asked, cells, k, out):  # type: ignore[no-untyped-def]
-    points, places, first = asked
-    keys, start, size_m = cells
-    mean_square, normals = out
-    best = (np.empty(k), np.empty(k, np.int64))
-    near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
-    for c in range(keys.size):
-        cell = ((keys[c] >> 42) - BIAS, ((keys[c] >> 21) & MASK) - BIAS, (keys[c] & MASK) - BIAS)
-        _open_columns(keys, keys[c], 1, near)
-        is_wide_open = False
-        for a in range(first[c], first[c + 1]):
-            at = (places[a, 0], places[a, 1], places[a, 2])
-            count = 0
-            for column in range(9):
-                count = _offer_rows(points, start, near[column], at, best, count)
-            border = size_m * 2.0
-            for axis in range(3):
-                inside = at[axis] - cell[axis] * size_m
-                border = min(border, size_m + min(inside, size_m - inside))
-            if count < k or best[0][k - 1] > border * border:
-                if not is_wide_open:
-                    _open_columns(keys, keys[c], 2, wide)
-                    is_wide_open = True
-                count = _offer_ring(points, start, (near, wide), at, best, count)
-            if count < FEWEST:
-                mean_square[a] = np.nan
-                continue
-            mean_square[a], normals[a, 0], normals[a, 1], normals[a, 2] = _plane(points, at, best, count)
 
 
 @njit(cache=True, nogil=True)

@@ -7,7 +7,8 @@ from hypothesis import strategies as st
 from numba import njit
 
 from stone.geometry.lattice import OffLatticeError
-from stone.surface.neighbours import FEWEST, cells_of, eigenvector, is_near, plane_fits, smallest_eigenvalue
+from stone.surface.neighbour_search import FEWEST, eigenvector, smallest_eigenvalue
+from stone.surface.neighbours import cells_of, is_near, plane_fits
 
 SEEDS = st.integers(0, 2**32)
 CELL_M = 0.2
@@ -85,6 +86,15 @@ def test_fits_come_in_the_order_of_the_points():
     points, order = rng.uniform(-1, 1, (300, 3)), rng.permutation(300)
     fits, shuffled = plane_fits(cells_of(points, CELL_M), 10), plane_fits(cells_of(points[order], CELL_M), 10)
     np.testing.assert_allclose(shuffled.mean_square_m2, fits.mean_square_m2[order], atol=1e-14)
+
+
+def test_crowded_cells_and_equal_points_are_searched_as_all_are():
+    rng = np.random.default_rng(4)
+    crowd = np.repeat(rng.uniform(0.01, CELL_M - 0.01, (40, 3)), 50, axis=0)
+    points = np.concatenate([crowd, rng.uniform(-CELL_M, 2 * CELL_M, (200, 3))])
+    fits = plane_fits(cells_of(points, CELL_M), 120)
+    for (_, values, _), mean_square in zip(fits_slowly(points, 120), fits.mean_square_m2, strict=True):
+        assert mean_square == pytest.approx(max(values[0], 0), abs=1e-11)
 
 
 def test_no_points_have_no_fits():
