@@ -72,12 +72,12 @@ def _fetch_row(planes, height, place, row):  # type: ignore[no-untyped-def]
     """Fill row `a` of `cells` (256, 256, 4), the planes of the window."""
     (start, step), (a, cells) = place, row
     su, sv, sw = step[0, 2], step[1, 2], step[2, 2] - ONE
+    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, cells may lie over them
+    u0, v0, w0 = start[0] + a * step[0, 0], start[1] + a * step[1, 0], start[2] + a * step[2, 0]
     flat, to, words = planes.reshape(-1), cells.reshape(-1), planes.shape[2]
     for b in range(cells.shape[1]):
-        u = start[0] + a * step[0, 0] + b * step[0, 1]
-        v = start[1] + a * step[1, 0] + b * step[1, 1]
-        w = start[2] + a * step[2, 0] + b * step[2, 1]
-        _prefetch(flat, planes.shape, (u + AHEAD * step[0, 1], v + AHEAD * step[1, 1], w + AHEAD * step[2, 1]))
+        u, v, w = u0 + b * bu, v0 + b * bv, w0 + b * bw
+        _prefetch(flat, planes.shape, (u + AHEAD * bu, v + AHEAD * bv, w + AHEAD * bw))
         breaks = parted(u, su, su) | parted(v, sv, sv) | parted(w, sw, sw)
         left = breaks | np.uint32(1)
         while left:

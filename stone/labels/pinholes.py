@@ -25,9 +25,14 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a`, closing what they and the row before step over.
 
-    `row` is (a, cells), the latter as `stone.labels.crops` fetches them; `out` is (ones, twos, observed, taken).
+    `row` is (a, cells), the latter as `stone.labels.crops` fetches them; `out` is (ones, twos, observed, taken). Steps
+    are read into names first: for all the compiler knows, an output may lie over them.
     """
     (start, step), (a, cells), (ones, twos, observed, _) = place, row, out
+    along_x = step[0, 0], step[1, 0], step[2, 0]
+    along_y = step[0, 1], step[1, 1], step[2, 1]
+    along_z = step[0, 2], step[1, 2], step[2, 2]
+    begin = start[0] + a * along_x[0], start[1] + a * along_x[1], start[2] + a * along_x[2]
     for b in range(cells.shape[1]):
         occupied = cells[a, b, OCCUPIED]
         ones[a, b], twos[a, b] = cells[a, b, LOW] & occupied, cells[a, b, HIGH] & occupied
@@ -35,22 +40,18 @@ def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
         near, beside = cells[a, b, LOW] & ~occupied, cells[a, b, HIGH] & ~occupied
         if near == 0:
             continue
-        line = (
-            start[0] + a * step[0, 0] + b * step[0, 1],
-            start[1] + a * step[1, 0] + b * step[1, 1],
-            start[2] + a * step[2, 0] + b * step[2, 1],
-        )
+        line = begin[0] + b * along_y[0], begin[1] + b * along_y[1], begin[2] + b * along_y[2]
         back_x = back_y = np.uint32(0)
         if a > 0:
-            back_x = near & ~cells[a - 1, b, OCCUPIED] & _slants(line, (step, 0), beside)
+            back_x = near & ~cells[a - 1, b, OCCUPIED] & _slants(line, along_x, along_z, beside)
         if b > 0:
-            back_y = near & ~cells[a, b - 1, OCCUPIED] & _slants(line, (step, 1), beside)
-        back_z = near & (~occupied << np.uint32(1)) & _slants(line, (step, 2), beside)
+            back_y = near & ~cells[a, b - 1, OCCUPIED] & _slants(line, along_y, along_z, beside)
+        back_z = near & (~occupied << np.uint32(1)) & _slants(line, along_z, along_z, beside)
         left = back_x | back_y | back_z
         while left:
             c = lowest(left)
             left &= left - np.uint32(1)
-            at = (line[0] + c * step[0, 2], line[1] + c * step[1, 2], line[2] + c * step[2, 2])
+            at = (line[0] + c * along_z[0], line[1] + c * along_z[1], line[2] + c * along_z[2])
             bit = np.uint32(1) << np.uint32(c)
             for axis in range(3):
                 back = back_x if axis == 0 else back_y if axis == 1 else back_z
@@ -59,15 +60,14 @@ def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _slants(line, back, beside):  # type: ignore[no-untyped-def]
-    """From which voxels of a column the way back along an axis enters more than one voxel of the map.
+def _slants(line, back, up, beside):  # type: ignore[no-untyped-def]
+    """From which voxels of a column the way `back` enters more than one voxel of the map; `up` leads along the column.
 
     When it stays at one height, only a labelled voxel `beside` can be in the way.
     """
-    step, axis = back
-    in_x = parted(line[0], step[0, axis], step[0, 2])
-    in_y = parted(line[1], step[1, axis], step[1, 2])
-    in_z = parted(line[2], step[2, axis], step[2, 2])
+    in_x = parted(line[0], back[0], up[0])
+    in_y = parted(line[1], back[1], up[1])
+    in_z = parted(line[2], back[2], up[2])
     return (in_x & in_y & beside) | ((in_x | in_y) & in_z)
 
 
