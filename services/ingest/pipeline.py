@@ -58,7 +58,7 @@ class SynchroniseOptions:
     none.
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
-    it here, and `inputs` of the sequence lack it.
+    it here, and `inputs` of the sequence lack it. With `is_checked` false its findings lack those of `late_findings`.
     """
 
     odometry_topic: str | None = None
@@ -66,6 +66,7 @@ class SynchroniseOptions:
     max_pose_gap_ns: int = DEFAULT_MAX_GAP_NS
     recording_sha256: str | None = None
     is_hashed: bool = True
+    is_checked: bool = True
     topics: Mapping[str, str] = field(default_factory=dict)
     ground: Ground = "given"
     time_offsets_ns: Mapping[str, int] = field(default_factory=dict)
@@ -100,10 +101,16 @@ def synchronise_in(
 def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
     """All but the hash of the recording."""
     sequence, sweeps = _grounded(bag, calibration, options, name)
+    if not options.is_checked:
+        return sequence, sweeps
+    return replace(sequence, findings=(*sequence.findings, *late_findings(bag, sequence, sweeps))), sweeps
+
+
+def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
+    """What only pictures and registered sweeps tell: they change nothing but what is said of the sequence."""
     seen = projection_findings(bag, sequence, sweeps)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
-    seen += lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
-    return replace(sequence, findings=(*sequence.findings, *seen)), sweeps
+    return seen + lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
 
 
 def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:

@@ -1,11 +1,13 @@
 """Opens a recording with its calibration as a synchronised sequence, on one machine."""
 
 from collections.abc import Callable, Iterator, Mapping
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
 
-from services.ingest.pipeline import SynchroniseOptions, synchronise_in
+from services.ingest.pipeline import SynchroniseOptions, late_findings, synchronise_in
+from stone.findings import Finding
 from stone.sensors.sequence import Sequence
 from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
@@ -34,19 +36,34 @@ def sequence_in(bag: Bag, calibration: Path, name: str, options: SynchroniseOpti
 
 @dataclass(frozen=True, eq=False)
 class OpenedSequence:
-    """A sequence whose recording is still being hashed: `recording_inputs` waits for what its `inputs` lack."""
+    """A sequence whose recording is still being hashed and checked: `recording_inputs` waits for what its `inputs`
+    lack, `late_findings` for what is to follow its `findings`."""
 
     sequence: Sequence
     sweeps: BagSweeps
     recording_inputs: Callable[[], Mapping[str, str]]
+    late_findings: Callable[[], tuple[Finding, ...]]
 
 
 @contextmanager
 def opened_sequence(bag: Path, calibration: Path, name: str, options: SynchroniseOptions) -> Iterator[OpenedSequence]:
-    """As `open_sequence`, but what is done inside goes on while the recording is hashed.
+    """As `open_sequence`, but what is done inside goes on while the recording is hashed and checked.
 
     A long recording is then read once by the disk: what comes after the hash finds it in memory.
     """
-    with hashed_meanwhile(bag, options.recording_sha256) as inputs:
-        sequence, sweeps = open_sequence(bag, calibration, name, replace(options, is_hashed=False))
-        yield OpenedSequence(sequence, sweeps, inputs)
+    late = replace(options, is_hashed=False, is_checked=False)
+    with (
+        hashed_meanwhile(bag, options.recording_sha256) as inputs,
+        open_bag(bag) as opened,
+        ThreadPoolExecutor(1) as beside,
+    ):
+        sequence, sweeps = sequence_in(opened, calibration, name, late)
+        checked = beside.submit(_checked, opened, sequence, sweeps)
+        yield OpenedSequence(sequence, sweeps, inputs, checked.result)
+
+
+def _checked(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
+    """The late findings; what was inflated for them is given back."""
+    found = late_findings(bag, sequence, sweeps)
+    bag.release()
+    return found

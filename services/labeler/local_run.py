@@ -29,6 +29,7 @@ from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
 from services.labeler.workers import Task, Workers
+from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_files.atomic import atomic_directory
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
@@ -46,13 +47,15 @@ class LabelOptions:
 
     `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
     machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
-    lack, asked for at the end. `joined` are the recordings of a run of several, which are linked beside the labels.
+    lack, `late_findings` what is to follow its findings; both are asked for at the end. `joined` are the recordings of
+    a run of several, which are linked beside the labels.
     """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
     workers: int = 1
     source: Mapping[str, str] = field(default_factory=dict)
     late_inputs: Callable[[], Mapping[str, str]] = dict
+    late_findings: Callable[[], tuple[Finding, ...]] = tuple
     joined: JoinedRecording | None = None
 
 
@@ -72,14 +75,14 @@ def label(
     if len(sequence.frames) == 0:
         raise NoUsableFramesError(sequence)
     with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
-        stages, refinement = _Stages(workers, progress, CostMeter()), None
+        stages, refinement, own = _Stages(workers, progress, CostMeter()), None, len(sequence.findings)
         if options.parameters.refinement is not None:
             task = Task(("refine poses",), refined, (sequence, sweeps, options.parameters))
             sequence, done = stages.run([task])[task.key]
             refinement = done.as_record()
         run = LabelRun(sequence, sweeps, options.parameters, staging / ".scratch", staging / "gts" / sequence.name)
         stages.run(tasks_of(run))
-        report = _published(run, staging, options)
+        report = _published(_completed(run, options, own), staging, options)
         report = replace(report, refinement=refinement, costs=stages.meter.as_record())
         (staging / REPORT).write_text(report.text())
     return report
@@ -123,10 +126,17 @@ def tasks_of(run: LabelRun) -> list[Task]:
     return [Task(keys[job.key], STAGES[job.kind].work, (run, job.arguments, silent), waits[job.key]) for job in jobs]
 
 
+def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
+    """With what its sequence lacked: late findings follow the `own` ones it came with, those of refinement follow."""
+    sequence, found = run.sequence, run.sequence.findings
+    findings = (*found[:own], *options.late_findings(), *found[own:])
+    inputs = {**options.late_inputs(), **sequence.inputs}
+    return replace(run, sequence=replace(sequence, inputs=inputs, findings=findings))
+
+
 def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
     """Everything but `report.json` put where it stays, and what is to be reported; scratch is gone then."""
-    sequence = replace(run.sequence, inputs={**options.late_inputs(), **run.sequence.inputs})
-    report = report_of(replace(run, sequence=sequence))
+    sequence, report = run.sequence, report_of(run)
     for drawn in map_folder(run).iterdir():
         drawn.replace(out / drawn.name)
     write_frames(out / "frames.parquet", sequence, report.counts)

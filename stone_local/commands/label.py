@@ -116,7 +116,8 @@ def label(
         with run_of(recordings) as run, opened_sequence(run.bag, calibration, run.name, sources) as opened:
             kept = output / JOINED_RUN if run.joined else run.bag
             source = {"recording": str(kept.resolve()), "calibration": str(calibration.resolve())}
-            options = LabelOptions(parameters, workers or cores(), source, opened.recording_inputs, run.joined)
+            late = (opened.recording_inputs, opened.late_findings)
+            options = LabelOptions(parameters, workers or cores(), source, *late, run.joined)
             record = label_sequence(opened.sequence, opened.sweeps, output, options, progress).as_record()
     if as_json:
         echo_json(record)

@@ -43,7 +43,7 @@ def test_the_platform_makes_of_an_uploaded_bag_the_labels_of_the_mcap_file(
     """Its recorder died before it wrote the index."""
     folder = tmp_path / "labels"
     with opened_sequence(drive, calibration_path(drive), NAME, SynchroniseOptions()) as opened:
-        options = LabelOptions(workers=2, late_inputs=opened.recording_inputs)
+        options = LabelOptions(workers=2, late_inputs=opened.recording_inputs, late_findings=opened.late_findings)
         label(opened.sequence, opened.sweeps, folder, options)
     expected = {name: content for name, content in files_of_label(folder).items() if name.endswith("labels.npz")}
     brought = bring(platform)

@@ -62,7 +62,7 @@ def expected(bag: Path) -> dict[str, bytes]:
     """What `stone label` makes of the same recording."""
     folder = bag.parent / "labels"
     with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as opened:
-        options = LabelOptions(workers=2, late_inputs=opened.recording_inputs)
+        options = LabelOptions(workers=2, late_inputs=opened.recording_inputs, late_findings=opened.late_findings)
         label(opened.sequence, opened.sweeps, folder, options)
     return files_of_label(folder)
 
@@ -164,7 +164,9 @@ def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupt
 def worked(bag: Path) -> tuple[LabelRun, list[Task]]:
     """The jobs of the same recording as `stone label` would hand them to its processes, done one after another."""
     with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as opened:
-        sequence = replace(opened.sequence, inputs={**opened.recording_inputs(), **opened.sequence.inputs})
+        inputs = {**opened.recording_inputs(), **opened.sequence.inputs}
+        findings = (*opened.sequence.findings, *opened.late_findings())
+        sequence = replace(opened.sequence, inputs=inputs, findings=findings)
         run = LabelRun(sequence, opened.sweeps, parameters_for("paper"), bag.parent / "scratch")
         tasks = tasks_of(run)
         for task in tasks:
