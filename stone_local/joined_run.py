@@ -3,7 +3,7 @@
 **Conventions.** One recording is itself. Several are joined into a folder of links that lasts as long as the command.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -18,12 +18,12 @@ if TYPE_CHECKING:
 
 @dataclass(frozen=True)
 class RunRecordings:
-    """What the command was given, and what chooses the topics and poses that their clocks are compared by."""
+    """What the command was given; `options` are asked for where clocks are compared, for topics and poses."""
 
     paths: Sequence[Path]
     clock_offsets: Sequence[str]
     calibration: Path | None
-    options: "SynchroniseOptions"
+    options: "Callable[[], SynchroniseOptions]"
 
 
 @dataclass(frozen=True)
@@ -47,7 +47,7 @@ def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
     from stone_recordings.bags.private_folder import PrivateFolder
     from stone_recordings.joining.joined_recording import write_joined
 
-    asked = JoinRequest(tuple(recordings.paths), recordings.calibration, given_ns, recordings.options)
+    asked = JoinRequest(tuple(recordings.paths), recordings.calibration, given_ns, recordings.options())
     joined = join_recordings(asked)
     private = PrivateFolder()
     try:

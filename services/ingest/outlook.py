@@ -17,6 +17,7 @@ from stone.sensors.calibration import Calibration, Mount
 from stone_recordings.bags.bag import Bag
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.report.inspection import Inspection, inspect_in
+from stone_recordings.report.scan import Scan
 from stone_recordings.topics.profiles import TopicProfile
 
 NAME = "outlook"
@@ -29,12 +30,16 @@ def inspected_in(
     profile: TopicProfile | None = None,
     calibration: Path | None = None,
     options: SynchroniseOptions | None = None,
+    *,
+    scan: Scan | None = None,
 ) -> Inspection:
     """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
 
+    `scan` spares another where the caller has one.
+
     Raises as `inspect_in` and `read_calibration` do.
     """
-    inspection = inspect_in(bag, profile)
+    inspection = inspect_in(bag, profile, scan)
     asked = options or SynchroniseOptions()
     if asked.poses is not None:
         told = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")

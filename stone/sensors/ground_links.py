@@ -17,9 +17,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.sparse import coo_array
-from scipy.sparse.linalg import spsolve
-from scipy.spatial import cKDTree
 
 from stone.geometry.lattice import keys_of
 from stone.sensors.ground_points import FARTHEST_M, low_points
@@ -111,6 +108,8 @@ def _told(height_m: Array, moved_m: Array, is_near: NDArray[np.bool_], looks: tu
 def _pairs(way: Way) -> Rows:
     """The pairs (L, 2) of looks of one map that can have seen the same ground: of each some right before it, and some
     of earlier visits."""
+    from scipy.spatial import cKDTree  # loaded where it is used: `stone inspect` seldom gets here
+
     tree = cKDTree(way.places_m)
     pairs = [
         (before, row)
@@ -158,6 +157,9 @@ def _corrections(pairs: Rows, height_m: Array, way: Way) -> Array:
 
 def _solved(springs: tuple[Rows, Array, Array], fixed: Rows, count: int) -> Array:
     """The places (K,) at which springs between pairs rest, with those of `fixed` at 0."""
+    from scipy.sparse import coo_array
+    from scipy.sparse.linalg import spsolve
+
     edges, force, pull = springs
     a, b = edges.T
     rows, columns = np.concatenate([a, b, a, b, fixed]), np.concatenate([a, b, b, a, fixed])

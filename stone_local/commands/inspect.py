@@ -1,8 +1,11 @@
 """`stone inspect`: what is in a recording, and what is wrong with it."""
 
+from collections.abc import Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
+from contextlib import contextmanager
 from dataclasses import asdict
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -15,6 +18,11 @@ from stone_local.joined_run import RunRecordings, run_of
 from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
 from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
+
+if TYPE_CHECKING:
+    from services.ingest.pipeline import SynchroniseOptions
+    from stone_recordings.bags.bag import Bag
+    from stone_recordings.report.scan import Scan
 
 RigOption = Annotated[
     Path | None,
@@ -43,15 +51,23 @@ def inspect(
     With --html its quality is measured too: a page with plots, and under --json one more key.
     Exit code 1 where something in it cannot be used, named by an error line.
     """
-    from services.ingest.outlook import inspected_in
-    from services.ingest.pipeline import SynchroniseOptions
     from stone_recordings.bags.bag import open_bag
     from stone_recordings.topics.profile_file import write_profile
 
     profile = chosen_topics(topics, topic)
-    options = SynchroniseOptions(poses=chosen_poses(poses, poses_frame), poses_frame=poses_frame, topics=profile.topics)
+
+    def options() -> "SynchroniseOptions":
+        from services.ingest.pipeline import SynchroniseOptions
+
+        poses_of_file = chosen_poses(poses, poses_frame)
+        return SynchroniseOptions(poses=poses_of_file, poses_frame=poses_frame, topics=profile.topics)
+
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
-        inspection = inspected_in(opened, profile, calibration, options)
+        with scanning(opened) as scan:  # which inflates while these are loaded
+            from services.ingest.outlook import inspected_in
+
+            asked = options()
+        inspection = inspected_in(opened, profile, calibration, asked, scan=scan.result())
         record: dict[str, Any] = inspection.as_record()
         if opened.recordings:
             record["recordings"] = [asdict(recording) for recording in opened.recordings]
@@ -75,3 +91,12 @@ def inspect(
         echo_explainer(findings)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(REFUSED)
+
+
+@contextmanager
+def scanning(bag: "Bag") -> "Iterator[Future[Scan]]":
+    """The scan of a recording, which a thread makes meanwhile; at the end it is there, or what it raised."""
+    from stone_recordings.report.inspection import scanned
+
+    with ThreadPoolExecutor(1) as pool:
+        yield pool.submit(scanned, bag)

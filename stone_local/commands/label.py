@@ -112,7 +112,7 @@ def label(
         refinement = RefinementParameters(refine.value) if refine else None
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
-        recordings = RunRecordings(bags, clock_offset, calibration, sources)
+        recordings = RunRecordings(bags, clock_offset, calibration, lambda: sources)
         with run_of(recordings) as run, opened_sequence(run.bag, calibration, run.name, sources) as opened:
             kept = output / JOINED_RUN if run.joined else run.bag
             source = {"recording": str(kept.resolve()), "calibration": str(calibration.resolve())}

@@ -85,9 +85,14 @@ def inspect(path: Path, profile: TopicProfile | None = None) -> Inspection:
         return inspect_in(bag, profile)
 
 
-def inspect_in(bag: Bag, profile: TopicProfile | None = None) -> Inspection:
+def scanned(bag: Bag) -> Scan:
+    """The scan that `inspect_in` needs; who has something else to do meanwhile asks for it in another thread."""
+    return scan_of(bag, kept_bytes)
+
+
+def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None = None) -> Inspection:
     """As `inspect`, of the recording that the caller has open. Raises as it does, but for opening."""
-    scan = scan_of(bag, kept_bytes)
+    scan = scan or scanned(bag)
     findings: list[Finding] = [*checks.container_findings(bag), *definition_findings(bag.topics)]
     for name, problems in sorted(scan.problems.items()):
         findings += left_out_finding(name, problems, scan.stamps_ns[name])

@@ -11,7 +11,6 @@ from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.spatial import cKDTree
 
 from stone.geometry.se3 import SE3, apart
 
@@ -98,6 +97,8 @@ class Target:
 
     def _fit(self, source: Points, target_from_source: SE3) -> tuple[float, float]:
         """Overlap, and how far what overlaps is from the planes: the median, as a standard deviation."""
+        from scipy.spatial import cKDTree  # loaded where it is used: `stone inspect` never gets here
+
         placed = target_from_source @ source
         gap_m, nearest = cKDTree(self._points).query(placed, distance_upper_bound=FINE_M)
         rows = np.flatnonzero(np.isfinite(gap_m))

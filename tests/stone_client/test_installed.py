@@ -71,6 +71,12 @@ def test_a_command_loads_no_other() -> None:
     assert [name for name in loaded if re.match(r"stone_\w+\.commands\.", name)] == ["stone_client.commands.explain"]
 
 
+def test_what_inspects_a_recording_loads_nothing_of_scipy_but_its_name() -> None:
+    program = "import sys, services.ingest.outlook; print('scipy.sparse' in sys.modules)"
+    outcome = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
+    assert outcome.stdout == "False\n", "a third of a second of each `stone inspect`"
+
+
 def test_exit_codes_reach_the_shell(tmp_path: Path) -> None:
     (tmp_path / "page.zip").write_text("<html>")
     (tmp_path / "manifest.json").write_text(json.dumps({"stone_manifest": 1, "sequences": {"a": ["0" * 32]}}))

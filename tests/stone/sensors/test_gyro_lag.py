@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
-from stone.sensors.gyro_lag import GyroLag, gyro_lag, turns_of
+from stone.sensors.gyro_lag import FINE_STEP_S, GyroLag, gyro_lag, peak, turns_of
 
 T0_NS = 1_760_000_000_000_000_000
 Array = NDArray[np.float64]
@@ -188,3 +188,11 @@ def test_a_gyro_that_measures_something_else_hardly_correlates() -> None:
     noise = np.random.default_rng(0).standard_normal(rates.shape)
     lag = gyro_lag((gyro_ns, noise), drive.source())
     assert lag is None or lag.correlation < 0.5
+
+
+@pytest.mark.parametrize("at_s", [-0.0099, -0.003, 0.0, 1.2345e-3, 0.0099])
+def test_the_peak_is_found_to_the_finest_step(at_s: float) -> None:
+    """As SciPy's bounded minimiser finds it, of a smooth bump, wherever between the bounds it lies."""
+    found_s, height = peak(lambda lag_s: float(np.cos(40 * (lag_s - at_s))), (-0.01, 0.01))
+    assert abs(found_s - at_s) < 2 * FINE_STEP_S
+    assert height == pytest.approx(1.0, abs=1e-9)
