@@ -52,28 +52,23 @@ def _renew_apart(database: Database, words: Sequence[AttemptWords]) -> list[Leas
 
 
 def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
-    run = aliased(Job)
-    reason_of_run = select(run.cancel_reason).where(run.id == Job.root_id).scalar_subquery()
     held = select(Job.id).where(_among(words), Job.state == "running").with_for_update(skip_locked=True, key_share=True)
     beaten = update(Job).where(Job.id.in_(held)).values(heartbeats=Job.heartbeats + 1, **_progress(words))
-    beaten = beaten.returning(Job.id, Job.attempt, Job.cancel_reason, reason_of_run)
-    rows = session.execute(beaten, execution_options={"synchronize_session": False})
-    reasons = {(job_id, attempt): own or of_run or "" for job_id, attempt, own, of_run in rows}
-    passed = [one for one in words if one.key not in reasons]
-    running = _running(session, passed) if passed else set()
-    return [_answer(one.key, reasons, running) for one in words]
+    rows = session.execute(beaten.returning(Job.id, Job.attempt), execution_options={"synchronize_session": False})
+    written = {(job_id, attempt) for job_id, attempt in rows}
+    reasons = _reasons(session, words)
+    return [
+        LeaseAnswer(one.key in written or one.key in reasons, reasons.get(one.key, ""), one.key in written)
+        for one in words
+    ]
 
 
-def _answer(key: AttemptKey, reasons: Mapping[AttemptKey, str], running: set[AttemptKey]) -> LeaseAnswer:
-    if key in reasons:
-        return LeaseAnswer(is_held=True, cancel_reason=reasons[key])
-    return LeaseAnswer(is_held=key in running, is_written=False)
-
-
-def _running(session: Session, words: Sequence[AttemptWords]) -> set[AttemptKey]:
-    """Those that somebody else has locked: as far as anybody knows they run."""
-    found = session.execute(select(Job.id, Job.attempt).where(_among(words), Job.state == "running"))
-    return {(job_id, attempt) for job_id, attempt in found}
+def _reasons(session: Session, words: Sequence[AttemptWords]) -> dict[AttemptKey, str]:
+    """Why each is to stop, or nothing, of those that run; as far as anybody knows what somebody has locked runs."""
+    run = aliased(Job)
+    running = select(Job.id, Job.attempt, Job.cancel_reason, run.cancel_reason).join(run, run.id == Job.root_id)
+    found = session.execute(running.where(_among(words), Job.state == "running"))
+    return {(job_id, attempt): own or of_run for job_id, attempt, own, of_run in found}
 
 
 def _among(words: Sequence[AttemptWords]) -> ColumnElement[bool]:

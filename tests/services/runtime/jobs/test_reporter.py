@@ -17,13 +17,13 @@ from services.runtime.jobs.completion import Failure, lose
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.leases import LeaseAnswer, renew
 from services.runtime.jobs.reporter import Reporter
-from services.runtime.jobs.specs import Attempt, Outcome
+from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import Job, JobLine
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import Bells, make_settings, opened
 from tests.services.runtime.jobs.outages import GONE, Away, LostAnswers, quick
-from tests.services.runtime.jobs.steps import a_job, an_owner, job, run_all
+from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all
 
 PATIENCE_S = 120.0
 
@@ -219,6 +219,17 @@ def test_many_attempts_are_renewed_at_once_and_each_is_answered_for_itself(platf
     assert events_of(platform_on, fine.job_id) == ["opened"]
     assert events_of(platform_on, lost.job_id) == ["opened", "opened"], "of both attempts"
     assert "cannot be kept" in events_of(platform_on, odd.job_id)[1]
+
+
+def test_an_attempt_hears_that_its_own_run_is_to_stop_and_no_other(platform_on: Platform) -> None:
+    owner = an_owner(platform_on)
+    runs = [a_run(platform_on, owner, JobSpec("ingest.ok"), JobSpec("ingest.ok")) for _ in range(3)]
+    with platform_on.database.transaction() as session:
+        taken = claims(session, 6)
+        cancel(session, runs[1], "wrong bag")
+    answers = renew(platform_on.database, [AttemptWords(one.job_id, one.attempt) for one in taken])
+    told = {one.root_id: answer.cancel_reason for one, answer in zip(taken, answers, strict=True)}
+    assert told == {runs[0]: "", runs[1]: "wrong bag", runs[2]: ""}
 
 
 def claims(session: Session, count: int) -> list[Claim]:
