@@ -35,7 +35,7 @@ from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
-from services.runtime.store.blobs import PreparedBlob, prepare
+from services.runtime.store.blobs import PreparedBlob, prepare_all
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace, fresh_folder
@@ -156,10 +156,10 @@ def stored_packs(platform: Platform, attempt: Attempt, folder: Path, files: Pack
     """The index and the packs, in the store."""
     paths = [folder / INDEX, *(pack_path(folder / "packs", number) for number in range(pack_count(files)))]
     prepared = list[PreparedBlob]()
-    for path in paths:
+    attempt.progress("store", 0, len(paths))
+    for blob in prepare_all(platform.store, platform.database, paths, adopt=True):
+        prepared.append(blob)
         attempt.progress("store", len(prepared), len(paths))
-        prepared.append(prepare(platform.store, platform.database, path, adopt=True))
-    attempt.progress("store", len(paths), len(paths))
     return prepared
 
 

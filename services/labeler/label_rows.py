@@ -83,4 +83,4 @@ def write_artefact(session: Session, label_set_id: str, file: NewArtefact, told:
         {**of_pack, **told.frame(ordinal), "offset_bytes": offset, "length_bytes": length, "sha256": digest}
         for ordinal, (offset, length, digest) in enumerate(file.pack.ranges, start=file.pack.first)
     ]
-    session.execute(insert(LabelledFrameRow), rows)
+    session.execute(insert(LabelledFrameRow).returning(LabelledFrameRow.ordinal), rows)  # many rows a statement

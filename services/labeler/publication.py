@@ -30,7 +30,7 @@ from services.labeler.sandboxed_run import described
 from services.labeler.stage_context import LabelStageContext
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Job, LabelSet
-from services.runtime.store.blobs import PreparedBlob, link, prepare
+from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all
 from stone_files.joined_file import JOINED
 
 NEEDED = ("sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
@@ -54,10 +54,11 @@ def publish(context: LabelStageContext) -> Outcome:
     context.pull(FILES)
     told = context.ask(PublicationAnswer, partial(described, context.opening), "publish", context.opening)
     files, prepared = _files(context, told), list[tuple[LeftFile, PreparedBlob]]()
-    for number, file in enumerate(files):
-        context.attempt.progress("publish", number, len(files))
-        prepared.append((file, prepare(context.platform.store, context.platform.database, file.path, adopt=True)))
-    context.attempt.progress("publish", len(files), len(files))
+    context.attempt.progress("publish", 0, len(files))
+    stored = prepare_all(context.platform.store, context.platform.database, [file.path for file in files], adopt=True)
+    for file, blob in zip(files, stored, strict=True):
+        prepared.append((file, blob))
+        context.attempt.progress("publish", len(prepared), len(files))
     context.attempt.log("stored", files=len(files), size_bytes=sum(blob.size_bytes for _, blob in prepared))
     rows = _Publication(context, prepared, told)
     return Outcome({"frames": len(told.tokens)}, commit=partial(_write_rows, rows))
@@ -91,9 +92,9 @@ def _write_rows(publication: _Publication, session: Session) -> None:
 
 def _write_labels(publication: _Publication, session: Session, new: NewLabelSet) -> LabelSet:
     labels = write_label_set(session, new, publication.told)
-    ordered = sorted(publication.prepared, key=lambda pair: pair[1].sha256)  # the order in which all link
-    for file, prepared in ordered:
-        blob = link(session, prepared)
+    blobs = link_all(session, [prepared for _, prepared in publication.prepared])
+    for file, prepared in publication.prepared:
+        blob = blobs[prepared.sha256]
         stored = NewArtefact(file.name, file.media_type, blob.sha256, blob.size_bytes, file.pack)
         write_artefact(session, labels.id, stored, publication.told)
     return labels

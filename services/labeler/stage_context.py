@@ -7,7 +7,6 @@ from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.recording_sources import kept_recording, locate_run
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.domain.sequences.stage_checks import require_sequence
 from services.labeler.errors import require_left
 from services.labeler.kernel_warmup import warm
 from services.labeler.run_answers import FilesAnswer
@@ -81,8 +80,6 @@ def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
     Raises `JobCancelledError` when the sequence was deleted or other code's run is begun again, `CodeChangedError` when
     it cannot be, `WorkGoneError`.
     """
-    with platform.database.reading() as session:
-        require_sequence(session, attempt)
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     workspace.pull(SEQUENCE_FILE, SWEEPS_FILE, JOINED)

@@ -15,6 +15,7 @@ from services.domain.sequences.processing_errors import (
     RecordingPendingError,
     SequenceDeletedError,
 )
+from services.domain.sequences.stage_checks import require_sequence
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import terminate
@@ -55,10 +56,11 @@ NOT_NOW = (QueueDrainingError, RecordingPendingError, AlreadyProcessingError, Re
 def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
     """The arguments of the attempt's run, which this version of the code began.
 
-    Raises `JobCancelledError` where another version did, once the run is begun again; `CodeChangedError` where that is
-    not possible now; and what `start_processing` raises where it is refused.
+    Raises `JobCancelledError` where its sequence was deleted, or where another version did, once the run is begun
+    again; `CodeChangedError` where that is not possible now; and what `start_processing` raises where it is refused.
     """
     with platform.database.reading() as session:
+        require_sequence(session, attempt)
         arguments = session.get_one(Job, attempt.root_id).arguments
     begun = arguments["code_version"]
     if begun == code_version("labels"):

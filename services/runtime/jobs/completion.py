@@ -150,13 +150,13 @@ def _finish_run(session: Session, run: Job) -> None:
 def _release(session: Session, job_id: str) -> None:
     """Count this success off in every job that waits for it; wake-ups are sent for those that wait for nothing more."""
     waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
-    session.execute(
-        update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns()),
-        execution_options={"synchronize_session": False},
+    counted_off = update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns())
+    left = session.execute(
+        counted_off.returning(Job.queue, Job.needs_left, Job.state), execution_options={"synchronize_session": False}
     )
-    ready = select(Job.queue).where(Job.id.in_(waiting), Job.needs_left == 0, Job.state == "queued")
-    for queue in session.scalars(ready):
-        wake_up_after_commit(session, queue)
+    for queue, needs_left, state in left:
+        if needs_left == 0 and state == "queued":
+            wake_up_after_commit(session, queue)
 
 
 def _held(claim: Claim) -> Update:

@@ -2,7 +2,7 @@
 
 from collections.abc import Sequence
 
-from sqlalchemy import select
+from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
@@ -45,8 +45,11 @@ def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts:
     id_of = {spec.key: job.id for spec, job in zip(specs, jobs, strict=True) if spec.key}
     session.add_all(jobs)
     session.flush()
-    for spec, job in zip(specs, jobs, strict=True):
-        session.add_all(JobNeed(job_id=job.id, needed_id=id_of[key]) for key in spec.needs)
+    pairs = list(zip(specs, jobs, strict=True))
+    needs = [{"job_id": job.id, "needed_id": id_of[key]} for spec, job in pairs for key in spec.needs]
+    if needs:
+        session.execute(insert(JobNeed).returning(JobNeed.job_id), needs)  # many rows a statement
+    for spec, job in pairs:
         if not spec.needs:
             wake_up_after_commit(session, job.queue)
     return jobs

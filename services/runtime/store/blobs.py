@@ -10,9 +10,10 @@ itself always stays: remove it after the commit.
 """
 
 import hashlib
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
+from itertools import accumulate
 from pathlib import Path
 from secrets import token_hex
 
@@ -28,7 +29,7 @@ from services.runtime.store.garbage_collection import BLOBS, GcResult, collect_g
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.protocol import Store
 
-__all__ = ["GcResult", "PreparedBlob", "collect_garbage", "keep", "link", "link_all", "prepare"]
+__all__ = ["GcResult", "PreparedBlob", "collect_garbage", "keep", "link", "link_all", "prepare", "prepare_all"]
 
 SLOW_BYTES_PER_S = 2**20
 
@@ -53,7 +54,7 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
     For large ones `prepare` before the transaction and `link` inside it.
     """
     prepared = _hashed(store, path, adopt)
-    _mended(prepared, session)
+    _mend(prepared, _object_keys(session, [prepared]))
     return link(session, prepared)
 
 
@@ -64,16 +65,25 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
 
     What is never linked is collected after the grace. Raises `StoreFullError`, `StoreAwayError`.
     """
-    prepared = _hashed(store, path, adopt)
+    (prepared,) = prepare_all(store, database, [path], adopt=adopt)
+    return prepared
+
+
+def prepare_all(
+    store: Store, database: Database, paths: Iterable[Path], *, adopt: bool = False
+) -> Iterator[PreparedBlob]:
+    """As `prepare`, of several files one after another; the database is asked and told of all of them at once."""
+    hashed = [_hashed(store, path, adopt) for path in paths]
     with database.reading() as session:
-        if _mended(prepared, session):
-            return prepared
-    key = _fresh_key(prepared.sha256)
-    with database.transaction() as session:
-        expected_ns = now_ns() + prepared.size_bytes * 10**9 // SLOW_BYTES_PER_S
-        session.add(LooseObject(object_key=key, expected_ns=expected_ns))
-    _store(prepared, key)
-    return PreparedBlob(store, path, adopt, prepared.sha256, prepared.size_bytes, key)
+        standing = _object_keys(session, hashed)
+    fresh = [one if one.sha256 in standing else replace(one, object_key=_fresh_key(one.sha256)) for one in hashed]
+    _make_known(database, [one for one in fresh if one.object_key])
+    for one in fresh:
+        if one.object_key:
+            _store(one, one.object_key)
+        else:
+            _mend(one, standing)
+        yield one
 
 
 def link(session: Session, prepared: PreparedBlob) -> Blob:
@@ -82,31 +92,59 @@ def link(session: Session, prepared: PreparedBlob) -> Blob:
     Where its object was collected meanwhile (the grace passed), the file is stored again, within the session. Whoever
     links several in one session does so by `link_all`, or two such sessions may wait for each other.
     """
-    key = _taken(session, prepared.object_key)
-    while (blob := _held(session, prepared.sha256)) is None:
-        key = key or _stored_within(session, prepared)
-        facts = {"sha256": prepared.sha256, "object_key": key, "size_bytes": prepared.size_bytes}
-        insert_new(session, Blob, [facts])
-    if key and blob.object_key != key:  # somebody else stored the same content first
-        insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True}])
-    return blob
+    return link_all(session, [prepared])[prepared.sha256]
 
 
-def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> None:
-    """The rows of several contents, in the one order in which no two sessions wait for each other."""
-    by_content = {blob.sha256: blob for blob in prepared}
-    for _sha256, blob in sorted(by_content.items()):
-        link(session, blob)
+def link_all(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, Blob]:
+    """The rows of several contents by sha256, in the one order in which no two sessions wait for each other."""
+    wanted = {one.sha256: one for one in sorted(prepared, key=lambda one: one.sha256)}
+    keys = _taken(session, [one.object_key for one in wanted.values() if one.object_key])
+    ours = {sha256: one.object_key for sha256, one in wanted.items() if one.object_key in keys}
+    blobs = _held(session, wanted)
+    while missing := [one for sha256, one in wanted.items() if sha256 not in blobs]:
+        for one in missing:
+            if one.sha256 not in ours:
+                ours[one.sha256] = _stored_within(session, one)
+        facts = [
+            {"sha256": one.sha256, "object_key": ours[one.sha256], "size_bytes": one.size_bytes} for one in missing
+        ]
+        insert_new(session, Blob, facts)
+        blobs |= _held(session, [one.sha256 for one in missing])
+    # Somebody else stored the same content first:
+    doubled = [key for sha256, key in ours.items() if key and blobs[sha256].object_key != key]
+    insert_new(session, LooseObject, [{"object_key": key, "is_condemned": True} for key in doubled])
+    return blobs
 
 
-def _taken(session: Session, key: str) -> str:
-    """`key`, now ours alone, or nothing when garbage collection condemned it."""
-    loose = delete(LooseObject).where(LooseObject.object_key == key, LooseObject.is_condemned.is_(False))
-    return key if key and session.execute(loose.returning(LooseObject.object_key)).first() else ""
+def _make_known(database: Database, fresh: Sequence[PreparedBlob]) -> None:
+    """Loose objects of contents that will be stored in this order, each expected when all before it are there too."""
+    if not fresh:
+        return
+    bytes_until = accumulate(one.size_bytes for one in fresh)
+    begun_ns = now_ns()
+    expected = [begun_ns + until * 10**9 // SLOW_BYTES_PER_S for until in bytes_until]
+    rows = [{"object_key": one.object_key, "expected_ns": at} for one, at in zip(fresh, expected, strict=True)]
+    with database.transaction() as session:
+        insert_new(session, LooseObject, rows)
 
 
-def _held(session: Session, sha256: str) -> Blob | None:
-    return session.scalar(select(Blob).where(Blob.sha256 == sha256).with_for_update(read=True, key_share=True))
+def _taken(session: Session, keys: Sequence[str]) -> set[str]:
+    """Those of `keys` that are ours alone now; garbage collection condemned the others."""
+    if not keys:
+        return set()
+    loose = delete(LooseObject).where(LooseObject.object_key.in_(keys), LooseObject.is_condemned.is_(False))
+    return set(session.scalars(loose.returning(LooseObject.object_key)))
+
+
+def _held(session: Session, sha256s: Iterable[str]) -> dict[str, Blob]:
+    held = select(Blob).where(Blob.sha256.in_(list(sha256s))).order_by(Blob.sha256)
+    return {blob.sha256: blob for blob in session.scalars(held.with_for_update(read=True, key_share=True))}
+
+
+def _object_keys(session: Session, prepared: Iterable[PreparedBlob]) -> dict[str, str]:
+    """The object of each content that a blob has, by sha256."""
+    asked = select(Blob.sha256, Blob.object_key).where(Blob.sha256.in_([one.sha256 for one in prepared]))
+    return {sha256: key for sha256, key in session.execute(asked)}
 
 
 def _stored_within(session: Session, prepared: PreparedBlob) -> str:
@@ -114,7 +152,7 @@ def _stored_within(session: Session, prepared: PreparedBlob) -> str:
     key = _fresh_key(prepared.sha256)
     insert_new(session, LooseObject, [{"object_key": key}])
     _store(prepared, key)
-    return _taken(session, key)
+    return next(iter(_taken(session, [key])), "")
 
 
 def _hashed(store: Store, path: Path, adopt: bool) -> PreparedBlob:
@@ -128,20 +166,18 @@ def _store(prepared: PreparedBlob, key: str) -> None:
     place(key, prepared.path)
 
 
-def _mended(prepared: PreparedBlob, session: Session) -> bool:
-    """Whether a blob has the content; its object is stored again where it is gone.
+def _mend(prepared: PreparedBlob, standing: Mapping[str, str]) -> None:
+    """Where a blob has the content (`standing`: its object by sha256) and its object is gone, store it again.
 
     Should garbage collection take the blob meanwhile, it comes upon the object as one that no row speaks of.
     """
-    key = session.scalar(select(Blob.object_key).where(Blob.sha256 == prepared.sha256))
-    if key is None:
-        return False
+    if (key := standing.get(prepared.sha256)) is None:
+        return
     with suppress(ObjectMissingError):
         if prepared.store.size_bytes(key) == prepared.size_bytes:
-            return True
+            return
     log.warning("lost object put back", object_key=key)
     prepared.store.write(key, prepared.path)
-    return True
 
 
 def _fresh_key(sha256: str) -> str:
