@@ -15,6 +15,7 @@ from sqlalchemy.orm import configure_mappers
 
 from services.runtime.jobs.broker_app import make_app
 from services.runtime.jobs.broker_credit import free_room_in_any_case
+from services.runtime.jobs.lease_keeper import start_keeper
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.platform import platform
 from services.runtime.processes.parent_death import die_with
@@ -50,9 +51,11 @@ def _say_gone(**_: object) -> None:
 
 
 @worker_init.connect
-def _know_the_rows(**_: object) -> None:
-    """Once, before the fork: half-way through, a signal for the first job would leave the child without its tables."""
+def _prepare_pool(**_: object) -> None:
+    """What all processes of the pool find: the tables, of which a signal for the first job might leave a child half,
+    and a lease keeper."""
     configure_mappers()
+    start_keeper(Settings())
 
 
 @setup_logging.connect

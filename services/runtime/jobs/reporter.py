@@ -21,7 +21,7 @@ from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, JobPr
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.completion import Failure, fail
 from services.runtime.jobs.errors import JobCancelledError
-from services.runtime.jobs.leases import renew
+from services.runtime.jobs.lease_line import LeaseLine
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.telemetry.stage_spans import StageSpans
@@ -45,6 +45,7 @@ class Reporter:
         self._cancel_reason = ""
         self._begin = self._beaten = time.monotonic()
         self._leaving = Event()
+        self._line = LeaseLine(platform.database, self._limits.lease_s / 4)
         self._stages = StageSpans()
         # With this attempt's context, so that what the thread says is told as this attempt's too.
         name, in_context = f"reporter-{claim.job_id[:8]}", copy_context().run
@@ -125,7 +126,9 @@ class Reporter:
 
     def _fall_silent(self) -> None:
         self._leaving.set()
+        self._line.interrupt()
         self._thread.join()
+        self._line.close()
 
     def _take_turn(self) -> None:
         is_due = time.monotonic() - self._beaten >= self._limits.heartbeat_s
@@ -137,7 +140,9 @@ class Reporter:
     def _speak_once(self) -> None:
         words = self._words()
         try:
-            (answer,) = renew(self._platform.database, [words])
+            answer = self._line.renew(words)
+        except EOFError:  # it ends, and says its last words with its end
+            return
         except Exception as error:
             self._warn("heartbeat not written; the job goes on", error)
             return
