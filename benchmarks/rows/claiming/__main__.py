@@ -1,7 +1,9 @@
-"""What a job costs the database: `python -m benchmarks.rows.claiming count`.
+"""What a job costs the database, and how many workers that carries: `python -m benchmarks.rows.claiming COMMAND`.
 
 `count` labels a simulated recording on a real platform (PostgreSQL, Redis, API, sweeper, workers) and reads from
-PostgreSQL's log what the workers asked for: transactions and statements a job, by what they were for.
+PostgreSQL's log what the workers asked for: transactions and statements a job, by what they were for. `share` has many
+processes claim empty jobs from one database. `foretell` simulates workers by the hundred with what `count` found, on a
+database that gives what `share` found or `--transactions-per-s`, and says where more of them help no more.
 """
 
 import argparse
@@ -15,6 +17,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.rows.claiming.counting import RunCost, counted, recording
+from benchmarks.rows.claiming.forecast import WorkerFleet, carried, demand_of, pace
+from benchmarks.rows.claiming.sharing import shared
+from services.runtime.settings import JobSettings
 
 CONSOLE = Console(width=110)
 
@@ -29,6 +34,19 @@ def main() -> None:
     count.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
     count.add_argument("--json", type=Path, default=Path("build") / "claiming-count.json")
     count.set_defaults(act=_count)
+    share = commands.add_parser("share", help="what many claiming processes get of one database")
+    share.add_argument("--processes", type=int, default=200)
+    share.add_argument("--seconds", type=float, default=30.0)
+    share.add_argument("--runs", type=int, default=500, help="of 40 jobs, that wait")
+    share.add_argument("--json", type=Path, default=Path("build") / "claiming-share.json")
+    share.set_defaults(act=_share)
+    foretell = commands.add_parser("foretell", help="how many workers one database carries")
+    foretell.add_argument("--count", type=Path, default=Path("build") / "claiming-count.json")
+    foretell.add_argument("--share", type=Path, default=Path("build") / "claiming-share.json")
+    foretell.add_argument("--transactions-per-s", type=float, help="of the database, instead of what `share` found")
+    foretell.add_argument("--workers", type=int, nargs="+", default=[1, 10, 50, 100, 200, 300, 500, 1000])
+    foretell.add_argument("--shared", type=int, default=16, help="worker processes of one keeper; 1: each for itself")
+    foretell.set_defaults(act=_foretell)
     options = parser.parse_args()
     options.act(options)
 
@@ -38,6 +56,40 @@ def _count(options: argparse.Namespace) -> None:
     options.json.parent.mkdir(parents=True, exist_ok=True)
     options.json.write_text(json.dumps(asdict(cost), indent=1) + "\n", "utf-8")
     _show_count(cost)
+
+
+def _share(options: argparse.Namespace) -> None:
+    found = shared(options.processes, options.seconds, options.runs)
+    options.json.parent.mkdir(parents=True, exist_ok=True)
+    options.json.write_text(json.dumps(asdict(found), indent=1) + "\n", "utf-8")
+    figures = {
+        "jobs/s": found.jobs / found.lasted_s,
+        "transactions/s": found.transactions / found.lasted_s,
+        "transactions a job": found.transactions / max(found.jobs, 1),
+        "ms of PostgreSQL's processor time a job": 1e3 * found.database_cpu_s / max(found.jobs, 1),
+    }
+    CONSOLE.print(f"{found.processes} processes for {found.lasted_s:.1f} s, load average {os.getloadavg()[0]:.1f}")
+    for name, figure in figures.items():
+        CONSOLE.print(f"{figure:10.2f} {name}")
+
+
+def _foretell(options: argparse.Namespace) -> None:
+    demand = demand_of(json.loads(options.count.read_text("utf-8")))
+    if (given := options.transactions_per_s) is None:
+        found = json.loads(options.share.read_text("utf-8"))
+        given = found["transactions"] / found["lasted_s"]
+    turn_s = JobSettings().progress_s
+    paces = [pace(demand, WorkerFleet(workers, options.shared, turn_s, given)) for workers in options.workers]
+    title = f"a database of {given:.0f} transactions/s; jobs of {sum(demand.job_s) / len(demand.job_s):.2f} s"
+    table = Table(title=title)
+    for column in ("workers", "jobs a second", "runs an hour", "in jobs", "database"):
+        table.add_column(column, justify="right")
+    for one in paces:
+        runs = one.jobs_per_s * 3600 / len(demand.job_s)
+        row = (f"{one.workers:,}", f"{one.jobs_per_s:.1f}", f"{runs:,.0f}", f"{one.busy:.0%}", f"{one.database:.0%}")
+        table.add_row(*row)
+    CONSOLE.print(table)
+    CONSOLE.print(f"all of them do what {carried(paces):.0f} workers would at the pace of {paces[0].workers}")
 
 
 def _show_count(cost: RunCost) -> None:

@@ -1,0 +1,126 @@
+"""How many workers one database carries: a simulation in discrete events, fed with `count` and `share`.
+
+**Conventions.** The queue never runs dry. A worker goes through its jobs one after the other; each is of the length of
+a measured one and asks the database `visits` times, evenly spread. The database serves one transaction after the other,
+each for the same time. Beside that it is told of presence by every worker, and beaten for by every keeper, which writes
+what its busy workers say, but at most once every `progress_s`. Workers of a machine have a core each.
+"""
+
+import heapq
+import random
+from collections.abc import Mapping, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+BEATS = ("heartbeat", "log lines")
+PRESENCE = "presence"
+LIVENESS = "liveness of a connection"
+
+
+@dataclass(frozen=True)
+class JobDemand:
+    """What jobs ask of the database: transactions a job, beats a busy second and presence a second of a worker."""
+
+    job_s: tuple[float, ...]
+    visits: float
+    beats_per_s: float
+    presence_per_s: float
+
+
+@dataclass(frozen=True)
+class WorkerFleet:
+    """`workers`, of which `shared` have one keeper that takes a turn every `turn_s`, and the database that they ask."""
+
+    workers: int
+    shared: int
+    turn_s: float
+    transactions_per_s: float
+
+
+@dataclass(frozen=True)
+class Pace:
+    """What is done: jobs a second; shares of the workers' time in jobs, and of the database's."""
+
+    workers: int
+    jobs_per_s: float
+    busy: float
+    database: float
+
+
+def demand_of(cost: Mapping[str, Any]) -> JobDemand:
+    """By the JSON of `count`; the question whether a connection lives is counted to what follows it."""
+    times, idle, job_s = cost["run"]["transactions"], cost["idle"], cost["job_s"]
+    asked = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
+    beats = sum(times.get(name, 0) for name in BEATS) * asked
+    visits = sum(count for name, count in times.items() if name not in (*BEATS, PRESENCE, LIVENESS)) * asked
+    presence = sum(idle["transactions"].values()) / idle["lasted_s"] / idle["processes"]
+    return JobDemand(tuple(job_s), visits / len(job_s), beats / sum(job_s), presence)
+
+
+def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> Pace:
+    """What so many workers do within `lasting_s`, after a fifth of it as a start."""
+    return _Simulation(demand, fleet, random.Random(seed)).run(lasting_s)
+
+
+def carried(paces: Sequence[Pace]) -> float:
+    """How many workers at the pace of the first the best one is worth: where the curve bends."""
+    first = paces[0]
+    return max(one.jobs_per_s for one in paces) / (first.jobs_per_s / first.workers)
+
+
+class _Simulation:
+    def __init__(self, demand: JobDemand, fleet: WorkerFleet, chance: random.Random) -> None:
+        self._demand, self._fleet, self._chance = demand, fleet, chance
+        self._service_s = 1.0 / fleet.transactions_per_s
+        self._free_s = self._busy_s = self._worked_s = 0.0
+        self._jobs = 0.0
+        self._events: list[tuple[float, int, str, int]] = []
+        self._number = 0
+
+    def run(self, lasting_s: float) -> Pace:
+        fleet = self._fleet
+        for worker in range(fleet.workers):
+            self._at(self._chance.random(), "work", worker)
+            if self._demand.presence_per_s > 0:
+                self._at(self._chance.random() / self._demand.presence_per_s, "presence", worker)
+        for keeper in range(-(-fleet.workers // fleet.shared)):
+            if self._demand.beats_per_s > 0:
+                self._at(self._chance.random(), "beat", keeper)
+        start_s, end_s = 0.2 * lasting_s, 1.2 * lasting_s
+        is_counted = False
+        while self._events[0][0] < end_s:
+            now_s, _, kind, who = heapq.heappop(self._events)
+            if now_s >= start_s and not is_counted:
+                is_counted, self._jobs, self._busy_s, self._worked_s = True, 0.0, 0.0, 0.0
+            getattr(self, f"_{kind}")(now_s, who)
+        shares = (self._worked_s / fleet.workers / lasting_s, min(1.0, self._busy_s / lasting_s))
+        return Pace(fleet.workers, self._jobs / lasting_s, *shares)
+
+    def _at(self, at_s: float, kind: str, who: int) -> None:
+        self._number += 1
+        heapq.heappush(self._events, (at_s, self._number, kind, who))
+
+    def _served(self, now_s: float) -> float:
+        """When a transaction that comes now is done."""
+        self._free_s = max(self._free_s, now_s) + self._service_s
+        self._busy_s += self._service_s
+        return self._free_s
+
+    def _work(self, now_s: float, worker: int) -> None:
+        """One visit, then the part of the job that belongs to it."""
+        part_s = self._chance.choice(self._demand.job_s) / self._demand.visits
+        self._jobs += 1.0 / self._demand.visits
+        self._worked_s += part_s
+        self._at(self._served(now_s) + part_s, "work", worker)
+
+    def _presence(self, now_s: float, worker: int) -> None:
+        self._served(now_s)
+        self._at(now_s + 1.0 / self._demand.presence_per_s, "presence", worker)
+
+    def _beat(self, now_s: float, keeper: int) -> None:
+        """As often as its workers have something to say, each of which holds a job; together, once a turn at most."""
+        self._served(now_s)
+        fleet = self._fleet
+        members = min(fleet.shared, fleet.workers - keeper * fleet.shared)
+        every_s = 1.0 / (members * self._demand.beats_per_s)
+        self._at(now_s + (max(every_s, fleet.turn_s) if fleet.shared > 1 else every_s), "beat", keeper)
