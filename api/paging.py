@@ -78,12 +78,12 @@ def page(
     is_falling = isinstance(order, UnaryExpression) and order.modifier is desc_op
     column: Any = order.element if isinstance(order, UnaryExpression) else order
     if query.cursor is not None:
-        last = _decode(query.cursor, column.type.python_type)
+        last = last_of(query.cursor, column.type.python_type)
         statement = statement.where(column < last if is_falling else column > last)
     found = session.scalars(statement.order_by(None).order_by(order).limit(query.limit + 1)).all()
     rows = found[: query.limit]
     is_last = len(found) <= query.limit
-    return PageRows(rows, None if is_last else _encode(getattr(rows[-1], column.key)))
+    return PageRows(rows, None if is_last else cursor_after(getattr(rows[-1], column.key)))
 
 
 def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
@@ -91,18 +91,20 @@ def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
 
     Raises `BadCursorError`.
     """
-    last = -1 if query.cursor is None else int(str(_decode(query.cursor, int)))
+    last = -1 if query.cursor is None else int(str(last_of(query.cursor, int)))
     if last < -1:
         raise BadCursorError()
     places = range(min(last + 1, total), min(last + 1 + query.limit, total))
-    return places, _encode(places[-1]) if places and places.stop < total else None
+    return places, cursor_after(places[-1]) if places and places.stop < total else None
 
 
-def _encode(value: object) -> str:
+def cursor_after(value: object) -> str:
+    """The cursor of what comes after this value."""
     return urlsafe_b64encode(json.dumps(value).encode()).decode().rstrip("=")
 
 
-def _decode(cursor: str, kind: type) -> object:
+def last_of(cursor: str, kind: type) -> object:
+    """The value that a cursor comes after. Raises `BadCursorError` where it is none of this kind."""
     try:
         padded = cursor.encode("ascii") + b"=" * (-len(cursor) % 4)
         value = json.loads(urlsafe_b64decode(padded))

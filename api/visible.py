@@ -7,7 +7,7 @@ what a hidden phase is scored against is shown to nobody but its owner, whatever
 
 from typing import TypeVar
 
-from sqlalchemy import Select, and_, or_, select
+from sqlalchemy import BindParameter, Select, and_, or_, select
 from sqlalchemy.orm import InstrumentedAttribute, Session, aliased
 
 from api.deps import Caller
@@ -59,13 +59,18 @@ def sequence_of(session: Session, caller: Caller, sequence_id: str) -> SequenceR
 
 def sequences_shown_to(caller: Caller) -> Select[SequenceRow]:
     """The caller's own sequences and the public ones."""
+    return sequences_shown(None if caller.is_administrator else caller.user_id)
+
+
+def sequences_shown(user_id: str | BindParameter[str] | None) -> Select[SequenceRow]:
+    """As `sequences_shown_to`, to a user or to whom the parameter names; all of them to None, an administrator."""
     everything = select(SequenceRow).where(SequenceRow.deleted_ns.is_(None))
-    if caller.is_administrator:
+    if user_id is None:
         return everything
     # Looked up for each public one; as EXISTS it would be answered from a table of all members, made for each list.
     hidden = hidden_truths().where(DatasetMember.sequence_id == SequenceRow.id).limit(1).scalar_subquery()
     is_shown = and_(SequenceRow.is_public, hidden.is_(None))
-    return everything.where(or_(SequenceRow.owner_id == caller.user_id, is_shown))
+    return everything.where(or_(SequenceRow.owner_id == user_id, is_shown))
 
 
 def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:

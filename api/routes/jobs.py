@@ -1,66 +1,45 @@
 """Routes of the caller's jobs: progress, logs, cancel."""
 
-from dataclasses import dataclass
-from typing import Annotated, Literal
+from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query
-from sqlalchemy import Select, select
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import PlatformDep, at_once
 from api.job_acts import control_run
-from api.paging import Page, PageDep, page
+from api.lists.answers import list_response, listed
+from api.lists.jobs import JobFilters, job_rows
+from api.paging import Page, PageDep
 from api.schemas.admin import CancelBody
-from api.schemas.base import IdPath, IdQuery
+from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail, JobItem, LogPage
-from api.views.jobs import job_detail, job_items
+from api.views.jobs import facts_of_rows, job_detail
 from api.views.log_pages import LogQuery, log_page
 from api.visible import job_of
-from services.runtime.orm import Job
 
 router = APIRouter(prefix="/jobs", tags=["jobs"])
-State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
-Kind = Annotated[str | None, Query(pattern=r"^[a-z][a-z_]*(\.[a-z][a-z_]*)*$", max_length=64)]
 After = Annotated[str | None, Query(max_length=90, description="`next` of the page before")]
 Lines = Annotated[int, Query(ge=1, le=1000)]
-
-
-@dataclass(frozen=True)
-class JobFilters:
-    """Which jobs a list shows; without `root_id` runs and single jobs, with it the jobs of that run."""
-
-    state: State | None = None
-    kind: Kind = None
-    sequence_id: IdQuery = None
-    root_id: IdQuery = None
-
-    def narrowed(self, statement: Select[Job]) -> Select[Job]:
-        return self.one_level(self.equal(statement, ("state", "kind", "sequence_id", "root_id")))
-
-    def equal(self, statement: Select[Job], keys: tuple[str, ...]) -> Select[Job]:
-        """Rows whose columns equal the filters that are given."""
-        asked = {key: value for key in keys if (value := getattr(self, key)) is not None}
-        return statement.filter_by(**asked)
-
-    def one_level(self, statement: Select[Job]) -> Select[Job]:
-        return statement.where((Job.id == Job.root_id) if self.root_id is None else (Job.id != Job.root_id))
 
 
 async def log_query(after: After = None, limit: Lines = 200) -> LogQuery:
     return LogQuery(after, limit)
 
 
-@router.get("", responses=refusals(403))
+@router.get("", response_model=Page[JobItem], responses=listed(403))
 def list_jobs(
-    caller: Reader, platform: PlatformDep, query: PageDep, filters: Annotated[JobFilters, Depends(at_once(JobFilters))]
-) -> Page[JobItem]:
+    request: Request,
+    caller: Reader,
+    platform: PlatformDep,
+    query: PageDep,
+    filters: Annotated[JobFilters, Depends(at_once(JobFilters))],
+) -> Response:
     """The caller's own runs, newest first."""
-    mine = select(Job).where(Job.owner_id == caller.user_id)
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(mine), Job.id.desc(), query)
-        return Page[JobItem](items=job_items(session, found.rows), next=found.next)
+        rows, following = job_rows(session, caller.user_id, filters, query)
+        return list_response(request, facts_of_rows(session, rows), following)
 
 
 @router.get("/{job_id}", summary="A job of one's own and its progress", responses=refusals(403, 404))

@@ -1,29 +1,69 @@
 """Jobs as the API shows them: rows of `services.runtime.orm.jobs` become bodies of `api.schemas.jobs`."""
 
 from collections.abc import Sequence
+from operator import attrgetter
+from typing import Any, cast
 
-from sqlalchemy import bindparam, case, func, select
+from sqlalchemy import Row, Select, bindparam, case, func, select
 from sqlalchemy.orm import Session
 
 from api.schemas.base import instant, instant_or_none
-from api.schemas.jobs import AttemptItem, FailureItem, JobDetail, JobItem, ProgressItem, StageItem
+from api.schemas.jobs import AttemptItem, JobDetail, JobItem, StageItem
 from services.domain.runs.estimates import time_left
 from services.runtime.jobs.queries import Progress, StageProgress, progress_of
+from services.runtime.jobs.specs import TERMINAL
 from services.runtime.jobs.titles import title_of
 from services.runtime.orm import Job, JobAttempt
 
+SAID = (
+    Job.id, Job.root_id, Job.owner_id, Job.sequence_id, Job.kind, Job.queue, Job.state, Job.priority, Job.attempt,
+    Job.failure_code, Job.failure, Job.cancel_reason, Job.revision, Job.created_ns, Job.started_ns, Job.finished_ns,
+)  # fmt: skip
+"""What `job_facts` reads of a job."""
+_said_of = attrgetter(*(column.key for column in SAID))
+OWN_PROGRESS = (Job.stage, Job.done, Job.total, Job.progress_ns)
 # Built once: to build a statement for fifty ids costs more than to run it.
+DONE = func.sum(case((Job.state == "succeeded", 1), else_=0))
 COUNTED = (
-    select(Job.root_id, func.sum(case((Job.state == "succeeded", 1), else_=0)), func.count())
+    select(Job.root_id, DONE, func.count())
     .where(Job.root_id.in_(bindparam("runs", expanding=True)), Job.queue != "")
     .group_by(Job.root_id)
 )
 
 
+def with_counts(page: Select[Job]) -> Select[Any]:
+    """The jobs of `page`, newest first: `SAID`, `OWN_PROGRESS`, and of runs how many jobs are done, of how many."""
+    shown = page.with_only_columns(*SAID, *OWN_PROGRESS).cte("shown")
+    of_runs = (Job.root_id.in_(select(shown.c.id)), Job.queue != "")
+    counted = select(Job.root_id, DONE.label("jobs_done"), func.count().label("jobs")).where(*of_runs)
+    counts = counted.group_by(Job.root_id).subquery("counts")
+    return (
+        select(shown, func.coalesce(counts.c.jobs_done, 0), func.coalesce(counts.c.jobs, 0))
+        .outerjoin(counts, counts.c.root_id == shown.c.id)
+        .order_by(shown.c.id.desc())
+    )
+
+
+def facts_of_rows(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
+    """Rows of `with_counts` as a list shows them; whatever of them is alive is read for the estimates."""
+    alive = [row.id for row in rows if row.id == row.root_id and row.state not in TERMINAL]
+    jobs = session.scalars(select(Job).where(Job.id.in_(alive))).all() if alive else ()
+    left = time_left(session, jobs)
+    return [job_facts(row[: len(SAID)], _progress_of_row(session, row), left.get(row.id)) for row in rows]
+
+
+def _progress_of_row(session: Session, row: Row[Any]) -> Progress:
+    if row.queue:
+        return progress_of(session, cast("Job", row))  # which has the columns that it reads
+    counts: Sequence[Any] = row[-2:]
+    done, total = map(int, counts)
+    return Progress("", done, total)
+
+
 def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
     """Jobs as a list shows them; the progress of all runs among them is one statement, and so are their estimates."""
     runs = [job.id for job in jobs if not job.queue]
-    counts = {root: (done, total) for root, done, total in session.execute(COUNTED, {"runs": runs})}
+    counts = {root: (done, total) for root, done, total in session.execute(COUNTED, {"runs": runs})} if runs else {}
     left = time_left(session, jobs)
     return [job_item(job, _glance(session, job, counts.get(job.id, (0, 0))), left.get(job.id)) for job in jobs]
 
@@ -49,25 +89,32 @@ def _glance(session: Session, job: Job, counts: tuple[int, int]) -> Progress:
 
 def job_item(job: Job, progress: Progress, left_s: int | None) -> JobItem:
     """`left_s` is the estimate of `services/domain/runs/estimates.py`."""
-    return JobItem(
-        id=job.id,
-        root_id=job.root_id,
-        owner_id=job.owner_id,
-        sequence_id=job.sequence_id,
-        kind=job.kind,
-        title=title_of(job.kind),
-        queue=job.queue,
-        state=job.state,
-        priority=job.priority,
-        attempt=job.attempt,
-        progress=_progress(progress, left_s),
-        failure=_failure(job),
-        cancel_reason=job.cancel_reason,
-        revision=job.revision,
-        created_at=instant(job.created_ns),
-        started_at=instant_or_none(job.started_ns),
-        finished_at=instant_or_none(job.finished_ns),
-    )
+    return JobItem(**job_facts(_said_of(job), progress, left_s))
+
+
+def job_facts(said: Sequence[Any], progress: Progress, left_s: int | None) -> dict[str, Any]:
+    """A `JobItem`, of the values of `SAID`."""
+    id, root_id, owner_id, sequence_id, kind, queue, state, priority, attempt, *more = said
+    failure_code, failure, cancel_reason, revision, created_ns, started_ns, finished_ns = more
+    return {
+        "id": id,
+        "root_id": root_id,
+        "owner_id": owner_id,
+        "sequence_id": sequence_id,
+        "kind": kind,
+        "title": title_of(kind),
+        "queue": queue,
+        "state": state,
+        "priority": priority,
+        "attempt": attempt,
+        "progress": _progress(progress, left_s),
+        "failure": _failure(failure_code, failure),
+        "cancel_reason": cancel_reason,
+        "revision": revision,
+        "created_at": instant(created_ns),
+        "started_at": instant_or_none(started_ns),
+        "finished_at": instant_or_none(finished_ns),
+    }
 
 
 def _stage(stage: StageProgress) -> StageItem:
@@ -84,14 +131,9 @@ def _stage(stage: StageProgress) -> StageItem:
     )
 
 
-def _progress(progress: Progress, left_s: int | None) -> ProgressItem:
-    return ProgressItem(
-        stage=progress.stage,
-        done=progress.done,
-        total=progress.total,
-        rate_per_s=progress.rate_per_s,
-        eta_s=left_s,
-    )
+def _progress(progress: Progress, left_s: int | None) -> dict[str, Any]:
+    told = {"stage": progress.stage, "done": progress.done, "total": progress.total}
+    return {**told, "rate_per_s": progress.rate_per_s, "eta_s": left_s}
 
 
 def _attempt(row: JobAttempt) -> AttemptItem:
@@ -99,14 +141,12 @@ def _attempt(row: JobAttempt) -> AttemptItem:
         number=row.number,
         worker=row.worker,
         outcome=row.outcome,
-        failure=_failure(row),
+        failure=_failure(row.failure_code, row.failure),  # type: ignore[arg-type]  # pydantic makes it one
         peak_bytes=row.peak_bytes,
         started_at=instant(row.started_ns),
         finished_at=instant_or_none(row.finished_ns),
     )
 
 
-def _failure(row: Job | JobAttempt) -> FailureItem | None:
-    if not row.failure_code and not row.failure:
-        return None
-    return FailureItem(code=row.failure_code, sentence=row.failure)
+def _failure(code: str, sentence: str) -> dict[str, str] | None:
+    return {"code": code, "sentence": sentence} if code or sentence else None

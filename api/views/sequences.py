@@ -1,22 +1,20 @@
-"""Sequences as the API shows them, with their newest run and the labels that count; a page of them is six statements.
+"""Sequences as the API shows them, with their newest run and the labels that count: two statements, however many.
 
-**Conventions.** Without a caller they are shown as a visitor sees them.
+**Conventions.** Without a caller they are shown as a visitor sees them. Facts are what a body says, as a dictionary in
+the order of its schema: of a list they are written as they are.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+from collections.abc import Iterable, Sequence
+from functools import cache
 from typing import Any
 
-from sqlalchemy import BindParameter, bindparam, func, select
+from sqlalchemy import BindParameter, Row, Select, func, select, true
 from sqlalchemy.orm import Session
 
 from api.deps import VISITOR, Caller
 from api.schemas.base import instant
 from api.schemas.sequences.sequences import (
     ArtefactItem,
-    ClassVoxels,
-    JobGlance,
-    LabelGlance,
     LaterRecordingsItem,
     SequenceDetail,
     SequenceItem,
@@ -25,55 +23,112 @@ from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of
 from services.domain.sequences.later_recordings import later_recordings
 from services.domain.sequences.processing import PROCESS, REGISTER
+from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, SequenceRow, SplitMember
 
 UNLISTED = ("labels/", "scene/")
 PICTURES = ("bev.png", "thumbnail.jpg", "thumbnail.png")  # of older label sets a JPEG
 
-# Built once: to build a statement for fifty ids costs more than to run it.
-IDS: BindParameter[Any] = bindparam("ids", expanding=True)
-RECORDINGS = (
-    select(Recording.sequence_id, func.count()).where(Recording.sequence_id.in_(IDS)).group_by(Recording.sequence_id)
-)
-_IS_RUN = (Job.sequence_id.in_(IDS), Job.id == Job.root_id, Job.kind.in_((PROCESS, REGISTER)))
-NEWEST_RUNS = select(Job.sequence_id, Job.id, Job.kind, Job.state).where(
-    Job.id.in_(select(func.max(Job.id)).where(*_IS_RUN).group_by(Job.sequence_id))
-)
-_PLACE = func.row_number().over(
-    partition_by=LabelSet.sequence_id, order_by=(LabelSet.chosen_ns.desc(), LabelSet.id.desc())
-)
-_PLACED = select(LabelSet.id, _PLACE.label("place")).where(LabelSet.sequence_id.in_(IDS)).subquery()
-COUNTING_LABELS = select(LabelSet).where(LabelSet.id.in_(select(_PLACED.c.id).where(_PLACED.c.place == 1)))
-SPLITS = select(SplitMember.sequence_id, SplitMember.part).where(SplitMember.sequence_id.in_(IDS))
-NAMED_PICTURES = (
-    select(Artefact.label_set_id, Artefact.name)
-    .where(Artefact.label_set_id.in_(IDS), Artefact.name.in_(PICTURES))
-    .order_by(Artefact.name)
-)
+SAID = (
+    "id", "owner_id", "name", "environment", "illumination", "region", "platform", "is_public", "calibration_id"
+)  # fmt: skip
+NO_LABELS = {"labels": None, "class_voxels": None, "duration_s": None, "distance_m": None}
+LABELS = (
+    LabelSet.id, LabelSet.job_id, LabelSet.frames, LabelSet.code_version, LabelSet.created_ns, LabelSet.chosen_ns,
+    LabelSet.duration_ns, LabelSet.distance_m, LabelSet.t_voxels, LabelSet.p_voxels, LabelSet.n_voxels,
+)  # fmt: skip
 
 
-@dataclass(frozen=True)
-class _SequenceExtras:
-    """Facts about sequences from other tables, by sequence id."""
+def with_glances(page: Select[SequenceRow], owner: str | BindParameter[str] | None) -> Select[Any]:
+    """The sequences of `page`, newest first, each with its newest run and the id of the labels that count; parts of the
+    splits of those of `owner` only, None being an administrator.
 
-    recordings: dict[str, int]
-    jobs: dict[str, JobGlance]
-    labels: dict[str, LabelSet]
-    splits: dict[str, str]
-    pictures: dict[str, str]
+    Whatever is of other tables is looked up for each: joined, a planner would read small tables whole.
+    """
+    shown = page.cte("shown")
+    recordings = select(func.count()).select_from(Recording).where(Recording.sequence_id == shown.c.id)
+    is_run = (Job.sequence_id == shown.c.id, Job.id == Job.root_id, Job.kind.in_((PROCESS, REGISTER)))
+    runs = [select(column).where(*is_run).order_by(Job.id.desc()).limit(1) for column in (Job.id, Job.kind, Job.state)]
+    chosen = select(LabelSet.id).where(LabelSet.sequence_id == shown.c.id)
+    counting = chosen.order_by(LabelSet.chosen_ns.desc(), LabelSet.id.desc()).limit(1)
+    is_told = true() if owner is None else shown.c.owner_id == owner
+    split = select(SplitMember.part).where(SplitMember.sequence_id == shown.c.id, is_told)
+    glances = [one.scalar_subquery().label(f"glance_{place}") for place, one in enumerate((recordings, *runs, split))]
+    labels = counting.scalar_subquery().label("labels_id")
+    said = [shown.c[name] for name in SAID]
+    return select(*said, *glances, labels, shown.c.revision, shown.c.created_ns).order_by(shown.c.id.desc())
+
+
+def sequence_facts(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
+    """What a list says of rows of `with_glances`, each a `SequenceItem`; their labels are a statement."""
+    labels = _label_facts(session, [row.labels_id for row in rows if row.labels_id is not None])
+    return [_facts(row, labels.get(row.labels_id, (NO_LABELS, None))) for row in rows]
+
+
+def _facts(row: Sequence[Any], labels: tuple[dict[str, Any], str | None]) -> dict[str, Any]:
+    # All at once: one by one their names would be looked up for every row.
+    id, owner_id, name, environment, illumination, region, platform, is_public, calibration_id, *glances = row
+    recordings, run_id, run_kind, run_state, split, _, revision, created_ns = glances
+    return {
+        "id": id,
+        "owner_id": owner_id,
+        "name": name,
+        "environment": environment,
+        "illumination": illumination,
+        "region": region,
+        "platform": platform,
+        "is_public": bool(is_public),
+        "calibration_id": calibration_id,
+        "recordings": recordings,
+        "job": None if run_id is None else {"id": run_id, "kind": run_kind, "state": run_state},
+        **labels[0],
+        "split": split,
+        "picture": labels[1],
+        "revision": revision,
+        "created_at": instant(created_ns),
+    }
 
 
 def sequence_items(session: Session, sequences: Iterable[SequenceRow], caller: Caller = VISITOR) -> list[SequenceItem]:
-    """Sequences as a list shows them."""
-    rows = list(sequences)
-    ids = [row.id for row in rows]
-    own = ids if caller.is_administrator else [row.id for row in rows if row.owner_id == caller.user_id]
-    labels = _counting_labels(session, ids)
-    pictures = _pictures(session, [row.id for row in labels.values()])
-    known = _SequenceExtras(
-        _recordings(session, ids), _newest_runs(session, ids), labels, _splits(session, own), pictures
+    """Sequences as a list shows them, in the order in which they come."""
+    session.flush()
+    ids = [row.id for row in sequences]
+    rows = _of_ids(caller.is_administrator, places_for(len(ids))).rows(
+        session, {**numbered(ids), "caller": caller.user_id}
     )
-    return [_item(row, known) for row in rows]
+    found = {facts["id"]: SequenceItem(**facts) for facts in sequence_facts(session, rows)}
+    return [found[one] for one in ids]
+
+
+@cache
+def _of_ids(is_administrator: bool, places: int) -> KeptSelect:
+    owner = None if is_administrator else parameter("caller")
+    return KeptSelect(with_glances(select(SequenceRow).where(SequenceRow.id.in_(numbered_parameters(places))), owner))
+
+
+@cache
+def _label_sets(places: int) -> KeptSelect:
+    """`LABELS` and the smallest picture, by ids."""
+    named = (Artefact.label_set_id == LabelSet.id, Artefact.name.in_(PICTURES))
+    picture = select(func.max(Artefact.name)).where(*named).scalar_subquery()  # the thumbnail, if there is one
+    return KeptSelect(select(*LABELS, picture).where(LabelSet.id.in_(numbered_parameters(places))))
+
+
+def _label_facts(session: Session, ids: Sequence[str]) -> dict[str, tuple[dict[str, Any], str | None]]:
+    """By id, what is said of label sets, and the picture of each."""
+    rows: Sequence[Sequence[Any]] = _label_sets(places_for(len(ids))).rows(session, numbered(ids)) if ids else ()
+    return {row[0]: (_labels_said(row), row[-1]) for row in rows}
+
+
+def _labels_said(row: Sequence[Any]) -> dict[str, Any]:
+    id, job_id, frames, code_version, created_ns, chosen_ns, duration_ns, distance_m, *voxels, _ = row
+    made = {"id": id, "job_id": job_id, "frames": frames, "code_version": code_version}
+    return {
+        "labels": {**made, "created_at": instant(created_ns), "chosen_at": instant(chosen_ns)},
+        "class_voxels": None if None in voxels else dict(zip("tpn", voxels, strict=True)),
+        "duration_s": None if duration_ns is None else duration_ns / 1e9,
+        "distance_m": distance_m,
+    }
 
 
 def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VISITOR) -> SequenceDetail:
@@ -86,75 +141,6 @@ def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VI
     later = later_recordings(session, sequence, labels) if is_own and labels else None
     shown = LaterRecordingsItem(names=list(later.names), why_not=later.why_not) if later else None
     return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews, later_recordings=shown)
-
-
-def _item(row: SequenceRow, known: _SequenceExtras) -> SequenceItem:
-    labels = known.labels.get(row.id)
-    return SequenceItem(
-        id=row.id,
-        owner_id=row.owner_id,
-        name=row.name,
-        environment=row.environment,
-        illumination=row.illumination,
-        region=row.region,
-        platform=row.platform,
-        is_public=row.is_public,
-        calibration_id=row.calibration_id,
-        recordings=known.recordings.get(row.id, 0),
-        job=known.jobs.get(row.id),
-        labels=_labels(labels) if labels else None,
-        class_voxels=_class_voxels(labels) if labels else None,
-        duration_s=labels.duration_ns / 1e9 if labels and labels.duration_ns is not None else None,
-        distance_m=labels.distance_m if labels else None,
-        split=known.splits.get(row.id),
-        picture=known.pictures.get(labels.id) if labels else None,
-        revision=row.revision,
-        created_at=instant(row.created_ns),
-    )
-
-
-def _class_voxels(row: LabelSet) -> ClassVoxels | None:
-    if row.t_voxels is None or row.p_voxels is None or row.n_voxels is None:
-        return None
-    return ClassVoxels(t=row.t_voxels, p=row.p_voxels, n=row.n_voxels)
-
-
-def _labels(row: LabelSet) -> LabelGlance:
-    return LabelGlance(
-        id=row.id,
-        job_id=row.job_id,
-        frames=row.frames,
-        code_version=row.code_version,
-        created_at=instant(row.created_ns),
-        chosen_at=instant(row.chosen_ns),
-    )
-
-
-def _recordings(session: Session, ids: list[str]) -> dict[str, int]:
-    return dict(session.execute(RECORDINGS, {"ids": ids}).all())
-
-
-def _newest_runs(session: Session, ids: list[str]) -> dict[str, JobGlance]:
-    """The newest labellings or readings of sequences; an export or a comparison has a state of its own."""
-    found = session.execute(NEWEST_RUNS, {"ids": ids})
-    return {of: JobGlance(id=id, kind=kind, state=state) for of, id, kind, state in found if of}
-
-
-def _counting_labels(session: Session, ids: list[str]) -> dict[str, LabelSet]:
-    """Of several label sets the one requested last, as `counting_labels` has it for one sequence."""
-    return {row.sequence_id: row for row in session.scalars(COUNTING_LABELS, {"ids": ids})}
-
-
-def _splits(session: Session, ids: list[str]) -> dict[str, str]:
-    """The part of the splits under discussion that each is in."""
-    return dict(session.execute(SPLITS, {"ids": ids}).all()) if ids else {}
-
-
-def _pictures(session: Session, label_set_ids: list[str]) -> dict[str, str]:
-    """The name of the smallest picture that shows each label set from above."""
-    if not label_set_ids:
-        return {}
-    return dict(session.execute(NAMED_PICTURES, {"ids": label_set_ids}).all())  # the thumbnail comes last and counts
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:

@@ -13,9 +13,9 @@ from sqlalchemy.orm import Session
 
 from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
+from api.lists.sequences import SequenceFilters
 from api.paging import PageQuery
 from api.paging import page as paged
-from api.routes.sequences.sequences import SequenceFilters
 from api.schemas.base import PLAIN, LineQuery
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.calibrations import calibration_item

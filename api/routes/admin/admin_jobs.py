@@ -12,8 +12,9 @@ from api.callers import Administrator
 from api.deps import PlatformDep, at_once
 from api.errors import NotFoundError
 from api.job_acts import act_on_each, control_run
+from api.lists.jobs import JobFilters
 from api.paging import Page, PageDep, page
-from api.routes.jobs import JobFilters, log_query
+from api.routes.jobs import log_query
 from api.schemas.admin import (
     AdminJobDetail,
     AdminJobItem,

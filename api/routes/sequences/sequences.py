@@ -5,11 +5,10 @@ it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
-from sqlalchemy import Select, func, select
+from fastapi import APIRouter, Depends, Request, Response
+from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
@@ -19,8 +18,10 @@ from api.callers import Curator, Looker
 from api.deps import PlatformDep, at_once
 from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match
-from api.paging import Page, PageDep, page
-from api.schemas.base import PLAIN, IdPath, IdQuery, LineQuery
+from api.lists.answers import list_response, listed
+from api.lists.sequences import SequenceFilters, sequence_rows
+from api.paging import Page, PageDep
+from api.schemas.base import IdPath
 from api.schemas.sequences.sequences import (
     NewSequenceBody,
     PinCalibrationBody,
@@ -28,8 +29,8 @@ from api.schemas.sequences.sequences import (
     SequenceDetail,
     SequenceItem,
 )
-from api.views.sequences import sequence_detail, sequence_items
-from api.visible import calibration_of, hiding, sequence_of, sequences_shown_to, shown_sequence
+from api.views.sequences import sequence_detail, sequence_facts
+from api.visible import calibration_of, hiding, sequence_of, shown_sequence
 from services.domain.datasets.splits import lock_splits
 from services.domain.sequences.processing import PROCESS, delete_sequence, lock_sequence
 from services.runtime.access.errors import NameTakenError
@@ -37,28 +38,6 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, LabelSet, SequenceRow
 
 router = APIRouter(prefix="/sequences", tags=["sequences"])
-Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
-
-
-@dataclass(frozen=True)
-class SequenceFilters:
-    """Which sequences a list shows: equal values, and names that begin with `name`."""
-
-    environment: LineQuery = None
-    illumination: LineQuery = None
-    region: LineQuery = None
-    platform: LineQuery = None
-    name: Prefix = None
-    owner_id: IdQuery = None
-
-    def narrowed(self, statement: Select[SequenceRow]) -> Select[SequenceRow]:
-        for key in ("environment", "illumination", "region", "platform", "owner_id"):
-            value = getattr(self, key)
-            if value is not None:
-                statement = statement.where(getattr(SequenceRow, key) == value)
-        if self.name is None:
-            return statement
-        return statement.where(func.substr(SequenceRow.name, 1, len(self.name)) == self.name)
 
 
 @router.post("", summary="Create a sequence", status_code=201, responses=refusals(409))
@@ -77,17 +56,18 @@ def create_sequence(
     return shown
 
 
-@router.get("", responses=refusals())
+@router.get("", response_model=Page[SequenceItem], responses=listed())
 def list_sequences(
+    request: Request,
     caller: Looker,
     platform: PlatformDep,
     query: PageDep,
     filters: Annotated[SequenceFilters, Depends(at_once(SequenceFilters))],
-) -> Page[SequenceItem]:
+) -> Response:
     """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
-        found = page(session, filters.narrowed(sequences_shown_to(caller)), SequenceRow.id.desc(), query)
-        return Page[SequenceItem](items=sequence_items(session, found.rows, caller), next=found.next)
+        rows, following = sequence_rows(session, caller, filters, query)
+        return list_response(request, sequence_facts(session, rows), following)
 
 
 @router.get("/{sequence_id}", summary="A sequence with its newest run and labels", responses=refusals(404))

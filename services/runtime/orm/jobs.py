@@ -16,6 +16,7 @@ IS_READY = "state = 'queued' AND needs_left = 0"
 IS_WAITING = "state = 'queued' AND needs_left > 0"
 IS_RUNNING = "state = 'running'"
 IS_RUN = "id = root_id"
+IS_RUN_OF_SEQUENCE = f"{IS_RUN} AND sequence_id IS NOT NULL"  # so that only questions about a sequence find it
 """What the partial indexes are of. A query uses one only if it says the very same, in literals: a generic plan of a
 prepared statement does not know its parameters."""
 READY = text(IS_READY)
@@ -65,6 +66,7 @@ class Job(Base):
         partial_index("ix_jobs_running", IS_RUNNING, "queue", "owner_id"),
         partial_index("ix_jobs_runs", IS_RUN, "owner_id", "id"),
         partial_index("ix_jobs_run_kinds", IS_RUN, "kind", "id"),
+        partial_index("ix_jobs_sequence_runs", IS_RUN_OF_SEQUENCE, "sequence_id", "id"),
         Index("ix_jobs_owner_state", "owner_id", "state"),
         Index("ix_jobs_state", "state", "id", "root_id"),
         Index("ix_jobs_finished", "finished_ns", "queue", "state"),

@@ -39,6 +39,7 @@ ASKED = {
     "a_submission": f"/submissions/{id_of('submission', 3)}",
     "me": "/me",
 }
+TAGGED = ("/sequences", "/jobs")
 WHO = ("ada", "bob", "root", "visitor")
 
 
@@ -69,3 +70,16 @@ def test_lists_say_the_same_bytes_as_ever(listed: dict[str, dict[str, list[str]]
             golden.write_text(json.dumps(answers, ensure_ascii=False, indent=1) + "\n")
         assert answers == json.loads(golden.read_text()), name
     assert {path.stem for path in GOLDEN.glob("*.json")} == set(ASKED)
+
+
+def test_who_has_a_list_already_is_told_so_until_it_changes(api: httpx.Client, platform: Platform) -> None:
+    headers = fill_listed(platform)["ada"].headers
+    for path in TAGGED:
+        first = api.get(f"/api/v1{path}", headers=headers)
+        again = api.get(f"/api/v1{path}", headers=headers | {"If-None-Match": first.headers["etag"]})
+        assert (first.status_code, again.status_code, again.content) == (200, 304, b"")
+        assert again.headers["etag"] == first.headers["etag"]
+    tag = {"If-None-Match": api.get("/api/v1/sequences", headers=headers).headers["etag"]}
+    change = {"region": "Jeju"}
+    assert api.patch(f"/api/v1/sequences/{FIRST}", json=change, headers=headers | {"If-Match": "*"}).is_success
+    assert api.get("/api/v1/sequences", headers=headers | tag).status_code == 200

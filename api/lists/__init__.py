@@ -1,0 +1,1 @@
+"""Lists as bytes: rows of one statement, written without an object for each."""
