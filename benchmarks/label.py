@@ -8,10 +8,7 @@ processes, children of the solver included). Then `--peer-frames` of the shortes
 """
 
 import argparse
-import contextlib
-import ctypes
 import json
-import os
 import resource
 import subprocess
 import sys
@@ -24,9 +21,9 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.per_frame_poisson import per_frame_poisson
+from benchmarks.processes import adopt_orphans, reap_orphans
 
 SWEEPS_HZ = 10.0
-PR_SET_CHILD_SUBREAPER = 36
 COLUMNS = ("frames", "recorded s", "wall s", "× real time", "CPU s", "recorded s / CPU s", "largest MB", "all MB")
 
 
@@ -39,7 +36,7 @@ def main() -> None:
     parser.add_argument("--columns", type=int, default=1800)
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
     options = parser.parse_args()
-    _adopt_orphans()
+    adopt_orphans()
     options.folder.mkdir(parents=True, exist_ok=True)
     rows = [_measured(_simulated(frames, options), frames, options) for frames in options.frames]
     _show(rows, options.workers)
@@ -66,7 +63,7 @@ def _measured(bag: Path, frames: int, options: argparse.Namespace) -> dict[str, 
     begin = time.perf_counter()
     subprocess.run([*command, "--workers", str(options.workers)], check=True)
     wall_s = time.perf_counter() - begin
-    _reap_orphans()
+    reap_orphans()
     after = resource.getrusage(resource.RUSAGE_CHILDREN)
     report = json.loads((out / "report.json").read_text())
     cpu_s = after.ru_utime + after.ru_stime - before.ru_utime - before.ru_stime
@@ -81,17 +78,6 @@ def _measured(bag: Path, frames: int, options: argparse.Namespace) -> dict[str, 
         "largest MB": report["peak_bytes"]["largest_process"] / 1e6,
         "all MB": report["peak_bytes"]["all_processes"] / 1e6,
     }
-
-
-def _adopt_orphans() -> None:
-    """Linux: descendants whose parent has gone become ours, so the fork server and its workers are in our account."""
-    ctypes.CDLL(None, use_errno=True).prctl(PR_SET_CHILD_SUBREAPER, 1, 0, 0, 0)
-
-
-def _reap_orphans() -> None:
-    with contextlib.suppress(ChildProcessError):
-        while True:
-            os.wait()
 
 
 def _show(rows: list[dict[str, float]], workers: int) -> None:
