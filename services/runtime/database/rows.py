@@ -42,7 +42,7 @@ class KeptSelect:
         self._statement = statement
         self._written: dict[str, tuple[str, Sequence[str] | None, Mapping[str, Any]]] = {}
 
-    def rows(self, session: Session, values: Values) -> Sequence[Row[Any]]:
+    def rows(self, session: Session, values: Values) -> Sequence[Row[*tuple[Any, ...]]]:
         """All rows. A value that is missing is None."""
         connection = session.connection()
         dialect = connection.dialect.name
