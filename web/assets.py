@@ -16,6 +16,7 @@ from pathlib import Path
 
 from fastapi import APIRouter, Request, Response
 
+from api.compression import takes_gzip
 from api.errors import NotFoundError
 from web.errors import PagesNotBuiltError
 
@@ -95,7 +96,7 @@ def send(digest: str, path: str, request: Request) -> Response:
     if asset is None:
         raise NotFoundError("asset", path)
     headers = {"Cache-Control": FOR_EVER, "Vary": "Accept-Encoding"}
-    if "gzip" not in request.headers.get("accept-encoding", ""):
+    if not takes_gzip(request):
         return Response(asset.content, media_type=asset.media_type, headers=headers)
     return Response(asset.compressed, media_type=asset.media_type, headers=headers | {"Content-Encoding": "gzip"})
 

@@ -6,7 +6,6 @@ bytes). The ETag is of the very bytes.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from hashlib import sha256
 from typing import Any, TypeVar
 
 from fastapi import Request, Response
@@ -15,7 +14,7 @@ from sqlalchemy import Integer, Row, Select, literal_column
 from sqlalchemy.orm import InstrumentedAttribute
 
 from api.answers import Responses, refusals
-from api.etags import etag, is_unchanged
+from api.compression import tagged_response
 from api.paging import PageQuery, cursor_after, last_of
 from services.runtime.database.rows import Values, parameter
 
@@ -65,9 +64,4 @@ def page_of(rows: Sequence[Row[Any]], query: PageQuery) -> tuple[Sequence[Row[An
 
 def list_response(request: Request, items: Sequence[Item], following: str | None) -> Response:
     """The page, or 304 to who has it already."""
-    content = to_json({"items": items, "next": following})
-    tag = sha256(content).hexdigest()
-    headers = {"ETag": etag(tag)}
-    if is_unchanged(request, tag):
-        return Response(status_code=304, headers=headers)
-    return Response(content, headers=headers, media_type=JSON_TYPE)
+    return tagged_response(request, to_json({"items": items, "next": following}), JSON_TYPE)

@@ -4,12 +4,11 @@
 """
 
 from dataclasses import asdict
-from hashlib import sha256
 
 from fastapi import Request, Response
 from sqlalchemy.orm import Session
 
-from api.etags import etag, is_unchanged
+from api.compression import tagged_response
 from api.files import safe_name
 from api.schemas.base import instant, instant_or_none
 from api.schemas.leaderboard import (
@@ -47,14 +46,11 @@ def board_response(request: Request, board: Board, viewer: Viewer, form: Form) -
         content, media_type = board_answer(board, viewer).model_dump_json().encode(), JSON_TYPE
     else:
         content, media_type = table_bytes(board, form), MEDIA_TYPES[form]
-    tag = sha256(content).hexdigest()
-    headers = {"ETag": etag(tag), "Cache-Control": "private, no-cache"}
-    if is_unchanged(request, tag):
-        return Response(status_code=304, headers=headers)
+    headers = {"Cache-Control": "private, no-cache"}
     if form != "json":
         named = safe_name(f"{board.benchmark}-{board.phase}.{form}")
         headers["Content-Disposition"] = f'attachment; filename="{named}"'
-    return Response(content, headers=headers, media_type=media_type)
+    return tagged_response(request, content, media_type, headers)
 
 
 def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:
