@@ -1,5 +1,6 @@
 """The one estimate of the seconds that runs have left, of which every page, list, event and command shows the same."""
 
+from collections import defaultdict
 from collections.abc import Mapping, Sequence
 
 from sqlalchemy import select
@@ -31,23 +32,24 @@ def time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
 def _of_others(session: Session, runs: list[Job]) -> dict[str, int]:
     if not runs:
         return {}
-    before = [run for run in older_of_the_same(session, runs) if run.id not in {one.id for one in runs}]
+    asked = {run.id for run in runs}
+    before = [run for run in older_of_the_same(session, runs) if run.id not in asked]
     alive = alive_runs(session, [*runs, *before], now_ns())
     paces = {kind: pace_of(session, kind) for kind in {one.run.kind for one in alive}}
     left = {one.run.id: None if _is_untold(one) else seconds_left(one.work, paces[one.run.kind]) for one in alive}
-    answers = dict[str, int]()
-    for one in alive:
-        own_s = left[one.run.id]
-        if own_s is not None and one.run in runs:
-            answers[one.run.id] = rounded_s(own_s + _ahead_s(one, alive, left))
-    return answers
+    ahead_s = _ahead_s(alive, left)
+    told = {run_id: own_s for run_id, own_s in left.items() if own_s is not None and run_id in asked}
+    return {run_id: rounded_s(own_s + ahead_s[run_id]) for run_id, own_s in told.items()}
 
 
-def _ahead_s(one: AliveRun, alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> float:
-    """The seconds that older runs of the same owner have left in its queue, whose jobs are taken first."""
-    older = [other.run for other in alive if other.queue == one.queue and other.run.id < one.run.id]
-    same = (one.run.owner_id, one.run.priority)
-    return sum(left[run.id] or 0.0 for run in older if (run.owner_id, run.priority) == same)
+def _ahead_s(alive: Sequence[AliveRun], left: Mapping[str, float | None]) -> dict[str, float]:
+    """By run, the seconds that older runs of the same owner have left in its queue, whose jobs are taken first."""
+    sums, ahead_s = defaultdict[tuple[str, str, int], float](float), dict[str, float]()
+    for one in sorted(alive, key=lambda one: one.run.id):
+        same = (one.queue, one.run.owner_id, one.run.priority)
+        ahead_s[one.run.id] = sums[same]
+        sums[same] += left[one.run.id] or 0.0
+    return ahead_s
 
 
 def _is_untold(one: AliveRun) -> bool:

@@ -7,7 +7,7 @@ queues. Times of jobs are those of their last attempt. A job that is its own run
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import lru_cache
+from functools import cache, lru_cache
 
 from sqlalchemy import BigInteger, ColumnElement, case, cast, func, literal_column, select
 from sqlalchemy.orm import Session
@@ -25,7 +25,7 @@ from services.domain.runs.time_left import (
 )
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.runtime.database.clock import database_ns
-from services.runtime.database.rows import KeptSelect
+from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, places_for
 from services.runtime.jobs.readiness import owners_waiting
 from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import CalibrationRow, Job, LabelSet, Queue, Recording, Worker
@@ -70,25 +70,35 @@ def alive_runs(session: Session, runs: Sequence[Job], at_ns: int) -> list[AliveR
 
 def stages_of(session: Session, root_ids: Iterable[str], at_ns: int) -> Mapping[str, tuple[StageWork, ...]]:
     """The stages of each run in the order in which their first jobs were made."""
+    ids = list(root_ids)
+    counts, at_work = _stage_statements(places_for(len(ids)))
+    running = defaultdict[tuple[str, str], list[RunningJob]](list)
+    for root_id, kind, started_ns, *progress in at_work.rows(session, numbered(ids)):
+        done, total = progress
+        elapsed_s = max(0, at_ns - (started_ns or at_ns)) / 1e9
+        share = done / total if kind in SHARES and total else None
+        running[root_id, kind].append(RunningJob(elapsed_s, share))
+    found = defaultdict[str, list[StageWork]](list)
+    for root_id, kind, *sums in counts.rows(session, numbered(ids)):
+        queued, done, busy_ns = sums
+        at_it = tuple(running[root_id, kind])
+        found[root_id].append(StageWork(kind, int(queued), at_it, int(done), int(busy_ns or 0) / 1e9))
+    return {root_id: tuple(stages) for root_id, stages in found.items()}
+
+
+@cache
+def _stage_statements(places: int) -> tuple[KeptSelect, KeptSelect]:
+    """Of runs by their ids: jobs by kind, counted, and those that run."""
 
     def counted(state: str) -> ColumnElement[int]:
         return func.sum(case((Job.state == state, 1), else_=0))
 
     busy = cast(func.sum(case((Job.state == "succeeded", BUSY), else_=0)), BigInteger)
-    of_runs = (Job.root_id.in_(list(root_ids)), Job.queue != "")
+    of_runs = (Job.root_id.in_(numbered_parameters(places)), Job.queue != "")
     columns = (Job.root_id, Job.kind, counted("queued"), counted("succeeded"), busy)
     grouped = select(*columns).where(*of_runs).group_by(Job.root_id, Job.kind).order_by(func.min(Job.id))
-    running = defaultdict[tuple[str, str], list[RunningJob]](list)
     at_work = select(Job.root_id, Job.kind, Job.started_ns, Job.done, Job.total).where(*of_runs, Job.state == RUNNING)
-    for root_id, kind, started_ns, done, total in session.execute(at_work):
-        elapsed_s = max(0, at_ns - (started_ns or at_ns)) / 1e9
-        share = done / total if kind in SHARES and total else None
-        running[root_id, kind].append(RunningJob(elapsed_s, share))
-    found = defaultdict[str, list[StageWork]](list)
-    for root_id, kind, queued, done, busy_ns in session.execute(grouped):
-        at_it = tuple(running[root_id, kind])
-        found[root_id].append(StageWork(kind, int(queued), at_it, int(done), int(busy_ns or 0) / 1e9))
-    return {root_id: tuple(stages) for root_id, stages in found.items()}
+    return KeptSelect(grouped), KeptSelect(at_work)
 
 
 def pace_of(session: Session, kind: str) -> Pace:
