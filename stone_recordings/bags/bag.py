@@ -146,16 +146,19 @@ class Bag:
         """That of one message. Raises: as `message`."""
         return self.message(topic, index).payload
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         """(topic, index, payload) of all messages, in storage order, for a scan of their first bytes.
 
         A payload may end after `stone_recordings.bags.message_store.HEAD_BYTES`, except of the topics named in `whole`.
         Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked,
-        databases not beyond the pages that hold the heads. Raises: as `messages`.
+        databases not beyond the pages that hold the heads. Where it `is_checked`, chunks are read whole, those that are
+        damaged are passed over, and `damaged` reads none of them again. Raises: as `messages`.
         """
         for topic in topics:
             self._check_readable(topic)
-        for topic, index, payload in self._store.heads(topics, whole):
+        for topic, index, payload in self._store.heads(topics, whole, is_checked=is_checked):
             yield topic, index, self._head(topic, index, topic in whole) if is_packed(payload) else payload
 
     def _payload(self, topic: str, index: int) -> memoryview:

@@ -71,6 +71,7 @@ class ChunkedStore(ABC):
         self._chunks: OrderedDict[int, memoryview] = OrderedDict()
         self._checked: set[int] = set()
         self._damaged: dict[int, str] = {}
+        self._sound: set[int] = set()
         self._head = (-1, memoryview(b""))
         self._near_byte = self._dropped_bytes = 0
 
@@ -92,10 +93,13 @@ class ChunkedStore(ABC):
             self._near_byte = offset
         return self._found(self._records(number, is_checked=True), topic, index)
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         """Storage order, so that each chunk is inflated once, and no further than heads lie in it.
 
         Plain chunks are not read whole for it. A payload is cut short only where its chunk was not inflated to its end.
+        Where chunks are to be checked, they are read and inflated whole.
         """
         rows = in_storage_order([self._entries[topic] for topic in topics])
         reach = reach_of(rows, np.array([topic in whole for topic in topics]), self.head_bytes)
@@ -103,6 +107,8 @@ class ChunkedStore(ABC):
         self._file.map.madvise(mmap.MADV_RANDOM)
         try:
             for number, index, chunk in zip(rows.topic.tolist(), rows.index.tolist(), rows.chunk.tolist(), strict=True):
+                if is_checked:
+                    self._check(chunk)
                 if chunk not in self._damaged:
                     view = self._head_of(chunk, reach[chunk])
                     yield topics[number], index, self._head_found(view, topics[number], index, topics[number] in whole)
@@ -113,11 +119,9 @@ class ChunkedStore(ABC):
     def damaged(self) -> Mapping[str, Mapping[int, str]]:
         """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
         used = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.chunk for one in self._entries.values())]))
-        for number in used[used >= 0].tolist():
-            try:
-                self._records(number, is_checked=True)
-            except (ChecksumError, MalformedBagError) as error:
-                self._damaged[number] = str(error)
+        used = used[used >= 0]
+        for number in (number for number in used.tolist() if number not in self._sound):
+            self._check(number)
             self._file.forget(self._placed.chunks[number].start, self._placed.chunks[number].stop)
         bad = np.array(sorted(self._damaged), np.int64)
         return {
@@ -125,6 +129,19 @@ class ChunkedStore(ABC):
             for topic, one in self._entries.items()
             if np.isin(one.chunk, bad).any()
         }
+
+    def _check(self, number: int) -> None:
+        """Note whether a chunk is damaged; looked at once."""
+        if number < 0 or number in self._sound or number in self._damaged:
+            return
+        chunk = self._placed.chunks[number]
+        self._file.expect(chunk.start, chunk.stop - chunk.start)
+        try:
+            self._records(number, is_checked=True)
+        except (ChecksumError, MalformedBagError) as error:
+            self._damaged[number] = str(error)
+            return
+        self._sound.add(number)
 
     def release(self) -> None:
         self._chunks.clear()

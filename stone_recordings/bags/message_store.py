@@ -32,9 +32,12 @@ class MessageStore(Protocol):
         """The CDR message at `index` in log-time order."""
         ...
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         """Topic, index and at least the first `HEAD_BYTES` of every message (all of one that is shorter, or whose
-        topic is among `whole`), in the order in which they are stored.
+        topic is among `whole`), in the order in which they are stored. What is damaged is passed over where that
+        `is_checked`, and where `damaged` was asked before.
         """
         ...
 

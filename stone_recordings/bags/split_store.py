@@ -37,13 +37,15 @@ class SplitStore:
         _times, parts, indices = self._places[topic]
         return self._woken(int(parts[index])).payload(topic, int(indices[index]))
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         """File after file, each in its own order."""
         for number, part in enumerate(self._parts):
             own = {topic.name for topic in part.topics}
             here = [topic for topic in topics if topic in own]
             joined = {topic: self._rows_of(number, topic) for topic in here}
-            for topic, index, payload in self._woken(number).heads(here, whole):
+            for topic, index, payload in self._woken(number).heads(here, whole, is_checked=is_checked):
                 yield topic, int(joined[topic][index]), payload
 
     def size_bytes(self, topic: str, index: int) -> int:

@@ -119,9 +119,9 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
     topics = {topic.name: topic for topic in bag.topics}
     heads = {name: [b""] * topics[name].count for name in scanned}
     payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
-    damaged = {name: bag.damaged.get(name, {}) for name in scanned}
-    problems = {name: {index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()} for name in scanned}
-    for name, index, payload in bag.heads(tuple(dict.fromkeys((*scanned, *whole))), whole=whole):
+    unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in scanned}
+    used = tuple(dict.fromkeys((*scanned, *whole)))
+    for name, index, payload in bag.heads(used, whole=whole, is_checked=True):
         if name in payloads:
             payloads[name][index] = bytes(payload)
         if name not in heads:
@@ -131,7 +131,12 @@ def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
         if problem is None and name == sources.lidar.name and (missing := sweep_problem(payload, topics[name].type)):
             problem = MessageProblem(MALFORMED, missing)
         if problem is not None:
-            problems[name][index] = problem
+            unusable[name][index] = problem
+    damaged = {name: bag.damaged.get(name, {}) for name in scanned}
+    problems = {
+        name: {**{index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()}, **unusable[name]}
+        for name in scanned
+    }
     messages = {name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in payloads.items()}
     return RecordedTopics(topics, heads, messages, problems, {name: bag.log_times_ns(name) for name in scanned})
 

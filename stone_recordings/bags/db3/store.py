@@ -57,7 +57,9 @@ class SqliteStore:
         upcoming = rows[index : index + AHEAD_ROWS if is_in_order else index + 1]
         return memoryview(self._read(upcoming, is_whole=True) if found is None else found)
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         """By rowid, which is the order in the file."""
         if not topics:
             return

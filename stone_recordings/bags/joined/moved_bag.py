@@ -34,7 +34,9 @@ class OpenedBag(Protocol):
 
     def payload(self, topic: str, index: int) -> memoryview: ...
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]: ...
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]: ...
 
     def size_bytes(self, topic: str, index: int) -> int: ...
 
@@ -63,9 +65,11 @@ class MovedBag:
     def payload(self, topic: str, index: int) -> memoryview:
         return self._moved(topic, self._bag.payload(topic, int(self._kept[topic][index])))
 
-    def heads(self, topics: Sequence[str], whole: Collection[str] = ()) -> Iterator[tuple[str, int, memoryview]]:
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
         left = {topic: self._places_left(topic) for topic in topics}
-        for topic, index, payload in self._bag.heads(topics, whole):
+        for topic, index, payload in self._bag.heads(topics, whole, is_checked=is_checked):
             if (place := int(left[topic][index])) >= 0:
                 yield topic, place, self._moved(topic, payload)
 

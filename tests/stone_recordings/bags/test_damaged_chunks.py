@@ -51,6 +51,22 @@ def test_the_messages_of_a_damaged_chunk_are_told_and_passed_over(tmp_path: Path
         assert f"{len(damaged['/a'])} of {COUNT} messages lie in 1 damaged chunks" in findings[0].message
 
 
+@pytest.mark.parametrize("compression", [CompressionType.NONE, CompressionType.ZSTD, CompressionType.LZ4])
+def test_a_checked_scan_passes_damage_over_that_nobody_asked_for_and_tells_it_then(
+    tmp_path: Path, compression: CompressionType
+) -> None:
+    path = recorded(tmp_path / "run.mcap", compression=compression)
+    bad_chunk(path)
+    with open_bag(path) as bag:
+        seen = [(name, index) for name, index, _head in bag.heads(("/a", "/b"), is_checked=True)]
+        damaged = bag.damaged
+    with open_bag(path) as asked:
+        assert damaged == asked.damaged
+    sound = [(name, index) for name in ("/a", "/b") for index in range(COUNT) if index not in damaged[name]]
+    assert sorted(seen) == sound
+    assert len(sound) < 2 * COUNT
+
+
 def test_a_sound_recording_has_no_damage(tmp_path: Path) -> None:
     with open_bag(recorded(tmp_path / "run.mcap")) as bag:
         assert bag.damaged == {}
