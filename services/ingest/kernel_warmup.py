@@ -14,6 +14,8 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.deskew import SweepMount, deskew
+from stone.sensors.ground_points import plane_around
+from stone.sensors.selection import world_points
 from stone_recordings.messages.lidar import resolve_points
 
 
@@ -32,7 +34,11 @@ OUSTER = PointLayout(("t", "<u4", 20), ("ring", "u1", 26), 48)
 
 @cache
 def warm() -> None:
-    """Call each kernel with four points: once a process."""
+    """Call each kernel with four points, those of the ground with a plain around the robot: once a process."""
+    side_m = np.arange(-3.0, 3.0, 0.1)
+    x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
+    plain = np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)
+    plane_around(world_points(plain, SE3.identity(), (), 1.0))
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):

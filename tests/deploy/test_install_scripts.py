@@ -13,7 +13,7 @@ import pytest
 ROOT = Path(__file__).resolve().parents[2]
 DEPLOY = ROOT / "deploy"
 TOOLS = ("mkdir", "date", "tail", "sed", "grep", "head", "touch", "rm", "cat")
-OF_LARGER_RUNS = {"moments.move_rows", "observed_voxels._rehash", "selection._within"}  # where a table or a map grows
+OF_LARGER_RUNS = {"moments.move_rows", "observed_voxels._rehash"}  # where a table or a map grows
 INDEX = "-".join(("index", "url"))  # pip's word, which no file of ours may set: tests/test_architecture.py
 WHEEL_HASH = re.compile(r"--hash=sha256:[0-9a-f]{64}")
 
@@ -144,4 +144,4 @@ def test_the_installation_leaves_every_kernel_compiled(tmp_path: Path) -> None:
     subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)
     compiled = {path.name.partition("-")[0] for path in tmp_path.rglob("*.nbi")}
     assert len(compiled) > 60
-    assert product_kernels() - compiled == OF_LARGER_RUNS
+    assert product_kernels() - compiled <= OF_LARGER_RUNS
