@@ -29,11 +29,11 @@ MODULES := $(shell find web/modules web/libraries -name '*.ts' -o -name '*.js')
 
 # What waits for nothing of each other is done at once. Kernels are compiled once, here: it takes a minute of a core.
 install:
-	@$(MAKE) --no-print-directory --jobs=2 STEPS=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED)
+	@$(MAKE) --no-print-directory --silent --jobs=2 STEPS=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED)
 
 # With what the platform serves besides its pages: the client's wheel and the docs site.
 platform:
-	@$(MAKE) --no-print-directory --jobs=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED) $(DOWNLOAD) $(MANUAL)
+	@$(MAKE) --no-print-directory --silent --jobs=3 $(INSTALLED) $(BUILT) $(KERNELS_COMPILED) $(DOWNLOAD) $(MANUAL)
 
 $(INSTALLED): deploy/runtime.lock pyproject.toml deploy/client/pyproject.toml deploy/create-venv.sh deploy/install-system-libraries.sh
 	@deploy/step.sh 1/$(STEPS) packages "Python packages of deploy/runtime.lock" deploy/create-venv.sh
