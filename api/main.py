@@ -181,6 +181,6 @@ UNTOLD: TelemetryConfig = {"tracing": False, "metrics": False, "logs": False, "a
 DESCRIPTION = """Recordings of field robots in, 3D traversability labels out.
 
 Refusals are `application/problem+json`. Lists are paged by `cursor`. Creating POSTs take an `Idempotency-Key`. Things
-that change carry an `ETag`, and changing them asks for `If-Match`. So do boards and the lists of sequences and jobs: to
-who sends it as `If-None-Match` an unchanged one is not sent again.
+that change carry an `ETag`, and changing them asks for `If-Match`. So do boards and the lists of sequences, jobs,
+submissions, exports and versions: to who sends it as `If-None-Match` an unchanged one is not sent again.
 """

@@ -17,6 +17,7 @@ from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
+from api.lists.answers import listed, model_response
 from api.paging import Page, PageDep, page
 from api.schemas.datasets import (
     VERSION_PATTERN,
@@ -70,12 +71,13 @@ def create_dataset(
     return published
 
 
-@router.get("", responses=refusals())
-def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep) -> Page[DatasetItem]:
+@router.get("", response_model=Page[DatasetItem], responses=listed())
+def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep, request: Request) -> Response:
     """The versions, newest first."""
     with platform.database.reading() as session:
         found = page(session, select(Dataset), Dataset.id.desc(), query)
-        return Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
+        shown = Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
+    return model_response(request, shown)
 
 
 @router.get("/{dataset_name}", summary="A version with its sequences and downloads", responses=refusals(404))

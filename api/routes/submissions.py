@@ -17,6 +17,7 @@ from api.callers import Administrator, Reader, Submitter
 from api.deps import Caller, PlatformDep, at_once
 from api.errors import ForbiddenError
 from api.etags import etag, require_match
+from api.lists.answers import listed, model_response
 from api.paging import Page, PageDep, page
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath, IdQuery
@@ -101,17 +102,19 @@ def finalize_submission(
     return shown
 
 
-@router.get("/submissions")
+@router.get("/submissions", response_model=Page[SubmissionItem], responses=listed())
 def list_submissions(
+    request: Request,
     caller: Reader,
     platform: PlatformDep,
     query: PageDep,
     filters: Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))],
-) -> Page[SubmissionItem]:
+) -> Response:
     """The submissions of the caller's teams, newest first; an administrator sees everybody's."""
     with platform.database.reading() as session:
         found = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
-        return Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
+        shown = Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
+    return model_response(request, shown)
 
 
 @router.get("/submissions/{submission_id}", summary="A submission and its progress", responses=refusals(404))

@@ -16,6 +16,7 @@ from api.answers import refusals
 from api.callers import Curator, Reader
 from api.deps import Caller, PlatformDep
 from api.files import answer_bytes, file_responses
+from api.lists.answers import listed, model_response
 from api.paging import Page, PageDep, page, place_of_page
 from api.schemas.base import IdPath
 from api.schemas.sequences.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
@@ -70,12 +71,15 @@ def create_export(
     return shown
 
 
-@router.get("", responses=refusals(404))
-def list_exports(sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep) -> Page[ExportItem]:
+@router.get("", response_model=Page[ExportItem], responses=listed(404))
+def list_exports(
+    sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep, request: Request
+) -> Response:
     """The exports of a sequence, newest first; stale ones too."""
     with platform.database.reading() as session:
         found = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
-        return Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
+        shown = Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
+    return model_response(request, shown)
 
 
 @router.get("/{export_id}", summary="An export and its progress", responses=refusals(404))

@@ -39,7 +39,7 @@ ASKED = {
     "a_submission": f"/submissions/{id_of('submission', 3)}",
     "me": "/me",
 }
-TAGGED = ("/sequences", "/jobs")
+TAGGED = ("/sequences", "/jobs", "/submissions", f"/sequences/{FIRST}/exports", "/datasets")
 WHO = ("ada", "bob", "root", "visitor")
 
 
