@@ -58,6 +58,6 @@ def test_heartbeats_of_one_keeper_are_one_a_turn_and_presence_is_every_workers_o
 def test_a_question_whether_a_connection_lives_is_counted_to_what_follows_it() -> None:
     run = {"liveness of a connection": 10, "claim": 6, "heartbeat": 3, "presence": 1}
     idle = {"transactions": {"presence": 5, "liveness of a connection": 5}, "lasted_s": 10.0, "processes": 2}
-    assert demand_of({"run": {"transactions": run}, "idle": idle, "job_s": [1.0, 2.0]}) == JobDemand(
-        (1.0, 2.0), visits=6.0, beats_per_s=2.0, presence_per_s=0.5
-    )
+    cost = {"run": {"transactions": run}, "idle": idle, "job_s": [1.0, 2.0]}
+    assert demand_of(cost, is_shared=True) == JobDemand((1.0, 2.0), 6.0, beats_per_s=2.0, presence_per_s=0.5)
+    assert demand_of(cost, is_shared=False) == JobDemand((1.0, 2.0), 9.0, beats_per_s=0.0, presence_per_s=0.5)

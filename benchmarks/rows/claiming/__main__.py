@@ -74,7 +74,7 @@ def _share(options: argparse.Namespace) -> None:
 
 
 def _foretell(options: argparse.Namespace) -> None:
-    demand = demand_of(json.loads(options.count.read_text("utf-8")))
+    demand = demand_of(json.loads(options.count.read_text("utf-8")), is_shared=options.shared > 1)
     if (given := options.transactions_per_s) is None:
         found = json.loads(options.share.read_text("utf-8"))
         given = found["transactions"] / found["lasted_s"]

@@ -38,7 +38,7 @@ class WorkerFleet:
 
 
 @dataclass(frozen=True)
-class Pace:
+class FleetPace:
     """What is done: jobs a second; shares of the workers' time in jobs, and of the database's."""
 
     workers: int
@@ -47,22 +47,26 @@ class Pace:
     database: float
 
 
-def demand_of(cost: Mapping[str, Any]) -> JobDemand:
-    """By the JSON of `count`; the question whether a connection lives is counted to what follows it."""
+def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
+    """By the JSON of `count`. The question whether a connection lives is counted to what follows it.
+
+    Heartbeats are the keeper's where it is shared; else they are counted to the job, most of which they begin and end.
+    """
     times, idle, job_s = cost["run"]["transactions"], cost["idle"], cost["job_s"]
     asked = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
     beats = sum(times.get(name, 0) for name in BEATS) * asked
     visits = sum(count for name, count in times.items() if name not in (*BEATS, PRESENCE, LIVENESS)) * asked
     presence = sum(idle["transactions"].values()) / idle["lasted_s"] / idle["processes"]
-    return JobDemand(tuple(job_s), visits / len(job_s), beats / sum(job_s), presence)
+    of_job, of_keeper = (visits, beats) if is_shared else (visits + beats, 0.0)
+    return JobDemand(tuple(job_s), of_job / len(job_s), of_keeper / sum(job_s), presence)
 
 
-def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> Pace:
+def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> FleetPace:
     """What so many workers do within `lasting_s`, after a fifth of it as a start."""
     return _Simulation(demand, fleet, random.Random(seed)).run(lasting_s)
 
 
-def carried(paces: Sequence[Pace]) -> float:
+def carried(paces: Sequence[FleetPace]) -> float:
     """How many workers at the pace of the first the best one is worth: where the curve bends."""
     first = paces[0]
     return max(one.jobs_per_s for one in paces) / (first.jobs_per_s / first.workers)
@@ -77,7 +81,7 @@ class _Simulation:
         self._events: list[tuple[float, int, str, int]] = []
         self._number = 0
 
-    def run(self, lasting_s: float) -> Pace:
+    def run(self, lasting_s: float) -> FleetPace:
         fleet = self._fleet
         for worker in range(fleet.workers):
             self._at(self._chance.random(), "work", worker)
@@ -94,7 +98,7 @@ class _Simulation:
                 is_counted, self._jobs, self._busy_s, self._worked_s = True, 0.0, 0.0, 0.0
             getattr(self, f"_{kind}")(now_s, who)
         shares = (self._worked_s / fleet.workers / lasting_s, min(1.0, self._busy_s / lasting_s))
-        return Pace(fleet.workers, self._jobs / lasting_s, *shares)
+        return FleetPace(fleet.workers, self._jobs / lasting_s, *shares)
 
     def _at(self, at_s: float, kind: str, who: int) -> None:
         self._number += 1

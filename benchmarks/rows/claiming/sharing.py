@@ -4,16 +4,18 @@
 connection, as a worker's has one for its jobs. Counted is what PostgreSQL counted (`pg_stat_database`).
 """
 
+import logging
 import os
 import signal
 import tempfile
 import time
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 from pathlib import Path
 
 import psutil
 import psycopg
-from sqlalchemy import func, select
+import structlog
+from sqlalchemy import func, select, text
 
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.enqueue import enqueue_run
@@ -26,6 +28,8 @@ from testing.servers.postgres import PostgresServer, running_postgres
 
 QUEUE, KIND = "ingest", "ingest.nothing"
 OWNERS, JOBS_A_RUN = 8, 40
+START_S = 15.0
+"""What processes load and prepare at their first jobs is not the database's share."""
 
 
 @dataclass(frozen=True)
@@ -48,17 +52,17 @@ def shared(processes: int, lasted_s: float, runs: int) -> DatabaseShare:
         platform = open_silent_platform(settings)
         _fill(platform, runs)
         platform.database.close()
-        before, cpu_s = _transactions(postgres), _cpu_s(postgres)
-        begun_s = time.monotonic()
-        pids = [_claiming(settings, begun_s + lasted_s) for _ in range(processes)]
+        pids = [_claiming(settings) for _ in range(processes)]
+        time.sleep(START_S)
+        before, cpu_s, begun, begun_s = _transactions(postgres), _cpu_s(postgres), _done(platform), time.monotonic()
+        time.sleep(lasted_s)
+        took_s, done = time.monotonic() - begun_s, _done(platform) - begun
+        counted, used_s = _transactions(postgres) - before, _cpu_s(postgres) - cpu_s
         for pid in pids:
+            os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
-        took_s = time.monotonic() - begun_s
-        time.sleep(1.0)  # PostgreSQL reaps the servers of those that ended
-        done = _done(platform)
         platform.database.close()
-        counted = _transactions(postgres) - before
-        return DatabaseShare(processes, took_s, done, counted, _cpu_s(postgres) - cpu_s)
+        return DatabaseShare(processes, took_s, done, counted, used_s)
 
 
 def _fill(platform: Platform, runs: int) -> None:
@@ -71,21 +75,21 @@ def _fill(platform: Platform, runs: int) -> None:
         with platform.database.transaction() as session:
             specs = [JobSpec(KIND)] * JOBS_A_RUN
             enqueue_run(session, "benchmark", specs, Context(ids[number % OWNERS]))
+    with platform.database.transaction() as session:
+        session.execute(text("ANALYZE"))  # as a database that lives has done
 
 
-def _claiming(settings: Settings, until_s: float) -> int:
-    """A process that runs jobs until then; its pid."""
+def _claiming(settings: Settings) -> int:
+    """A process that runs jobs until it is killed; its pid."""
     if (pid := os.fork()) != 0:
         return pid
     try:
-        signal.signal(signal.SIGINT, signal.SIG_DFL)
-        quiet = settings.model_copy(update={"jobs": replace(settings.jobs, rest_s=0.01)})
-        platform = open_silent_platform(quiet)
-        while time.monotonic() < until_s:
-            run_row(platform, QUEUE, {KIND: _nothing}, lambda: time.monotonic() < until_s)
-        platform.database.close()
+        structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.ERROR))
+        platform = open_silent_platform(settings)
+        while True:
+            run_row(platform, QUEUE, {KIND: _nothing}, lambda: True)
     finally:
-        os._exit(0)
+        os._exit(1)
 
 
 def _nothing(_attempt: Attempt) -> Outcome:
