@@ -15,17 +15,23 @@ import signal
 import socket
 import struct
 import time
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field
 from secrets import token_hex
+from typing import Any
 
 import structlog
+from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.attempt_words import AttemptWords
 from services.runtime.jobs.lease_messages import MessageStream, words_of
 from services.runtime.jobs.leases import renew
+from services.runtime.jobs.presence_rows import ProcessPresence, write_presence
 from services.runtime.processes.parent_death import die_with
 from services.runtime.settings import Settings
+from services.runtime.telemetry.counter_rows import CounterWriter
+from services.runtime.telemetry.counters import Counts, ProcessCounters
 from services.runtime.telemetry.log_lines import speak_json
 
 _CREDENTIALS = struct.Struct("3i")
@@ -35,14 +41,24 @@ log = structlog.get_logger(__name__)
 
 @dataclass
 class LeaseKeeper:
-    """`serve()` for ever; a turn is taken at most once every `turn_s`."""
+    """`serve()` for ever; a turn is taken at most once every `turn_s`.
+
+    That a process is there waits for a turn of attempts, or for `presence_s`.
+    """
 
     database: Database
     listener: socket.socket
     turn_s: float
+    presence_s: float
     _selector: selectors.DefaultSelector = field(default_factory=selectors.DefaultSelector)
     _said: list[tuple[MessageStream, AttemptWords]] = field(default_factory=list)
+    _present: dict[str, ProcessPresence] = field(default_factory=dict)
+    _present_s: float = 0.0
     _turned_s: float = float("-inf")
+    _counters: ProcessCounters = field(default_factory=ProcessCounters)
+
+    def __post_init__(self) -> None:
+        self._counter_row = CounterWriter(self._counters)
 
     def serve(self) -> None:
         self.begin()
@@ -60,16 +76,25 @@ class LeaseKeeper:
         self._selector.close()
 
     def step(self, patience_s: float | None = None) -> None:
-        """Hear what comes until the next turn is due, or for `patience_s` where nothing was said; then take it."""
-        due_s = self._turned_s + self.turn_s - time.monotonic() if self._said else patience_s
-        if self._said and due_s is not None and due_s <= 0:
+        """Hear what comes until the next turn is due, or for `patience_s`; or take it."""
+        due_s = self._due_s()
+        if due_s is not None and due_s <= 0:
             self._take_turn()
             return
-        for key, _ in self._selector.select(due_s):
+        patient = [one for one in (due_s, patience_s) if one is not None]
+        for key, _ in self._selector.select(min(patient, default=None)):
             if key.fileobj is self.listener:
                 self._accept()
             else:
                 self._hear(key.data)
+
+    def _due_s(self) -> float | None:
+        """In how many seconds a turn is due; None where nothing was said."""
+        now_s = time.monotonic()
+        dues = [self._turned_s + self.turn_s] if self._said else []
+        if self._present:
+            dues.append(max(self._turned_s + self.turn_s, self._present_s + self.presence_s))
+        return min(dues) - now_s if dues else None
 
     def _accept(self) -> None:
         connected, _ = self.listener.accept()
@@ -82,22 +107,55 @@ class LeaseKeeper:
 
     def _hear(self, stream: MessageStream) -> None:
         try:
-            self._said += [(stream, words_of(message)) for message in stream.receive()]
+            for message in stream.receive():
+                self._take(stream, message)
         except (EOFError, OSError, ValueError, TypeError, KeyError):
             self._drop(stream)
+
+    def _take(self, stream: MessageStream, message: dict[str, Any]) -> None:
+        if "job_id" in message:
+            self._said.append((stream, words_of(message)))
+            return
+        if "present" in message:
+            self._note(ProcessPresence(**message["present"]), message["counts"])
+        else:
+            self._present.pop(message["gone"], None)
+        stream.send({})
+
+    def _note(self, present: ProcessPresence, counts: Counts) -> None:
+        if not self._present:
+            self._present_s = time.monotonic()
+        self._present[present.name] = present
+        self._counters.merge(counts)
 
     def _take_turn(self) -> None:
         said, self._said, self._turned_s = self._said, [], time.monotonic()
         last = {(stream, words.key): words for stream, words in said}
+        present, committed = list(self._present.values()), list[Callable[[], None]]()
+
+        def beside(session: Session) -> None:
+            if present:
+                write_presence(session, present)
+                committed.append(self._counter_row.tell(session))
+
         try:
-            answers = renew(self.database, list(last.values()))
+            answers = renew(self.database, list(last.values()), beside)
+            self._told(present, committed)
         except Exception as error:
             log.warning("heartbeats not written; the jobs go on", jobs=len(last), reason=str(error)[:500])
+            self._present_s = self._turned_s
             for stream, _ in last:
                 self._answer(stream, {"error": f"{type(error).__name__}: {error}"[:500]})
             return
         for (stream, _), answer in zip(last, answers, strict=True):
             self._answer(stream, asdict(answer))
+
+    def _told(self, present: Sequence[ProcessPresence], committed: Sequence[Callable[[], None]]) -> None:
+        """Their rows are written; where words were refused they are told in the next turn."""
+        for noted in committed:
+            noted()
+        if committed:
+            self._present = {name: one for name, one in self._present.items() if one not in present}
 
     def _answer(self, stream: MessageStream, message: dict[str, object]) -> None:
         try:
@@ -142,7 +200,7 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
         os.closerange(3, listener.fileno())  # the worker's own: to its fork server, to its broker
         os.closerange(listener.fileno() + 1, os.sysconf("SC_OPEN_MAX"))
         speak_json()
-        LeaseKeeper(Database(settings), listener, settings.jobs.progress_s).serve()
+        LeaseKeeper(Database(settings), listener, settings.jobs.progress_s, settings.jobs.heartbeat_s / 2).serve()
     except BaseException:
         log.exception("the lease keeper ends; each process beats for itself")
     finally:

@@ -1,15 +1,21 @@
-"""How a running attempt renews its lease: by the worker's keeper, or itself where no keeper answers."""
+"""How a worker's process speaks to its lease keeper: what its attempt says, and that it is there.
+
+**Conventions.** Where no keeper answers, the process writes to the database itself.
+"""
 
 import socket
 from contextlib import suppress
+from typing import Any
 
 import structlog
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.attempt_words import AttemptWords
 from services.runtime.jobs.lease_keeper import keeper_address
-from services.runtime.jobs.lease_messages import MessageStream, answer_of, message_of
+from services.runtime.jobs.lease_messages import MessageStream, answer_of, message_of, presence_message
 from services.runtime.jobs.leases import LeaseAnswer, renew
+from services.runtime.jobs.presence_rows import ProcessPresence
+from services.runtime.telemetry.counters import Counts
 from stone.errors import PlatformFaultError
 
 log = structlog.get_logger(__name__)
@@ -60,20 +66,59 @@ class LeaseLine:
             stream.socket.close()
 
     def _asked(self, words: AttemptWords) -> LeaseAnswer:
-        stream = self._connected()
-        stream.send(message_of(words))
-        while not (answers := stream.receive()):
-            pass
-        if "error" in answers[0]:
-            raise LeaseNotRenewedError(answers[0]["error"])
-        return answer_of(answers[0])
-
-    def _connected(self) -> MessageStream:
         if self._stream is None:
-            connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
-            connecting.settimeout(self._patience_s)
-            self._stream = MessageStream(connecting)
-            connecting.connect(self._address or "")
+            self._stream = opened(self._address or "", self._patience_s)
         if self._is_interrupted:
             raise EOFError
-        return self._stream
+        self._stream.send(message_of(words))
+        answer = self._stream.first()
+        if "error" in answer:
+            raise LeaseNotRenewedError(answer["error"])
+        return answer_of(answer)
+
+
+class PresenceLine:
+    """`tell(present, counts)`: whether the keeper has it and will write it. Used by one thread."""
+
+    def __init__(self, patience_s: float) -> None:
+        self._patience_s = patience_s
+        self._stream: MessageStream | None = None
+
+    def tell(self, present: ProcessPresence, counts: Counts) -> bool:
+        return self._is_heard(presence_message(present, counts))
+
+    def leave(self, name: str) -> None:
+        """The keeper writes the row of this process no more."""
+        self._is_heard({"gone": name})
+        self.close()
+
+    def _is_heard(self, message: Any) -> bool:
+        if (address := keeper_address()) is None:
+            return False
+        try:
+            if self._stream is None:
+                self._stream = opened(address, self._patience_s)
+            self._stream.send(message)
+            self._stream.first()
+        except (OSError, EOFError, ValueError) as error:
+            log.warning("the lease keeper does not answer", reason=f"{type(error).__name__}: {error}"[:500])
+            self.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.socket.close()
+        self._stream = None
+
+
+def opened(address: str, patience_s: float) -> MessageStream:
+    """A stream to who listens there. Raises `OSError`."""
+    connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connecting.settimeout(patience_s)
+    try:
+        connecting.connect(address)
+    except OSError:
+        connecting.close()
+        raise
+    return MessageStream(connecting)

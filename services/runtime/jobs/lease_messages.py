@@ -12,6 +12,8 @@ from typing import Any
 
 from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, JobProgress
 from services.runtime.jobs.leases import LeaseAnswer
+from services.runtime.jobs.presence_rows import ProcessPresence
+from services.runtime.telemetry.counters import Counts
 
 LENGTH = struct.Struct(">I")
 LONGEST_BYTES = 64 * 2**20
@@ -38,11 +40,17 @@ class MessageStream:
             raise EOFError
         self._held += more
         found = []
-        while (whole := self._first()) is not None:
+        while (whole := self._taken()) is not None:
             found.append(json.loads(whole))
         return found
 
-    def _first(self) -> bytes | None:
+    def first(self) -> Any:
+        """The next message, waited for. Raises as `receive`."""
+        while not (found := self.receive()):
+            pass
+        return found[0]
+
+    def _taken(self) -> bytes | None:
         if len(self._held) < LENGTH.size:
             return None
         (length,) = LENGTH.unpack_from(self._held)
@@ -66,6 +74,10 @@ def words_of(message: dict[str, Any]) -> AttemptWords:
     lines = tuple(AttemptLine(**line) for line in message["lines"])
     told = None if progress is None else JobProgress(**progress)
     return AttemptWords(message["job_id"], message["attempt"], told, lines)
+
+
+def presence_message(present: ProcessPresence, counts: Counts) -> dict[str, Any]:
+    return {"present": asdict(present), "counts": counts}
 
 
 def answer_of(message: dict[str, Any]) -> LeaseAnswer:

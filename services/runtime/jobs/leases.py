@@ -6,7 +6,7 @@ Words that the database refuses take no heartbeat with them: the heartbeats are 
 attempt's lines alone.
 """
 
-from collections.abc import Mapping, Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
@@ -16,6 +16,7 @@ from sqlalchemy.orm import Session, aliased
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.attempt_lines import OUTAGES, write_lines, write_lines_singly
 from services.runtime.jobs.attempt_words import AttemptKey, AttemptWords
+from services.runtime.jobs.specs import nothing
 from services.runtime.orm import Job
 
 
@@ -28,12 +29,18 @@ class LeaseAnswer:
     is_written: bool = True
 
 
-def renew(database: Database, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
-    """The answer to each, in order. Raises what the database raises where not even heartbeats could be written."""
+def renew(
+    database: Database, words: Sequence[AttemptWords], beside: Callable[[Session], None] = nothing
+) -> list[LeaseAnswer]:
+    """The answer to each, in order; `beside` writes something else in the same transaction, where nothing is refused.
+
+    Raises what the database raises where not even heartbeats could be written.
+    """
     try:
         with database.transaction() as session:
-            answers = _beat(session, words)
+            answers = _beat(session, words) if words else []
             write_lines(session, words)
+            beside(session)
     except OUTAGES:
         raise
     except Exception:

@@ -6,19 +6,19 @@ that ends in order takes its row away, one that was killed falls silent and is f
 """
 
 import time
-from collections.abc import Mapping, Sequence
+from collections.abc import Sequence
 from dataclasses import dataclass
 from threading import Event, Thread
-from typing import Any
 
 import structlog
-from sqlalchemy import delete, select, update
+from sqlalchemy import delete, select
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from services.runtime.database.clock import database_ns
-from services.runtime.jobs.changes import rows_changed
 from services.runtime.jobs.claims import worker_name
+from services.runtime.jobs.lease_line import PresenceLine
+from services.runtime.jobs.presence_rows import ProcessPresence, write_presence
 from services.runtime.orm import Worker
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -52,6 +52,7 @@ class WorkerHeartbeat:
         self._heartbeat_file = HeartbeatFile(platform.settings.root)
         self._started_ns = now_ns()
         self._counters = CounterWriter(process_counters())
+        self._line = PresenceLine(platform.settings.jobs.heartbeat_s)
         self._leaving = Event()
         self._thread = Thread(target=self._keep_writing, name="presence", daemon=True)
 
@@ -62,6 +63,7 @@ class WorkerHeartbeat:
         self._leaving.set()
         self._thread.join(timeout=self._platform.settings.jobs.heartbeat_s)
         self._heartbeat_file.stop()
+        self._line.leave(worker_name())
         try:
             with self._platform.database.transaction() as session:
                 session.execute(delete(Worker).where(Worker.name == worker_name()))
@@ -70,23 +72,21 @@ class WorkerHeartbeat:
             log.warning("presence not taken back; it will be forgotten", reason=str(error)[:200])
 
     def tell(self) -> None:
-        """Write the row as the process is now, and what it counted."""
-        ram, data = memory(), disk(self._platform.settings.root)
-        values: dict[str, Any] = {"held_bytes": held_bytes(), "beat_ns": database_ns()}
-        values |= {"memory_free_bytes": ram.free_bytes, "memory_bytes": ram.total_bytes}
-        values |= {"disk_free_bytes": data.free_bytes, "disk_bytes": data.total_bytes}
+        """Write the row as the process is now, and what it counted; by the worker's keeper where one answers."""
+        present = self._present()
+        grown, handed_over = self._counters.handed_over()
+        if self._line.tell(present, grown):
+            handed_over()
+            return
         with self._platform.database.transaction() as session:
-            self._write(session, values)
+            write_presence(session, [present])
             counters_committed = self._counters.tell(session)
         counters_committed()
 
-    def _write(self, session: Session, values: Mapping[str, Any]) -> None:
-        name = worker_name()
-        again = update(Worker).where(Worker.name == name, Worker.started_ns == self._started_ns)
-        if rows_changed(session, again.values(**values, beats=Worker.beats + 1)):
-            return
-        session.execute(delete(Worker).where(Worker.name == name))  # of a process whose pid came round again
-        session.add(Worker(name=name, queues=self._queues, started_ns=self._started_ns, beats=1, **values))
+    def _present(self) -> ProcessPresence:
+        ram, data = memory(), disk(self._platform.settings.root)
+        rooms = (ram.free_bytes, ram.total_bytes, data.free_bytes, data.total_bytes)
+        return ProcessPresence(worker_name(), self._queues, self._started_ns, held_bytes(), *rooms)
 
     def _keep_writing(self) -> None:
         beat_s = self._platform.settings.jobs.heartbeat_s

@@ -52,6 +52,15 @@ class CounterWriter:
 
         return committed
 
+    def handed_over(self) -> tuple[Counts, Callable[[], None]]:
+        """What grew, for somebody else to tell; to be called when they have it: another row begins there."""
+        now = self.counted()
+
+        def taken() -> None:
+            self._id, self._base, self._told, self._is_there = new_id(), now, now, False
+
+        return ({}, _nothing) if now == self._told else (less(now, self._told), taken)
+
 
 def counters_of_all_processes(session: Session) -> Counts:
     """The sum of all processes' counters, ended ones included."""

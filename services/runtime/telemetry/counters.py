@@ -40,6 +40,11 @@ class ProcessCounters:
             key = BETWEEN.join(labels)
             of_meter[key] = added(of_meter.get(key, one), one) if key in of_meter else one
 
+    def merge(self, more: Counts) -> None:
+        """Add what others counted."""
+        with self._lock:
+            self._counts = summed((self._counts, more))
+
     def counts(self) -> Counts:
         """A copy of the counts now."""
         with self._lock:

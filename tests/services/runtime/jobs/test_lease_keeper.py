@@ -5,19 +5,28 @@ import signal
 import socket
 import time
 from collections.abc import Callable, Iterator
+from contextlib import suppress
 from secrets import token_hex
 from threading import Barrier, Event, Thread
 
 import pytest
+from sqlalchemy import select
 
 from services.runtime.jobs import lease_keeper
 from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, progress_now
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.lease_keeper import LeaseKeeper, start_keeper
-from services.runtime.jobs.lease_line import LeaseLine, LeaseNotRenewedError
+from services.runtime.jobs.lease_line import LeaseLine, LeaseNotRenewedError, PresenceLine, opened
+from services.runtime.jobs.lease_messages import message_of
 from services.runtime.jobs.leases import LeaseAnswer
+from services.runtime.jobs.presence_rows import ProcessPresence
+from services.runtime.jobs.worker_presence import WorkerHeartbeat
+from services.runtime.orm import CounterRow, Worker
 from services.runtime.platform import Platform
+from services.runtime.telemetry.counter_rows import counters_of_all_processes
+from services.runtime.telemetry.counters import process_counters
+from services.runtime.telemetry.metric_names import LEASES_EXPIRED
 from testing.process_states import is_running
 from tests.services.runtime.jobs.outages import GONE, Away
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
@@ -40,7 +49,7 @@ def address(platform_on: Platform, monkeypatch: pytest.MonkeyPatch) -> Iterator[
     with socket.socket(socket.AF_UNIX, socket.SOCK_STREAM) as listener:
         listener.bind(address)
         listener.listen()
-        keeper = LeaseKeeper(platform_on.database, listener, TURN_S)
+        keeper = LeaseKeeper(platform_on.database, listener, TURN_S, TURN_S)
         keeper.begin()
 
         def serve() -> None:
@@ -74,9 +83,9 @@ def test_what_several_attempts_say_is_written_together(platform_on: Platform, mo
     turns: list[int] = []
     usual = lease_keeper.renew
 
-    def counted(database: object, words: list[AttemptWords]) -> list[LeaseAnswer]:
+    def counted(database: object, words: list[AttemptWords], *beside: object) -> list[LeaseAnswer]:
         turns.append(len(words))
-        return usual(database, words)  # type: ignore[arg-type]
+        return usual(database, words, *beside)  # type: ignore[arg-type]
 
     monkeypatch.setattr(lease_keeper, "renew", counted)
     attempts, together = claimed(platform_on, 4), Barrier(4)
@@ -181,6 +190,78 @@ def test_who_talks_nonsense_is_dropped_and_the_others_are_served(platform_on: Pl
     line = LeaseLine(platform_on.database, PATIENCE_S)
     assert line.renew(words) == LeaseAnswer(True)
     line.close()
+
+
+@pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes somebody else")
+def test_who_is_of_another_user_is_not_heard(platform_on: Platform, address: str) -> None:
+    (words,) = claimed(platform_on, 1)
+    if (stranger := os.fork()) == 0:
+        outcome = 1
+        try:
+            os.setuid(65534)
+            stream = opened(address, PATIENCE_S)
+            with suppress(OSError):
+                stream.send(message_of(words))
+            try:
+                stream.first()
+            except (EOFError, OSError):
+                outcome = 0
+        finally:
+            os._exit(outcome)
+    _, status = os.waitpid(stranger, 0)
+    assert (status, job(platform_on, words.job_id).heartbeats) == (0, 0)
+
+
+def present(platform: Platform) -> dict[str, int]:
+    """Beats by name of process."""
+    with platform.database.reading() as session:
+        return {row.name: row.beats for row in session.scalars(select(Worker))}
+
+
+@pytest.mark.usefixtures("address")
+def test_processes_are_told_of_together_and_what_they_counted_is_summed(platform_on: Platform) -> None:
+    counted = [{LEASES_EXPIRED.name: {"ingest.ok": amount}} for amount in (2.0, 3.0)]
+    lines = [PresenceLine(PATIENCE_S) for _ in counted]
+    there = [ProcessPresence(f"host:{number}", "ingest", 1, 10, 20, 30, 40, 50) for number in range(2)]
+    for line, one, counts in zip(lines, there, counted, strict=True):
+        assert line.tell(one, counts)  # type: ignore[arg-type]
+    until(lambda: present(platform_on) == {"host:0": 1, "host:1": 1})
+    with platform_on.database.reading() as session:
+        assert counters_of_all_processes(session) == {LEASES_EXPIRED.name: {"ingest.ok": 5.0}}
+        assert len(session.scalars(select(CounterRow)).all()) == 1
+    assert lines[0].tell(there[0], {})
+    until(lambda: present(platform_on) == {"host:0": 2, "host:1": 1})
+    for line in lines:
+        line.close()
+
+
+@pytest.mark.usefixtures("address")
+def test_whoever_left_is_told_of_no_more(platform_on: Platform) -> None:
+    heartbeat = WorkerHeartbeat(platform_on, ["ingest"])
+    heartbeat.start()
+    until(lambda: len(present(platform_on)) == 1)
+    heartbeat.tell()
+    heartbeat.leave()
+    time.sleep(3 * TURN_S)
+    assert present(platform_on) == {}
+
+
+def test_without_a_keeper_a_process_tells_of_itself_and_nothing_is_counted_twice(
+    platform_on: Platform, address: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before = process_counters().counts().get(LEASES_EXPIRED.name, {}).get("ingest.alone", 0.0)
+    heartbeat = WorkerHeartbeat(platform_on, ["ingest"])
+    process_counters().add(LEASES_EXPIRED, ("ingest.alone",))
+    heartbeat.tell()
+    until(lambda: list(present(platform_on).values()) == [1])
+    monkeypatch.setattr(lease_keeper, "_ADDRESS", [f"\0stone-nobody-{token_hex(8)}"])
+    process_counters().add(LEASES_EXPIRED, ("ingest.alone",))
+    heartbeat._line.close()
+    heartbeat.tell()
+    assert list(present(platform_on).values()) == [2]
+    with platform_on.database.reading() as session:
+        total = counters_of_all_processes(session)[LEASES_EXPIRED.name]["ingest.alone"]
+    assert total == before + 2
 
 
 @pytest.mark.whole
