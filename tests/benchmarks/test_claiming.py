@@ -47,11 +47,11 @@ def test_a_database_that_is_used_up_gives_what_it_has() -> None:
     assert carried(paces) == pytest.approx(25.0 / (1 / (0.5 + 4 / 100.0)), rel=0.03)
 
 
-def test_heartbeats_of_one_keeper_are_one_a_turn_and_presence_is_every_workers_own() -> None:
+def test_heartbeats_of_one_keeper_are_one_a_turn_and_so_is_presence() -> None:
     demand = JobDemand((1e6,), 1.0, 2.0, 0.25)
     together = pace(demand, WorkerFleet(32, 16, 0.5, 1000.0))
     apart = pace(demand, WorkerFleet(32, 1, 0.5, 1000.0))
-    assert together.database * 1000 == pytest.approx(2 * 2 + 32 * 0.25, rel=0.1)
+    assert together.database * 1000 == pytest.approx(2 * 2 + 2 * 0.25, rel=0.1)
     assert apart.database * 1000 == pytest.approx(32 * 2 + 32 * 0.25, rel=0.1)
 
 
@@ -59,5 +59,5 @@ def test_a_question_whether_a_connection_lives_is_counted_to_what_follows_it() -
     run = {"liveness of a connection": 10, "claim": 6, "heartbeat": 3, "presence": 1}
     idle = {"transactions": {"presence": 5, "liveness of a connection": 5}, "lasted_s": 10.0, "processes": 2}
     cost = {"run": {"transactions": run}, "idle": idle, "job_s": [1.0, 2.0]}
-    assert demand_of(cost, is_shared=True) == JobDemand((1.0, 2.0), 6.0, beats_per_s=2.0, presence_per_s=0.5)
+    assert demand_of(cost, is_shared=True) == JobDemand((1.0, 2.0), 6.0, beats_per_s=2.0, presence_per_s=1.0)
     assert demand_of(cost, is_shared=False) == JobDemand((1.0, 2.0), 9.0, beats_per_s=0.0, presence_per_s=0.5)

@@ -2,7 +2,7 @@
 
 **Conventions.** The queue never runs dry. A worker goes through its jobs one after the other; each is of the length of
 a measured one and asks the database `visits` times, evenly spread. The database serves one transaction after the other,
-each for the same time. Beside that it is told of presence by every worker, and beaten for by every keeper, which writes
+each for the same time. Beside that it is told of presence and beaten for by every keeper, which writes
 what its busy workers say, but at most once every `progress_s`. Workers of a machine have a core each.
 """
 
@@ -19,7 +19,7 @@ LIVENESS = "liveness of a connection"
 
 @dataclass(frozen=True)
 class JobDemand:
-    """What jobs ask of the database: transactions a job, beats a busy second and presence a second of a worker."""
+    """What jobs ask of the database: transactions a job, beats a busy second, presence a second of a keeper."""
 
     job_s: tuple[float, ...]
     visits: float
@@ -56,7 +56,7 @@ def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
     asked = sum(times.values()) / max(1, sum(times.values()) - times.get(LIVENESS, 0))
     beats = sum(times.get(name, 0) for name in BEATS) * asked
     visits = sum(count for name, count in times.items() if name not in (*BEATS, PRESENCE, LIVENESS)) * asked
-    presence = sum(idle["transactions"].values()) / idle["lasted_s"] / idle["processes"]
+    presence = sum(idle["transactions"].values()) / idle["lasted_s"] / (1 if is_shared else idle["processes"])
     of_job, of_keeper = (visits, beats) if is_shared else (visits + beats, 0.0)
     return JobDemand(tuple(job_s), of_job / len(job_s), of_keeper / sum(job_s), presence)
 
@@ -85,11 +85,11 @@ class _Simulation:
         fleet = self._fleet
         for worker in range(fleet.workers):
             self._at(self._chance.random(), "work", worker)
-            if self._demand.presence_per_s > 0:
-                self._at(self._chance.random() / self._demand.presence_per_s, "presence", worker)
         for keeper in range(-(-fleet.workers // fleet.shared)):
             if self._demand.beats_per_s > 0:
                 self._at(self._chance.random(), "beat", keeper)
+            if self._demand.presence_per_s > 0:
+                self._at(self._chance.random() / self._demand.presence_per_s, "presence", keeper)
         start_s, end_s = 0.2 * lasting_s, 1.2 * lasting_s
         is_counted = False
         while self._events[0][0] < end_s:
