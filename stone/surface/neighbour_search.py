@@ -16,7 +16,7 @@ from stone.geometry.lattice import BIAS, MASK
 FEWEST = 4  # three points always lie on a plane and say nothing
 BINS, WIDEST_CELLS = 64, 2.0  # bins of equal squared distance up to so many cells; the last holds all beyond
 SLACK = 1.0 + 1e-6  # beyond the rounding of a squared distance
-AROUND = 125  # cells up to two away
+SEARCHED = 125  # cells up to two away
 
 
 @njit(inline="always")
@@ -92,7 +92,7 @@ def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
             at += 1
 
 
-@njit(inline="always")
+@njit(cache=True, nogil=True)
 def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
     """Append the points of a range with their squared distances; the new number."""
     distances, numbers = found
@@ -103,7 +103,7 @@ def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
     return count
 
 
-@njit(inline="always")
+@njit(cache=True, nogil=True)
 def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-untyped-def]
     """The same, but only what is nearer than `limit` (squared)."""
     distances, numbers = found
@@ -139,7 +139,8 @@ def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def
     """The nearest k of what was found, sorted; how many they are."""
     (distances, numbers), (kept, rows, bins) = found, best
     scale = BINS / (WIDEST_CELLS * size_m) ** 2
-    bins[:] = 0
+    for b in range(BINS):
+        bins[b] = 0
     for t in range(count):
         bins[int(min(distances[t] * scale, BINS - 1.0))] += 1
     total, last = 0, BINS - 1
@@ -162,7 +163,7 @@ def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def
     return min(total, k)
 
 
-@njit(inline="always")
+@njit(cache=True, nogil=True)
 def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
     """How far the cells two away begin, below and above along x and y; and the nearest of all, along z too."""
     x_m = at[0] - ((key >> 42) - BIAS) * size_m
@@ -175,13 +176,13 @@ def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def fit(asked, cells, k, out):  # type: ignore[no-untyped-def]
-    """Fill mean squares and normals of the planes through the k points nearest to each place that is asked for."""
+def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
+    """Fill mean squares and normals of the planes through the k points nearest to each place that is asked for; there
+    is `room` for so many points as any search can find, and k more."""
     points, places, first = asked
     keys, start, size_m = cells
     mean_square, normals = out
     near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
-    room = k + min(points.shape[0], AROUND * np.diff(start).max()) if keys.size else k
     found = (np.empty(room), np.empty(room, np.int64))
     best = (np.empty(room), np.empty(room, np.int64), np.empty(BINS, np.int64))
     for c in range(keys.size):
@@ -199,7 +200,8 @@ def fit(asked, cells, k, out):  # type: ignore[no-untyped-def]
                 if not is_wide_open:
                     _open_columns(keys, keys[c], 2, wide)
                     is_wide_open = True
-                found[0][:count], found[1][:count] = best[0][:count], best[1][:count]
+                for t in range(count):
+                    found[0][t], found[1][t] = best[0][t], best[1][t]
                 count = _gather_ring(points, start, (near, wide), (at, sides), found, count, limit)
                 count = _keep_nearest(found, count, k, size_m, best)
             if count < FEWEST:

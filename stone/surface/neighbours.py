@@ -13,7 +13,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import VoxelTable, check_reach, find, keys_of, pack, table_of
-from stone.surface.neighbour_search import fit
+from stone.surface.neighbour_search import SEARCHED, fit
 
 AROUND = 27  # a cell and those around it
 
@@ -69,7 +69,9 @@ def _fits(cells: Cells, asked: tuple[NDArray[np.float64], NDArray[np.int64]], k:
     """Around the places asked (Q, 3), those of cell c being asked[1][c] to asked[1][c + 1]."""
     mean_square = np.empty(len(asked[0]))
     normals = np.zeros((len(asked[0]), 3))
-    fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, (mean_square, normals))
+    crowd = int(np.diff(cells.start).max(initial=0))
+    room = k + min(len(cells.points), SEARCHED * crowd)
+    fit((cells.points, *asked), (cells.keys, cells.start, cells.size_m), k, room, (mean_square, normals))
     return PlaneFits(mean_square, normals)
 
 

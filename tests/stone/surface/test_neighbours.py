@@ -97,6 +97,15 @@ def test_crowded_cells_and_equal_points_are_searched_as_all_are():
         assert mean_square == pytest.approx(max(values[0], 0), abs=1e-11)
 
 
+def test_there_is_room_for_all_points_of_all_cells_that_are_searched():
+    corners = np.stack(np.meshgrid(*[np.arange(-2, 3)] * 3), axis=-1).reshape(-1, 3) * CELL_M
+    points = (corners + np.random.default_rng(5).uniform(0.01, CELL_M - 0.01, (3, 125, 3))).reshape(-1, 3)
+    middle = int(np.argmin(np.abs(points - CELL_M / 2).max(axis=1)))
+    fits = plane_fits(cells_of(points, CELL_M), 375)
+    values = np.linalg.eigvalsh(np.cov(points.T, bias=True))
+    assert fits.mean_square_m2[middle] == pytest.approx(values[0], abs=1e-11)
+
+
 def test_no_points_have_no_fits():
     fits = plane_fits(cells_of(np.zeros((0, 3)), CELL_M), 20)
     assert fits.mean_square_m2.shape == (0,)
