@@ -61,6 +61,13 @@ def test_a_wake_up_received_twice_does_the_work_once(platform_on: Platform) -> N
     assert len(calls) == 1
 
 
+@pytest.fixture
+def long_rows(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Jobs count as short however busy the machine is."""
+    monkeypatch.setattr(execution, "ROW_S", 1e6)
+
+
+@pytest.mark.usefixtures("long_rows")
 def test_short_jobs_are_run_in_a_row_each_taken_with_the_end_of_the_one_before(
     platform_on: Platform, bells: Bells
 ) -> None:
@@ -74,6 +81,7 @@ def test_short_jobs_are_run_in_a_row_each_taken_with_the_end_of_the_one_before(
     assert bells == [("ingest", -1), ("ingest", -1)], "the first one's wake-up was received"
 
 
+@pytest.mark.usefixtures("long_rows")
 def test_a_job_that_is_taken_by_who_made_it_ready_wakes_nobody(platform_on: Platform, bells: Bells) -> None:
     run_id = a_run(
         platform_on, an_owner(platform_on), JobSpec("ingest.ok", key="first"), JobSpec("ingest.ok", needs=("first",))
@@ -84,6 +92,7 @@ def test_a_job_that_is_taken_by_who_made_it_ready_wakes_nobody(platform_on: Plat
     assert job(platform_on, run_id).state == "succeeded"
 
 
+@pytest.mark.usefixtures("long_rows")
 def test_a_row_of_jobs_ends_when_its_worker_is_to_stop_or_other_queues_wait(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
