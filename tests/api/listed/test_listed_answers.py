@@ -12,7 +12,8 @@ import httpx
 import pytest
 
 from services.runtime.platform import Platform
-from tests.api.listed.listed_rows import fill_listed, id_of
+from tests.api.listed.listed_rows import fill_listed
+from tests.api.listed.listed_values import id_of
 
 GOLDEN = Path(__file__).parent / "golden"
 FIRST = id_of("sequence", 1)
