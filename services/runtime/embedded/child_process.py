@@ -25,7 +25,9 @@ ReportCallback = Callable[[str], None]
 
 @dataclass(frozen=True)
 class Program:
-    """The command of a child. `stop_s`: how long it may take to end when asked; `passed`: descriptors it inherits."""
+    """The command of a child. `stop_s`: how long it may take to end when asked; `passed`: descriptors it inherits;
+    `niceness`: by how much it and all below it stand back where processors are short.
+    """
 
     name: str
     argv: tuple[str, ...]
@@ -33,6 +35,7 @@ class Program:
     folder: Path
     stop_s: float
     passed: tuple[int, ...] = ()
+    niceness: int = 0
 
 
 class Child:
@@ -71,7 +74,7 @@ class Child:
                 stderr=subprocess.STDOUT,
                 pass_fds=self.program.passed,
                 process_group=0,
-                preexec_fn=lambda: die_with(own_pid),
+                preexec_fn=lambda: _begin(own_pid, self.program.niceness),
             )
         self._started_s, self._due_s, self._is_asked = time.monotonic(), 0.0, False
 
@@ -126,6 +129,12 @@ class Child:
     def _kill_group(self) -> None:
         with suppress(ProcessLookupError):
             os.killpg(self.pid, signal.SIGKILL)
+
+
+def _begin(supervisor_pid: int, niceness: int) -> None:
+    """In the child, before its program."""
+    die_with(supervisor_pid)
+    os.nice(niceness)
 
 
 def fate_of(exit_code: int) -> str:

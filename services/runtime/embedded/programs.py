@@ -1,7 +1,8 @@
 """Command lines, environments and stop timeouts of the child processes.
 
 **Conventions.** Every process reads its settings from the environment, as in a cluster; nothing is passed otherwise but
-the API's listening socket. A worker has one thread per library: its parallelism is over jobs.
+the API's listening socket. A worker has one thread per library: its parallelism is over jobs. It stands back where
+processors are short: whoever waits for a page waits for a second of it, whoever waits for labels for minutes.
 """
 
 import os
@@ -17,6 +18,7 @@ from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.settings import Settings
 
 DRAIN_S = 15.0
+WORKER_NICENESS = 5  # a third of the share of others
 REPLIES_S = 5
 ONE_THREAD = {
     name: "1"
@@ -42,7 +44,8 @@ def api_program(settings: Settings, descriptor: int) -> Program:
 def worker_program(settings: Settings) -> Program:
     """One Celery worker for all queues; it forks `settings.concurrency` processes."""
     argv = _python("services.runtime.processes.worker", *QUEUES)
-    return Program("worker", argv, environment_of(settings) | ONE_THREAD, settings.root, DRAIN_S)
+    environment = environment_of(settings) | ONE_THREAD
+    return Program("worker", argv, environment, settings.root, DRAIN_S, niceness=WORKER_NICENESS)
 
 
 def sweeper_program(settings: Settings) -> Program:

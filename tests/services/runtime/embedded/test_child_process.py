@@ -56,6 +56,16 @@ def make(tmp_path: Path, told: list[str]) -> Iterator[Callable[..., Child]]:
         each.kill()
 
 
+def test_a_child_that_stands_back_leaves_processors_to_others(tmp_path: Path, told: list[str]) -> None:
+    program = Program("sleeper", ("sleep", "600"), os.environ, tmp_path, 5.0, niceness=3)
+    child = Child(program, tmp_path / "logs", told.append)
+    child.start()
+    try:
+        assert psutil.Process(child.pid).nice() == psutil.Process().nice() + 3
+    finally:
+        child.kill()
+
+
 def test_a_dead_child_is_started_again_after_a_pause_and_it_is_said(
     make: Callable[..., Child], told: list[str]
 ) -> None:
