@@ -56,9 +56,8 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     windows = {name: _middle(stamped[name].count, MOST_KEPT_BYTES // len(copied) // copied[name]) for name in copied}
     kept: dict[str, dict[int, bytes]] = {name: {} for name in windows}
     errors: dict[str, dict[int, ByteOrderError | MessageLayoutError]] = {name: {} for name in stamped}
-    damaged = bag.damaged
     counts = {name: HeadCounts() for name in stamped}
-    for name, index, payload in bag.heads(tuple(stamped)):
+    for name, index, payload in bag.heads(tuple(stamped), is_checked=True):
         try:
             stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
         except (ByteOrderError, MessageLayoutError) as error:
@@ -70,6 +69,7 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     refused = {
         name: next(iter(own.values())) for name, own in errors.items() if own and len(own) == stamped[name].count
     }
+    damaged = bag.damaged  # of chunks of other topics alone, which the pass did not meet, this is what reads them
     problems = {name: _problems(errors[name], damaged.get(name, {})) for name in stamped if name not in refused}
     for name, own in problems.items():
         stamps_ns[name] = _filled(stamps_ns[name], bag.log_times_ns(name), list(own))
