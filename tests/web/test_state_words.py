@@ -6,7 +6,7 @@ from typing import Any, get_args
 
 import pytest
 
-from api.routes import jobs
+from api.lists import jobs
 from api.schemas import rescores, submissions, truths
 from api.schemas.sequences import scenes
 from services.domain.benchmarks.phases import phases
