@@ -7,7 +7,7 @@ from pathlib import Path
 
 import pytest
 
-from tests.deploy.images.test_locks import ENTRIES, names
+from tests.deploy.test_locks import ENTRIES, names
 
 ROOT = Path(__file__).resolve().parents[3]
 LOADED = """
