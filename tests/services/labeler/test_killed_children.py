@@ -26,6 +26,7 @@ from testing.worlds.hostile_drive import ATTACKS, attacked, sound_drive, write_d
 pytestmark = pytest.mark.whole
 OVERFLOWING = "points that overflow as they are turned"
 STAGE, WORKERS = "labeler.surface", 2
+KEEPERS = 1  # of leases, forked before the pool
 NEIGHBOURS = count(12)  # each makes a run of its own
 
 
@@ -36,7 +37,7 @@ def quiet(stage: str, done: int, total: int) -> None:
 @pytest.fixture(scope="module")
 def platform(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Serving]:
     with serving(tmp_path_factory.mktemp("killed") / "data") as running:
-        until(lambda: len(pool_of(running)) == 1 + WORKERS)
+        until(lambda: len(pool_of(running)) == 1 + KEEPERS + WORKERS)
         yield running
 
 
@@ -67,7 +68,7 @@ def jobs_of(api: Api, run_id: str) -> list[dict[str, Any]]:
 
 
 def pool_of(platform: Serving) -> set[int]:
-    """The worker, and the processes of its pool."""
+    """The worker, the process that keeps its leases, and those of its pool."""
     worker = platform.child("processes.worker").pid
     return {worker, *children_of(worker)} - set(fork_servers_of(worker))
 
