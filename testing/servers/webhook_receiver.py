@@ -26,7 +26,11 @@ class Receiver(BaseHTTPRequestHandler):
     file = Path("received")
 
     def do_POST(self) -> None:
-        body = self.rfile.read(int(self.headers["content-length"]))
+        length = int(self.headers["content-length"])
+        body = self.rfile.read(length)
+        if len(body) < length:  # its sender was killed in the middle
+            self.close_connection = True
+            return
         heads = {name.lower(): value for name, value in self.headers.items()}
         line = json.dumps({"path": self.path, "headers": heads, "body": body.decode()}) + "\n"
         descriptor = os.open(self.file, os.O_WRONLY | os.O_APPEND | os.O_CREAT, 0o600)

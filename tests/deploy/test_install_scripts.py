@@ -139,6 +139,7 @@ def product_kernels() -> set[str]:
 
 @pytest.mark.whole
 def test_the_installation_leaves_every_kernel_compiled(tmp_path: Path) -> None:
+    """Catches alone a kernel that the first labelled run of a new machine would have to wait for (a minute)."""
     environment = {**os.environ, "NUMBA_CACHE_DIR": str(tmp_path)}
     command = [sys.executable, str(DEPLOY / "warm_kernels.py")]
     subprocess.run(command, cwd=ROOT, env=environment, check=True, capture_output=True, timeout=600)

@@ -21,7 +21,8 @@ from tests.web.bringing import BULKY, bag, choose, recordings, row_of, slow_down
 from tests.web.looking import keep, look
 from tests.working import working
 
-SLOW = 2.5e6
+SLOW = 8e5
+"""So slow that a loaded machine, looking late, still finds most of the file unsent."""
 HELD = 2e4
 """So slow that a file does not end while a loaded machine takes its pictures."""
 ENOUGH = 3 << 20
@@ -106,7 +107,8 @@ def test_the_api_is_killed_in_the_middle_and_the_page_goes_on(
         slow_down(page, -1)
         process.start()
         expect(row.locator("[data-phase]")).to_have_text("registered", timeout=300_000)
-    assert taken[0] == on_disk >= ENOUGH
+    assert ENOUGH <= on_disk < path.stat().st_size
+    assert taken[0] == on_disk
     check_kept_once(platform, path)
 
 

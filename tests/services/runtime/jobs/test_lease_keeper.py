@@ -268,6 +268,7 @@ def test_without_a_keeper_a_process_tells_of_itself_and_nothing_is_counted_twice
 def test_a_keeper_is_a_process_that_ends_with_its_worker_and_by_no_lesser_signal(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Catches alone a keeper that outlives its worker, or that the signal a machine sends to all ends too early."""
     monkeypatch.setattr(lease_keeper, "_ADDRESS", [])
     (words,) = claimed(platform, 1)
     platform.database.close()  # as a worker's parent has none open when it forks
