@@ -6,7 +6,9 @@ urgent job and how many of its jobs run; then the oldest job of the first of the
 that runs are finished before others are begun. Predicates of partial indexes are literals (`orm/jobs.py`).
 """
 
-from sqlalchemy import ColumnElement, Select, and_, func, literal_column, select
+from functools import lru_cache
+
+from sqlalchemy import ColumnElement, Select, and_, bindparam, func, literal_column, select
 from sqlalchemy.orm import Session, aliased
 from sqlalchemy.sql.selectable import CTE
 
@@ -14,6 +16,8 @@ from services.runtime.orm import Job
 
 MOST_WAKE_UPS = 10_000
 """More wake-ups than this for one queue wake nobody: the sweeper sends others as they are received."""
+MOST_QUEUES = 64
+"""Statements are kept for so many queues: one takes longer to write than to run."""
 QUEUED: ColumnElement[str] = literal_column("'queued'")
 RUNNING: ColumnElement[str] = literal_column("'running'")
 NONE: ColumnElement[int] = literal_column("0")
@@ -26,8 +30,7 @@ def next_job(session: Session, queue: str) -> tuple[Job, str] | None:
     """
     owners = session.execute(owners_waiting(queue)).all()
     for owner_id, priority, _running, _oldest in owners:
-        of_owner = (Job.owner_id == owner_id, Job.priority == priority)
-        found = session.execute(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id)).first()
+        found = session.execute(_untaken_of_owner(queue), {"owner": owner_id, "urgency": priority}).first()
         if found is not None:
             return found[0], found[1]
     found = session.execute(_untaken(queue)).first() if owners else None
@@ -44,6 +47,13 @@ def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
     return and_(job.queue == queue, job.state == QUEUED, job.needs_left == NONE)
 
 
+@lru_cache(MOST_QUEUES)
+def _untaken_of_owner(queue: str) -> Select[Job, str]:
+    """The oldest run's of the jobs of `owner` with `urgency`."""
+    of_owner = (Job.owner_id == bindparam("owner"), Job.priority == bindparam("urgency"))
+    return _untaken(queue, *of_owner).order_by(Job.root_id, Job.id)
+
+
 def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job, str]:
     run = aliased(Job)
     state_of_run = select(run.state).where(run.id == Job.root_id).correlate(Job).scalar_subquery()
@@ -51,31 +61,33 @@ def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job, str]:
     return free.with_for_update(skip_locked=True, key_share=True).execution_options(populate_existing=True)
 
 
+@lru_cache(MOST_QUEUES)
 def owners_waiting(queue: str) -> Select[str, int, int, str]:
     """(owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
-    heads = _hopped(queue)
-    urgent, busy = aliased(Job), aliased(Job)
-    highest = select(func.max(urgent.priority)).where(_is_ready(urgent, queue), urgent.owner_id == heads.c.owner_id)
-    urgency = highest.correlate(heads).scalar_subquery()
-    running = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.c.owner_id)
-    counted = running.correlate(heads).scalar_subquery()
-    waiting = select(heads.c.owner_id, urgency.label("urgency"), counted.label("running"))
-    of_owners = waiting.where(heads.c.owner_id.is_not(None)).subquery()
-    oldest_job = aliased(Job)
-    oldest = select(func.min(oldest_job.root_id)).where(
-        _is_ready(oldest_job, queue),
-        oldest_job.owner_id == of_owners.c.owner_id,
-        oldest_job.priority == of_owners.c.urgency,
-    )
-    age = oldest.correlate(of_owners).scalar_subquery().label("age")
-    return select(of_owners, age).order_by(of_owners.c.urgency.desc(), of_owners.c.running, age)
+    heads, busy = _heads(queue).c, aliased(Job)
+    at_work = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.owner_id)
+    running = at_work.scalar_subquery().label("running")
+    found = select(heads.owner_id, heads.priority, running, heads.root_id)
+    return found.order_by(heads.priority.desc(), running, heads.root_id)
 
 
-def _hopped(queue: str) -> CTE:
-    """Owners with a ready job, each found as the smallest after the last: one step down the index each, then null."""
+def _heads(queue: str) -> CTE:
+    """The first ready job of every owner, its most urgent and of these the oldest run's; one step down the index each.
+
+    The order names every column of that index: by the smallest run alone, PostgreSQL walks all runs that ever were.
+    """
     first, following = aliased(Job), aliased(Job)
-    heads = select(func.min(first.owner_id).label("owner_id")).where(_is_ready(first, queue)).cte(recursive=True)
-    after = select(func.min(following.owner_id)).where(
-        _is_ready(following, queue), following.owner_id > heads.c.owner_id
-    )
-    return heads.union_all(select(after.correlate(heads).scalar_subquery()).where(heads.c.owner_id.is_not(None)))
+    begin = select(first.owner_id, first.priority, first.root_id).where(first.id == _head(queue).scalar_subquery())
+    heads = begin.cte(recursive=True)
+    after = _head(queue, heads).correlate(heads).scalar_subquery()
+    of_next = select(following.owner_id, following.priority, following.root_id)
+    return heads.union_all(of_next.join_from(heads, following, following.id == after))
+
+
+def _head(queue: str, after: CTE | None = None) -> Select[str]:
+    """The id of the first ready job of the owner who follows those of `after`."""
+    job = aliased(Job)
+    ready = select(job.id).where(_is_ready(job, queue))
+    if after is not None:
+        ready = ready.where(job.owner_id > after.c.owner_id)
+    return ready.order_by(job.owner_id, job.priority.desc(), job.root_id, job.id).limit(literal_column("1"))

@@ -10,7 +10,7 @@ from secrets import token_hex
 from threading import Lock
 from typing import Annotated, Any, ClassVar
 
-from sqlalchemy import JSON, BigInteger, Index, MetaData, String, text
+from sqlalchemy import JSON, BigInteger, Index, MetaData, String, TextClause, text
 from sqlalchemy.orm import DeclarativeBase, mapped_column
 
 Id = Annotated[str, mapped_column(String(32))]
@@ -58,6 +58,6 @@ def new_id() -> str:
     return _IDS.next()
 
 
-def partial_index(name: str, where: str, *columns: str) -> Index:
+def partial_index(name: str, where: str, *columns: str | TextClause) -> Index:
     """An index of the rows alone for which `where` holds, in literals that both databases understand."""
     return Index(name, *columns, sqlite_where=text(where), postgresql_where=text(where))

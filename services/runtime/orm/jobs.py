@@ -61,7 +61,7 @@ class Job(Base):
 
     __table_args__ = (
         Index("ix_jobs_ready_since", "queue", "ready_ns", sqlite_where=READY, postgresql_where=READY),
-        partial_index("ix_jobs_ready", IS_READY, "queue", "owner_id", "priority", "root_id", "id"),
+        partial_index("ix_jobs_ready", IS_READY, "queue", "owner_id", text("priority DESC"), "root_id", "id"),
         partial_index("ix_jobs_waiting", IS_WAITING, "queue"),
         partial_index("ix_jobs_running", IS_RUNNING, "queue", "owner_id"),
         partial_index("ix_jobs_runs", IS_RUN, "owner_id", "id"),
