@@ -2,8 +2,8 @@
 
 `count` labels a simulated recording on a real platform (PostgreSQL, Redis, API, sweeper, workers) and reads from
 PostgreSQL's log what the workers asked for: transactions and statements a job, by what they were for. `share` has many
-processes claim empty jobs from one database. `foretell` simulates workers by the hundred with what `count` found, on a
-database that gives what `share` found or `--transactions-per-s`, and says where more of them help no more.
+processes claim empty jobs from one database. `foretell` simulates workers by the hundred with what both found, on a
+database with `--cores` of its own, and says where more of them help no more.
 """
 
 import argparse
@@ -17,7 +17,7 @@ from rich.console import Console
 from rich.table import Table
 
 from benchmarks.rows.claiming.counting import RunCost, counted, recording
-from benchmarks.rows.claiming.forecast import WorkerFleet, carried, demand_of, pace
+from benchmarks.rows.claiming.forecast import WorkerFleet, carried, demand_of, pace, transaction_s
 from benchmarks.rows.claiming.sharing import shared
 from services.runtime.settings import JobSettings
 
@@ -43,7 +43,7 @@ def main() -> None:
     foretell = commands.add_parser("foretell", help="how many workers one database carries")
     foretell.add_argument("--count", type=Path, default=Path("build") / "claiming-count.json")
     foretell.add_argument("--share", type=Path, default=Path("build") / "claiming-share.json")
-    foretell.add_argument("--transactions-per-s", type=float, help="of the database, instead of what `share` found")
+    foretell.add_argument("--cores", type=int, default=2, help="of the database")
     foretell.add_argument("--workers", type=int, nargs="+", default=[1, 10, 50, 100, 200, 300, 500, 1000])
     foretell.add_argument("--shared", type=int, default=16, help="worker processes of one keeper; 1: each for itself")
     foretell.set_defaults(act=_foretell)
@@ -74,14 +74,13 @@ def _share(options: argparse.Namespace) -> None:
 
 
 def _foretell(options: argparse.Namespace) -> None:
-    demand = demand_of(json.loads(options.count.read_text("utf-8")), is_shared=options.shared > 1)
-    if (given := options.transactions_per_s) is None:
-        found = json.loads(options.share.read_text("utf-8"))
-        given = found["transactions"] / found["lasted_s"]
+    cost, share = (json.loads(path.read_text("utf-8")) for path in (options.count, options.share))
+    demand, each_s = demand_of(cost, is_shared=options.shared > 1), transaction_s(cost, share)
     turn_s = JobSettings().progress_s
-    paces = [pace(demand, WorkerFleet(workers, options.shared, turn_s, given)) for workers in options.workers]
-    title = f"a database of {given:.0f} transactions/s; jobs of {sum(demand.job_s) / len(demand.job_s):.2f} s"
-    table = Table(title=title)
+    fleets = [WorkerFleet(workers, options.shared, turn_s, options.cores, each_s) for workers in options.workers]
+    paces = [pace(demand, fleet) for fleet in fleets]
+    of_database = f"{options.cores} cores at {1e3 * each_s:.2f} ms a transaction"
+    table = Table(title=f"a database of {of_database}; jobs of {sum(demand.job_s) / len(demand.job_s):.2f} s")
     for column in ("workers", "jobs a second", "runs an hour", "in jobs", "database"):
         table.add_column(column, justify="right")
     for one in paces:
@@ -103,9 +102,11 @@ def _show_count(cost: RunCost) -> None:
         idle = cost.idle.transactions.get(purpose, 0) / cost.idle.lasted_s / cost.idle.processes
         per_job = (times / cost.jobs, cost.run.statements[purpose] / cost.jobs, idle)
         table.add_row(purpose, *(f"{figure:.2f}" for figure in per_job))
+    per_job_ms = 1e3 * cost.run.database_cpu_s / cost.jobs
     whole = (sum(cost.run.transactions.values()) / cost.jobs, sum(cost.run.statements.values()) / cost.jobs)
     table.add_row("all", *(f"{figure:.2f}" for figure in (*whole, cost.idle.transactions_per_s())))
     CONSOLE.print(table)
+    CONSOLE.print(f"{per_job_ms:.2f} ms of PostgreSQL's processor time a job, its log of statements included")
 
 
 if __name__ == "__main__":

@@ -8,14 +8,15 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 
 from sqlalchemy import select
 
-from benchmarks.rows.claiming.server_log import LOGGING, LoggedTransaction, transactions
+from benchmarks.rows.claiming.server_log import LOGGING, transactions
+from benchmarks.rows.claiming.sharing import server_cpu_s
 from services.runtime.access import roles
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
@@ -46,12 +47,16 @@ START_S = 240.0
 
 @dataclass(frozen=True)
 class DatabaseLoad:
-    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements."""
+    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements.
+
+    `database_cpu_s` is what PostgreSQL used meanwhile, for all who asked it and for its log of statements.
+    """
 
     processes: int
     lasted_s: float
     transactions: dict[str, int]
     statements: dict[str, int]
+    database_cpu_s: float
 
     def transactions_per_s(self) -> float:
         """Of one process."""
@@ -104,18 +109,14 @@ def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseL
     found: list[DatabaseLoad] = []
     with postgres.log.open(errors="replace") as log:
         log.seek(0, 2)
-        begun_s = time.monotonic()
+        begun_s, begun_cpu_s = time.monotonic(), server_cpu_s(postgres)
         yield found
-        lasted_s = time.monotonic() - begun_s
+        lasted_s, used_s = time.monotonic() - begun_s, server_cpu_s(postgres) - begun_cpu_s
         of_workers = [one for one in transactions(log) if one.program == WORKER]
-    found.append(_load(processes, lasted_s, of_workers))
-
-
-def _load(processes: int, lasted_s: float, asked: Sequence[LoggedTransaction]) -> DatabaseLoad:
-    statements = Counter[str]()
-    for one in asked:
+    asked, statements = Counter(one.purpose for one in of_workers), Counter[str]()
+    for one in of_workers:
         statements[one.purpose] += len(one.statements)
-    return DatabaseLoad(processes, lasted_s, dict(Counter(one.purpose for one in asked)), dict(statements))
+    found.append(DatabaseLoad(processes, lasted_s, dict(asked), dict(statements), used_s))
 
 
 @contextmanager

@@ -1,9 +1,10 @@
 """How many workers one database carries: a simulation in discrete events, fed with `count` and `share`.
 
 **Conventions.** The queue never runs dry. A worker goes through its jobs one after the other; each is of the length of
-a measured one and asks the database `visits` times, evenly spread. The database serves one transaction after the other,
-each for the same time. Beside that it is told of presence and beaten for by every keeper, which writes
-what its busy workers say, but at most once every `progress_s`. Workers of a machine have a core each.
+a measured one and asks the database `visits` times, evenly spread. The database has `cores` of its own, each of which
+serves one transaction after the other, each for the same processor time; that a transaction waits for a lock or for a
+disk is left out. Beside that it is told of presence and beaten for by every keeper, which writes what its busy workers
+say, but at most once every `progress_s`. Workers of a machine have a core each.
 """
 
 import heapq
@@ -29,12 +30,14 @@ class JobDemand:
 
 @dataclass(frozen=True)
 class WorkerFleet:
-    """`workers`, of which `shared` have one keeper that takes a turn every `turn_s`, and the database that they ask."""
+    """`workers`, of which `shared` have one keeper that takes a turn every `turn_s`, and the database that they ask:
+    its cores, and the processor time of a transaction."""
 
     workers: int
     shared: int
     turn_s: float
-    transactions_per_s: float
+    cores: int
+    transaction_s: float
 
 
 @dataclass(frozen=True)
@@ -61,6 +64,12 @@ def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
     return JobDemand(tuple(job_s), of_job / len(job_s), of_keeper / sum(job_s), presence)
 
 
+def transaction_s(cost: Mapping[str, Any], share: Mapping[str, Any]) -> float:
+    """PostgreSQL's processor time of a transaction, s: of the labelling or of the claiming processes, the dearer."""
+    of_run = cost["run"]["database_cpu_s"] / sum(cost["run"]["transactions"].values())
+    return float(max(of_run, share["database_cpu_s"] / share["transactions"]))
+
+
 def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> FleetPace:
     """What so many workers do within `lasting_s`, after a fifth of it as a start."""
     return _Simulation(demand, fleet, random.Random(seed)).run(lasting_s)
@@ -75,8 +84,8 @@ def carried(paces: Sequence[FleetPace]) -> float:
 class _Simulation:
     def __init__(self, demand: JobDemand, fleet: WorkerFleet, chance: random.Random) -> None:
         self._demand, self._fleet, self._chance = demand, fleet, chance
-        self._service_s = 1.0 / fleet.transactions_per_s
-        self._free_s = self._busy_s = self._worked_s = 0.0
+        self._free_s = [0.0] * fleet.cores
+        self._busy_s = self._worked_s = 0.0
         self._jobs = 0.0
         self._events: list[tuple[float, int, str, int]] = []
         self._number = 0
@@ -97,7 +106,7 @@ class _Simulation:
             if now_s >= start_s and not is_counted:
                 is_counted, self._jobs, self._busy_s, self._worked_s = True, 0.0, 0.0, 0.0
             getattr(self, f"_{kind}")(now_s, who)
-        shares = (self._worked_s / fleet.workers / lasting_s, min(1.0, self._busy_s / lasting_s))
+        shares = (self._worked_s / fleet.workers / lasting_s, min(1.0, self._busy_s / fleet.cores / lasting_s))
         return FleetPace(fleet.workers, self._jobs / lasting_s, *shares)
 
     def _at(self, at_s: float, kind: str, who: int) -> None:
@@ -105,10 +114,11 @@ class _Simulation:
         heapq.heappush(self._events, (at_s, self._number, kind, who))
 
     def _served(self, now_s: float) -> float:
-        """When a transaction that comes now is done."""
-        self._free_s = max(self._free_s, now_s) + self._service_s
-        self._busy_s += self._service_s
-        return self._free_s
+        """When a transaction that comes now is done, by the core that is free first."""
+        done_s = max(self._free_s[0], now_s) + self._fleet.transaction_s
+        heapq.heapreplace(self._free_s, done_s)
+        self._busy_s += self._fleet.transaction_s
+        return done_s
 
     def _work(self, now_s: float, worker: int) -> None:
         """One visit, then the part of the job that belongs to it."""
