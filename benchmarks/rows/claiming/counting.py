@@ -8,15 +8,17 @@ import sys
 import tempfile
 import time
 from collections import Counter
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
+from typing import Any
 
+import psutil
+import psycopg
 from sqlalchemy import select
 
 from benchmarks.rows.claiming.server_log import LOGGING, transactions
-from benchmarks.rows.claiming.sharing import server_cpu_s
 from services.runtime.access import roles
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
@@ -49,7 +51,7 @@ START_S = 240.0
 class DatabaseLoad:
     """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements.
 
-    `database_cpu_s` is what PostgreSQL used meanwhile, for all who asked it and for its log of statements.
+    `database_cpu_s` is what the server processes used meanwhile that serve them, its log of statements included.
     """
 
     processes: int
@@ -76,16 +78,19 @@ class RunCost:
         return len(self.job_s)
 
 
-def counted(bag: Path, workers: int, idle_s: float) -> RunCost:
-    """Label the bag with so many worker processes, after they were idle for `idle_s`."""
+def counted(bags: Sequence[Path], workers: int, idle_s: float) -> RunCost:
+    """Label the bags, one after the other, with so many worker processes that are idle for `idle_s` before the last.
+
+    The last is counted: connections and prepared statements are warm then, as those of a worker that has worked are.
+    """
     with running_postgres(**LOGGING) as postgres, _platform(postgres, workers) as (platform, url):
         with platform.database.transaction() as session:
             user = create_user(session, "benchmark", "curator")
             token = issue(session, user, "benchmark", roles.SCOPES_OF[user.role], 86_400.0)
         with Api(Server(url, token)) as api:
-            sequence = ensure_sequence(api, "benchmark")
-            pin_calibration(api, sequence, calibration_path(bag))
-            add_recording(api, sequence, hashed_bag(bag, _silent), _silent)
+            for bag in bags[:-1]:
+                follow(api, start_run(api, _uploaded(api, bag), {})["id"], _silent)
+            sequence = _uploaded(api, bags[-1])
             with _loaded(postgres, workers) as idle:
                 time.sleep(idle_s)
             with _loaded(postgres, workers) as run:
@@ -103,20 +108,36 @@ def recording(folder: Path, seconds: float) -> Path:
     return bag
 
 
+def _uploaded(api: Api, bag: Path) -> Mapping[str, Any]:
+    """A sequence of its own, named after the bag."""
+    sequence = ensure_sequence(api, bag.stem.replace(".", "-"))
+    pin_calibration(api, sequence, calibration_path(bag))
+    add_recording(api, sequence, hashed_bag(bag, _silent), _silent)
+    return sequence
+
+
 @contextmanager
 def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseLoad]]:
     """A list that holds, after the end, what the workers asked for meanwhile."""
     found: list[DatabaseLoad] = []
     with postgres.log.open(errors="replace") as log:
         log.seek(0, 2)
-        begun_s, begun_cpu_s = time.monotonic(), server_cpu_s(postgres)
+        begun_s, begun_cpu_s = time.monotonic(), _cpu_s_for(WORKER, postgres)
         yield found
-        lasted_s, used_s = time.monotonic() - begun_s, server_cpu_s(postgres) - begun_cpu_s
+        lasted_s, used_s = time.monotonic() - begun_s, _cpu_s_for(WORKER, postgres) - begun_cpu_s
         of_workers = [one for one in transactions(log) if one.program == WORKER]
     asked, statements = Counter(one.purpose for one in of_workers), Counter[str]()
     for one in of_workers:
         statements[one.purpose] += len(one.statements)
     found.append(DatabaseLoad(processes, lasted_s, dict(asked), dict(statements), used_s))
+
+
+def _cpu_s_for(program: str, postgres: PostgresServer) -> float:
+    """Processor time of the server's processes that serve a program, s."""
+    with psycopg.connect(postgres.url()) as connection:
+        asked = "SELECT pid FROM pg_stat_activity WHERE application_name = %s"
+        pids = [row[0] for row in connection.execute(asked, [program]).fetchall()]
+    return float(sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids))
 
 
 @contextmanager

@@ -56,13 +56,13 @@ def shared(processes: int, lasted_s: float, runs: int) -> DatabaseShare:
         time.sleep(START_S)
         before, cpu_s, begun, begun_s = (
             _transactions(postgres),
-            server_cpu_s(postgres),
+            _cpu_s(postgres),
             _done(platform),
             time.monotonic(),
         )
         time.sleep(lasted_s)
         took_s, done = time.monotonic() - begun_s, _done(platform) - begun
-        counted, used_s = _transactions(postgres) - before, server_cpu_s(postgres) - cpu_s
+        counted, used_s = _transactions(postgres) - before, _cpu_s(postgres) - cpu_s
         for pid in pids:
             os.kill(pid, signal.SIGKILL)
             os.waitpid(pid, 0)
@@ -114,7 +114,7 @@ def _transactions(postgres: PostgresServer) -> int:
     return int(row[0]) if row else 0
 
 
-def server_cpu_s(postgres: PostgresServer) -> float:
+def _cpu_s(postgres: PostgresServer) -> float:
     """Processor time of the server and of all its processes, those that ended included, s."""
     server = psutil.Process(postgres.pid)
     alive = sum(sum(child.cpu_times()[:2]) for child in server.children())
