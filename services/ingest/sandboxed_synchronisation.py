@@ -1,9 +1,10 @@
 """Synchronisation in a sandboxed process: recordings and their calibration become a sequence.
 
 **Conventions.** The child joins recordings where they are several, and writes `joined.json`, which says how. It writes
-`sequence` and `sweeps` into its folder, which may be large, and answers with the pictures and what is said of the run.
-The parent moves the files and never opens them, but for `joined.json`, which it checks: the labeler's reader does,
-which unpickles nothing.
+`sequence` and `sweeps` into its folder, which may be large, and answers with what is said of the run so far: what only
+pictures and registered sweeps tell is left to the late checks (`services/ingest/sandboxed_check.py`). The parent moves
+the files and never opens them, but for `joined.json`, which it checks: the labeler's reader does, which unpickles
+nothing.
 """
 
 from collections.abc import Iterable, Mapping
@@ -20,13 +21,12 @@ from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import sequence_in
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
-from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
+from services.runtime.sandbox.result_files import SandboxResult, packed, unpacked
 from stone.findings import Finding
 from stone_files.bag_files import whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.joining.joined_recording import write_joined
-from stone_recordings.report.overlay import overlays_of
 from stone_recordings.sync.sequence_file import sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording
 from stone_recordings.sync.sweep_file import sweeps_bytes
@@ -72,7 +72,6 @@ class SynchronisationResult:
 
     result: dict[str, Any]
     files: Mapping[str, Path]
-    overlays: tuple[File, ...]
 
 
 def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
@@ -86,20 +85,19 @@ def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> Synchronis
 def _synchronise(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
     """The child's part."""
     path, sha256 = _one_bag(asked, folder)
-    options = replace(asked.options, progress=progress, recording_sha256=sha256)
+    options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)
     with open_bag(path) as bag:
         sequence, sweeps = sequence_in(bag, asked.calibration, asked.name, options)
-        overlays = list(overlays_of(bag, sequence, sweeps))
-    sequence = replace(sequence, findings=(*sequence.findings, *validity_findings(sequence, *asked.valid_ns)))
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.bags.files))
     result = {
         "frames": len(sequence.frames),
         "excluded": len(sequence.excluded),
         "pose_source": sequence.pose_source,
-        "findings": _findings(sequence.findings),
+        "findings": short_records((*sequence.findings, *validity_findings(sequence, *asked.valid_ns))),
+        "is_checked": False,
     }
-    return packed(result, overlays)
+    return packed(result)
 
 
 def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
@@ -136,14 +134,14 @@ def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags)
 def _believed(parcel: SandboxResult, folder: Path) -> SynchronisationResult:
     files = {name: folder / name for name in (SEQUENCE_FILE, SWEEPS_FILE)}
     match parcel.record:
-        case {"frames": int(), "excluded": int(), "pose_source": str(), "findings": list()} if all(
+        case {"frames": int(), "excluded": int(), "pose_source": str(), "findings": list(), "is_checked": False} if all(
             path.is_file() and not path.is_symlink() for path in files.values()
         ):
-            return SynchronisationResult(parcel.record, files, parcel.files)
+            return SynchronisationResult(parcel.record, files)
     raise SandboxCrashedError("answered something else than a sequence")
 
 
-def _findings(findings: Iterable[Finding]) -> list[dict[str, Any]]:
+def short_records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """The first of them, each short enough for a row."""
     short = (replace(finding, message=finding.message[:300], topic=finding.topic[:300]) for finding in findings)
     return [finding.as_record() for finding, _ in zip(short, range(MOST_FINDINGS), strict=False)]

@@ -1,5 +1,5 @@
-"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it; `keep_dataset`
-keeps the tar of a published dataset.
+"""What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it, `check` looks for
+what only pictures and registered sweeps tell of it; `keep_dataset` keeps the tar of a published dataset.
 
 **Conventions.** A stage is a function of the platform and an attempt; it may run twice, at once or after being killed
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
@@ -16,15 +16,17 @@ from sqlalchemy.orm import Session
 from services.domain.imports.requests import KEEP_DATASET
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
-from services.domain.sequences.processing import LABEL, REGISTER, SYNCHRONISE
-from services.domain.sequences.recording_sources import kept_recording, locate, locate_file
+from services.domain.sequences.processing import CHECK, LABEL, REGISTER, SYNCHRONISE
+from services.domain.sequences.recording_sources import kept_recording, locate, locate_file, locate_run
 from services.domain.sequences.restart import arguments_of_run
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.dataset_keeping import keep_dataset
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
+from services.ingest.sandboxed_check import CHECKED, CheckRequest, checked
 from services.ingest.sandboxed_synchronisation import SYNCHRONISED, StoredBags, SynchronisationRequest, synchronised
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
@@ -35,6 +37,7 @@ from services.runtime.store.blobs import link_all
 from services.runtime.store.workspace import Workspace
 from stone_files.atomic import flush
 from stone_files.bag_fingerprint import bag_paths
+from stone_files.joined_file import JOINED
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 
 
@@ -51,7 +54,12 @@ class _Inputs:
 
 def handlers(platform: Platform) -> Handlers:
     """The stages by kind."""
-    stages = {REGISTER: register, SYNCHRONISE: synchronise_recording, KEEP_DATASET: keep_dataset}
+    stages = {
+        REGISTER: register,
+        SYNCHRONISE: synchronise_recording,
+        CHECK: check_sequence,
+        KEEP_DATASET: keep_dataset,
+    }
     return {kind: partial(stage, platform) for kind, stage in stages.items()}
 
 
@@ -61,7 +69,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     Raises what `synchronised` and `arguments_of_run` raise.
     """
     arguments_of_run(platform, attempt)
-    inputs = _inputs(platform, attempt)
+    inputs = _inputs(platform, attempt, attempt.arguments)
     attempt.progress(SYNCHRONISED, 0, 2)
     options = SynchroniseOptions(
         odometry_topic=attempt.arguments["odometry_topic"] or None,
@@ -78,16 +86,40 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
         reads = (*(one for path in paths for one in bag_paths(path)), calibration)
         made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
-        overlays = prepared_previews(platform, workspace.folder, made.overlays)
         for name, made_file in made.files.items():
             flush(made_file)
             made_file.replace(workspace.folder / name)
     workspace.push(*made.files)
     attempt.progress(SYNCHRONISED, 2, 2)
     attempt.log("synchronised", frames=made.result["frames"], excluded=made.result["excluded"])
-    then = (JobSpec(LABEL),) if "label" in attempt.arguments["stages"] else ()
-    shown = PreviewSubject(attempt.sequence_id or "", recipe=attempt.arguments["recipe"])
-    return Outcome(made.result, then=then, commit=lambda session: _show(session, shown, overlays, made.result))
+    then = (CHECK, LABEL) if "label" in attempt.arguments["stages"] else (CHECK,)
+    return Outcome(made.result, then=tuple(JobSpec(kind) for kind in then))
+
+
+def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
+    """Leave in the workspace the sequence with all of its findings; nobody waits for it but who publishes labels.
+
+    Raises what `checked` and `arguments_of_run` raise, `WorkGoneError`.
+    """
+    arguments = arguments_of_run(platform, attempt)
+    inputs = _inputs(platform, attempt, arguments)
+    attempt.progress(CHECKED, 0, 2)
+    workspace = Workspace(platform.store, platform.settings, attempt.root_id)
+    workspace.pull(SEQUENCE_FILE, SWEEPS_FILE, JOINED)
+    require_left(workspace.folder, (SEQUENCE_FILE, SWEEPS_FILE))
+    asked = CheckRequest(workspace.folder, locate_run(platform, inputs.recordings, workspace.folder), inputs.valid_ns)
+    with private_folder_in(workspace.folder) as folder:
+        reads = (*bag_paths(asked.bag), *asked.files)
+        made = checked(asked, JobSandbox(folder, reads, attempt, platform.settings, warm))
+        attempt.progress(CHECKED, 1, 2)
+        overlays = prepared_previews(platform, workspace.folder, made.overlays)
+        flush(made.file)
+        made.file.replace(workspace.folder / CHECKED_FILE)
+    workspace.push(CHECKED_FILE)
+    attempt.progress(CHECKED, 2, 2)
+    attempt.log("checked", findings=len(made.result["findings"]))
+    shown = PreviewSubject(attempt.sequence_id or "", recipe=arguments["recipe"])
+    return Outcome(made.result, commit=lambda session: _show(session, shown, overlays, made.result))
 
 
 def _located(platform: Platform, recordings: Sequence[StoredRecording]) -> tuple[Path, ...]:
@@ -103,16 +135,16 @@ def _show(
     tell_unusable(session, shown.sequence_id, result["findings"])
 
 
-def _inputs(platform: Platform, attempt: Attempt) -> _Inputs:
+def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) -> _Inputs:
     with platform.database.reading() as session:
         sequence = require_sequence(session, attempt)
-        recordings = [session.get(Recording, one) for one in recording_ids_of(attempt.arguments)]
+        recordings = [session.get(Recording, one) for one in recording_ids_of(arguments)]
         found = [recording for recording in recordings if recording is not None]
         if len(found) < len(recordings):
             raise JobCancelledError("its recording was deleted")
         kept = tuple(kept_recording(session, recording) for recording in found)
         sha256s = {recording.filename: recording.sha256 for recording in found}
-        calibration = session.get_one(CalibrationRow, attempt.arguments["calibration_id"])
+        calibration = session.get_one(CalibrationRow, arguments["calibration_id"])
         rig = session.get_one(Blob, calibration.blob_sha256)
         valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
     return _Inputs(sequence.name, kept, sha256s, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns)

@@ -1,8 +1,6 @@
 """Why a sequence cannot be labelled."""
 
 import math
-from collections.abc import Iterable
-from pathlib import Path
 
 from stone.errors import StoneError
 from stone.sensors.sequence import Sequence
@@ -32,19 +30,3 @@ class FootprintOffGroundError(StoneError):
             "and the ego frame on the ground? "
             "CAL-433 says what to enter; ground auto corrects it for this run"
         )
-
-
-class WorkGoneError(StoneError):
-    """What earlier stages left was removed; a run is kept for a week after it ended."""
-
-    code = "work_gone"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
-
-
-def require_left(folder: Path, names: Iterable[str]) -> None:
-    """Raises `WorkGoneError` for the first of these files or folders that is not there."""
-    for name in names:
-        if not (folder / name).exists():
-            raise WorkGoneError(name)

@@ -8,6 +8,7 @@ run that finds and leaves files in scratch. `stone label` runs the jobs in a few
 
 **Conventions.** Parts are fused in the order of recording, and a tile is reconstructed as soon as the last part that
 can reach it is fused (`services/labeler/plan.py`); the reference waits for all tiles, and the frames for the reference.
+In the queue, publishing waits for the late checks of the sequence too.
 """
 
 from collections.abc import Mapping

@@ -1,11 +1,12 @@
 """The publish stage: stores the files of a run as blobs and writes the rows of the label set.
 
 **Conventions.** Bytes first, outside any transaction; then all rows or none. Beside what is written here, every file
-in the workspace's folder `map` is published under its name. A run whose sequence was deleted meanwhile writes no row
+in the workspace's folder `map` is published under its name, and as the sequence the one that the late checks left,
+for which this stage waits. A run whose sequence was deleted meanwhile writes no row
 and ends cancelled.
 """
 
-from dataclasses import asdict, dataclass
+from dataclasses import asdict, dataclass, replace
 from functools import partial
 from typing import Any
 
@@ -13,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import follow_labels
 from services.domain.sequences.chosen_recordings import recording_ids_of
-from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
 from services.labeler.exports.source import REPORT, TABLE
@@ -33,7 +34,7 @@ from services.runtime.orm import Job, LabelSet
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all
 from stone_files.joined_file import JOINED
 
-NEEDED = ("sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
+NEEDED = (CHECKED_FILE, "sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
 FILES = FilesAnswer(reads=NEEDED, requires=NEEDED, writes=())
 
 
@@ -52,7 +53,8 @@ def publish(context: LabelStageContext) -> Outcome:
     Raises what `LabelStageContext.ask` raises, and `SandboxCrashedError` for packs that are shorter than was said.
     """
     context.pull(FILES)
-    told = context.ask(PublicationAnswer, partial(described, context.opening), "publish", context.opening)
+    opening = replace(context.opening, sequence_file=CHECKED_FILE)
+    told = context.ask(PublicationAnswer, partial(described, opening), "publish", opening)
     files, prepared = _files(context, told), list[tuple[LeftFile, PreparedBlob]]()
     context.attempt.progress("publish", 0, len(files))
     stored = prepare_all(context.platform.store, context.platform.database, [file.path for file in files], adopt=True)
@@ -69,7 +71,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
     return [
         left_file(REPORT, folder / PUBLISHED / REPORT),
         left_file(TABLE, folder / PUBLISHED / TABLE),
-        left_file(SEQUENCE_FILE, folder / SEQUENCE_FILE),
+        left_file(SEQUENCE_FILE, folder / CHECKED_FILE),
         *([left_file(JOINED, folder / JOINED)] if is_joined else []),
         *files_left(folder / MAP),
         *(pack_left(folder / pack.name, pack) for pack in told.packs),

@@ -13,13 +13,14 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.labeler.errors import NoUsableFramesError, require_left
+from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
+from services.labeler.errors import NoUsableFramesError
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
 from services.labeler.run import LabelRun
 from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
+from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sweep, SweepSource
 from stone_recordings.sync.sequence_file import read_sequence
@@ -45,15 +46,17 @@ class LateSweeps:
 
 @dataclass(frozen=True)
 class RunOpening:
-    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read."""
+    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read, and which file
+    of the folder is its sequence."""
 
     folder: Path
     profile: str
     choices: Mapping[str, float]
     recording: Path | None = None
+    sequence_file: str = SEQUENCE_FILE
 
     def run(self) -> LabelRun:
-        sequence = read_sequence((self.folder / SEQUENCE_FILE).read_bytes())
+        sequence = read_sequence((self.folder / self.sequence_file).read_bytes())
         sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording)
         return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices), self.folder)
 
@@ -74,7 +77,12 @@ def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> 
         raise NoUsableFramesError(run.sequence)
     jobs = label_graph(run)
     parts, tiles = (sum(job.kind == kind for job in jobs) for kind in (FUSE, SURFACE))
-    return GraphAnswer(jobs=[JobAnswer(**asdict(job)) for job in jobs], parts=parts, tiles=tiles).packed()
+    return GraphAnswer(jobs=[_answer_of(job) for job in jobs], parts=parts, tiles=tiles).packed()
+
+
+def _answer_of(job: JobSpec) -> JobAnswer:
+    told = {name: value for name, value in vars(job).items() if name != "after"}
+    return JobAnswer(**told)
 
 
 def stage_files(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:

@@ -7,22 +7,23 @@ stage reads and pushes what it leaves. Whatever opens a file of the run does so 
 """
 
 from collections.abc import Callable
+from dataclasses import replace
 from functools import partial
 from typing import Any
 
 from services.domain.datasets.input_jobs import INPUTS
 from services.domain.exports.requests import EXPORT
-from services.domain.sequences.processing import LABEL
+from services.domain.sequences.processing import CHECK, LABEL
 from services.labeler.export_stage import export
 from services.labeler.imports.stages import import_handlers
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
-from services.labeler.run_answers import FilesAnswer, GraphAnswer, WorkAnswer
+from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.labeler.sandboxed_run import StageTask, planned, stage_files, worked
 from services.labeler.sensor_inputs import make_input
 from services.labeler.stage import Stage
 from services.labeler.stage_context import LabelStageContext, stage_context_of
-from services.runtime.jobs.specs import Attempt, Handlers, Outcome
+from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.telemetry.counters import process_counters
 from services.runtime.telemetry.metric_names import FRAMES
@@ -41,9 +42,16 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def list_jobs(context: LabelStageContext) -> Outcome:
-    """All the jobs of the run. Raises `NoUsableFramesError`, and what `LabelStageContext.ask` raises."""
+    """All the jobs of the run; publishing waits for the checks of its sequence too.
+
+    Raises `NoUsableFramesError`, and what `LabelStageContext.ask` raises.
+    """
     graph = context.ask(GraphAnswer, partial(planned, context.opening), "plan", context.opening)
-    return Outcome({"parts": graph.parts, "tiles": graph.tiles}, then=tuple(job.spec() for job in graph.jobs))
+    return Outcome({"parts": graph.parts, "tiles": graph.tiles}, then=tuple(_spec(job) for job in graph.jobs))
+
+
+def _spec(job: JobAnswer) -> JobSpec:
+    return replace(job.spec(), after=(CHECK,)) if job.kind == PUBLISH else job.spec()
 
 
 def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:

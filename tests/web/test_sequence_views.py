@@ -180,7 +180,7 @@ def test_a_report_that_says_little_is_shown_as_far_as_it_goes() -> None:
 def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> None:
     running = JobDetail(**JOB_EXAMPLE, stages=STAGES, attempts=[], attempts_left=0, result=None)
     steps = steps_of(running)
-    assert [step.kind for step in steps] == ["ingest.synchronise", *LABELLING]
+    assert [step.kind for step in steps] == ["ingest.synchronise", "ingest.check", *LABELLING]
     assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
     assert steps[-1].state == "waiting"
     ended = running.model_copy(update={"state": "failed"})

@@ -12,7 +12,7 @@ from services.runtime.jobs.titles import TITLES, title_of
 OTHERS = ("labeler.export", "labeler.import", "labeler.inputs")
 LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and not kind.startswith(OTHERS))
 ORDER = tuple(TITLES)
-PROCESS, SYNCHRONISE = "sequence.process", "ingest.synchronise"
+PROCESS, SYNCHRONISE, CHECK = "sequence.process", "ingest.synchronise", "ingest.check"
 ENDED = ("succeeded", "failed", "cancelled")
 
 
@@ -39,7 +39,7 @@ def steps_of(run: JobDetail) -> tuple[RunStep, ...]:
     steps = [_step(stage, is_over) for stage in run.stages]
     if run.kind == PROCESS and not is_over:
         known = {step.kind for step in steps}
-        coming = [kind for kind in (SYNCHRONISE, *LABELLING) if kind not in known]
+        coming = [kind for kind in (SYNCHRONISE, CHECK, *LABELLING) if kind not in known]
         steps += [RunStep(kind, title_of(kind), "waiting", 0, 0) for kind in coming]
     return tuple(sorted(steps, key=lambda step: ORDER.index(step.kind) if step.kind in ORDER else len(ORDER)))
 

@@ -17,10 +17,11 @@ from dataclasses import dataclass, field
 from math import ceil
 
 LABELLING = "sequence.process"
-SYNCHRONISE, PARTS, FUSE, SURFACE = "ingest.synchronise", "labeler.parts", "labeler.fuse", "labeler.surface"
+SYNCHRONISE, CHECK, PARTS = "ingest.synchronise", "ingest.check", "labeler.parts"
+FUSE, SURFACE = "labeler.fuse", "labeler.surface"
 SIGHT, REFERENCE, FRAMES, MAP = "labeler.sight", "labeler.reference", "labeler.frames", "labeler.map"
 PUBLISH = "labeler.publish"
-LAYERS = ((SYNCHRONISE,), (PARTS,), (FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP), (PUBLISH,))
+LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP), (PUBLISH,))
 """Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
 SHARES = (FUSE, FRAMES, "labeler.export")
 """The kinds whose progress counts frames, which take about the same time each."""
@@ -38,6 +39,7 @@ UNKNOWN_LENGTH_S = 60.0
 
 TYPICAL: Mapping[str, float] = {
     SYNCHRONISE: 0.2,
+    CHECK: 1.0,
     PARTS: 0.1,
     FUSE: 1.0,
     SURFACE: 1.0,
@@ -153,13 +155,18 @@ def rounded_s(seconds: float) -> int:
 def _to_come(work: RunWorkload, pace: Pace) -> tuple[StageWork, ...]:
     """The stages of a labelling that are not queued yet, because those before tell which there are."""
     known = {stage.kind for stage in work.stages}
-    if work.kind != LABELLING or not work.makes_labels or FUSE in known or not known:
+    if work.kind != LABELLING or FUSE in known or not known:
         return ()
+    counts = {CHECK: 1, **(_of_labelling(work, pace) if work.makes_labels else {})}
+    return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if kind not in known and count)
+
+
+def _of_labelling(work: RunWorkload, pace: Pace) -> dict[str, int]:
+    """The number of jobs of each stage, by the frames as far as they are known."""
     frames = work.frames if work.frames is not None else FRAMES_HZ * work.length_s
     parts = max(1, ceil(frames / FRAMES_PER_PART))
     counts = {PARTS: 1, FUSE: parts, SURFACE: max(1, round(parts * pace.tiles)), SIGHT: work.cameras}
-    counts |= {REFERENCE: 1, FRAMES: parts, MAP: 1, PUBLISH: 1}
-    return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if kind not in known and count)
+    return counts | {REFERENCE: 1, FRAMES: parts, MAP: 1, PUBLISH: 1}
 
 
 def _scale(work: RunWorkload, pace: Pace) -> float:

@@ -37,6 +37,7 @@ from services.runtime.telemetry.trace_links import link_uploads_of
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
 SYNCHRONISE = "ingest.synchronise"
+CHECK = "ingest.check"
 LABEL = "labeler.parts"
 STAGES = ("synchronise", "label")
 GIVEN_GROUND = "given"

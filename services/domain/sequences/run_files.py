@@ -1,8 +1,32 @@
-"""Names of the files that ingest hands to the labeler in a run's workspace.
+"""Files that stages of a run leave for others in its workspace: names, and the check that they are there.
 
-**Conventions.** Of several recordings the `joined.json` that describes them (`stone_files.joined_file`) lies beside
-these and is published with the labels: what is made later opens the recordings with the offsets of those labels.
+**Conventions.** `checked.npz` is `sequence.npz` with what the late checks found among its findings: it is made while
+the sequence is labelled, and is what is published under the name of the other. Of several recordings the `joined.json`
+that describes them (`stone_files.joined_file`) lies beside these and is published with the labels: what is made later
+opens the recordings with the offsets of those labels.
 """
 
+from collections.abc import Iterable
+from pathlib import Path
+
+from stone.errors import StoneError
+
 SEQUENCE_FILE = "sequence.npz"
+CHECKED_FILE = "checked.npz"
 SWEEPS_FILE = "sweeps.npz"
+
+
+class WorkGoneError(StoneError):
+    """What earlier stages left was removed; a run is kept for a week after it ended."""
+
+    code = "work_gone"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
+
+
+def require_left(folder: Path, names: Iterable[str]) -> None:
+    """Raises `WorkGoneError` for the first of these files or folders that is not there."""
+    for name in names:
+        if not (folder / name).exists():
+            raise WorkGoneError(name)

@@ -1,6 +1,6 @@
 """Enqueues jobs: rows in the caller's transaction, wake-ups after its commit."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 
 from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
@@ -37,22 +37,52 @@ def enqueue_run(session: Session, kind: str, specs: Sequence[JobSpec], context: 
 
 
 def add_jobs(session: Session, run: Job, specs: Sequence[JobSpec], max_attempts: int) -> list[Job]:
-    """More jobs for a run, in the order in which they are to be taken; `needs` refer to keys within `specs`."""
+    """More jobs for a run, in the order in which they are to be taken; `needs` refer to keys within `specs`.
+
+    Of a run that has begun the caller holds the row's lock: a job named in `after` does not end meanwhile.
+    """
+    before = _jobs_before(session, run.id, specs)
     context = Context(run.owner_id, run.sequence_id, run.priority)
     jobs = [_job(spec, context, max_attempts, run.id) for spec in specs]
     for job, job_id in zip(jobs, sorted(job.id for job in jobs), strict=True):
         job.id = job_id  # made in one millisecond they would sort by chance
     id_of = {spec.key: job.id for spec, job in zip(specs, jobs, strict=True) if spec.key}
+    needed = {job.id: _needed_ids(spec, id_of, before) for spec, job in zip(specs, jobs, strict=True)}
+    for job in jobs:
+        job.needs_left = sum(needed[job.id].values())
+        job.ready_ns = None if job.needs_left else now_ns()
     session.add_all(jobs)
     session.flush()
-    pairs = list(zip(specs, jobs, strict=True))
-    needs = [{"job_id": job.id, "needed_id": id_of[key]} for spec, job in pairs for key in spec.needs]
-    if needs:
-        session.execute(insert(JobNeed).returning(JobNeed.job_id), needs)  # many rows a statement
-    for spec, job in pairs:
-        if not spec.needs:
+    rows = [{"job_id": job_id, "needed_id": needed_id} for job_id, ids in needed.items() for needed_id in ids]
+    if rows:
+        session.execute(insert(JobNeed).returning(JobNeed.job_id), rows)  # many rows a statement
+    for job in jobs:
+        if not job.needs_left:
             wake_up_after_commit(session, job.queue)
     return jobs
+
+
+def _jobs_before(session: Session, root_id: str, specs: Sequence[JobSpec]) -> dict[str, dict[str, bool]]:
+    """By kind named in `after`, the jobs of the run so far, and whether they are still to succeed.
+
+    Raises `ValueError` for a kind of which the run has none: nobody would know what was waited for.
+    """
+    kinds = {kind for spec in specs for kind in spec.after}
+    if not kinds:
+        return {}
+    found: dict[str, dict[str, bool]] = {kind: {} for kind in kinds}
+    jobs = select(Job.id, Job.kind, Job.state).where(Job.root_id == root_id, Job.kind.in_(kinds))
+    for job_id, kind, state in session.execute(jobs):
+        found[kind][job_id] = state != "succeeded"
+    for kind in (kind for kind in sorted(kinds) if not found[kind]):
+        raise ValueError(f"run {root_id} has no job {kind!r} to wait for")
+    return found
+
+
+def _needed_ids(spec: JobSpec, id_of: Mapping[str, str], before: Mapping[str, Mapping[str, bool]]) -> dict[str, bool]:
+    """The jobs that it needs, and whether each is still to succeed."""
+    of_batch = {id_of[key]: True for key in spec.needs}
+    return of_batch | {job_id: waits for kind in spec.after for job_id, waits in before[kind].items()}
 
 
 def refuse_draining(session: Session, specs: Sequence[JobSpec]) -> None:
@@ -74,7 +104,6 @@ def _job(spec: JobSpec, context: Context, max_attempts: int, root_id: str = "") 
         state="queued",
         priority=context.priority,
         arguments=dict(spec.arguments),
-        needs_left=len(spec.needs),
-        ready_ns=None if spec.needs else now_ns(),
+        ready_ns=now_ns(),
         attempts_left=max_attempts,
     )

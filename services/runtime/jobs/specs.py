@@ -21,12 +21,14 @@ def queue_of(kind: str) -> str:
 
 @dataclass(frozen=True)
 class JobSpec:
-    """A job to be. `key` names it among its batch; `needs` are keys of that batch that must succeed before it."""
+    """A job to be. `key` names it among its batch; `needs` are keys of that batch that must succeed before it, `after`
+    kinds of jobs that its run has already, which must succeed too."""
 
     kind: str
     arguments: Mapping[str, Any] = field(default_factory=dict)
     key: str = ""
     needs: tuple[str, ...] = ()
+    after: tuple[str, ...] = ()
 
     @property
     def queue(self) -> str:

@@ -10,6 +10,7 @@ TITLES: Mapping[str, str] = {
     "sequence.process": "Labelling",
     "ingest.register": "Read the recording",
     "ingest.synchronise": "Synchronise sensors",
+    "ingest.check": "Check cameras and clocks",
     "labeler.parts": "Plan the map",
     "labeler.fuse": "Fuse sweeps",
     "labeler.surface": "Reconstruct the surface",

@@ -1,4 +1,4 @@
-"""Synchronising leaves a picture per camera with the LiDAR's points on it, of the recipe that made the sequence.
+"""Checking a sequence leaves a picture per camera with the LiDAR's points on it, of the recipe that made the sequence.
 
 Catches alone overlays of another recipe, or none after a killed attempt.
 """
@@ -10,7 +10,7 @@ import pytest
 from PIL import Image
 from sqlalchemy import select
 
-from services.domain.sequences.processing import SYNCHRONISE, delete_sequence
+from services.domain.sequences.processing import CHECK, delete_sequence
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, Preview
 from services.runtime.platform import Platform
@@ -46,11 +46,11 @@ def overlays(brought: Brought) -> dict[tuple[str, str], Preview]:
 
 
 def killed_once(kind: str, handler: Handler) -> Handler:
-    """The first attempt to synchronise has done everything and written nothing when it ends."""
+    """The first attempt to check has done everything and written nothing when it ends."""
 
     def run(attempt: Attempt) -> Outcome:
         outcome = handler(attempt)
-        if kind == SYNCHRONISE and attempt.job_id not in killed:
+        if kind == CHECK and attempt.job_id not in killed:
             killed.add(attempt.job_id)
             raise RuntimeError("killed")
         return outcome

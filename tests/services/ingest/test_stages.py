@@ -11,6 +11,7 @@ from sqlalchemy import func, select
 
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recording_sources import locate
+from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Blob, JobAttempt, QuotaEntry, Recording
@@ -185,12 +186,19 @@ def test_synchronising_leaves_the_sequence_for_workers_on_any_machine(
     run_all(here)
     run = brought.job(root_id)
     assert (run.state, run.failure) == ("succeeded", "")
-    (job,) = (job for job in brought.jobs(root_id) if job.queue)
+    job, check = (job for job in brought.jobs(root_id) if job.queue)
     assert job.result is not None
+    assert check.result is not None
     there = opened(make_settings(tmp_path / "there", store=s3_settings), [])
-    left = {name: b"".join(there.store.read(f"work/{root_id}/{name}.npz")) for name in ("sequence", "sweeps")}
+    left = {
+        name: b"".join(there.store.read(f"work/{root_id}/{name}.npz")) for name in ("sequence", "sweeps", "checked")
+    }
     sequence, sweeps = open_sequence(bag, calibration_path(bag), "field")
-    assert left["sequence"] == sequence_bytes(sequence)
+    assert left["checked"] == sequence_bytes(sequence)
+    so_far, _ = open_sequence(bag, calibration_path(bag), "field", SynchroniseOptions(is_checked=False))
+    assert left["sequence"] == sequence_bytes(so_far)
+    assert (job.result["is_checked"], check.result["is_checked"]) == (False, True)
+    assert [one["code"] for one in check.result["findings"]] == [one.code for one in sequence.findings]
     assert job.result["frames"] == len(sequence.frames)
     described = read_sweeps(left["sweeps"], partial(locate, there))
     assert described.path.name == "run.mcap"

@@ -21,7 +21,7 @@ from sqlalchemy import select
 from services.domain.exports.requests import start_export
 from services.domain.sequences import later_recordings
 from services.domain.sequences.later_recordings import follow_recordings
-from services.domain.sequences.processing import PROCESS, start_processing
+from services.domain.sequences.processing import PROCESS, SYNCHRONISE, start_processing
 from services.domain.sequences.recording_sources import kept_recording, locate_run
 from services.domain.sequences.recordings import remove_recording
 from services.ingest.sandboxed_synchronisation import StoredBags, SynchronisationResult, with_description
@@ -218,7 +218,7 @@ def test_a_description_of_other_recordings_opens_nothing(brought: Brought, tmp_p
 
 def test_a_child_that_describes_another_run_is_not_believed(brought: Brought, tmp_path: Path) -> None:
     folder = described(brought, tmp_path / "described")
-    made, sha256s = SynchronisationResult({}, {}, ()), {member.name: member.sha256 for member in read_joined(folder)}
+    made, sha256s = SynchronisationResult({}, {}), {member.name: member.sha256 for member in read_joined(folder)}
     believed = with_description(made, folder, StoredBags((), (), sha256s, {}))
     assert believed.files == {JOINED: folder / JOINED}
     with pytest.raises(SandboxCrashedError, match="joined other recordings"):
@@ -275,7 +275,7 @@ def test_clocks_that_nobody_knows_are_measured_in_the_sandbox(tmp_path: Path) ->
     run_all(brought.platform)
     root_id = brought.process(stages=("synchronise",))
     run_all(brought.platform)
-    told = brought.jobs(root_id)[-1].result
+    (told,) = (job.result for job in brought.jobs(root_id) if job.kind == SYNCHRONISE)
     assert told is not None, brought.job(root_id).failure
     offsets_ns = {clock["recording"]: clock["offset_ns"] for clock in told["clocks"]}
     assert set(offsets_ns) == {part.name for part in files}

@@ -15,7 +15,7 @@ import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import delete, select, update
 
-from services.domain.sequences.processing import PROCESS, delete_sequence
+from services.domain.sequences.processing import CHECK, PROCESS, delete_sequence
 from services.ingest import stages as ingest
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
@@ -47,7 +47,7 @@ from testing.worlds.runs import (
     simulated,
 )
 
-KINDS = {"ingest.synchronise"} | {
+KINDS = {"ingest.synchronise", "ingest.check"} | {
     f"labeler.{stage}" for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
 }
 
@@ -186,7 +186,9 @@ def test_the_command_and_the_queue_run_the_same_jobs(
     named = [(node.kind, json.loads(json.dumps(node.arguments))) for node in nodes]
     assert [(job.kind, job.arguments) for job in jobs.values()] == named, "in the order in which they are taken"
     of_key = {node.key: job_id for node, job_id in zip(nodes, jobs, strict=True)}
-    assert needs == {(of_key[node.key], of_key[key]) for node in nodes for key in node.needs}
+    (check,) = (job.id for job in brought.jobs(root_id) if job.kind == CHECK)
+    within = {(of_key[node.key], of_key[key]) for node in nodes for key in node.needs}
+    assert needs == within | {(of_key[nodes[-1].key], check)}, "and publishing waits for the checks"
     waits = {str(task.key[1]): {key[1] for key in task.needs} for task in worked[1]}
     assert waits == {node.key: set(node.needs) for node in nodes if node.kind != PUBLISH}
 

@@ -119,7 +119,7 @@ def test_stages_that_are_not_queued_yet_are_counted_by_the_length_of_the_recordi
     short, long = (RunWorkload(LABELLING, first, recorded_s=seconds, cameras=6) for seconds in (20.0, 600.0))
     assert told(long, Pace()) > 10 * told(short, Pace())
     alone = replace(short, makes_labels=False)
-    assert told(alone, Pace()) == pytest.approx(20.0 * TYPICAL["ingest.synchronise"])
+    assert told(alone, Pace()) == pytest.approx(20.0 * TYPICAL["ingest.synchronise"] + TYPICAL["ingest.check"])
 
 
 def test_a_run_of_kinds_that_nobody_has_seen_is_not_told() -> None:

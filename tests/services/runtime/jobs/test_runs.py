@@ -48,6 +48,59 @@ def test_a_stage_can_bring_the_jobs_that_follow_it(platform_on: Platform) -> Non
     assert states(platform_on, root) == {"succeeded": 7}
 
 
+def beside(_attempt: Attempt) -> Outcome:
+    """A job is done beside others, the last of which waits for it."""
+    return Outcome(then=(JobSpec("eval.ok", {"say": "beside"}), JobSpec("labeler.list")))
+
+
+def listed(_attempt: Attempt) -> Outcome:
+    part, last = JobSpec("labeler.ok", {"say": "part"}, "part"), {"say": "last"}
+    return Outcome(then=(part, JobSpec("labeler.ok", last, needs=("part",), after=("eval.ok",))))
+
+
+@pytest.mark.parametrize(
+    ("queues", "expected"),
+    [
+        (("ingest", "labeler", "eval"), ["part", "beside", "last"]),
+        (("ingest", "eval", "labeler"), ["beside", "part", "last"]),
+    ],
+)
+def test_a_job_waits_for_one_that_its_run_had_before_whether_that_is_done_or_not(
+    platform_on: Platform, queues: tuple[str, ...], expected: list[str]
+) -> None:
+    order: list[str] = []
+
+    def note(attempt: Attempt) -> Outcome:
+        order.append(str(attempt.arguments["say"]))
+        return Outcome()
+
+    table = {"ingest.plan": beside, "labeler.list": listed, "labeler.ok": note, "eval.ok": note}
+    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.plan"))
+    run_all(platform_on, table, queues=queues)
+    assert order == expected
+    assert job(platform_on, root).state == "succeeded"
+
+
+def test_a_retry_waits_anew_for_the_job_beside_that_failed(platform_on: Platform) -> None:
+    def refused(attempt: Attempt) -> Outcome:
+        return HANDLERS["ingest.refuse"](attempt)
+
+    table = {**HANDLERS, "ingest.plan": beside, "labeler.list": listed, "eval.ok": refused}
+    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.plan"))
+    run_all(platform_on, table, queues=("ingest", "labeler", "eval"))
+    assert job(platform_on, root).state == "failed"
+    with platform_on.database.transaction() as session:
+        retry(session, root, 3)
+    run_all(platform_on, {**table, "eval.ok": HANDLERS["labeler.ok"]}, queues=("labeler", "eval"))
+    assert job(platform_on, root).state == "succeeded"
+    assert states(platform_on, root) == {"succeeded": 5}
+
+
+def test_a_job_that_would_wait_for_a_kind_its_run_never_had_is_a_mistake(platform_on: Platform) -> None:
+    with pytest.raises(ValueError, match=r"has no job 'eval\.ok' to wait for"):
+        a_run(platform_on, an_owner(platform_on), JobSpec("labeler.ok", after=("eval.ok",)))
+
+
 def test_a_failure_ends_the_run_with_its_reason_and_nothing_more_of_it_starts(platform_on: Platform) -> None:
     owner = an_owner(platform_on)
     root = a_run(

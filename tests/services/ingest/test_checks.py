@@ -1,0 +1,122 @@
+"""What the late checks find is said of the sequence once and whole, after what synchronisation said, before labels."""
+
+from pathlib import Path
+
+import pytest
+from sqlalchemy import select
+
+from services.domain.sequences.processing import CHECK, SYNCHRONISE
+from services.ingest import sandboxed_check
+from services.ingest.stages import handlers
+from services.runtime.jobs.control import retry
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.runtime.notifications.events import LABELS_UNUSABLE
+from services.runtime.orm import CalibrationRow, Job, NotificationEvent
+from services.runtime.platform import Platform
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone_recordings.sync.sequence_file import read_sequence
+from testing.worlds.runs import Brought, bring, run_all
+
+SEEN = Finding("CAL-404", "error", "CAM_FRONT", "its mount is not this camera's")
+
+
+class UnreadablePicturesError(StoneError):
+    """A refusal in the middle of the checks."""
+
+    code = "unreadable"
+
+
+@pytest.fixture(scope="module")
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("checked") / "run.mcap"
+    simulate(path, SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False))
+    return path
+
+
+@pytest.fixture
+def brought(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Brought:
+    """A sequence whose calibration was valid long ago, and of whose pictures one finding tells."""
+    monkeypatch.setattr(sandboxed_check, "late_findings", lambda *_: (SEEN,))
+    brought = bring(platform)
+    brought.calibrate(calibration_path(bag))
+    brought.add(bag)
+    with platform.database.transaction() as session:
+        session.scalars(select(CalibrationRow)).one().valid_to_ns = 1
+    run_all(platform)
+    return brought
+
+
+def killed_once(kind: str, handler: Handler) -> Handler:
+    """The first attempt at the checks has done everything and written nothing when it ends."""
+
+    def run(attempt: Attempt) -> Outcome:
+        outcome = handler(attempt)
+        if kind == CHECK and attempt.job_id not in killed:
+            killed.add(attempt.job_id)
+            raise RuntimeError("killed")
+        return outcome
+
+    killed: set[str] = set()
+    return run
+
+
+def job_of(brought: Brought, root_id: str, kind: str) -> Job:
+    (job,) = (job for job in brought.jobs(root_id) if job.kind == kind)
+    return job
+
+
+def codes(job: Job) -> list[str]:
+    assert job.result is not None
+    return [one["code"] for one in job.result["findings"]]
+
+
+def errors_told(platform: Platform) -> list[int]:
+    with platform.database.reading() as session:
+        rows = session.scalars(select(NotificationEvent).where(NotificationEvent.kind == LABELS_UNUSABLE))
+        return [row.facts["errors"] for row in rows]
+
+
+def test_findings_are_whole_once_checked_and_told_once_though_the_checks_were_killed(brought: Brought) -> None:
+    root_id = brought.process(stages=("synchronise",))
+    run_all(brought.platform, wrap=killed_once)
+    assert brought.job(root_id).state == "succeeded"
+    so_far, whole = (codes(job_of(brought, root_id, kind)) for kind in (SYNCHRONISE, CHECK))
+    assert so_far[-1] == "CAL-418"
+    assert "CAL-404" not in so_far
+    assert whole == [*so_far[:-1], "CAL-404", "CAL-418"], "what is said of the calibration's time stays last"
+    store = brought.platform.store
+    files = [read_sequence(b"".join(store.read(f"work/{root_id}/{name}.npz"))) for name in ("sequence", "checked")]
+    assert [one.code for one in files[1].findings] == whole
+    assert files[1].findings[:-2] == files[0].findings
+    assert errors_told(brought.platform) == [1]
+
+
+def test_a_run_whose_checks_have_not_ended_is_not_done(brought: Brought) -> None:
+    root_id = brought.process(stages=("synchronise",))
+    assert run_next(brought.platform, "ingest", handlers(brought.platform))
+    job = job_of(brought, root_id, SYNCHRONISE)
+    assert job.result is not None
+    assert (job.state, job.result["is_checked"]) == ("succeeded", False)
+    assert (job_of(brought, root_id, CHECK).state, brought.job(root_id).state) == ("queued", "running")
+
+
+def test_what_the_checks_refuse_fails_the_run_and_a_retry_takes_up_the_checks_alone(
+    brought: Brought, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    def refuse(*_: object) -> tuple[Finding, ...]:
+        raise UnreadablePicturesError("picture 7 is cut off")
+
+    root_id = brought.process(stages=("synchronise",))
+    with monkeypatch.context() as broken:
+        broken.setattr(sandboxed_check, "late_findings", refuse)
+        run_all(brought.platform)
+    assert (brought.job(root_id).state, brought.job(root_id).failure_code) == ("failed", "unreadable")
+    with brought.platform.database.transaction() as session:
+        retry(session, root_id, 3)
+    run_all(brought.platform)
+    assert brought.job(root_id).state == "succeeded"
+    assert [job_of(brought, root_id, kind).attempt for kind in (SYNCHRONISE, CHECK)] == [1, 2]
