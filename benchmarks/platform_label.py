@@ -102,6 +102,19 @@ def shortest_s(jobs: tuple[JobMeasurement, ...], workers: int) -> float:
     return max(ends.values())
 
 
+def longest_chain(jobs: tuple[JobMeasurement, ...]) -> tuple[JobMeasurement, ...]:
+    """The jobs that need each other and take the most processor time together, in order: no number of workers is
+    quicker."""
+    chains: list[tuple[JobMeasurement, ...]] = []
+    for job in jobs:
+        chains.append((*max((chains[need] for need in job.needs), key=_chain_s, default=()), job))
+    return max(chains, key=_chain_s)
+
+
+def _chain_s(chain: tuple[JobMeasurement, ...]) -> float:
+    return sum(job.cpu_s for job in chain)
+
+
 def _read(platform: Platform, root_id: str, workers: int) -> PlatformRunMeasurement:
     with platform.database.reading() as session:
         rows = session.scalars(select(Job).where(Job.root_id == root_id, Job.queue != "").order_by(Job.id)).all()
@@ -138,6 +151,10 @@ def _show(runs: list[PlatformRunMeasurement], recorded_s: float) -> None:
         table.add_row(str(run.workers), *(f"{figure:.2f}" for figure in figures), str(len(run.jobs)))
     console.print(table)
     _show_stages(console, runs)
+    for run in runs:
+        chain = longest_chain(run.jobs)
+        told = " → ".join(f"{job.kind.partition('.')[2]} {job.cpu_s:.2f}" for job in chain)
+        console.print(f"longest chain with {run.workers}: {_chain_s(chain):.2f} s of processor time: {told}")
     first, last = runs[0], runs[-1]
     if last.workers > first.workers:
         ideal = shortest_s(first.jobs, first.workers) / shortest_s(first.jobs, last.workers)
