@@ -60,11 +60,11 @@ def warmup_sequence() -> Sequence:
 @cache
 def warm() -> None:
     """Label the small run in both profiles, and draw it in one: once a process."""
-    from services.labeler.pipeline import MAP
+    from services.labeler.pipeline import MAP, PICTURES
 
     confident = replace(parameters_for("local"), confidence=True)
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
-        _label(Path(folder) / "confident", confident, without=(MAP,))
+        _label(Path(folder) / "confident", confident, without=(MAP, PICTURES))
         _label(Path(folder) / "paper", parameters_for("paper"))
 
 

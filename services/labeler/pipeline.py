@@ -1,6 +1,7 @@
 """From a synchronised sequence to its labels: the page to read first.
 
-    fuse (each part) → surface (each tile), sight (each camera) → reference → frames (each part), map → publish
+    fuse (each part) → surface (each tile), sight (each camera) → reference → frames (each part), map, pictures
+        → publish
 
 `label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of the
 run that finds and leaves files in scratch. `stone label` runs the jobs in a few processes
@@ -13,7 +14,7 @@ In the queue, publishing waits for the late checks of the sequence too.
 
 from collections.abc import Mapping
 
-from services.labeler.map.map_files import draw_map, files_of_map
+from services.labeler.map.map_files import draw_map, draw_pictures, files_of_map, files_of_pictures
 from services.labeler.plan import plan_of
 from services.labeler.run import LabelRun, Part
 from services.labeler.scratch import tile_name
@@ -33,7 +34,8 @@ from services.labeler.stage_work import (
 from services.runtime.jobs.specs import JobSpec
 
 FUSE, SURFACE, SIGHT = "labeler.fuse", "labeler.surface", "labeler.sight"
-REFERENCE, FRAMES, MAP, PUBLISH = "labeler.reference", "labeler.frames", "labeler.map", "labeler.publish"
+REFERENCE, FRAMES, PUBLISH = "labeler.reference", "labeler.frames", "labeler.publish"
+MAP, PICTURES = "labeler.map", "labeler.pictures"
 STAGES: Mapping[str, Stage] = {
     FUSE: Stage(fuse_part, files_of_fuse, "fuse", shown="fuse", event="fused", reads_sweeps=True),
     SURFACE: Stage(surface_tile, files_of_surface, "surface", shown="surface", event="reconstructed"),
@@ -41,6 +43,7 @@ STAGES: Mapping[str, Stage] = {
     REFERENCE: Stage(refer, files_of_reference, "reference", event="reference"),
     FRAMES: Stage(label_part, files_of_frames, "frames", shown="frames", event="labelled"),
     MAP: Stage(draw_map, files_of_map, "map", shown="pictures"),
+    PICTURES: Stage(draw_pictures, files_of_pictures, "pictures", shown="pictures"),
 }
 
 
@@ -57,10 +60,10 @@ def label_graph(run: LabelRun) -> tuple[JobSpec, ...]:
             mapped.append(JobSpec(SURFACE, {"tile": tile}, f"surface {tile_name(tile)}", waits))
     before = tuple(job.key for job in (*mapped, *sights) if job.kind != FUSE)
     reference = JobSpec(REFERENCE, {}, "reference", before)
-    drawn = JobSpec(MAP, {}, "map", (reference.key,))
+    drawn = [JobSpec(kind, {}, key, (reference.key,)) for kind, key in ((MAP, "map"), (PICTURES, "pictures"))]
     cut = [JobSpec(FRAMES, {"part": part}, f"frames {part[0]}", (reference.key,)) for part in plan.parts]
-    published = JobSpec(PUBLISH, {}, "", (drawn.key, *(job.key for job in cut)))
-    return (*mapped, *sights, reference, drawn, *cut, published)
+    published = JobSpec(PUBLISH, {}, "", tuple(job.key for job in (*drawn, *cut)))
+    return (*mapped, *sights, reference, *drawn, *cut, published)
 
 
 def _fused(part: Part) -> str:

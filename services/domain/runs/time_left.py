@@ -19,9 +19,9 @@ from math import ceil
 LABELLING = "sequence.process"
 SYNCHRONISE, CHECK, PARTS = "ingest.synchronise", "ingest.check", "labeler.parts"
 FUSE, SURFACE = "labeler.fuse", "labeler.surface"
-SIGHT, REFERENCE, FRAMES, MAP = "labeler.sight", "labeler.reference", "labeler.frames", "labeler.map"
-PUBLISH = "labeler.publish"
-LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP), (PUBLISH,))
+SIGHT, REFERENCE, FRAMES = "labeler.sight", "labeler.reference", "labeler.frames"
+MAP, PICTURES, PUBLISH = "labeler.map", "labeler.pictures", "labeler.publish"
+LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP, PICTURES), (PUBLISH,))
 """Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
 SHARES = (FUSE, FRAMES, "labeler.export")
 """The kinds whose progress counts frames, which take about the same time each."""
@@ -46,7 +46,8 @@ TYPICAL: Mapping[str, float] = {
     SIGHT: 0.2,
     REFERENCE: 0.1,
     FRAMES: 1.5,
-    MAP: 2.3,
+    MAP: 1.1,
+    PICTURES: 1.2,
     PUBLISH: 0.3,
 }
 """Seconds of a job by kind, where the platform has not labelled yet; of synchronisation per recorded second."""
@@ -166,7 +167,7 @@ def _of_labelling(work: RunWorkload, pace: Pace) -> dict[str, int]:
     frames = work.frames if work.frames is not None else FRAMES_HZ * work.length_s
     parts = max(1, ceil(frames / FRAMES_PER_PART))
     counts = {PARTS: 1, FUSE: parts, SURFACE: max(1, round(parts * pace.tiles)), SIGHT: work.cameras}
-    return counts | {REFERENCE: 1, FRAMES: parts, MAP: 1, PUBLISH: 1}
+    return counts | {REFERENCE: 1, FRAMES: parts, MAP: 1, PICTURES: 1, PUBLISH: 1}
 
 
 def _scale(work: RunWorkload, pace: Pace) -> float:

@@ -25,8 +25,21 @@ MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.png", "mesh.ply"
 
 
 def draw_map(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
-    """The labelled map → its pictures, its mesh and its scene, in the folder `map` of scratch."""
+    """The labelled map → its view from above, its mesh and its scene, in the folder `map` of scratch."""
     write_map(run, load_summaries(run), load_reference(run), map_folder(run), step)
+    return StageResult()
+
+
+def draw_pictures(run: LabelRun, _arguments: Arguments, step: Step) -> StageResult:
+    """The labelled map → its pictures in perspective and of its features, in the same folder."""
+    step(0, 1)
+    from services.labeler.previews.preview_files import (
+        write_map_previews,  # it plots and films: half a second of imports
+    )
+
+    reference = load_reference(run)
+    pieces = [partial(_map_piece, run, summary.tile, reference) for summary in load_summaries(run)]
+    write_map_previews(pieces, run.sequence.frames.map_from_ego, map_folder(run), run.parameters.profile)
     return StageResult()
 
 
@@ -35,18 +48,23 @@ def files_of_map(run: LabelRun, _arguments: Arguments) -> StageFiles:
     return StageFiles(needed, needed, (map_folder(run).name, comparison_path(run).name, coverage_path(run).name))
 
 
+def files_of_pictures(run: LabelRun, _arguments: Arguments) -> StageFiles:
+    needed = (reference_path(run).name, "surface", "sums")
+    return StageFiles(needed, needed, (map_folder(run).name,))
+
+
 def map_folder(run: LabelRun) -> Path:
-    """Everything that `draw_map` leaves in it is published under its name."""
+    """Everything that `draw_map` and `draw_pictures` leave in it is published under its name."""
     return run.scratch / MAP
 
 
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
-    """Write `bev.png`, `thumbnail.png`, `mesh.ply`, the map's previews and the viewer's scene into the folder `out`, in
-    the order of the tiles, and leave in scratch how the profiles compare and how much of the way is T."""
+    """Write `bev.png`, `thumbnail.png`, `mesh.ply` and the viewer's scene into the folder `out`, in the order of the
+    tiles, and leave in scratch how the profiles compare and how much of the way is T."""
     view, counter, scene = TopView({}), ComparisonCounter(run, tiles, reference), SceneFiles(run, reference, out)
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
-        step(number, len(tiles) + 2)
+        step(number, len(tiles) + 1)
         arrays, classes = labelled_tile(run, summary.tile, reference)
         view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
         counter.add(arrays, classes)
@@ -59,18 +77,11 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
         write_top_view(staging, view, run.sequence.frames.map_from_ego)
     with whole(out / THUMBNAIL) as staging:
         write_thumbnail(staging, view, run.sequence.frames.map_from_ego)
-    step(len(tiles), len(tiles) + 2)
+    step(len(tiles), len(tiles) + 1)
     totals = (sum(tile.vertices for tile in tiles), sum(tile.triangles for tile in tiles))
     with whole(out / MESH) as staging:
         write_mesh(staging, totals, [partial(_piece, run, tile.tile, reference) for tile in tiles])
-    step(len(tiles) + 1, len(tiles) + 2)
-    from services.labeler.previews.preview_files import (
-        write_map_previews,  # it plots and films: half a second of imports
-    )
-
-    pieces = [partial(_map_piece, run, tile.tile, reference) for tile in tiles]
-    write_map_previews(pieces, run.sequence.frames.map_from_ego, out, run.parameters.profile)
-    step(len(tiles) + 2, len(tiles) + 2)
+    step(len(tiles) + 1, len(tiles) + 1)
 
 
 def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:

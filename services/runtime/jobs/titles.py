@@ -18,6 +18,7 @@ TITLES: Mapping[str, str] = {
     "labeler.reference": "Reference terrain model",
     "labeler.frames": "Label frames",
     "labeler.map": "Render the map",
+    "labeler.pictures": "Draw pictures of the map",
     "labeler.publish": "Publish",
     "labeler.export": "Write the export",
     "eval.compare": "Compare label sets",

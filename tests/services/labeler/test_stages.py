@@ -48,7 +48,8 @@ from testing.worlds.runs import (
 )
 
 KINDS = {"ingest.synchronise", "ingest.check"} | {
-    f"labeler.{stage}" for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "publish")
+    f"labeler.{stage}"
+    for stage in ("parts", "fuse", "surface", "sight", "reference", "frames", "map", "pictures", "publish")
 }
 
 
