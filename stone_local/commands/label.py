@@ -97,10 +97,11 @@ def label(
     their clocks are measured and reported.
     """
     from services.ingest.pipeline import SynchroniseOptions
-    from services.ingest.sequence import opened_sequence
+    from services.ingest.sequence import OpenedSequence, with_sequence
     from services.labeler.local_run import JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
     from services.labeler.parameters import RefinementParameters, parameters_for
+    from services.labeler.report import LabelReport
     from services.labeler.workers import begin_loading
 
     begin_loading()
@@ -113,12 +114,16 @@ def label(
         parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
         recordings = RunRecordings(bags, clock_offset, calibration, lambda: sources)
-        with run_of(recordings) as run, opened_sequence(run.bag, calibration, run.name, sources) as opened:
+        with run_of(recordings) as run:
             kept = output / JOINED_RUN if run.joined else run.bag
             source = {"recording": str(kept.resolve()), "calibration": str(calibration.resolve())}
-            late = (opened.recording_inputs, opened.late_findings)
-            options = LabelOptions(parameters, workers or cores(), source, *late, run.joined)
-            record = label_sequence(opened.sequence, opened.sweeps, output, options, progress).as_record()
+
+            def labelled_of(opened: OpenedSequence) -> LabelReport:
+                late = (opened.recording_inputs, opened.late_findings)
+                options = LabelOptions(parameters, workers or cores(), source, *late, run.joined)
+                return label_sequence(opened.sequence, opened.sweeps, output, options, progress)
+
+            record = with_sequence(run.bag, calibration, run.name, sources, labelled_of).as_record()
     if as_json:
         echo_json(record)
     else:

@@ -25,7 +25,7 @@ from stone_recordings.bags.joined.findings import member_findings
 from stone_recordings.bags.joined.joined_store import joined_store
 from stone_recordings.bags.joined.moved_bag import MovedBag
 from stone_recordings.bags.members import members_of
-from stone_recordings.bags.message_store import MessageStore
+from stone_recordings.bags.message_store import Messages, MessageStore
 from stone_recordings.bags.split_store import SplitStore
 from stone_recordings.bags.topic import Topic
 from stone_recordings.bags.unpacked_messages import is_packed, unpacked, unpacked_head
@@ -64,6 +64,7 @@ class Bag:
         self._store = store
         self._topics = {topic.name: topic for topic in topics}
         self._packed: set[str] = set()
+        self.is_believed = False
 
     def __enter__(self) -> "Bag":
         return self
@@ -78,6 +79,12 @@ class Bag:
         """Give back what can be had again; it is read on as before."""
         self._store.release()
 
+    def believe(self) -> None:
+        """Take it from now on that nothing is damaged: `heads` checks nothing and `damaged` names nothing, which spares
+        reading everything first. What a message read later lies in is checked all the same, and `damaged_beside` looks
+        at the rest."""
+        self.is_believed = True
+
     @property
     def is_indexed(self) -> bool:
         """False where the recording had no usable index and had to be walked."""
@@ -88,9 +95,13 @@ class Bag:
         """By topic and index, the messages that lie in damaged chunks, and why; what they carry is not to be had.
 
         Asked for the first time it reads whatever has a checksum or is compressed. Once it was asked, `heads` passes
-        these messages over; `message` and `messages` refuse them always.
+        these messages over; `message` and `messages` refuse them always. Empty of a recording that is believed.
         """
-        return self._store.damaged()
+        return {} if self.is_believed else self._store.damaged()
+
+    def damaged_beside(self, messages: Messages) -> Mapping[str, Mapping[int, str]]:
+        """As `damaged`, but that what these messages lie in is not looked at: whoever reads them checks it."""
+        return self._store.damaged(messages)
 
     def size_bytes(self, topic: str, index: int) -> int:
         """Of a message whose head was just given, so that it costs little; `UNKNOWN_SIZE` where it is packed."""
@@ -154,8 +165,10 @@ class Bag:
         A payload may end after `stone_recordings.bags.message_store.HEAD_BYTES`, except of the topics named in `whole`.
         Every chunk is inflated once, whatever the number of topics; plain chunks are neither read whole nor checked,
         databases not beyond the pages that hold the heads. Where it `is_checked`, chunks are read whole, those that are
-        damaged are passed over, and `damaged` reads none of them again. Raises: as `messages`.
+        damaged are passed over, and `damaged` reads none of them again; not of a recording that is believed.
+        Raises: as `messages`.
         """
+        is_checked &= not self.is_believed
         for topic in topics:
             self._check_readable(topic)
         for topic, index, payload in self._store.heads(topics, whole, is_checked=is_checked):

@@ -20,6 +20,7 @@ from stone.findings import Finding
 from stone_recordings.bags.chunks import Chunk, check_crc32, inflate, inflate_head
 from stone_recordings.bags.errors import ChecksumError, MalformedBagError
 from stone_recordings.bags.message_places import Entries, in_storage_order, reach_of
+from stone_recordings.bags.message_store import NO_MESSAGES, Messages
 
 KEPT_CHUNKS = 2
 # Beyond this share of a chunk inflating it whole, at once and checked, costs no more than its head piece by piece.
@@ -116,10 +117,12 @@ class ChunkedStore(ABC):
             self._file.map.madvise(mmap.MADV_NORMAL)
             self._head = (-1, memoryview(b""))
 
-    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
-        used = np.unique(np.concatenate([np.zeros(0, np.int64), *(one.chunk for one in self._entries.values())]))
-        used = used[used >= 0]
+        none = np.zeros(0, np.int64)
+        used = np.unique(np.concatenate([none, *(one.chunk for one in self._entries.values())]))
+        passed = np.concatenate([none, *(self._entries[topic].chunk[rows] for topic, rows in beside.items())])
+        used = np.setdiff1d(used[used >= 0], passed)
         for number in (number for number in used.tolist() if number not in self._sound):
             self._check(number)
             self._file.forget(self._placed.chunks[number].start, self._placed.chunks[number].stop)

@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from types import MappingProxyType
 from typing import Protocol
 
 import numpy as np
@@ -15,6 +16,9 @@ from stone_recordings.bags.topic import Topic
 
 # A scan of headers reads no further into a message than this, so that clouds stay on the disk.
 HEAD_BYTES = 8192
+
+Messages = Mapping[str, NDArray[np.int64]]  # by topic, indices in it
+NO_MESSAGES: Messages = MappingProxyType({})
 
 
 class MessageStore(Protocol):
@@ -45,10 +49,11 @@ class MessageStore(Protocol):
         """Of the message as it is stored; cheap for one whose head was just given."""
         ...
 
-    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """By topic and index, messages that cannot be had because what they lie in is damaged, and why.
 
         Reads whatever carries a checksum or is compressed, once; from then on `heads` passes these messages over.
+        What the messages `beside` lie in is not looked at.
         """
         ...
 

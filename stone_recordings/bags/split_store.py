@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone_recordings.bags.errors import MalformedBagError
-from stone_recordings.bags.message_store import MessageStore
+from stone_recordings.bags.message_store import NO_MESSAGES, Messages, MessageStore
 from stone_recordings.bags.topic import Topic
 
 AWAKE = 2
@@ -52,11 +52,11 @@ class SplitStore:
         _times, parts, indices = self._places[topic]
         return self._woken(int(parts[index])).size_bytes(topic, int(indices[index]))
 
-    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """Of every file, under the indices of the whole."""
         found: dict[str, dict[int, str]] = {}
         for number in range(len(self._parts)):
-            for topic, reasons in self._woken(number).damaged().items():
+            for topic, reasons in self._woken(number).damaged(self._among(number, beside)).items():
                 rows = self._rows_of(number, topic)
                 found.setdefault(topic, {}).update({int(rows[index]): reason for index, reason in reasons.items()})
         return found
@@ -74,6 +74,16 @@ class SplitStore:
         _times, parts, indices = self._places[topic]
         rows = np.flatnonzero(parts == number)
         return rows[np.argsort(indices[rows])]
+
+    def _among(self, number: int, messages: Messages) -> Messages:
+        """Those of the messages that lie in one file, under its own indices."""
+        found = {}
+        for topic, rows in messages.items():
+            _times, parts, indices = self._places[topic]
+            mine = rows[parts[rows] == number]
+            if len(mine):
+                found[topic] = indices[mine]
+        return found
 
     def _woken(self, number: int) -> MessageStore:
         self._awake[number] = None

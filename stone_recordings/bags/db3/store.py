@@ -18,7 +18,7 @@ from stone_recordings.bags.db3.rows import Db3Rows, Db3Topic
 from stone_recordings.bags.db3.salvage import SalvagedRows, opened_pages
 from stone_recordings.bags.db3.sql import DamagedDatabaseError, SqlRows
 from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
-from stone_recordings.bags.message_store import HEAD_BYTES
+from stone_recordings.bags.message_store import HEAD_BYTES, NO_MESSAGES, Messages
 from stone_recordings.bags.topic import Topic
 
 # Small messages are read so many at a time, while they are read in order.
@@ -78,7 +78,7 @@ class SqliteStore:
     def size_bytes(self, topic: str, index: int) -> int:
         return int(self._rows.index.size_bytes[self._order[topic][index]])
 
-    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """None: rows carry no checksum, and those of a damaged page were left out when it was opened."""
         return {}
 

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_files.joined_file import JoinedMember
 from stone_recordings.bags.joined.moved_stamps import StampPlaces, moved, stamp_places
+from stone_recordings.bags.message_store import NO_MESSAGES, Messages
 from stone_recordings.bags.topic import Topic
 from stone_recordings.clocks.timing import begins_with_header
 
@@ -27,8 +28,7 @@ class OpenedBag(Protocol):
     @property
     def is_indexed(self) -> bool: ...
 
-    @property
-    def damaged(self) -> Mapping[str, Mapping[int, str]]: ...
+    def damaged_beside(self, messages: Messages) -> Mapping[str, Mapping[int, str]]: ...
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]: ...
 
@@ -76,9 +76,10 @@ class MovedBag:
     def size_bytes(self, topic: str, index: int) -> int:
         return self._bag.size_bytes(topic, int(self._kept[topic][index]))
 
-    def damaged(self) -> Mapping[str, Mapping[int, str]]:
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         found = {}
-        for topic, reasons in self._bag.damaged.items():
+        passed = {topic: self._kept[topic][rows] for topic, rows in beside.items()}
+        for topic, reasons in self._bag.damaged_beside(passed).items():
             left = self._places_left(topic)
             found[topic] = {int(left[index]): why for index, why in reasons.items() if left[index] >= 0}
         return {topic: reasons for topic, reasons in found.items() if reasons}

@@ -1,16 +1,23 @@
 """A recording opened as a sequence, at once or with its checks beside."""
 
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
 from services.ingest.pipeline import SynchroniseOptions
-from services.ingest.sequence import open_sequence, opened_sequence
+from services.ingest.sequence import OpenedSequence, open_sequence, opened_sequence, with_sequence
+from services.labeler.errors import NoUsableFramesError
 from services.labeler.local_run import LabelOptions, label
+from services.labeler.report import LabelReport
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone.findings import Finding
+from stone_recordings.bags.bag import Bag
 from stone_recordings.sync.sequence_file import read_sequence
+from stone_recordings.sync.sweeps import BagSweeps
+from testing.worlds.faults.other_edits import bad_chunk
 
 SEEN = Finding("CAL-404", "warning", "CAM_FRONT", "its mount is not this camera's")
 
@@ -30,3 +37,76 @@ def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
     assert SEEN not in at_once
     assert (*at_once, *late) == whole.findings
     assert read_sequence((tmp_path / "labels" / "sequence.npz").read_bytes()).findings == whole.findings
+
+
+def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_checked_first(tmp_path: Path) -> None:
+    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
+    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    bad_chunk(bag)
+    checked, _ = open_sequence(bag, calibration, "run")
+
+    def labelled(opened: OpenedSequence) -> LabelReport:
+        options = LabelOptions(late_findings=opened.late_findings)
+        return label(opened.sequence, opened.sweeps, tmp_path / "labels", options)
+
+    report = with_sequence(bag, calibration, "run", SynchroniseOptions(), labelled)
+    assert len(checked.excluded) > 0
+    assert report.sequence.excluded == checked.excluded
+    assert report.sequence.findings == checked.findings
+    assert "BAG-016" in {finding.code for finding in checked.findings}
+
+
+def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opened_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
+    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+
+    def late(opened: OpenedSequence) -> bool:
+        opened.late_findings()
+        return opened.sequence.excluded == ()
+
+    believed = list[Bag]()
+    monkeypatch.setattr(Bag, "believe", lambda self: believed.append(self) or setattr(self, "is_believed", True))
+    assert with_sequence(bag, calibration, "run", SynchroniseOptions(), late)
+    monkeypatch.setattr(Bag, "damaged_beside", lambda *_: {"/imu/data": {0: "chunk 1"}})
+    monkeypatch.setattr(Bag, "damaged", {"/imu/data": {0: "chunk 1"}})
+    assert with_sequence(bag, calibration, "run", SynchroniseOptions(), late)
+    assert len(believed) == 2
+
+
+def test_a_sweep_that_is_refused_while_it_is_used_is_left_out_the_second_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
+    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    bad_chunk(bag)
+    whole, sweeps = open_sequence(bag, calibration, "run")
+    monkeypatch.setattr("services.ingest.sequence.sequence_in", lambda opened, *_: (whole, stale(opened)))
+
+    def stale(opened: Bag) -> BagSweeps:
+        return (
+            replace(sweeps, message_index=np.arange(30), stamps_ns=np.arange(30), mount=None)
+            if opened.is_believed
+            else sweeps
+        )
+
+    def read(opened: OpenedSequence) -> int:
+        return sum(len(opened.sweeps.sweep(index).points_lidar) > 0 for index in range(len(opened.sweeps)))
+
+    assert len(sweeps) < 30
+    assert with_sequence(bag, calibration, "run", SynchroniseOptions(), read) == len(sweeps)
+
+
+def test_what_fails_of_a_sound_recording_fails_once(tmp_path: Path) -> None:
+    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
+    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    tries = list[OpenedSequence]()
+
+    def fails(opened: OpenedSequence) -> None:
+        tries.append(opened)
+        raise NoUsableFramesError(opened.sequence)
+
+    with pytest.raises(NoUsableFramesError):
+        with_sequence(bag, calibration, "run", SynchroniseOptions(), fails)
+    assert len(tries) == 1

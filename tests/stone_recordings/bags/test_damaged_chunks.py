@@ -6,8 +6,10 @@ import numpy as np
 import pytest
 from mcap.writer import CompressionType
 
+from stone_files.joined_file import JoinedMember
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import ChecksumError, IngestError
+from stone_recordings.bags.joined.moved_bag import MovedBag
 from testing.worlds.faults.other_edits import bad_chunk
 from tests.stone_recordings.writing import Recorded, write_mcap
 
@@ -97,3 +99,42 @@ def test_the_size_of_a_message_is_that_of_all_of_it(tmp_path: Path) -> None:
     path = recorded(tmp_path / "run.mcap", compression=CompressionType.ZSTD)
     with open_bag(path) as bag:
         assert {bag.size_bytes(name, index) for name, index, _head in bag.heads(("/a", "/b"))} == {205}
+
+
+@pytest.mark.parametrize("parts", [1, 2])
+def test_what_lies_beside_given_messages_is_looked_at_alone(tmp_path: Path, parts: int) -> None:
+    folder = tmp_path / "run"
+    folder.mkdir()
+    for part in range(parts):
+        bad_chunk(recorded(folder / f"run_{part}.mcap", begin=part * COUNT))
+    with open_bag(folder) as bag:
+        damaged = bag.damaged
+    own, rows = np.array(sorted(damaged["/a"])), np.arange(parts * COUNT)
+    with open_bag(folder) as bag:
+        bag.believe()
+        assert bag.damaged_beside({"/a": own}) == {}
+        assert bag.damaged_beside({"/a": np.setdiff1d(rows, own)}) == damaged
+
+
+def test_of_a_joined_recording_the_messages_beside_are_those_that_are_left(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "run.mcap")
+    bad_chunk(path)
+    member = JoinedMember("run.mcap", "0" * 64, 500, left_out={"/a": ((0, 3),)})
+    with open_bag(path) as bag:
+        own = np.array(sorted(bag.damaged["/a"])) - 3
+    moved = MovedBag(open_bag(path), member)
+    assert set(moved.damaged()["/a"]) == set(own.tolist())
+    assert MovedBag(open_bag(path), member).damaged({"/a": own}) == {}
+
+
+def test_a_recording_that_is_believed_is_scanned_unchecked_and_checked_where_it_is_read(tmp_path: Path) -> None:
+    path = recorded(tmp_path / "run.mcap", compression=CompressionType.NONE)
+    bad_chunk(path)
+    with open_bag(path) as bag:
+        damaged = next(iter(bag.damaged["/a"]))
+    with open_bag(path) as bag:
+        bag.believe()
+        assert len([index for _name, index, _head in bag.heads(("/a", "/b"), is_checked=True)]) == 2 * COUNT
+        assert (bag.damaged, bag.damage_findings) == ({}, ())
+        with pytest.raises(ChecksumError):
+            bag.message("/a", damaged)
