@@ -17,6 +17,7 @@ from multiprocessing.context import ForkServerContext
 from threading import Thread
 from typing import Any, Generic, TypeVar
 
+from services.labeler.freed_memory import keep_freed_memory
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
@@ -45,7 +46,11 @@ class Task:
 
 
 def begin_loading() -> None:
-    """Have the fork server started, which loads what workers need while the caller goes on; workers do it otherwise."""
+    """Have the fork server started, which loads what workers need while the caller goes on; workers do it otherwise.
+
+    The caller, who opens the recording meanwhile, keeps freed memory as they do.
+    """
+    keep_freed_memory()
     _context()
     forkserver.ensure_running()
 
@@ -101,7 +106,8 @@ def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> TaskResu
 
 
 def _prepare() -> None:
-    """One thread for every library, and no life beyond that of the process that asked."""
+    """One thread for every library, freed memory kept, and no life beyond that of the process that asked."""
+    keep_freed_memory()
     asker = parent_process()
     if asker is not None:
         Thread(target=_end_with, args=(asker.sentinel,), daemon=True).start()
