@@ -12,13 +12,15 @@ where the ground is tilted in the ego frame beyond `TERRAIN_RAD`, looks are also
 what needs the least correction counts.
 """
 
+import math
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import keys_of
+from stone.geometry.lattice import EMPTY, pack
 from stone.sensors.ground_points import FARTHEST_M, low_points
 from stone.sensors.height_drift import HeightDrift
 
@@ -68,9 +70,11 @@ def driven(places_m: Array) -> Array:
 
 def look(points_map: Array) -> Look:
     """What the points (N, 3) of a sweep around the robot, in the map, show of the ground."""
-    is_on_lattice = (np.abs(points_map[:, :2]) < FARTHEST_PLACE_M).all(axis=1)
-    points_map = points_map[is_on_lattice]
-    cells, lowest = low_points(points_map, keys_of(points_map * (1.0, 1.0, 0.0), CELL_M))
+    cell = np.empty(len(points_map), np.int64)
+    if _plan_cells(points_map, cell):
+        is_on_lattice = cell != EMPTY
+        points_map, cell = points_map[is_on_lattice], cell[is_on_lattice]
+    cells, lowest = low_points(points_map, cell)
     return Look(cells, lowest[:, 2].astype(np.float32))
 
 
@@ -166,3 +170,17 @@ def _solved(springs: tuple[Rows, Array, Array], fixed: Rows, count: int) -> Arra
     values = np.concatenate([force, force, -force, -force, np.full(len(fixed), 1e6)])
     right = np.bincount(b, pull, count) - np.bincount(a, pull, count)
     return np.asarray(spsolve(coo_array((values, (rows, columns)), shape=(count, count)).tocsc(), right))
+
+
+@njit(cache=True, nogil=True)
+def _plan_cells(points, cell):  # type: ignore[no-untyped-def]
+    """The key of each point's cell in plan, `EMPTY` of what is off the lattice; how many are."""
+    off, inverse = 0, 1.0 / CELL_M
+    for p in range(points.shape[0]):
+        x, y = points[p, 0], points[p, 1]
+        if abs(x) < FARTHEST_PLACE_M and abs(y) < FARTHEST_PLACE_M and np.isfinite(points[p, 2]):
+            cell[p] = pack(math.floor(x * inverse), math.floor(y * inverse), 0)
+        else:
+            cell[p] = EMPTY
+            off += 1
+    return off

@@ -14,7 +14,7 @@ from stone.geometry.lattice import EMPTY, slot_of
 NEAREST_M, FARTHEST_M = 0.8, 12.0
 LOWEST_M, HIGHEST_M = -2.5, 1.5
 LOW_QUANTILE, FEWEST_IN_CELL = 0.3, 3
-SLACK_M = 0.01  # beyond the rounding of a distance
+SLACK_RATIO = 1e-12  # beyond the rounding of a squared distance
 CELL_M = 0.3
 FEWEST_CELLS, FULL_SHARE = 24, 0.2
 REACHES_M = (2.5, 3.0, 4.0, 6.0, 8.0, FARTHEST_M)  # the nearest that is full enough, or shows enough: terrain bends
@@ -30,7 +30,10 @@ Rows = NDArray[np.int64]
 def around_robot(points_ego: NDArray[np.float32]) -> Array:
     """Those of the points (N, 3) that may be ground near the robot."""
     near = np.empty((len(points_ego), 3))
-    points = near[: _in_box(points_ego, near)]
+    count, doubtful = _near(points_ego, near)
+    points = near[:count]
+    if not doubtful:
+        return points
     far_m = np.hypot(points[:, 0], points[:, 1])
     return np.asarray(points[(far_m >= NEAREST_M) & (far_m <= FARTHEST_M)])
 
@@ -107,14 +110,19 @@ def _plane(cells: Array) -> Array | None:
 
 
 @njit(cache=True, nogil=True)
-def _in_box(points, near):  # type: ignore[no-untyped-def]
-    """Write those of the points in the box around what may be near; how many they are."""
-    count, reach = np.int64(0), FARTHEST_M + SLACK_M
+def _near(points, near):  # type: ignore[no-untyped-def]
+    """Write those of the points that may be near; how many they are, and at how many a limit is too close to tell."""
+    count, doubtful = np.int64(0), np.int64(0)
+    least, most = NEAREST_M * NEAREST_M * (1 - SLACK_RATIO), FARTHEST_M * FARTHEST_M * (1 + SLACK_RATIO)
+    sure_least, sure_most = NEAREST_M * NEAREST_M * (1 + SLACK_RATIO), FARTHEST_M * FARTHEST_M * (1 - SLACK_RATIO)
     for p in range(points.shape[0]):
         x, y, z = np.float64(points[p, 0]), np.float64(points[p, 1]), np.float64(points[p, 2])
+        far_m2 = x * x + y * y
         near[count, 0], near[count, 1], near[count, 2] = x, y, z
-        count += (abs(x) <= reach) & (abs(y) <= reach) & (z >= LOWEST_M) & (z <= HIGHEST_M)
-    return count
+        is_near = (far_m2 >= least) & (far_m2 <= most) & (z >= LOWEST_M) & (z <= HIGHEST_M)
+        count += is_near
+        doubtful += is_near & ((far_m2 < sure_least) | (far_m2 > sure_most))
+    return count, doubtful
 
 
 @njit(cache=True, nogil=True)

@@ -8,6 +8,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from stone.geometry.lattice import keys_of
 from stone.sensors.ground_links import (
     FEWEST_CELLS,
     MANY_LOOKS,
@@ -19,6 +20,7 @@ from stone.sensors.ground_links import (
     look,
     looks_along,
 )
+from stone.sensors.ground_points import low_points
 from stone.sensors.height_drift import TOLERATED_M
 
 FLOOR_M = 0.8
@@ -123,6 +125,16 @@ def test_where_nothing_can_be_compared_nothing_is_corrected(points):
     found, up_m = drift([look(points)] * 6, way_of(LINE[:6]), FLOOR_M)
     assert (found.links, found.apart_m, found.span_m) == (0, 0.0, 0.0)
     assert up_m.tolist() == [0.0] * 6
+
+
+def test_a_look_has_the_cells_of_the_lattice_and_nothing_that_is_off_it():
+    rng = np.random.default_rng(4)
+    points = np.column_stack([rng.uniform(-3.0, 3.0, (900, 2)), rng.normal(size=900)])
+    cells, lowest = low_points(points, keys_of(points * (1.0, 1.0, 0.0), 0.5))
+    for off in ([1e12, 0.0, 0.0], [0.0, -np.inf, 0.0], [np.nan, 0.0, 0.0], [0.0, 0.0, np.nan]):
+        found = look(np.insert(points, 400, off, axis=0))
+        assert found.cells.tolist() == cells.tolist()
+        assert found.heights_m.tolist() == lowest[:, 2].astype(np.float32).tolist()
 
 
 def test_looks_are_taken_by_the_way_and_not_by_the_frame():

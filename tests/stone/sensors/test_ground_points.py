@@ -48,3 +48,11 @@ def test_points_around_the_robot_are_those_of_their_distance_and_height_in_their
     assert 1000 < len(near) < 5000
     assert around_robot(points).tolist() == near
     assert around_robot(points[:0]).shape == (0, 3)
+
+
+def test_at_a_limit_of_distance_the_distance_itself_decides():
+    limits = [12.0, math.nextafter(12.0, 13.0), math.nextafter(12.0, 0.0), 0.8, math.nextafter(0.8, 0.0)]
+    points = np.array([[limit * part for part in (0.6, 0.8)] + [0.0] for limit in limits for _ in range(3)])
+    near = [row for row in points.tolist() if 0.8 <= np.hypot(*row[:2]) <= 12.0]
+    assert around_robot(points).tolist() == near
+    assert 0 < len(near) < len(points)
