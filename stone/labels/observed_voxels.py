@@ -12,13 +12,15 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import EMPTY, Keys, check_reach, pack, slot_of
+from stone.geometry.lattice import EMPTY, Keys, check_reach, pack, scatter, slot_of
 from stone.geometry.se3 import SE3
+from stone.kernels.lanes import prefetch
 from stone.labels.voxels import VOXEL_M
 
 BRICK = 4
 BLOCK = 256  # rays; a multiple of 8, so that a ray's place in its block says how it is thinned
 LOAD_RATIO = 0.5
+AHEAD = 16  # bricks: so many are asked for at once
 
 # Along a ray time is counted in 2^-44 voxels, finer than doubles are added up along it; the lowest bits are a row.
 TICKS = 2.0**44
@@ -209,10 +211,18 @@ def _steps(side: int) -> NDArray[np.int64]:
 def _join(window, corner, keys, known):  # type: ignore[no-untyped-def]
     """Join the touched bricks to what is known and clear the window; how many of them are new."""
     words, touched, side = window
-    new = 0
-    for brick in touched:
+    new, mask, own = 0, np.uint64(keys.size - 1), np.empty(touched.size, np.int64)
+    for n in range(touched.size):
+        brick = np.int64(touched[n])
         i, j, k = brick // (side * side), brick // side % side, brick % side
-        key = pack(i + corner[0], j + corner[1], k + corner[2])
+        own[n] = pack(i + corner[0], j + corner[1], k + corner[2])
+    for n in range(touched.size):
+        if n + AHEAD < touched.size:
+            first = np.int64(scatter(own[n + AHEAD]) & mask)
+            prefetch(keys, first)
+            prefetch(known, first)
+            prefetch(words, np.int64(touched[n + AHEAD]))
+        key, brick = own[n], touched[n]
         slot = slot_of(keys, key)
         new += keys[slot] == EMPTY
         keys[slot] = key

@@ -2,8 +2,9 @@
 
 **Conventions.** A row is one cache line of eight int64: the voxel's key (0: the row is free, no voxel on the lattice
 has it), a counter, Σ offset from the centre and Σ unit view, in units of `QUANTUM_M`. The counter packs, lowest bit
-first: points (32 bits), frames (16), and 1 + the frame that was counted last (16). Points go through in blocks: first
-what the compiler makes vector code of, last what waits for memory, whose lines were asked for in between.
+first: points (32 bits), frames (16), and 1 + the frame that was counted last (16). Points go through in blocks: what
+the compiler makes vector code of comes first, then their rows are asked for, and while these are on their way the block
+before is added to its own.
 """
 
 import math
@@ -14,10 +15,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import pack, scatter
+from stone.kernels.lanes import prefetch
 
 QUANTUM_M = 2.0**-20
 BLOCK = 256
-ROW_BYTES = 64
+ROW_BYTES, ROW_WORDS, AHEAD_ROWS = 64, 8, 24
 FREE = 0
 POINT_BITS, FRAME_BITS = 32, 16
 # What the counter can hold; whoever fills a table begins another one before.
@@ -35,12 +37,10 @@ def free_rows(slots: int) -> Rows:
 
 
 def workspace() -> tuple[Any, ...]:
-    """Of one block: coordinates and what is inside; keys, slots and what stands there; six sums a point."""
-    keys, slots, met = np.zeros((3, BLOCK), np.int64)
+    """Of one block: coordinates and what is inside; of two in turn: keys, slots, and six sums a point."""
     return (
         (np.zeros((3, BLOCK), np.float32), np.zeros(BLOCK, np.int64)),
-        (keys, slots, met),
-        np.zeros((6, BLOCK), np.int64),
+        (np.zeros((2, BLOCK), np.int64), np.zeros((2, BLOCK), np.int64), np.zeros((2, 6, BLOCK), np.int64)),
     )
 
 
@@ -52,15 +52,18 @@ def add_points(points, view, rows, state, work):  # type: ignore[no-untyped-def]
     inside the box, and holds the limit of rows.
     """
     box, pose, sensor, voxel_m, frame = view
-    (xyz, inside), (keys, slots, met), sums = work
+    (xyz, inside), (keys, slots, sums) = work
     mark = np.int64(frame + 1) << LAST_AT
-    while state[0] < points.shape[0] and state[1] + BLOCK <= state[3]:
+    waiting, turn = 0, 0  # points of the block before, and which of the two it is not
+    while state[0] < points.shape[0] and state[1] + 2 * BLOCK <= state[3]:
         block = points[state[0] : state[0] + BLOCK]
         state[2] += _sift(block, box, xyz, inside)
-        _prepare(xyz, inside, (pose, sensor, voxel_m), keys, sums)
-        _locate(keys, block.shape[0], rows, slots, met)
-        state[1] += _accumulate(keys[: block.shape[0]], slots, sums, rows, mark)
+        _prepare(xyz, inside, (pose, sensor, voxel_m), keys[turn], sums[turn])
+        _locate(keys[turn], block.shape[0], rows, slots[turn])
+        state[1] += _accumulate(keys[1 - turn, :waiting], slots[1 - turn], sums[1 - turn], rows, mark)
+        waiting, turn = block.shape[0], 1 - turn
         state[0] += block.shape[0]
+    state[1] += _accumulate(keys[1 - turn, :waiting], slots[1 - turn], sums[1 - turn], rows, mark)
 
 
 @njit(cache=True, nogil=True)
@@ -108,13 +111,13 @@ def _prepare(xyz, inside, view, keys, sums):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _locate(keys, count, rows, slots, met):  # type: ignore[no-untyped-def]
-    """Where each key would stand first; looking there already brings the rows near, many at a time."""
+def _locate(keys, count, rows, slots):  # type: ignore[no-untyped-def]
+    """Where each key would stand first; those rows are asked for, many at a time."""
     mask = np.uint64(rows.shape[0] - 1)
     for p in range(count):
         slots[p] = np.int64(scatter(keys[p]) & mask)
     for p in range(count):
-        met[p] = rows[slots[p], 0]
+        prefetch(rows, slots[p] * ROW_WORDS)
 
 
 @njit(cache=True, nogil=True)
@@ -163,7 +166,9 @@ def move_rows(old, new):  # type: ignore[no-untyped-def]
 def unpack_rows(rows, order, moments):  # type: ignore[no-untyped-def]
     """Fill `moments` (M, 8): points, frames and the six sums of `rows[order]`."""
     for at in range(order.shape[0]):
-        row = rows[order[at]]
-        moments[at, 0] = row[1] & ((1 << POINT_BITS) - 1)
-        moments[at, 1] = (row[1] >> POINT_BITS) & ((1 << FRAME_BITS) - 1)
-        moments[at, 2:] = row[2:]
+        if at + AHEAD_ROWS < order.shape[0]:
+            prefetch(rows, order[at + AHEAD_ROWS] * ROW_WORDS)
+        row, out = rows[order[at]], moments[at]
+        out[0] = row[1] & ((1 << POINT_BITS) - 1)
+        out[1] = (row[1] >> POINT_BITS) & ((1 << FRAME_BITS) - 1)
+        out[2], out[3], out[4], out[5], out[6], out[7] = row[2], row[3], row[4], row[5], row[6], row[7]
