@@ -12,7 +12,7 @@ from services.labeler.scratch import Arrays, load, save, sight_path, surface_pat
 from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, reconcile, spread_out
 from stone.labels.confidence import MapDistances, cut_with_distances, map_distances
-from stone.labels.crops import cut
+from stone.labels.crops import cut_batch
 from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import Observed, union
 from stone.labels.sight_batches import LANES, SightBatch
@@ -67,7 +67,7 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
 
 def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
     poses = run.sequence.frames.map_from_ego
-    cuts = [labelled_map.cut(poses[index]) for index in range(*batch)]
+    cuts = labelled_map.cut(poses[slice(*batch)])
     grids = np.empty((len(GRIDS), *GRID_SHAPE), np.uint8)  # the same memory for every frame: fresh pages cost more
     seen = sight.visible(np.stack([columns.occupied for columns, _ in cuts]))
     for token, (columns, extra), visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
@@ -105,12 +105,13 @@ class _LabelledMap:
     window: Window
     distances: MapDistances | None
 
-    def cut(self, map_from_ego: SE3) -> tuple[Columns, dict[str, NDArray[np.float16]]]:
-        """One frame, and what goes into its file besides."""
+    def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[np.float16]]]]:
+        """The frames at these poses (F,), and what goes into the file of each besides."""
         if self.distances is None:
-            return cut(self.window, map_from_ego), {}
-        columns, squared = cut_with_distances(self.window, map_from_ego, self.distances)
-        return columns, {"distance_squared": squared}
+            return [(columns, {}) for columns in cut_batch(self.window, map_from_ego)]
+        poses = [map_from_ego[frame] for frame in range(len(map_from_ego))]
+        found = [cut_with_distances(self.window, pose, self.distances) for pose in poses]
+        return [(columns, {"distance_squared": squared}) for columns, squared in found]
 
 
 def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:

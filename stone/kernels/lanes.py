@@ -60,25 +60,49 @@ def _differs(typing_context: Any, fraction: Any, back: Any, slope: Any, bits: An
     return types.uint32(types.int32, types.int32, types.int32, types.int32), emit
 
 
-def _fetch(typing_context: Any, source: Any, at: Any, shift: Any, mask: Any, out: Any, to: Any) -> Any:
-    """out[to + p] |= mask & the 32 bits from bit `shift` (below 32) of source[at + p] on, whose next word is
-    source[at + 4 + p]; for p of 0 to 3; all uint32."""
+def _looked_up(typing_context: Any, block: Any, last: Any, place: Any, slope: Any, bits: Any) -> Any:
+    """Four words of a column: bit n of word p is bit p of the byte of a block that holds position place + n · slope.
+
+    Each of the three coordinates, divided by 2^bits, is a layer of the block, held between 0 and `last`. The block is
+    flat, its last axis running fastest, of less than 2^31 bytes. All are int64; of `slope` 32 bits are enough.
+    """
 
     def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
-        source, at, shift, mask, out, to = arguments
-        lanes = ir.VectorType(I32, 4)
-        origin = pointer(context, builder, (signature.args[0], source), at, lanes, 8)
-        lower = builder.load(origin, align=4)
-        upper = builder.load(builder.gep(origin, [ir.Constant(I64, 1)]), align=4)
-        right = splat(builder, shift, lanes)
-        left = builder.sub(ir.Constant(lanes, [31] * 4), right)  # one less, for a shift by all 32 would be undefined
-        upper = builder.shl(builder.shl(upper, ir.Constant(lanes, [1] * 4)), left)
-        found = builder.and_(builder.or_(builder.lshr(lower, right), upper), splat(builder, mask, lanes))
-        target = pointer(context, builder, (signature.args[4], out), to, lanes, 4)
-        builder.store(builder.or_(builder.load(target, align=4), found), target, 4)
-        return context.get_dummy_value()
+        block, *axes, bits = arguments
+        at = _offsets(builder, axes, bits)
+        lanes, found = ir.VectorType(I8, COLUMN), ir.Constant(ir.VectorType(I8, COLUMN), ir.Undefined)
+        for n in range(COLUMN):  # one by one: what gathers them at once takes a third longer, where there is such
+            place = builder.zext(builder.extract_element(at, ir.Constant(I32, n)), I64)
+            byte = builder.load(pointer(context, builder, (signature.args[0], block), place, I8, 1))
+            found = builder.insert_element(found, byte, ir.Constant(I32, n))
+        words = []
+        for bit in range(4):
+            tested = builder.and_(found, ir.Constant(lanes, [1 << bit] * COLUMN))
+            words.append(builder.bitcast(builder.icmp_unsigned("!=", tested, ir.Constant(lanes, [0] * COLUMN)), I32))
+        return context.make_tuple(builder, signature.return_type, words)
 
-    return types.void(source, types.int64, types.uint32, types.uint32, out, types.int64), emit
+    three, four = (types.UniTuple(kind, count) for kind, count in ((types.int64, 3), (types.uint32, 4)))  # type: ignore[no-untyped-call]
+    return four(block, three, three, three, types.int64), emit
+
+
+def _offsets(builder: Any, axes: Any, bits: Any) -> Any:
+    """Where the positions of `_looked_up` lie in its block, 32 of 32 bits each; `axes` are last, place and slope."""
+    lanes = ir.VectorType(I32, COLUMN)
+    numbers, none = ir.Constant(lanes, list(range(COLUMN))), ir.Constant(lanes, [0] * COLUMN)
+    offsets = none
+    for axis in range(3):
+        last, place, slope = (builder.extract_value(each, axis) for each in axes)
+        whole = builder.ashr(place, bits)
+        part, last, whole, slope = (
+            splat(builder, builder.trunc(value, I32), lanes)
+            for value in (builder.sub(place, builder.shl(whole, bits)), last, whole, slope)
+        )
+        part = builder.add(part, builder.mul(slope, numbers))
+        layer = builder.add(whole, builder.ashr(part, splat(builder, builder.trunc(bits, I32), lanes)))
+        layer = builder.select(builder.icmp_signed("<", layer, none), none, layer)
+        layer = builder.select(builder.icmp_signed(">", layer, last), last, layer)
+        offsets = builder.add(builder.mul(offsets, builder.add(last, ir.Constant(lanes, [1] * COLUMN))), layer)
+    return offsets
 
 
 def _transpose(typing_context: Any, source: Any, at: Any, out: Any, to: Any) -> Any:
@@ -122,7 +146,7 @@ popcount: Any = intrinsic(_popcount)
 lowest: Any = intrinsic(_lowest)
 spread: Any = intrinsic(_spread)
 differs: Any = intrinsic(_differs)
-fetch: Any = intrinsic(_fetch)
+looked_up: Any = intrinsic(_looked_up)
 transpose: Any = intrinsic(_transpose)
 
 

@@ -4,10 +4,11 @@
 two neighbouring centres crosses a labelled map voxel that neither centre hits, the nearer of the two takes its class
 (`stone.labels.pinholes`): so a surface closed in the map stays closed in the grid, whatever the yaw, pitch and roll.
 
-Positions are fixed-point map voxels of `FRACTION_BITS`. Along a column the map's column and the height over it stay
-the same for a stretch, which is fetched in one go.
+Positions are fixed-point map voxels of `FRACTION_BITS`. A row of columns is cut of one frame after another before the
+next row is: frames of a batch follow each other, so they look up nearly the same voxels of the map.
 """
 
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
@@ -15,14 +16,11 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
-from stone.kernels.lanes import fetch, lowest, prefetch
+from stone.kernels.lanes import looked_up
 from stone.labels.columns import Columns
-from stone.labels.grid import BELOW, GRID_MIN_M, GRID_SHAPE, Window
-from stone.labels.pinholes import FRACTION_BITS, NOT_ASKED, ONE, close_row, parted
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Window
+from stone.labels.pinholes import FRACTION_BITS, NOT_ASKED, ONE, close_row
 from stone.labels.voxels import VOXEL_M
-
-AHEAD = 8  # columns
-ALL = np.uint32(0xFFFFFFFF)
 
 
 @dataclass(frozen=True, eq=False)
@@ -51,52 +49,43 @@ def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED)
 
     `taken`, if asked for, (256, 256, 32, 3): where a voxel closes a gap, the voxel of the window it is labelled by.
     """
-    placing = placing_of(window, map_from_ego)
-    cells = np.zeros((*GRID_SHAPE[:2], 4), np.uint32)
-    ones, twos, observed = (np.empty(GRID_SHAPE[:2], np.uint32) for _ in range(3))
-    _cut(window.planes, window.height, (placing.start, placing.step), (cells, ones, twos, observed, taken))
-    return Columns(ones, twos, observed)
+    return _cuts(window, [placing_of(window, map_from_ego)], taken)[0]
+
+
+def cut_batch(window: Window, map_from_ego: SE3) -> list[Columns]:
+    """The columns of the frames at these poses (F,), as `cut` gives them one by one."""
+    return _cuts(window, [placing_of(window, map_from_ego[frame]) for frame in range(len(map_from_ego))], NOT_ASKED)
+
+
+def _cuts(window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32]) -> list[Columns]:
+    starts, steps = np.array([one.start for one in placings]), np.array([one.step for one in placings])
+    ones, twos, observed = (np.empty((len(placings), *GRID_SHAPE[:2]), np.uint32) for _ in range(3))
+    rows = np.empty((len(placings), 2, GRID_SHAPE[1], 4), np.uint32)
+    _cut(window.voxels, (starts, steps), rows, (ones, twos, observed, taken))
+    return [Columns(*words) for words in zip(ones, twos, observed, strict=True)]
 
 
 @njit(cache=True, nogil=True)
-def _cut(planes, height, place, out):  # type: ignore[no-untyped-def]
-    """A row of columns is closed as soon as it is fetched, while the map around it is near."""
-    cells = out[0]
-    for a in range(cells.shape[0]):
-        _fetch_row(planes, height, place, (a, cells))
-        close_row(planes, place, (a, cells), out[1:])
+def _cut(voxels, places, rows, out):  # type: ignore[no-untyped-def]
+    """A row of columns is closed as soon as it is fetched, while the map around it is near; `rows` (F, 2, 256, 4) are
+    this one and the one before, in turn, bit by bit of the window's voxels."""
+    (starts, steps), (ones, twos, observed, taken) = places, out
+    ways = np.empty(3 * 32 * rows.shape[2], np.int64)
+    for a in range(ones.shape[1]):
+        for f in range(ones.shape[0]):
+            _fetch_row(voxels, (starts[f], steps[f]), a, rows[f, a & 1])
+            close_row(voxels, (starts[f], steps[f]), (a, rows[f], ways), (ones[f], twos[f], observed[f], taken))
 
 
 @njit(cache=True, nogil=True)
-def _fetch_row(planes, height, place, row):  # type: ignore[no-untyped-def]
-    """Fill row `a` of `cells` (256, 256, 4), the planes of the window."""
-    (start, step), (a, cells) = place, row
-    su, sv, sw = step[0, 2], step[1, 2], step[2, 2] - ONE
-    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, cells may lie over them
-    u0, v0, w0 = start[0] + a * step[0, 0], start[1] + a * step[1, 0], start[2] + a * step[2, 0]
-    flat, to, words = planes.reshape(-1), cells.reshape(-1), planes.shape[2]
-    for b in range(cells.shape[1]):
-        u, v, w = u0 + b * bu, v0 + b * bv, w0 + b * bw
-        _prefetch(flat, planes.shape, (u + AHEAD * bu, v + AHEAD * bv, w + AHEAD * bw))
-        breaks = parted(u, su, su) | parted(v, sv, sv) | parted(w, sw, sw)
-        left = breaks | np.uint32(1)
-        while left:
-            c = lowest(left)
-            stretch = ALL << np.uint32(c)
-            left &= left - np.uint32(1)
-            if left:
-                stretch ^= ALL << np.uint32(lowest(left))
-            i, j = (u + c * su) >> FRACTION_BITS, (v + c * sv) >> FRACTION_BITS
-            k = ((w + c * sw) >> FRACTION_BITS) + BELOW
-            if 0 <= i < planes.shape[0] and 0 <= j < planes.shape[1] and 0 <= k <= height + BELOW:
-                at = ((i * planes.shape[1] + j) * words + (k >> 5)) * 4
-                fetch(flat, at, np.uint32(k & 31), stretch, to, (a * cells.shape[1] + b) * 4)
-
-
-@njit(inline="always")
-def _prefetch(flat, shape, at):  # type: ignore[no-untyped-def]
-    """The turned grid walks across the map where no hardware foresees it: this halves the time."""
-    i, j, k = at[0] >> FRACTION_BITS, at[1] >> FRACTION_BITS, (at[2] >> FRACTION_BITS) + BELOW
-    begin = ((i * shape[1] + j) * shape[2] + (k >> 5)) * 4
-    prefetch(flat, begin)
-    prefetch(flat, begin + 7)
+def _fetch_row(voxels, place, a, row):  # type: ignore[no-untyped-def]
+    """Fill row `a`, (256, 4). What is outside the window is looked up in its outermost layer."""
+    start, step = place
+    su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
+    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, the row may lie over them
+    u, v, w = start[0] + a * step[0, 0] + ONE, start[1] + a * step[1, 0] + ONE, start[2] + a * step[2, 0] + ONE
+    last = (voxels.shape[0] - 1, voxels.shape[1] - 1, voxels.shape[2] - 1)
+    flat = voxels.reshape(-1)
+    for b in range(row.shape[0]):
+        place = (u + b * bu, v + b * bv, w + b * bw)
+        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = looked_up(flat, last, place, (su, sv, sw), FRACTION_BITS)

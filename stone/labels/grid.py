@@ -4,6 +4,7 @@
 x, y, z, C order. `stone.labels.crops` cuts it out of a `Window`.
 """
 
+import math
 from dataclasses import dataclass
 
 import numpy as np
@@ -18,8 +19,8 @@ from stone_base.label_grid import GRID_MAX_M as GRID_MAX_M
 from stone_base.label_grid import GRID_MIN_M as GRID_MIN_M
 from stone_base.label_grid import GRID_SHAPE as GRID_SHAPE
 
-LOW, HIGH, OCCUPIED, OBSERVED = range(4)  # the planes of a window
-BELOW = 32  # bits of a column under the window's lowest voxel, always 0
+LOW, HIGH, OCCUPIED, OBSERVED = 1, 2, 4, 8  # bits of a voxel of a window
+MOST_BYTES = 2**31 - 1  # places in a window are counted in 32 bits
 
 Grid = NDArray[np.uint8]
 Bounds = tuple[NDArray[np.int64], NDArray[np.int64]]
@@ -27,100 +28,86 @@ Bounds = tuple[NDArray[np.int64], NDArray[np.int64]]
 
 @dataclass(frozen=True, eq=False)
 class Window:
-    """A dense block of the map, four bits a voxel.
+    """A dense block of the map, a byte a voxel.
 
-    `origin` (3,) int64 is the index of the lowest voxel. `planes` (X, Y, W, 4) uint32: bit (z + `BELOW`) of the W words
-    of a column. Where `OCCUPIED`, the class is `LOW` + 2 · `HIGH`; elsewhere `LOW` says that a labelled voxel touches
-    this one, and `HIGH` that one does so with a side towards x or y.
+    `origin` (3,) int64 is the index of the lowest voxel, which is voxels[1, 1, 1]: the outermost layer on every side
+    stands for all that is outside, and is 0. Of an `OCCUPIED` voxel `LOW` and `HIGH` are the bits of its class;
+    elsewhere `LOW` says that a labelled voxel touches this one, and `HIGH` that one does so with a side towards x or y.
     """
 
     origin: NDArray[np.int64]
-    height: int
-    planes: NDArray[np.uint32]
+    voxels: NDArray[np.uint8]
 
 
 def window_bytes(bounds: Bounds) -> int:
     """What the window of this range weighs."""
-    x, y, height = (int(span) for span in bounds[1] - bounds[0])
-    return x * y * _words(height) * 16
+    return math.prod(_shape(bounds))
 
 
-def _words(height: int) -> int:
-    """How many words hold a column, so that the 32 bits from any of its heights on lie in two of them."""
-    return ((height + BELOW) >> 5) + 2
+def _shape(bounds: Bounds) -> tuple[int, int, int]:
+    x, y, height = (int(span) + 2 for span in bounds[1] - bounds[0])
+    return x, y, height
 
 
 def window_of(keys: Keys, classes: NDArray[np.uint8], observed: Observed, bounds: Bounds) -> Window:
-    """The window of the half-open index range `bounds`; voxels outside it are left out."""
-    low, high = bounds
-    x, y, height = (int(span) for span in high - low)
-    planes = np.zeros((x, y, _words(height), 4), np.uint32)
-    _put_classes(planes, height, indices_of(keys) - low, classes)
-    _put_touching(planes)
-    _put_observed(planes, height, indices_of(observed.keys) * BRICK - low, observed.words)
-    return Window(low, height, planes)
+    """The window of the half-open index range `bounds`; voxels outside it are left out.
 
-
-@njit(cache=True, nogil=True)
-def _put_classes(planes, height, indices, classes):  # type: ignore[no-untyped-def]
-    for p in range(indices.shape[0]):
-        i, j, k = indices[p, 0], indices[p, 1], indices[p, 2]
-        if not (0 <= i < planes.shape[0] and 0 <= j < planes.shape[1] and 0 <= k < height):
-            continue
-        word, bit = (k + BELOW) >> 5, np.uint32(1) << np.uint32((k + BELOW) & 31)
-        if classes[p] & 1:
-            planes[i, j, word, LOW] |= bit
-        if classes[p] & 2:
-            planes[i, j, word, HIGH] |= bit
-        if classes[p]:
-            planes[i, j, word, OCCUPIED] |= bit
-
-
-@njit(cache=True, nogil=True)
-def _put_touching(planes):  # type: ignore[no-untyped-def]
-    """Fill in `LOW` and `HIGH` of the voxels that are not labelled."""
-    for i in range(planes.shape[0]):
-        for j in range(planes.shape[1]):
-            for word in range(1, planes.shape[2] - 1):
-                here = planes[i, j, word, OCCUPIED]
-                if here == 0:
-                    continue
-                for di in range(-1, 2):
-                    for dj in range(-1, 2):
-                        if 0 <= i + di < planes.shape[0] and 0 <= j + dj < planes.shape[1]:
-                            _touch(planes[i + di, j + dj], word, here, (di == 0) != (dj == 0))
+    Raises ValueError for a range of more than `MOST_BYTES`: a frame's own is a fortieth of that.
+    """
+    if window_bytes(bounds) > MOST_BYTES:
+        raise ValueError(f"a window of {window_bytes(bounds)} bytes; {MOST_BYTES} can be counted")
+    low, _ = bounds
+    voxels = np.zeros(_shape(bounds), np.uint8)
+    indices = indices_of(keys) - low
+    _put_classes(voxels, indices, classes)
+    _put_touching(voxels, indices)
+    _put_observed(voxels, indices_of(observed.keys) * BRICK - low, observed.words)
+    return Window(low, voxels)
 
 
 @njit(inline="always")
-def _touch(column, word, here, is_beside):  # type: ignore[no-untyped-def]
-    """Mark what labelled voxels, the bits of `here`, touch in this column."""
-    column[word - 1, LOW] |= (here << np.uint32(31)) & ~column[word - 1, OCCUPIED]
-    column[word, LOW] |= (here | (here << np.uint32(1)) | (here >> np.uint32(1))) & ~column[word, OCCUPIED]
-    column[word + 1, LOW] |= (here >> np.uint32(31)) & ~column[word + 1, OCCUPIED]
-    if is_beside:
-        column[word, HIGH] |= here & ~column[word, OCCUPIED]
+def _is_inside(voxels, i, j, k):  # type: ignore[no-untyped-def]
+    """Whether the window holds this voxel, counted from its origin."""
+    x, y, height = voxels.shape[0] - 2, voxels.shape[1] - 2, voxels.shape[2] - 2
+    return (i >= 0) & (i < x) & (j >= 0) & (j < y) & (k >= 0) & (k < height)
 
 
 @njit(cache=True, nogil=True)
-def _put_observed(planes, height, corners, words):  # type: ignore[no-untyped-def]
+def _put_classes(voxels, indices, classes):  # type: ignore[no-untyped-def]
+    for p in range(indices.shape[0]):
+        i, j, k = indices[p, 0], indices[p, 1], indices[p, 2]
+        if classes[p] and _is_inside(voxels, i, j, k):
+            voxels[i + 1, j + 1, k + 1] |= classes[p] | np.uint8(OCCUPIED)
+
+
+@njit(cache=True, nogil=True)
+def _put_touching(voxels, indices):  # type: ignore[no-untyped-def]
+    """Fill in `LOW` and `HIGH` of the voxels around those labelled; `indices` may name others, and voxels outside."""
+    for p in range(indices.shape[0]):
+        i, j, k = indices[p, 0], indices[p, 1], indices[p, 2]
+        if not _is_inside(voxels, i, j, k) or voxels[i + 1, j + 1, k + 1] & OCCUPIED == 0:
+            continue
+        for x in range(max(i, 1), min(i + 3, voxels.shape[0] - 1)):
+            for y in range(max(j, 1), min(j + 3, voxels.shape[1] - 1)):
+                is_beside = (x == i + 1) != (y == j + 1)
+                for z in range(max(k, 1), min(k + 3, voxels.shape[2] - 1)):
+                    if voxels[x, y, z] & OCCUPIED == 0:
+                        voxels[x, y, z] |= LOW | HIGH if is_beside and z == k + 1 else LOW
+
+
+@njit(cache=True, nogil=True)
+def _put_observed(voxels, corners, words):  # type: ignore[no-untyped-def]
     """A brick holds four voxels of each of sixteen columns, four neighbouring bits of its word for each."""
     for b in range(corners.shape[0]):
-        bottom = corners[b, 2]
-        if bottom <= -BRICK or bottom >= height:
-            continue
-        kept = np.uint64(15)
-        if bottom < 0:
-            kept &= np.uint64(15) << np.uint64(-bottom)
-        if bottom + BRICK > height:
-            kept &= np.uint64(15) >> np.uint64(bottom + BRICK - height)
-        word, shift = (bottom + BELOW) >> 5, np.uint64((bottom + BELOW) & 31)
+        i, j, k = corners[b, 0], corners[b, 1], corners[b, 2]
         for column in range(BRICK * BRICK):
-            i, j = corners[b, 0] + (column >> 2), corners[b, 1] + (column & 3)
-            if not (0 <= i < planes.shape[0] and 0 <= j < planes.shape[1]):
+            bits = (words[b] >> np.uint64(4 * column)) & np.uint64(15)
+            x, y = i + (column >> 2), j + (column & 3)
+            if bits == 0 or not _is_inside(voxels, x, y, 0):
                 continue
-            bits = ((words[b] >> np.uint64(4 * column)) & kept) << shift
-            planes[i, j, word, OBSERVED] |= np.uint32(bits & np.uint64(0xFFFFFFFF))
-            planes[i, j, word + 1, OBSERVED] |= np.uint32(bits >> np.uint64(32))
+            for z in range(max(k, 0), min(k + BRICK, voxels.shape[2] - 2)):
+                seen = (bits >> np.uint64(z - k)) & np.uint64(1)
+                voxels[x + 1, y + 1, z + 1] |= np.uint8(OBSERVED) if seen else np.uint8(0)
 
 
 def frame_bounds(map_from_ego: SE3, margin_voxels: int = 2) -> Bounds:

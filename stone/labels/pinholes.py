@@ -8,10 +8,11 @@ import numpy as np
 from numba import njit
 
 from stone.kernels.lanes import differs, lowest
-from stone.labels.grid import BELOW, HIGH, LOW, OBSERVED, OCCUPIED
+from stone.labels.grid import HIGH, LOW, OCCUPIED
 
 FRACTION_BITS = 20
 ONE = 1 << FRACTION_BITS
+CLASS_1, CLASS_2, LABELLED, SEEN = range(4)  # of a row: the words of the bits `LOW`, `HIGH`, `OCCUPIED` and `OBSERVED`
 NOT_ASKED = np.zeros((0, 0, 0, 3), np.int32)  # nobody wants to know which voxel closed a gap
 
 
@@ -22,41 +23,53 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def close_row(planes, place, row, out):  # type: ignore[no-untyped-def]
+def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a`, closing what they and the row before step over.
 
-    `row` is (a, cells), the latter as `stone.labels.crops` fetches them; `out` is (ones, twos, observed, taken). Steps
-    are read into names first: for all the compiler knows, an output may lie over them.
+    `row` is (a, rows, ways): rows as `stone.labels.crops` fetches them, and room for the ways back of all voxels of a
+    row; `out` is (ones, twos, observed, taken).
     """
-    (start, step), (a, cells), (ones, twos, observed, _) = place, row, out
+    a, rows, ways = row
+    count = _write_classes(place, (a, rows), out, ways)
+    count = _keep_crossing(voxels, place, a, ways, count)
+    _fill(voxels, place, a, ways[:count], out)
+
+
+@njit(cache=True, nogil=True)
+def _write_classes(place, row, out, ways):  # type: ignore[no-untyped-def]
+    """What is labelled and observed where no gap is closed; and the ways back that may cross something, in the order of
+    the grid, as 128 b + 4 c + axis: how many they are.
+
+    Steps are read into names first: for all the compiler knows, an output may lie over them.
+    """
+    (start, step), (a, rows), (ones, twos, observed, _) = place, row, out
     along_x = step[0, 0], step[1, 0], step[2, 0]
     along_y = step[0, 1], step[1, 1], step[2, 1]
     along_z = step[0, 2], step[1, 2], step[2, 2]
     begin = start[0] + a * along_x[0], start[1] + a * along_x[1], start[2] + a * along_x[2]
-    for b in range(cells.shape[1]):
-        occupied = cells[a, b, OCCUPIED]
-        ones[a, b], twos[a, b] = cells[a, b, LOW] & occupied, cells[a, b, HIGH] & occupied
-        observed[a, b] = cells[a, b, OBSERVED]
-        near, beside = cells[a, b, LOW] & ~occupied, cells[a, b, HIGH] & ~occupied
+    here, before, count = rows[a & 1], rows[(a + 1) & 1], 0
+    for b in range(here.shape[0]):
+        occupied = here[b, LABELLED]
+        ones[a, b], twos[a, b] = here[b, CLASS_1] & occupied, here[b, CLASS_2] & occupied
+        observed[a, b] = here[b, SEEN]
+        near, beside = here[b, CLASS_1] & ~occupied, here[b, CLASS_2] & ~occupied
         if near == 0:
             continue
         line = begin[0] + b * along_y[0], begin[1] + b * along_y[1], begin[2] + b * along_y[2]
         back_x = back_y = np.uint32(0)
         if a > 0:
-            back_x = near & ~cells[a - 1, b, OCCUPIED] & _slants(line, along_x, along_z, beside)
+            back_x = near & ~before[b, LABELLED] & _slants(line, along_x, along_z, beside)
         if b > 0:
-            back_y = near & ~cells[a, b - 1, OCCUPIED] & _slants(line, along_y, along_z, beside)
+            back_y = near & ~here[b - 1, LABELLED] & _slants(line, along_y, along_z, beside)
         back_z = near & (~occupied << np.uint32(1)) & _slants(line, along_z, along_z, beside)
         left = back_x | back_y | back_z
         while left:
             c = lowest(left)
             left &= left - np.uint32(1)
-            at = (line[0] + c * along_z[0], line[1] + c * along_z[1], line[2] + c * along_z[2])
-            bit = np.uint32(1) << np.uint32(c)
-            for axis in range(3):
-                back = back_x if axis == 0 else back_y if axis == 1 else back_z
-                if back & bit and _steps_over(planes, at, (step, axis)):
-                    _fill(planes, at, (step, axis), (a, b, c), out)
+            for axis, back in enumerate((back_x, back_y, back_z)):
+                ways[count] = b << 7 | c << 2 | axis
+                count += (back >> np.uint32(c)) & np.uint32(1)
+    return count
 
 
 @njit(inline="always")
@@ -72,78 +85,85 @@ def _slants(line, back, up, beside):  # type: ignore[no-untyped-def]
 
 
 @njit(inline="always")
-def _steps_over(planes, at, back):  # type: ignore[no-untyped-def]
-    """Whether the way back along an axis may cross a labelled voxel that neither of its ends is in."""
-    step, axis = back
-    i, j, k = at[0] >> FRACTION_BITS, at[1] >> FRACTION_BITS, at[2] >> FRACTION_BITS
-    bi, bj = (at[0] - step[0, axis]) >> FRACTION_BITS, (at[1] - step[1, axis]) >> FRACTION_BITS
-    bk = (at[2] - step[2, axis]) >> FRACTION_BITS
-    if bk == k:
-        return _is_labelled(planes, bi, j, k) or _is_labelled(planes, i, bj, k)
-    if _is_labelled(planes, i, j, bk) or _is_labelled(planes, bi, bj, k):
-        return True
-    if bi == i or bj == j:
-        return False
-    if _is_labelled(planes, bi, j, k) or _is_labelled(planes, i, bj, k):
-        return True
-    return _is_labelled(planes, bi, j, bk) or _is_labelled(planes, i, bj, bk)
+def _ends(place, a, way):  # type: ignore[no-untyped-def]
+    """Where a way back ends and begins: the free voxel before, and the free voxel that it leads back from."""
+    start, step = place
+    b, c, axis = way >> 7, (way >> 2) & 31, way & 3
+    x = start[0] + a * step[0, 0] + b * step[0, 1] + c * step[0, 2]
+    y = start[1] + a * step[1, 0] + b * step[1, 1] + c * step[1, 2]
+    z = start[2] + a * step[2, 0] + b * step[2, 1] + c * step[2, 2]
+    return (x - step[0, axis], y - step[1, axis], z - step[2, axis]), (x, y, z)
 
 
 @njit(inline="always")
-def _is_labelled(planes, i, j, k):  # type: ignore[no-untyped-def]
-    """Whether a voxel of the window is labelled; none is outside it."""
-    word = (k + BELOW) >> 5
-    inside = 0 <= i < planes.shape[0] and 0 <= j < planes.shape[1] and 0 <= word < planes.shape[2]
-    if not inside:
-        return False
-    found = planes[np.uint64(i), np.uint64(j), np.uint64(word), np.uint64(OCCUPIED)]
-    return (found >> np.uint32((k + BELOW) & 31)) & np.uint32(1) != 0
+def _layer(number, layers):  # type: ignore[no-untyped-def]
+    """The layer of the window that holds a voxel, along one axis: the outermost for all that lies outside."""
+    return min(max(number + 1, 0), layers - 1)
 
 
-@njit(inline="always")
-def _fill(planes, at, back, index, out):  # type: ignore[no-untyped-def]
-    """Give the class stepped over on the way back between two free centres to the nearer one."""
-    step, axis = back
-    before = (at[0] - step[0, axis], at[1] - step[1, axis], at[2] - step[2, axis])
-    kind, ratio, cell = _stepped_over(planes, before, at)
-    if kind == 0:
-        return
-    a, b, c = index
-    if ratio < 0.5:
-        a, b, c = a - (axis == 0), b - (axis == 1), c - (axis == 2)
+@njit(cache=True, nogil=True)
+def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-def]
+    """Keep the ways that may cross a labelled voxel, in their order; how many they are.
+
+    A way crosses none but those of the block between its two free ends, whose other corners they are: six, some the
+    same where it does not leave a layer.
+    """
+    x, y, z = voxels.shape
+    kept = 0
+    for at in range(count):
+        (u, v, w), (eu, ev, ew) = _ends(place, a, ways[at])
+        i, j, k = _layer(u >> FRACTION_BITS, x), _layer(v >> FRACTION_BITS, y), _layer(w >> FRACTION_BITS, z)
+        ei, ej, ek = _layer(eu >> FRACTION_BITS, x), _layer(ev >> FRACTION_BITS, y), _layer(ew >> FRACTION_BITS, z)
+        found = voxels[ei, j, k] | voxels[i, ej, k] | voxels[i, j, ek]
+        found |= voxels[ei, ej, k] | voxels[ei, j, ek] | voxels[i, ej, ek]
+        ways[kept] = ways[at]
+        kept += (found & OCCUPIED) != 0
+    return kept
+
+
+@njit(cache=True, nogil=True)
+def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
+    """Give the class stepped over on each way back between two free centres to the nearer one."""
     ones, twos, _, taken = out
-    bit = np.uint32(1) << np.uint32(c)
-    ones[a, b] = (ones[a, b] & ~bit) | (bit if kind & 1 else np.uint32(0))
-    twos[a, b] = (twos[a, b] & ~bit) | (bit if kind & 2 else np.uint32(0))
-    if taken.size:
-        taken[a, b, c, 0], taken[a, b, c, 1], taken[a, b, c, 2] = cell
+    for way in ways:
+        end, begin = _ends(place, a, way)
+        found, ratio, cell = _stepped_over(voxels, end, begin)
+        if found & OCCUPIED == 0:
+            continue
+        is_before, axis = ratio < 0.5, way & 3
+        at, b, c = a - (is_before & (axis == 0)), (way >> 7) - (is_before & (axis == 1)), (way >> 2) & 31
+        c -= is_before & (axis == 2)
+        bit = np.uint32(1) << np.uint32(c)
+        ones[at, b] = (ones[at, b] & ~bit) | (bit if found & LOW else np.uint32(0))
+        twos[at, b] = (twos[at, b] & ~bit) | (bit if found & HIGH else np.uint32(0))
+        if taken.size:
+            taken[at, b, c, 0], taken[at, b, c, 1], taken[at, b, c, 2] = cell
 
 
 @njit(inline="always")
-def _stepped_over(planes, a, b):  # type: ignore[no-untyped-def]
-    """(class, where from a = 0 to b = 1, voxel) of the first labelled voxel between two cells; class 0: none."""
+def _stepped_over(voxels, a, b):  # type: ignore[no-untyped-def]
+    """(bits, where from a = 0 to b = 1, voxel) of the first labelled voxel between two free ones, if there is one.
+
+    A way leaves a layer at most once along each axis: so it ends, or crosses one voxel or two before it does.
+    """
     i, j, k = a[0] >> FRACTION_BITS, a[1] >> FRACTION_BITS, a[2] >> FRACTION_BITS
     ei, ej, ek = b[0] >> FRACTION_BITS, b[1] >> FRACTION_BITS, b[2] >> FRACTION_BITS
     ti = ((max(i, ei) << FRACTION_BITS) - a[0]) / (b[0] - a[0]) if ei != i else 2.0
     tj = ((max(j, ej) << FRACTION_BITS) - a[1]) / (b[1] - a[1]) if ej != j else 2.0
     tk = ((max(k, ek) << FRACTION_BITS) - a[2]) / (b[2] - a[2]) if ek != k else 2.0
-    while True:
-        t = min(ti, tj, tk)
-        if ti == t:
-            i, ti = ei, 2.0
-        elif tj == t:
-            j, tj = ej, 2.0
-        else:
-            k, tk = ek, 2.0
-        if i == ei and j == ej and k == ek:
-            return np.uint32(0), 0.0, (i, j, k)
-        if _is_labelled(planes, i, j, k):
-            return _class_at(planes, i, j, k), t, (i, j, k)
-
-
-@njit(inline="always")
-def _class_at(planes, i, j, k):  # type: ignore[no-untyped-def]
-    """The class of a labelled voxel of the window."""
-    word, bit = (k + BELOW) >> 5, np.uint32((k + BELOW) & 31)
-    low, high = planes[i, j, word, LOW] >> bit, planes[i, j, word, HIGH] >> bit
-    return (low & np.uint32(1)) | ((high & np.uint32(1)) << np.uint32(1))
+    first = min(ti, tj, tk)
+    in_x = ti == first
+    in_y = (not in_x) & (tj == first)
+    in_z = (not in_x) & (not in_y)
+    i, j, k = ei if in_x else i, ej if in_y else j, ek if in_z else k
+    ti, tj, tk = 2.0 if in_x else ti, 2.0 if in_y else tj, 2.0 if in_z else tk
+    second = min(ti, tj, tk)
+    in_x = ti == second
+    in_y = (not in_x) & (tj == second)
+    in_z = (not in_x) & (not in_y)
+    ni, nj, nk = ei if in_x else i, ej if in_y else j, ek if in_z else k
+    x, y, z = voxels.shape
+    one, other = voxels[_layer(i, x), _layer(j, y), _layer(k, z)], voxels[_layer(ni, x), _layer(nj, y), _layer(nk, z)]
+    if one & OCCUPIED:
+        return one, first, (i, j, k)
+    return other, second, (ni, nj, nk)

@@ -57,7 +57,7 @@ PLANTED = """
 import numpy as np
 from numba import njit
 from stone.kernels.column_words import drivable32, pack1, pack8, unroll8
-from stone.kernels.lanes import fetch, spread, transpose
+from stone.kernels.lanes import looked_up, spread, transpose
 from stone.labels.sight_batches import LANES, _half_open, _reach
 
 @njit
@@ -67,36 +67,36 @@ def step(kind, a, b, c, at):
     elif kind == 1:
         spread(np.uint32(1), np.uint32(2), a, at)
     elif kind == 2:
-        fetch(b, at, np.uint32(0), np.uint32(1), c, 0)
+        looked_up(a[:500], (0, 0, at), (0, 0, at), (0, 0, 0), 0)
     elif kind == 3:
-        fetch(b, 0, np.uint32(0), np.uint32(1), c, at)
-    elif kind == 4:
         transpose(b, at, c, 0)
-    elif kind == 5:
+    elif kind == 4:
         transpose(b, 0, c, at)
-    elif kind == 6:
+    elif kind == 5:
         pack8(a, at, b, c, 0)
-    elif kind == 7:
+    elif kind == 6:
         pack1(a, 0, b, c, at)
-    elif kind == 8:
+    elif kind == 7:
         drivable32(b, b, c, at)
-    elif kind == 9:
+    elif kind == 8:
         unroll8(np.uint32(1), b, at, c, 0)
-    elif kind == 10:
+    elif kind == 9:
         _half_open(a, at)
-    elif kind == 11:
+    elif kind == 10:
         o, w = np.int64(0), np.uint8(1)
         _reach(a, (o, o, o, at, o), (w, w, w, w), np.uint32(1))
 
 a, b, c = np.zeros(512, np.uint8), np.zeros(512, np.uint32), np.zeros(512, np.uint32)
-for kind in range(12):
+for kind in range(11):
     step(kind, a, b, c, 0)
     for at in (512, -1 - 512, 1 << 40, np.iinfo(np.int64).min, *([-1, 511] if kind else [])):
         try:
             step(kind, a, b, c, at)
         except IndexError:
             continue
-        if (kind, at) not in {(7, 511), (9, -1)}:  # one word, which is there; what is read begins one later
+        if kind == 2 and at % 2**32 == 0:  # layers are counted in 32 bits: it is the first
+            continue
+        if (kind, at) not in {(6, 511), (8, -1)}:  # one word, which is there; what is read begins one later
             print("unnoticed", kind, at)
 print("tried")
 """

@@ -7,7 +7,7 @@ from stone.geometry.lattice import keys_from_indices
 from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, gathered, reconcile, spread_out
 from stone.labels.confidence import MOST, NO_SURFACE, cut_with_distances, map_distances
-from stone.labels.crops import cut, placing_of
+from stone.labels.crops import cut, cut_batch, placing_of
 from stone.labels.grid import GRID_SHAPE, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.pinholes import FRACTION_BITS
@@ -123,6 +123,18 @@ def test_a_frame_is_observed_voxel_by_voxel(case):
     assert (spread_out(cut(world.window, map_from_ego).observed) == expected).all()
 
 
+def test_frames_cut_together_are_those_cut_one_by_one():
+    shifts = [SE3.from_parts(np.array([1.0, 0, 0, 0.02 * n]), np.array([0.2 * n, 0, 0.1 * n])) for n in range(5)]
+    poses = SE3(np.stack([(POSES["tilted"] @ shift).wxyz_xyz for shift in shifts]))
+    world = World(POSES["tilted"], 8)
+    together = cut_batch(world.window, poses)
+    assert len(together) == 5
+    for columns, index in zip(together, range(5), strict=True):
+        alone = cut(world.window, poses[index])
+        for words, expected in zip(vars(columns).values(), vars(alone).values(), strict=True):
+            np.testing.assert_array_equal(words, expected)
+
+
 def test_each_voxel_has_the_distance_of_the_map_voxel_whose_class_it_took(case):
     world, map_from_ego, rows, _ = case
     columns, squared = cut_with_distances(world.window, map_from_ego, map_distances(world.keys, world.squared))
@@ -141,7 +153,13 @@ def test_the_weight_of_a_window_is_known_before_it_is_made():
     bounds = frame_bounds(POSES["tilted"])
     nothing = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
     window = window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), nothing, bounds)
-    assert window.planes.nbytes == window_bytes(bounds)
+    assert window.voxels.nbytes == window_bytes(bounds)
+
+
+def test_a_window_whose_voxels_cannot_be_counted_is_refused_before_it_is_made():
+    wide = np.zeros(3, np.int64), np.array([2000, 2000, 600])
+    with pytest.raises(ValueError, match="2412818408 bytes"):
+        window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), Observed(np.zeros(0, np.int64), np.zeros(0)), wide)
 
 
 def test_columns_are_the_grid_bit_by_bit():
