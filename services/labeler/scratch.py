@@ -89,17 +89,15 @@ def load_observed(run: LabelRun, tile: Tile) -> Observed:
 
 def images_near(
     run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]
-) -> Iterator[RangeImage]:
+) -> Iterator[list[RangeImage]]:
     """The range images of a map taken within reach of the box [low, high] (3,), a part's at a time.
 
     Which those are is told by the run's poses alone, never by which parts happen to be fused already.
     """
     poses = run.sequence.frames.map_from_ego
     for part, indices in _by_part(run, imaged_near(run, number, low, high)):
-        images = load(images_path(run, part))
-        for index in indices:
-            ranges_m: NDArray[np.float32] = images[image_name(index)]  # type: ignore[assignment]
-            yield RangeImage(view_of(poses[index], run.sensor_ego), ranges_m)
+        images, views = load(images_path(run, part)), view_of(poses[np.array(indices)], run.sensor_ego)
+        yield [RangeImage(views[at], images[image_name(index)]) for at, index in enumerate(indices)]  # type: ignore[arg-type]
 
 
 def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:

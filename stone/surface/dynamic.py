@@ -7,12 +7,14 @@ is all misses before its first hit and after its last and none between, more mis
 """
 
 import math
+from collections.abc import Sequence
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import keys_of
+from stone.geometry.se3 import SE3
 from stone.surface.neighbours import is_near
 from stone.surface.range_image import (
     AT_ONCE,
@@ -47,21 +49,23 @@ class MotionVotes:
         padded = np.append(self._order, np.repeat(self._order[-1:], -len(self._order) % AT_ONCE))  # whole blocks
         by_block = np.ascontiguousarray(points_map[padded].reshape(-1, AT_ONCE, 3).transpose(0, 2, 1))
         self._boxes = by_block.min(axis=2), by_block.max(axis=2)
+        self._is_near = np.zeros(len(by_block), np.bool_)
         self._points = by_block.reshape(-1)
         self._votes = np.zeros(len(by_block) * 4 * AT_ONCE, np.int32)
         self._work = workspace()
 
-    def add(self, image: RangeImage) -> None:
-        """Add this image's verdict on every point."""
+    def add(self, images: Sequence[RangeImage]) -> None:
+        """Add the verdicts of these images, at least one, on every point."""
         p = self._parameters
-        limits = (p.min_range_m**2, p.max_range_m**2, p.margin_m)
-        blocks = self._in_reach(image.map_from_view.translation_m, p.max_range_m)
-        if not len(blocks):
-            return
-        pixels = np.empty(2 * image.ranges_m.size, np.float32)
-        _pair_up(image.ranges_m, pixels)
-        view = (image.map_from_view.inverse().as_matrix(), pixels, image.ranges_m.shape, lens_of(p))
-        _vote(self._points, blocks, view, limits, (self._votes, *self._work))
+        views = SE3(np.stack([image.map_from_view.wxyz_xyz for image in images]))
+        matrices, limits = views.inverse().as_matrix(), (p.min_range_m**2, p.max_range_m**2, p.margin_m)
+        pixels = np.empty(2 * images[0].ranges_m.size, np.float32)
+        for image, matrix, place in zip(images, matrices, views.translation_m, strict=True):
+            if not _mark_near(self._boxes, place, (p.max_range_m + SLACK_M) ** 2, self._is_near):
+                continue
+            _pair_up(image.ranges_m, pixels)
+            view = (matrix, pixels, image.ranges_m.shape, lens_of(p))
+            _vote(self._points, self._is_near, view, limits, (self._votes, *self._work))
 
     def counts(self) -> NDArray[np.int32]:
         """(N, 4): hits, misses, misses before the first hit and since the last one."""
@@ -69,12 +73,6 @@ class MotionVotes:
         counts = np.empty((len(self._order), 4), np.int32)
         counts[self._order] = by_point[: len(self._order)]
         return counts
-
-    def _in_reach(self, place: NDArray[np.float64], reach_m: float) -> NDArray[np.int64]:
-        """The blocks whose box lies within reach of a place (3,)."""
-        low, high = self._boxes
-        gaps_m = np.maximum(0.0, np.maximum(low - place, place - high))
-        return np.flatnonzero(np.linalg.norm(gaps_m, axis=1) < reach_m + SLACK_M)
 
 
 def fewest_misses(image_period_s: float) -> int:
@@ -106,6 +104,20 @@ def carried_along(
 
 
 @njit(cache=True, nogil=True)
+def _mark_near(boxes, place, reach_squared, near):  # type: ignore[no-untyped-def]
+    """Which blocks have a box within reach of a place (3,); whether any has."""
+    (low, high), is_any_near = boxes, False
+    for b in range(near.size):
+        square = 0.0
+        for axis in range(3):
+            gap = max(0.0, low[b, axis] - place[axis], place[axis] - high[b, axis])
+            square += gap * gap
+        near[b] = square < reach_squared
+        is_any_near |= near[b]
+    return is_any_near
+
+
+@njit(cache=True, nogil=True)
 def _pair_up(ranges, pixels):  # type: ignore[no-untyped-def]
     """The range of every pixel, and beside it the least of the nine around: 0 where no ray went to any of them."""
     rows, columns = ranges.shape
@@ -122,11 +134,13 @@ def _pair_up(ranges, pixels):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
-def _vote(points, blocks, view, limits, out):  # type: ignore[no-untyped-def]
-    """A block at a time: turned, aimed at, looked up, judged. Arrays are flat, as those of `aim` are."""
+def _vote(points, near, view, limits, out):  # type: ignore[no-untyped-def]
+    """A block at a time of those near: turned, aimed at, looked up, judged. Arrays are flat, as those of `aim` are."""
     m, pixels, shape, lens = view
     votes, block, seen, at = out
-    for b in blocks:
+    for b in range(near.size):
+        if not near[b]:
+            continue
         _turn(points[b * 3 * AT_ONCE : (b + 1) * 3 * AT_ONCE], m, block)
         aim(block, lens, seen)
         _find_pixels(seen, shape, limits, at)

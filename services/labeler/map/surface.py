@@ -102,8 +102,8 @@ def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
         return np.zeros(0, np.bool_)
     centroids = points.centroids_map()
     motion = MotionVotes(centroids, run.parameters.dynamic)
-    for image in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
-        motion.add(image)
+    for images in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
+        motion.add(images)
     votes = motion.counts()
     fewest = fewest_misses(run.period_s * run.every(run.parameters.dynamic.every_frame))
     return carried_along(centroids, points.frames_seen(), votes, is_moving(votes, fewest))

@@ -1,6 +1,7 @@
 """What the stages leave for each other, and which of it a tile looks at."""
 
 from dataclasses import replace
+from itertools import chain
 
 import numpy as np
 import pytest
@@ -34,7 +35,7 @@ def test_a_tile_looks_at_every_image_taken_within_reach_of_it(tmp_path, every_fr
     places = [run.sequence.frames.map_from_ego[index] @ run.sensor_ego for index in range(0, 14, every_frame)]
     near = [place for place in places if gap_m(place, low, high) < 20.0]
     assert 0 < len(near) < len(places)
-    images = list(images_near(run, 0, low, high))
+    images = list(chain.from_iterable(images_near(run, 0, low, high)))
     np.testing.assert_array_equal([image.map_from_view.translation_m for image in images], near)
     assert all((image.ranges_m > 0).any() for image in images)
 
@@ -45,10 +46,10 @@ def test_a_tile_looks_at_no_part_that_is_out_of_its_reach(tmp_path):
     low, high = np.array([58.0, 20.0, -1.0]), np.array([68.0, 30.0, 2.0])
     for begin in (8, 12):
         fuse(run, (begin, min(begin + 4, 14)))
-    early = [image.ranges_m for image in images_near(run, 0, low, high)]
+    early = [image.ranges_m for images in images_near(run, 0, low, high) for image in images]
     for begin in (0, 4):
         fuse(run, (begin, begin + 4))
-    late = [image.ranges_m for image in images_near(run, 0, low, high)]
+    late = [image.ranges_m for images in images_near(run, 0, low, high) for image in images]
     assert len(early) == len(late) == 2
     assert all((a == b).all() for a, b in zip(early, late, strict=True))
 

@@ -56,7 +56,7 @@ def votes_by(points_map, images):
     """The votes (N, 4) of images in the order of time."""
     motion = MotionVotes(points_map, PARAMETERS)
     for image in images:
-        motion.add(image)
+        motion.add([image])
     return motion.counts()
 
 
