@@ -5,6 +5,7 @@ way: 404. A deleted sequence exists for nobody. What its owner made public is `s
 what a hidden phase is scored against is shown to nobody but its owner, whatever it says of itself.
 """
 
+from functools import cache
 from typing import TypeVar
 
 from sqlalchemy import BindParameter, Select, and_, or_, select
@@ -18,6 +19,7 @@ from services.domain.datasets.exposure import hidden_truths
 from services.domain.datasets.queries import dataset_named
 from services.domain.exports.requests import counting_labels
 from services.domain.viewer.playback import PLAYBACK
+from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import (
     Benchmark,
     CalibrationRow,
@@ -200,6 +202,19 @@ def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Ph
     """A phase by its names. Raises `NotFoundError`."""
     found = phase_named(session, benchmark_of(session, caller, benchmark).name, phase)
     return _known(found, "phase", f"{benchmark}/{phase}")
+
+
+def phase_id_at(session: Session, caller: Caller, benchmark: str, phase: str) -> str:
+    """As `phase_at`, the id alone, by a statement that is kept. Raises `NotFoundError`."""
+    found = _phase_ids(caller.is_visitor).rows(session, {"benchmark": benchmark, "phase": phase})
+    return str(found[0].id) if found else phase_at(session, caller, benchmark, phase).id
+
+
+@cache
+def _phase_ids(is_visitor: bool) -> KeptSelect:
+    named = (Benchmark.name == parameter("benchmark"), Phase.name == parameter("phase"))
+    found = select(Phase.id).join(Benchmark, Benchmark.id == Phase.benchmark_id).where(*named)
+    return KeptSelect(found.where(Benchmark.is_public) if is_visitor else found)
 
 
 def phase_of(session: Session, phase_id: str) -> Phase:

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
 from api.callers import Looker, Reader
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.paging import Page, PageDep, page
@@ -21,7 +21,7 @@ from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
 from api.schemas.phase_bodies import BenchmarkName, MetricName, PhaseName
 from api.views.benchmarks import benchmark_detail, benchmark_items, known_metric, metric_item, phase_item
-from api.visible import benchmark_of, benchmarks_of, phase_at, phase_of
+from api.visible import benchmark_of, benchmarks_of, phase_at, phase_id_at, phase_of
 from services.domain.benchmarks.golden import golden_archive
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.errors import NoGroundTruthError
@@ -45,8 +45,12 @@ class PhasePath:
         """Raises `NotFoundError`."""
         return phase_at(session, self._caller, self.benchmark, self.phase)
 
+    def find_id(self, session: Session) -> str:
+        """The phase's id alone. Raises `NotFoundError`."""
+        return phase_id_at(session, self._caller, self.benchmark, self.phase)
 
-AtPhase = Annotated[PhasePath, Depends(PhasePath)]
+
+AtPhase = Annotated[PhasePath, Depends(at_once(PhasePath))]
 
 
 @router.get("/benchmarks", responses=refusals())

@@ -11,7 +11,7 @@ from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import Responses, refusals
 from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.routes.benchmarks import AT, AtPhase
 from api.schemas.leaderboard import (
     AsOfQuery,
@@ -54,7 +54,7 @@ class BoardRequest:
         self.form = form
 
 
-BoardRequestDep = Annotated[BoardRequest, Depends(BoardRequest)]
+BoardRequestDep = Annotated[BoardRequest, Depends(at_once(BoardRequest))]
 
 
 @router.get("/leaderboard", summary="The leaderboard", response_model=LeaderboardAnswer, responses=BOARD)
@@ -63,7 +63,7 @@ def show_leaderboard(
 ) -> Response:
     """The board: ranks with their intervals and ties, baselines and reported results beside them, now or as of then."""
     with platform.database.reading() as session:
-        phase_id, viewer = at.find(session).id, viewer_for(session, caller)
+        phase_id, viewer = at.find_id(session), viewer_for(session, caller)
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
 
 

@@ -27,7 +27,7 @@ COUNT = re.compile(r"[0-9]{1,18}")
 KEY = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 
 
-def speak_tus(
+async def speak_tus(
     tus_resumable: Annotated[str, Header(description=f"`{VERSION}`", examples=[VERSION])] = "",
 ) -> None:
     """A dependency: the client says that it speaks our version. Raises `TusVersionError`."""

@@ -1,10 +1,13 @@
 """Boards and comparisons as response bodies and files.
 
-**Conventions.** Nothing is decided here about who sees what: that was done where the rows were read.
+**Conventions.** Nothing is decided here about who sees what: that was done where the rows were read. What is written of
+a board is kept under its revision, which is another one for who sees another board.
 """
 
 from dataclasses import asdict
+from threading import Lock
 
+from cachetools import LRUCache
 from fastapi import Request, Response
 from sqlalchemy.orm import Session
 
@@ -38,19 +41,34 @@ from services.runtime.orm import Benchmark, Phase
 from stone.scoring.intervals import LEVEL
 
 JSON_TYPE = "application/json"
+MOST_KEPT_BYTES = 16 * 2**20  # of all boards
+
+_WRITTEN: LRUCache[tuple[str, Form], bytes] = LRUCache(MOST_KEPT_BYTES, len)
+_WRITTEN_LOCK = Lock()
 
 
 def board_response(request: Request, board: Board, viewer: Viewer, form: Form) -> Response:
     """The board in this form, or 304 to who has it already."""
+    content, headers = _board_bytes(board, viewer, form), {"Cache-Control": "private, no-cache"}
     if form == "json":
-        content, media_type = board_answer(board, viewer).model_dump_json().encode(), JSON_TYPE
-    else:
-        content, media_type = table_bytes(board, form), MEDIA_TYPES[form]
-    headers = {"Cache-Control": "private, no-cache"}
-    if form != "json":
-        named = safe_name(f"{board.benchmark}-{board.phase}.{form}")
-        headers["Content-Disposition"] = f'attachment; filename="{named}"'
-    return tagged_response(request, content, media_type, headers)
+        return tagged_response(request, content, JSON_TYPE, headers)
+    named = safe_name(f"{board.benchmark}-{board.phase}.{form}")
+    headers["Content-Disposition"] = f'attachment; filename="{named}"'
+    return tagged_response(request, content, MEDIA_TYPES[form], headers)
+
+
+def _board_bytes(board: Board, viewer: Viewer, form: Form) -> bytes:
+    """The board in this form, written once for each revision of it."""
+    key = (board.revision, form)
+    with _WRITTEN_LOCK:
+        kept = _WRITTEN.get(key)
+    if kept is not None:
+        return kept
+    written = board_answer(board, viewer).model_dump_json().encode() if form == "json" else table_bytes(board, form)
+    if board.revision and len(written) < MOST_KEPT_BYTES:
+        with _WRITTEN_LOCK:
+            _WRITTEN[key] = written
+    return written
 
 
 def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:

@@ -38,14 +38,14 @@ FORM = "multipart/form-data"
 NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
 
 
-def refuse_other_types(request: Request) -> None:
+async def refuse_other_types(request: Request) -> None:
     """Raises `UnsupportedMediaTypeError` for a body that is no form."""
     given = request.headers.get("content-type", "")
     if given.partition(";")[0].strip().lower() != FORM:
         raise UnsupportedMediaTypeError(given, FORM)
 
 
-def asked_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
+async def asked_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:
     """Raises `CalibrationRefusedError` for a time that never is."""
     return calibration_reading.validity(valid_from, valid_to)
 

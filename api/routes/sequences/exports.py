@@ -14,7 +14,7 @@ from fastapi import APIRouter, Depends, Path, Query, Request, Response
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, PlatformDep, at_once
 from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
 from api.paging import Page, PageDep, page, place_of_page
@@ -52,7 +52,7 @@ class ExportPath:
     export_id: IdPath
 
 
-AtExport = Annotated[ExportPath, Depends(ExportPath)]
+AtExport = Annotated[ExportPath, Depends(at_once(ExportPath))]
 
 
 @router.post("", status_code=202, responses=refusals(403, 404, 409))

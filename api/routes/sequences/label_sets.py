@@ -13,7 +13,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, PlatformDep, at_once
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
 from api.paging import Page, PageDep, page
@@ -46,7 +46,7 @@ class ComparisonPath:
     comparison_id: IdPath
 
 
-AtComparison = Annotated[ComparisonPath, Depends(ComparisonPath)]
+AtComparison = Annotated[ComparisonPath, Depends(at_once(ComparisonPath))]
 
 
 @router.get("/label-sets", responses=refusals(404))

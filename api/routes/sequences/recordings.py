@@ -9,7 +9,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import PlatformDep, at_once
 from api.files import answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
@@ -78,7 +78,10 @@ def show_recording(sequence_id: IdPath, recording_id: IdPath, caller: Reader, pl
     responses=file_responses(*PREVIEW_TYPES),
 )
 def download_recording_preview(
-    at: Annotated[RecordingPreview, Depends()], caller: Reader, platform: PlatformDep, request: Request
+    at: Annotated[RecordingPreview, Depends(at_once(RecordingPreview))],
+    caller: Reader,
+    platform: PlatformDep,
+    request: Request,
 ) -> Response:
     """`cameras.jpg`, `sweep.png`, `track.png`; `quality.html`, a page for people, and `quality.json` for programs."""
     with platform.database.reading() as session:

@@ -13,6 +13,7 @@ from typing import Literal
 from sqlalchemy import ColumnElement, Select, and_, or_, select, true
 from sqlalchemy.orm import Session
 
+from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import Benchmark, Phase, SubmissionRow, TeamMember
 
 Relation = Literal["administrator", "member", "other"]
@@ -74,6 +75,7 @@ class Viewer:
 
 
 ANYBODY = Viewer()
+_TEAMS = KeptSelect(select(TeamMember.team_id).where(TeamMember.user_id == parameter("user")))
 
 
 @dataclass(frozen=True)
@@ -101,8 +103,8 @@ def rounded(value: float) -> float:
 
 def viewer_of(session: Session, user_id: str, is_administrator: bool) -> Viewer:
     """The user as a viewer. `is_administrator` only where they act as one: with the role and the scope."""
-    teams = select(TeamMember.team_id).where(TeamMember.user_id == user_id)
-    return Viewer(is_administrator, frozenset(session.scalars(teams)))
+    teams = _TEAMS.rows(session, {"user": user_id})
+    return Viewer(is_administrator, frozenset(row.team_id for row in teams))
 
 
 def secrecy_of(phase: Phase, now_ns: int) -> Secrecy:

@@ -2,7 +2,8 @@
 
 **Conventions.** `transaction()` is for writing: on SQLite it takes the write lock at BEGIN, so two writers wait for
 each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and never
-commits. Neither is held while anything slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
+commits; nor does `snapshot()`, in which later statements see nothing newer than the first. None is held while anything
+slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
 One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
 
 A server that ends says so on its connections before it closes them. So a connection on which nothing has come since it
@@ -25,6 +26,7 @@ from services.runtime.settings import Settings
 WakeUp = Callable[[str, int], None]
 WAKE_UPS = "wake_ups"
 CONNECT_S = 5
+SNAPSHOT = "REPEATABLE READ"  # of PostgreSQL: nothing newer than the first statement is seen
 
 
 class Database:
@@ -33,6 +35,8 @@ class Database:
     def __init__(self, settings: Settings, wake_up: WakeUp = lambda queue, times: None) -> None:
         self.engine = _engine(settings)
         self._writing = self.engine.execution_options(stone_writes=True)
+        # What SQLite reads is as it was at the first statement anyway (WAL).
+        self._still = self.engine if self.is_sqlite else self.engine.execution_options(isolation_level=SNAPSHOT)
         self._wake_up = wake_up
 
     @property
@@ -53,6 +57,12 @@ class Database:
     def reading(self) -> Iterator[Session]:
         """Yield a session whose changes are never committed."""
         with Session(self.engine, expire_on_commit=False) as session:
+            yield session
+
+    @contextmanager
+    def snapshot(self) -> Iterator[Session]:
+        """As `reading`; all its statements see the database as it was at the first of them."""
+        with Session(self._still, expire_on_commit=False) as session:
             yield session
 
     def close(self) -> None:

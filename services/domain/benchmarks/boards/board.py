@@ -3,16 +3,20 @@
 **Conventions.** A board shows one evaluation version (a ground truth and a metric), that in force at its time, so its
 scores have one signature. What a viewer may not see of a row is null already here (`visibility.py`). At most
 `MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Spectra are read after
-the rows, outside the transaction.
+the rows, outside the transaction. A board is kept in memory under its revision (`board_revision.py`), which is read
+each time: it is made again when anything has changed of what it is made of, and not before.
 """
 
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
+from threading import Lock
 from typing import Any
 
+from cachetools import LRUCache
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.domain.benchmarks.boards.board_revision import board_revision
 from services.domain.benchmarks.boards.entries import (
     BoardEntry,
     BoardOrder,
@@ -32,6 +36,7 @@ from stone.scoring.silences import Silence
 
 MOST_ROWS = 2000
 CHUNK = 500  # ids in one statement
+MOST_KEPT_ROWS = 10_000  # of all boards that a process keeps, some 20 MiB
 
 Interval = tuple[float, float]
 Ratios = Mapping[str, float | None]
@@ -81,7 +86,7 @@ class BoardEvaluationVersion:
 class Board:
     """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
 
-    `silence` is why neither ties nor intervals of ranks are told.
+    `silence` is why neither ties nor intervals of ranks are told. `revision` is empty for a board of the past.
     """
 
     benchmark: str
@@ -93,6 +98,7 @@ class Board:
     ranked_total: int
     rows: tuple[LeaderboardRow, ...]
     silence: Silence | None = None
+    revision: str = ""
 
 
 @dataclass(frozen=True)
@@ -109,10 +115,28 @@ class _BoardRecords:
     now_ns: int
 
 
+_KEPT: LRUCache[str, Board] = LRUCache(MOST_KEPT_ROWS, lambda board: 1 + len(board.rows))
+_KEPT_LOCK = Lock()
+
+
 def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
     """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `StoreAwayError`."""
-    with platform.database.reading() as session:
-        read = _read(session, session.get_one(Phase, phase_id), query, viewer)
+    now = now_ns()
+    with platform.database.snapshot() as session:
+        revision = "" if query.as_of_ns is not None else board_revision(session, phase_id, query, viewer, now)
+        with _KEPT_LOCK:
+            kept = _KEPT.get(revision)
+        if kept is not None:
+            return kept
+        read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
+    made = replace(_made(platform, read), revision=revision)
+    if revision and len(made.rows) < MOST_KEPT_ROWS:
+        with _KEPT_LOCK:
+            _KEPT[revision] = made
+    return made
+
+
+def _made(platform: Platform, read: _BoardRecords) -> Board:
     ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
     confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
     rows = (*_ranked(read, confidence), *_unranked(read), *read.reported)
@@ -129,8 +153,7 @@ def sequences_of(truth: GroundTruthRow) -> int:
     return len(truth.facts.get("sequences", ()))
 
 
-def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer) -> _BoardRecords:
-    now = now_ns()
+def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now: int) -> _BoardRecords:
     if query.as_of_ns is not None:
         query = replace(query, as_of_ns=min(query.as_of_ns, now))
     activation = in_force(session, phase.id, query.as_of_ns)
