@@ -14,13 +14,14 @@ from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 
 from api.compression import takes_gzip
 from api.errors import NotFoundError
+from api.noun_router import NounRouter
 from web.errors import PagesNotBuiltError
 
-router = APIRouter()
+router = NounRouter()
 FOLDER = Path(__file__).parent
 PACKAGES, BUILT, STYLES, PICTURES = (FOLDER / name for name in ("node_modules", "built", "styles", "pictures"))
 FOR_EVER = "public, max-age=31536000, immutable"

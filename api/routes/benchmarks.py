@@ -8,7 +8,7 @@ has no route; `frame_pictures.py` shows open one from above.
 from hashlib import sha256
 from typing import Annotated, Literal
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
@@ -16,6 +16,7 @@ from api.callers import Looker, Reader
 from api.deps import PlatformDep, at_once
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
@@ -27,7 +28,7 @@ from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.errors import NoGroundTruthError
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase
 
-router = APIRouter(tags=["benchmarks"])
+router = NounRouter(tags=["benchmarks"])
 AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
 MANIFEST = file_responses("application/json")
 VECTORS = file_responses("application/zip")

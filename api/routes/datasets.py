@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import Path, Request, Response
 from sqlalchemy import select
 
 from api import audit
@@ -18,6 +18,7 @@ from api.deps import PlatformDep
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.lists.answers import listed, model_response
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.datasets import (
     VERSION_PATTERN,
@@ -39,7 +40,7 @@ from services.runtime.store.pack_archive import archive_of, stored_files
 from services.runtime.store.pack_reading import archive_pieces
 from stone_files.virtual_archive import MEDIA_TYPES
 
-router = APIRouter(prefix="/datasets", tags=["dataset"])
+router = NounRouter(prefix="/datasets", tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
 MANIFEST = file_responses("application/json")
 ARCHIVE = file_responses(MEDIA_TYPES["tar"])

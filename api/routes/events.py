@@ -12,7 +12,7 @@ from contextlib import aclosing
 from typing import Annotated
 
 from anyio import CancelScope
-from fastapi import APIRouter, Header, Request, Response
+from fastapi import Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
@@ -23,6 +23,7 @@ from api.answers import Responses, refusals
 from api.callers import Reader
 from api.deps import Caller, PlatformDep
 from api.event_streams import Follower, StreamSnapshot, StreamSubject
+from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.views.jobs import job_detail
 from api.views.sequences import sequence_detail
@@ -34,7 +35,7 @@ from services.runtime.orm import Job, SequenceRow, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-router = APIRouter(tags=["events"])
+router = NounRouter(tags=["events"])
 EVENT_STREAM = "text/event-stream"
 KEEPALIVE_S = 15.0
 LONGEST_S = 900.0

@@ -9,7 +9,7 @@ from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import APIRouter, Query, Request, Response
+from fastapi import Query, Request, Response
 from numpy.typing import NDArray
 
 from api.answers import refusals
@@ -17,6 +17,7 @@ from api.callers import Looker
 from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
+from api.noun_router import NounRouter
 from api.routes.benchmarks import AT, AtPhase
 from api.routes.sequences.frames import TokenPath
 from api.schemas.base import IdPath
@@ -39,7 +40,7 @@ from services.domain.viewer.indexed_pictures import recoloured
 from services.runtime.store.pack_archive import ExportLocation
 from services.runtime.store.protocol import Store
 
-router = APIRouter(tags=["benchmarks"])
+router = NounRouter(tags=["benchmarks"])
 PNG = "image/png"
 PICTURE = file_responses(PNG)
 PREDICTED = PICTURE | refusals(403, 409)

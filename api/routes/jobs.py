@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -11,6 +11,7 @@ from api.deps import PlatformDep, at_once
 from api.job_acts import control_run
 from api.lists.answers import list_response, listed
 from api.lists.jobs import JobFilters, job_rows
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath
@@ -19,7 +20,7 @@ from api.views.jobs import facts_of_rows, job_detail
 from api.views.log_pages import LogQuery, log_page
 from api.visible import job_of
 
-router = APIRouter(prefix="/jobs", tags=["jobs"])
+router = NounRouter(prefix="/jobs", tags=["jobs"])
 After = Annotated[str | None, Query(max_length=90, description="`next` of the page before")]
 Lines = Annotated[int, Query(ge=1, le=1000)]
 

@@ -7,11 +7,12 @@ change is not sent again.
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 
 from api.answers import Responses, refusals
 from api.callers import Looker
 from api.deps import PlatformDep, at_once
+from api.noun_router import NounRouter
 from api.routes.benchmarks import AT, AtPhase
 from api.schemas.leaderboard import (
     AsOfQuery,
@@ -31,7 +32,7 @@ from services.domain.benchmarks.boards.comparison import compare
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.boards.tables import MEDIA_TYPES
 
-router = APIRouter(prefix=AT, tags=["benchmarks"])
+router = NounRouter(prefix=AT, tags=["benchmarks"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 FORMS = {
     JSON_TYPE: {"schema": {"$ref": "#/components/schemas/LeaderboardAnswer"}},

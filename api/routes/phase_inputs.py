@@ -6,7 +6,7 @@ changes. Its tar is laid out, never built: any range of it is served, so that a 
 
 from typing import Annotated
 
-from fastapi import APIRouter, Path, Request, Response
+from fastapi import Path, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -14,6 +14,7 @@ from api.callers import Administrator, Reader
 from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.files import answer_bytes, file_responses
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath, instant
@@ -28,7 +29,7 @@ from services.runtime.store.pack_archive import stored_files
 from stone.sensors.sequence import NAME
 from stone_files.virtual_archive import MEDIA_TYPES
 
-router = APIRouter(tags=["phase inputs"])
+router = NounRouter(tags=["phase inputs"])
 SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]
 TAR = file_responses(MEDIA_TYPES["tar"])
 

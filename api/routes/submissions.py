@@ -8,7 +8,7 @@ page, not with its progress. The file comes by `/uploads` between announcing and
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 from sqlalchemy import Select
 
 from api import audit
@@ -18,6 +18,7 @@ from api.deps import Caller, PlatformDep, at_once
 from api.errors import ForbiddenError
 from api.etags import etag, require_match
 from api.lists.answers import listed, model_response
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath, IdQuery
@@ -42,7 +43,7 @@ from services.domain.benchmarks.submissions.submissions import SubmissionDraft
 from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform
 
-router = APIRouter(tags=["submissions"])
+router = NounRouter(tags=["submissions"])
 
 
 @dataclass(frozen=True)

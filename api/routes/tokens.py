@@ -5,7 +5,7 @@ longer life; and it ends when its maker is revoked. To issue and revoke tokens n
 browser's session has; any token may end itself. The secret is in the answer to its making and nowhere else.
 """
 
-from fastapi import APIRouter, Response
+from fastapi import Response
 from sqlalchemy.orm import Session
 
 from api import audit
@@ -13,6 +13,7 @@ from api.answers import refusals
 from api.callers import AccountHolder, Anybody, Reader
 from api.deps import Caller, PlatformDep
 from api.errors import ConflictError, ForbiddenError, NotFoundError, UnauthenticatedError
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
@@ -23,7 +24,7 @@ from services.runtime.orm import Token, User
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-router = APIRouter(prefix="/tokens", tags=["people"])
+router = NounRouter(prefix="/tokens", tags=["people"])
 
 MOST_TOKENS = 200
 

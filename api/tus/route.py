@@ -8,7 +8,7 @@ from api.tus.errors import VERSION
 
 
 class TusRoute(APIRoute):
-    """`APIRouter(route_class=TusRoute)`."""
+    """`NounRouter(route_class=TusRoute)`."""
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def say(message: Message) -> None:

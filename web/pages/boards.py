@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
 from api.schemas.phase_bodies import ns_of
@@ -20,7 +21,7 @@ from web.boards.rows import Sort, shown_board
 from web.boards.timeline import timeline
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 SortQuery = Annotated[Sort, Query(description="the column by which rows stand; ranks stay as they are")]
 
 

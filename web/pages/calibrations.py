@@ -6,13 +6,14 @@ kept, read again.
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
 from api.callers import Reader
 from api.deps import PlatformDep
 from api.file_errors import CalibrationRefusedError
+from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.sequences.calibrations import AgainstQuery, NameQuery
@@ -26,7 +27,7 @@ from services.runtime.platform import Platform
 from web.rendering import page
 from web.rig import RigDrawing, rig_of
 
-router = APIRouter(prefix="/calibrations")
+router = NounRouter(prefix="/calibrations")
 SHOWN = 50
 MOST_NAMED = 200
 Cursor = Annotated[str | None, Query(max_length=512)]

@@ -2,11 +2,12 @@
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request, Response
+from fastapi import Depends, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.base import IdQuery, IdText
 from api.views.boards import comparison_answer
@@ -18,7 +19,7 @@ from web.boards.comparison import Names, compared
 from web.boards.rows import shown_board
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 

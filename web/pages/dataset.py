@@ -6,13 +6,14 @@ one's own, as the splits stand. Of test's labels no page tells anything.
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as rows_of
 from api.schemas.datasets import VERSION_PATTERN, DatasetItem
@@ -25,7 +26,7 @@ from stone.splits.splits import PARTS
 from web.pages.dataset_figure import figure_of
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 SHOWN = 50
 OF_ONES_OWN = ""
 Version = Annotated[str | None, Query(pattern=f"{VERSION_PATTERN}|^$")]

@@ -1,6 +1,6 @@
 """The page with the line that installs the client, the wheel itself and the starter code; for everybody."""
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
@@ -8,10 +8,11 @@ from api.client_wheel import ClientWheel, install_line
 from api.deps import PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made
+from api.noun_router import NounRouter
 from services.domain.benchmarks.starter import FILENAME, starter_code
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 WHEEL = "application/octet-stream"
 
 

@@ -1,15 +1,16 @@
 """The help page: first steps of the reader's role, guides, keyboard shortcuts and the release; for everybody."""
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from services.runtime.code_version import RELEASE
 from web.first_steps import steps_for
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 
 
 @router.get("/help")

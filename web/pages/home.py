@@ -2,13 +2,14 @@
 
 from dataclasses import dataclass
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.callers import Looker
 from api.deps import Caller, PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.results import viewer_for
 from api.views.sequences import sequence_items
@@ -19,7 +20,7 @@ from web.boards.rows import ShownBoard, shown_board
 from web.first_steps import FirstStep, steps_for
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 
 
 @dataclass(frozen=True)

@@ -2,11 +2,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.leaderboard import BoardRow
 from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
@@ -26,7 +27,7 @@ from web.boards.results import CLASS_NAMES, breakdowns, matrix, totals
 from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description="the token of the frame to look at")]
 
 

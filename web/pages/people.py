@@ -5,11 +5,12 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Administrator, Reader
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN, IdPath
 from api.views.audit import AuditFilter, audit_page
@@ -20,7 +21,7 @@ from services.runtime.orm import User
 from services.runtime.orm.base import now_ns
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 SHOWN = 50
 LINES = PageQuery(None, 20)
 DELIVERIES = 10

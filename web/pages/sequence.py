@@ -7,12 +7,13 @@ whoever is shown the sequence; its owner's alone are in `web/pages/sequence_own.
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query
+from fastapi import Query
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.callers import Looker
 from api.deps import Caller
+from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN
 from api.views.artefact_files import artefact_file
 from api.views.exports import export_items
@@ -31,7 +32,7 @@ from web.sequence.timeline import timeline_of
 from web.sequence.topic_choices import topic_choices_of
 from web.sequence.track import track_of
 
-router = APIRouter(prefix="/sequences/{sequence_id}")
+router = NounRouter(prefix="/sequences/{sequence_id}")
 FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN)]
 MOST_EXPORTS = 50
 OVERLAY, CAMERA = "overlay_", "CAM_"

@@ -5,13 +5,13 @@
 
 from typing import Literal
 
-from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.callers import Reader
 from api.deps import Caller
+from api.noun_router import NounRouter
 from api.views.artefact_files import artefact_file
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
@@ -25,7 +25,7 @@ from web.sequence.sections import AtSequence, shown_section
 from web.sequence.status import SequenceStatus, sequence_status_of
 from web.sequence.topic_choices import topic_choices_of
 
-router = APIRouter(prefix="/sequences/{sequence_id}")
+router = NounRouter(prefix="/sequences/{sequence_id}")
 MOST_SHOWN = 50
 
 

@@ -2,17 +2,18 @@
 
 from typing import Annotated
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.own_pages import LONGEST, own_page
 from api.views.people import sign_in_ways
 from web.first_password import first_password_of
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 Back = Annotated[str, Query(max_length=LONGEST)]
 
 

@@ -6,11 +6,12 @@
 
 from dataclasses import dataclass
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Curator
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.splits import SplitEntry, SplitsAnswer
 from api.views.splits import splits_answer
 from api.visible import sequences_of
@@ -20,7 +21,7 @@ from stone.splits.splits import EXPOSED, LENGTH, LIGHT, PARTS, REGIONS, SEPARATE
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 RULES = {
     WHOLE: "Whole sequences",
     LENGTH: f"{SHORTEST_S:g} s or longer",

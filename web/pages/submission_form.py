@@ -3,7 +3,7 @@
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request
+from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -11,6 +11,7 @@ from sqlalchemy.orm import Session
 from api.callers import Looker
 from api.client_wheel import ClientWheel
 from api.deps import Caller, PlatformDep
+from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.submissions import SubmissionDetail
 from api.views.benchmarks import phase_item, phases_of
@@ -23,7 +24,7 @@ from services.runtime.uploads.completion import bytes_here
 from web.boards.submission_steps import TEAM, StepsPlace, submission_steps
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 MOST_DRAFTS = 10
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 

@@ -2,12 +2,13 @@
 
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
 from api.callers import Reader
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as paged
 from api.schemas.base import IdPath
@@ -19,7 +20,7 @@ from services.runtime.orm import Phase, SubmissionRow, Team
 from web.display_names import phase_names
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 
 
 @router.get("/teams")

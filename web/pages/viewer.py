@@ -9,13 +9,14 @@ colour, camera), which the server does not read.
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Query, Request
+from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
 from api.callers import Looker
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.views.sequences import sequence_items
 from api.visible import labels_of, sequences_of, shown_sequence
@@ -25,7 +26,7 @@ from web.rendering import page
 from web.sequence.recording import RIG
 from web.sequence.status import may_change_own
 
-router = APIRouter()
+router = NounRouter()
 PRELOADED = ("modules/viewer/", "modules/libraries/three")
 
 

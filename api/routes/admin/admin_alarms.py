@@ -1,6 +1,5 @@
 """Routes for administrators: alarms about submissions, and grants of extra scorings."""
 
-from fastapi import APIRouter
 from sqlalchemy import select
 
 from api import audit
@@ -8,6 +7,7 @@ from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep
 from api.errors import NotFoundError
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.alarms import AlarmItem, GrantBody, GrantItem
@@ -18,7 +18,7 @@ from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms
 from services.domain.benchmarks.submissions.scoring_quota import grant, scoring_quota
 from services.runtime.orm import Alarm, Team
 
-router = APIRouter(prefix="/admin", tags=["administration"])
+router = NounRouter(prefix="/admin", tags=["administration"])
 
 
 @router.get("/phases/{phase_id}/alarms", responses=refusals(404))

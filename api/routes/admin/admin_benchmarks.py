@@ -4,7 +4,7 @@
 is in force as soon as it is ready, every later one once a re-score is activated.
 """
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from sqlalchemy.orm import Session
 
 from api import audit
@@ -12,6 +12,7 @@ from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep
 from api.etags import etag, require_match
+from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkChange, BenchmarkDetail, CreatedBenchmark, NewBenchmarkBody, PhaseDetail
 from api.schemas.phase_bodies import AddedPhaseBody, BenchmarkName, NewPhaseBody, PhaseChange
@@ -27,7 +28,7 @@ from services.domain.benchmarks.phases.phases import (
 )
 from services.runtime.orm import Benchmark, Phase
 
-router = APIRouter(prefix="/admin", tags=["benchmarks"])
+router = NounRouter(prefix="/admin", tags=["benchmarks"])
 
 
 @router.post("/benchmarks", summary="Create a benchmark", status_code=201, responses=refusals(404, 409))

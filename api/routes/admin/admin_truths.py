@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -14,6 +14,7 @@ from api.answers import refusals
 from api.callers import Administrator
 from api.deps import PlatformDep
 from api.etags import etag, require_match
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.truths import NewTruthBody, ReportedBody, ReportedItem, TruthAccepted, TruthItem
@@ -25,7 +26,7 @@ from services.domain.benchmarks.phases.phases import lock_phase
 from services.domain.benchmarks.phases.reported_results import put_reported, reported_in
 from services.runtime.orm import Dataset, GroundTruthRow, Phase
 
-router = APIRouter(prefix="/admin/phases/{phase_id}", tags=["benchmarks"])
+router = NounRouter(prefix="/admin/phases/{phase_id}", tags=["benchmarks"])
 
 
 @router.post("/ground-truths", status_code=202, responses=refusals(404, 409))

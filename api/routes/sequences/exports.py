@@ -9,7 +9,7 @@ to delete; the finished ones of a sequence that is shown to others may be downlo
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import APIRouter, Depends, Path, Query, Request, Response
+from fastapi import Depends, Path, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -17,6 +17,7 @@ from api.callers import Curator, Reader
 from api.deps import Caller, PlatformDep, at_once
 from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page, place_of_page
 from api.schemas.base import IdPath
 from api.schemas.sequences.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
@@ -37,7 +38,7 @@ from services.runtime.store.pack_archive import locate_export, stored_files
 from services.runtime.store.pack_reading import StoredFiles
 from stone_files.virtual_archive import MOST_NAME, NAME
 
-router = APIRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
+router = NounRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
 FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]
 Kind = Annotated[ArchiveKind, Query(alias="format", description="tar for streams, zip for people")]
 FILE = file_responses(FILE_TYPE)

@@ -4,7 +4,7 @@
 answers with the run that is at it, or that has made it already.
 """
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -14,6 +14,7 @@ from api.callers import Curator, Looker
 from api.deps import Caller, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, StoredFile, answer_file, answer_made, file_responses
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
@@ -26,7 +27,7 @@ from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
 from services.domain.sequences.processing import start_processing
 from services.runtime.orm import LabelledFrameRow
 
-router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
+router = NounRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 
 
 @router.post("/process", status_code=202, responses=refusals(403, 404, 409))

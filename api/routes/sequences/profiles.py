@@ -6,7 +6,7 @@ recording's inspection kept.
 
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Path, Query, Request, Response
+from fastapi import Path, Query, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -16,6 +16,7 @@ from api.callers import Curator, Reader
 from api.deps import PlatformDep
 from api.errors import ConflictError, NotFoundError
 from api.etags import etag, require_match
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, instant
 from api.schemas.sequences.calibrations import FindingItem
@@ -27,7 +28,7 @@ from stone_recordings.topics.profile_errors import BadProfileError
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, resolve
 from stone_recordings.topics.profiles import TopicProfile as Chosen
 
-router = APIRouter(tags=["profiles"])
+router = NounRouter(tags=["profiles"])
 PlatformName = Annotated[str, Path(pattern=PLAIN, min_length=1, max_length=64, examples=["warthog-1"])]
 Choice = Annotated[str, Query(pattern=PLAIN, max_length=64 + LONGEST_TOPIC)]
 Choices = Annotated[list[Choice], Query(alias="topic", max_length=MOST_TOPICS, examples=[["lidar=/lidar_points"]])]

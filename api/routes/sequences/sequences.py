@@ -7,7 +7,7 @@ it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Request, Response
+from fastapi import Depends, Request, Response
 from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
@@ -20,6 +20,7 @@ from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match
 from api.lists.answers import list_response, listed
 from api.lists.sequences import SequenceFilters, sequence_rows
+from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.base import IdPath
 from api.schemas.sequences.sequences import (
@@ -37,7 +38,7 @@ from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, LabelSet, SequenceRow
 
-router = APIRouter(prefix="/sequences", tags=["sequences"])
+router = NounRouter(prefix="/sequences", tags=["sequences"])
 
 
 @router.post("", summary="Create a sequence", status_code=201, responses=refusals(409))

@@ -5,7 +5,7 @@ they decided at `/device`. To approve needs the scope `account`, as to issue a t
 by what the approver may.
 """
 
-from fastapi import APIRouter, Request, Response
+from fastapi import Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -20,6 +20,7 @@ from api.errors import (
     NotFoundError,
 )
 from api.middleware.limits import address_of
+from api.noun_router import NounRouter
 from api.routes.tokens import MOST_TOKENS
 from api.schemas.base import instant
 from api.schemas.people import IssuedToken
@@ -29,7 +30,7 @@ from services.runtime.access import device_grants, tokens
 from services.runtime.access.device_grants import DevicePoll, DeviceRequest
 from services.runtime.orm import User
 
-router = APIRouter(prefix="/device-grants", tags=["people"])
+router = NounRouter(prefix="/device-grants", tags=["people"])
 
 REFUSALS = {"pending": DevicePendingError, "denied": DeviceDeniedError, "unknown": DeviceCodeError}
 

@@ -1,9 +1,8 @@
 """The administration's pages of jobs, queues and benchmarks, as one router."""
 
-from fastapi import APIRouter
-
+from api.noun_router import NounRouter
 from web.pages.admin import benchmarks, job, jobs, phase, queues
 
-router = APIRouter()
+router = NounRouter()
 for one in (jobs, job, queues, benchmarks, phase):
     router.include_router(one.router)

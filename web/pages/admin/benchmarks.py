@@ -2,13 +2,14 @@
 
 from typing import Any
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from api.callers import Administrator
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.phase_bodies import BenchmarkName
 from api.views.benchmarks import benchmark_items, phase_detail, phases_of
 from api.visible import benchmark_of
@@ -16,7 +17,7 @@ from services.domain.benchmarks.alarms.alarms import open_alarms
 from services.runtime.orm import Benchmark, Dataset
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 SHOWN = 200
 
 

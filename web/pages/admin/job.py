@@ -1,10 +1,11 @@
 """A job or run as its administrator sees it, at `/admin/jobs/{id}`: stages along time, attempts, log lines."""
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Administrator
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.views.admin import admin_job_detail, job_spans_of
 from api.views.jobs import job_items
@@ -15,7 +16,7 @@ from services.runtime.orm.base import now_ns
 from web.rendering import page
 from web.stage_picture import stage_picture
 
-router = APIRouter()
+router = NounRouter()
 
 
 @router.get("/admin/jobs/{job_id}")

@@ -3,12 +3,13 @@
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from fastapi import APIRouter, Depends, Query, Request
+from fastapi import Depends, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.callers import Administrator
 from api.deps import PlatformDep, at_once
+from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
@@ -21,7 +22,7 @@ from services.runtime.orm import Job
 from web.boards.sparks import bars
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 SHOWN = 50
 SPARK = (120.0, 28.0)
 LISTS = (

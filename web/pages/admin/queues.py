@@ -1,15 +1,16 @@
 """The queues with their switches, and the processes that work, at `/admin/queues`."""
 
-from fastapi import APIRouter, Request
+from fastapi import Request
 from fastapi.responses import HTMLResponse
 
 from api.callers import Administrator
 from api.deps import PlatformDep
+from api.noun_router import NounRouter
 from api.views.queues import pending_wake_ups_of, queue_items, worker_items
 from web.boards.sparks import bars
 from web.rendering import page
 
-router = APIRouter()
+router = NounRouter()
 FIGURE = (600.0, 72.0)
 
 
