@@ -1,16 +1,17 @@
 """Previews of recordings and sequences: their list items and their files."""
 
 from collections.abc import Iterable
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Path
-from sqlalchemy import Select, select
-from sqlalchemy.orm import Session
+from sqlalchemy import BindParameter, Select, func, select
+from sqlalchemy.orm import Session, aliased
 
 from api.errors import NotFoundError
 from api.files import StoredFile
 from api.schemas.sequences.previews import PreviewItem
 from services.domain.viewer.indexed_pictures import recoloured
+from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import Blob, LabelSet, Preview, Recording, SequenceRow
 from services.runtime.store.protocol import Store
 from stone.labels.class_colours import ColourName
@@ -30,9 +31,10 @@ def previews_of_recording(session: Session, recording: Recording) -> list[Previe
     return _items(session.scalars(_of_recording(recording)))
 
 
-def previews_of_sequence(session: Session, sequence: SequenceRow, labels: LabelSet | None) -> list[PreviewItem]:
+def previews_of_sequence(session: Session, sequence_id: str, labels: LabelSet | None) -> list[PreviewItem]:
     """Previews by name: those of the run that made the labels that count, else of the newest run."""
-    return _items(session.scalars(_of_sequence(session, sequence, labels)))
+    recipe = None if labels is None else labels.recipe
+    return _items(_PREVIEWS.rows(session, {"sequence": sequence_id, "recipe": recipe}))
 
 
 def recording_preview(session: Session, recording: Recording, name: str) -> StoredFile:
@@ -58,16 +60,25 @@ def _of_recording(recording: Recording) -> Select[Preview]:
 
 
 def _of_sequence(session: Session, sequence: SequenceRow, labels: LabelSet | None) -> Select[Preview]:
-    of_sequence = (Preview.sequence_id == sequence.id, Preview.recording_id.is_(None))
-    recipe = (
-        labels.recipe
-        if labels is not None
-        else session.scalar(select(Preview.recipe).where(*of_sequence).order_by(Preview.id.desc()).limit(1))
-    )
-    return select(Preview).where(*of_sequence, Preview.recipe == (recipe or "")).order_by(Preview.name)
+    recipe = None if labels is None else labels.recipe
+    return select(Preview).where(*_shown(sequence.id, recipe))
 
 
-def _items(rows: Iterable[Preview]) -> list[PreviewItem]:
+def _shown(sequence_id: str | BindParameter[str], recipe: str | BindParameter[str] | None) -> tuple[Any, ...]:
+    """Of a sequence those of this recipe, of none those of the newest."""
+    other = aliased(Preview)
+    of_sequence = (other.sequence_id == sequence_id, other.recording_id.is_(None))
+    newest = select(other.recipe).where(*of_sequence).order_by(other.id.desc()).limit(1).scalar_subquery()
+    is_of_recipe = Preview.recipe == func.coalesce(recipe, newest)
+    return (Preview.sequence_id == sequence_id, Preview.recording_id.is_(None), is_of_recipe)
+
+
+_SAID = (Preview.name, Preview.media_type, Preview.size_bytes, Preview.blob_sha256)
+_OF_SEQUENCE = _shown(parameter("sequence"), parameter("recipe"))
+_PREVIEWS = KeptSelect(select(*_SAID).where(*_OF_SEQUENCE).order_by(Preview.name))
+
+
+def _items(rows: Iterable[Any]) -> list[PreviewItem]:
     return [
         PreviewItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
         for row in rows

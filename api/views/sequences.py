@@ -4,7 +4,7 @@
 the order of its schema: of a list they are written as they are.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Iterable, Mapping, Sequence
 from functools import cache
 from typing import Any
 
@@ -12,6 +12,7 @@ from sqlalchemy import BindParameter, Row, Select, func, select, true
 from sqlalchemy.orm import Session
 
 from api.deps import VISITOR, Caller
+from api.errors import NotFoundError
 from api.schemas.base import instant
 from api.schemas.sequences.sequences import (
     ArtefactItem,
@@ -20,7 +21,7 @@ from api.schemas.sequences.sequences import (
     SequenceItem,
 )
 from api.views.preview_files import previews_of_sequence
-from api.visible import labels_of
+from api.visible import labels_of, sequences_shown
 from services.domain.sequences.later_recordings import later_recordings
 from services.domain.sequences.processing import PROCESS, REGISTER
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
@@ -133,20 +134,46 @@ def _labels_said(row: Sequence[Any]) -> dict[str, Any]:
 
 def sequence_detail(session: Session, sequence: SequenceRow, caller: Caller = VISITOR) -> SequenceDetail:
     """A sequence with the files of the labels that count."""
-    item = sequence_items(session, [sequence], caller)[0]
-    artefacts = _artefacts(session, item.labels.id) if item.labels else []
-    labels = labels_of(session, sequence.id)
-    previews = previews_of_sequence(session, sequence, labels)
-    is_own = caller.is_administrator or sequence.owner_id == caller.user_id
-    later = later_recordings(session, sequence, labels) if is_own and labels else None
+    return _detail(session, dict(sequence_items(session, [sequence], caller)[0]), caller)
+
+
+def shown_sequence_detail(session: Session, caller: Caller, sequence_id: str) -> SequenceDetail:
+    """As `sequence_detail`, of one that the caller may look at, by statements that are kept. Raises `NotFoundError`."""
+    kept = _shown_one(caller.is_administrator)
+    rows = kept.rows(session, {"sequence": sequence_id, "caller": caller.user_id})
+    if not rows:
+        raise NotFoundError("sequence", sequence_id)
+    return _detail(session, sequence_facts(session, rows)[0], caller)
+
+
+@cache
+def _shown_one(is_administrator: bool) -> KeptSelect:
+    caller = None if is_administrator else parameter("caller")
+    return KeptSelect(with_glances(sequences_shown(caller).where(SequenceRow.id == parameter("sequence")), caller))
+
+
+def _detail(session: Session, facts: Mapping[str, Any], caller: Caller) -> SequenceDetail:
+    """What facts of a list say of a sequence, and its files."""
+    sequence_id, is_own = facts["id"], caller.is_administrator or facts["owner_id"] == caller.user_id
+    labels = labels_of(session, sequence_id) if facts["labels"] else None
+    artefacts = _artefacts(session, labels.id) if labels else []
+    previews = previews_of_sequence(session, sequence_id, labels)
+    sequence = session.get_one(SequenceRow, sequence_id) if is_own and labels else None
+    later = later_recordings(session, sequence, labels) if sequence and labels else None
     shown = LaterRecordingsItem(names=list(later.names), why_not=later.why_not) if later else None
-    return SequenceDetail(**dict(item), artefacts=artefacts, previews=previews, later_recordings=shown)
+    return SequenceDetail(**facts, artefacts=artefacts, previews=previews, later_recordings=shown)
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:
-    files = select(Artefact).where(Artefact.label_set_id == label_set_id).order_by(Artefact.name)
     return [
         ArtefactItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
-        for row in session.scalars(files)
+        for row in _FILES.rows(session, {"labels": label_set_id})
         if not row.name.startswith(UNLISTED)
     ]
+
+
+_FILES = KeptSelect(
+    select(Artefact.name, Artefact.media_type, Artefact.size_bytes, Artefact.blob_sha256)
+    .where(Artefact.label_set_id == parameter("labels"))
+    .order_by(Artefact.name)
+)

@@ -1,5 +1,6 @@
 """What a list of sequences says of each: what its labels add up to, its part of the splits, in how many statements."""
 
+from dataclasses import replace
 from typing import Any
 
 import httpx
@@ -7,7 +8,7 @@ import pytest
 from sqlalchemy import event, update
 
 from api.deps import VISITOR
-from api.views.sequences import sequence_items
+from api.views.sequences import sequence_detail, sequence_items, shown_sequence_detail
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import LabelSet, SequenceRow, SplitMember
 from services.runtime.orm.base import now_ns
@@ -84,3 +85,43 @@ def test_sequences_are_two_statements_beside_their_own_however_many_they_are(
         owner = VISITOR.__class__(curator.user_id, "", "curator", frozenset({"read"}), is_session=False)
         assert len(sequence_items(session, rows, owner)) == count
     assert len(said) == 2, said
+
+
+def test_a_sequence_is_said_by_itself_as_in_a_list_and_as_its_pages_say_it(
+    api_on: httpx.Client, platform_on: Platform
+) -> None:
+    """To its owner and, as it is public, to another; with labels and without."""
+    ada, other = person(platform_on, "curator"), person(platform_on, "curator")
+    made = [sequence(api_on, ada, name) for name in ("labelled", "bare")]
+    labels(platform_on, made[0])
+    put_into(platform_on, "val", *(one["id"] for one in made))
+    with platform_on.database.transaction() as session:
+        session.execute(update(SequenceRow).values(is_public=True))
+    for who, split in ((ada, "val"), (other, None)):
+        for one in made:
+            said = api_on.get(f"{URL}/{one['id']}", headers=who.headers).json()
+            assert listed(api_on, who)[one["name"]].items() <= said.items()
+            caller = replace(VISITOR, user_id=who.user_id, role="curator")
+            with platform_on.database.reading() as session:
+                detail = sequence_detail(session, session.get_one(SequenceRow, one["id"]), caller)
+            assert (said, said["split"]) == (detail.model_dump(mode="json"), split)
+
+
+def test_a_sequence_is_read_by_two_statements_and_its_labels_by_three_more(
+    api_on: httpx.Client, platform_on: Platform
+) -> None:
+    """Of somebody else's; to its owner it is said too which recordings were added later."""
+    ada, other = person(platform_on, "curator"), person(platform_on, "curator")
+    made = [sequence(api_on, ada, name) for name in ("bare", "labelled")]
+    labels(platform_on, made[1])
+    with platform_on.database.transaction() as session:
+        session.execute(update(SequenceRow).values(is_public=True))
+    counts, statements = [], list[str]()
+    event.listen(platform_on.database.engine, "before_cursor_execute", lambda _c, _k, text, *_: statements.append(text))
+    caller = replace(VISITOR, user_id=other.user_id, role="curator")
+    for one in made:
+        statements.clear()
+        with platform_on.database.reading() as session:
+            shown_sequence_detail(session, caller, one["id"])
+        counts.append(len([text for text in statements if text.lstrip().startswith(("SELECT", "WITH"))]))
+    assert counts == [2, 5], statements

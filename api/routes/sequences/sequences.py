@@ -30,8 +30,8 @@ from api.schemas.sequences.sequences import (
     SequenceDetail,
     SequenceItem,
 )
-from api.views.sequences import sequence_detail, sequence_facts
-from api.visible import calibration_of, hiding, sequence_of, shown_sequence
+from api.views.sequences import sequence_detail, sequence_facts, shown_sequence_detail
+from api.visible import calibration_of, hiding, sequence_of
 from services.domain.datasets.splits import lock_splits
 from services.domain.sequences.processing import PROCESS, delete_sequence, lock_sequence
 from services.runtime.access.errors import NameTakenError
@@ -71,13 +71,18 @@ def list_sequences(
         return list_response(request, sequence_facts(session, rows), following)
 
 
-@router.get("/{sequence_id}", summary="A sequence with its newest run and labels", responses=refusals(404))
-def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep, response: Response) -> SequenceDetail:
+@router.get(
+    "/{sequence_id}",
+    summary="A sequence with its newest run and labels",
+    response_model=SequenceDetail,
+    responses=refusals(404),
+)
+def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep) -> Response:
     """A sequence with its newest run, its newest labels and their files."""
     with platform.database.reading() as session:
-        shown = sequence_detail(session, shown_sequence(session, caller, sequence_id), caller)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+        shown = shown_sequence_detail(session, caller, sequence_id)
+    headers = {"ETag": etag(shown.revision)}
+    return Response(shown.model_dump_json(), headers=headers, media_type="application/json")
 
 
 @router.patch("/{sequence_id}", responses=refusals(404, 409, 412, 428))
