@@ -32,6 +32,7 @@ from testing.servers.postgres import running_postgres
 FLOOR = "/healthz"
 PATHS = (FLOOR, "/api/v1/sequences", "/api/v1/jobs", "/api/v1/me")
 STARTS_WITHIN_S = 30.0
+VACUUM_LOOKS = "1min"  # as PostgreSQL has it; the servers of tests are not looked after
 COLUMNS = ("database", "route", "bytes", "p50 ms", "p99 ms", "a second", "CPU ms", "p50 × floor", "p99 × floor")
 
 
@@ -65,7 +66,7 @@ def database_url(kind: str) -> Iterator[str]:
     if kind == "sqlite":
         yield ""
         return
-    with running_postgres() as server:
+    with running_postgres(autovacuum_naptime=VACUUM_LOOKS) as server:
         yield server.url()
 
 

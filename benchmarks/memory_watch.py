@@ -1,6 +1,7 @@
-"""The memory of a running platform, process by process, looked at while something else happens."""
+"""Memory and processor time of a running platform, process by process, looked at while something else happens."""
 
 import threading
+import time
 from collections import defaultdict
 
 import psutil
@@ -11,10 +12,15 @@ LOOK_S = 2.0
 
 
 class MemoryWatch:
-    """The memory of the platform's processes by program, each with all below it, looked at by a thread every 2 s."""
+    """The memory of the platform's processes by program, each with all below it, looked at by a thread every 2 s.
+
+    `used_s` are CPU seconds so far, those of children that ended included; `looked_s` when, on the monotonic clock.
+    """
 
     def __init__(self, running: RunningPlatform) -> None:
         self.held: dict[str, list[int]] = defaultdict(list)
+        self.used_s: dict[str, list[float]] = defaultdict(list)
+        self.looked_s: list[float] = []
         self._pids = {child.program.name: child.pid for child in running.children}
         self._over = threading.Event()
         self._thread = threading.Thread(target=self._look, name="watch")
@@ -29,9 +35,11 @@ class MemoryWatch:
 
     def _look(self) -> None:
         while not self._over.wait(LOOK_S):
+            self.looked_s.append(time.perf_counter())
             for name, pid in self._pids.items():
-                held = [_held_bytes(process) for process in [psutil.Process(pid), *_below(pid)]]
-                self.held[name].append(sum(held))
+                processes = [psutil.Process(pid), *_below(pid)]
+                self.held[name].append(sum(map(_held_bytes, processes)))
+                self.used_s[name].append(sum(map(_used_s, processes)))
 
 
 def _below(pid: int) -> list[psutil.Process]:
@@ -44,3 +52,11 @@ def _held_bytes(process: psutil.Process) -> int:
         return int(process.memory_full_info().pss)
     except psutil.Error:
         return 0
+
+
+def _used_s(process: psutil.Process) -> float:
+    """Its CPU seconds, and those of its children that have ended."""
+    try:
+        return float(sum(process.cpu_times()[:4]))
+    except psutil.Error:
+        return 0.0

@@ -3,7 +3,8 @@
 The embedded platform on SQLite or PostgreSQL with 2,000 sequences, 10,000 jobs and an open phase; clients in a process
 of their own, each with a connection: 90 in 100 read lists, things and the board, 8 send files in pieces of 1 MiB, 2
 have submissions scored; meanwhile one recording after another is labelled. Told are errors, latencies by what was
-asked, requests a second, and the memory of every process of the platform in the first and the last quarter of the time.
+asked, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform in
+the first and the last quarter.
 With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
 """
 
@@ -28,6 +29,7 @@ from sqlalchemy import select
 from benchmarks.api import database_url
 from benchmarks.api_rows import ENDED, fill
 from benchmarks.load.clients import LoadPlan
+from benchmarks.load.quarters import UNTIL_SCORED, quarters
 from benchmarks.memory_watch import MemoryWatch
 from chaos.api_calls import await_run, begin_run, upload_sequence
 from chaos.inputs import Inputs, simulated
@@ -67,6 +69,7 @@ def main() -> int:
         with MemoryWatch(running) as watch, _Labelling(PlatformUnderTest(running, inputs), inputs) as labelling:
             noted = clients(options.folder, plan)
     _show(options, noted, labelling)
+    _show_quarters(noted, watch)
     _show_memory(watch)
     return 1 if noted["error_count"] or labelling.failures else 0
 
@@ -154,7 +157,7 @@ def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labell
         p50, p99 = np.percentile(seconds, [50, 99]) * 1e3
         table.add_row(what, str(len(seconds)), f"{p50:.1f}", f"{p99:.1f}", f"{max(seconds) * 1e3:.0f}")
     CONSOLE.print(table)
-    requests = sum(len(seconds) for what, seconds in waited_s.items() if what != "submit: until scored")
+    requests = sum(len(seconds) for what, seconds in waited_s.items() if what != UNTIL_SCORED)
     took_s = options.minutes * 60.0
     CONSOLE.print(
         f"{requests} requests, {requests / took_s:.0f} a second, {noted['error_count']} errors; "
@@ -163,6 +166,16 @@ def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labell
     )
     for words in (*noted["errors"], *labelling.failures):
         CONSOLE.print(f"  {words}")
+
+
+def _show_quarters(noted: dict[str, Any], watch: MemoryWatch) -> None:
+    names = list(watch.used_s)
+    columns = ("quarter", "requests/s", "p50 ms", "p99 ms", *names)
+    table = Table(*columns, title="by quarter of the time; of programs CPU ms a request")
+    for number, one in enumerate(quarters(noted["begun_s"], noted["waited_s"], watch), 1):
+        waited = (f"{one.requests_per_s:.0f}", f"{one.p50_ms:.0f}", f"{one.p99_ms:.0f}")
+        table.add_row(str(number), *waited, *(f"{one.cpu_ms[name]:.2f}" for name in names))
+    CONSOLE.print(table)
 
 
 def _show_memory(watch: MemoryWatch) -> None:
