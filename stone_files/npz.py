@@ -1,14 +1,16 @@
 """A fast, deterministic npz writer.
 
-**Conventions.** A zip of `<key>.npy` members in the order given, deflated by ISA-L, dated 1980-01-01 so that
-content addressing works; `numpy.load` reads it without pickle. C order only. No zip64: an array stays below 4 GiB.
+**Conventions.** A zip of `<key>.npy` members in the order given, deflated by ISA-L or by who knows the arrays better,
+dated 1980-01-01 so that content addressing works; `numpy.load` reads it without pickle. C order only. No zip64: an
+array stays below 4 GiB.
 
-Source: PKWARE APPNOTE 6.3.10 §4.3; NEP 1 (npy 1.0).
+Source: PKWARE APPNOTE 6.3.10 §4.3; NEP 1 (npy 1.0); RFC 1951, 3.2.4.
 """
 
 import io
 import struct
 from collections.abc import Mapping
+from types import MappingProxyType
 from typing import Any
 
 import numpy as np
@@ -35,10 +37,13 @@ class UnwritableArrayError(StoneError):
         )
 
 
-def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = LEVEL) -> bytes:
+def npz_bytes(
+    arrays: Mapping[str, NDArray[Any]], level: int = LEVEL, deflated: Mapping[str, bytes] = MappingProxyType({})
+) -> bytes:
     """The npz file that holds these arrays under these keys; deterministic.
 
-    `level` is ISA-L's, 0 (fastest) to 3.
+    `level` is ISA-L's, 0 (fastest) to 3. `deflated` are the final deflate blocks of the data of some of the arrays, in
+    C order, which are not deflated again.
 
     Raises:
         UnwritableArrayError: a dtype that would need pickle, or an array of 4 GiB and more.
@@ -47,16 +52,22 @@ def npz_bytes(arrays: Mapping[str, NDArray[Any]], level: int = LEVEL) -> bytes:
     for key, array in arrays.items():
         header, data = npy_parts(key, array)
         size = len(header) + len(data)
-        buffer = (
-            buffer if buffer.size >= size else np.empty(size, np.uint8)
-        )  # fresh pages would cost more than the copy
-        npy = buffer[:size]
-        npy[: len(header)], npy[len(header) :] = np.frombuffer(header, np.uint8), data
-        payload = igzip_lib.compress(npy, level, igzip_lib.COMP_DEFLATE)
-        _add_member(body, directory, f"{key}.npy".encode(), npy, payload)
+        if key in deflated:
+            payload = _stored_block(header) + deflated[key]
+        else:
+            buffer = buffer if buffer.size >= size else np.empty(size, np.uint8)  # fresh pages cost more than the copy
+            buffer[: len(header)], buffer[len(header) : size] = np.frombuffer(header, np.uint8), data
+            payload = igzip_lib.compress(buffer[:size], level, igzip_lib.COMP_DEFLATE)
+        checksum = isal_zlib.crc32(data, isal_zlib.crc32(header))
+        _add_member(body, directory, f"{key}.npy".encode(), (checksum, len(payload), size), payload)
     count = len(arrays)
     end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, count, count, len(directory), len(body), 0)
     return bytes(body + directory + end)
+
+
+def _stored_block(data: bytes) -> bytes:
+    """A deflate block that holds up to 65535 bytes as they are and ends where a byte does; another follows."""
+    return struct.pack("<B2H", 0, len(data), len(data) ^ 0xFFFF) + data
 
 
 def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
@@ -69,9 +80,11 @@ def npy_parts(key: str, array: NDArray[Any]) -> tuple[bytes, NDArray[np.uint8]]:
     return header.getvalue(), contiguous.reshape(-1).view(np.uint8)
 
 
-def _add_member(body: bytearray, directory: bytearray, name: bytes, npy: NDArray[np.uint8], payload: bytes) -> None:
-    facts = (isal_zlib.crc32(npy), len(payload), len(npy), len(name), 0)
-    shared = struct.pack("<5H3I2H", VERSION, 0, DEFLATED, 0, DOS_1980_01_01, *facts)
+def _add_member(
+    body: bytearray, directory: bytearray, name: bytes, facts: tuple[int, int, int], payload: bytes
+) -> None:
+    """Append a member; `facts` are the CRC-32 and the two sizes, packed and not."""
+    shared = struct.pack("<5H3I2H", VERSION, 0, DEFLATED, 0, DOS_1980_01_01, *facts, len(name), 0)
     offset = len(body)
     body += b"PK\3\4" + shared + name
     body += payload

@@ -3,6 +3,7 @@
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
 from itertools import pairwise
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -10,6 +11,7 @@ from numpy.typing import NDArray
 from services.labeler.run import LabelRun, Part, Tile, tiles_across
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from stone.geometry.se3 import SE3
+from stone.labels.column_deflate import deflated_columns
 from stone.labels.columns import Columns, reconcile, spread_out
 from stone.labels.confidence import MapDistances, cut_with_distances, map_distances
 from stone.labels.crops import cut_batch
@@ -75,7 +77,9 @@ def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: S
         spread_out(columns.ones, columns.twos, grids[0])
         spread_out(masks.observed, out=grids[1])
         spread_out(masks.visible, out=grids[2])
-        payload = npz_bytes({**dict(zip(GRIDS, grids, strict=True)), **extra})
+        packed = (deflated_columns(columns.ones, columns.twos), *map(deflated_columns, (masks.observed, masks.visible)))
+        arrays: dict[str, NDArray[Any]] = {**dict(zip(GRIDS, grids, strict=True)), **extra}
+        payload = npz_bytes(arrays, deflated=dict(zip(GRIDS, packed, strict=True)))
         yield LabelledFrame(token, payload, masks.by_class, masks.by_mask)
 
 
