@@ -109,10 +109,9 @@ async def send_bytes(
     piece = piece_of(request, count_of(request, "Upload-Offset"))
     if "upload" not in caller.scopes:
         await in_thread(find_own, platform, upload_id, caller)
-    upload = await receive_body(request, platform, (upload_id, caller.user_id), piece)
-    link_to(upload.traceparent)
-    offset_bytes = await in_thread(bytes_here, platform, upload)
-    return Response(status_code=204, headers=upload_headers(upload, offset_bytes))
+    received = await receive_body(request, platform, (upload_id, caller.user_id), piece)
+    link_to(received.upload.traceparent)
+    return Response(status_code=204, headers=upload_headers(received.upload, received.offset_bytes))
 
 
 @router.delete("/{upload_id}", status_code=204, response_class=Response, dependencies=[SpeakTus], responses=TERMINATED)

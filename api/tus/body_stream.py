@@ -1,13 +1,15 @@
 """Streams request bodies to disk: one block is written by a thread while the next is received.
 
 **Conventions.** A request holds two blocks at most, whatever the client sends and however slow the disk is. All work on
-disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else.
+disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else; the
+last block is written, the upload ended and its offset read by one of them, since each costs as much as a statement.
 """
 
 import asyncio
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from concurrent.futures import ThreadPoolExecutor
 from contextvars import copy_context
+from dataclasses import dataclass
 from functools import partial
 from typing import ParamSpec, TypeVar
 
@@ -17,6 +19,7 @@ from starlette.requests import ClientDisconnect
 from api.tus.errors import ReceiveTimeoutError
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
+from services.runtime.uploads.completion import bytes_here
 from services.runtime.uploads.files import MOST_PIECES
 from services.runtime.uploads.reception import UploadChunk, UploadReceiver, receive
 from services.runtime.uploads.rows import find
@@ -35,7 +38,17 @@ async def in_thread(function: Callable[P, T], *arguments: P.args, **options: P.k
     return await asyncio.get_running_loop().run_in_executor(THREADS, work)
 
 
-async def receive_body(request: Request, platform: Platform, upload: tuple[str, str], piece: UploadChunk) -> Upload:
+@dataclass(frozen=True)
+class ReceivedUpload:
+    """An upload after a request, and the offset to show of it."""
+
+    upload: Upload
+    offset_bytes: int
+
+
+async def receive_body(
+    request: Request, platform: Platform, upload: tuple[str, str], piece: UploadChunk
+) -> ReceivedUpload:
     """Take the request's body into the upload (id, owner's id); the upload as it is then.
 
     Raises what `receive`, `UploadReceiver.write` and `UploadReceiver.end` raise, `ReceiveTimeoutError`,
@@ -43,15 +56,21 @@ async def receive_body(request: Request, platform: Platform, upload: tuple[str, 
     """
     reception = await in_thread(receive, platform, *upload, piece)
     if reception is None:
-        return await in_thread(find, platform.database, *upload)
+        return await in_thread(_received, platform, lambda: find(platform.database, *upload))
     try:
-        await _pump(request, reception, platform.settings.uploads.idle_s)
-        return await in_thread(reception.end)
+        last = await _pump(request, reception, platform.settings.uploads.idle_s)
+        return await in_thread(_received, platform, lambda: reception.end(last))
     finally:
         reception.close()  # waits for a write under way: not even a cancelled request leaves a thread behind
 
 
-async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> None:
+def _received(platform: Platform, ended: Callable[[], Upload]) -> ReceivedUpload:
+    upload = ended()
+    return ReceivedUpload(upload, bytes_here(platform, upload))
+
+
+async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> Sequence[bytes]:
+    """Write all blocks but the last one, which is given back."""
     blocks = _BlockWriter(reception)
     chunks = request.stream()
     try:
@@ -59,9 +78,8 @@ async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> N
             async with asyncio.timeout(idle_s):
                 chunk = await anext(chunks, None)
             if chunk is None:
-                break
+                return await blocks.rest()
             await blocks.take(chunk)
-        await blocks.flush()
     except (ClientDisconnect, TimeoutError) as gone:
         await blocks.flush()
         await in_thread(reception.break_off)
@@ -86,6 +104,11 @@ class _BlockWriter:
         self._size_bytes += len(chunk)
         if self._size_bytes >= BLOCK_BYTES or len(self._pieces) >= MOST_PIECES:
             await self._write()
+
+    async def rest(self) -> Sequence[bytes]:
+        """What was taken and not written, when all else is."""
+        await self._written()
+        return self._pieces
 
     async def flush(self) -> None:
         """All that was taken is written."""

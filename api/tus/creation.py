@@ -63,7 +63,7 @@ def refuse_unscoped(caller: Caller, declared: UploadDeclaration) -> None:
 async def _receive_first(request: Request, platform: Platform, upload: Upload, first: UploadChunk) -> Upload:
     key = (upload.id, upload.owner_id)
     try:
-        return await receive_body(request, platform, key, first)
+        return (await receive_body(request, platform, key, first)).upload
     except DiskFullError:
         return await in_thread(find, platform.database, *key)
     except StoneError:

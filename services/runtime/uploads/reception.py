@@ -70,12 +70,14 @@ class UploadReceiver:
         with self._guard:
             self._write(pieces)
 
-    def end(self) -> Upload:
-        """All bytes of the request came: check them, flush them, and complete the upload when they were its last.
+    def end(self, last: Sequence[bytes] = ()) -> Upload:
+        """All bytes of the request came, these the last: check them, flush them, complete the upload if it is whole.
 
-        Raises `ChecksumMismatchError` (they are cut off again), `DiskFullError`, `FileMismatchError`.
+        Raises `ChecksumMismatchError` (they are cut off again), `FileMismatchError`, and what `write` raises.
         """
-        with self._guard:
+        with self._guard:  # once: between two holds of it the request could end, and the file be closed
+            if last:
+                self._write(last)
             return self._end()
 
     def break_off(self) -> None:

@@ -1,8 +1,9 @@
 """Bytes come in: nothing is written where it does not belong, nothing counts that was not verified."""
 
 import hashlib
+from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
+from threading import Barrier, Event
 
 import pytest
 
@@ -191,3 +192,30 @@ def test_several_finishing_requests_at_once_end_in_one_complete(placed_on: Platf
     assert set(outcomes) <= {"complete", "upload_locked", "offset_mismatch"}
     assert state_of(placed_on, upload) == "complete"
     assert kept(placed_on, upload) == CONTENT
+
+
+def test_a_request_that_is_closed_at_its_last_bytes_ends_first(
+    placed: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A client that leaves while they are written: the file is not closed between them and the end."""
+    upload = made(placed, make_owner(placed), CONTENT)
+    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(0, len(CONTENT)))
+    assert reception is not None
+    written, may_go_on, write = Event(), Event(), reception._write
+
+    def slow(pieces: Sequence[bytes]) -> None:
+        write(pieces)
+        written.set()
+        assert may_go_on.wait(30)
+
+    monkeypatch.setattr(reception, "_write", slow)
+    with ThreadPoolExecutor(2) as threads:
+        ended = threads.submit(reception.end, [CONTENT])
+        assert written.wait(30)
+        closed = threads.submit(reception.close)
+        with pytest.raises(TimeoutError):
+            closed.result(0.2)
+        may_go_on.set()
+        assert ended.result(30).state == "complete"
+        closed.result(30)
+    assert kept(placed, upload) == CONTENT
