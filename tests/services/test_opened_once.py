@@ -12,7 +12,7 @@ import pytest
 from typer.testing import CliRunner
 
 from services.domain.exports.requests import EXPORT, start_export
-from services.domain.sequences.processing import REGISTER, SYNCHRONISE
+from services.domain.sequences.processing import CHECK, REGISTER, SYNCHRONISE
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
@@ -82,8 +82,8 @@ def by_kind(platform: Platform, bag: Path, opens: Opens) -> dict[str, list[int]]
 
 
 def test_a_job_opens_its_recording_once(by_kind: dict[str, list[int]]) -> None:
-    assert {REGISTER, SYNCHRONISE, "labeler.fuse", "labeler.frames", EXPORT} <= by_kind.keys()
-    reads = (REGISTER, SYNCHRONISE, "labeler.fuse", EXPORT)
+    assert {REGISTER, SYNCHRONISE, CHECK, "labeler.fuse", "labeler.frames", EXPORT} <= by_kind.keys()
+    reads = (REGISTER, SYNCHRONISE, CHECK, "labeler.fuse", EXPORT)
     assert {kind: set(counts) for kind, counts in by_kind.items()} == {
         kind: {1} if kind in reads else {0} for kind in by_kind
     }
