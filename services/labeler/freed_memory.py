@@ -7,7 +7,7 @@ sweep's temporaries are mapped and zeroed anew, page by page, every time. Other 
 import ctypes
 
 M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # malloc.h
-KEPT_BYTES = 128 * 2**20
+KEPT_BYTES = 64 * 2**20
 LARGEST_BYTES = 32 * 2**20  # the most that glibc takes; larger ones, as the table of fusing, are given back at once
 
 
