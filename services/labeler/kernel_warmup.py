@@ -13,6 +13,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 import numpy as np
+import scipy.special  # noqa: F401  # loaded where it is used, which would be in every worker
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.parameters import LabelParameters, parameters_for

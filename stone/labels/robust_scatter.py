@@ -11,7 +11,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtr, chdtri
 
 MOST_STEPS = 100
 RIDGE = 1e-9  # of the rows' own spread: a feature that is the same everywhere has no variance to divide by
@@ -39,7 +38,7 @@ def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
     ends = (_concentrated(scaled, start, kept) for start in _starts(scaled, kept))
     mean, covariance = min(ends, key=lambda moments: _log_volume(moments[1]))
     covariance = covariance * _consistency(kept / count, width)
-    is_inlier = _squared(scaled, mean, covariance) <= chdtri(width, 1.0 - INLIER_RATIO)
+    is_inlier = _squared(scaled, mean, covariance) <= _chi_squared(width, INLIER_RATIO)
     mean, covariance = _moments(scaled, np.flatnonzero(is_inlier))
     covariance = covariance * _consistency(INLIER_RATIO, width)
     return Scatter(mean * spread + middle, covariance * np.outer(spread, spread), is_inlier)
@@ -102,4 +101,13 @@ def _consistency(ratio: float, width: int) -> float:
     """What the covariance of the innermost `ratio` of a Gaussian is too small by (Croux and Haesbroeck, 1999)."""
     if ratio >= 1.0:
         return 1.0
-    return float(ratio / chdtr(width + 2, chdtri(width, 1.0 - ratio)))
+    from scipy.special import chdtr  # an eighth of a second, which who opens a recording does not wait for
+
+    return float(ratio / chdtr(width + 2, _chi_squared(width, ratio)))
+
+
+def _chi_squared(width: int, ratio: float) -> float:
+    """The squared distance within which this share of a Gaussian lies."""
+    from scipy.special import chdtri
+
+    return float(chdtri(width, 1.0 - ratio))

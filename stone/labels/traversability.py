@@ -10,7 +10,6 @@ from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.special import chdtri
 
 from stone.errors import StoneError
 from stone.labels.robust_scatter import robust_scatter
@@ -125,6 +124,8 @@ def distance_squared(features: Array, reference: Reference) -> Array:
 
 def threshold(alpha: float) -> float:
     """χ²(3, 1−α): the D² that a share α of the driven ground itself exceeds, were it Gaussian."""
+    from scipy.special import chdtri  # an eighth of a second, which who opens a recording does not wait for
+
     return float(chdtri(3, alpha))
 
 
