@@ -44,12 +44,10 @@ def mirror_returns(
 
 def _is_within(sheets: Keys) -> NDArray[np.bool_]:
     """Which of the sorted cells (S,) have another beside them on all four sides, at most one higher or lower."""
-    within = np.ones(len(sheets), np.bool_)
+    within, padded = np.ones(len(sheets), np.bool_), np.append(sheets, np.iinfo(np.int64).max)
     for aside in (1 << 42, -(1 << 42), 1 << 21, -(1 << 21)):
-        beside = np.zeros(len(sheets), np.bool_)
-        for up in (-1, 0, 1):
-            beside |= np.isin(sheets + aside + up, sheets)
-        within &= beside
+        lowest = np.searchsorted(sheets, sheets + (aside - 1))  # heights follow each other in a key
+        within &= padded[lowest] <= sheets + (aside + 1)
     return within
 
 

@@ -108,17 +108,24 @@ def _collect(cell, ring, start, table, spans, filled):  # type: ignore[no-untype
     return filled
 
 
+@njit(inline="always")
+def _has_near(points, spans, filled, at, square):  # type: ignore[no-untyped-def]
+    """Whether a point of these ranges is within the root of `square` of a place."""
+    for s in range(filled):
+        for b in range(spans[s, 0], spans[s, 1]):
+            if (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2 <= square:
+                return True
+    return False
+
+
 @njit(cache=True, nogil=True)
 def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-untyped-def]
+    """The query's own cell is looked at first: most that are near are so there already."""
     spans = np.empty((AROUND, 2), np.int64)
+    square = radius_m * radius_m
     for q in range(queries.shape[0]):
-        x, y, z = queries[q, 0], queries[q, 1], queries[q, 2]
-        cell = (math.floor(x / radius_m), math.floor(y / radius_m), math.floor(z / radius_m))
-        filled = _collect(cell, 1, start, table, spans, _collect(cell, 0, start, table, spans, 0))
-        for s in range(filled):
-            for b in range(spans[s, 0], spans[s, 1]):
-                if (points[b, 0] - x) ** 2 + (points[b, 1] - y) ** 2 + (points[b, 2] - z) ** 2 <= radius_m * radius_m:
-                    near[q] = True
-                    break
-            if near[q]:
-                break
+        at = queries[q, 0], queries[q, 1], queries[q, 2]
+        cell = (math.floor(at[0] / radius_m), math.floor(at[1] / radius_m), math.floor(at[2] / radius_m))
+        near[q] = _has_near(points, spans, _collect(cell, 0, start, table, spans, 0), at, square)
+        if not near[q]:
+            near[q] = _has_near(points, spans, _collect(cell, 1, start, table, spans, 0), at, square)

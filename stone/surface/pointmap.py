@@ -8,6 +8,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import Keys, centres_of, check_reach
@@ -70,11 +71,21 @@ def merge(maps: Sequence[PointMap]) -> PointMap:
     keys = np.concatenate([part.keys for part in maps])
     moments = np.concatenate([part.moments for part in maps])
     order = np.argsort(keys, kind="stable")
-    keys, moments = keys[order], moments[order]
-    if len(keys) == 0:
-        return PointMap(maps[0].voxel_m, keys, moments)
-    first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    return PointMap(maps[0].voxel_m, keys[first], np.add.reduceat(moments, first, axis=0))
+    keys = keys[order]
+    is_first = np.append(True, keys[1:] != keys[:-1])[: len(keys)]
+    sums = np.zeros((int(is_first.sum()), moments.shape[1]), np.int64)
+    _add_up(moments, order, is_first, sums)
+    return PointMap(maps[0].voxel_m, keys[is_first], sums)
+
+
+@njit(cache=True, nogil=True)
+def _add_up(moments, order, is_first, sums):  # type: ignore[no-untyped-def]
+    """Add the moments of each voxel, whose rows follow each other in this order, the first of each being marked."""
+    voxel = -1
+    for at in range(order.size):
+        voxel += is_first[at]
+        for column in range(sums.shape[1]):
+            sums[voxel, column] += moments[order[at], column]
 
 
 class PointMapBuilder:

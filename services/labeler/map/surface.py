@@ -153,7 +153,8 @@ def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
     """The triangles whose centroid lies in the core, so that tiles put side by side leave neither gap nor double."""
     if len(mesh.triangles) == 0:
         return mesh
-    mine = mesh.triangles[in_core(mesh.vertices_map[mesh.triangles].mean(axis=1), tile, core_m)]
+    plan = np.ascontiguousarray(mesh.vertices_map[:, :2])
+    mine = mesh.triangles[in_core(plan[mesh.triangles].mean(axis=1), tile, core_m)]
     used = np.zeros(len(mesh.vertices_map), np.bool_)
     used[mine] = True
     return Mesh(mesh.vertices_map, mine).where(used)
