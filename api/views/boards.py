@@ -41,7 +41,7 @@ from services.runtime.orm import Benchmark, Phase
 from stone.scoring.intervals import LEVEL
 
 JSON_TYPE = "application/json"
-MOST_KEPT_BYTES = 16 * 2**20  # of all boards
+MOST_KEPT_BYTES = 4 * 2**20  # of all boards
 
 _WRITTEN: LRUCache[tuple[str, Form], bytes] = LRUCache(MOST_KEPT_BYTES, len)
 _WRITTEN_LOCK = Lock()

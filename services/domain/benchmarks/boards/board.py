@@ -3,11 +3,11 @@
 **Conventions.** A board shows one evaluation version (a ground truth and a metric), that in force at its time, so its
 scores have one signature. What a viewer may not see of a row is null already here (`visibility.py`). At most
 `MOST_ROWS` entries of a status are told, the best ones; `ranked_total` says of how many. Spectra are read after
-the rows, outside the transaction. A board is kept in memory under its revision (`board_revision.py`), which is read
+the rows, outside the transaction. A board is kept in memory with its revision (`board_revision.py`), which is read
 each time: it is made again when anything has changed of what it is made of, and not before.
 """
 
-from collections.abc import Iterable, Mapping, Sequence
+from collections.abc import Hashable, Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from threading import Lock
 from typing import Any
@@ -115,24 +115,35 @@ class _BoardRecords:
     now_ns: int
 
 
-_KEPT: LRUCache[str, Board] = LRUCache(MOST_KEPT_ROWS, lambda board: 1 + len(board.rows))
+_KEPT: LRUCache[Hashable, Board] = LRUCache(MOST_KEPT_ROWS, lambda board: 1 + len(board.rows))
 _KEPT_LOCK = Lock()
 
 
 def board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
     """The board as the viewer may see it now; `as_of_ns` in the future is now. Raises `StoreAwayError`."""
+    if query.as_of_ns is None:
+        return _kept_board(platform, phase_id, query, viewer)
+    now = now_ns()
+    with platform.database.reading() as session:
+        read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
+    return _made(platform, read)
+
+
+def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Viewer) -> Board:
+    """The newest is kept for who asks the same and sees the same; rows and digest are of one snapshot."""
     now = now_ns()
     with platform.database.snapshot() as session:
-        revision = "" if query.as_of_ns is not None else board_revision(session, phase_id, query, viewer, now)
+        revision = board_revision(session, phase_id, query, viewer, now)
+        place = (phase_id, query, viewer.is_administrator, revision.teams)
         with _KEPT_LOCK:
-            kept = _KEPT.get(revision)
-        if kept is not None:
+            kept = _KEPT.get(place)
+        if kept is not None and kept.revision == revision.digest:
             return kept
         read = _read(session, session.get_one(Phase, phase_id), query, viewer, now)
-    made = replace(_made(platform, read), revision=revision)
-    if revision and len(made.rows) < MOST_KEPT_ROWS:
+    made = replace(_made(platform, read), revision=revision.digest)
+    if len(made.rows) < MOST_KEPT_ROWS:
         with _KEPT_LOCK:
-            _KEPT[revision] = made
+            _KEPT[place] = made
     return made
 
 

@@ -6,6 +6,7 @@ over, whether teams are named by now, and which of the teams on it are the viewe
 that ask for a time ask for another one each.
 """
 
+from dataclasses import dataclass
 from functools import cache
 from hashlib import sha256
 
@@ -18,7 +19,15 @@ from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import Activation, Benchmark, Phase, Reported, Score, SubmissionRow, Team
 
 
-def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: Viewer, now_ns: int) -> str:
+@dataclass(frozen=True)
+class BoardRevision:
+    """The digest of a board, and the teams on it that are the viewer's, who sees what others with them see."""
+
+    digest: str
+    teams: tuple[str, ...]
+
+
+def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: Viewer, now_ns: int) -> BoardRevision:
     """Of the board as this viewer sees it now. Raises `ValueError` for a board of the past."""
     if query.as_of_ns is not None:
         raise ValueError("boards of the past have no revision")
@@ -27,10 +36,11 @@ def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: V
     at = {"phase": phase_id, **({"track": query.track} if is_on_track else {})}
     entries = _entries(is_on_track).rows(session, {**at, "truth": phase.truth_id, "metric": phase.metric})
     reported = _reported(is_on_track).rows(session, at)
-    teams = sorted({row.team_id for row in entries} & viewer.team_ids)
+    teams = tuple(sorted({row.team_id for row in entries} & viewer.team_ids))
     times = [at_ns is not None and at_ns <= now_ns for at_ns in (phase.closes_ns, phase.named_from_ns)]
     read = [[tuple(row) for row in rows] for rows in ([phase], entries, reported)]
-    return sha256(repr((query, viewer.is_administrator, teams, times, read)).encode()).hexdigest()
+    whole = repr((query, viewer.is_administrator, teams, times, read))
+    return BoardRevision(sha256(whole.encode()).hexdigest(), teams)
 
 
 @cache

@@ -159,3 +159,19 @@ def test_boards_of_the_past_are_not_kept(platform: Platform) -> None:
     kept = len(boards._KEPT)
     assert board(platform, world.at.phase_id, query, ANYBODY).revision == ""
     assert len(boards._KEPT) == kept
+
+
+def test_a_board_that_changes_takes_the_place_of_the_one_before(platform: Platform) -> None:
+    """However often entries are scored, no more is kept."""
+    world = filled(platform)
+    world.boards()
+    kept = len(boards._KEPT)
+    world.at.enter(world.teams[1], Made(0.1))
+    world.boards()
+    assert len(boards._KEPT) == kept
+
+
+def test_users_of_whom_no_team_is_on_the_board_share_it(platform: Platform) -> None:
+    world = filled(platform)
+    seen = [board(platform, world.at.phase_id, BoardQuery(), Viewer(team_ids=frozenset({name}))) for name in "ab"]
+    assert seen[0] is seen[1]
