@@ -22,14 +22,14 @@ from benchmarks.rows.claiming.sharing import shared
 from services.runtime.settings import JobSettings
 
 CONSOLE = Console(width=110)
-WARM_UP_S = 10.0
+WARM_UP_S = 50.0
 
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     commands = parser.add_subparsers(dest="command", required=True)
     count = commands.add_parser("count", help="transactions and statements a job")
-    count.add_argument("--seconds", type=float, default=20.0, help="of recording")
+    count.add_argument("--seconds", type=float, default=60.0, help="of recording")
     count.add_argument("--workers", type=int, default=2, help="worker processes")
     count.add_argument("--idle-s", type=float, default=20.0, help="how long they are watched while idle")
     count.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-bench")
