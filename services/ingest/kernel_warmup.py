@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.deskew import SweepMount, deskew
+from stone.sensors.ground_links import look
 from stone.sensors.ground_points import plane_around
 from stone.sensors.selection import world_points
 from stone_recordings.messages.lidar import resolve_points
@@ -39,6 +40,7 @@ def warm() -> None:
     x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
     plain = np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)
     plane_around(world_points(plain, SE3.identity(), (), 1.0))
+    look(SE3.identity() @ plain)
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):
