@@ -40,7 +40,7 @@ def warm() -> None:
     x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
     plain = np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)
     plane_around(world_points(plain, SE3.identity(), (), 1.0))
-    look(SE3.identity() @ plain)
+    look(SE3.identity() @ plain.astype(np.float64))
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):
