@@ -10,7 +10,6 @@ from services.ingest import sandboxed_check
 from services.ingest.stages import handlers
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.notifications.events import LABELS_UNUSABLE
 from services.runtime.orm import CalibrationRow, Job, NotificationEvent
 from services.runtime.platform import Platform
@@ -20,6 +19,7 @@ from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.sync.sequence_file import read_sequence
 from testing.worlds.runs import Brought, bring, run_all
+from tests.services.ingest.killed_checks import killed_once
 
 SEEN = Finding("CAL-404", "error", "CAM_FRONT", "its mount is not this camera's")
 
@@ -48,20 +48,6 @@ def brought(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> B
         session.scalars(select(CalibrationRow)).one().valid_to_ns = 1
     run_all(platform)
     return brought
-
-
-def killed_once(kind: str, handler: Handler) -> Handler:
-    """The first attempt at the checks has done everything and written nothing when it ends."""
-
-    def run(attempt: Attempt) -> Outcome:
-        outcome = handler(attempt)
-        if kind == CHECK and attempt.job_id not in killed:
-            killed.add(attempt.job_id)
-            raise RuntimeError("killed")
-        return outcome
-
-    killed: set[str] = set()
-    return run
 
 
 def job_of(brought: Brought, root_id: str, kind: str) -> Job:

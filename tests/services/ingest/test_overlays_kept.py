@@ -10,13 +10,13 @@ import pytest
 from PIL import Image
 from sqlalchemy import select
 
-from services.domain.sequences.processing import CHECK, delete_sequence
-from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.domain.sequences.processing import delete_sequence
 from services.runtime.orm import Blob, Preview
 from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from testing.worlds.runs import Brought, bring, run_all
+from tests.services.ingest.killed_checks import killed_once
 
 pytestmark = pytest.mark.whole
 
@@ -43,20 +43,6 @@ def overlays(brought: Brought) -> dict[tuple[str, str], Preview]:
     with brought.platform.database.reading() as session:
         rows = session.scalars(select(Preview).where(Preview.recording_id.is_(None)))
         return {(row.recipe, row.name): row for row in rows}
-
-
-def killed_once(kind: str, handler: Handler) -> Handler:
-    """The first attempt to check has done everything and written nothing when it ends."""
-
-    def run(attempt: Attempt) -> Outcome:
-        outcome = handler(attempt)
-        if kind == CHECK and attempt.job_id not in killed:
-            killed.add(attempt.job_id)
-            raise RuntimeError("killed")
-        return outcome
-
-    killed: set[str] = set()
-    return run
 
 
 def test_every_camera_has_its_overlay_and_a_killed_attempt_leaves_the_same(brought: Brought) -> None:
