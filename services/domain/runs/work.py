@@ -7,7 +7,7 @@ queues. Times of jobs are those of their last attempt. A job that is its own run
 from collections import defaultdict
 from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
-from functools import cache, lru_cache
+from functools import cache
 
 from sqlalchemy import BigInteger, ColumnElement, case, cast, func, literal_column, select
 from sqlalchemy.orm import Session
@@ -33,7 +33,6 @@ from services.runtime.orm import CalibrationRow, Job, LabelSet, Queue, Recording
 RECENT_RUNS = 3
 LOOKED_AT = 20
 MOST_OLDER = 50
-MOST_QUEUES = 16
 FRESH_NS = 60 * 10**9
 BUSY = func.coalesce(Job.finished_ns - Job.started_ns, 0)
 RUNNING: ColumnElement[str] = literal_column("'running'")
@@ -197,16 +196,10 @@ def _rivals(session: Session, queues: set[str]) -> dict[str, dict[str, int]]:
         (queue, owner, urgency) for queue, owner, urgency in session.execute(at_work.group_by(Job.queue, Job.owner_id))
     ]
     for queue in queues:
-        found += [(queue, owner, urgency) for owner, urgency, *_ in _waiting(queue).rows(session, {})]
+        found += [(queue, owner, urgency) for owner, urgency, *_ in owners_waiting(queue).rows(session, {})]
     for queue, owner, urgency in found:
         rivals[queue][owner] = max(urgency, rivals[queue].get(owner, urgency))
     return rivals
-
-
-@lru_cache(MOST_QUEUES)
-def _waiting(queue: str) -> KeptSelect:
-    """`owners_waiting`, whose SQL takes longer to write than to run."""
-    return KeptSelect(owners_waiting(queue))
 
 
 def older_of_the_same(session: Session, runs: Iterable[Job]) -> list[Job]:

@@ -12,6 +12,7 @@ from sqlalchemy import ColumnElement, Select, and_, bindparam, func, literal_col
 from sqlalchemy.orm import Session, aliased
 from sqlalchemy.sql.selectable import CTE
 
+from services.runtime.database.rows import KeptSelect
 from services.runtime.orm import Job
 
 MOST_WAKE_UPS = 10_000
@@ -28,7 +29,8 @@ def next_job(session: Session, queue: str) -> tuple[Job, str] | None:
 
     None where each that is ready is being taken.
     """
-    owners = session.execute(owners_waiting(queue)).all()
+    session.flush()  # kept statements see what was written, not what is to be
+    owners = owners_waiting(queue).rows(session, {})
     for owner_id, priority, _running, _oldest in owners:
         found = session.execute(_untaken_of_owner(queue), {"owner": owner_id, "urgency": priority}).first()
         if found is not None:
@@ -62,13 +64,13 @@ def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job, str]:
 
 
 @lru_cache(MOST_QUEUES)
-def owners_waiting(queue: str) -> Select[str, int, int, str]:
-    """(owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
+def owners_waiting(queue: str) -> KeptSelect:
+    """Of (owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
     heads, busy = _heads(queue).c, aliased(Job)
     at_work = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.owner_id)
     running = at_work.scalar_subquery().label("running")
     found = select(heads.owner_id, heads.priority, running, heads.root_id)
-    return found.order_by(heads.priority.desc(), running, heads.root_id)
+    return KeptSelect(found.order_by(heads.priority.desc(), running, heads.root_id))
 
 
 def _heads(queue: str) -> CTE:

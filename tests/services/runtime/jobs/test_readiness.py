@@ -72,7 +72,7 @@ def test_whose_turn_it_is_is_what_a_plain_reckoning_says(platform_on: Platform) 
         ]
         filled(session, jobs)
         for queue in ("ingest", "eval", "labeler"):
-            assert [tuple(row) for row in session.execute(owners_waiting(queue))] == reckoned(jobs, queue)
+            assert [tuple(row) for row in owners_waiting(queue).rows(session, {})] == reckoned(jobs, queue)
 
 
 STATES = ("queued", "queued", "running", "succeeded")
@@ -88,7 +88,7 @@ def test_however_long_the_history_few_of_its_rows_are_read(tmp_path: Path, fresh
     with platform.database.transaction() as session:
         session.execute(text("ANALYZE"))
     with taken_down(platform.database.engine) as statements, platform.database.reading() as session:
-        assert len(session.execute(owners_waiting("ingest")).all()) == 4
+        assert len(owners_waiting("ingest").rows(session, {})) == 4
     with platform.database.engine.connect() as connection:
         plan = explained(connection, statements[-1], frozenset({"jobs"}))
     platform.database.close()
