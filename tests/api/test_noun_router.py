@@ -1,10 +1,10 @@
 """Routers that are passed over: by requests for other nouns, and by none for their own."""
 
-import asyncio
 from typing import Any
 
 import httpx
 import pytest
+from anyio.from_thread import start_blocking_portal
 from fastapi import FastAPI
 from fastapi.routing import APIRoute
 from starlette.routing import Match
@@ -50,7 +50,8 @@ def asked(app: FastAPI, path: str, method: str = "GET") -> httpx.Response:
         async with httpx.AsyncClient(transport=httpx.ASGITransport(app), base_url="http://api") as client:
             return await client.request(method, path)
 
-    return asyncio.run(ask())
+    with start_blocking_portal() as portal:  # a loop of its own: a browser's may run in this thread
+        return portal.call(ask)
 
 
 @pytest.mark.parametrize("path", ["/jobs", "/jobs/1", "/runs", "/walks/jobs", "/deep"])

@@ -19,8 +19,8 @@ def test_a_run_doubts_a_calibration_out_of_its_time_and_keeps_the_overlays(platf
     run_all(platform)
     root_id = brought.process(stages=("synchronise",))
     run_all(platform)
-    (job,) = (job for job in brought.jobs(root_id) if job.queue)
-    assert job.state == "succeeded", job.failure
+    job, check = (job for job in brought.jobs(root_id) if job.queue)
+    assert job.state == check.state == "succeeded", (job.failure, check.failure)
     assert "CAL-418" in {finding["code"] for finding in job.result["findings"]}
     with platform.database.reading() as session:
         kept = {preview.name: preview.media_type for preview in session.scalars(select(Preview))}
