@@ -1,9 +1,7 @@
 """A recording opened as a sequence, at once or with its checks beside."""
 
-from dataclasses import replace
 from pathlib import Path
 
-import numpy as np
 import pytest
 
 from services.ingest.pipeline import SynchroniseOptions
@@ -13,10 +11,11 @@ from services.labeler.local_run import LabelOptions, label
 from services.labeler.report import LabelReport
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
+from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag
+from stone_recordings.bags.errors import ChecksumError
 from stone_recordings.sync.sequence_file import read_sequence
-from stone_recordings.sync.sweeps import BagSweeps
 from testing.worlds.faults.other_edits import bad_chunk
 
 SEEN = Finding("CAL-404", "warning", "CAM_FRONT", "its mount is not this camera's")
@@ -75,27 +74,28 @@ def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opene
     assert len(believed) == 2
 
 
-def test_a_sweep_that_is_refused_while_it_is_used_is_left_out_the_second_time(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+@pytest.mark.whole
+def test_a_chunk_that_a_worker_finds_damaged_while_it_fuses_is_left_out_the_second_time(tmp_path: Path) -> None:
+    """Catches alone labels that fail, or lack a finding, where the heads of a chunk are sound and its sweep is not."""
     bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    simulate(bag, SimulateOptions(3.0, channels=128, columns=1200, camera_width_px=64))
     bad_chunk(bag)
-    whole, sweeps = open_sequence(bag, calibration, "run")
-    monkeypatch.setattr("services.ingest.sequence.sequence_in", lambda opened, *_: (whole, stale(opened)))
+    checked, _ = open_sequence(bag, calibration, "run")
+    refused = list[StoneError]()
 
-    def stale(opened: Bag) -> BagSweeps:
-        return (
-            replace(sweeps, message_index=np.arange(30), stamps_ns=np.arange(30), mount=None)
-            if opened.is_believed
-            else sweeps
-        )
+    def labelled(opened: OpenedSequence) -> LabelReport:
+        options = LabelOptions(workers=2, late_findings=opened.late_findings)
+        try:
+            return label(opened.sequence, opened.sweeps, tmp_path / "labels", options)
+        except StoneError as error:
+            refused.append(error)
+            raise
 
-    def read(opened: OpenedSequence) -> int:
-        return sum(len(opened.sweeps.sweep(index).points_lidar) > 0 for index in range(len(opened.sweeps)))
-
-    assert len(sweeps) < 30
-    assert with_sequence(bag, calibration, "run", SynchroniseOptions(), read) == len(sweeps)
+    report = with_sequence(bag, calibration, "run", SynchroniseOptions(), labelled)
+    assert [type(error) for error in refused] == [ChecksumError]
+    assert len(checked.excluded) == 1
+    assert report.sequence.excluded == checked.excluded
+    assert report.sequence.findings == checked.findings
 
 
 def test_what_fails_of_a_sound_recording_fails_once(tmp_path: Path) -> None:
