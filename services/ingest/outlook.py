@@ -16,7 +16,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
 from stone_recordings.bags.bag import Bag
 from stone_recordings.calibrations.file import read_calibration
-from stone_recordings.report.inspection import Inspection, inspect_in
+from stone_recordings.report.inspection import Inspection, inspect_in, scanned
 from stone_recordings.report.scan import Scan
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -35,16 +35,17 @@ def inspected_in(
 ) -> Inspection:
     """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
 
-    `scan` spares another where the caller has one.
+    `scan` spares another where the caller has one. A recording is read once for both.
 
     Raises as `inspect_in` and `read_calibration` do.
     """
+    asked = replace(options or SynchroniseOptions(), topics=profile.topics if profile else {}, is_hashed=False)
+    scan = scan or scanned(bag, asked.asked_topics)
     inspection = inspect_in(bag, profile, scan)
-    asked = options or SynchroniseOptions()
     if asked.poses is not None:
         told = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")
         inspection = replace(inspection, findings=told)
-    options = replace(asked, topics=profile.topics if profile else {}, is_hashed=False)
+    options = replace(asked, recorded=scan.recorded)
     if calibration is None:
         said = outlook(bag, None, options)
     else:

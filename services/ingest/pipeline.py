@@ -34,7 +34,7 @@ from stone_recordings.sync.ground_check import applied_finding, ground_findings,
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.lag_check import lag_findings, measured_lag
 from stone_recordings.sync.map_joining import joined
-from stone_recordings.sync.recorded_messages import read_recorded
+from stone_recordings.sync.recorded_messages import RecordedTopics, read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 from stone_recordings.sync.synchronisation import frames_with_pose, sparse_finding, usable_finding
 from stone_recordings.topics.cloud_samples import packet_findings
@@ -59,6 +59,7 @@ class SynchroniseOptions:
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it. With `is_checked` false its findings lack those of `late_findings`.
+    `recorded` spares reading the messages again where they were read for the same sources.
     """
 
     odometry_topic: str | None = None
@@ -72,7 +73,15 @@ class SynchroniseOptions:
     time_offsets_ns: Mapping[str, int] = field(default_factory=dict)
     poses: PoseFile | None = None
     poses_frame: str = ""
+    recorded: RecordedTopics | None = None
     progress: Progress = silent
+
+    @property
+    def asked_topics(self) -> AskedTopics:
+        """What is asked for by name goes before what the profile names."""
+        named = {"lidar": self.lidar_topic, "pose": self.odometry_topic}
+        given = {role: topic for role, topic in named.items() if topic}
+        return AskedTopics.of_roles({**self.topics, **given}, has_pose_file=self.poses is not None)
 
 
 def synchronise(
@@ -147,10 +156,9 @@ def unjoined_sequence(
     bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str
 ) -> tuple[Sequence, BagSweeps]:
     """What the messages alone tell: each part of a broken track has a map of its own. Raises as `synchronise_in`."""
-    lidar_topic = options.lidar_topic or options.topics.get("lidar")
-    pose_topic, imu_topic = options.odometry_topic or options.topics.get("pose"), options.topics.get("imu")
-    sources = choose_sources(bag, AskedTopics(lidar_topic, pose_topic, imu_topic, options.poses is not None))
-    recorded = read_recorded(bag, sources)
+    sources = choose_sources(bag, options.asked_topics)
+    known = options.recorded
+    recorded = known if known is not None and known.sources == sources else read_recorded(bag, sources)
     clocks = ClockOffsets(options.time_offsets_ns)
     late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)

@@ -18,13 +18,13 @@ import scipy.special  # noqa: F401  # loaded where it is used, which would be in
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.parameters import LabelParameters, parameters_for
 from services.labeler.run import LabelRun, silent
-from stone.geometry.lattice import keys_of
 from stone.geometry.se3 import SE3
+from stone.kernels.loading import load_compiler
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from stone.sensors.sequence import Frames, Sequence, Sweep, frame_token
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 
-keys_of(np.zeros((1, 3)), 1.0)
+load_compiler()
 
 FRAMES, PERIOD_NS, STEP_M, CUBE_CELLS = 6, 100_000_000, 0.5, 80
 HEIGHT_M, EXTENT_M, SPACING_M = 1.2, 9.0, 0.15

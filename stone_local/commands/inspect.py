@@ -23,6 +23,7 @@ if TYPE_CHECKING:
     from services.ingest.pipeline import SynchroniseOptions
     from stone_recordings.bags.bag import Bag
     from stone_recordings.report.scan import Scan
+    from stone_recordings.topics.sources import AskedTopics
 
 RigOption = Annotated[
     Path | None,
@@ -53,6 +54,7 @@ def inspect(
     """
     from stone_recordings.bags.bag import open_bag
     from stone_recordings.topics.profile_file import write_profile
+    from stone_recordings.topics.sources import AskedTopics
 
     profile = chosen_topics(topics, topic)
 
@@ -63,9 +65,12 @@ def inspect(
         return SynchroniseOptions(poses=poses_of_file, poses_frame=poses_frame, topics=profile.topics)
 
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
-        with scanning(opened) as scan:  # which inflates while these are loaded
+        asked_topics = AskedTopics.of_roles(profile.topics, has_pose_file=poses is not None)
+        with scanning(opened, asked_topics) as scan:  # which inflates while these are loaded
             from services.ingest.outlook import inspected_in
+            from stone.kernels.loading import load_compiler
 
+            load_compiler()
             asked = options()
         inspection = inspected_in(opened, profile, calibration, asked, scan=scan.result())
         record: dict[str, Any] = inspection.as_record()
@@ -94,9 +99,9 @@ def inspect(
 
 
 @contextmanager
-def scanning(bag: "Bag") -> "Iterator[Future[Scan]]":
+def scanning(bag: "Bag", asked: "AskedTopics") -> "Iterator[Future[Scan]]":
     """The scan of a recording, which a thread makes meanwhile; at the end it is there, or what it raised."""
     from stone_recordings.report.inspection import scanned
 
     with ThreadPoolExecutor(1) as pool:
-        yield pool.submit(scanned, bag)
+        yield pool.submit(scanned, bag, asked)

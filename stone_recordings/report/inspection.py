@@ -6,6 +6,7 @@ not a failure; a container that cannot be read is refused.
 """
 
 from collections.abc import Iterator, Sequence, Set
+from contextlib import suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -25,9 +26,11 @@ from stone_recordings.messages.types.definition_checks import definition_finding
 from stone_recordings.report import checks
 from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
+from stone_recordings.sync.recorded_messages import RecordedReading
 from stone_recordings.topics.cloud_samples import packet_findings, sample_cloud
 from stone_recordings.topics.profiles import Assignment, Candidate, TopicProfile, resolve
 from stone_recordings.topics.roles import Role, TopicFacts, holds_sweeps, role_of
+from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 MOST_FRAMES = 64
 NO_STAMPS = np.zeros(0, np.int64)
@@ -85,8 +88,15 @@ def inspect(path: Path, profile: TopicProfile | None = None) -> Inspection:
         return inspect_in(bag, profile)
 
 
-def scanned(bag: Bag) -> Scan:
-    """The scan that `inspect_in` needs; who has something else to do meanwhile asks for it in another thread."""
+def scanned(bag: Bag, asked: AskedTopics | None = None) -> Scan:
+    """The scan that `inspect_in` needs; who has something else to do meanwhile asks for it in another thread.
+
+    Where topics are `asked` for, what synchronisation reads of them is read in the same pass, unless it would refuse
+    them, which is its own to say.
+    """
+    if asked is not None:
+        with suppress(StoneError):
+            return scan_of(bag, kept_bytes, RecordedReading(bag, choose_sources(bag, asked)))
     return scan_of(bag, kept_bytes)
 
 

@@ -6,7 +6,7 @@ at most `MOST_KEPT` messages in its middle are copied, and of all together at mo
 memory does not grow with the recording.
 """
 
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
@@ -17,6 +17,7 @@ from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.clocks.timing import begins_with_header, stamp_of
 from stone_recordings.messages.problems import DAMAGED, MALFORMED, MessageProblem
 from stone_recordings.report.head_checks import HeadCounts
+from stone_recordings.sync.recorded_messages import RecordedReading, RecordedTopics
 
 # Three minutes of a 200 Hz IMU, half an hour of a 20 Hz receiver.
 MOST_KEPT = 36_000
@@ -34,7 +35,8 @@ class Scan:
 
     `kept_from` is the index in the topic of its first kept message. `problems` are the messages that cannot be read:
     their stamps are the log times, moved by as much as the others' are apart, and they are never among the kept.
-    `counts` says what the heads lack.
+    `counts` says what the heads lack; `recorded` is what synchronisation reads of the recording, where that was read
+    in the same pass.
     """
 
     stamps_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
@@ -43,10 +45,11 @@ class Scan:
     refused: Mapping[str, ByteOrderError | MessageLayoutError] = field(default_factory=dict)
     problems: Mapping[str, Mapping[int, MessageProblem]] = field(default_factory=dict)
     counts: Mapping[str, HeadCounts] = field(default_factory=dict)
+    recorded: RecordedTopics | None = None
 
 
-def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
-    """`kept_bytes` says how much of a topic's messages to copy, 0 for nothing.
+def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int], beside: RecordedReading | None = None) -> Scan:
+    """`kept_bytes` says how much of a topic's messages to copy, 0 for nothing; `beside` takes its own in the same pass.
 
     Touches a page per message, never a whole cloud. Raises: the `BAG-*` refusals.
     """
@@ -57,7 +60,9 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
     kept: dict[str, dict[int, bytes]] = {name: {} for name in windows}
     errors: dict[str, dict[int, ByteOrderError | MessageLayoutError]] = {name: {} for name in stamped}
     counts = {name: HeadCounts() for name in stamped}
-    for name, index, payload in bag.heads(tuple(stamped), is_checked=True):
+    for name, index, payload in _heads(bag, tuple(stamped), beside):
+        if name not in stamped:
+            continue
         try:
             stamps_ns[name][index] = stamp_of(payload, stamped[name].type)
         except (ByteOrderError, MessageLayoutError) as error:
@@ -80,7 +85,19 @@ def scan_of(bag: Bag, kept_bytes: Callable[[Topic], int]) -> Scan:
         refused,
         problems,
         {name: own for name, own in counts.items() if name not in refused},
+        beside.finished() if beside else None,
     )
+
+
+def _heads(bag: Bag, names: tuple[str, ...], beside: RecordedReading | None) -> Iterator[tuple[str, int, memoryview]]:
+    """Those of the named topics and of what is read beside, which takes its own."""
+    if beside is None:
+        yield from bag.heads(names, is_checked=True)
+        return
+    used = tuple(dict.fromkeys((*names, *beside.used)))
+    for name, index, payload in bag.heads(used, whole=beside.whole, is_checked=True):
+        beside.take(name, index, payload)
+        yield name, index, payload
 
 
 def _problems(

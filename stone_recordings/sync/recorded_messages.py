@@ -47,7 +47,7 @@ class RecordedTopics:
     """`heads`: the first bytes of every message of a scanned topic; `messages`: whole small messages of others.
 
     `problems`: of a scanned topic, the numbers of the messages that cannot be used, and why; `log_times_ns` of all.
-    Of `messages` those that lie in damaged chunks are missing.
+    Of `messages` those that lie in damaged chunks are missing. `sources` are what was read for.
     """
 
     topics: Mapping[str, Topic]
@@ -55,6 +55,7 @@ class RecordedTopics:
     messages: Mapping[str, list[OwnMessage]] = field(default_factory=dict)
     problems: Mapping[str, Mapping[int, MessageProblem]] = field(default_factory=dict)
     log_times_ns: Mapping[str, NDArray[np.int64]] = field(default_factory=dict)
+    sources: Sources | None = None
 
     def stamps_ns(self, topic: str) -> NDArray[np.int64]:
         """Header stamps (N,) of a scanned topic in log-time order; the log time where a message has none."""
@@ -113,32 +114,57 @@ class OrderedStamps:
     findings: tuple[Finding, ...]
 
 
+class RecordedReading:
+    """Takes what a pass over the heads of a recording yields, for whoever makes one; of `whole` topics whole messages.
+
+    Messages of topics that are not `used` are passed over.
+    """
+
+    def __init__(self, bag: Bag, sources: Sources) -> None:
+        self._bag, self._sources, self.whole = bag, sources, sources.whole
+        self.used = tuple(dict.fromkeys((*sources.scanned, *sources.whole)))
+        self._topics = {topic.name: topic for topic in bag.topics}
+        self._heads = {name: [b""] * self._topics[name].count for name in sources.scanned}
+        self._payloads: dict[str, dict[int, bytes]] = {name: {} for name in sources.whole}
+        self._unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in sources.scanned}
+
+    def take(self, name: str, index: int, payload: memoryview) -> None:
+        """A message in the order of `Bag.heads`, which has just yielded it."""
+        if name in self._payloads:
+            self._payloads[name][index] = bytes(payload)
+        if name in self._heads:
+            self._heads[name][index] = bytes(payload[:HEADER_BYTES])
+            problem = self._problem(name, index, payload)
+            if problem is not None:
+                self._unusable[name][index] = problem
+
+    def finished(self) -> RecordedTopics:
+        """What was taken, after all of it."""
+        damaged = {name: self._bag.damaged.get(name, {}) for name in self._heads}
+        problems = {
+            name: {**{index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()}, **unusable}
+            for name, unusable in self._unusable.items()
+        }
+        messages = {
+            name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in self._payloads.items()
+        }
+        times_ns = {name: self._bag.log_times_ns(name) for name in self._heads}
+        return RecordedTopics(self._topics, self._heads, messages, problems, times_ns, self._sources)
+
+    def _problem(self, name: str, index: int, payload: memoryview) -> MessageProblem | None:
+        type_name = self._topics[name].type
+        problem = head_problem(payload, type_name, partial(self._bag.size_bytes, name, index))
+        if problem is None and name == self._sources.lidar.name and (missing := sweep_problem(payload, type_name)):
+            return MessageProblem(MALFORMED, missing)
+        return problem
+
+
 def read_recorded(bag: Bag, sources: Sources) -> RecordedTopics:
     """One pass over the topics that are used. Raises what `Bag.heads` raises."""
-    scanned, whole = sources.scanned, sources.whole
-    topics = {topic.name: topic for topic in bag.topics}
-    heads = {name: [b""] * topics[name].count for name in scanned}
-    payloads: dict[str, dict[int, bytes]] = {name: {} for name in whole}
-    unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in scanned}
-    used = tuple(dict.fromkeys((*scanned, *whole)))
-    for name, index, payload in bag.heads(used, whole=whole, is_checked=True):
-        if name in payloads:
-            payloads[name][index] = bytes(payload)
-        if name not in heads:
-            continue
-        heads[name][index] = bytes(payload[:HEADER_BYTES])
-        problem = head_problem(payload, topics[name].type, partial(bag.size_bytes, name, index))
-        if problem is None and name == sources.lidar.name and (missing := sweep_problem(payload, topics[name].type)):
-            problem = MessageProblem(MALFORMED, missing)
-        if problem is not None:
-            unusable[name][index] = problem
-    damaged = {name: bag.damaged.get(name, {}) for name in scanned}
-    problems = {
-        name: {**{index: MessageProblem(DAMAGED, why) for index, why in damaged[name].items()}, **unusable[name]}
-        for name in scanned
-    }
-    messages = {name: [OwnMessage(memoryview(own[index])) for index in sorted(own)] for name, own in payloads.items()}
-    return RecordedTopics(topics, heads, messages, problems, {name: bag.log_times_ns(name) for name in scanned})
+    reading = RecordedReading(bag, sources)
+    for name, index, payload in bag.heads(reading.used, whole=reading.whole, is_checked=True):
+        reading.take(name, index, payload)
+    return reading.finished()
 
 
 def in_order(topic: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.int64] | None = None) -> OrderedStamps:

@@ -6,7 +6,7 @@ itself (`stone_recordings.poses.kiss_odometry`), and a file of poses leaves the 
 count as absent.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from typing import Literal
 
@@ -52,6 +52,11 @@ class AskedTopics:
     pose: str | None = None
     imu: str | None = None
     has_pose_file: bool = False
+
+    @staticmethod
+    def of_roles(topics: Mapping[str, str], *, has_pose_file: bool = False) -> "AskedTopics":
+        """Those that a profile names by role."""
+        return AskedTopics(topics.get("lidar"), topics.get("pose"), topics.get("imu"), has_pose_file)
 
 
 @dataclass(frozen=True)
