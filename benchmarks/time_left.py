@@ -26,8 +26,10 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
 
+from services.domain.runs.paces import pace_of
+from services.domain.runs.run_rows import alive_rows
 from services.domain.runs.time_left import Pace, RunningJob, RunWorkload, StageWork, rounded_s, seconds_left
-from services.domain.runs.work import alive_runs, pace_of
+from services.domain.runs.work import alive_runs
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.orm import Job
 from services.runtime.orm.base import now_ns
@@ -145,7 +147,7 @@ def _looked_at(platform: Platform, api: Api, run_id: str) -> tuple[int, RunWorkl
         run = session.get_one(Job, run_id)
         if run.state != "running":
             return None
-        (alive,) = alive_runs(session, [run], at_ns)
+        (alive,) = alive_runs(session, alive_rows(session, [run_id]), at_ns)
         pace = pace_of(session, run.kind)
     return at_ns, alive.work, pace, api.read(f"/jobs/{run_id}")["progress"]["eta_s"]
 

@@ -1,6 +1,6 @@
 """Jobs as the API shows them: rows of `services.runtime.orm.jobs` become bodies of `api.schemas.jobs`."""
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from operator import attrgetter
 from typing import Any, cast
 
@@ -46,10 +46,14 @@ def with_counts(page: Select[Job]) -> Select[Any]:
 
 def facts_of_rows(session: Session, rows: Sequence[Row[Any]]) -> list[dict[str, Any]]:
     """Rows of `with_counts` as a list shows them; whatever of them is alive is read for the estimates."""
-    alive = [row.id for row in rows if row.id == row.root_id and row.state not in TERMINAL]
-    jobs = session.scalars(select(Job).where(Job.id.in_(alive))).all() if alive else ()
-    left = time_left(session, jobs)
+    left = _time_left(session, cast("Sequence[Job]", rows))  # which have the columns that it reads
     return [job_facts(row[: len(SAID)], _progress_of_row(session, row), left.get(row.id)) for row in rows]
+
+
+def _time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
+    """Of those that are alive runs; what has ended is not asked for."""
+    alive = [job.id for job in jobs if job.id == job.root_id and job.state not in TERMINAL]
+    return time_left(session, alive) if alive else {}
 
 
 def _progress_of_row(session: Session, row: Row[Any]) -> Progress:
@@ -64,7 +68,7 @@ def job_items(session: Session, jobs: Sequence[Job]) -> list[JobItem]:
     """Jobs as a list shows them; the progress of all runs among them is one statement, and so are their estimates."""
     runs = [job.id for job in jobs if not job.queue]
     counts = {root: (done, total) for root, done, total in session.execute(COUNTED, {"runs": runs})} if runs else {}
-    left = time_left(session, jobs)
+    left = _time_left(session, jobs)
     return [job_item(job, _glance(session, job, counts.get(job.id, (0, 0))), left.get(job.id)) for job in jobs]
 
 
@@ -73,7 +77,7 @@ def job_detail(session: Session, job: Job) -> JobDetail:
     progress = progress_of(session, job)
     attempts = select(JobAttempt).where(JobAttempt.job_id == job.id).order_by(JobAttempt.number)
     return JobDetail(
-        **dict(job_item(job, progress, time_left(session, [job]).get(job.id))),
+        **dict(job_item(job, progress, _time_left(session, [job]).get(job.id))),
         stages=[_stage(stage) for stage in progress.stages],
         attempts=[_attempt(row) for row in session.scalars(attempts)],
         attempts_left=job.attempts_left if job.queue else 0,

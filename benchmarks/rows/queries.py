@@ -131,7 +131,7 @@ def _singles() -> tuple[Question, ...]:
 
 
 def _time_left(kit: Kit, _chance: Random) -> None:
-    alive = select(Job).where(Job.state == "queued", Job.id == Job.root_id).order_by(Job.id.desc()).limit(50)
+    alive = select(Job.id).where(Job.state == "queued", Job.id == Job.root_id).order_by(Job.id.desc()).limit(50)
     with kit.platform.database.reading() as session:
         time_left(session, session.scalars(alive).all())
 

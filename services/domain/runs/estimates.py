@@ -7,29 +7,30 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions.completion_estimate import expected_of
+from services.domain.runs.paces import pace_of
+from services.domain.runs.run_rows import AliveRow, alive_rows, older_of_the_same
 from services.domain.runs.time_left import rounded_s, seconds_left
-from services.domain.runs.work import AliveRun, alive_runs, older_of_the_same, pace_of
-from services.runtime.jobs.specs import TERMINAL
-from services.runtime.orm import Job, SubmissionRow
+from services.domain.runs.work import AliveRun, alive_runs
+from services.runtime.orm import SubmissionRow
 from services.runtime.orm.base import now_ns
 
 SCORE = "score"
 IMPORT, SCENE = "dataset.import", "labeler.import_scene"
 
 
-def time_left(session: Session, jobs: Sequence[Job]) -> Mapping[str, int]:
-    """Seconds left by id, rounded up, of those that are runs, alive, and of which it can be told.
+def time_left(session: Session, job_ids: Sequence[str]) -> Mapping[str, int]:
+    """Seconds left by id, rounded up, of those of the jobs that are runs, alive, and of which it can be told.
 
     A job within a run has none: its run's is the estimate. Nor has a run while a queue that it needs is paused.
     """
-    runs = [job for job in jobs if job.id == job.root_id and job.state not in TERMINAL]
+    runs = alive_rows(session, job_ids)
     if not runs:
         return {}
     scores = [run for run in runs if run.kind == SCORE]
     return {**_of_others(session, [run for run in runs if run.kind != SCORE]), **_of_scores(session, scores)}
 
 
-def _of_others(session: Session, runs: list[Job]) -> dict[str, int]:
+def _of_others(session: Session, runs: list[AliveRow]) -> dict[str, int]:
     if not runs:
         return {}
     asked = {run.id for run in runs}
@@ -58,7 +59,7 @@ def _is_untold(one: AliveRun) -> bool:
     return one.is_paused or (one.run.kind == IMPORT and not scenes)
 
 
-def _of_scores(session: Session, runs: list[Job]) -> dict[str, int]:
+def _of_scores(session: Session, runs: list[AliveRow]) -> dict[str, int]:
     """As the submission's page says it."""
     if not runs:
         return {}

@@ -10,6 +10,7 @@ from typing import Any
 
 from sqlalchemy import BindParameter, Row, Select, String, bindparam
 from sqlalchemy.orm import Session
+from sqlalchemy.sql.compiler import SQLCompiler
 from sqlalchemy.types import TypeEngine
 
 Values = Mapping[str, str | int | None]
@@ -56,4 +57,14 @@ class KeptSelect:
     def _write(self, session: Session) -> tuple[str, Sequence[str] | None, Mapping[str, Any]]:
         compiled = self._statement.compile(session.connection(), compile_kwargs={"render_postcompile": True})
         order = compiled.positiontup
-        return str(compiled), order if compiled.positional else None, dict(compiled.params)
+        return str(compiled), order if compiled.positional else None, _constants(compiled)
+
+
+def _constants(compiled: SQLCompiler) -> dict[str, Any]:
+    """The statement's own values as the driver is given them, say the path into a JSON column."""
+    told = dict(compiled.params)
+    for bound, name in compiled.bind_names.items():
+        convert = bound.type.dialect_impl(compiled.dialect).bind_processor(compiled.dialect)
+        if convert is not None and not bound.expanding:
+            told[name] = convert(told[name])
+    return told
