@@ -1,10 +1,13 @@
 """Database transactions on SQLite (WAL) or PostgreSQL, and the wake-ups sent after their commit.
 
 **Conventions.** `transaction()` is for writing: on SQLite it takes the write lock at BEGIN, so two writers wait for
-each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and never
-commits; nor does `snapshot()`, in which later statements see nothing newer than the first. None is held while anything
+each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and writes
+nothing; nor does `snapshot()`, in which later statements see nothing newer than the first. None is held while anything
 slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
 One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
+
+On PostgreSQL what reads is a READ ONLY transaction and ends with COMMIT: at a ROLLBACK psycopg 3.3 gives up all that is
+prepared on the connection, so that each statement after it would be parsed and planned anew.
 
 A server that ends says so on its connections before it closes them. So a connection on which nothing has come since it
 was used last is taken as it is, and only one that has something to read is asked whether it lives: a look at the
@@ -13,12 +16,12 @@ socket costs the server nothing, a question would be a transaction before each t
 
 import select
 from collections.abc import Callable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import InvalidatePoolError
+from sqlalchemy.exc import InvalidatePoolError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from services.runtime.settings import Settings
@@ -35,8 +38,10 @@ class Database:
     def __init__(self, settings: Settings, wake_up: WakeUp = lambda queue, times: None) -> None:
         self.engine = _engine(settings)
         self._writing = self.engine.execution_options(stone_writes=True)
-        # What SQLite reads is as it was at the first statement anyway (WAL).
-        self._still = self.engine if self.is_sqlite else self.engine.execution_options(isolation_level=SNAPSHOT)
+        self._readers = self._still = self.engine  # what SQLite reads is as it was at the first statement anyway (WAL)
+        if not self.is_sqlite:
+            self._readers = self.engine.execution_options(postgresql_readonly=True)
+            self._still = self._readers.execution_options(isolation_level=SNAPSHOT)
         self._wake_up = wake_up
 
     @property
@@ -55,14 +60,14 @@ class Database:
 
     @contextmanager
     def reading(self) -> Iterator[Session]:
-        """Yield a session whose changes are never committed."""
-        with Session(self.engine, expire_on_commit=False) as session:
+        """Yield a session whose changes are never written."""
+        with _reading_on(self._readers) as session:
             yield session
 
     @contextmanager
     def snapshot(self) -> Iterator[Session]:
         """As `reading`; all its statements see the database as it was at the first of them."""
-        with Session(self._still, expire_on_commit=False) as session:
+        with _reading_on(self._still) as session:
             yield session
 
     def close(self) -> None:
@@ -73,6 +78,16 @@ def wake_up_after_commit(session: Session, queue: str, times: int = 1) -> None:
     """Note that `times` jobs of `queue` became ready in this transaction; less than none: were taken without one."""
     wake_ups = session.info.setdefault(WAKE_UPS, {})
     wake_ups[queue] = wake_ups.get(queue, 0) + times
+
+
+@contextmanager
+def _reading_on(engine: Engine) -> Iterator[Session]:
+    with Session(engine, expire_on_commit=False) as session:
+        yield session
+        if engine.dialect.name != "sqlite":
+            session.expunge_all()  # what was changed is not written
+            with suppress(SQLAlchemyError):  # read is read: whoever takes the connection next sees that it is lost
+                session.commit()
 
 
 def _engine(settings: Settings) -> Engine:

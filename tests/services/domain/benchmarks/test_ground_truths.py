@@ -95,7 +95,7 @@ def test_the_first_that_is_ready_is_in_force_and_a_later_one_is_not(
 ) -> None:
     first = in_force(platform_on, phase, dataset, root)
     second = in_force(platform_on, phase, dataset, root)
-    with platform_on.database.reading() as session:
+    with platform_on.database.transaction() as session:
         assert evaluation_versions.active(session, phase.id) == evaluation_versions.EvaluationVersion(
             first, METRIC_VERSION
         )

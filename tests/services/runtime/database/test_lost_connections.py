@@ -4,7 +4,7 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from sqlalchemy import select, text
+from sqlalchemy import literal, select, text
 from sqlalchemy.exc import OperationalError
 
 from benchmarks.rows.claiming.server_log import LOGGING, transactions
@@ -79,3 +79,16 @@ def test_what_a_server_says_unasked_is_no_end(server: PostgresServer, database: 
     server.run("SELECT pg_reload_conf()")  # which is reported on every connection
     with database.engine.connect() as connection:
         assert connection.scalar(text("SELECT pg_backend_pid()")) == pid
+
+
+def test_what_is_asked_often_stays_prepared_whatever_reads_and_writes_come_between(database: Database) -> None:
+    """psycopg prepares a statement at its sixth execution, and gives up all of them at a ROLLBACK."""
+    prepared = text("SELECT count(*) FROM pg_prepared_statements WHERE statement LIKE 'SELECT%+%'")
+    for _ in range(7):
+        with database.reading() as session:
+            session.scalar(select(literal(1) + 1))
+        with database.snapshot() as session:
+            session.scalar(select(literal(1) + 1))
+        one(database)
+    with database.reading() as session:
+        assert session.scalar(prepared) == 1

@@ -1,6 +1,10 @@
 """What a snapshot sees: the database as it was at its first statement, whatever is committed meanwhile."""
 
+from contextlib import suppress
+
+import pytest
 from sqlalchemy import func, select
+from sqlalchemy.exc import InternalError
 
 from services.runtime.orm import Team
 from services.runtime.platform import Platform
@@ -32,3 +36,16 @@ def test_a_connection_that_served_a_snapshot_reads_what_is_newest_afterwards(pla
             with database.transaction() as other:
                 other.add(Team(name="last"))
             assert session.scalar(teams) == 2
+
+
+@pytest.mark.parametrize("name", ["reading", "snapshot"])
+def test_what_is_changed_while_reading_is_not_written(platform_on: Platform, name: str) -> None:
+    database = platform_on.database
+    with getattr(database, name)() as session:
+        session.add(Team(name="forgotten"))
+    with suppress(InternalError), getattr(database, name)() as session:
+        session.add(Team(name="flushed"))
+        session.flush()
+        assert database.is_sqlite, "PostgreSQL refuses it"
+    with database.reading() as session:
+        assert session.scalar(select(func.count()).select_from(Team)) == 0
