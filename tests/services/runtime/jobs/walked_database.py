@@ -60,7 +60,8 @@ class MemoryDatabase(Database):
         connect = {"isolation_level": None, "check_same_thread": False}
         self.engine = create_engine("sqlite://", poolclass=StaticPool, connect_args=connect)
         event.listen(self.engine, "begin", lambda connection: connection.exec_driver_sql("BEGIN"))
-        self._writing, self._wake_up = self.engine, lambda queue, times: None
+        self._writing = self._readers = self.engine
+        self._wake_up = lambda queue, times: None
         self.driver = self.engine.raw_connection().driver_connection
         self.driver.execute("PRAGMA page_size=1024")
         Base.metadata.create_all(self.engine, [Base.metadata.tables[name] for name in TABLES])
