@@ -17,6 +17,7 @@ from stone.labels.columns import Words
 from stone.labels.visibility import AT_SOURCE, FRAMED, IN_IMAGE, OPEN, SIDE_BIT, VOXEL_BITS, SightLines, ways
 
 LANES = 32
+BESIDE = 16  # columns; a row of the grid has a whole number of times as many
 VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
 
 
@@ -128,23 +129,31 @@ def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _by_voxel(batch, free):  # type: ignore[no-untyped-def]
-    """From columns of each frame to lanes of each voxel: in which frames it is free."""
-    words = np.empty(LANES, np.uint32)
+    """From columns of each frame to lanes of each voxel: in which frames it is free.
+
+    `BESIDE` columns at a time, a line of the cache: their words in one frame and the next lie so far apart that they
+    push each other out of it.
+    """
+    near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(FRAMED[0] - 2):
-        for b in range(FRAMED[1] - 2):
+        for b in range(0, FRAMED[1] - 2, BESIDE):
             column = a * (FRAMED[1] - 2) + b
             for lane in range(LANES):
-                words[lane] = ~batch[lane, column]
-            transpose(words, 0, free, ((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + 1)
+                for n in range(BESIDE):
+                    near[n, lane] = ~batch[lane, column + n]
+            for n in range(BESIDE):
+                transpose(near, n * LANES, free, ((a + 1) * FRAMED[1] + b + n + 1) * FRAMED[2] + 1)
 
 
 @njit(cache=True, nogil=True)
 def _by_frame(seen, batch):  # type: ignore[no-untyped-def]
     """And back: what is seen."""
-    words = np.empty(LANES, np.uint32)
+    near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(FRAMED[0] - 2):
-        for b in range(FRAMED[1] - 2):
+        for b in range(0, FRAMED[1] - 2, BESIDE):
             column = a * (FRAMED[1] - 2) + b
-            transpose(seen, ((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + 1, words, 0)
+            for n in range(BESIDE):
+                transpose(seen, ((a + 1) * FRAMED[1] + b + n + 1) * FRAMED[2] + 1, near, n * LANES)
             for lane in range(LANES):
-                batch[lane, column] = words[lane]
+                for n in range(BESIDE):
+                    batch[lane, column + n] = near[n, lane]

@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stone.geometry.se3 import SE3
 from stone.labels.columns import gathered, spread_out
 from stone.labels.grid import GRID_SHAPE
-from stone.labels.sight_batches import LANES, SightBatch
+from stone.labels.sight_batches import BESIDE, LANES, SightBatch, _by_frame, _by_voxel
 from stone.labels.visibility import FRAMED, IN_IMAGE, OPEN, VOXEL_BITS, sight_lines, ways
 from stone.sensors.calibration import CameraIntrinsics
 from tests.stone.rays import in_voxels, lit_share, open_share
@@ -109,6 +109,21 @@ def test_a_batch_of_any_size_gives_what_its_frames_give_alone(size):
         assert (batch.visible(occupied[frame : frame + 1])[0] == together[frame]).all()
     assert len({together[frame].tobytes() for frame in chosen}) == len(chosen)
     assert (batch.visible(occupied) == together).all()
+
+
+def test_lanes_of_voxels_and_columns_of_frames_hold_the_same_bits():
+    columns = np.random.default_rng(1).integers(0, 2**32, (LANES, GRID_SHAPE[0] * GRID_SHAPE[1]), np.uint32)
+    assert GRID_SHAPE[1] % BESIDE == 0
+    free, back = np.zeros(np.prod(FRAMED), np.uint32), np.zeros_like(columns)
+    _by_voxel(columns, free)
+    inside = free.reshape(FRAMED)[1:-1, 1:-1, 1:-1]
+    for lane in (0, 13, LANES - 1):
+        is_set = spread_out(columns[lane].reshape(GRID_SHAPE[:2])) == 1
+        assert ((inside >> lane & 1 == 0) == is_set).all()
+    inside[:] = ~inside
+    assert free.reshape(FRAMED)[0].max() == 0
+    _by_frame(free, back)
+    assert (back == columns).all()
 
 
 @settings(max_examples=4, deadline=None)
