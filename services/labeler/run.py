@@ -144,4 +144,5 @@ def neighbourhood(tile: Tile) -> list[Tile]:
 
 def in_core(points_map: NDArray[np.float64], tile: Tile, core_m: float) -> NDArray[np.bool_]:
     """Which points (N, 3) lie in the core of the tile, in plan."""
-    return np.asarray((np.floor(points_map[:, :2] / core_m) == tile.place).all(axis=1), dtype=np.bool_)
+    x, y = np.floor(points_map[:, 0] / core_m), np.floor(points_map[:, 1] / core_m)
+    return np.asarray((x == tile.i) & (y == tile.j))

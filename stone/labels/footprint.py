@@ -12,6 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, centres_of, find, pack, table_of
 from stone.geometry.se3 import SE3, interpolate, steps_of
 from stone.labels.voxels import VOXEL_M
@@ -47,10 +48,11 @@ def _swept(
         return under
     table, centres = table_of(keys), centres_of(keys, voxel_m)
     reach_m = math.hypot(box[0], box[1], max(abs(box[2]), abs(box[3])))
-    low, high = centres.min(axis=0) - reach_m, centres.max(axis=0) + reach_m
+    low, high = corners_of(centres)
+    low, high = low - reach_m, high + reach_m
     for stretch in map_from_ego:
         poses = densified(stretch, STEP_M, STEP_RAD)
-        is_near = ((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1)
+        is_near = np.asarray(((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1), np.bool_)
         _sweep(poses[is_near].as_matrix(), (*box, voxel_m), (table.keys, table.rows), under)
     return under
 

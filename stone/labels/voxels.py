@@ -9,6 +9,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, indices_of, keys_of
 
 VOXEL_M = 0.2
@@ -44,10 +45,10 @@ def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray
     columns = indices_of(voxels.keys)[:, :2]
     if len(columns) == 0:
         return np.zeros(0)
-    origin = columns.min(axis=0)
+    origin, last = corners_of(columns)
     reach = round(radius_m / VOXEL_M)
     at = columns - origin + 2 * reach
-    shape = tuple(at.max(axis=0, initial=0) + 2 * reach + 1)
+    shape = tuple(last - origin + 4 * reach + 1)
     lowest = np.full(shape, np.inf)
     np.minimum.at(lowest, (at[:, 0], at[:, 1]), voxels.features[:, 0])
     floor = _smoothed(_window_minimum(lowest, reach), reach)

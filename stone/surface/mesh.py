@@ -25,7 +25,8 @@ class Mesh:
     def where(self, keep: NDArray[np.bool_]) -> "Mesh":
         """The mesh of the kept vertices (V,) and of the triangles that lose none."""
         renumbered = np.cumsum(keep, dtype=np.int32) - 1
-        whole = keep[self.triangles].all(axis=1) if len(self.triangles) else np.zeros(0, np.bool_)
+        a, b, c = self.triangles.T
+        whole = keep[a] & keep[b] & keep[c]
         return Mesh(self.vertices_map[keep], renumbered[self.triangles[whole]].reshape(-1, 3))
 
 

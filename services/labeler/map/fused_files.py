@@ -10,6 +10,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, indices_of, keys_from_indices
 from stone.labels.observed_voxels import Observed
 from stone.surface.pointmap import COUNT, FRAMES, OFFSET, VIEW, PointMap
@@ -57,8 +58,8 @@ def _cells_of(keys: Keys) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
     if not len(keys):
         return np.zeros((2, 3), np.int64), np.zeros(0, np.uint8)
     indices = indices_of(keys)
-    low = indices.min(axis=0)
-    extent = indices.max(axis=0) - low + 1
+    low, high = corners_of(indices)
+    extent = high - low + 1
     i, j, k = (indices - low).T
     return np.stack([low, extent]), _narrowed((i * extent[1] + j) * extent[2] + k)
 
@@ -87,6 +88,7 @@ def _narrowed(values: NDArray[np.int64]) -> NDArray[np.generic]:
     """The same numbers in the narrowest type that holds them all."""
     if not values.size:
         return values.astype(np.uint8)
-    least, most = int(values.min()), int(values.max())
+    low, high = corners_of(values.reshape(len(values), -1))
+    least, most = int(low.min()), int(high.max())
     fits = (width for width in WIDTHS if np.iinfo(width).min <= least and most <= np.iinfo(width).max)
     return values.astype(next(fits, np.int64))

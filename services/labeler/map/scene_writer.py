@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 
 from services.domain.viewer.formats import TileMesh, TileVoxels, mesh_bytes, tile_bytes
 from services.labeler.scratch import whole
+from stone.geometry.corners import corners_of
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
@@ -50,7 +51,8 @@ class SceneWriter:
         """A tile; its mesh in metres of the map. `corner_m` (3,) is where one without voxels lies."""
         low, high = corner_m, corner_m
         if len(voxels.indices):
-            low, high = voxels.indices.min(axis=0) * VOXEL_M, (voxels.indices.max(axis=0) + 1) * VOXEL_M
+            first, last = corners_of(voxels.indices)
+            low, high = first * VOXEL_M, (last + 1) * VOXEL_M
         facts = {"name": name, "min_m": _rounded(low), "max_m": _rounded(high), "voxels": len(voxels.indices)}
         self.tiles.append(facts | {"bytes": self._write(f"tile_{name}.bin", tile_bytes(voxels))})
         moved = replace(mesh, vertices_m=np.round((mesh.vertices_m - low) / VERTEX_STEP_M) * VERTEX_STEP_M)

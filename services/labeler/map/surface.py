@@ -13,6 +13,7 @@ from services.labeler.map.octree import octree_surface
 from services.labeler.parameters import LabelParameters, Profile, other_profile_of
 from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of
 from stone.geometry.se3 import SE3
 from stone.labels.footprint import passed_through, swept
@@ -102,7 +103,7 @@ def _moving(run: LabelRun, tile: Tile, points: PointMap) -> NDArray[np.bool_]:
         return np.zeros(0, np.bool_)
     centroids = points.centroids_map()
     motion = MotionVotes(centroids, run.parameters.dynamic)
-    for images in images_near(run, tile.map, centroids.min(axis=0), centroids.max(axis=0)):
+    for images in images_near(run, tile.map, *corners_of(centroids)):
         motion.add(images)
     votes = motion.counts()
     fewest = fewest_misses(run.period_s * run.every(run.parameters.dynamic.every_frame))
@@ -153,8 +154,8 @@ def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
     """The triangles whose centroid lies in the core, so that tiles put side by side leave neither gap nor double."""
     if len(mesh.triangles) == 0:
         return mesh
-    plan = np.ascontiguousarray(mesh.vertices_map[:, :2])
-    mine = mesh.triangles[in_core(plan[mesh.triangles].mean(axis=1), tile, core_m)]
+    plan, (a, b, c) = np.ascontiguousarray(mesh.vertices_map[:, :2]), mesh.triangles.T
+    mine = mesh.triangles[in_core((plan[a] + plan[b] + plan[c]) / 3, tile, core_m)]
     used = np.zeros(len(mesh.vertices_map), np.bool_)
     used[mine] = True
     return Mesh(mesh.vertices_map, mine).where(used)

@@ -23,6 +23,7 @@ from services.domain.viewer.indexed_pictures import (
     png_of,
     with_words,
 )
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_NAME
@@ -68,8 +69,8 @@ class TopView:
         """A pixel a column, or a square of them where there would be more than `MOST_PIXELS`; there is some tile."""
         indices = np.concatenate([part[0] for part in self.columns.values()])
         classes = np.concatenate([part[1] for part in self.columns.values()])
-        low = indices[:, :2].min(axis=0)
-        size = indices[:, :2].max(axis=0) - low + 1
+        low, last = corners_of(indices[:, :2])
+        size = last - low + 1
         step = ceil(sqrt(float(size[0]) * float(size[1]) / MOST_PIXELS))
         if step > 1:
             order = np.argsort(indices[:, 2], kind="stable")  # of a square the highest column shows

@@ -6,6 +6,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, indices_of
 from stone.labels.voxels import VOXEL_M
 
@@ -42,7 +43,7 @@ def extent_of(pieces: Pieces) -> Extent | None:
     for load in pieces:
         keys = load().keys
         if len(keys):
-            indices = indices_of(keys)
-            low, high = indices.min(axis=0), indices.max(axis=0) + 1
+            low, last = corners_of(indices_of(keys))
+            high = last + 1
             found = (low, high) if found is None else (np.minimum(found[0], low), np.maximum(found[1], high))
     return None if found is None else Extent(*found)

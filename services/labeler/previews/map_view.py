@@ -9,6 +9,7 @@ from services.labeler.previews.lettering import legend
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
 from services.labeler.previews.oblique import track_boxes
 from services.labeler.previews.render import Boxes, Camera, Canvas, voxel_boxes
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of, indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import PAPER
@@ -60,7 +61,7 @@ def _camera(pieces: Pieces, extent: Extent) -> Camera:
 
 def _boxes(piece: MapPiece) -> Boxes:
     indices = indices_of(piece.keys)
-    low = indices.min(axis=0)
-    block = np.zeros(tuple(indices.max(axis=0) - low + 1), np.uint8)
+    low, high = corners_of(indices)
+    block = np.zeros(tuple(high - low + 1), np.uint8)
     block[tuple((indices - low).T)] = piece.classes
     return voxel_boxes(block, low * VOXEL_M)

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from services.domain.viewer.formats import TileMesh
-from services.labeler.map.thinning import thinned
+from services.labeler.map.thinning import MOST_PACKED, _each_once, thinned
 
 
 def sheet(side: int, cell_m: float = 0.2) -> TileMesh:
@@ -51,3 +51,10 @@ def test_a_cell_has_the_class_of_most_and_none_only_where_all_have_none() -> Non
     assert thin.triangles.shape == (1, 3), "one that is flat, and one that is there twice, are gone"
     found = {tuple(place.round(2)): int(kind) for place, kind in zip(thin.vertices_m, thin.classes, strict=True)}
     assert found == {(0.07, 0.03, 0.0): 2, (1.0, 0.05, 0.0): 1, (0.0, 1.05, 0.0): 0}
+
+
+@pytest.mark.parametrize("last", [9, MOST_PACKED - 1, MOST_PACKED, 2**40])
+def test_each_triangle_is_kept_once_whatever_the_numbers_of_its_corners(last: int) -> None:
+    corners = np.array([[last, 4, 7], [4, 7, last], [1, 4, 7], [7, last, 4], [7, 4, last], [4, 7, 1]])
+    assert _each_once(corners).tolist() == [[1, 4, 7], [4, 7, last], [4, last, 7]]
+    assert _each_once(corners[:0]).shape == (0, 3)
