@@ -15,6 +15,7 @@ from starlette.routing import BaseRoute
 from api import problems
 from api.client_wheel import client_wheel, install_line
 from api.deps import Caller
+from api.garbage import keep_what_is_loaded
 from api.known_credentials import KnownCredentials
 from api.metrics import RequestMetrics
 from api.middleware.bodies import BodyLimit
@@ -174,6 +175,7 @@ def told(api: FastAPI) -> FastAPI:
     use_fork_server(["stone_recordings.calibrations.file", "stone_datasets.classes"])
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
+    keep_what_is_loaded()
     return api
 
 
