@@ -20,6 +20,7 @@ from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_re
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
+from api.row_readers import by_row_readers
 from api.schemas.datasets import (
     VERSION_PATTERN,
     DatasetDetail,
@@ -73,6 +74,7 @@ def create_dataset(
 
 
 @router.get("", response_model=Page[DatasetItem], responses=listed())
+@by_row_readers
 def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep, request: Request) -> Response:
     """The versions, newest first."""
     with platform.database.reading() as session:

@@ -13,6 +13,7 @@ from api.lists.answers import list_response, listed
 from api.lists.jobs import JobFilters, job_rows
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
+from api.row_readers import by_row_readers
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail, JobItem, LogPage
@@ -30,6 +31,7 @@ async def log_query(after: After = None, limit: Lines = 200) -> LogQuery:
 
 
 @router.get("", response_model=Page[JobItem], responses=listed(403))
+@by_row_readers
 def list_jobs(
     request: Request,
     caller: Reader,

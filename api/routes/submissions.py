@@ -20,6 +20,7 @@ from api.etags import etag, require_match
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
+from api.row_readers import by_row_readers
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath, IdQuery
 from api.schemas.submissions import (
@@ -104,6 +105,7 @@ def finalize_submission(
 
 
 @router.get("/submissions", response_model=Page[SubmissionItem], responses=listed())
+@by_row_readers
 def list_submissions(
     request: Request,
     caller: Reader,

@@ -19,6 +19,7 @@ from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page, place_of_page
+from api.row_readers import by_row_readers
 from api.schemas.base import IdPath
 from api.schemas.sequences.exports import ArchiveKind, ExportAccepted, ExportFileItem, ExportItem, NewExportBody
 from api.views.exports import (
@@ -73,6 +74,7 @@ def create_export(
 
 
 @router.get("", response_model=Page[ExportItem], responses=listed(404))
+@by_row_readers
 def list_exports(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep, request: Request
 ) -> Response:

@@ -22,6 +22,7 @@ from api.lists.answers import list_response, listed
 from api.lists.sequences import SequenceFilters, sequence_rows
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
+from api.row_readers import by_row_readers
 from api.schemas.base import IdPath
 from api.schemas.sequences.sequences import (
     NewSequenceBody,
@@ -58,6 +59,7 @@ def create_sequence(
 
 
 @router.get("", response_model=Page[SequenceItem], responses=listed())
+@by_row_readers
 def list_sequences(
     request: Request,
     caller: Looker,
@@ -77,6 +79,7 @@ def list_sequences(
     response_model=SequenceDetail,
     responses=refusals(404),
 )
+@by_row_readers
 def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep) -> Response:
     """A sequence with its newest run, its newest labels and their files."""
     with platform.database.reading() as session:
