@@ -15,17 +15,27 @@ from numpy.typing import NDArray
 from stone.geometry.lattice import EMPTY, Keys, check_reach, pack, scatter, slot_of
 from stone.geometry.se3 import SE3
 from stone.kernels.lanes import prefetch
+from stone.labels.ray_lanes import (
+    CELLS,
+    END,
+    LANES,
+    MOST_BITS,
+    NEVER,
+    TIMES,
+    axis_mask,
+    end_of,
+    follow,
+    set_off,
+    share_of,
+    step_of,
+)
 from stone.labels.voxels import VOXEL_M
 
 BRICK = 4
-BLOCK = 256  # rays; a multiple of 8, so that a ray's place in its block says how it is thinned
+BLOCK = 2048  # rays; a multiple of 8, so that a ray's place in its block says how it is thinned
+ALIKE = 8  # voxels; rays that pass about as many are followed together
 LOAD_RATIO = 0.5
 AHEAD = 16  # bricks: so many are asked for at once
-
-# Along a ray time is counted in 2^-44 voxels, finer than doubles are added up along it; the lowest bits are a row.
-TICKS = 2.0**44
-ROW_BITS = 3
-NEVER = 2.0**14  # voxels; further than any ray is followed
 
 
 @dataclass(frozen=True)
@@ -64,7 +74,7 @@ class Carver:
     """Follows the rays of sweep after sweep, then `finish`.
 
     A sweep is carved into a dense window of bricks around the sensor, whose bits are then joined to what is known: a
-    step costs no look-up. The window is 9 MB at 40 m, and grows with the cube of the range.
+    step costs no look-up. The window is 19 MB up to 49 m, and eight times as large up to 100 m; ValueError beyond.
     """
 
     def __init__(self, parameters: CarveParameters, slots: int = 1 << 16) -> None:
@@ -72,11 +82,11 @@ class Carver:
         self._used = 0
         self._keys = np.full(slots, EMPTY, np.int64)
         self._words = np.zeros(slots, np.uint64)
-        self._side = 2 * _window_radius(parameters) + 1
-        self._window = np.zeros(self._side**3, np.uint64)
-        self._touched = np.empty(self._side**3 + 1, np.int32)
-        self._steps = _steps(self._side)
-        self._rays = np.zeros((4, BLOCK))
+        self._bits = _window_bits(parameters)
+        bricks = 1 << 3 * self._bits
+        self._window = np.zeros(bricks, np.uint64)
+        self._is_touched, self._touched = np.zeros(bricks, np.uint8), np.empty(bricks + 1, np.int32)
+        self._lanes = _room_for_lanes(parameters)
 
     def carve(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
         """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
@@ -91,10 +101,11 @@ class Carver:
         origin = sensor / VOXEL_M
         corner = np.floor(origin).astype(np.int64) // BRICK - _window_radius(p)
         view = (map_from_ego.as_matrix(), origin, corner * BRICK)
-        touched = _carve(points_ego, view, reach, (self._window, self._touched, self._steps, self._rays))
+        _carve(points_ego, view, reach, (self._window, self._is_touched, self._bits), self._lanes)
+        touched = _gather_touched(self._is_touched, self._touched)
         while self._used + touched > int(len(self._keys) * LOAD_RATIO):
             self._grow()
-        window = (self._window, self._touched[:touched], self._side)
+        window = (self._window, self._touched[:touched], self._bits)
         self._used += _join(window, corner, self._keys, self._words)
 
     def _grow(self) -> None:
@@ -114,21 +125,66 @@ def _window_radius(parameters: CarveParameters) -> int:
     return math.ceil(parameters.max_range_m / (VOXEL_M * BRICK)) + 1
 
 
+def _window_bits(parameters: CarveParameters) -> int:
+    """The window has 2^bits bricks along each axis. Raises ValueError beyond `MOST_BITS`."""
+    bits = (2 * _window_radius(parameters)).bit_length()
+    if bits > MOST_BITS:
+        raise ValueError(f"rays are followed for {parameters.max_range_m:g} m, farther than a window reaches (100 m)")
+    return bits
+
+
+def _room_for_lanes(parameters: CarveParameters) -> tuple[NDArray[np.generic], ...]:
+    """Rays of a block as `_aim` makes them and as `follow` takes them, how they are ordered, and what it writes."""
+    most = math.ceil(math.sqrt(3) * parameters.max_range_m / VOXEL_M) + 3  # faces that a ray crosses, and one
+    rays, order = np.zeros((4, BLOCK)), (np.zeros(BLOCK, np.int32), np.zeros(most // ALIKE + 2, np.int64))
+    lanes = np.zeros((TIMES, BLOCK + LANES), np.int64), np.zeros((CELLS, BLOCK + LANES), np.int32)
+    return rays, *lanes, *order, np.zeros(most * LANES, np.int32)
+
+
 @njit(cache=True, nogil=True, error_model="numpy")
-def _carve(points, view, reach, window):  # type: ignore[no-untyped-def]
-    """Follow all rays through the window; how many of its bricks were touched."""
-    words, touched, steps, rays = window
-    count = 0
+def _carve(points, view, reach, window, room):  # type: ignore[no-untyped-def]
+    """Follow all rays through the window, and note which of its bricks they touch."""
+    (words, is_touched, bits), (rays, times, cells, ranks, ends, places) = window, room
+    masks = axis_mask(bits, 0), axis_mask(bits, 1), axis_mask(bits, 2)
     for begin in range(0, points.shape[0], BLOCK):
         block = points[begin : begin + BLOCK]
         _aim(block, view[0], view[1], rays)
-        for p in range(block.shape[0]):
-            level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
-            start, end = level * reach[1], min(rays[3, p], reach[0])
-            if start < end and rays[3, p] <= NEVER:  # a length that is no number is none of a ray
-                ray = rays[0, p], rays[1, p], rays[2, p], start, end
-                count = _follow(ray, _begin(ray, view[1], view[2]), words, touched, steps, count)
-    return count
+        count = _rank(rays, block.shape[0], reach, ranks, ends)
+        _line_up(rays, reach, (view[1], view[2], bits), ranks[: block.shape[0]], (times, cells))
+        _fill_lanes(count, times, cells)
+        for first in range(0, count, LANES):
+            _mark(places[: follow(times, cells, first, masks, places)], words, is_touched)
+
+
+@njit(inline="always")
+def _stretch(rays, p, reach):  # type: ignore[no-untyped-def]
+    """From where to where a ray of a block is followed; one whose length is no number, or out of reach, to before its
+    start."""
+    level = 0 if p % 8 == 0 else 1 if p % 8 == 4 else 2 if p % 4 == 2 else 3
+    return level * reach[1], min(rays[3, p], reach[0]) if rays[3, p] <= NEVER else -1.0
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _rank(rays, count, reach, ranks, ends):  # type: ignore[no-untyped-def]
+    """The place of each ray among those followed, by how many voxels it passes: −1 where it is not; how many are."""
+    ends[:] = 0
+    followed = 0
+    for p in range(count):
+        start, end = _stretch(rays, p, reach)
+        ranks[p] = -1
+        if start < end:
+            passed = (end - start) * (abs(rays[0, p]) + abs(rays[1, p]) + abs(rays[2, p]))
+            ranks[p] = int(passed) // ALIKE
+            ends[ranks[p] + 1] += 1
+            followed += 1
+    for kind in range(1, ends.size):
+        ends[kind] += ends[kind - 1]
+    for p in range(count):
+        if ranks[p] >= 0:
+            kind = ranks[p]
+            ranks[p] = ends[kind]
+            ends[kind] += 1
+    return followed
 
 
 @njit(cache=True, nogil=True, error_model="numpy")
@@ -147,70 +203,61 @@ def _aim(block, pose, origin, rays):  # type: ignore[no-untyped-def]
         rays[0, p], rays[1, p], rays[2, p], rays[3, p] = dx / length, dy / length, dz / length, length
 
 
-@njit(inline="always")
-def _begin(ray, origin, corner):  # type: ignore[no-untyped-def]
-    """Where the ray enters the lattice: the voxel, counted from the window's corner, and how far in it."""
-    dx, dy, dz, start, _end = ray
-    x, y, z = origin[0] + dx * start, origin[1] + dy * start, origin[2] + dz * start
-    i, j, k = math.floor(x), math.floor(y), math.floor(z)
-    return i - corner[0], j - corner[1], k - corner[2], x - i, y - j, z - k
-
-
 @njit(cache=True, nogil=True, error_model="numpy")
-def _follow(ray, begin, words, touched, steps, count):  # type: ignore[no-untyped-def]
-    """Amanatides & Woo (1987) through the voxel lattice; marks each voxel of the ray from its start to its end.
-
-    Which axis is next is not foreseeable, so that a branch would be guessed wrong every other step. Crossings are whole
-    numbers of `TICKS` that end in their row of `_steps`: the least of three is the next, and says where it leads.
-    """
-    tx, ax = _crossings(ray[0], begin[3], 0)
-    ty, ay = _crossings(ray[1], begin[4], 2)
-    tz, az = _crossings(ray[2], begin[5], 4)
-    last = int((ray[4] - ray[3]) * TICKS) << ROW_BITS | (1 << ROW_BITS) - 1
-    i, j, k = begin[0], begin[1], begin[2]
-    side = steps[7, 0]
-    brick = ((i >> 2) * side + (j >> 2)) * side + (k >> 2)
-    place = np.uint64(brick * 64 + ((i & 3) * 4 + (j & 3)) * 4 + (k & 3))
-    while True:
-        at = place >> np.uint64(6)
-        touched[count] = at
-        count += words[at] == 0
-        words[at] |= np.uint64(1) << (place & np.uint64(63))
-        following = min(tx, min(ty, tz))
-        if following > last:
-            return count
-        place += np.uint64(steps[following & ((1 << ROW_BITS) - 1), place & np.uint64(63)])
-        tx += ax if tx == following else 0
-        ty += ay if ty == following else 0
-        tz += az if tz == following else 0
+def _line_up(rays, reach, view, ranks, lanes):  # type: ignore[no-untyped-def]
+    """Each ray that is followed, at its place: where it enters the lattice, and when it crosses what."""
+    (origin, corner, bits), (times, cells) = view, lanes
+    for p in range(ranks.size):
+        place = ranks[p]
+        if place < 0:
+            continue
+        start, end = _stretch(rays, p, reach)
+        for axis in range(3):
+            slope = rays[axis, p]
+            at = origin[axis] + slope * start
+            index = math.floor(at)
+            times[axis, place], times[3 + axis, place] = set_off(slope, at - index, axis)
+            cells[axis, place] = share_of(index - corner[axis], bits, axis)
+            cells[3 + axis, place] = step_of(slope, bits, axis)
+        times[END, place] = end_of(end - start)
 
 
-@njit(inline="always")
-def _crossings(slope, offset, row):  # type: ignore[no-untyped-def]
-    """When a ray that begins at `offset` in its voxel leaves it along this axis, and how long a voxel takes it."""
-    is_up = slope > 0
-    each = abs(1.0 / slope) if abs(slope) > 1e-12 else NEVER
-    first = (1.0 - offset if is_up else offset) * each
-    ticks = int(min(each, NEVER) * TICKS) << ROW_BITS
-    return (int(min(first, NEVER) * TICKS) << ROW_BITS) + row + is_up, ticks
+@njit(cache=True, nogil=True)
+def _fill_lanes(count, times, cells):  # type: ignore[no-untyped-def]
+    """The lanes behind the last ray stay where that begins."""
+    for place in range(count, -(-count // LANES) * LANES):
+        times[END, place] = -1
+        for row in range(CELLS):
+            cells[row, place] = cells[row, count - 1]
 
 
-def _steps(side: int) -> NDArray[np.int64]:
-    """What a step down (even rows) or up along x, y, z adds to each of 64 places in a brick: (8, 64), last `side`."""
-    steps = np.zeros((1 << ROW_BITS, 64), np.int64)
-    for axis, row in ((0, 0), (1, 2), (2, 4)):
-        bit, brick = 4 ** (2 - axis), 64 * side ** (2 - axis)
-        local = np.arange(64) // bit % BRICK
-        steps[row] = np.where(local == 0, (BRICK - 1) * bit - brick, -bit)
-        steps[row + 1] = np.where(local == BRICK - 1, brick - (BRICK - 1) * bit, bit)
-    steps[-1] = side
-    return steps
+@njit(cache=True, nogil=True)
+def _mark(places, words, is_touched):  # type: ignore[no-untyped-def]
+    for p in range(places.size):
+        place = np.uint64(np.uint32(places[p]))
+        is_touched[place >> np.uint64(6)] = 1
+        words[place >> np.uint64(6)] |= np.uint64(1) << (place & np.uint64(63))
+
+
+@njit(cache=True, nogil=True)
+def _gather_touched(is_touched, touched):  # type: ignore[no-untyped-def]
+    """The bricks that were touched, in order, and nothing is afterwards; how many they are."""
+    count, eights = 0, is_touched.view(np.uint64)
+    for eight in range(eights.size):
+        if eights[eight] == 0:
+            continue
+        for brick in range(8 * eight, 8 * eight + 8):
+            touched[count] = brick
+            count += is_touched[brick]
+        eights[eight] = 0
+    return count
 
 
 @njit(cache=True, nogil=True)
 def _join(window, corner, keys, known):  # type: ignore[no-untyped-def]
     """Join the touched bricks to what is known and clear the window; how many of them are new."""
-    words, touched, side = window
+    words, touched, bits = window
+    side = 1 << bits
     new, mask, own = 0, np.uint64(keys.size - 1), np.empty(touched.size, np.int64)
     for n in range(touched.size):
         brick = np.int64(touched[n])

@@ -10,7 +10,7 @@ from hypothesis import strategies as st
 
 from stone.geometry.lattice import OffLatticeError, centres_of, indices_of, keys_from_indices, keys_of
 from stone.geometry.se3 import SE3
-from stone.labels.observed_voxels import BRICK, CarveParameters, Carver, Observed, union
+from stone.labels.observed_voxels import BLOCK, BRICK, CarveParameters, Carver, Observed, union
 from stone.labels.voxels import VOXEL_M
 from tests.observed_voxels import voxel_keys
 
@@ -125,6 +125,19 @@ def test_rays_end_at_the_maximum_range():
     far = (SENSOR_EGO + np.array([[30.0, 0, 0]])).astype(np.float32)
     near = (SENSOR_EGO + np.array([[6.0, 0, 0]])).astype(np.float32)
     assert (voxel_keys(carved(far, CarveParameters(max_range_m=6.0))) == voxel_keys(carved(near))).all()
+
+
+def test_a_larger_window_observes_the_same():
+    points = rays(6, count=3 * BLOCK // 2, reach_m=30.0)
+    usual, larger = carved(points), carved(points, CarveParameters(max_range_m=60.0))
+    assert (usual.keys == larger.keys).all()
+    assert (usual.words == larger.words).all()
+
+
+def test_a_range_beyond_the_largest_window_is_refused():
+    assert len(carved(rays(1), CarveParameters(max_range_m=100.0)).keys)
+    with pytest.raises(ValueError, match="followed for 101 m, farther than a window reaches"):
+        Carver(CarveParameters(max_range_m=101.0))
 
 
 @settings(max_examples=10, deadline=None)
