@@ -2,14 +2,16 @@
 
 **Conventions.** The file must not change while it is open (a mapped file that is cut raises SIGBUS). Payloads are
 views into the map or into an inflated chunk, or made of them, and keep it alive; `close` lets go of ours, the last view
-of theirs. Memory is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last: neighbours in time may lie
-in two.
+of theirs. Memory is the index (20 bytes a message) and the `KEPT_CHUNKS` chunks used last, for neighbours in time may
+lie in two; in a pass that checks chunks also the next `AHEAD_CHUNKS`, of at most `AHEAD_BYTES` each, which a thread
+inflates meanwhile.
 """
 
 import mmap
 from abc import ABC, abstractmethod
 from collections import OrderedDict
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from concurrent.futures import Executor, Future, ThreadPoolExecutor
 from dataclasses import dataclass
 from pathlib import Path
 
@@ -23,6 +25,8 @@ from stone_recordings.bags.message_places import Entries, in_storage_order, reac
 from stone_recordings.bags.message_store import NO_MESSAGES, Messages
 
 KEPT_CHUNKS = 2
+AHEAD_CHUNKS = 2  # with one, the thread would begin it when the pass waits for it: the interpreter's lock
+AHEAD_BYTES = 32 * 2**20
 # Beyond this share of a chunk inflating it whole, at once and checked, costs no more than its head piece by piece.
 MOST_HEAD_RATIO = 0.5
 FORGET_BYTES = 64 * 2**20  # how far to read on before giving back pages that may have been looked at late
@@ -74,6 +78,7 @@ class ChunkedStore(ABC):
         self._damaged: dict[int, str] = {}
         self._sound: set[int] = set()
         self._head = (-1, memoryview(b""))
+        self._coming: dict[int, Future[memoryview]] = {}
         self._near_byte = self._dropped_bytes = 0
 
     @abstractmethod
@@ -100,22 +105,29 @@ class ChunkedStore(ABC):
         """Storage order, so that each chunk is inflated once, and no further than heads lie in it.
 
         Plain chunks are not read whole for it. A payload is cut short only where its chunk was not inflated to its end.
-        Where chunks are to be checked, they are read and inflated whole.
+        Where chunks are to be checked, they are read and inflated whole, each while those before are looked at.
         """
         rows = in_storage_order([self._entries[topic] for topic in topics])
         reach = reach_of(rows, np.array([topic in whole for topic in topics]), self.head_bytes)
+        coming = iter(dict.fromkeys(rows.chunk.tolist() if is_checked else ()))
         # Without it the kernel reads ahead around every header: a scan of a cold file takes 85 times as long.
         self._file.map.madvise(mmap.MADV_RANDOM)
         try:
-            for number, index, chunk in zip(rows.topic.tolist(), rows.index.tolist(), rows.chunk.tolist(), strict=True):
-                if is_checked:
-                    self._check(chunk)
-                if chunk not in self._damaged:
-                    view = self._head_of(chunk, reach[chunk])
-                    yield topics[number], index, self._head_found(view, topics[number], index, topics[number] in whole)
+            with ThreadPoolExecutor(1) as beside:
+                for number, index, chunk in zip(
+                    rows.topic.tolist(), rows.index.tolist(), rows.chunk.tolist(), strict=True
+                ):
+                    if is_checked:
+                        self._inflate_ahead(coming, beside)
+                        self._check(chunk)
+                    if chunk not in self._damaged:
+                        view = self._head_of(chunk, reach[chunk])
+                        is_whole = topics[number] in whole
+                        yield topics[number], index, self._head_found(view, topics[number], index, is_whole)
         finally:
             self._file.map.madvise(mmap.MADV_NORMAL)
             self._head = (-1, memoryview(b""))
+            self._coming.clear()
 
     def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
         """The messages of chunks whose CRC-32 is another than declared, or which do not inflate."""
@@ -145,6 +157,16 @@ class ChunkedStore(ABC):
             self._damaged[number] = str(error)
             return
         self._sound.add(number)
+
+    def _inflate_ahead(self, coming: Iterator[int], beside: Executor) -> None:
+        """Have a thread inflate the next chunks that are to be checked."""
+        while len(self._coming) < AHEAD_CHUNKS and (number := next(coming, None)) is not None:
+            if number < 0 or number in self._sound or number in self._damaged or number in self._chunks:
+                continue
+            chunk = self._placed.chunks[number]
+            if chunk.compression and chunk.uncompressed_bytes <= AHEAD_BYTES:
+                self._file.expect(chunk.start, chunk.stop - chunk.start)
+                self._coming[number] = beside.submit(inflate, self._file.view, chunk)
 
     def release(self) -> None:
         self._chunks.clear()
@@ -186,7 +208,8 @@ class ChunkedStore(ABC):
             return self._chunks[number]
         while len(self._chunks) >= KEPT_CHUNKS:
             self._drop_oldest()
-        self._chunks[number] = inflate(self._file.view, chunk)
+        coming = self._coming.pop(number, None)
+        self._chunks[number] = inflate(self._file.view, chunk) if coming is None else coming.result()
         return self._chunks[number]
 
     def _head_of(self, number: int, reach: int) -> memoryview:

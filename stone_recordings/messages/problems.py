@@ -15,11 +15,13 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError, PoseValueError
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.camera import picture_problem
+from stone_recordings.messages.camera import COMPRESSED, picture_problem
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
 from stone_recordings.messages.pointcloud2 import layout_problem
-from stone_recordings.messages.types.cdr import Cursor
+from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
 
+STAMP_END = HEAD_BYTES + 8
+PLAIN_CDR, SIGN = b"\0\1", 0x80
 MALFORMED, UNSTAMPED, DAMAGED, OTHER_FRAME, STRAY = (
     "malformed_sweep",
     "no_stamp",
@@ -52,6 +54,35 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
     if picture:
         return MessageProblem(MALFORMED, picture)
     return MessageProblem(UNSTAMPED, "its stamp is 0") if stamp_ns == 0 else None
+
+
+@dataclass
+class TopicHeads:
+    """`head_problem` of the messages of one topic, one after another.
+
+    Most have the name of one frame behind the stamp: where nothing was wrong with the last that was read, and the type
+    has nothing else to look at, one that begins with the same bytes is told by them.
+    """
+
+    type_name: str
+    _name: bytes = b""
+
+    def problem(self, head: memoryview, size_bytes: Callable[[], int]) -> MessageProblem | None:
+        """As `head_problem`."""
+        if self._name and head[STAMP_END : STAMP_END + len(self._name)] == self._name and _is_dated(head):
+            return None
+        problem = head_problem(head, self.type_name, size_bytes)
+        if problem is None and self.type_name not in (POINT_CLOUD, COMPRESSED):
+            cursor = Cursor(head, self.type_name)
+            cursor.stamp_ns()
+            cursor.text()
+            self._name = bytes(head[STAMP_END : cursor.at])
+        return problem
+
+
+def _is_dated(head: memoryview) -> bool:
+    """Whether it is plain CDR with a stamp after 1970; what is not may have one all the same."""
+    return head[:2] == PLAIN_CDR and head[STAMP_END - 5] < SIGN and any(head[HEAD_BYTES : HEAD_BYTES + 4])
 
 
 def read_readable(

@@ -20,7 +20,7 @@ from stone_recordings.messages.problems import (
     DAMAGED,
     MALFORMED,
     MessageProblem,
-    head_problem,
+    TopicHeads,
     left_out_finding,
     majority,
 )
@@ -127,6 +127,7 @@ class RecordedReading:
         self._heads = {name: [b""] * self._topics[name].count for name in sources.scanned}
         self._payloads: dict[str, dict[int, bytes]] = {name: {} for name in sources.whole}
         self._unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in sources.scanned}
+        self._read = {name: TopicHeads(self._topics[name].type) for name in sources.scanned}
 
     def take(self, name: str, index: int, payload: memoryview) -> None:
         """A message in the order of `Bag.heads`, which has just yielded it."""
@@ -153,7 +154,7 @@ class RecordedReading:
 
     def _problem(self, name: str, index: int, payload: memoryview) -> MessageProblem | None:
         type_name = self._topics[name].type
-        problem = head_problem(payload, type_name, partial(self._bag.size_bytes, name, index))
+        problem = self._read[name].problem(payload, partial(self._bag.size_bytes, name, index))
         if problem is None and name == self._sources.lidar.name and (missing := sweep_problem(payload, type_name)):
             return MessageProblem(MALFORMED, missing)
         return problem

@@ -4,9 +4,18 @@ from dataclasses import dataclass
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from stone_recordings.bags.errors import MessageLayoutError, PoseValueError
-from stone_recordings.messages.problems import MessageProblem, head_problem, left_out_finding, majority, readable
+from stone_recordings.messages.problems import (
+    MessageProblem,
+    TopicHeads,
+    head_problem,
+    left_out_finding,
+    majority,
+    readable,
+)
 from testing.worlds.faults.edits import STORE, serialised
 
 
@@ -83,3 +92,31 @@ def test_what_lies_in_damaged_chunks_is_said_by_the_recording_and_not_again() ->
 
 def test_of_words_as_common_the_first_counts() -> None:
     assert [majority(words) for words in ([], ["b", "a"], ["b", "a", "a"])] == ["", "b", "a"]
+
+
+IMU = "sensor_msgs/msg/Imu"
+
+
+def imu_head(seconds: int, nanoseconds: int, frame_id: bytes, behind: bytes, encapsulation: bytes) -> bytes:
+    stamp = seconds.to_bytes(4, "little", signed=True) + nanoseconds.to_bytes(4, "little")
+    return encapsulation + stamp + len(frame_id).to_bytes(4, "little") + frame_id + behind
+
+
+heads = st.builds(
+    imu_head,
+    st.sampled_from([0, 1, -1, 1_700_000_000]),
+    st.sampled_from([0, 5, 1_000_000_000]),
+    st.sampled_from([b"imu\0", b"\0", b"", b"other\0", b"\xff\xff"]),
+    st.sampled_from([b"", b"more"]),
+    st.sampled_from([b"\0\1\0\0", b"\0\0\0\0", b"\0\2\0\0"]),
+)
+
+
+@given(
+    st.lists(st.tuples(heads, st.integers(0, 40)), max_size=12), st.sampled_from([IMU, "sensor_msgs/msg/CameraInfo"])
+)
+def test_a_topic_s_heads_are_each_told_as_alone(cut: list[tuple[bytes, int]], type_name: str) -> None:
+    topic = TopicHeads(type_name)
+    for head, bytes_left in cut:
+        view = memoryview(head[: max(0, len(head) - bytes_left // 4)])
+        assert topic.problem(view, lambda: 0) == head_problem(view, type_name, lambda: 0)
