@@ -6,6 +6,9 @@ is terrain. Ground auto takes the height from what was found, however little, wh
 which terrain moves by half a degree, only where it is beyond that.
 """
 
+from collections import deque
+from collections.abc import Iterable, Iterator
+from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
@@ -20,6 +23,7 @@ from stone.sensors.selection import world_points
 from stone.sensors.sequence import Sequence, SweepSource
 
 SWEEPS = 40
+AHEAD = 2
 MIN_RANGE_M = 1.0
 ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 
@@ -27,8 +31,22 @@ ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
     """Where the ground lies in the ego frame, by sweeps from all over the run; None where too few show it."""
     picked = np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist()
-    planes = (plane_around(seen_around(sequence, sweeps, index)) for index in picked)
+    planes = (plane_around(points) for points in seen_ahead(sequence, sweeps, picked))
     return ground_fit([plane for plane in planes if plane is not None])
+
+
+def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> Iterator[NDArray[np.float32]]:
+    """`seen_around` of these frames in their order; a thread reads the next `AHEAD` while one is looked at.
+
+    Nobody else may read the sweeps meanwhile.
+    """
+    coming = deque[Future[NDArray[np.float32]]]()
+    with ThreadPoolExecutor(1) as beside:
+        for row in rows:
+            coming.append(beside.submit(seen_around, sequence, sweeps, row))
+            if len(coming) > AHEAD:
+                yield coming.popleft().result()
+        yield from (one.result() for one in coming)
 
 
 def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:

@@ -28,7 +28,7 @@ from stone.sensors.ground_plane import GroundFit
 from stone.sensors.ground_points import around_robot
 from stone.sensors.height_drift import HeightDrift
 from stone.sensors.sequence import Sequence, SweepSource
-from stone_recordings.sync.ground_check import is_off, seen_around
+from stone_recordings.sync.ground_check import is_off, seen_ahead
 
 Array = NDArray[np.float64]
 
@@ -56,7 +56,7 @@ def _drift(
     """By the ground of the picked frames, turned by `level` in the ego frame first."""
     rows, way = picked
     poses = sequence.frames.map_from_ego
-    seen = (around_robot(seen_around(sequence, sweeps, row)) for row in rows.tolist())
+    seen = (around_robot(points) for points in seen_ahead(sequence, sweeps, rows.tolist()))
     looks = [look(poses[row] @ level @ points_ego) for row, points_ego in zip(rows.tolist(), seen, strict=True)]
     return drift(looks, way, _floor_m(sequence))
 

@@ -1,6 +1,7 @@
 """A mount entered wrongly is told with what to enter, is put right where that is asked for, and makes no labels."""
 
-from dataclasses import replace
+import threading
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 
 import numpy as np
@@ -14,7 +15,9 @@ from simulator.pipeline import calibration_path, simulate
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration
 from stone.sensors.ground_plane import TOLERATED_RAD
+from stone.sensors.sequence import Sweep, SweepSource
 from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.sync.ground_check import AHEAD, seen_ahead, seen_around
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from testing.worlds.faults.other_edits import rolled
 
@@ -26,6 +29,20 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Calibration]:
     bag = tmp_path_factory.mktemp("drive") / "drive.mcap"
     simulate(bag, DRIVE)
     return bag, read_calibration(calibration_path(bag))[0]
+
+
+@dataclass
+class CountedSweeps:
+    """Sweeps of another source, with which were asked for, by which threads."""
+
+    source: SweepSource
+    rows: list[int] = field(default_factory=list)
+    threads: set[int] = field(default_factory=set)
+
+    def sweep(self, index: int) -> Sweep:
+        self.rows.append(index)
+        self.threads.add(threading.get_ident())
+        return self.source.sweep(index)
 
 
 def mounted(rig: Calibration, higher_m: float = 0.0, pitch_deg: float = 0.0) -> Calibration:
@@ -45,6 +62,19 @@ def test_a_right_mount_is_not_spoken_of(drive: tuple[Path, Calibration]) -> None
     assert abs(sequence.ground.height_m) < 0.05
     assert codes(sequence) == []
     assert read_sequence(sequence_bytes(sequence)).ground == sequence.ground
+
+
+def test_sweeps_are_read_a_few_ahead_by_one_thread_and_given_in_order(drive: tuple[Path, Calibration]) -> None:
+    sequence, sweeps = synchronise(*drive, SynchroniseOptions(), "ahead")
+    told = CountedSweeps(sweeps)
+    seen, rows = list[np.ndarray](), [0, 7, 3, 12, 5, 30, 31]
+    for points in seen_ahead(sequence, told, rows):
+        seen.append(points)
+        assert len(told.rows) <= len(seen) + AHEAD
+    assert told.rows == rows
+    assert len(told.threads - {threading.get_ident()}) == len(told.threads) == 1
+    for points, row in zip(seen, rows, strict=True):
+        np.testing.assert_array_equal(points, seen_around(sequence, sweeps, row))
 
 
 @pytest.mark.parametrize(("higher_m", "pitch_deg"), [(0.1, 0), (-0.1, 0), (0.23, 0), (-0.23, 0), (-0.5, 0), (0, 3)])
