@@ -191,7 +191,7 @@ def _by_token(platform: Platform, header: str) -> Caller:
     scheme, _, secret = header.partition(" ")
     if scheme.lower() != "bearer":
         raise UnauthenticatedError("only the scheme Bearer is understood")
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         token = tokens.find(session, secret.strip())
     if token is None:
         raise UnauthenticatedError("the token is unknown, has expired or was revoked")
@@ -211,7 +211,7 @@ def _note_use(platform: Platform, note: Callable[[Session, str], None], credenti
 
 
 def _by_session(platform: Platform, secret: str) -> Caller:
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         row = sessions.find_session(session, secret, platform.settings.api.session_idle_s)
     if row is None:
         raise UnauthenticatedError("the session is unknown or has ended")

@@ -77,7 +77,7 @@ def create_dataset(
 @by_row_readers
 def list_datasets(_caller: Reader, platform: PlatformDep, query: PageDep, request: Request) -> Response:
     """The versions, newest first."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         found = page(session, select(Dataset), Dataset.id.desc(), query)
         shown = Page[DatasetItem](items=[dataset_item(session, row) for row in found.rows], next=found.next)
     return model_response(request, shown)

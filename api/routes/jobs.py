@@ -40,7 +40,7 @@ def list_jobs(
     filters: Annotated[JobFilters, Depends(at_once(JobFilters))],
 ) -> Response:
     """The caller's own runs, newest first."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         rows, following = job_rows(session, caller.user_id, filters, query)
         return list_response(request, facts_of_rows(session, rows), following)
 

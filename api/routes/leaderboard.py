@@ -63,7 +63,7 @@ def show_leaderboard(
     at: AtPhase, asked: BoardRequestDep, caller: Looker, platform: PlatformDep, request: Request
 ) -> Response:
     """The board: ranks with their intervals and ties, baselines and reported results beside them, now or as of then."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         phase_id, viewer = at.find_id(session), viewer_for(session, caller)
     return board_response(request, board(platform, phase_id, asked.query, viewer), viewer, asked.form)
 

@@ -114,7 +114,7 @@ def list_submissions(
     filters: Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))],
 ) -> Response:
     """The submissions of the caller's teams, newest first; an administrator sees everybody's."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         found = page(session, filters.narrowed(submissions_of(caller)), SubmissionRow.id.desc(), query)
         shown = Page[SubmissionItem](items=submission_items(session, found.rows), next=found.next)
     return model_response(request, shown)

@@ -79,7 +79,7 @@ def list_exports(
     sequence_id: IdPath, caller: Reader, platform: PlatformDep, query: PageDep, request: Request
 ) -> Response:
     """The exports of a sequence, newest first; stale ones too."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         found = page(session, exports_shown_to(session, caller, sequence_id), Export.id.desc(), query)
         shown = Page[ExportItem](items=export_items(session, sequence_id, found.rows), next=found.next)
     return model_response(request, shown)

@@ -68,7 +68,7 @@ def list_sequences(
     filters: Annotated[SequenceFilters, Depends(at_once(SequenceFilters))],
 ) -> Response:
     """The caller's sequences and the public ones, newest first; an administrator sees everybody's."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         rows, following = sequence_rows(session, caller, filters, query)
         return list_response(request, sequence_facts(session, rows), following)
 
@@ -82,7 +82,7 @@ def list_sequences(
 @by_row_readers
 def show_sequence(sequence_id: IdPath, caller: Looker, platform: PlatformDep) -> Response:
     """A sequence with its newest run, its newest labels and their files."""
-    with platform.database.reading() as session:
+    with platform.database.lookups() as session:
         shown = shown_sequence_detail(session, caller, sequence_id)
     headers = {"ETag": etag(shown.revision)}
     return Response(shown.model_dump_json(), headers=headers, media_type="application/json")

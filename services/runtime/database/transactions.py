@@ -2,8 +2,9 @@
 
 **Conventions.** `transaction()` is for writing: on SQLite it takes the write lock at BEGIN, so two writers wait for
 each other instead of failing half-way; it commits at the end or rolls back whole. `reading()` is for reading and writes
-nothing; nor does `snapshot()`, in which later statements see nothing newer than the first. None is held while anything
-slow is done. What `wake_up_after_commit` notes is dropped with a rollback.
+nothing; nor does `snapshot()`, in which later statements see nothing newer than the first, nor `lookups()`, for what is
+asked most often. None is held while anything slow is done. What `wake_up_after_commit` notes is dropped with a
+rollback.
 One `Database` belongs to one process: a forked child makes its own (`services/runtime/platform.py`).
 
 On PostgreSQL what reads is a READ ONLY transaction and ends with COMMIT: at a ROLLBACK psycopg 3.3 gives up all that is
@@ -15,13 +16,13 @@ socket costs the server nothing, a question would be a transaction before each t
 """
 
 import select
-from collections.abc import Callable, Iterator
+from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager, suppress
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import InvalidatePoolError, SQLAlchemyError
+from sqlalchemy.exc import InvalidatePoolError, InvalidRequestError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
 from services.runtime.settings import Settings
@@ -30,6 +31,7 @@ WakeUp = Callable[[str, int], None]
 WAKE_UPS = "wake_ups"
 CONNECT_S = 5
 SNAPSHOT = "REPEATABLE READ"  # of PostgreSQL: nothing newer than the first statement is seen
+EACH_ALONE = "AUTOCOMMIT"  # of PostgreSQL: every statement is a transaction
 
 
 class Database:
@@ -42,6 +44,7 @@ class Database:
         if not self.is_sqlite:
             self._readers = self.engine.execution_options(postgresql_readonly=True)
             self._still = self._readers.execution_options(isolation_level=SNAPSHOT)
+        self._alone = self.engine if self.is_sqlite else self.engine.execution_options(isolation_level=EACH_ALONE)
         self._wake_up = wake_up
 
     @property
@@ -65,6 +68,16 @@ class Database:
             yield session
 
     @contextmanager
+    def lookups(self) -> Iterator[Session]:
+        """As `reading`, without a transaction on PostgreSQL: its beginning and its end would be waited for too.
+
+        Each statement sees what is committed by then, as it does in `reading`. What it wrote would be there at once, so
+        it refuses to write rows.
+        """
+        with _LookupSession(self._alone, expire_on_commit=False) as session:
+            yield session
+
+    @contextmanager
     def snapshot(self) -> Iterator[Session]:
         """As `reading`; all its statements see the database as it was at the first of them."""
         with _reading_on(self._still) as session:
@@ -72,6 +85,15 @@ class Database:
 
     def close(self) -> None:
         self.engine.dispose()
+
+
+class _LookupSession(Session):
+    """Raises `InvalidRequestError` instead of writing a row."""
+
+    def flush(self, objects: Sequence[Any] | None = None) -> None:
+        if self.new or self.dirty or self.deleted:
+            raise InvalidRequestError("rows were changed in a session that only looks up")
+        super().flush(objects)
 
 
 def wake_up_after_commit(session: Session, queue: str, times: int = 1) -> None:
