@@ -2,7 +2,7 @@
 
 from typing import cast
 
-from sqlalchemy import CursorResult, Delete, Update, select
+from sqlalchemy import CursorResult, Delete, Update, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Job
@@ -20,3 +20,9 @@ def lock_run(session: Session, root_id: str) -> Job:
         select(Job).where(Job.id == root_id).with_for_update(key_share=True).execution_options(populate_existing=True)
     )
     return session.scalars(locked).one()
+
+
+def revise_run(session: Session, root_id: str) -> Job:
+    """As `lock_run`, and its revision has grown: one statement for both."""
+    revised = update(Job).where(Job.id == root_id).values(revision=Job.revision + 1).returning(Job)
+    return session.scalars(revised, execution_options={"populate_existing": True, "synchronize_session": False}).one()

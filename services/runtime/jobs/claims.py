@@ -5,12 +5,12 @@ import socket
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import select, update
+from sqlalchemy import update
 from sqlalchemy.orm import Session
 
 from services.runtime.jobs.changes import rows_changed
-from services.runtime.jobs.readiness import next_job
-from services.runtime.orm import Job, JobAttempt, Queue
+from services.runtime.jobs.readiness import take_next
+from services.runtime.orm import Job, JobAttempt
 from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.process_usage import used_cpu_s
 
@@ -46,24 +46,17 @@ class Claim:
 
 def claim(session: Session, queue: str) -> Claim | None:
     """Take the next ready job of `queue`; None when there is none, or when the queue is paused."""
-    if session.scalar(select(Queue.mode).where(Queue.name == queue)) == "paused":
-        return None
-    found = next_job(session, queue)
+    found = take_next(session, queue)
     if found is None:
         return None
     job, state_of_run = found
-    taken = update(Job).where(Job.id == job.id, Job.state == "queued", Job.attempt == job.attempt)
-    now = now_ns()
-    values = {"state": "running", "attempt": job.attempt + 1, "attempts_left": job.attempts_left - 1}
-    clean = {"started_ns": now, "stage": "", "done": 0, "total": 0, "heartbeats": 0, "revision": Job.revision + 1}
-    if not rows_changed(session, taken.values(**values, **clean)):
-        return None
-    session.add(JobAttempt(job_id=job.id, number=job.attempt + 1, worker=worker_name(), started_ns=now))
-    at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt + 1)
-    waited_s = None if job.ready_ns is None else max(now - job.ready_ns, 0) / 1e9
+    begun_ns = job.started_ns or now_ns()
+    session.add(JobAttempt(job_id=job.id, number=job.attempt, worker=worker_name(), started_ns=begun_ns))
+    at = (job.id, job.root_id, job.sequence_id, job.kind, job.attempt)
+    waited_s = None if job.ready_ns is None else max(begun_ns - job.ready_ns, 0) / 1e9
     origin = JobOrigin(job.traceparent, job.request_id, waited_s)
     begins_run = job.id != job.root_id and state_of_run != "running"
-    return Claim(*at, dict(job.arguments), job.attempts_left - 1, used_cpu_s(), origin, begins_run)
+    return Claim(*at, dict(job.arguments), job.attempts_left, used_cpu_s(), origin, begins_run)
 
 
 def worker_name() -> str:

@@ -8,15 +8,16 @@ are the last ones of the attempt, where its own process speaks; they are written
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import Update, func, select, update
+from sqlalchemy import Update, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
 from services.runtime.jobs.attempt_lines import write_lines_beside
 from services.runtime.jobs.attempt_words import AttemptWords
-from services.runtime.jobs.changes import lock_run, rows_changed
+from services.runtime.jobs.changes import lock_run, revise_run, rows_changed
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.enqueue import add_jobs
+from services.runtime.jobs.readiness import ONE, QUEUED, RUNNING
 from services.runtime.jobs.specs import TERMINAL, Outcome
 from services.runtime.notifications.run_events import tell_run_failed, tell_run_succeeded
 from services.runtime.orm import Job, JobAttempt, JobNeed
@@ -24,6 +25,12 @@ from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 LONGEST_FAILURE = 2000
+ONE_LEFT = (
+    select(Job.id)
+    .where(Job.root_id == bindparam("root"), Job.id != bindparam("root"), Job.state.in_((QUEUED, RUNNING)))
+    .limit(ONE)
+)
+"""A job of the run `root` that has not ended."""
 
 
 @dataclass(frozen=True)
@@ -44,7 +51,8 @@ def succeed(
 
     What follows in a run that was asked to stop is cancelled at once, not left out: a retry takes it up.
     """
-    run = lock_run(session, claim.root_id)
+    is_run = claim.job_id == claim.root_id
+    run = (lock_run if is_run else revise_run)(session, claim.root_id)
     told = _told(words)
     if not _leave(
         session, claim, "succeeded", **{**told, "result": dict(outcome.result), "done": told.get("total", Job.total)}
@@ -52,17 +60,18 @@ def succeed(
         return False
     _note(session, claim, "succeeded", None, words)
     outcome.commit(session)
-    if claim.job_id == claim.root_id:
+    if is_run:
         if outcome.then:
             raise ValueError(f"{claim.kind} is a run of its own and cannot be followed by other jobs")
         tell_run_succeeded(session, run)
         return True
     if run.state not in TERMINAL:
-        add_jobs(session, run, outcome.then, max_attempts)
-        _release(session, claim.job_id)
+        goes_on = bool(add_jobs(session, run, outcome.then, max_attempts))
+        goes_on = _release(session, claim.job_id) or goes_on
         if run.cancel_reason:
             cancel_queued(session, run)
-    _finish_run(session, run)
+        if run.cancel_reason or not goes_on:
+            _end_run(session, run)
     return True
 
 
@@ -128,14 +137,15 @@ def settle(session: Session, run: Job) -> None:
 def _finish_run(session: Session, run: Job) -> None:
     if run.queue:  # a job that is its own run has ended itself
         return
-    session.flush()
-    counts = dict(
-        session.execute(
-            select(Job.state, func.count()).where(Job.root_id == run.id, Job.id != run.id).group_by(Job.state)
-        ).all()
-    )
     run.revision += 1
-    if run.state in TERMINAL or counts.get("running", 0) or counts.get("queued", 0):
+    if run.state not in TERMINAL:
+        _end_run(session, run)
+
+
+def _end_run(session: Session, run: Job) -> None:
+    """End a run that has not ended, if none of its jobs waits or runs."""
+    session.flush()
+    if session.execute(ONE_LEFT, {"root": run.id}).first():
         return
     if run.failure_code:
         run.state = "failed"
@@ -147,16 +157,21 @@ def _finish_run(session: Session, run: Job) -> None:
     run.finished_ns = now_ns()
 
 
-def _release(session: Session, job_id: str) -> None:
-    """Count this success off in every job that waits for it; wake-ups are sent for those that wait for nothing more."""
+def _release(session: Session, job_id: str) -> bool:
+    """Count this success off in every job that waits for it; wake-ups are sent for those that wait for nothing more.
+
+    Whether any is to be run yet.
+    """
     waiting = select(JobNeed.job_id).where(JobNeed.needed_id == job_id)
     counted_off = update(Job).where(Job.id.in_(waiting)).values(needs_left=Job.needs_left - 1, ready_ns=now_ns())
     left = session.execute(
         counted_off.returning(Job.queue, Job.needs_left, Job.state), execution_options={"synchronize_session": False}
     )
-    for queue, needs_left, state in left:
-        if needs_left == 0 and state == "queued":
+    to_run = [(queue, needs_left) for queue, needs_left, state in left if state == "queued"]
+    for queue, needs_left in to_run:
+        if needs_left == 0:
             wake_up_after_commit(session, queue)
+    return bool(to_run)
 
 
 def _held(claim: Claim) -> Update:

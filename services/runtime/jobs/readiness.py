@@ -1,4 +1,4 @@
-"""Finds the next ready job of a queue by index, however many jobs wait.
+"""Finds and takes the next ready job of a queue by index, however many jobs wait.
 
 **Conventions.** First the owners who have a ready job, hopped to one after another, each with the urgency of its most
 urgent job and how many of its jobs run; then the oldest job of the first of them that nobody else is just taking
@@ -8,12 +8,14 @@ that runs are finished before others are begun. Predicates of partial indexes ar
 
 from functools import lru_cache
 
-from sqlalchemy import ColumnElement, Select, and_, bindparam, func, literal_column, select
+from sqlalchemy import ColumnElement, Select, and_, bindparam, exists, func, literal_column, select, update
 from sqlalchemy.orm import Session, aliased
+from sqlalchemy.sql.dml import ReturningUpdate
 from sqlalchemy.sql.selectable import CTE
 
 from services.runtime.database.rows import KeptSelect
-from services.runtime.orm import Job
+from services.runtime.orm import Job, Queue
+from services.runtime.orm.base import now_ns
 
 MOST_WAKE_UPS = 10_000
 """More wake-ups than this for one queue wake nobody: the sweeper sends others as they are received."""
@@ -22,20 +24,23 @@ MOST_QUEUES = 64
 QUEUED: ColumnElement[str] = literal_column("'queued'")
 RUNNING: ColumnElement[str] = literal_column("'running'")
 NONE: ColumnElement[int] = literal_column("0")
+ONE: ColumnElement[int] = literal_column("1")
+"""A LIMIT too is a literal: for an unknown one PostgreSQL plans a statement anew at each execution."""
 
 
-def next_job(session: Session, queue: str) -> tuple[Job, str] | None:
-    """The job of `queue` to be taken next, its row locked, and the state of its run (its own where it is one).
+def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
+    """The job of `queue` whose turn it is, from now on running, and the state of its run (its own where it is one).
 
-    None where each that is ready is being taken.
+    None where the queue is paused, and where each that is ready is being taken.
     """
     session.flush()  # kept statements see what was written, not what is to be
-    owners = owners_waiting(queue).rows(session, {})
+    owners = _owners_served(queue).rows(session, {})
+    now = {"now": now_ns()}
     for owner_id, priority, _running, _oldest in owners:
-        found = session.execute(_untaken_of_owner(queue), {"owner": owner_id, "urgency": priority}).first()
+        found = session.execute(_taking_of_owner(queue), {"owner": owner_id, "urgency": priority, **now}).first()
         if found is not None:
             return found[0], found[1]
-    found = session.execute(_untaken(queue)).first() if owners else None
+    found = session.execute(_taking(queue), now).first() if owners else None
     return None if found is None else (found[0], found[1])
 
 
@@ -50,27 +55,51 @@ def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
 
 
 @lru_cache(MOST_QUEUES)
-def _untaken_of_owner(queue: str) -> Select[Job, str]:
-    """The oldest run's of the jobs of `owner` with `urgency`."""
+def _taking_of_owner(queue: str) -> ReturningUpdate[Job, str]:
+    """Take the oldest run's of the jobs of `owner` with `urgency`."""
     of_owner = (Job.owner_id == bindparam("owner"), Job.priority == bindparam("urgency"))
-    return _untaken(queue, *of_owner).order_by(Job.root_id, Job.id)
+    return _taken(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id))
 
 
-def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[Job, str]:
+@lru_cache(MOST_QUEUES)
+def _taking(queue: str) -> ReturningUpdate[Job, str]:
+    return _taken(_untaken(queue))
+
+
+def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[str]:
+    free = select(Job.id).where(_is_ready(Job, queue), *claims).limit(ONE)
+    return free.with_for_update(skip_locked=True, key_share=True)
+
+
+def _taken(free: Select[str]) -> ReturningUpdate[Job, str]:
+    """Take the one that is found, at `now`; its row, and the state of its run."""
     run = aliased(Job)
     state_of_run = select(run.state).where(run.id == Job.root_id).correlate(Job).scalar_subquery()
-    free = select(Job, state_of_run).where(_is_ready(Job, queue), *claims).limit(1)
-    return free.with_for_update(skip_locked=True, key_share=True).execution_options(populate_existing=True)
+    taken = update(Job).where(Job.id == free.correlate(None).scalar_subquery(), Job.state == QUEUED)
+    values = {"state": "running", "attempt": Job.attempt + 1, "attempts_left": Job.attempts_left - 1}
+    clean = {"started_ns": bindparam("now"), "stage": "", "done": 0, "total": 0, "heartbeats": 0}
+    found = taken.values(**values, **clean, revision=Job.revision + 1).returning(Job, state_of_run)
+    return found.execution_options(populate_existing=True, synchronize_session=False)
 
 
 @lru_cache(MOST_QUEUES)
 def owners_waiting(queue: str) -> KeptSelect:
     """Of (owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
+    return KeptSelect(_owners(queue))
+
+
+@lru_cache(MOST_QUEUES)
+def _owners_served(queue: str) -> KeptSelect:
+    """As `owners_waiting`; none where the queue is paused."""
+    return KeptSelect(_owners(queue).where(~exists().where(Queue.name == queue, Queue.mode == "paused")))
+
+
+def _owners(queue: str) -> Select[str, int, int, str]:
     heads, busy = _heads(queue).c, aliased(Job)
     at_work = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.owner_id)
     running = at_work.scalar_subquery().label("running")
     found = select(heads.owner_id, heads.priority, running, heads.root_id)
-    return KeptSelect(found.order_by(heads.priority.desc(), running, heads.root_id))
+    return found.order_by(heads.priority.desc(), running, heads.root_id)
 
 
 def _heads(queue: str) -> CTE:
@@ -92,4 +121,4 @@ def _head(queue: str, after: CTE | None = None) -> Select[str]:
     ready = select(job.id).where(_is_ready(job, queue))
     if after is not None:
         ready = ready.where(job.owner_id > after.c.owner_id)
-    return ready.order_by(job.owner_id, job.priority.desc(), job.root_id, job.id).limit(literal_column("1"))
+    return ready.order_by(job.owner_id, job.priority.desc(), job.root_id, job.id).limit(ONE)

@@ -10,12 +10,15 @@ from sqlalchemy import insert, text
 from sqlalchemy.orm import Session
 
 from benchmarks.rows.plans import explained, taken_down
+from services.runtime.jobs.execution import run_row
 from services.runtime.jobs.readiness import owners_waiting
+from services.runtime.jobs.specs import JobSpec
 from services.runtime.orm import Job, User
 from services.runtime.orm.base import new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import make_settings, opened
+from tests.services.runtime.jobs.steps import HANDLERS, a_run, an_owner
 
 
 @dataclass(frozen=True)
@@ -76,6 +79,26 @@ def test_whose_turn_it_is_is_what_a_plain_reckoning_says(platform_on: Platform) 
 
 
 STATES = ("queued", "queued", "running", "succeeded")
+
+
+def test_ends_and_claims_are_planned_once_and_ask_for_little(tmp_path: Path, fresh_postgres_url: str) -> None:
+    """psycopg prepares a statement at its sixth execution, PostgreSQL keeps its plan from the sixth one after that."""
+    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url, pool_size=1)), [])
+    a_run(platform, an_owner(platform), *[JobSpec("ingest.ok") for _ in range(1000)])
+    with platform.database.transaction() as session:
+        session.execute(text("ANALYZE"))
+    more = iter(range(19))
+    with taken_down(platform.database.engine) as statements:
+        assert run_row(platform, "ingest", HANDLERS, lambda: next(more, None) is not None) == 20
+    with platform.database.reading() as session:
+        planned = {sql: kept for sql, kept in session.execute(text(PLANS)) if kept}
+    platform.database.close()
+    assert len([sql for sql in planned if "SKIP LOCKED" in sql]) == 1
+    assert [sql for sql in planned if "RECURSIVE" in sql]
+    assert len(statements) < 20 * 9 + 10, "three for a claim, five for an end without words"
+
+
+PLANS = "SELECT statement, generic_plans FROM pg_prepared_statements"
 
 
 def test_however_long_the_history_few_of_its_rows_are_read(tmp_path: Path, fresh_postgres_url: str) -> None:
