@@ -70,7 +70,10 @@ def test_a_database_of_two_cores_gives_twice_what_one_gives() -> None:
     assert found.database == pytest.approx(1.0, abs=0.02)
 
 
-def test_a_transaction_costs_what_the_dearer_measurement_says() -> None:
-    cost = {"run": {"transactions": {"claim": 60, "work of the job": 40}, "database_cpu_s": 0.3}}
+def test_claims_and_ends_cost_what_they_cost_many_at_once_where_that_is_dearer() -> None:
+    times = {"claim": 50, "end of a job": 10, "work of the job": 40}
+    cost = {"run": {"transactions": times}, "cpu_s_a_job": 0.1, "job_s": [1.0, 1.0, 1.0]}
     assert transaction_s(cost, {"transactions": 1000, "database_cpu_s": 2.0}) == pytest.approx(0.003)
-    assert transaction_s(cost, {"transactions": 1000, "database_cpu_s": 5.0}) == pytest.approx(0.005)
+    assert transaction_s(cost, {"transactions": 1000, "database_cpu_s": 5.0}) == pytest.approx(
+        0.6 * 0.005 + 0.4 * 0.003
+    )

@@ -1,7 +1,8 @@
 """What a real labelling asks of the database: a recording through API, sweeper and workers on a real PostgreSQL.
 
 **Conventions.** Counted are the workers' own transactions, from the run's start to its end, and those of the same
-processes while they are idle. Playback is made too, so that a run has every kind of job.
+processes while they are idle. Playback is made too, so that a run has every kind of job. Writing each statement to its
+log costs PostgreSQL as much as running it: processor time is of a run of which nothing is logged.
 """
 
 import sys
@@ -14,7 +15,6 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
-import psutil
 import psycopg
 from sqlalchemy import select
 
@@ -49,16 +49,12 @@ START_S = 240.0
 
 @dataclass(frozen=True)
 class DatabaseLoad:
-    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements.
-
-    `database_cpu_s` is what the server processes used meanwhile that serve them, its log of statements included.
-    """
+    """What `processes` worker processes asked of the database within `lasted_s`: transactions and statements."""
 
     processes: int
     lasted_s: float
     transactions: dict[str, int]
     statements: dict[str, int]
-    database_cpu_s: float
 
     def transactions_per_s(self) -> float:
         """Of one process."""
@@ -67,11 +63,15 @@ class DatabaseLoad:
 
 @dataclass(frozen=True)
 class RunCost:
-    """What a run of `job_s` (seconds each job was held) asked for, and what idle processes ask for."""
+    """What a run of `job_s` (seconds each job was held) asked for, and what idle processes ask for.
+
+    `cpu_s_a_job` is what the server's processes used that serve the workers, of another run, which was not logged.
+    """
 
     idle: DatabaseLoad
     run: DatabaseLoad
     job_s: tuple[float, ...]
+    cpu_s_a_job: float
 
     @property
     def jobs(self) -> int:
@@ -79,24 +79,25 @@ class RunCost:
 
 
 def counted(bags: Sequence[Path], workers: int, idle_s: float) -> RunCost:
-    """Label the bags, one after the other, with so many worker processes that are idle for `idle_s` before the last.
+    """Label the bags, one after the other, with so many worker processes; before the last two they idle for `idle_s`.
 
-    The last is counted: connections and prepared statements are warm then, as those of a worker that has worked are.
+    Those two are counted, the last one by its processor time: connections and prepared statements are warm then, as
+    those of a worker that has worked are.
     """
     with running_postgres(**LOGGING) as postgres, _platform(postgres, workers) as (platform, url):
         with platform.database.transaction() as session:
             user = create_user(session, "benchmark", "curator")
             token = issue(session, user, "benchmark", roles.SCOPES_OF[user.role], 86_400.0)
         with Api(Server(url, token)) as api:
-            for bag in bags[:-1]:
-                follow(api, start_run(api, _uploaded(api, bag), {})["id"], _silent)
-            sequence = _uploaded(api, bags[-1])
+            for bag in bags[:-2]:
+                _labelled(api, _uploaded(api, bag))
+            sequence = _uploaded(api, bags[-2])
             with _loaded(postgres, workers) as idle:
                 time.sleep(idle_s)
             with _loaded(postgres, workers) as run:
-                run_id = start_run(api, sequence, {})["id"]
-                follow(api, run_id, _silent)
-        return RunCost(idle[0], run[0], _job_s(platform, run_id))
+                run_id = _labelled(api, sequence)
+            cpu_s, jobs = _cpu_s_unlogged(api, postgres, bags[-1], platform)
+        return RunCost(idle[0], run[0], _job_s(platform, run_id), cpu_s / jobs)
 
 
 def recording(folder: Path, seconds: float) -> Path:
@@ -116,28 +117,45 @@ def _uploaded(api: Api, bag: Path) -> Mapping[str, Any]:
     return sequence
 
 
+def _labelled(api: Api, sequence: Mapping[str, Any]) -> str:
+    """The id of the run that labelled it."""
+    run_id: str = start_run(api, sequence, {})["id"]
+    follow(api, run_id, _silent)
+    return run_id
+
+
+def _cpu_s_unlogged(api: Api, postgres: PostgresServer, bag: Path, platform: Platform) -> tuple[float, int]:
+    """What the server used for the workers while they labelled the bag and no statement was logged, s; their jobs."""
+    sequence = _uploaded(api, bag)
+    postgres.run("ALTER SYSTEM SET log_statement TO 'none'")
+    postgres.run("SELECT pg_reload_conf()")
+    begun_s = _cpu_s_for(WORKER, postgres)
+    run_id = _labelled(api, sequence)
+    return _cpu_s_for(WORKER, postgres) - begun_s, len(_job_s(platform, run_id))
+
+
 @contextmanager
 def _loaded(postgres: PostgresServer, processes: int) -> Iterator[list[DatabaseLoad]]:
     """A list that holds, after the end, what the workers asked for meanwhile."""
     found: list[DatabaseLoad] = []
     with postgres.log.open(errors="replace") as log:
         log.seek(0, 2)
-        begun_s, begun_cpu_s = time.monotonic(), _cpu_s_for(WORKER, postgres)
+        begun_s = time.monotonic()
         yield found
-        lasted_s, used_s = time.monotonic() - begun_s, _cpu_s_for(WORKER, postgres) - begun_cpu_s
+        lasted_s = time.monotonic() - begun_s
         of_workers = [one for one in transactions(log) if one.program == WORKER]
     asked, statements = Counter(one.purpose for one in of_workers), Counter[str]()
     for one in of_workers:
         statements[one.purpose] += len(one.statements)
-    found.append(DatabaseLoad(processes, lasted_s, dict(asked), dict(statements), used_s))
+    found.append(DatabaseLoad(processes, lasted_s, dict(asked), dict(statements)))
 
 
 def _cpu_s_for(program: str, postgres: PostgresServer) -> float:
-    """Processor time of the server's processes that serve a program, s."""
+    """Processor time of the server's processes that serve a program, s; to the nanosecond, since it is little."""
     with psycopg.connect(postgres.url()) as connection:
         asked = "SELECT pid FROM pg_stat_activity WHERE application_name = %s"
         pids = [row[0] for row in connection.execute(asked, [program]).fetchall()]
-    return float(sum(sum(psutil.Process(pid).cpu_times()[:2]) for pid in pids))
+    return sum(int(Path(f"/proc/{pid}/schedstat").read_text("ascii").split()[0]) for pid in pids) / 1e9
 
 
 @contextmanager

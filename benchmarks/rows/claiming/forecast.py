@@ -14,6 +14,7 @@ from dataclasses import dataclass
 from typing import Any
 
 BEATS = ("heartbeat", "log lines")
+CLAIMS = ("claim", "end of a job")
 PRESENCE = "presence"
 LIVENESS = "liveness of a connection"
 
@@ -65,9 +66,15 @@ def demand_of(cost: Mapping[str, Any], *, is_shared: bool) -> JobDemand:
 
 
 def transaction_s(cost: Mapping[str, Any], share: Mapping[str, Any]) -> float:
-    """PostgreSQL's processor time of a transaction, s: of the labelling or of the claiming processes, the dearer."""
-    of_run = cost["run"]["database_cpu_s"] / sum(cost["run"]["transactions"].values())
-    return float(max(of_run, share["database_cpu_s"] / share["transactions"]))
+    """PostgreSQL's processor time of a transaction, s: the mean of the labelling.
+
+    Claims and ends cost what the claiming processes paid for theirs, where that is more: they are many at once.
+    """
+    times = cost["run"]["transactions"]
+    total, claims = sum(times.values()), sum(times.get(name, 0) for name in CLAIMS)
+    of_run = cost["cpu_s_a_job"] * len(cost["job_s"]) / total
+    of_claims = max(of_run, share["database_cpu_s"] / share["transactions"])
+    return float((claims * of_claims + (total - claims) * of_run) / total)
 
 
 def pace(demand: JobDemand, fleet: WorkerFleet, lasting_s: float = 60.0, seed: int = 1) -> FleetPace:

@@ -54,6 +54,7 @@ def shared(processes: int, lasted_s: float, runs: int) -> DatabaseShare:
         platform.database.close()
         pids = [_claiming(settings) for _ in range(processes)]
         time.sleep(START_S)
+        _analyse(platform)  # statements on attempts were planned while there was none
         before, cpu_s, begun, begun_s = (
             _transactions(postgres),
             _cpu_s(postgres),
@@ -80,8 +81,13 @@ def _fill(platform: Platform, runs: int) -> None:
         with platform.database.transaction() as session:
             specs = [JobSpec(KIND)] * JOBS_A_RUN
             enqueue_run(session, "benchmark", specs, Context(ids[number % OWNERS]))
+    _analyse(platform)
+
+
+def _analyse(platform: Platform) -> None:
+    """As a database that lives does by itself."""
     with platform.database.transaction() as session:
-        session.execute(text("ANALYZE"))  # as a database that lives has done
+        session.execute(text("ANALYZE"))
 
 
 def _claiming(settings: Settings) -> int:
