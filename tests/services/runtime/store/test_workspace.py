@@ -1,10 +1,12 @@
 """The workspace of a run: what one machine pushes another one pulls, whole, and no more than it asked for."""
 
 from pathlib import Path
+from threading import Barrier
 
 import pytest
 
 from services.runtime.settings import Settings, StoreSettings
+from services.runtime.store import workspace
 from services.runtime.store.factory import open_store
 from services.runtime.store.keys import BadKeyError, ObjectMissingError
 from services.runtime.store.workspace import Workspace
@@ -152,3 +154,20 @@ def test_a_removed_workspace_is_gone_here_and_in_the_store(
     assert {found.key for found in store.listed("")} == {f"work/{RUN}0/a", f"work/{RUN}0/tiles/0"}
     with pytest.raises(ObjectMissingError):
         store.read(f"work/{RUN}/a")
+
+
+def test_what_is_pushed_in_place_is_flushed_several_at_once_and_its_folders_last(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    here, flushed, together = workspace_on(make_settings(tmp_path)), list[Path](), Barrier(2)
+    fill(here, parts__one=b"1", parts__two=b"2", other=b"3")
+
+    def flush(path: Path) -> None:
+        if path.is_file():
+            together.wait(timeout=20)
+        flushed.append(path.relative_to(here.folder))
+
+    monkeypatch.setattr(workspace, "flush", flush)
+    here.push("parts/")
+    assert set(flushed[:2]) == {Path("parts/one"), Path("parts/two")}
+    assert set(flushed[2:]) == {Path(), Path("parts")}
