@@ -9,7 +9,7 @@ run's folder, makes no links, and reads the recording where its stage reads swee
 
 from collections.abc import Mapping
 from dataclasses import asdict, dataclass
-from functools import partial
+from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -22,7 +22,7 @@ from services.labeler.run import LabelRun
 from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
-from stone.sensors.sequence import Sweep, SweepSource
+from stone.sensors.sequence import Sequence, Sweep, SweepSource
 from stone_recordings.sync.sequence_file import read_sequence
 from stone_recordings.sync.sweep_file import read_sweeps
 
@@ -56,9 +56,17 @@ class RunOpening:
     sequence_file: str = SEQUENCE_FILE
 
     def run(self) -> LabelRun:
-        sequence = read_sequence((self.folder / self.sequence_file).read_bytes())
+        path = self.folder / self.sequence_file
+        status = path.stat()
+        sequence = _sequence_of(path, (status.st_ino, status.st_mtime_ns, status.st_size))
         sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording)
         return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices), self.folder)
+
+
+@lru_cache(maxsize=1)
+def _sequence_of(path: Path, _version: tuple[int, int, int]) -> Sequence:
+    """A sequence that was read: a child that is kept for a run reads it once, not for each job."""
+    return read_sequence(path.read_bytes())
 
 
 @dataclass(frozen=True)
