@@ -6,7 +6,7 @@ from threading import Barrier
 import pytest
 
 from services.runtime.settings import Settings, StoreSettings
-from services.runtime.store import workspace
+from services.runtime.store import workspace as workspaces
 from services.runtime.store.factory import open_store
 from services.runtime.store.keys import BadKeyError, ObjectMissingError
 from services.runtime.store.workspace import Workspace
@@ -167,7 +167,7 @@ def test_what_is_pushed_in_place_is_flushed_several_at_once_and_its_folders_last
             together.wait(timeout=20)
         flushed.append(path.relative_to(here.folder))
 
-    monkeypatch.setattr(workspace, "flush", flush)
+    monkeypatch.setattr(workspaces, "flush", flush)
     here.push("parts/")
     assert set(flushed[:2]) == {Path("parts/one"), Path("parts/two")}
     assert set(flushed[2:]) == {Path(), Path("parts")}
