@@ -11,6 +11,7 @@ itself always stays: remove it after the commit.
 
 import hashlib
 from collections.abc import Iterable, Iterator, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass, replace
 from itertools import accumulate
@@ -32,6 +33,7 @@ from services.runtime.store.protocol import Store
 __all__ = ["GcResult", "PreparedBlob", "collect_garbage", "keep", "link", "link_all", "prepare", "prepare_all"]
 
 SLOW_BYTES_PER_S = 2**20
+HASHERS = 4
 
 log = structlog.get_logger(__name__)
 
@@ -72,8 +74,10 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
 def prepare_all(
     store: Store, database: Database, paths: Iterable[Path], *, adopt: bool = False
 ) -> Iterator[PreparedBlob]:
-    """As `prepare`, of several files one after another; the database is asked and told of all of them at once."""
-    hashed = [_hashed(store, path, adopt) for path in paths]
+    """As `prepare`, of several files: a few are hashed at once and then stored one after another; the database is asked
+    and told of all of them at once."""
+    with ThreadPoolExecutor(HASHERS) as pool:
+        hashed = list(pool.map(lambda path: _hashed(store, path, adopt), paths))
     with database.reading() as session:
         standing = _object_keys(session, hashed)
     fresh = [one if one.sha256 in standing else replace(one, object_key=_fresh_key(one.sha256)) for one in hashed]

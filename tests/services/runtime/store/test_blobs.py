@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
 from pathlib import Path
+from typing import BinaryIO
 
 import pytest
 from sqlalchemy import delete, func, select
@@ -18,7 +19,7 @@ from services.runtime.orm import Blob, CalibrationRow, Job, LooseObject, User
 from services.runtime.orm.base import new_id, now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings, StoreSettings
-from services.runtime.store.blobs import GcResult, PreparedBlob, collect_garbage, keep, link, prepare
+from services.runtime.store.blobs import GcResult, PreparedBlob, collect_garbage, keep, link, prepare, prepare_all
 from services.runtime.store.factory import open_store
 from services.runtime.store.protocol import Store
 
@@ -340,3 +341,20 @@ def race(platform: Platform, *writers: Callable[[], object]) -> None:
     check_and_forget()
     collect_garbage(platform)
     assert (rows_of(platform, Blob), rows_of(platform, LooseObject), keys_of(platform.store)) == (0, 0, [])
+
+
+def test_several_files_are_hashed_at_once_and_stored_in_their_order(
+    platform_on: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    paths, together, digest = [tmp_path / name for name in "bacd"], threading.Barrier(2), hashlib.file_digest
+    for path in paths:
+        path.write_bytes(path.name.encode())
+
+    def digest_together(file: BinaryIO, name: str) -> "hashlib._Hash":
+        together.wait(timeout=20)
+        return digest(file, name)
+
+    monkeypatch.setattr(hashlib, "file_digest", digest_together)
+    stored = list(prepare_all(platform_on.store, platform_on.database, paths))
+    assert [one.path for one in stored] == paths
+    assert [one.sha256 for one in stored] == [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
