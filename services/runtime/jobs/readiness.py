@@ -34,8 +34,10 @@ def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
     None where the queue is paused, and where each that is ready is being taken.
     """
     session.flush()  # kept statements see what was written, not what is to be
-    owners = _owners_served(queue).rows(session, {})
     now = {"now": now_ns()}
+    if (found := session.execute(_taking_of_first(queue), now).first()) is not None:
+        return found[0], found[1]
+    owners = _owners_served(queue).rows(session, {})
     for owner_id, priority, _running, _oldest in owners:
         found = session.execute(_taking_of_owner(queue), {"owner": owner_id, "urgency": priority, **now}).first()
         if found is not None:
@@ -52,6 +54,14 @@ def wake_ups_wanted(session: Session, queue: str) -> int:
 
 def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
     return and_(job.queue == queue, job.state == QUEUED, job.needs_left == NONE)
+
+
+@lru_cache(MOST_QUEUES)
+def _taking_of_first(queue: str) -> ReturningUpdate[Job, str]:
+    """As `_taking_of_owner`, of the owner whose turn it is: as a rule one of their jobs is free."""
+    turn = _served(queue).limit(ONE).cte("turn")
+    owner, urgency = (select(column).scalar_subquery() for column in (turn.c.owner_id, turn.c.priority))
+    return _taken(_untaken(queue, Job.owner_id == owner, Job.priority == urgency).order_by(Job.root_id, Job.id))
 
 
 @lru_cache(MOST_QUEUES)
@@ -90,8 +100,12 @@ def owners_waiting(queue: str) -> KeptSelect:
 
 @lru_cache(MOST_QUEUES)
 def _owners_served(queue: str) -> KeptSelect:
-    """As `owners_waiting`; none where the queue is paused."""
-    return KeptSelect(_owners(queue).where(~exists().where(Queue.name == queue, Queue.mode == "paused")))
+    return KeptSelect(_served(queue))
+
+
+def _served(queue: str) -> Select[str, int, int, str]:
+    """As `_owners`; none where the queue is paused."""
+    return _owners(queue).where(~exists().where(Queue.name == queue, Queue.mode == "paused"))
 
 
 def _owners(queue: str) -> Select[str, int, int, str]:

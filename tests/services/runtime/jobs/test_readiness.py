@@ -95,7 +95,7 @@ def test_ends_and_claims_are_planned_once_and_ask_for_little(tmp_path: Path, fre
     platform.database.close()
     assert len([sql for sql in planned if "SKIP LOCKED" in sql]) == 1
     assert [sql for sql in planned if "RECURSIVE" in sql]
-    assert len(statements) < 20 * 9 + 10, "three for a claim, five for an end without words"
+    assert len(statements) < 20 * 7 + 10, "two for a claim, five for an end without words"
 
 
 PLANS = "SELECT statement, generic_plans FROM pg_prepared_statements"
