@@ -4,6 +4,7 @@
 whose answer was lost the same lines are sent again, and those that are there stay as they are.
 """
 
+import json
 from collections.abc import Sequence
 from dataclasses import asdict
 from typing import Any
@@ -16,6 +17,8 @@ from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords
 from services.runtime.orm import JobLine
 
 AT_A_TIME = 500
+LONGEST_PLAIN = 900
+LONGEST_LEVEL = 8
 OUTAGES = (OperationalError, InterfaceError, TimeoutError)
 """The database did not answer, or had no time: the same statement may pass the next time. What else it raises is of
 what was to be written (a number that no column holds, a character that no text may have), and comes again."""
@@ -43,7 +46,8 @@ def write_lines_singly(session: Session, words: AttemptWords) -> None:
 
 def write_lines_beside(session: Session, words: AttemptWords) -> None:
     """As `write_lines`, in a transaction that is about something else and that no line may make fail."""
-    if not words.lines:
+    if all(_is_plain(line) for line in words.lines):
+        write_lines(session, [words])
         return
     try:
         with session.begin_nested():
@@ -52,6 +56,15 @@ def write_lines_beside(session: Session, words: AttemptWords) -> None:
         raise
     except Exception:
         write_lines_singly(session, words)
+
+
+def _is_plain(line: AttemptLine) -> bool:
+    """Whether every database takes it for sure: short, of ASCII without control characters, numbers finite."""
+    try:
+        said = json.dumps([line.level, line.event, line.facts], allow_nan=False)
+    except (TypeError, ValueError, RecursionError):
+        return False
+    return len(said) <= LONGEST_PLAIN and len(line.level) <= LONGEST_LEVEL and "\\" not in said
 
 
 def _row(words: AttemptWords, line: AttemptLine) -> dict[str, Any]:

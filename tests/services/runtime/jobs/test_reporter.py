@@ -7,7 +7,7 @@ from time import monotonic
 from time import sleep as wait
 
 import pytest
-from sqlalchemy import select
+from sqlalchemy import event, select
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.orm import Session
 
@@ -257,3 +257,32 @@ def test_a_line_that_cannot_be_kept_takes_neither_the_heartbeat_nor_the_other_li
     first, odd, last = events_of(platform, job_id)
     assert (first, last) == ("before", "after")
     assert "cannot be kept" in odd
+
+
+ODD: dict[str, dict[str, object]] = {
+    "an object": {"x": object()},
+    "a lone surrogate": {"topic": "a\ud800b"},
+    "no number": {"x": float("nan")},
+    "a null": {"topic": "a\x00b"},
+    "long": {"topic": "a" * 1000},
+}
+
+
+@pytest.mark.parametrize(
+    ("facts", "savepoints"), [({"frames": 8, "share": 0.5}, 0), *((odd, 1) for odd in ODD.values())]
+)
+def test_last_lines_need_a_savepoint_only_where_the_database_might_refuse_one(
+    platform_on: Platform, facts: dict[str, object], savepoints: int
+) -> None:
+    begun: list[str] = []
+
+    def talk(attempt: Attempt) -> Outcome:
+        attempt.log("labelled", **facts)
+        return Outcome()
+
+    job_id = a_job(platform_on, an_owner(platform_on), "ingest.talk")
+    event.listen(platform_on.database.engine, "savepoint", lambda _connection, name: begun.append(name))
+    run_all(platform_on, {"ingest.talk": talk})
+    assert job(platform_on, job_id).state == "succeeded"
+    assert len(events_of(platform_on, job_id)) == 1
+    assert min(len(begun), 1) == savepoints
