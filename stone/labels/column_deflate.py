@@ -11,17 +11,14 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.kernels.lanes import lowest
+from stone.labels.column_tokens import END, FEWEST, LITERALS, MATCH, MOST, TOKENS, tokens_of
 from stone.labels.columns import NOTHING, Words
 
-BACK, FEWEST, MOST = 32, 3, 258  # bytes: how far back matches are, and how long
 LONGEST_CODE, SHARE = 15, 2000  # no symbol counts for less than this share: so no code is longer, see `_code_lengths`
 END_OF_BLOCK, SYMBOLS, DISTANCES, DISTANCE_SYMBOL = 256, 286, 10, 9
 DISTANCE_BITS, DISTANCE_WORD = 4, 0b1110  # the code, 0, and the 7 by which `BACK` is beyond 25, the symbol's least
 CODE_LENGTH_ORDER = (16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15)
 TURNED = np.array([int(f"{length:04b}"[::-1], 2) for length in range(16)])  # codes begin with their highest bit
-LITERALS, END, MATCH = 4, 4, 5  # tokens: a literal is its value, a match of n bytes is `MATCH` + n
-TOKENS = MATCH + MOST + 1
 
 
 def _token_symbols() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
@@ -46,14 +43,13 @@ TOKEN_SYMBOLS, TOKEN_BITS, TOKEN_EXTRA = _token_symbols()
 
 def deflated_columns(ones: Words, twos: Words = NOTHING) -> bytes:
     """The final deflate block of the grid that `stone.labels.columns.spread_out` makes of these columns."""
-    tokens, counts = np.empty(BACK * ones.size + 1, np.uint16), np.zeros(TOKENS, np.int64)
-    filled = _tokenise(ones.reshape(-1), twos.reshape(-1), tokens, counts)
+    tokens, counts = tokens_of(ones, twos)
     lengths = _code_lengths(np.bincount(TOKEN_SYMBOLS, counts, SYMBOLS).astype(np.int64))
     words, bits = _token_words(lengths)
     header = _header(lengths)
     size = int(header[:, 1].sum()) + int(bits.astype(np.int64) @ counts)
     out = np.empty(size // 32 + 1, "<u4")
-    _write(tokens[:filled], words, bits, header, out)
+    _write(tokens, words, bits, header, out)
     return out.tobytes()[: (size + 7) // 8]
 
 
@@ -67,58 +63,6 @@ def _header(lengths: NDArray[np.int64]) -> NDArray[np.uint64]:
     coded = np.full((SYMBOLS + DISTANCES, 2), 4, np.uint64)
     coded[:, 0] = TURNED[np.append(lengths, np.arange(DISTANCES) == DISTANCE_SYMBOL)]
     return np.concatenate([np.array(fixed, np.uint64), coded])
-
-
-@njit(cache=True, nogil=True)
-def _tokenise(ones, twos, tokens, counts):  # type: ignore[no-untyped-def]
-    """Fill tokens and how often each comes; how many they are."""
-    filled, same = 0, 0
-    for column in range(ones.size):
-        differs = np.uint32(0xFFFFFFFF)
-        if column > 0:
-            differs = (ones[column] ^ ones[column - 1]) | (twos[column] ^ twos[column - 1])
-        at = 0
-        while differs:
-            c = lowest(differs)
-            differs &= differs - np.uint32(1)
-            if same + c - at > 0:
-                filled = _put_same(ones, twos, 32 * column + c, same + c - at, tokens, counts, filled)
-            filled = _put_literal(ones, twos, 32 * column + c, tokens, counts, filled)
-            at, same = c + 1, 0
-        same += 32 - at
-    if same > 0:
-        filled = _put_same(ones, twos, 32 * ones.size, same, tokens, counts, filled)
-    tokens[filled] = END
-    counts[END] += 1
-    return filled + 1
-
-
-@njit(inline="always")
-def _put_literal(ones, twos, place, tokens, counts, filled):  # type: ignore[no-untyped-def]
-    bit = np.uint32(place & 31)
-    one, two = ones[place >> 5] >> bit, twos[place >> 5] >> bit
-    value = (one & np.uint32(1)) | ((two & np.uint32(1)) << np.uint32(1))
-    tokens[filled] = value
-    counts[value] += 1
-    return filled + 1
-
-
-@njit(cache=True, nogil=True)
-def _put_same(ones, twos, end, length, tokens, counts, filled):  # type: ignore[no-untyped-def]
-    """The bytes before `end` that are those of a column back, as matches, or literals where these are too few."""
-    if length < FEWEST:
-        for place in range(end - length, end):
-            filled = _put_literal(ones, twos, place, tokens, counts, filled)
-        return filled
-    while length > 0:
-        piece = min(length, MOST)
-        if 0 < length - piece < FEWEST:
-            piece = length - FEWEST
-        tokens[filled] = MATCH + piece
-        counts[MATCH + piece] += 1
-        filled += 1
-        length -= piece
-    return filled
 
 
 @njit(cache=True, nogil=True)
