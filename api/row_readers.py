@@ -14,7 +14,7 @@ from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 from starlette.responses import Response
 
-THREADS = 5  # while one runs Python, the others may wait for the database
+THREADS = 8  # while one runs Python, the others may wait for the database
 
 P = ParamSpec("P")
 _limiter = RunVar[CapacityLimiter]("row_readers")
