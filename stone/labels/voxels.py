@@ -26,7 +26,7 @@ class VoxelFeatures:
         return len(self.keys)
 
     def where(self, keep: NDArray[np.bool_]) -> "VoxelFeatures":
-        return VoxelFeatures(self.keys[keep], self.features[keep])
+        return VoxelFeatures(self.keys[keep], np.compress(keep, self.features, axis=0))
 
 
 def voxel_features(vertices_map: NDArray[np.float64], features: NDArray[np.float64]) -> VoxelFeatures:

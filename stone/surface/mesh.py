@@ -27,7 +27,8 @@ class Mesh:
         renumbered = np.cumsum(keep, dtype=np.int32) - 1
         a, b, c = self.triangles.T
         whole = keep[a] & keep[b] & keep[c]
-        return Mesh(self.vertices_map[keep], renumbered[self.triangles[whole]].reshape(-1, 3))
+        kept = np.compress(keep, self.vertices_map, axis=0)  # with a mask as an index it takes five times as long
+        return Mesh(kept, renumbered[np.compress(whole, self.triangles, axis=0)].reshape(-1, 3))
 
 
 def vertex_normals(mesh: Mesh) -> NDArray[np.float64]:

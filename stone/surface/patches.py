@@ -37,7 +37,8 @@ class Patches:
         return len(self.cells)
 
     def where(self, keep: NDArray[np.bool_]) -> "Patches":
-        return Patches(self.width_m, self.cells[keep], self.points_map[keep], self.normals[keep], self.counts[keep])
+        points_map, normals = (np.compress(keep, rows, axis=0) for rows in (self.points_map, self.normals))
+        return Patches(self.width_m, self.cells[keep], points_map, normals, self.counts[keep])
 
 
 def patches_of(

@@ -16,6 +16,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
 from stone.sensors.reach import FARTHEST_POINT_M
 from stone.surface.moments import (
+    FREE,
     MOST_FRAMES,
     MOST_POINTS,
     QUANTUM_M,
@@ -59,7 +60,8 @@ class PointMap:
         return np.asarray(self.moments[:, VIEW] * QUANTUM_M / self.moments[:, :1])
 
     def where(self, keep: NDArray[np.bool_]) -> "PointMap":
-        return PointMap(self.voxel_m, self.keys[keep], self.moments[keep])
+        # with a mask as an index it takes five times as long
+        return PointMap(self.voxel_m, np.compress(keep, self.keys), np.compress(keep, self.moments, axis=0))
 
     def where_seen(self, min_frames: int) -> "PointMap":
         """The voxels that were hit in at least so many frames."""
@@ -152,8 +154,9 @@ class PointMapBuilder:
         self._used = self._frames = self._points = 0
 
     def _finished(self) -> PointMap:
-        used = np.flatnonzero(self._rows[:, 0])
-        keys = self._rows[used, 0]
+        all_keys = np.ascontiguousarray(self._rows[:, 0])
+        used = np.flatnonzero(all_keys != FREE)
+        keys = all_keys[used]
         order = np.argsort(keys)
         moments = np.empty((len(used), 8), np.int64)
         unpack_rows(self._rows, used[order], moments)
