@@ -186,7 +186,7 @@ def _of_workers() -> tuple[Question, ...]:
 
 
 def _claim(kit: Kit, queue: str) -> None:
-    with kit.platform.database.reading() as session:
+    with kit.platform.database.transaction() as session:
         claim(session, queue)
         session.rollback()
 
