@@ -39,7 +39,7 @@ class LabelStageContext:
 
     def opening_with_sweeps(self) -> RunOpening:
         """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""
-        with self.platform.database.reading() as session:
+        with self.platform.database.lookups() as session:
             recordings = [session.get(Recording, one) for one in recording_ids_of(self.arguments)]
             kept = [kept_recording(session, recording) for recording in recordings if recording is not None]
         if len(kept) < len(recordings):

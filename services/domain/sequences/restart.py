@@ -7,6 +7,7 @@ again and again, because workers of two versions serve at once, fails in the end
 
 from typing import Any
 
+from sqlalchemy import bindparam, select
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.processing import lock_sequence, request_of, start_processing
@@ -15,18 +16,24 @@ from services.domain.sequences.processing_errors import (
     RecordingPendingError,
     SequenceDeletedError,
 )
-from services.domain.sequences.stage_checks import require_sequence
+from services.domain.sequences.stage_checks import sequence_gone
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import terminate
 from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
 from services.runtime.jobs.specs import TERMINAL, Attempt
-from services.runtime.orm import Job
+from services.runtime.orm import Job, SequenceRow
 from services.runtime.platform import Platform
 from stone.errors import StoneError
 
 MOST_RESTARTS = 10
 RESTARTS = "restarts"  # the argument of a run that counts them
+ARGUMENTS = (
+    select(Job.arguments)
+    .join(SequenceRow, SequenceRow.id == bindparam("sequence"))
+    .where(Job.id == bindparam("run"), SequenceRow.deleted_ns.is_(None))
+)
+"""The arguments of a run, while its sequence is there: every job of it begins with them, so they are one statement."""
 
 
 class RestartedTooOftenError(StoneError):
@@ -59,9 +66,10 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
     Raises `JobCancelledError` where its sequence was deleted, or where another version did, once the run is begun
     again; `CodeChangedError` where that is not possible now; and what `start_processing` raises where it is refused.
     """
-    with platform.database.reading() as session:
-        require_sequence(session, attempt)
-        arguments = session.get_one(Job, attempt.root_id).arguments
+    with platform.database.lookups() as session:
+        arguments = session.scalar(ARGUMENTS, {"run": attempt.root_id, "sequence": attempt.sequence_id})
+    if arguments is None:
+        raise sequence_gone()
     begun = arguments["code_version"]
     if begun == code_version("labels"):
         return arguments

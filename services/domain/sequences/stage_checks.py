@@ -11,5 +11,10 @@ def require_sequence(session: Session, attempt: Attempt) -> SequenceRow:
     """The sequence the attempt works for. Raises `JobCancelledError` when it was deleted."""
     sequence = session.get(SequenceRow, attempt.sequence_id) if attempt.sequence_id else None
     if sequence is None or sequence.deleted_ns is not None:
-        raise JobCancelledError("its sequence was deleted")
+        raise sequence_gone()
     return sequence
+
+
+def sequence_gone() -> JobCancelledError:
+    """What ends the jobs of a sequence that was deleted."""
+    return JobCancelledError("its sequence was deleted")
