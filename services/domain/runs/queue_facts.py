@@ -8,16 +8,15 @@ from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 from functools import cache
 
-from sqlalchemy import ColumnElement, func, literal_column, select
+from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from services.runtime.database.clock import database_ns
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, places_for
-from services.runtime.jobs.readiness import owners_waiting
+from services.runtime.jobs.readiness import RUNNING, owners_waiting
 from services.runtime.orm import Job, Queue, Worker
 
 FRESH_NS = 60 * 10**9
-RUNNING: ColumnElement[str] = literal_column("'running'")
 
 
 @dataclass(frozen=True)

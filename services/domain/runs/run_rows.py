@@ -14,12 +14,13 @@ from sqlalchemy.orm import Session
 from services.domain.runs.time_left import LABELLING
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
+from services.runtime.jobs.readiness import QUEUED, RUNNING
 from services.runtime.orm import Job
 
 MOST_OLDER = 50
 MOST_READ = 1000  # arguments that are kept as read
 COLUMNS = (Job.id, Job.owner_id, Job.kind, Job.queue, Job.priority, cast(Job.arguments, String))
-IS_ALIVE_RUN = (Job.id == Job.root_id, Job.state.in_([literal_column("'queued'"), literal_column("'running'")]))
+IS_ALIVE_RUN = (Job.id == Job.root_id, Job.state.in_([QUEUED, RUNNING]))
 
 
 class RunInputs(NamedTuple):
