@@ -35,7 +35,7 @@ from chaos.api_calls import (
 from chaos.inputs import Inputs, simulated
 from chaos.result_hashes import OwnerRun, RunArtefacts, made_by
 from chaos.verdict import Violation, judge
-from services.runtime.database.migrations.versions.r0019_words import TABLES
+from services.runtime.database.migrations.versions.r0001_r0020.r0019_words import TABLES
 from services.runtime.platform import open_platform
 from services.runtime.settings import DatabaseSettings, Settings
 from testing.servers.postgres import running_postgres

@@ -41,9 +41,7 @@ def upgrade(settings: Settings) -> None:
 
 def alembic_on(connection: Connection) -> Config:
     """The Alembic configuration for work in the connection's transaction."""
-    config = Config(attributes={"connection": connection})
-    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    return config
+    return _configuration({"connection": connection})
 
 
 def current_revision(connection: Connection) -> str:
@@ -53,12 +51,24 @@ def current_revision(connection: Connection) -> str:
 
 def head_revision() -> str:
     """The revision this code is of."""
-    return str(ScriptDirectory(str(MIGRATIONS)).get_current_head())
+    return str(_revisions().get_current_head())
 
 
 def is_known(revision: str) -> bool:
     """Whether this code knows the way from `revision` to its own."""
-    return revision in {known.revision for known in ScriptDirectory(str(MIGRATIONS)).walk_revisions()}
+    return revision in {known.revision for known in _revisions().walk_revisions()}
+
+
+def _revisions() -> ScriptDirectory:
+    return ScriptDirectory.from_config(_configuration({}))
+
+
+def _configuration(attributes: dict[str, Any]) -> Config:
+    # Not of alembic.ini: it could not name a folder with a % in its path.
+    config = Config(attributes=attributes)
+    config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
+    config.set_main_option("recursive_version_locations", "true")
+    return config
 
 
 @contextmanager

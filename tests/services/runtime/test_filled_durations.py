@@ -9,7 +9,7 @@ from alembic.operations import Operations
 from sqlalchemy import update
 
 from services.runtime.access.users import create_user
-from services.runtime.database.migrations.versions import r0008_datasets
+from services.runtime.database.migrations.versions.r0001_r0020 import r0008_datasets
 from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Artefact, Blob, LabelledFrameRow, LabelSet, SequenceRow

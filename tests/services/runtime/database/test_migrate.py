@@ -5,12 +5,22 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
+from alembic import command
 from alembic.autogenerate import compare_metadata
+from alembic.config import Config
 from alembic.runtime.migration import MigrationContext
+from alembic.script import ScriptDirectory
 from sqlalchemy import inspect, text
 from sqlalchemy.schema import CreateIndex
 
-from services.runtime.database.migrate import schema_connection, upgrade
+from services.runtime.database.migrate import (
+    MIGRATIONS,
+    alembic_on,
+    head_revision,
+    is_known,
+    schema_connection,
+    upgrade,
+)
 from services.runtime.database.transactions import Database
 from services.runtime.errors import BrokenReferenceError, NewerSchemaError
 from services.runtime.orm import Base, Job
@@ -87,17 +97,9 @@ def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
 
 
 def test_downgrading_to_the_base_leaves_no_table(empty: Settings) -> None:
-    from alembic import command
-    from alembic.config import Config
-
-    from services.runtime.database.migrate import MIGRATIONS
-
     upgrade(empty)
-    config = Config(attributes={})
-    config.set_main_option("script_location", str(MIGRATIONS))
     with schema_connection(empty) as connection:
-        config.attributes["connection"] = connection
-        command.downgrade(config, "base")
+        command.downgrade(alembic_on(connection), "base")
     assert tables_of(empty) == {"alembic_version"}
 
 
@@ -106,3 +108,13 @@ def tables_of(settings: Settings) -> set[str]:
     names = set(inspect(database.engine).get_table_names())
     database.close()
     return names
+
+
+def test_the_command_that_writes_a_revision_knows_all_and_writes_into_the_last_folder() -> None:
+    """Its file lists the folders; this code walks them."""
+    revisions = ScriptDirectory.from_config(Config(MIGRATIONS / "alembic.ini"))
+    assert revisions.get_current_head() == head_revision()
+    assert all(is_known(each.revision) for each in revisions.walk_revisions())
+    files = sorted(MIGRATIONS.glob("versions/*/r*.py"))
+    assert len(list(revisions.walk_revisions())) == len(files)
+    assert revisions.get_revision(head_revision()).path == str(files[-1])

@@ -7,10 +7,9 @@ from typing import Any
 
 import pytest
 from alembic import command
-from alembic.config import Config
 from sqlalchemy import Connection, text
 
-from services.runtime.database.migrate import MIGRATIONS, schema_connection, upgrade
+from services.runtime.database.migrate import alembic_on, schema_connection, upgrade
 from services.runtime.database.transactions import Database
 from services.runtime.orm import CalibrationRow, Recording
 from services.runtime.settings import DatabaseSettings, Settings
@@ -54,7 +53,7 @@ def older(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
 
 def filled(settings: Settings) -> Settings:
     with schema_connection(settings) as connection:
-        command.upgrade(config_on(connection), "0005")
+        command.upgrade(alembic_on(connection), "0005")
         for table, row in OLDER.items():
             insert(connection, table, row)
     return settings
@@ -63,12 +62,6 @@ def filled(settings: Settings) -> Settings:
 def insert(connection: Connection, table: str, row: dict[str, Any]) -> None:
     places = ", ".join(f":{name}" for name in row)
     connection.execute(text(f"INSERT INTO {table} ({', '.join(row)}) VALUES ({places})"), row)
-
-
-def config_on(connection: Connection) -> Config:
-    config = Config(attributes={"connection": connection})
-    config.set_main_option("script_location", str(MIGRATIONS))
-    return config
 
 
 def test_an_older_recording_becomes_one_of_one_file(older: Settings) -> None:
@@ -88,7 +81,7 @@ def test_an_older_recording_becomes_one_of_one_file(older: Settings) -> None:
 def test_going_back_brings_every_older_row_back_as_it_was(older: Settings) -> None:
     upgrade(older)
     with schema_connection(older) as connection:
-        command.downgrade(config_on(connection), "0005")
+        command.downgrade(alembic_on(connection), "0005")
     with schema_connection(older) as connection:
         for table, row in OLDER.items():
             found = connection.execute(text(f"SELECT {', '.join(row)} FROM {table}")).mappings().one()
@@ -103,13 +96,13 @@ def test_going_back_tears_no_recording_of_several_files_apart(older: Settings) -
         insert(connection, "recording_files", second)
     with pytest.raises(RuntimeError, match="1 files belong to recordings of several files"):  # noqa: SIM117
         with schema_connection(older) as connection:
-            command.downgrade(config_on(connection), "0005")
+            command.downgrade(alembic_on(connection), "0005")
 
 
 def test_what_was_public_is_remembered_by_the_audit_log_and_else_from_its_making_on(older: Settings) -> None:
     sequence = OLDER["sequences"] | {"is_public": False}
     with schema_connection(older) as connection:
-        command.upgrade(config_on(connection), "0020")
+        command.upgrade(alembic_on(connection), "0020")
         for name, is_public in (("once", False), ("is", True), ("never", False)):
             insert(connection, "sequences", sequence | {"id": name, "name": name, "is_public": is_public})
         for number, facts in enumerate(({"is_public": True}, {"is_public": False}, {"name": "x"}), 1):

@@ -23,8 +23,8 @@ from sqlalchemy import (
 from sqlalchemy.exc import DBAPIError
 
 from services.runtime.database.migrate import alembic_on, schema_connection, upgrade
-from services.runtime.database.migrations.versions import r0022_spectra
-from services.runtime.database.migrations.versions.r0019_words import COLUMNS, METRICS, TABLES
+from services.runtime.database.migrations.versions.r0001_r0020.r0019_words import COLUMNS, METRICS, TABLES
+from services.runtime.database.migrations.versions.r0021_r0040 import r0022_spectra
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.orm import Base
 from services.runtime.platform import Platform

@@ -1,1 +1,1 @@
-"""The revisions, in the order of their numbers."""
+"""The revisions, in folders of twenty; a new one goes into the last."""

@@ -1,0 +1,1 @@
+"""From the first tables to counts that each process writes."""
