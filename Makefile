@@ -2,6 +2,8 @@
 # Each installs first, which costs nothing when nothing changed.
 .PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-starts bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
+# Hundreds of processes are started: what one has compiled serves the others.
+unexport PYTHONDONTWRITEBYTECODE
 
 BIN := .venv/bin
 # What the platform runs on; what tests, checks and benchmarks need besides; what the docs site is built with.

@@ -9,6 +9,7 @@ as one is not even loaded where `-m "not whole"` is asked for.
 """
 
 import re
+from functools import cache
 from pathlib import Path
 
 import pytest
@@ -43,6 +44,7 @@ def is_whole_file(path: Path) -> bool:
     return "mark.everyday" not in text and (WHOLE_FILE.search(text) is not None or is_in_whole_folder(path))
 
 
+@cache  # asked for every test of a file
 def is_in_whole_folder(path: Path) -> bool:
     return path.is_relative_to(TESTS) and any(path.is_relative_to(TESTS / folder) for folder in WHOLE_FOLDERS)
 

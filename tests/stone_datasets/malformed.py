@@ -106,12 +106,18 @@ def split_chain(rows: Rows) -> None:
     rows[0]["next"] = rows[1]["prev"] = ""
 
 
+def blocks(content: bytes, mode: int) -> bytes:
+    """Deflated by itself, so that such may follow each other."""
+    packer = zlib.compressobj(9, zlib.DEFLATED, -15)
+    return packer.compress(content) + packer.flush(mode)
+
+
 def bomb() -> bytes:
-    """A npy whose data goes on for a gibibyte, in a megabyte."""
-    head, packer = BytesIO(), zlib.compressobj(9, zlib.DEFLATED, -15)
+    """A npy whose data goes on for a gibibyte, in a megabyte: zeros that were deflated once, 64 times."""
+    head = BytesIO()
     np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": GRID_SHAPE})
-    packed = packer.compress(head.getvalue())
-    packed += b"".join(packer.compress(bytes(1 << 24)) for _ in range(64)) + packer.flush()
+    packed = blocks(head.getvalue(), zlib.Z_FULL_FLUSH) + blocks(bytes(1 << 24), zlib.Z_FULL_FLUSH) * 64
+    packed += blocks(b"", zlib.Z_FINISH)
     local = struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 8, 0, 33, 0, len(packed), 1 << 21, 13, 0) + b"semantics.npy"
     central = struct.pack("<4s6H3I5H2I", b"PK\1\2", 20, 20, 0, 8, 0, 33, 0, len(packed), 1 << 21, 13, *[0] * 6)
     end = struct.pack("<4s4H2IH", b"PK\5\6", 0, 0, 1, 1, len(central) + 13, len(local) + len(packed), 0)
