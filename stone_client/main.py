@@ -7,17 +7,16 @@ need the platform are in `stone_local` and appear where that is installed. Exit 
 is refused, 2 usage; 130 and 143 interrupted.
 """
 
-import gc
+import os
 from typing import Annotated
 
 import typer
 
+from stone_base.garbage import collect_seldom
 from stone_client.lazy_commands import CommandPlace, LazyGroup, places
 from stone_client.platform_part import add_refusals, platform_commands
 from stone_client.refusals import RefusingGroup
 
-# What a command imports stays: looking for garbage in it every 700 objects, as is usual, takes a seventh of the start.
-COLLECTED_AFTER = 20_000
 PACKAGE = "stone_client.commands"
 PANELS = ("On this machine", "With a server", "The dataset", "Models", "A benchmark")
 IMPORT = CommandPlace("import", "With a server", f"{PACKAGE}.server.dataset_import", "import_dataset")
@@ -77,7 +76,9 @@ if not PLATFORM_COMMANDS:
 
 
 def main() -> None:
-    gc.set_threshold(COLLECTED_AFTER)
+    collect_seldom()
+    # Linear algebra here is of small matrices: its threads would be made while numpy loads, and spin, for nothing.
+    os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app()
 
 

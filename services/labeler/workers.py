@@ -7,6 +7,7 @@ threads, because half of a stage is numpy and Python under the interpreter's loc
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
+import gc
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -21,7 +22,11 @@ from services.labeler.freed_memory import keep_freed_memory
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
-PRELOAD = ["services.labeler.kernel_warmup"]
+PRELOAD = [
+    "services.runtime.one_thread",
+    "services.runtime.processes.seldom_collected",
+    "services.labeler.kernel_warmup",
+]
 
 
 @dataclass(frozen=True)
@@ -106,7 +111,9 @@ def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> TaskResu
 
 
 def _prepare() -> None:
-    """One thread for every library, freed memory kept, and no life beyond that of the process that asked."""
+    """What is loaded never looked at for garbage, freed memory kept, one thread for every library, and no life beyond
+    that of the process that asked."""
+    gc.freeze()
     keep_freed_memory()
     asker = parent_process()
     if asker is not None:

@@ -1,5 +1,6 @@
 """Workers do every task, pass errors on, and do not outlive who asked for them."""
 
+import gc
 import os
 import signal
 import subprocess
@@ -14,6 +15,7 @@ from services.labeler.workers import Task, Workers
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Frames, Sequence
+from stone_base.garbage import COLLECTED_AFTER
 from testing.signals import hear_signals
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -68,6 +70,18 @@ def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
 def _refuse_or_sleep(seconds: float) -> None:
     time.sleep(seconds)
     refuse("run")
+
+
+def _looks_for_garbage(_number: int) -> tuple[int, int]:
+    return gc.get_freeze_count(), gc.get_threshold()[0]
+
+
+def test_workers_do_not_look_at_what_is_loaded_and_seldom_at_the_rest() -> None:
+    with Workers(1) as workers:
+        [(_, done)] = workers.run([Task(("looks",), _looks_for_garbage, (0,))])
+    kept, collected_after = done.value
+    assert kept > 50_000
+    assert collected_after == COLLECTED_AFTER
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
