@@ -16,7 +16,7 @@ import sys
 import tempfile
 from collections import defaultdict
 from collections.abc import Iterable, Sequence
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass, fields
 from pathlib import Path
 from statistics import median
 from threading import Event, Thread
@@ -175,9 +175,18 @@ def thinned(trace: LabellingTrace) -> dict[str, Any]:
         if look.at_s >= next_s or look.at_s in shown:
             kept.append(look)
             next_s = max(next_s, look.at_s + KEPT_S) if look.at_s >= next_s else next_s
-    record = asdict(LabellingTrace(trace.total_s, tuple(kept), trace.spent, trace.recorded_s))
+    record = recorded(LabellingTrace(trace.total_s, tuple(kept), trace.spent, trace.recorded_s))
     rounded: dict[str, Any] = json.loads(json.dumps(record), parse_float=lambda text: round(float(text), 3))
     return rounded
+
+
+def recorded(value: Any) -> Any:
+    """As JSON has it: what has names is an object of them."""
+    if isinstance(value, LabellingTrace | RunGlance | Pace):
+        return {field.name: recorded(getattr(value, field.name)) for field in fields(value)}
+    if isinstance(value, RunWorkload | StageWork | RunningJob):
+        return {name: recorded(one) for name, one in value._asdict().items()}
+    return [recorded(one) for one in value] if isinstance(value, tuple) else value
 
 
 def read_traces(path: Path) -> list[LabellingTrace]:

@@ -12,9 +12,11 @@ of the map: they take `N·s·p` together, whatever the first took, and have no s
 clock and no database here: the estimate is calibrated by replay (`python -m benchmarks.time_left`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
+from functools import cached_property, lru_cache
 from math import ceil
+from typing import NamedTuple
 
 LABELLING = "sequence.process"
 SYNCHRONISE, CHECK, PARTS = "ingest.synchronise", "ingest.check", "labeler.parts"
@@ -23,6 +25,7 @@ SIGHT, REFERENCE, FRAMES = "labeler.sight", "labeler.reference", "labeler.frames
 MAP, PICTURES, PUBLISH = "labeler.map", "labeler.pictures", "labeler.publish"
 LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP, PICTURES), (PUBLISH,))
 """Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
+OF_LABELLING = frozenset(kind for layer in LAYERS for kind in layer)
 SHARES = (FUSE, FRAMES, "labeler.export")
 """The kinds whose progress counts frames, which take about the same time each."""
 UNEVEN = (SURFACE,)
@@ -34,6 +37,7 @@ OVERDUE = 0.5
 """Of a job that is beyond its time, this share of what it took is expected to come."""
 FRAMES_HZ = 10.0
 FRAMES_PER_PART = 60
+MOST_PLANS = 1000  # of labellings, by the number of their parts, that are kept
 UNKNOWN_LENGTH_S = 60.0
 """Of a recording that was registered before its length was kept."""
 
@@ -54,16 +58,14 @@ TYPICAL: Mapping[str, float] = {
 TYPICAL_TILES = 1.8
 
 
-@dataclass(frozen=True)
-class RunningJob:
+class RunningJob(NamedTuple):
     """A job that runs: since when, and the share of it that is done where its units are frames, else None."""
 
     elapsed_s: float
     share: float | None = None
 
 
-@dataclass(frozen=True)
-class StageWork:
+class StageWork(NamedTuple):
     """The jobs of one kind of a run; `busy_s` is what the `done` ones took together."""
 
     kind: str
@@ -77,8 +79,10 @@ class StageWork:
         return self.queued + len(self.running)
 
 
-@dataclass(frozen=True)
-class RunWorkload:
+NOTHING = StageWork("")
+
+
+class RunWorkload(NamedTuple):
     """A run as it stands: `kind` of the run, the stages in the order in which their first jobs were made.
 
     `recorded_s` is the length of its recordings, `frames` those that synchronisation found; each None where unknown.
@@ -105,8 +109,10 @@ class Pace:
     seconds: Mapping[str, float] = field(default_factory=dict)
     tiles_per_part: float | None = None
 
-    def of(self, kind: str) -> float | None:
-        return self.seconds.get(kind, TYPICAL.get(kind))
+    @cached_property
+    def expected_s(self) -> Mapping[str, float]:
+        """By kind, with what is typical where the last runs do not tell."""
+        return {**TYPICAL, **self.seconds}
 
     @property
     def tiles(self) -> float:
@@ -116,35 +122,38 @@ class Pace:
 def seconds_left(work: RunWorkload, pace: Pace) -> float | None:
     """The seconds until the run ends; None where nothing tells how long its jobs take."""
     stages = {stage.kind: stage for stage in (*work.stages, *_to_come(work, pace))}
-    layers = _layers(work)
-    scale = _scale(work, pace)
+    expected_s = _expected_s(work, pace)
+    scale = _scale(work, expected_s)
     left_s = 0.0
-    for layer in layers:
-        of_layer = [stages[kind] for kind in layer if kind in stages and stages[kind].left]
+    for layer in _layers(work):
         sum_s = longest_s = 0.0
-        for stage in of_layer:
-            own_s = _job_s(stage, work, pace, scale)
+        for kind in layer:
+            stage = stages.get(kind, NOTHING)
+            if not (stage.queued or stage.running):
+                continue
+            own_s = _job_s(stage, work, expected_s.get(kind), scale)
             if own_s is None:
                 return None
-            running_s = [_running_s(stage.kind, job, own_s) for job in stage.running]
-            queued_s, longest_queued_s = _queued_s(stage, own_s)
-            sum_s += queued_s + sum(running_s)
-            longest_s = max(longest_s, longest_queued_s, *running_s)
-        left_s += _layer_s(sum_s, longest_s, work.workers)
+            stage_s, longest_of_stage_s = _stage_s(stage, own_s)
+            sum_s += stage_s
+            longest_s = max(longest_s, longest_of_stage_s)
+        if longest_s:
+            left_s += _layer_s(sum_s, longest_s, work.workers)
     return left_s
 
 
 def _layer_s(sum_s: float, longest_s: float, workers: float) -> float:
     """Midway between the bounds of list scheduling."""
-    mean_s = sum_s / workers
-    return (max(mean_s, longest_s) + mean_s + (1 - 1 / max(1.0, workers)) * longest_s) / 2
+    mean_s, others = sum_s / workers, 1 - 1 / workers if workers > 1 else 0.0
+    return (max(mean_s, longest_s) + mean_s + others * longest_s) / 2
 
 
-def _layers(work: RunWorkload) -> tuple[tuple[str, ...], ...]:
+def _layers(work: RunWorkload) -> Iterable[tuple[str, ...]]:
     """Kinds that are worked on at the same time, one group after the other."""
-    known = {kind for layer in LAYERS for kind in layer} if work.kind == LABELLING else set[str]()
-    others = tuple((stage.kind,) for stage in work.stages if stage.kind not in known)
-    return (*LAYERS, *others) if work.kind == LABELLING else others
+    if work.kind != LABELLING:
+        return [(stage.kind,) for stage in work.stages]
+    others = [(stage.kind,) for stage in work.stages if stage.kind not in OF_LABELLING]
+    return (*LAYERS, *others) if others else LAYERS
 
 
 def rounded_s(seconds: float) -> int:
@@ -153,44 +162,44 @@ def rounded_s(seconds: float) -> int:
     return max(1, ceil(seconds / step) * step)
 
 
-def _to_come(work: RunWorkload, pace: Pace) -> tuple[StageWork, ...]:
+def _to_come(work: RunWorkload, pace: Pace) -> Iterable[StageWork]:
     """The stages of a labelling that are not queued yet, because those before tell which there are."""
-    known = {stage.kind for stage in work.stages}
+    known = [stage.kind for stage in work.stages]
     if work.kind != LABELLING or FUSE in known or not known:
         return ()
-    counts = {CHECK: 1, **(_of_labelling(work, pace) if work.makes_labels else {})}
-    return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if kind not in known and count)
-
-
-def _of_labelling(work: RunWorkload, pace: Pace) -> dict[str, int]:
-    """The number of jobs of each stage, by the frames as far as they are known."""
+    if not work.makes_labels:
+        return () if CHECK in known else (StageWork(CHECK, queued=1),)
     frames = work.frames if work.frames is not None else FRAMES_HZ * work.length_s
     parts = max(1, ceil(frames / FRAMES_PER_PART))
-    counts = {PARTS: 1, FUSE: parts, SURFACE: max(1, round(parts * pace.tiles)), SIGHT: work.cameras}
-    return counts | {REFERENCE: 1, FRAMES: parts, MAP: 1, PICTURES: 1, PUBLISH: 1}
+    tiles = max(1, round(parts * pace.tiles))
+    return [stage for stage in _of_labelling(parts, tiles, work.cameras) if stage.kind not in known]
 
 
-def _scale(work: RunWorkload, pace: Pace) -> float:
+@lru_cache(MOST_PLANS)
+def _of_labelling(parts: int, tiles: int, cameras: int) -> tuple[StageWork, ...]:
+    """The stages after synchronisation, of which nothing has begun."""
+    counts = {CHECK: 1, PARTS: 1, FUSE: parts, SURFACE: tiles, SIGHT: cameras, REFERENCE: 1, FRAMES: parts}
+    counts |= {MAP: 1, PICTURES: 1, PUBLISH: 1}
+    return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if count)
+
+
+def _expected_s(work: RunWorkload, pace: Pace) -> Mapping[str, float]:
+    """What a job took before, by kind; of synchronisation one of recordings as long as these."""
+    return {**pace.expected_s, SYNCHRONISE: pace.expected_s[SYNCHRONISE] * work.length_s}
+
+
+def _scale(work: RunWorkload, expected_s: Mapping[str, float]) -> float:
     """How much longer this run's jobs take than such jobs did, by those that are done; 1 while none tells."""
-    busy_s = expected_s = 0.0
+    busy_s = before_s = 0.0
     for stage in work.stages:
-        before_s = _before_s(stage.kind, work, pace)
-        if before_s is not None and stage.kind not in UNEVEN:
+        if stage.kind in expected_s and stage.kind not in UNEVEN:
             busy_s += stage.busy_s
-            expected_s += before_s * stage.done
-    return busy_s / expected_s if busy_s and expected_s else 1.0
+            before_s += expected_s[stage.kind] * stage.done
+    return busy_s / before_s if busy_s and before_s else 1.0
 
 
-def _before_s(kind: str, work: RunWorkload, pace: Pace) -> float | None:
-    before_s = pace.of(kind)
-    if kind == SYNCHRONISE and before_s is not None:
-        return before_s * work.length_s
-    return before_s
-
-
-def _job_s(stage: StageWork, work: RunWorkload, pace: Pace, scale: float) -> float | None:
+def _job_s(stage: StageWork, work: RunWorkload, before_s: float | None, scale: float) -> float | None:
     """The seconds of a job of the stage; None where neither this run nor one before tells."""
-    before_s = _before_s(stage.kind, work, pace)
     if before_s is not None:
         if stage.kind in UNEVEN:
             return scale * before_s
@@ -204,15 +213,22 @@ def _job_s(stage: StageWork, work: RunWorkload, pace: Pace, scale: float) -> flo
     return max(job.elapsed_s / (job.share or 1.0) for job in shares) if shares else None
 
 
-def _queued_s(stage: StageWork, own_s: float) -> tuple[float, float]:
-    """The seconds of the jobs that wait, and of the longest: of uneven ones what the others left of the sum of all."""
-    if not stage.queued:
-        return 0.0, 0.0
+def _stage_s(stage: StageWork, own_s: float) -> tuple[float, float]:
+    """The seconds of the jobs that run or wait, and of the longest."""
+    queued_s, longest_s = (_queued_s(stage, own_s), own_s) if stage.queued else (0.0, 0.0)
+    if not stage.running:
+        return queued_s, longest_s
+    running_s = [_running_s(stage.kind, job, own_s) for job in stage.running]
+    return queued_s + sum(running_s), max(longest_s, *running_s)
+
+
+def _queued_s(stage: StageWork, own_s: float) -> float:
+    """The seconds of the jobs that wait: of uneven ones what the others left of the sum of all."""
     if stage.kind not in UNEVEN:
-        return stage.queued * own_s, own_s
+        return stage.queued * own_s
     others_s = stage.busy_s + sum(max(own_s, job.elapsed_s) for job in stage.running)
     rest_s = own_s * (stage.done + stage.left) - others_s
-    return max(LEAST_UNEVEN * own_s * stage.queued, rest_s), own_s
+    return max(LEAST_UNEVEN * own_s * stage.queued, rest_s)
 
 
 def _running_s(kind: str, job: RunningJob, own_s: float) -> float:

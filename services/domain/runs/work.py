@@ -6,9 +6,9 @@ of jobs are those of their last attempt. A job that is its own run is a run of o
 
 import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, replace
+from collections.abc import Mapping, Sequence, Set
 from functools import cache
+from typing import NamedTuple
 
 from sqlalchemy import BigInteger, ColumnElement, String, and_, case, cast, func, select
 from sqlalchemy.orm import Session
@@ -22,11 +22,8 @@ from services.runtime.jobs.readiness import RUNNING
 from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import CalibrationRow, Job, Recording
 
-UNKNOWN = RunWorkload("", ())
 
-
-@dataclass(frozen=True)
-class AliveRun:
+class AliveRun(NamedTuple):
     """A run, its work and the queue in which it waits most; `is_paused` where no job of it may start."""
 
     run: AliveRow
@@ -35,8 +32,7 @@ class AliveRun:
     is_paused: bool
 
 
-@dataclass(frozen=True)
-class RunStages:
+class RunStages(NamedTuple):
     """The stages of a run in the order in which their first jobs were made, and the frames that it found, if it did."""
 
     stages: tuple[StageWork, ...] = ()
@@ -49,16 +45,20 @@ NOT_BEGUN = RunStages()
 def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[AliveRun]:
     """The runs as they stand at `at_ns`."""
     found = stages_of(session, [run.id for run in runs], at_ns)
-    works = _workloads(session, runs, found)
-    queues = {run.id: _queue_of(run, works[run.id].stages) for run in runs}
+    queues = {run.id: _queue_of(run, found.get(run.id, NOT_BEGUN).stages) for run in runs}
     facts = queue_facts(session, queues.values())
-    alive = []
-    for run in runs:
-        work, queue = works[run.id], queues[run.id]
-        shared = replace(work, workers=facts.share(queue, run.owner_id, run.priority))
-        left = {queue_of(stage.kind) for stage in work.stages if stage.left} or {queue}
-        alive.append(AliveRun(run, shared, queue, bool(left & facts.paused)))
-    return alive
+    share = cache(facts.share)  # which many runs of a list have in common
+    workers = {run.id: share(queues[run.id], run.owner_id, run.priority) for run in runs}
+    works = _workloads(session, runs, found, workers)
+    return [
+        AliveRun(run, work, queue, _waits_for(work, queue, facts.paused))
+        for run, work, queue in zip(runs, works, queues.values(), strict=True)
+    ]
+
+
+def _waits_for(work: RunWorkload, queue: str, paused: Set[str]) -> bool:
+    """Whether one of these queues is among those in which it has jobs left."""
+    return bool(paused) and bool(paused & ({queue_of(stage.kind) for stage in work.stages if stage.left} or {queue}))
 
 
 def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[str, RunStages]:
@@ -95,25 +95,24 @@ def _stage_statements(places: int) -> tuple[KeptSelect, KeptSelect]:
     return KeptSelect(grouped), KeptSelect(at_work)
 
 
-def _workloads(session: Session, runs: Sequence[AliveRow], found: Mapping[str, RunStages]) -> dict[str, RunWorkload]:
-    """What each has to do, for one worker."""
+def _workloads(
+    session: Session, runs: Sequence[AliveRow], found: Mapping[str, RunStages], workers: Mapping[str, float]
+) -> list[RunWorkload]:
+    """What each has to do."""
     inputs = [run.inputs for run in runs if run.inputs]
     lengths = _recorded_s(session, sorted({one for made_of in inputs for one in made_of.recording_ids}))
     cameras = _cameras(session, sorted({one.calibration_id for one in inputs if one.calibration_id}))
-    works = dict[str, RunWorkload]()
-    for run in runs:
-        of_run, made_of = found.get(run.id, NOT_BEGUN), run.inputs
-        works[run.id] = RunWorkload(run.kind, of_run.stages)
-        if made_of:
-            works[run.id] = RunWorkload(
-                run.kind,
-                of_run.stages,
-                recorded_s=sum(lengths.get(one, 0.0) for one in made_of.recording_ids) or None,
-                frames=of_run.frames,
-                cameras=cameras.get(made_of.calibration_id or "", 0),
-                makes_labels=made_of.makes_labels,
-            )
-    return works
+
+    def workload(run: AliveRow) -> RunWorkload:
+        stages, frames = found.get(run.id, NOT_BEGUN)
+        if run.inputs is None:
+            return RunWorkload(run.kind, stages, workers=workers[run.id])
+        recording_ids, calibration_id, makes_labels = run.inputs
+        recorded_s = sum(lengths.get(one, 0.0) for one in recording_ids) or None
+        seen_by = cameras.get(calibration_id or "", 0)
+        return RunWorkload(run.kind, stages, recorded_s, frames, seen_by, makes_labels, workers[run.id])
+
+    return [workload(run) for run in runs]
 
 
 def _recorded_s(session: Session, recording_ids: Sequence[str]) -> dict[str, float]:

@@ -1,7 +1,5 @@
 """The estimate of the time left: what it must never do."""
 
-from dataclasses import replace
-
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
@@ -56,14 +54,14 @@ def told(work: RunWorkload, pace: Pace) -> float:
 def test_it_is_never_negative_and_never_less_with_more_to_do(work: RunWorkload, pace: Pace, place: int) -> None:
     left_s = told(work, pace)
     assert left_s >= 0
-    more = replace(work.stages[place], queued=work.stages[place].queued + 1)
-    longer = replace(work, stages=(*work.stages[:place], more, *work.stages[place + 1 :]))
+    more = work.stages[place]._replace(queued=work.stages[place].queued + 1)
+    longer = work._replace(stages=(*work.stages[:place], more, *work.stages[place + 1 :]))
     assert told(longer, pace) >= left_s - 1e-6
 
 
 @given(WORKLOADS, PACES)
 def test_twice_the_workers_never_take_longer(work: RunWorkload, pace: Pace) -> None:
-    assert told(replace(work, workers=2 * work.workers), pace) <= told(work, pace) + 1e-6
+    assert told(work._replace(workers=2 * work.workers), pace) <= told(work, pace) + 1e-6
 
 
 @given(PACES)
@@ -118,14 +116,14 @@ def test_stages_that_are_not_queued_yet_are_counted_by_the_length_of_the_recordi
     first = (StageWork("ingest.synchronise", queued=1),)
     short, long = (RunWorkload(LABELLING, first, recorded_s=seconds, cameras=6) for seconds in (20.0, 600.0))
     assert told(long, Pace()) > 10 * told(short, Pace())
-    alone = replace(short, makes_labels=False)
+    alone = short._replace(makes_labels=False)
     assert told(alone, Pace()) == pytest.approx(20.0 * TYPICAL["ingest.synchronise"] + TYPICAL["ingest.check"])
 
 
 def test_a_run_of_kinds_that_nobody_has_seen_is_not_told() -> None:
     unknown = (StageWork("labeler.import_scene", queued=3, running=(RunningJob(2.0),)),)
     assert seconds_left(RunWorkload("dataset.import", unknown), Pace()) is None
-    begun = (replace(unknown[0], done=2, busy_s=8.0, running=()),)
+    begun = (unknown[0]._replace(done=2, busy_s=8.0, running=()),)
     assert seconds_left(RunWorkload("dataset.import", begun), Pace()) == pytest.approx(12.0)
 
 
