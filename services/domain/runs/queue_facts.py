@@ -1,18 +1,20 @@
 """How the queues stand in which runs wait: who works there, who else waits, and which of them are paused.
 
-**Conventions.** Statements are kept; their number grows with that of the queues only.
+**Conventions.** Statements are kept; their number grows with that of the queues and urgencies only. Owners at work are
+hopped to one after another down the index, each looked at until one of their jobs is urgent enough: they may have
+hundreds of jobs at work.
 """
 
-from collections import defaultdict
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Set
 from dataclasses import dataclass
 from functools import cache
 
-from sqlalchemy import func, select
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Integer, ScalarSelect, exists, literal_column, select
+from sqlalchemy.orm import Session, aliased
+from sqlalchemy.sql.selectable import CTE
 
 from services.runtime.database.clock import database_ns
-from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, places_for
+from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.jobs.readiness import RUNNING, owners_waiting
 from services.runtime.orm import Job, Queue, Worker
 
@@ -21,23 +23,24 @@ FRESH_NS = 60 * 10**9
 
 @dataclass(frozen=True)
 class QueueFacts:
-    """Of each queue the number of worker processes, and of each owner at work there their most urgent job; `paused`."""
+    """Of each queue the number of worker processes, and with each urgency the owners who are no less urgent there."""
 
     workers: Mapping[str, int]
-    rivals: Mapping[str, Mapping[str, int]]
+    rivals: Mapping[tuple[str, int], Set[str]]
     paused: frozenset[str]
 
     def share(self, queue: str, owner_id: str, priority: int) -> float:
         """The workers that a run of this owner can have: the queue's are shared with who is no less urgent."""
-        others = sum(owner != owner_id and urgency >= priority for owner, urgency in self.rivals[queue].items())
-        return max(1, self.workers[queue]) / (1 + others)
+        others = self.rivals[queue, priority] - {owner_id}
+        return max(1, self.workers[queue]) / (1 + len(others))
 
 
-def queue_facts(session: Session, queues: Iterable[str]) -> QueueFacts:
-    """Of these queues; of paused ones all."""
-    named = sorted(set(queues))
+def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFacts:
+    """Of these queues, with these urgencies; of paused ones all."""
+    wanted = sorted(set(asked))
+    queues = sorted({queue for queue, _ in wanted})
     paused = frozenset(row.name for row in _paused().rows(session, {}))
-    return QueueFacts(_workers(session, named), _rivals(session, named), paused)
+    return QueueFacts(_workers(session, queues), _rivals(session, wanted, queues), paused)
 
 
 def _workers(session: Session, queues: list[str]) -> dict[str, int]:
@@ -46,15 +49,16 @@ def _workers(session: Session, queues: list[str]) -> dict[str, int]:
     return {queue: sum(queue in listened for listened in heard) for queue in queues}
 
 
-def _rivals(session: Session, queues: list[str]) -> dict[str, dict[str, int]]:
-    """By queue, the owners who have a job there that runs or may run, and how urgent their most urgent one is."""
-    rivals = defaultdict[str, dict[str, int]](dict)
-    found = list[tuple[str, str, int]](_at_work(places_for(len(queues))).rows(session, numbered(queues)))
-    for queue in queues:
-        found += [(queue, owner, urgency) for owner, urgency, *_ in owners_waiting(queue).rows(session, {})]
-    for queue, owner, urgency in found:
-        rivals[queue][owner] = max(urgency, rivals[queue].get(owner, urgency))
-    return {queue: rivals[queue] for queue in queues}
+def _rivals(session: Session, wanted: list[tuple[str, int]], queues: list[str]) -> dict[tuple[str, int], Set[str]]:
+    """By queue and urgency, the owners with a job there that is no less urgent, and runs or may run."""
+    waiting = {queue: owners_waiting(queue).rows(session, {}) for queue in queues}
+    rivals = dict[tuple[str, int], Set[str]]()
+    for queue, priority in wanted:
+        at_work = _owners_at_work().rows(session, {"queue": queue, "urgency": priority})
+        rivals[queue, priority] = {owner for (owner,) in at_work} | {
+            owner for owner, urgency, *_ in waiting[queue] if urgency >= priority
+        }
+    return rivals
 
 
 @cache
@@ -68,8 +72,23 @@ def _paused() -> KeptSelect:
 
 
 @cache
-def _at_work(places: int) -> KeptSelect:
-    """By queue and owner, how urgent the most urgent of their jobs is that run."""
-    at_work = select(Job.queue, Job.owner_id, func.max(Job.priority)).where(Job.state == RUNNING)
-    of_queues = at_work.where(Job.queue.in_(numbered_parameters(places)))
-    return KeptSelect(of_queues.group_by(Job.queue, Job.owner_id))
+def _owners_at_work() -> KeptSelect:
+    """The owners with a job that runs in the queue and is no less urgent."""
+    owners = select(_next_owner().label("owner_id")).cte("owners", recursive=True)
+    owners = owners.union_all(select(_next_owner(owners)).where(owners.c.owner_id.is_not(None)))
+    job = aliased(Job)
+    of_owner = (*_runs_there(job), job.owner_id == owners.c.owner_id, job.priority >= parameter("urgency", Integer))
+    return KeptSelect(select(owners.c.owner_id).where(exists().where(*of_owner)))
+
+
+def _next_owner(after: CTE | None = None) -> ScalarSelect[str]:
+    """The first owner with a job that runs in the queue, or the first who follows."""
+    job = aliased(Job)
+    found = select(job.owner_id).where(*_runs_there(job)).order_by(job.owner_id).limit(literal_column("1"))
+    if after is not None:
+        found = found.where(job.owner_id > after.c.owner_id).correlate(after)
+    return found.scalar_subquery()
+
+
+def _runs_there(job: type[Job]) -> tuple[ColumnElement[bool], ...]:
+    return job.queue == parameter("queue"), job.state == RUNNING

@@ -46,7 +46,7 @@ def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[A
     """The runs as they stand at `at_ns`."""
     found = stages_of(session, [run.id for run in runs], at_ns)
     queues = {run.id: _queue_of(run, found.get(run.id, NOT_BEGUN).stages) for run in runs}
-    facts = queue_facts(session, queues.values())
+    facts = queue_facts(session, [(queues[run.id], run.priority) for run in runs])
     share = cache(facts.share)  # which many runs of a list have in common
     workers = {run.id: share(queues[run.id], run.owner_id, run.priority) for run in runs}
     works = _workloads(session, runs, found, workers)

@@ -6,6 +6,7 @@ import pytest
 from sqlalchemy.orm import Session
 
 from services.domain.runs.paces import pace_of
+from services.domain.runs.queue_facts import queue_facts
 from services.domain.runs.run_rows import alive_rows, older_of_the_same
 from services.domain.runs.time_left import LABELLING, Pace, RunningJob, RunWorkload, StageWork
 from services.domain.runs.work import alive_runs
@@ -100,6 +101,29 @@ def test_only_runs_that_have_not_ended_are_read_and_of_the_older_the_newest_firs
         assert {row.id for row in alive_rows(session, ids)} == {ids[0], *ids[2:]}
         before = older_of_the_same(session, alive_rows(session, [ids[3]]))
     assert [row.id for row in before] == [ids[2], ids[0]]
+
+
+def test_a_queue_is_shared_with_owners_who_work_or_wait_there_and_are_no_less_urgent(
+    platform_on: Platform, ada: Person
+) -> None:
+    others = [person(platform_on, "curator") for _ in range(5)]
+    at_work = ((0,), (2, 5, 0), (9,), (), ())
+    with platform_on.database.transaction() as session:
+        runs = [run_of(session, sequence_of(session, owner), "running") for owner in (*others, ada)]
+        for run, urgencies in zip(runs, at_work, strict=False):
+            for priority in urgencies:
+                job_of(session, run, "labeler.fuse", "running", priority=priority)
+        job_of(session, runs[2], "ingest.check", "running")
+        job_of(session, runs[3], "labeler.fuse", "queued", priority=5)
+        job_of(session, runs[4], "labeler.fuse", "queued", priority=9, needs_left=1)
+        job_of(session, runs[5], "labeler.fuse", "running", priority=9)
+        facts = queue_facts(session, [("labeler", 0), ("labeler", 5), ("ingest", 0), ("labeler", 0)])
+    told = {asked: {owner.user_id for owner in others} & rivals for asked, rivals in facts.rivals.items()}
+    ids = [owner.user_id for owner in others]
+    assert told == {("labeler", 0): set(ids[:4]), ("labeler", 5): set(ids[1:4]), ("ingest", 0): {ids[2]}}
+    assert [facts.share("labeler", ada.user_id, urgency) for urgency in (0, 5)] == [1 / 5, 1 / 4]
+    assert facts.share("labeler", ids[0], 0) == 1 / 5
+    assert facts.share("labeler", ids[0], 5) == 1 / 5
 
 
 def test_the_pace_is_that_of_jobs_which_succeeded_in_the_last_runs_that_did(platform_on: Platform, ada: Person) -> None:
