@@ -1,8 +1,8 @@
-"""Compiled kernels for reading recordings, loaded once in the process that forks children.
+"""Compiled kernels and libraries for reading recordings, loaded once in the process that forks children.
 
 **Conventions.** Numba compiles by the type, the alignment and the mutability of columns, so each layout of points that
 drivers are known to send is shown to the kernels as it comes out of a message. Another layout is compiled where it is
-met, a second each time.
+met, a second each time. Libraries that are loaded where they are used are used here too: each child loaded them anew.
 """
 
 from functools import cache
@@ -10,14 +10,18 @@ from typing import Any, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
+from PIL import Image
 
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.deskew import SweepMount, deskew
-from stone.sensors.ground_links import look
+from stone.sensors.ground_links import Way, drift, look
 from stone.sensors.ground_points import plane_around
 from stone.sensors.selection import world_points
 from stone_recordings.messages.lidar import resolve_points
+from stone_recordings.messages.types.registry import registry
+from stone_recordings.report.quality.plots import Frame, time_plot
+from stone_recordings.sync.registration import Target
 
 
 class PointLayout(NamedTuple):
@@ -36,9 +40,12 @@ OUSTER = PointLayout(("t", "<u4", 20), ("ring", "u1", 26), 48)
 @cache
 def warm() -> None:
     """Call each kernel with four points, those of the ground with a plain around the robot: once a process."""
-    side_m = np.arange(-3.0, 3.0, 0.1)
-    x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
-    plain = np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)
+    _use_kernels()
+    _use_libraries()
+
+
+def _use_kernels() -> None:
+    plain = _plain()
     plane_around(world_points(plain, SE3.identity(), (), 1.0))
     look(SE3.identity() @ plain.astype(np.float64))
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
@@ -47,6 +54,25 @@ def warm() -> None:
         found = resolve_points(_points(layout), 0)
         if found.offset_ns is not None:
             deskew(found.points_lidar, found.offset_ns, mount, 10**8)
+
+
+def _use_libraries() -> None:
+    """scipy's trees and sparse matrices, small_gicp, every type of message that is known, matplotlib with its font, and
+    the formats of pictures."""
+    plain = _plain().astype(np.float64)
+    seen, row = look(plain), np.arange(2)
+    drift((seen, seen), Way(np.stack([row, row], axis=1).astype(np.float64), row.astype(np.float64), 0 * row), 1.0)
+    Target(plain, 1.0)
+    registry()
+    time_plot(Frame("warmup", 1.0, ""), ())
+    Image.preinit()
+
+
+def _plain() -> NDArray[np.float32]:
+    """Level ground (N, 3) around the origin."""
+    side_m = np.arange(-3.0, 3.0, 0.1)
+    x_m, y_m = (plane.ravel() for plane in np.meshgrid(side_m, side_m))
+    return np.stack([x_m, y_m, np.zeros_like(x_m)], axis=1).astype(np.float32)
 
 
 def _points(layout: PointLayout) -> NDArray[np.void]:

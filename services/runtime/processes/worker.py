@@ -40,6 +40,7 @@ FORKED_FROM = {
         "services.ingest.kernel_warmup:warm",
         "services.ingest.sandboxed_inspection",
         "services.ingest.sandboxed_synchronisation",
+        "services.ingest.sandboxed_check",
     ),
     "labeler": (
         "services.labeler.imports.kernel_warmup:warm_imports",
@@ -48,6 +49,7 @@ FORKED_FROM = {
         "services.labeler.exports.playback",
         "services.labeler.imports.indexing",
         "services.labeler.imports.scene_import",
+        "pyarrow.compute",  # which tables load when they are written
     ),
     "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
 }

@@ -139,7 +139,8 @@ class _Unpickled:
         return work(progress)
 
 
-def _warm(named: Sequence[str]) -> None:
+def load_first(named: Sequence[str]) -> None:
+    """Import the modules, and call the functions of them that are named as `module:function`."""
     for name in named:
         module, _, function = name.partition(":")
         loaded = import_module(module)
@@ -152,6 +153,6 @@ def main() -> None:
     for number in (signal.SIGINT, signal.SIGTERM):
         signal.signal(number, signal.SIG_IGN)
     with socket.socket(fileno=int(sys.argv[1])) as requests:
-        _warm(sys.argv[2:])
+        load_first(sys.argv[2:])
         system_files()  # found once, not by every child
         serve(requests)
