@@ -2,7 +2,10 @@
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
+from functools import lru_cache
 from itertools import pairwise
+from pathlib import Path
+from threading import get_ident
 from typing import Any
 
 import numpy as np
@@ -54,12 +57,25 @@ def compute_sight_lines(run: LabelRun, camera: int) -> None:
 
 def labelled_frames(run: LabelRun, part: Part, reference: Reference) -> Iterator[LabelledFrame]:
     """The frames of `part` in order, one at a time."""
-    paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
-    sight = SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
+    sight = _sight_of(run)
     for near in _near_together(run, part):
         labelled_map = _map_around(run, near, reference)
         for batch in _batches(near):
             yield from _labelled(run, batch, labelled_map, sight)
+
+
+def _sight_of(run: LabelRun) -> SightBatch:
+    """What the cameras of the run can see."""
+    paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
+    states = [path.stat() for path in paths]
+    versions = tuple((state.st_ino, state.st_mtime_ns, state.st_size) for state in states)
+    return _sight_in(tuple(paths), versions, get_ident())
+
+
+@lru_cache(maxsize=1)
+def _sight_in(paths: tuple[Path, ...], _versions: tuple[tuple[int, int, int], ...], _thread: int) -> SightBatch:
+    """Kept for the next part of the run: 90 MB to be filled take as long as five frames. Each thread has its own."""
+    return SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
 
 
 def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
