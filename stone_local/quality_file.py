@@ -28,9 +28,11 @@ def write_quality_page(bag: "Bag", inspection: "Inspection", out: Path) -> "Qual
     from stone_recordings.report.previews.pictures import previews_of
     from stone_recordings.report.quality.page import quality_page
     from stone_recordings.report.quality.report import quality_of
+    from stone_recordings.report.quality.sampling import SampledMessages
 
-    quality = quality_of(bag, inspection)
-    pictures = tuple(previews_of(bag, inspection))
+    sampled = SampledMessages(bag)
+    quality = quality_of(bag, inspection, sampled)
+    pictures = tuple(previews_of(bag, inspection, sampled))
     with atomic_file(out) as staging:
         staging.write_bytes(quality_page(bag.path.name, inspection, quality, pictures))
     return quality

@@ -27,6 +27,7 @@ from stone_recordings.report.inspection_record import inspection_record
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.page import quality_page
 from stone_recordings.report.quality.report import quality_of
+from stone_recordings.report.quality.sampling import SampledMessages
 
 QUALITY_RECORD, QUALITY_PAGE = "quality.json", "quality.html"
 RECOVERED, NAMES = "recovered", "names"
@@ -82,8 +83,9 @@ def _inspected_in(
 
 
 def _measured(name: str, bag: Bag, inspection: Inspection, recovered: list[str]) -> bytes:
-    quality = quality_of(bag, inspection)
-    pictures = tuple(previews_of(bag, inspection))
+    sampled = SampledMessages(bag)
+    quality = quality_of(bag, inspection, sampled)
+    pictures = tuple(previews_of(bag, inspection, sampled))
     page = quality_page(name, inspection, quality, pictures)
     record = json.dumps(quality.as_record(), indent=1, allow_nan=False).encode()
     told = {

@@ -20,7 +20,7 @@ from stone_recordings.poses.sources import FIXED_FRAMES
 from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.quality.facts import RtkWord
 from stone_recordings.report.quality.rtk import BESTPOS, INSPVAX, WORD_OF_TYPE, decode_solution
-from stone_recordings.report.quality.sampling import TINY, TopicSampling, sample
+from stone_recordings.report.quality.sampling import TINY, SampledMessages, TopicSampling, sample
 from stone_recordings.report.quality.watched_topics import of_role
 from stone_recordings.topics.roles import Role
 
@@ -51,21 +51,23 @@ class _Position:
 Reader = Callable[[Topic, RawMessage], list[_Position]]
 
 
-def track_of(bag: Bag, inspection: Inspection) -> RecordedTrack | None:
-    """None where nothing tells two positions."""
+def track_of(bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None) -> RecordedTrack | None:
+    """None where nothing tells two positions; what was `sampled` before is not read again."""
+    messages = sampled or SampledMessages(bag)
     for role in SOURCE_ROLES:
         for topic in of_role(inspection, role):
-            if topic.type in READERS and (track := _track(bag, topic)) is not None:
+            if topic.type in READERS and (track := _track(messages, topic)) is not None:
                 return track
     return None
 
 
-def _track(bag: Bag, topic: Topic) -> RecordedTrack | None:
+def _track(messages: SampledMessages, topic: Topic) -> RecordedTrack | None:
     read, is_geodetic = READERS[topic.type]
     seen: list[_Position] = []
     sample(
-        bag,
+        messages.bag,
         [TopicSampling(topic, lambda at_ns, payload: seen.extend(read(topic, RawMessage(at_ns, 0, payload))), TINY)],
+        messages,
     )
     usable = [one for one in _of_one_group(seen) if _is_place(one, is_geodetic)]
     if len(usable) < 2:

@@ -15,7 +15,7 @@ from stone_recordings.report.quality.clouds import LidarLook, RadarLook
 from stone_recordings.report.quality.coverage import coverage_of
 from stone_recordings.report.quality.facts import Facts, RtkFacts
 from stone_recordings.report.quality.rtk import RTK_TYPES, RtkLook
-from stone_recordings.report.quality.sampling import sample
+from stone_recordings.report.quality.sampling import SampledMessages, sample
 from stone_recordings.report.quality.score import Deduction, deductions_of, score_of
 from stone_recordings.report.quality.watched_topics import cameras_of, of_role
 
@@ -42,23 +42,24 @@ class Quality:
         }
 
 
-def quality_of(bag: Bag, inspection: Inspection) -> Quality:
-    """Of a recording without messages the score is what its findings leave. Raises nothing for what a message says."""
-    facts, refused = _facts(bag, inspection)
+def quality_of(bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None) -> Quality:
+    """Of a recording without messages the score is what its findings leave; `sampled` keeps small messages that were
+    looked at. Raises nothing for what a message says."""
+    facts, refused = _facts(bag, inspection, sampled)
     named = {(finding.code, finding.topic) for finding in inspection.findings}
     left_out = tuple(finding for finding in refused if (finding.code, finding.topic) not in named)
     deductions = deductions_of((*inspection.findings, *left_out), facts)
     return Quality(score_of(deductions), deductions, facts, left_out)
 
 
-def _facts(bag: Bag, inspection: Inspection) -> tuple[Facts, tuple[Finding, ...]]:
+def _facts(bag: Bag, inspection: Inspection, sampled: SampledMessages | None) -> tuple[Facts, tuple[Finding, ...]]:
     cameras = [CameraLook(topic, channel) for topic, channel in cameras_of(inspection)]
     lidars = [LidarLook(topic) for topic in of_role(inspection, "lidar")]
     radars = [RadarLook(topic) for topic in of_role(inspection, "radar")]
     fixes = [RtkLook(topic) for topic in of_role(inspection, "gnss", "ins") if topic.type in RTK_TYPES]
     looks = [*(one.look for one in cameras), *(one.look for one in lidars), *(one.look for one in radars)]
     looks += [one.look for one in fixes]
-    left_out = sample(bag, looks)
+    left_out = sample(bag, looks, sampled)
     facts = Facts(
         bag.start_ns,
         coverage_of(bag, inspection),

@@ -13,11 +13,13 @@ import numpy as np
 
 from stone.errors import StoneError
 from stone.findings import Finding
-from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.bag import Bag, RawMessage, Topic
 
 # A power of two, so that the instants of fewer samples are among those of more.
 INSTANTS = 512
 SAMPLED_SHARE = 0.01
+# Several topics of small messages, and what they may weigh: 16 MB.
+MOST_KEPT, LONGEST_KEPT_BYTES = 4096, 4096
 
 
 @dataclass(frozen=True)
@@ -41,6 +43,25 @@ class TopicSampling:
     topic: Topic
     see: Callable[[int, memoryview], None]
     effort: Effort
+
+
+@dataclass(frozen=True, eq=False)
+class SampledMessages:
+    """Reads messages of a recording and keeps copies of small ones: who samples a topic again inflates no chunk."""
+
+    bag: Bag
+    _kept: dict[tuple[str, int], RawMessage] = field(default_factory=dict)
+
+    def message(self, topic: str, index: int) -> RawMessage:
+        """Raises as `Bag.message`."""
+        if (kept := self._kept.get((topic, index))) is not None:
+            return kept
+        read = self.bag.message(topic, index)
+        if len(read.payload) > LONGEST_KEPT_BYTES or len(self._kept) >= MOST_KEPT:
+            return read
+        copied = RawMessage(read.log_time_ns, read.index, memoryview(bytes(read.payload)))
+        self._kept[topic, index] = copied
+        return copied
 
 
 @dataclass(frozen=True)
@@ -71,15 +92,18 @@ class _Refusals:
             self.sentences.setdefault(error.code, str(error))
 
 
-def sample(bag: Bag, looks: Sequence[TopicSampling]) -> tuple[Finding, ...]:
-    """Show every look its samples, in log order; what was refused is returned, one finding per topic and code."""
-    span = span_of(bag)
+def sample(bag: Bag, looks: Sequence[TopicSampling], sampled: SampledMessages | None = None) -> tuple[Finding, ...]:
+    """Show every look its samples, in log order; what was refused is returned, one finding per topic and code.
+
+    `sampled` spares reading again what was sampled of the same recording before.
+    """
+    span, messages = span_of(bag), sampled or SampledMessages(bag)
     wanted = [_indices(bag, look, span) for look in looks]
     refusals = [_Refusals() for _ in looks]
     for instant in range(INSTANTS):
         for look, indices, refused in zip(looks, wanted, refusals, strict=True):
             if instant in indices:
-                refused.add(_show(bag, look, indices[instant], span.start_ns))
+                refused.add(_show(messages, look, indices[instant], span.start_ns))
     return tuple(_findings(looks, refusals))
 
 
@@ -106,10 +130,10 @@ def _samples(count: int, effort: Effort) -> int:
     return samples
 
 
-def _show(bag: Bag, look: TopicSampling, index: int, start_ns: int) -> StoneError | None:
+def _show(messages: SampledMessages, look: TopicSampling, index: int, start_ns: int) -> StoneError | None:
     """Why the message was refused, if it was."""
     try:
-        message = bag.message(look.topic.name, index)
+        message = messages.message(look.topic.name, index)
         look.see(message.log_time_ns - start_ns, message.payload)
     except StoneError as error:
         return error

@@ -19,6 +19,8 @@ from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.previews.sweep_view import RASTER_PX, from_above
 from stone_recordings.report.previews.track import RecordedTrack, track_of
 from stone_recordings.report.previews.track_view import track_view
+from stone_recordings.report.quality.report import quality_of
+from stone_recordings.report.quality.sampling import SampledMessages
 from tests.stone_recordings.report.quality import recordings
 from tests.stone_recordings.report.quality.recordings import ticks
 from tests.stone_recordings.rigs import SPEED_M_S, YAW_RATE_RAD_S, odometry, transform, world_from_ego, written
@@ -64,6 +66,15 @@ def test_a_whole_rig_has_three_pictures_that_open_and_are_the_same_every_time(wh
         assert f"image/{(Image.open(BytesIO(content)).format or '').lower()}" == media_type
         assert len(content) < 2**20
     assert previews(whole) == first
+
+
+def test_previews_are_the_same_where_messages_were_sampled_before(whole: Path) -> None:
+    inspection = inspect(whole)
+    with open_bag(whole) as bag:
+        sampled = SampledMessages(bag)
+        quality_of(bag, inspection, sampled)
+        after = {name: (media_type, content) for name, media_type, content in previews_of(bag, inspection, sampled)}
+    assert after == previews(whole)
 
 
 def test_the_strip_holds_every_camera_at_its_place_in_the_ring(whole: Path) -> None:

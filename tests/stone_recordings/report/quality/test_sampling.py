@@ -8,9 +8,19 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import MalformedBagError, MessageLayoutError
-from stone_recordings.report.quality.sampling import HEAVY, INSTANTS, LIGHT, TINY, Effort, TopicSampling, sample
+from stone_recordings.report.quality.sampling import (
+    HEAVY,
+    INSTANTS,
+    LIGHT,
+    LONGEST_KEPT_BYTES,
+    TINY,
+    Effort,
+    SampledMessages,
+    TopicSampling,
+    sample,
+)
 from tests.stone_recordings.report.quality.recordings import ticks
 from tests.stone_recordings.rigs import stamped, written
 from tests.stone_recordings.writing import write_mcap
@@ -92,3 +102,23 @@ def test_log_times_at_the_ends_of_what_a_clock_can_say_are_sampled_or_refused(tm
     else:
         assert seen == sorted(set(seen))
         assert 1 <= len(seen) <= INSTANTS
+
+
+@pytest.mark.parametrize(("frame_bytes", "reads"), [(3, INSTANTS), (LONGEST_KEPT_BYTES, 2 * INSTANTS)])
+def test_small_messages_that_were_sampled_before_are_not_read_again(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, frame_bytes: int, reads: int
+) -> None:
+    frame = "f" * frame_bytes
+    stamps = ticks(40.0, 100.0).tolist()
+    path = written(tmp_path / "run.mcap", [stamped(TOPIC, "sensor_msgs/msg/Imu", int(at), frame) for at in stamps])
+    seen: list[tuple[int, bytes]] = []
+    asked: list[int] = []
+    read = Bag.message
+    monkeypatch.setattr(Bag, "message", lambda bag, topic, index: asked.append(index) or read(bag, topic, index))
+    with open_bag(path) as bag:
+        look = TopicSampling(bag.topics[0], lambda at_ns, payload: seen.append((at_ns, bytes(payload))), TINY)
+        sampled = SampledMessages(bag)
+        for _ in range(2):
+            assert sample(bag, [look], sampled) == ()
+    assert (len(asked), len(seen)) == (reads, 2 * INSTANTS)
+    assert seen[:INSTANTS] == seen[INSTANTS:]
