@@ -4,6 +4,7 @@
 role)` makes a user with a token. Clients are plain `httpx`.
 """
 
+import asyncio
 import socket
 import threading
 import time
@@ -48,6 +49,39 @@ def person(platform: Platform, role: str, name: str = "", **token: Any) -> Perso
     return Person(user.id, user.name, secret)
 
 
+class PromptServer(uvicorn.Server):
+    """Ends when it is told to: uvicorn looks every tenth of a second, and then waits one for connections to close.
+
+    `end` may be called by any thread once it has started.
+    """
+
+    _loop: asyncio.AbstractEventLoop
+    _told: asyncio.Event
+
+    async def startup(self, sockets: list[socket.socket] | None = None) -> None:
+        self._loop, self._told = asyncio.get_running_loop(), asyncio.Event()
+        await super().startup(sockets)
+
+    async def main_loop(self) -> None:
+        ticking = asyncio.ensure_future(super().main_loop())
+        telling = asyncio.ensure_future(self._told.wait())
+        await asyncio.wait((ticking, telling), return_when=asyncio.FIRST_COMPLETED)
+        ticking.cancel()
+        telling.cancel()
+
+    async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
+        if self.server_state.connections or self.server_state.tasks:
+            await super().shutdown(sockets)
+            return
+        for server in self.servers:
+            server.close()
+        for listening in sockets or []:
+            listening.close()
+
+    def end(self) -> None:
+        self._loop.call_soon_threadsafe(self._told.set)
+
+
 @contextmanager
 def serving(platform: Platform, application: Any = None, port: int = 0) -> Iterator[str]:
     """The base URL of the application of `platform`, served until the end of the block; port 0 is any free one."""
@@ -56,7 +90,7 @@ def serving(platform: Platform, application: Any = None, port: int = 0) -> Itera
         config = uvicorn.Config(
             app, http=BoundedHeads, log_config=None, ws="none", lifespan="off", timeout_graceful_shutdown=2
         )
-        server = uvicorn.Server(config)
+        server = PromptServer(config)
         thread = threading.Thread(target=server.run, kwargs={"sockets": [listening]}, daemon=True)
         thread.start()
         try:
@@ -67,7 +101,8 @@ def serving(platform: Platform, application: Any = None, port: int = 0) -> Itera
                 time.sleep(0.005)
             yield f"http://127.0.0.1:{listening.getsockname()[1]}"
         finally:
-            server.should_exit = True
+            if thread.is_alive():
+                server.end()
             thread.join(ENDS_WITHIN_S)
 
 

@@ -9,6 +9,7 @@ from collections.abc import Iterator
 import pytest
 
 from api.garbage import COLLECTED_AFTER, keep_what_is_loaded
+from testing.memory import pass_over_loaded
 
 
 class Cycle:
@@ -24,6 +25,7 @@ def as_before() -> Iterator[None]:
     yield
     gc.set_threshold(*threshold)
     gc.unfreeze()
+    pass_over_loaded()
 
 
 def test_what_is_loaded_is_not_looked_at_again() -> None:
