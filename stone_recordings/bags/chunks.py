@@ -30,6 +30,8 @@ CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 UNDOUBTED_BYTES = 32 * 1024 * 1024
 DOUBTED_RATIO = 20
 PIECE_BYTES = 1024 * 1024
+# What is fed to LZ4 and not consumed yet is copied at every call, and most heads end within a few of its blocks.
+FED_BYTES = 64 * 1024
 MCAP_COMPRESSIONS = ("lz4", "zstd")
 _DAMAGED = (RuntimeError, zstandard.ZstdError, EOFError, OSError)  # OSError is bz2's
 _CODECS = {"bz2": cramjam.bzip2, "lz4": cramjam.lz4, "zstd": cramjam.zstd}
@@ -149,10 +151,9 @@ def _pieces(packed: memoryview, compression: str, piece_bytes: int = PIECE_BYTES
 
 
 def _lz4_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator[bytes]:
-    # Fed in slices: what it has not consumed yet the decompressor copies at every call.
     codec = LZ4FrameDecompressor()
-    for at in range(0, len(packed), PIECE_BYTES):
-        piece = codec.decompress(packed[at : at + PIECE_BYTES], max_length=piece_bytes)
+    for at in range(0, len(packed), FED_BYTES):
+        piece = codec.decompress(packed[at : at + FED_BYTES], max_length=piece_bytes)
         while piece or not (codec.eof or codec.needs_input):
             yield piece
             piece = b"" if codec.eof else codec.decompress(b"", max_length=piece_bytes)

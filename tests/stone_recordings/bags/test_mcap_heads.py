@@ -4,9 +4,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 from mcap.writer import CompressionType
 
-from stone_recordings.bags import chunked_store
+from stone_recordings.bags import chunked_store, chunks
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.errors import ChecksumError, MalformedBagError
 from stone_recordings.bags.message_store import HEAD_BYTES
@@ -58,6 +59,25 @@ def test_a_scan_inflates_no_cloud_that_lies_behind_what_it_looks_for(
         assert len(inflated) == 7  # the long note has one of its own
         assert max(inflated) < 10_000
         assert bytes(bag.message("/cloud", 5).payload).startswith(scanned["/cloud"])
+
+
+def test_of_a_large_lz4_chunk_little_more_is_read_than_the_head_takes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    fed = []
+
+    class Counting(LZ4FrameDecompressor):  # type: ignore[misc]
+        def decompress(self, data: bytes, max_length: int = -1) -> bytes:
+            fed.append(len(data))
+            return bytes(super().decompress(data, max_length))
+
+    noise = np.random.default_rng(6).integers(0, 256, 900_000, np.uint8).tobytes()
+    messages = [Recorded("/imu", IMU, 0, HEAD + bytes(300)), Recorded("/cloud", IMU, 1, HEAD + noise)]
+    path = write_mcap(tmp_path / "run.mcap", messages, compression=CompressionType.LZ4)
+    monkeypatch.setattr(chunks, "LZ4FrameDecompressor", Counting)
+    with open_bag(path) as bag:
+        assert [name for name, *_ in bag.heads(("/imu", "/cloud"))] == ["/imu", "/cloud"]
+    assert 0 < sum(fed) < 200_000
 
 
 @pytest.mark.parametrize("compression", [CompressionType.LZ4, CompressionType.ZSTD])
