@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.deskew import SweepMount, deskew
@@ -47,7 +48,7 @@ def warm() -> None:
 def _use_kernels() -> None:
     plain = _plain()
     plane_around(world_points(plain, SE3.identity(), (), 1.0))
-    look(SE3.identity() @ plain.astype(np.float64))
+    look(placed(SE3.identity(), plain.astype(np.float64)))
     still = Trajectory(np.array([0, 10**9]), SE3.identity((2,)))
     mount = SweepMount(still, SE3.identity(), 10**9)
     for layout in (HESAI, NEBULA, OUSTER):

@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3
 from stone.sensors.ego_path import maps_of_frames
 from stone.sensors.ground_links import (
@@ -57,7 +58,7 @@ def _drift(
     rows, way = picked
     poses = sequence.frames.map_from_ego
     seen = (around_robot(points) for points in seen_ahead(sequence, sweeps, rows.tolist()))
-    looks = [look(poses[row] @ level @ points_ego) for row, points_ego in zip(rows.tolist(), seen, strict=True)]
+    looks = [look(placed(poses[row] @ level, points_ego)) for row, points_ego in zip(rows.tolist(), seen, strict=True)]
     return drift(looks, way, _floor_m(sequence))
 
 
