@@ -8,6 +8,7 @@ from collections.abc import Callable, Iterator, Mapping
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from hashlib import sha256
+from io import FileIO
 from pathlib import Path
 from threading import Event
 from types import MappingProxyType
@@ -104,8 +105,13 @@ def _has_bytes(path: Path) -> bool:
 
 
 def _file_sha256(path: Path, is_given_up: Callable[[], bool]) -> str:
-    digest, block = sha256(), bytearray(HASH_BLOCK_BYTES)
     with path.open("rb", buffering=0) as file:
-        while not is_given_up() and (size := file.readinto(block)):
-            digest.update(memoryview(block)[:size])
+        return stream_sha256(file, is_given_up)
+
+
+def stream_sha256(file: FileIO, is_given_up: Callable[[], bool] = lambda: False) -> str:
+    """sha256 of what is left of an open file; nothing of use once given up."""
+    digest, block = sha256(), bytearray(HASH_BLOCK_BYTES)
+    while not is_given_up() and (size := file.readinto(block)):
+        digest.update(memoryview(block)[:size])
     return digest.hexdigest()

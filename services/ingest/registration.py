@@ -4,11 +4,11 @@
 
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
 the start and makes the same; the sweeper removes the files afterwards. A sandboxed child does all the reading
-(`seeing`), so what breaks its reader fails the job and nothing else, and the recording stays as it was received. A
-refusal is written before the job fails by it, in the same words.
+(`seeing`) while the files are hashed, so what breaks its reader fails the job and nothing else, and the recording stays
+as it was received. A refusal is written before the job fails by it, in the same words.
 """
 
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
@@ -18,7 +18,7 @@ from services.domain.sequences.previews import PreparedPreview, PreviewSubject, 
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError
 from services.ingest.kernel_warmup import warm
-from services.ingest.received_files import ReceivedBag, ReceivedFile, received
+from services.ingest.received_files import ReceivedBag, received
 from services.ingest.sandboxed_inspection import RECOVERED, STEPS, RecordingSurvey, seen
 from services.runtime.access import storage_quota
 from services.runtime.jobs.errors import JobCancelledError
@@ -26,7 +26,7 @@ from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
-from services.runtime.store.blobs import PreparedBlob, link_all, prepare
+from services.runtime.store.blobs import PreparedBlob, hashed_beside, link_all, prepare, prepare_hashed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads.backends import remove_bytes
 from stone.errors import PlatformFaultError, StoneError
@@ -57,9 +57,10 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
-        found = _seen(platform, attempt, brought, work)
-        attempt.progress("keep", 2, STEPS)
-        originals = {file.row_id: _prepared(platform, file) for file in brought.files}
+        with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
+            found = _seen(platform, attempt, brought, work)
+            attempt.progress("keep", 2, STEPS)
+            originals = _originals(platform, brought, hashed())
     except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
         raise
     except (IngestError, RecordingChangedError) as error:
@@ -92,12 +93,13 @@ def _moved(path: Path, work: Path) -> Path:
     return path.replace(target)
 
 
-def _prepared(platform: Platform, file: ReceivedFile) -> PreparedBlob:
-    """Raises `RecordingChangedError`."""
-    prepared = prepare(platform.store, platform.database, file.path, adopt=True)
-    if prepared.sha256 != file.sha256:
-        raise RecordingChangedError(file.filename, prepared.sha256, file.sha256)
-    return prepared
+def _originals(platform: Platform, brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> dict[str, PreparedBlob]:
+    """The stored files by their rows. Raises `RecordingChangedError`."""
+    for file, found in zip(brought.files, hashed, strict=True):
+        if found.sha256 != file.sha256:
+            raise RecordingChangedError(file.filename, found.sha256, file.sha256)
+    stored = prepare_hashed(platform.database, hashed)
+    return {file.row_id: blob for file, blob in zip(brought.files, stored, strict=True)}
 
 
 def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> None:

@@ -9,14 +9,14 @@ the order of things and however short the grace, what a blob row names exists. A
 itself always stays: remove it after the commit.
 """
 
-import hashlib
-from collections.abc import Iterable, Iterator, Mapping, Sequence
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import suppress
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
 from secrets import token_hex
+from threading import Event
 
 import structlog
 from sqlalchemy import delete, select
@@ -29,8 +29,20 @@ from services.runtime.orm.base import now_ns
 from services.runtime.store.garbage_collection import BLOBS, GcResult, collect_garbage
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.protocol import Store
+from stone_files.bag_fingerprint import stream_sha256
 
-__all__ = ["GcResult", "PreparedBlob", "collect_garbage", "keep", "link", "link_all", "prepare", "prepare_all"]
+__all__ = [
+    "GcResult",
+    "PreparedBlob",
+    "collect_garbage",
+    "hashed_beside",
+    "keep",
+    "link",
+    "link_all",
+    "prepare",
+    "prepare_all",
+    "prepare_hashed",
+]
 
 SLOW_BYTES_PER_S = 2**20
 HASHERS = 4
@@ -76,8 +88,30 @@ def prepare_all(
 ) -> Iterator[PreparedBlob]:
     """As `prepare`, of several files: a few are hashed at once and then stored one after another; the database is asked
     and told of all of them at once."""
+    with hashed_beside(store, paths, adopt=adopt) as hashed:
+        found = hashed()
+    yield from prepare_hashed(database, found)
+
+
+@contextmanager
+def hashed_beside(
+    store: Store, paths: Iterable[Path], *, adopt: bool = False
+) -> Iterator[Callable[[], list[PreparedBlob]]]:
+    """Files for `prepare_hashed`, hashed by threads while something else is done with them; asking waits.
+
+    Whoever leaves without having asked does not wait for the rest.
+    """
+    given_up = Event()
     with ThreadPoolExecutor(HASHERS) as pool:
-        hashed = list(pool.map(lambda path: _hashed(store, path, adopt), paths))
+        coming = [pool.submit(_hashed, store, path, adopt, given_up.is_set) for path in paths]
+        try:
+            yield lambda: [one.result() for one in coming]
+        finally:
+            given_up.set()
+
+
+def prepare_hashed(database: Database, hashed: Sequence[PreparedBlob]) -> Iterator[PreparedBlob]:
+    """As `prepare_all`, of files that were `hashed_beside`."""
     with database.reading() as session:
         standing = _object_keys(session, hashed)
     fresh = [one if one.sha256 in standing else replace(one, object_key=_fresh_key(one.sha256)) for one in hashed]
@@ -159,9 +193,9 @@ def _stored_within(session: Session, prepared: PreparedBlob) -> str:
     return next(iter(_taken(session, [key])), "")
 
 
-def _hashed(store: Store, path: Path, adopt: bool) -> PreparedBlob:
-    with path.open("rb") as file:
-        sha256 = hashlib.file_digest(file, "sha256").hexdigest()
+def _hashed(store: Store, path: Path, adopt: bool, is_given_up: Callable[[], bool] = lambda: False) -> PreparedBlob:
+    with path.open("rb", buffering=0) as file:
+        sha256 = stream_sha256(file, is_given_up)
         return PreparedBlob(store, path, adopt, sha256, file.tell())
 
 

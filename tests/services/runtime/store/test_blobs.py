@@ -7,8 +7,8 @@ import time
 from collections.abc import Callable
 from contextlib import suppress
 from dataclasses import replace
+from io import FileIO
 from pathlib import Path
-from typing import BinaryIO
 
 import pytest
 from sqlalchemy import delete, func, select
@@ -19,9 +19,20 @@ from services.runtime.orm import Blob, CalibrationRow, Job, LooseObject, User
 from services.runtime.orm.base import new_id, now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings, StoreSettings
-from services.runtime.store.blobs import GcResult, PreparedBlob, collect_garbage, keep, link, prepare, prepare_all
+from services.runtime.store import blobs
+from services.runtime.store.blobs import (
+    GcResult,
+    PreparedBlob,
+    collect_garbage,
+    hashed_beside,
+    keep,
+    link,
+    prepare,
+    prepare_all,
+)
 from services.runtime.store.factory import open_store
 from services.runtime.store.protocol import Store
+from stone_files import bag_fingerprint
 
 DAY_NS = 86_400 * 10**9
 RACES = 8
@@ -346,15 +357,26 @@ def race(platform: Platform, *writers: Callable[[], object]) -> None:
 def test_several_files_are_hashed_at_once_and_stored_in_their_order(
     platform_on: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    paths, together, digest = [tmp_path / name for name in "bacd"], threading.Barrier(2), hashlib.file_digest
+    paths, together, digest = [tmp_path / name for name in "bacd"], threading.Barrier(2), blobs.stream_sha256
     for path in paths:
         path.write_bytes(path.name.encode())
 
-    def digest_together(file: BinaryIO, name: str) -> "hashlib._Hash":
+    def digest_together(file: FileIO, is_given_up: Callable[[], bool]) -> str:
         together.wait(timeout=20)
-        return digest(file, name)
+        return digest(file, is_given_up)
 
-    monkeypatch.setattr(hashlib, "file_digest", digest_together)
+    monkeypatch.setattr(blobs, "stream_sha256", digest_together)
     stored = list(prepare_all(platform_on.store, platform_on.database, paths))
     assert [one.path for one in stored] == paths
     assert [one.sha256 for one in stored] == [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
+
+
+def test_who_leaves_without_asking_does_not_wait_for_hashes(
+    platform_on: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(bag_fingerprint, "HASH_BLOCK_BYTES", 1)
+    path = file_of(tmp_path, bytes(10**8))
+    with hashed_beside(platform_on.store, [path]) as hashed:
+        begun = time.monotonic()
+    assert time.monotonic() - begun < PATIENCE_S / 10
+    assert hashed()[0].size_bytes < 10**8
