@@ -44,9 +44,11 @@ def handlers(platform: Platform) -> Handlers:
 def list_jobs(context: LabelStageContext) -> Outcome:
     """All the jobs of the run; publishing waits for the checks of its sequence too.
 
-    Raises `NoUsableFramesError`, and what `LabelStageContext.ask` raises.
+    Where the recording is at hand the child is given it too: it is kept for the first job, which reads sweeps.
+    Raises `NoUsableFramesError`, and what `LabelStageContext.ask` and `opening_with_sweeps` raise.
     """
-    graph = context.ask(GraphAnswer, partial(planned, context.opening), "plan", context.opening)
+    opening = context.opening_with_sweeps() if context.workspace.is_in_place else context.opening
+    graph = context.ask(GraphAnswer, partial(planned, opening), "plan", opening)
     return Outcome({"parts": graph.parts, "tiles": graph.tiles}, then=tuple(_spec(job) for job in graph.jobs))
 
 

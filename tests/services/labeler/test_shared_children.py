@@ -10,7 +10,7 @@ import pytest
 
 from services.runtime.database.migrate import upgrade
 from services.runtime.processes.worker import FORKED_FROM
-from services.runtime.sandbox import fork_client
+from services.runtime.sandbox import SandboxLimits, fork_client, kept_child
 from services.runtime.sandbox.fork_client import ForkServer
 from services.runtime.sandbox.kept_child import CHILDREN
 from services.runtime.sandbox.parent import SandboxProcess
@@ -70,3 +70,20 @@ def test_jobs_that_share_a_child_leave_the_same_bytes(
     assert differing(shared, alone) == []
     assert len(alone) > 60
     assert len(children) < of_each_job / 2
+
+
+def test_the_child_that_names_the_jobs_may_do_the_first_of_them(
+    server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Whoever is kept for jobs that read sweeps was given the recording when it was begun."""
+    given, begin = list[SandboxLimits](), kept_child.begun_child
+
+    def noted(server: ForkServer, run_id: str, limits: SandboxLimits) -> kept_child.RunChild:
+        given.append(limits)
+        return begin(server, run_id, limits)
+
+    monkeypatch.setattr(kept_child, "begun_child", noted)
+    monkeypatch.setattr(fork_client, "_SERVERS", [server])
+    made(simulated(tmp_path), tmp_path / "shared")
+    assert given
+    assert all(limits.reads for limits in given)
