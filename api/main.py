@@ -6,8 +6,11 @@ Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
 import sys
+from collections.abc import AsyncIterator
+from contextlib import asynccontextmanager
 from functools import cache
 
+from anyio import to_thread
 from fastapi import APIRouter, FastAPI
 from fastapi.telemetry import TelemetryConfig
 from starlette.routing import BaseRoute
@@ -66,6 +69,7 @@ from api.routes.sequences import (
     sequences,
 )
 from api.routes.sign_in_ways import device_grants, provider
+from services.runtime.database.connections import request_threads
 from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server
@@ -130,6 +134,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
         redirect_slashes=False,  # a redirect would go where the Host header says
         generate_unique_id_function=operation_id,
         telemetry=UNTOLD,
+        lifespan=with_request_threads,
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
@@ -157,6 +162,14 @@ def _routes() -> tuple[BaseRoute, ...]:
     for router in ROUTERS:
         whole.include_router(router, prefix=PREFIX)
     return tuple(whole.routes)
+
+
+@asynccontextmanager
+async def with_request_threads(api: FastAPI) -> AsyncIterator[None]:
+    """While the application is served, its requests have as many threads as there are connections for them."""
+    threads = request_threads(api.state.platform.settings.database.pool_size)
+    to_thread.current_default_thread_limiter().total_tokens = threads
+    yield
 
 
 def from_environment() -> FastAPI:

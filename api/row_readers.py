@@ -14,7 +14,7 @@ from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 from starlette.responses import Response
 
-THREADS = 8  # while one runs Python, the others may wait for the database
+from services.runtime.database.connections import ROW_READERS
 
 P = ParamSpec("P")
 _limiter = RunVar[CapacityLimiter]("row_readers")
@@ -34,6 +34,6 @@ def _row_readers() -> CapacityLimiter:
     """Those of the running event loop."""
     limiter = _limiter.get(None)
     if limiter is None:
-        limiter = CapacityLimiter(THREADS)
+        limiter = CapacityLimiter(ROW_READERS)
         _limiter.set(limiter)
     return limiter

@@ -17,6 +17,7 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 
 from api.tus.errors import ReceiveTimeoutError
+from services.runtime.database.connections import UPLOADS
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import bytes_here
@@ -25,7 +26,7 @@ from services.runtime.uploads.reception import UploadChunk, UploadReceiver, rece
 from services.runtime.uploads.rows import find
 
 BLOCK_BYTES = 2 << 20
-THREADS = ThreadPoolExecutor(16, thread_name_prefix="upload")
+THREADS = ThreadPoolExecutor(UPLOADS, thread_name_prefix="upload")
 
 P = ParamSpec("P")
 T = TypeVar("T")

@@ -39,7 +39,8 @@ SECRETS, SECRETS_VARIABLE = "/run/secrets", "STONE_SECRETS_DIR"
 class DatabaseSettings:
     """Where the truth lives; empty: `stone.sqlite3` in the data folder.
 
-    `password` comes before one in `url`. A role that starts waits `awaited_s` for the schema of its code.
+    `password` comes before one in `url`. A role that starts waits `awaited_s` for the schema of its code. `pool_size`
+    connections are kept open; how many threads of the API may hold one follows from it (`database/connections.py`).
     """
 
     url: str = ""

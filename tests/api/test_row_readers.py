@@ -7,7 +7,8 @@ from anyio.from_thread import start_blocking_portal
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from api.row_readers import THREADS, by_row_readers
+from api.row_readers import by_row_readers
+from services.runtime.database.connections import ROW_READERS
 
 WITHIN_S = 20.0
 
@@ -33,10 +34,10 @@ class Readings:
 async def while_reading(readings: Readings, requests: int) -> list[bytes]:
     read = by_row_readers(readings.read)
     asked = [asyncio.create_task(read(number)) for number in range(requests)]
-    while len(readings.begun) < THREADS:
+    while len(readings.begun) < ROW_READERS:
         await asyncio.sleep(0.001)
     await asyncio.wait_for(run_in_threadpool(lambda: None), WITHIN_S)  # as other routes are answered
-    assert readings.at_work == THREADS
+    assert readings.at_work == ROW_READERS
     readings.go_on.set()
     return [bytes(answer.body) for answer in await asyncio.gather(*asked)]
 
@@ -47,8 +48,8 @@ def test_a_few_at_a_time_read_in_the_order_in_which_they_came_beside_everything_
         with start_blocking_portal() as portal:  # a loop of its own: a browser's may run in this thread
             answers = portal.call(while_reading, readings, 40)
         assert answers == [b"%d" % number for number in range(40)]
-        assert readings.most == THREADS
-        assert sorted(readings.begun[:THREADS]) == list(range(THREADS))
+        assert readings.most == ROW_READERS
+        assert sorted(readings.begun[:ROW_READERS]) == list(range(ROW_READERS))
 
 
 def test_what_is_refused_while_it_is_read_is_refused() -> None:
@@ -56,7 +57,7 @@ def test_what_is_refused_while_it_is_read_is_refused() -> None:
         raise KeyError("gone")
 
     async def asked() -> list[BaseException | Response]:
-        return await asyncio.gather(*(by_row_readers(refuse)() for _ in range(2 * THREADS)), return_exceptions=True)
+        return await asyncio.gather(*(by_row_readers(refuse)() for _ in range(2 * ROW_READERS)), return_exceptions=True)
 
     with start_blocking_portal() as portal:
-        assert [type(one) for one in portal.call(asked)] == [KeyError] * 2 * THREADS
+        assert [type(one) for one in portal.call(asked)] == [KeyError] * 2 * ROW_READERS

@@ -25,6 +25,7 @@ from sqlalchemy import Connection, Engine, create_engine, event, make_url
 from sqlalchemy.exc import InvalidatePoolError, InvalidRequestError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from services.runtime.database.connections import most_connections
 from services.runtime.settings import Settings
 
 WakeUp = Callable[[str, int], None]
@@ -114,8 +115,8 @@ def _reading_on(engine: Engine) -> Iterator[Session]:
 
 def _engine(settings: Settings) -> Engine:
     url = make_url(settings.database_url)
-    # As many as the API has threads, so that none waits for a connection and few are opened for one request.
-    pool: dict[str, Any] = {"pool_size": settings.database.pool_size, "max_overflow": 20}
+    kept = settings.database.pool_size
+    pool: dict[str, Any] = {"pool_size": kept, "max_overflow": most_connections(kept) - kept}
     if url.get_backend_name() == "sqlite":
         Path(url.database or "").parent.mkdir(parents=True, exist_ok=True)
         waits = {"timeout": settings.database.busy_timeout_s}
