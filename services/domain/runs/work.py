@@ -63,14 +63,10 @@ def _waits_for(work: RunWorkload, queue: str, paused: Set[str]) -> bool:
 
 def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[str, RunStages]:
     """The stages of each run that has jobs."""
-    counts, at_work = _stage_statements(places_for(len(root_ids)))
-    running = defaultdict[tuple[str, str], list[RunningJob]](list)
-    for root_id, kind, started_ns, done, total in at_work.rows(session, numbered(root_ids)):
-        elapsed_s = max(0, at_ns - (started_ns or at_ns)) / 1e9
-        share = done / total if kind in SHARES and total else None
-        running[root_id, kind].append(RunningJob(elapsed_s, share))
+    rows = _counts(places_for(len(root_ids))).rows(session, numbered(root_ids))
+    running = _running_jobs(session, list(dict.fromkeys(row[0] for row in rows if row[2])), at_ns)
     stages, frames = defaultdict[str, list[StageWork]](list), dict[str, int]()
-    for root_id, kind, queued, done, busy_ns, told in counts.rows(session, numbered(root_ids)):
+    for root_id, kind, _, queued, done, busy_ns, told in rows:
         at_it = tuple(running.get((root_id, kind), ()))
         stages[root_id].append(StageWork(kind, int(queued), at_it, int(done), int(busy_ns or 0) / 1e9))
         if told:
@@ -78,9 +74,19 @@ def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[
     return {root_id: RunStages(tuple(found), frames.get(root_id)) for root_id, found in stages.items()}
 
 
+def _running_jobs(session: Session, root_ids: Sequence[str], at_ns: int) -> dict[tuple[str, str], list[RunningJob]]:
+    """By run and kind, of the runs that have some."""
+    running = defaultdict[tuple[str, str], list[RunningJob]](list)
+    rows = _at_work(places_for(len(root_ids))).rows(session, numbered(root_ids)) if root_ids else ()
+    for root_id, kind, started_ns, done, total in rows:
+        elapsed_s = max(0, at_ns - (started_ns or at_ns)) / 1e9
+        running[root_id, kind].append(RunningJob(elapsed_s, done / total if kind in SHARES and total else None))
+    return running
+
+
 @cache
-def _stage_statements(places: int) -> tuple[KeptSelect, KeptSelect]:
-    """Of runs by their ids: jobs by kind, counted, with the frames that synchronisation found; and those that run."""
+def _counts(places: int) -> KeptSelect:
+    """Of runs by their ids: jobs by kind, counted, with the frames that synchronisation found."""
 
     def counted(state: str) -> ColumnElement[int]:
         return func.sum(case((Job.state == state, 1), else_=0))
@@ -88,11 +94,17 @@ def _stage_statements(places: int) -> tuple[KeptSelect, KeptSelect]:
     busy = cast(func.sum(case((Job.state == "succeeded", BUSY), else_=0)), BigInteger)
     found = and_(Job.kind == SYNCHRONISE, Job.state == "succeeded")
     frames = func.max(case((found, Job.result["frames"].as_string())))
+    columns = (*(counted(state) for state in ("running", "queued", "succeeded")), busy, frames)
     of_runs = (Job.root_id.in_(numbered_parameters(places)), Job.queue != "")
-    columns = (Job.root_id, Job.kind, counted("queued"), counted("succeeded"), busy, frames)
-    grouped = select(*columns).where(*of_runs).group_by(Job.root_id, Job.kind).order_by(func.min(Job.id))
-    at_work = select(Job.root_id, Job.kind, Job.started_ns, Job.done, Job.total).where(*of_runs, Job.state == RUNNING)
-    return KeptSelect(grouped), KeptSelect(at_work)
+    grouped = select(Job.root_id, Job.kind, *columns).where(*of_runs).group_by(Job.root_id, Job.kind)
+    return KeptSelect(grouped.order_by(func.min(Job.id)))
+
+
+@cache
+def _at_work(places: int) -> KeptSelect:
+    """Of runs by their ids: the jobs that run."""
+    at_work = select(Job.root_id, Job.kind, Job.started_ns, Job.done, Job.total).where(Job.state == RUNNING)
+    return KeptSelect(at_work.where(Job.root_id.in_(numbered_parameters(places)), Job.queue != ""))
 
 
 def _workloads(
