@@ -9,22 +9,17 @@ is not touched by this.
 """
 
 import ctypes
-import gc
 from collections.abc import Iterator
 
 import pytest
+
+from api.garbage import keep_what_is_loaded
 
 _LIBC = ctypes.CDLL(None)
 
 
 def pytest_collection_finish() -> None:
-    pass_over_loaded()
-
-
-def pass_over_loaded() -> None:
-    """Let the collector look only at what is made from now on."""
-    gc.collect()
-    gc.freeze()
+    keep_what_is_loaded()
 
 
 @pytest.hookimpl(wrapper=True)

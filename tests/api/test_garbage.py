@@ -9,7 +9,8 @@ from collections.abc import Iterator
 import pytest
 
 from api.garbage import COLLECTED_AFTER, keep_what_is_loaded
-from testing.memory import pass_over_loaded
+
+PYTHONS = (700, 10, 10)
 
 
 class Cycle:
@@ -21,15 +22,14 @@ class Cycle:
 
 @pytest.fixture(autouse=True)
 def as_before() -> Iterator[None]:
-    threshold = gc.get_threshold()
     yield
-    gc.set_threshold(*threshold)
     gc.unfreeze()
-    pass_over_loaded()
+    keep_what_is_loaded()  # as testing/memory.py has done
 
 
 def test_what_is_loaded_is_not_looked_at_again() -> None:
     gc.unfreeze()
+    gc.set_threshold(*PYTHONS)
     keep_what_is_loaded()
     assert gc.get_freeze_count() > 10_000
     assert gc.get_threshold() == COLLECTED_AFTER
@@ -37,6 +37,7 @@ def test_what_is_loaded_is_not_looked_at_again() -> None:
 
 
 def test_cycles_that_are_made_later_are_freed_before_some_hundred_requests_have_left_theirs() -> None:
+    gc.set_threshold(*PYTHONS)
     keep_what_is_loaded()
     first = weakref.ref(Cycle())
     held = [[] for _ in range(COLLECTED_AFTER[0])]  # type: ignore[var-annotated]
