@@ -110,9 +110,7 @@ def test_the_tar_and_the_files_of_the_run_are_collected(imported: BroughtDataset
     assert files_of(platform, imported.owner_id), "what was published stays"
 
 
-def test_every_stage_interrupted_once_leaves_the_same(
-    platform: Platform, tmp_path: Path, tar: Path, imported: BroughtDataset
-) -> None:
+def test_every_stage_interrupted_once_leaves_the_same(tmp_path: Path, tar: Path, imported: BroughtDataset) -> None:
     """Catches alone a stage that leaves other bytes, or rows twice, after it was killed and done again."""
     other = opened(make_settings(tmp_path / "other"), [])
     upgrade(other.settings)
@@ -120,8 +118,8 @@ def test_every_stage_interrupted_once_leaves_the_same(
     run_all(other, wrap=interruptions.wrap)
     assert len(interruptions.kinds) == 4
     assert (brought.run().state, brought.run().failure) == ("succeeded", "")
-    assert files_of(other, brought.owner_id) == files_of(platform, imported.owner_id)
-    assert counts_of(other, brought.owner_id) == counts_of(platform, imported.owner_id)
+    assert files_of(other, brought.owner_id) == files_of(imported.platform, imported.owner_id)
+    assert counts_of(other, brought.owner_id) == counts_of(imported.platform, imported.owner_id)
     with other.database.reading() as session:
         lost = session.scalars(select(JobAttempt).where(JobAttempt.outcome == "lost")).all()
     assert len(lost) == 4
