@@ -5,8 +5,11 @@
 """
 
 import io
+import shutil
 import zipfile
-from dataclasses import dataclass
+from collections.abc import Iterator
+from dataclasses import dataclass, replace
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -17,11 +20,11 @@ from sqlalchemy import select
 from services.domain.viewer.difference_picture import difference_picture
 from services.domain.viewer.frame_picture import picture_bytes
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, Phase, SubmissionRow, Team, TeamMember
-from services.runtime.platform import Platform
-from testing.api.serving import Person
+from testing.api.serving import Person, client_of
+from testing.servers.fixtures import Bells, make_settings, opened
 from testing.worlds import published
-from testing.worlds.benchmark_world import Grid, World, benchmark_world, labels_npz, run_eval
-from testing.worlds.sending import guess, send, zipped
+from testing.worlds.benchmark_world import Grid, World, labels_npz, run_eval
+from testing.worlds.sending import guess, send, standing_world, zipped
 from tests.api.boarding import refused
 
 URL = "/api/v1"
@@ -61,22 +64,42 @@ class Sent:
                 setattr(row, name, value)
 
 
+@dataclass(frozen=True)
+class Scored:
+    """What was sent into a world whose platform is closed: nobody changes what is in its folder."""
+
+    world: World
+    ids: dict[str, str]
+    zips: dict[str, bytes]
+
+
+@pytest.fixture(scope="module")
+def scored(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Scored:
+    with standing_world(tmp_path_factory.mktemp("scored"), _sqlite_template) as world:
+        files: dict[str, tuple[str, bytes, dict[str, Any]]] = {
+            "entry": ("val", zipped(world, guess(world)), {}),
+            "foreign": ("val", foreign_zip(guess(world, turn=2)), {"team": 1}),
+            "baseline": ("val", zipped(world, guess(world, turn=3)), {"kind": "baseline", "team": 1}),
+            "hidden": ("test", zipped(world, guess(world, "test")), {}),
+            "hidden baseline": ("test", zipped(world, guess(world, "test", 2)), {"kind": "baseline", "team": 1}),
+        }
+        ids = {name: send(world, content, part, **said) for name, (part, content, said) in files.items()}
+        run_eval(world.platform)
+        with world.platform.database.transaction() as session:
+            assert set(session.scalars(select(SubmissionRow.state))) == {"scored"}
+            session.scalars(select(Benchmark)).one().is_public = True
+    return Scored(world, ids, {name: content for name, (_, content, _) in files.items()})
+
+
 @pytest.fixture
-def sent(api: httpx.Client, platform: Platform) -> Sent:
-    world = benchmark_world(platform, frames=1)
-    files: dict[str, tuple[str, bytes, dict[str, Any]]] = {
-        "entry": ("val", zipped(world, guess(world)), {}),
-        "foreign": ("val", foreign_zip(guess(world, turn=2)), {"team": 1}),
-        "baseline": ("val", zipped(world, guess(world, turn=3)), {"kind": "baseline", "team": 1}),
-        "hidden": ("test", zipped(world, guess(world, "test")), {}),
-        "hidden baseline": ("test", zipped(world, guess(world, "test", 2)), {"kind": "baseline", "team": 1}),
-    }
-    ids = {name: send(world, content, part, **said) for name, (part, content, said) in files.items()}
-    run_eval(world.platform)
-    with platform.database.transaction() as session:
-        assert set(session.scalars(select(SubmissionRow.state))) == {"scored"}
-        session.scalars(select(Benchmark)).one().is_public = True
-    return Sent(api, world, ids, {name: content for name, (_, content, _) in files.items()})
+def sent(scored: Scored, tmp_path: Path, bells: Bells) -> Iterator[Sent]:
+    """The same on a copy of that platform."""
+    settings = make_settings(tmp_path)
+    shutil.copytree(scored.world.platform.settings.root, settings.root, symlinks=True)
+    platform = opened(settings, bells)
+    with client_of(platform) as api:
+        yield Sent(api, replace(scored.world, platform=platform), scored.ids, scored.zips)
+    platform.database.close()
 
 
 def absent(reply: httpx.Response) -> bool:
