@@ -1,4 +1,7 @@
-"""The main job by REST alone: bag and calibration in, labels out, all of it gone again."""
+"""The main job by REST alone: bag and calibration in, labels out, all of it gone again.
+
+Catches alone a way through the routes that ends before its labels are read, since everything else is put into the rows.
+"""
 
 import io
 import json

@@ -24,6 +24,7 @@ SEEN = Finding("CAL-404", "warning", "CAM_FRONT", "its mount is not this camera'
 def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
+    """Catches alone findings of the late checks that labels lack, or tell in another order."""
     monkeypatch.setattr("services.ingest.pipeline.projection_findings", lambda *_: (SEEN,))
     bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
     simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
@@ -39,6 +40,7 @@ def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
 
 
 def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_checked_first(tmp_path: Path) -> None:
+    """Catches alone labels that differ because damage was found while they were made, and not before."""
     bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
     simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
     bad_chunk(bag)

@@ -151,6 +151,7 @@ def finished(made: tuple[Brought, str], tmp_path: Path) -> Iterator[tuple[Brough
 def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupted(
     made: tuple[Brought, str], expected: dict[str, bytes]
 ) -> None:
+    """Catches alone a stage that leaves other bytes than the command's when it was begun twice."""
     brought, root_id = made
     run = brought.job(root_id)
     assert (run.state, run.failure) == ("succeeded", "")

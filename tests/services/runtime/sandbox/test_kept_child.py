@@ -154,6 +154,7 @@ def test_a_later_job_has_the_wall_time_of_any_and_no_more(tmp_path: Path) -> Non
 
 
 def test_a_later_job_has_the_processor_time_of_any_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
+    """Catches alone a kept child whose jobs take from each other's processor time, or have no limit of their own."""
     monkeypatch.setattr(kept_child, "MOST_USED_S", 1)
     limits = SandboxLimits(cpu_s=1)
     first = asked(partial(spies.spin, 0.5), limits=limits)
