@@ -2,6 +2,7 @@
 
 from pathlib import Path
 
+import pytest
 from redis import Redis
 
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
@@ -23,7 +24,10 @@ def test_whoever_takes_a_job_without_a_wake_up_takes_one_back(redis_url: str, tm
     assert waiting("ingest") == 1
 
 
-def test_a_broker_that_is_away_is_no_error(tmp_path: Path) -> None:
+def test_a_broker_that_is_away_is_no_error_and_is_not_waited_for(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("kombu.utils.functional.sleep", lambda seconds: pytest.fail(f"waits {seconds:g} s"))
     send = wake_up_sender(make_settings(tmp_path, broker=BrokerSettings("redis://127.0.0.1:1/0")))
     send("ingest", 1)
     send("ingest", -1)
