@@ -1,4 +1,4 @@
-"""Compile every kernel into numba's cache: `python deploy/warm_kernels.py`, after create-venv.sh.
+"""Compile every kernel into numba's cache, and compute code versions: `python deploy/warm_kernels.py`.
 
 **Conventions.** By what the platform's own processes call before they fork, and so with the types that they call with.
 Labelling is two thirds of it, so it has a process of its own; the others share one. What is in the cache is not
@@ -24,7 +24,9 @@ PARTS = (
 
 def main() -> None:
     with ProcessPoolExecutor(len(PARTS), get_context("spawn")) as pool:
-        list(pool.map(warm, PARTS))
+        compiled = pool.map(warm, PARTS)
+        import_module("services.runtime.code_version")  # which parses the sources and keeps their digests
+        list(compiled)
 
 
 def warm(part: Sequence[str]) -> None:

@@ -20,7 +20,7 @@ PART_EXAMPLE: dict[str, Any] = {
 DATASET_EXAMPLE: dict[str, Any] = {
     "name": "stone-1.0",
     "licence": "CC-BY-NC-SA-4.0",
-    "code_version": "0.1.0+71299b6a455d",
+    "code_version": "71299b6a455d",
     "manifest_sha256": SHA256_EXAMPLE,
     "manifest_bytes": 8120334,
     "sizes": {"train": 31, "val": 7, "test": 5},

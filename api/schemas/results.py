@@ -174,7 +174,7 @@ class ProvenanceAnswer(Answer):
         **WHOSE_EXAMPLE,
         manifest_sha256=SHA256_EXAMPLE,
         mask="all",
-        code_version="0.1.0+5613fe395006",
+        code_version="5613fe395006",
         prediction_sha256=None,
         size_bytes=None,
         content_sha256=None,

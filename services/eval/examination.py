@@ -72,7 +72,7 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """
     warm_unless_served(warm)
     try:
-        answer = sandboxed_with_progress(partial(_looked_at, examination), examination.limits, watch)
+        answer = sandboxed_with_progress(partial(count_submission, examination), examination.limits, watch)
     except SandboxCrashedError as error:
         raise ScoringCrashedError(error.fate) from error
     except SandboxInterruptedError as error:
@@ -102,7 +102,7 @@ def answer_bytes(frames: int) -> int:
     return frames * (CONFUSION_BYTES + BEV_BYTES)
 
 
-def _looked_at(examination: Examination, progress: ProgressCallback) -> bytes:
+def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
     """The child's part."""
     with open_submission(examination.zip_path, examination.tokens) as submission:
         tokens = examination.tokens[slice(*examination.span)]

@@ -52,10 +52,10 @@ class CheckResult:
 def checked(asked: CheckRequest, apart: JobSandbox) -> CheckResult:
     """Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
     `JobCancelledError`."""
-    return _believed(unpacked(apart.run(partial(_check, asked), CHECKED, 2)), apart.folder / CHECKED_FILE)
+    return _believed(unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE)
 
 
-def _check(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
+def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
     """The child's part. What is said of the calibration's time stays last."""
     sequence, sweeps = (path.read_bytes() for path in asked.files)
     found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)

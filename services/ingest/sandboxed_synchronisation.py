@@ -77,12 +77,12 @@ class SynchronisationResult:
 def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
     """Raises what `join_recordings` and `open_sequence` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
     `JobCancelledError`."""
-    answer = apart.run(partial(_synchronise, asked), SYNCHRONISED, 2)
+    answer = apart.run(partial(synchronise_bags, asked), SYNCHRONISED, 2)
     made = _believed(unpacked(answer), apart.folder)
     return with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
 
 
-def _synchronise(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
+def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: ProgressCallback) -> bytes:
     """The child's part."""
     path, sha256 = _one_bag(asked, folder)
     options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)

@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from services.labeler.run_answers import PackAnswer, PublicationAnswer
 from services.runtime.code_version import code_version
 from services.runtime.orm import Artefact, LabelledFrameRow, LabelSet, new_id
+from services.runtime.source_digests import ResultKind
 
 MEDIA_TYPES = {
     ".json": "application/json",
@@ -30,12 +31,13 @@ LABELS = "labels/"  # how the names of packs of labels begin
 
 @dataclass(frozen=True)
 class NewLabelSet:
-    """A label set to be: whose it is, which run made it, and of what."""
+    """A label set to be: whose it is, which run made it, from what, and which kind of code."""
 
     sequence_id: str
     job_id: str
     recipe: str
     parameters: Mapping[str, Any]
+    kind: ResultKind = "labels"
 
 
 @dataclass(frozen=True)
@@ -62,7 +64,7 @@ def write_label_set(session: Session, labels: NewLabelSet, told: PublicationAnsw
         job_id=labels.job_id,
         recipe=labels.recipe,
         parameters=dict(labels.parameters),
-        code_version=code_version("labels"),
+        code_version=code_version(labels.kind),
         frames=len(told.tokens),
         **told.totals.model_dump(),
     )

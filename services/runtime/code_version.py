@@ -1,22 +1,40 @@
-"""Code versions: by what code a result was made, as `<release>+<12 hex digits of the digest of its sources>`.
+"""Code versions: which code computed a result, as 12 hex digits of a sha256.
 
-**Conventions.** The digests are those of a file beside this module where the build of a wheel wrote one (images have
-it), else those of the sources as they were when this module was loaded: what is changed later is not what runs. The
-release stands for the libraries that it locks.
+**Conventions.** The version of a kind of result covers the digest of the code that computes it
+(`services/runtime/source_digests.py`) and the versions of the libraries that calculate or decode for it. It does not
+cover the release. A wheel carries both, fixed when it was built, so all images of a build agree. In a checkout both
+belong to this process: its sources as they were when this module was loaded, and its installed libraries. Digests of
+a checkout are kept beside the compiled modules until a source file changes.
 """
 
 import json
 import re
-from importlib.metadata import version
+from collections.abc import Mapping
+from contextlib import suppress
+from functools import cache
+from hashlib import sha256
+from importlib.metadata import PackageNotFoundError, version
 from pathlib import Path
 
-from services.runtime.source_digests import SOURCES, ResultKind, source_digests
+from services.runtime.source_digests import (
+    ENTRIES,
+    Digests,
+    ResultKind,
+    SourceDigest,
+    installed_places,
+    record_of,
+    source_digests,
+    sources_sha256,
+)
 from stone.errors import StoneError
+from stone_files.atomic import atomic_file
 
 RELEASE = version("stone-platform")
 FIXED = Path(__file__).with_name("source_digests.json")
+KEPT = Path(__file__).with_name("__pycache__") / FIXED.name
 SHOWN_DIGITS = 12
 SHA256 = re.compile(r"[0-9a-f]{64}")
+ABSENT = "absent"
 
 
 class BrokenDigestsError(StoneError):
@@ -25,30 +43,76 @@ class BrokenDigestsError(StoneError):
     code = "broken_digests"
 
     def __init__(self, path: Path) -> None:
-        super().__init__(f"{path} holds no sha256 for each of {', '.join(SOURCES)}; build and install the wheel again")
+        super().__init__(
+            f"{path} lacks a sha256 and library versions for each of {', '.join(ENTRIES)}; build and install the wheel "
+            "again"
+        )
 
 
 def code_version(kind: ResultKind) -> str:
-    """The version of the code that makes results of this kind in this process."""
-    return f"{RELEASE}+{_DIGESTS[kind][:SHOWN_DIGITS]}"
+    """Return the version of the code that makes results of this kind in this process."""
+    return version_of(_DIGESTS[kind])
 
 
-def digests_in_force(fixed: Path) -> dict[ResultKind, str]:
-    """The digests in the file if it is there, else those of the sources.
+def version_of(digest: SourceDigest) -> str:
+    """Return the version of code with this digest; a library whose version it lacks is the installed one."""
+    libraries = [(name, known or installed_version(name)) for name, known in sorted(digest.libraries.items())]
+    spelled = json.dumps([digest.sha256, libraries])
+    return sha256(spelled.encode()).hexdigest()[:SHOWN_DIGITS]
 
-    Raises `BrokenDigestsError`, `SourcesMissingError`.
+
+def digests_in_force(fixed: Path, kept: Path) -> Digests:
+    """Return the digests in the file `fixed` if there is one, else those of the sources, which `kept` may hold.
+
+    Raises `BrokenDigestsError`, `SourcesMissingError`, `UnresolvedNameError`.
     """
     try:
         text = fixed.read_text("utf-8")
     except FileNotFoundError:
-        return source_digests()
+        return _digests_of_checkout(kept)
     try:
-        digests: dict[ResultKind, str] = {kind: json.loads(text)[kind] for kind in SOURCES}
-        if all(SHA256.fullmatch(digest) for digest in digests.values()):
-            return digests
-    except (ValueError, KeyError, TypeError) as error:
+        return digests_from(json.loads(text))
+    except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise BrokenDigestsError(fixed) from error
-    raise BrokenDigestsError(fixed)
 
 
-_DIGESTS = digests_in_force(FIXED)
+def digests_from(record: Mapping[str, Mapping[str, object]]) -> Digests:
+    """Return the digests that `record_of` made a record of.
+
+    Raises ValueError, KeyError, TypeError or AttributeError for any other record.
+    """
+    digests = dict[ResultKind, SourceDigest]()
+    for kind in ENTRIES:
+        digest, libraries = record[kind]["sha256"], record[kind]["libraries"]
+        if not isinstance(digest, str) or not SHA256.fullmatch(digest) or not isinstance(libraries, dict):
+            raise ValueError(kind)
+        digests[kind] = SourceDigest(digest, {str(name): str(number) for name, number in libraries.items()})
+    return digests
+
+
+def _digests_of_checkout(kept: Path) -> Digests:
+    """Return the digests of the sources; parse the sources only if they changed."""
+    places = installed_places()
+    sources = sources_sha256(places)
+    with suppress(OSError, ValueError, KeyError, TypeError, AttributeError):
+        record = json.loads(kept.read_text("utf-8"))
+        if record["sources"] == sources:
+            return digests_from(record["digests"])
+    digests = source_digests(places)
+    with suppress(OSError):  # a checkout that cannot be written to
+        kept.parent.mkdir(exist_ok=True)
+        with atomic_file(kept) as staging:
+            staging.write_text(json.dumps({"sources": sources, "digests": record_of(digests)}) + "\n", "utf-8")
+    return digests
+
+
+@cache
+def installed_version(distribution: str) -> str:
+    """Return the version of an installed distribution, or "absent"."""
+    try:
+        return version(distribution)
+    except PackageNotFoundError:
+        return ABSENT
+
+
+_DIGESTS = digests_in_force(FIXED, KEPT)

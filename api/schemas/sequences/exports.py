@@ -19,7 +19,7 @@ EXPORT_EXAMPLE: dict[str, Any] = {
     "state": "succeeded",
     "is_stale": False,
     "recipe": SHA256_EXAMPLE,
-    "code_version": "0.1.0+71299b6a455d",
+    "code_version": "71299b6a455d",
     "files": 13216,
     "size_bytes": 41003421,
     "archives": [ARCHIVE_EXAMPLE],

@@ -35,7 +35,7 @@ COMPARISON_EXAMPLE: dict[str, Any] = {
     "b_id": OTHER_EXAMPLE,
     "job_id": ID_EXAMPLE,
     "state": "succeeded",
-    "code_version": "0.1.0+71299b6a455d",
+    "code_version": "71299b6a455d",
     "record": RECORD_EXAMPLE,
     "failure": None,
     "created_at": "2026-05-03T10:31:02.250000Z",
@@ -50,7 +50,7 @@ class LabelSetItem(Answer):
         id=ID_EXAMPLE,
         profile="paper",
         frames=1200,
-        code_version="0.1.0+71299b6a455d",
+        code_version="71299b6a455d",
         is_counting=True,
         created_at="2026-05-03T10:31:02.250000Z",
     )

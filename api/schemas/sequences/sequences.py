@@ -39,7 +39,7 @@ SEQUENCE_EXAMPLE: dict[str, Any] = {
         "id": ID_EXAMPLE,
         "job_id": ID_EXAMPLE,
         "frames": 1200,
-        "code_version": "0.1.0+71299b6a455d",
+        "code_version": "71299b6a455d",
         "created_at": "2026-05-03T10:20:00Z",
         "chosen_at": "2026-05-03T10:20:00Z",
     },

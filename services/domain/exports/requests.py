@@ -153,12 +153,12 @@ def begin_export(session: Session, attempt: Attempt) -> Export:
     `SequenceDeletedError`.
     """
     export = exported_by(session, attempt)
-    if export.code_version == code_version("labels"):
+    if export.code_version == code_version("exports"):
         return export
     sequence = lock_sequence(session, export.sequence_id)
     export = exported_by(session, attempt)
     recipe = _recipe(session.get_one(LabelSet, export.label_set_id), export.format)
-    export.code_version = code_version("labels")
+    export.code_version = code_version("exports")
     if _existing_export(session, sequence, recipe) is None:
         export.recipe = recipe
     return export
@@ -180,11 +180,11 @@ def counting_labels(session: Session, sequence_id: str) -> LabelSet | None:
 
 
 def _recipe(labels: LabelSet, form: str) -> str:
-    return recipe_of({"labels": labels.recipe, "format": form})
+    return recipe_of("exports", {"labels": labels.recipe, "format": form})
 
 
 def _new_export(labels: LabelSet, form: str, recipe: str) -> Export:
-    facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": code_version("labels")}
+    facts = {"label_set_id": labels.id, "format": form, "recipe": recipe, "code_version": code_version("exports")}
     return Export(id=new_id(), sequence_id=labels.sequence_id, **facts)
 
 

@@ -132,6 +132,6 @@ def delete_import(session: Session, imported: DatasetImport) -> None:
 def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:
     """Raises `QueueDrainingError`."""
     run = enqueue_run(session, IMPORT, [JobSpec(KEEP_DATASET)], Context(imported.owner_id))
-    run.arguments = {"import_id": imported.id, "code_version": code_version("labels"), RESTARTS: restarts}
+    run.arguments = {"import_id": imported.id, "code_version": code_version("imports"), RESTARTS: restarts}
     imported.job_id = run.id
     return run

@@ -34,12 +34,12 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
     with platform.database.reading() as session:
         begun = session.get_one(Job, attempt.root_id).arguments["code_version"]
         imported = _found(session, _made_by(attempt))
-    if begun == code_version("labels"):
+    if begun == code_version("imports"):
         return imported
     try:
         begin_run_again(platform, attempt, f"the platform was upgraded to code version {code_version('labels')}")
     except (QueueDrainingError, RestartedTooOftenError) as error:
-        raise CodeChangedError(begun, error, REMEDY) from error
+        raise CodeChangedError((begun, code_version("imports")), error, REMEDY) from error
     raise JobCancelledError(f"its run was begun by version {begun}; the dataset is imported by another run")
 
 

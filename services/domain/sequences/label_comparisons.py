@@ -89,7 +89,7 @@ def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: s
         if comparison.finished_ns is not None or (job.state not in TERMINAL and not job.cancel_reason):
             return comparison, job
     else:
-        facts = {"sequence_id": sequence.id, "a_id": a_id, "b_id": b_id, "code_version": code_version("scores")}
+        facts = {"sequence_id": sequence.id, "a_id": a_id, "b_id": b_id, "code_version": code_version("comparisons")}
         comparison = LabelComparison(id=new_id(), **facts)
     job = enqueue(session, JobSpec(COMPARE, {"comparison_id": comparison.id}), Context(sequence.owner_id, sequence.id))
     comparison.job_id = job.id
@@ -164,7 +164,7 @@ def _stored(row: LabelledFrameRow, object_key: str) -> StoredLabelFile:
 
 def _existing_comparison(session: Session, a_id: str, b_id: str) -> LabelComparison | None:
     same = select(LabelComparison).where(LabelComparison.a_id == a_id, LabelComparison.b_id == b_id)
-    same = same.where(LabelComparison.code_version == code_version("scores"))
+    same = same.where(LabelComparison.code_version == code_version("comparisons"))
     return session.scalars(same.execution_options(populate_existing=True)).one_or_none()
 
 

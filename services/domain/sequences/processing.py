@@ -199,6 +199,7 @@ def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients)
     """By content, not by id: the same bag uploaded again is the same ingredient. Names are in tokens and report."""
     calibration = inputs.calibration
     return recipe_of(
+        "labels",
         {
             "sequence": sequence.name,
             "recordings": sorted([recording.filename, recording.sha256] for recording in inputs.recordings),
@@ -211,7 +212,7 @@ def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients)
             "profile": request.profile,
             "parameters": {name: float(value) for name, value in request.parameters.items()},
             "stages": request.stages,
-        }
+        },
     )
 
 

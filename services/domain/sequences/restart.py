@@ -50,10 +50,11 @@ class CodeChangedError(StoneError):
 
     code = "code_changed"
 
-    def __init__(self, begun: str, why: StoneError, remedy: str = "Process the sequence again") -> None:
+    def __init__(self, versions: tuple[str, str], why: StoneError, remedy: str = "Process the sequence again") -> None:
+        begun, ours = versions
         super().__init__(
-            f"this run was begun by version {begun} and this worker is {code_version('labels')}; "
-            f"it could not be begun again: {why}. {remedy}"
+            f"this run was begun by code version {begun} and this worker runs {ours}; it could not be begun again: "
+            f"{why}. {remedy}"
         )
 
 
@@ -78,7 +79,7 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
             begin_again(session, attempt.root_id)
             reason = session.get_one(Job, attempt.root_id).cancel_reason
     except NOT_NOW as error:
-        raise CodeChangedError(begun, error) from error
+        raise CodeChangedError((begun, code_version("labels")), error) from error
     raise JobCancelledError(reason or f"its run was begun by version {begun} and has ended")
 
 

@@ -69,7 +69,9 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     """
     exporter, (name, frames) = exporter_of(request.format), _described(request.report)
     known = read_manifest(request.out, request.format)
-    recipe = recipe_of({"format": request.format} | {key: request.report.get(key) for key in _deciding(request.format)})
+    recipe = recipe_of(
+        "exports", {"format": request.format} | {key: request.report.get(key) for key in _deciding(request.format)}
+    )
     if name in known and known[name].recipe == recipe:
         return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
     entry = ExportFolderEntry(recipe, frames, _number(known, name))

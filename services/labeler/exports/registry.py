@@ -20,26 +20,29 @@ Write = Callable[[LabelledSequence, Path, Step], None]
 
 @dataclass(frozen=True)
 class Exporter:
-    """An exporter that is imported when it is called, and what it looks at besides the sequence and its map."""
+    """An exporter that is imported when it is called, and what it reads besides the sequence and its map.
 
-    module: str
-    function: str
+    `place` is its `module:function`.
+    """
+
+    place: str
     reads_labels: bool = True
     reads_samples: bool = True
 
     def __call__(self, source: LabelledSequence, out: Path, step: Step) -> None:
-        cast("Write", getattr(import_module(f"services.labeler.{self.module}"), self.function))(source, out, step)
+        module, _, function = self.place.partition(":")
+        cast("Write", getattr(import_module(module), function))(source, out, step)
 
 
 EXPORTERS: Mapping[str, Exporter] = {
-    "nuscenes": Exporter("exports.nuscenes.layout", "write_nuscenes"),
-    "inputs": Exporter("exports.inputs", "write_inputs", reads_labels=False),
-    "kitti": Exporter("exports.kitti", "write_kitti"),
-    "mesh": Exporter("exports.meshes", "write_meshes", reads_labels=False, reads_samples=False),
-    "mcap": Exporter("exports.foxglove", "write_foxglove"),
-    "rrd": Exporter("exports.rerun", "write_rerun"),
-    "previews": Exporter("previews.preview_files", "write_previews"),
-    "playback": Exporter("exports.playback", "write_playback", reads_labels=False),
+    "nuscenes": Exporter("services.labeler.exports.nuscenes.layout:write_nuscenes"),
+    "inputs": Exporter("services.labeler.exports.inputs:write_inputs", reads_labels=False),
+    "kitti": Exporter("services.labeler.exports.kitti:write_kitti"),
+    "mesh": Exporter("services.labeler.exports.meshes:write_meshes", reads_labels=False, reads_samples=False),
+    "mcap": Exporter("services.labeler.exports.foxglove:write_foxglove"),
+    "rrd": Exporter("services.labeler.exports.rerun:write_rerun"),
+    "previews": Exporter("services.labeler.previews.preview_files:write_previews"),
+    "playback": Exporter("services.labeler.exports.playback:write_playback", reads_labels=False),
 }
 
 

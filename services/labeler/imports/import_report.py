@@ -30,7 +30,7 @@ def report_text(sequence: Sequence, classes: ClassMap, labels: ImportedLabels, m
     counts = labels.counts()
     record = {
         "sequence": sequence.name,
-        "code_version": code_version("labels"),
+        "code_version": code_version("imports"),
         "frames": len(sequence.frames),
         "excluded": [],
         "pose_source": sequence.pose_source,

@@ -104,12 +104,14 @@ def _write_scene(
     context: ImportStageContext, session: Session, sequence: SequenceRow, scene: _SceneRows
 ) -> PublishedScene:
     imported = context.imported
-    recipe = recipe_of({"dataset": imported.sha256, "scene": sequence.name, "classes": imported.classes})
+    recipe = recipe_of("imports", {"dataset": imported.sha256, "scene": sequence.name, "classes": imported.classes})
     standing = standing_label_set(session, sequence.id, recipe)
     if standing is not None:
         return PublishedScene(sequence.id, standing.id, 0)
     parameters = {"profile": PROFILE, "dataset": imported.name, "sha256": imported.sha256, "classes": imported.classes}
-    labels = write_label_set(session, NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters), scene.told)
+    labels = write_label_set(
+        session, NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports"), scene.told
+    )
     for file in scene.files:
         write_artefact(session, labels.id, file, scene.told)
     if context.platform.settings.viewing.makes_playback:

@@ -6,9 +6,10 @@ from hashlib import sha256
 from typing import Any
 
 from services.runtime.code_version import code_version
+from services.runtime.source_digests import ResultKind
 
 
-def recipe_of(ingredients: Mapping[str, Any]) -> str:
-    """sha256 of the ingredients (plain JSON values) and of the version of the code of labels, in one spelling."""
-    spelled = json.dumps({**ingredients, "code_version": code_version("labels")}, sort_keys=True, separators=(",", ":"))
+def recipe_of(kind: ResultKind, ingredients: Mapping[str, Any]) -> str:
+    """Return the sha256 of the ingredients (plain JSON values) and of the code version of this kind of result."""
+    spelled = json.dumps({**ingredients, "code_version": code_version(kind)}, sort_keys=True, separators=(",", ":"))
     return sha256(spelled.encode()).hexdigest()

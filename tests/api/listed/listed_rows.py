@@ -156,7 +156,7 @@ def _label_set(number: int, sequence: int, sums: dict[str, Any], chosen_ns: int)
         "job_id": id_of("job", 10 * sequence),
         "recipe": f"{number:064x}",
         "parameters": {},
-        "code_version": "0.1.0+71299b6a455d",
+        "code_version": "71299b6a455d",
         "frames": 10 * number,
         "created_ns": at_ns(20 + number),
         "chosen_ns": chosen_ns,

@@ -10,8 +10,8 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.code_version import FIXED
-from services.runtime.source_digests import source_digests
+from services.runtime.code_version import FIXED, code_version, digests_from, version_of
+from services.runtime.source_digests import installed_places, source_digests
 from tests.deploy.wheels import built_wheel
 from web.assets import LIBRARIES
 
@@ -107,10 +107,12 @@ def test_the_wheels_hold_what_runs_once_and_not_what_it_is_made_of(
 
 
 @pytest.mark.whole
-def test_the_wheel_says_of_which_sources_it_was_built(wheel: Path) -> None:
-    """Catches alone a wheel whose labels and scores would be versioned by other sources than its own."""
-    told = json.loads(zipfile.ZipFile(wheel).read("services/runtime/source_digests.json"))
-    assert told == source_digests()
+def test_the_wheel_fixes_the_code_versions_that_it_was_built_with(wheel: Path) -> None:
+    """Catches alone a wheel whose results would have the versions of other code, or of other libraries."""
+    fixed = digests_from(json.loads(zipfile.ZipFile(wheel).read("services/runtime/source_digests.json")))
+    here = source_digests(installed_places())
+    assert {kind: one.sha256 for kind, one in fixed.items()} == {kind: one.sha256 for kind, one in here.items()}
+    assert {kind: version_of(one) for kind, one in fixed.items()} == {kind: code_version(kind) for kind in here}
     assert not FIXED.exists(), "a build leaves nothing in the checkout"
 
 

@@ -16,6 +16,7 @@ from services.eval.stages import handlers
 from services.runtime import code_version
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Activation, Phase, Score, ScorePart, SubmissionRow
+from services.runtime.source_digests import SourceDigest
 from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS
 from testing.worlds.benchmark_world import World, run_eval
 from testing.worlds.sending import counts_of, guess, pair_of, parts_left, scores_of, send, standing_world, zipped
@@ -33,7 +34,7 @@ def now() -> str:
 
 def upgraded(monkeypatch: pytest.MonkeyPatch) -> None:
     """From here on the sources that make scores are others."""
-    monkeypatch.setitem(code_version._DIGESTS, "scores", "f" * 64)
+    monkeypatch.setitem(code_version._DIGESTS, "scores", SourceDigest("f" * 64, {}))
 
 
 def scored_again(world: World, metric: str = OCCUPIED_VERSION) -> None:

@@ -139,7 +139,7 @@ def test_an_export_that_another_version_was_asked_for_is_of_the_version_that_wri
     assert run_all(brought.platform) == 1
     export = row(brought.platform, export_id)
     assert export is not None
-    assert (export.code_version, export.files > 0) == (code_version("labels"), True)
+    assert (export.code_version, export.files > 0) == (code_version("exports"), True)
     assert asked(brought, "mesh") == (export_id, job_id), "nor is it made again"
 
 
@@ -151,8 +151,8 @@ def test_exports_of_two_versions_under_way_are_both_written(brought: Brought) ->
     before, after = row(brought.platform, before_id), row(brought.platform, after_id)
     assert before is not None
     assert after is not None
-    assert (before.code_version, before.recipe) == (code_version("labels"), "0" * 64)
-    assert (after.code_version, after.tar_sha256) == (code_version("labels"), before.tar_sha256)
+    assert (before.code_version, before.recipe) == (code_version("exports"), "0" * 64)
+    assert (after.code_version, after.tar_sha256) == (code_version("exports"), before.tar_sha256)
     assert asked(brought, "mesh") == (after_id, after_job_id)
 
 

@@ -1,29 +1,32 @@
-"""A version is that of the sources that make a result: of no folder, date or machine, and of no other source."""
+"""A version is that of the code and the libraries that make a result: of no folder, date, machine or release."""
 
 import json
 import os
+import re
 import shutil
 import subprocess
 import sys
 from dataclasses import dataclass
+from importlib.metadata import version
 from pathlib import Path
 
 import pytest
 
 from services.labeler.stage_context import stage_context_of
-from services.runtime.code_version import RELEASE, BrokenDigestsError, code_version, digests_in_force
+from services.runtime.code_version import (
+    FIXED,
+    KEPT,
+    RELEASE,
+    BrokenDigestsError,
+    code_version,
+    digests_in_force,
+    version_of,
+)
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Job, LabelSet
 from services.runtime.platform import Platform
-from services.runtime.source_digests import (
-    SOURCES,
-    SUFFIXES,
-    SourcesMissingError,
-    digest_of,
-    place_of,
-    source_digests,
-)
+from services.runtime.source_digests import ENTRIES, ROOTS, SourceDigest, record_of
 from testing.worlds.runs import Brought, Said
 from tests.services.domain.sequences.test_processing import ready_on
 
@@ -31,7 +34,8 @@ ROOT = Path(__file__).resolve().parents[3]
 VERSIONS = """
 import json
 from services.runtime.code_version import code_version
-print(json.dumps({kind: code_version(kind) for kind in ("labels", "scores")}))
+from services.runtime.source_digests import ENTRIES
+print(json.dumps({kind: code_version(kind) for kind in ENTRIES}))
 """
 PROCESS_AGAIN = """
 import sys
@@ -51,7 +55,7 @@ class Tree:
 
     folder: Path
 
-    def append(self, name: str, line: str = "# changed\n") -> None:
+    def append(self, name: str, line: str) -> None:
         with (self.folder / name).open("a", encoding="utf-8") as file:
             file.write(line)
 
@@ -73,111 +77,57 @@ class Tree:
 @pytest.fixture
 def tree(tmp_path: Path) -> Tree:
     folder = tmp_path / "another" / "place"
-    for package in ("stone", "stone_base", "stone_files", "stone_recordings", "stone_submissions", "services"):
+    for package in ROOTS:
         shutil.copytree(ROOT / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
     return Tree(folder)
 
 
-@pytest.fixture
-def package(tmp_path: Path) -> Path:
-    folder = tmp_path / "package"
-    (folder / "deep").mkdir(parents=True)
-    (folder / "a.py").write_text("one = 1\n")
-    (folder / "deep" / "b.py").write_text("two = 2\n")
-    return folder
+def fixed_text(of_kind: object, skipped: int = 0) -> str:
+    """A file of digests with the same for each kind but the first ones."""
+    return json.dumps({kind: of_kind for kind in list(ENTRIES)[skipped:]})
 
 
 def here() -> dict[str, str]:
-    return {kind: code_version(kind) for kind in SOURCES}
+    return {kind: code_version(kind) for kind in ENTRIES}
 
 
-def test_a_version_is_the_release_and_twelve_digits_of_the_digest() -> None:
-    assert {kind: f"{RELEASE}+{digest[:12]}" for kind, digest in source_digests().items()} == here()
-    assert len({len(digest) for digest in source_digests().values()} | {64}) == 1
-    assert code_version("labels") != code_version("scores")
+def test_a_version_covers_code_and_libraries_and_not_the_release() -> None:
+    digests = digests_in_force(FIXED, KEPT)
+    assert {kind: version_of(one) for kind, one in digests.items()} == here()
+    assert RELEASE not in "".join(here().values())
+    assert all(re.fullmatch(r"[0-9a-f]{12}", one) for one in here().values())
+    assert len(set(here().values())) == len(here())
+    labels = digests["labels"]
+    installed = {library: version(library) for library in labels.libraries}
+    assert {"numpy", "scipy", "numba", "llvmlite"} < installed.keys()
+    assert code_version("labels") == version_of(SourceDigest(labels.sha256, installed))
 
 
-def test_equal_sources_in_another_folder_are_of_one_version(tree: Tree) -> None:
+@pytest.mark.parametrize(
+    "other", [SourceDigest("b" * 64, {"numpy": "2.4"}), SourceDigest("a" * 64, {"numpy": "2.5"})], ids=["code", "numpy"]
+)
+def test_other_code_and_another_numpy_are_other_versions(other: SourceDigest) -> None:
+    assert version_of(other) != version_of(SourceDigest("a" * 64, {"numpy": "2.4"}))
+
+
+def test_equal_sources_in_another_folder_are_of_one_version_and_changed_ones_are_not(tree: Tree) -> None:
+    """The second time the digests that were kept are used, and not after a change."""
     assert tree.versions() == here()
+    kept = tree.folder / "services" / "runtime" / "__pycache__" / KEPT.name
+    written = kept.stat().st_mtime_ns
+    assert tree.versions() == here()
+    assert kept.stat().st_mtime_ns == written
+    tree.append("services/labeler/frames.py", "\n\nprint(end='')\n")
+    changed = tree.versions()
+    assert {kind for kind in ENTRIES if changed[kind] != here()[kind]} == {"labels", "imports"}
+    kept.write_text("not JSON")
+    assert tree.versions() == changed
 
 
-@pytest.mark.parametrize(
-    ("changed", "kinds"),
-    [
-        ("stone/labels/grid.py", {"labels", "scores"}),
-        ("services/labeler/frames.py", {"labels"}),
-        ("stone_recordings/sync/synchronisation.py", {"labels"}),
-        ("stone_recordings/messages/types/definitions/gps_msgs/msg/GPSFix.msg", {"labels"}),
-        ("services/eval/scores.py", {"scores"}),
-        ("services/runtime/access/storage_quota.py", set()),
-    ],
-)
-def test_a_changed_source_is_another_version_of_what_it_makes(tree: Tree, changed: str, kinds: set[str]) -> None:
-    tree.append(changed)
-    before, now = here(), tree.versions()
-    assert {kind for kind in SOURCES if now[kind] != before[kind]} == kinds
-
-
-def test_dates_compiled_files_and_the_order_of_writing_do_not_matter(package: Path, tmp_path: Path) -> None:
-    before = digest_of({"package": package})
-    again = tmp_path / "again"
-    (again / "deep" / "__pycache__").mkdir(parents=True)
-    (again / "deep" / "b.py").write_text("two = 2\n")
-    (again / "a.py").write_text("one = 1\n")
-    (again / "deep" / "__pycache__" / "b.cpython-311.pyc").write_bytes(b"compiled")
-    (again / "README.md").write_text("words\n")
-    os.utime(again / "a.py", (0, 0))
-    assert digest_of({"package": again}) == before
-
-
-@pytest.mark.parametrize(
-    ("was", "is_now"), [("a.py", "c.py"), ("deep/b.py", "b.py")], ids=["renamed", "in another folder"]
-)
-def test_names_matter(package: Path, was: str, is_now: str) -> None:
-    before = digest_of({"package": package})
-    (package / was).rename(package / is_now)
-    assert digest_of({"package": package}) != before
-
-
-def test_bytes_that_move_from_one_file_to_the_next_matter(package: Path) -> None:
-    before = digest_of({"package": package})
-    (package / "a.py").write_text("one = 1")
-    (package / "deep" / "b.py").write_text("\ntwo = 2\n")
-    assert digest_of({"package": package}) != before
-
-
-def test_a_single_module_is_a_source_too(package: Path) -> None:
-    assert place_of("stone_files.npz") == ROOT / "stone_files" / "npz.py"
-    before = digest_of({"a": package / "a.py"})
-    (package / "deep" / "b.py").write_text("other\n")
-    assert digest_of({"a": package / "a.py"}) == before
-    (package / "a.py").write_text("other\n")
-    assert digest_of({"a": package / "a.py"}) != before
-
-
-@pytest.mark.parametrize("name", ["services.nothing", "nothing.at.all", "nothing"])
-def test_a_package_that_is_not_there_is_named(name: str) -> None:
-    with pytest.raises(SourcesMissingError, match=f"no source file of {name} can be found"):
-        place_of(name)
-
-
-def test_a_package_without_sources_is_named(tmp_path: Path) -> None:
-    (tmp_path / "module.pyc").write_bytes(b"compiled")
-    with pytest.raises(SourcesMissingError, match="no source file of package"):
-        digest_of({"package": tmp_path})
-
-
-def test_every_file_of_a_source_counts_or_is_words() -> None:
-    files = (path for names in SOURCES.values() for name in names for path in place_of(name).rglob("*"))
-    suffixes = {path.suffix for path in files if path.is_file() and "__pycache__" not in path.parts}
-    assert suffixes - {".md", ".html", ".css"} == SUFFIXES  # documents, and the templates of the quality page
-
-
-def test_what_a_build_wrote_comes_before_the_sources(tree: Tree) -> None:
-    fixed = {"labels": "ab" * 32, "scores": "cd" * 32}
-    (tree.folder / "services" / "runtime" / "source_digests.json").write_text(json.dumps(fixed))
-    tree.append("stone/labels/grid.py")
-    assert tree.versions() == {"labels": f"{RELEASE}+abababababab", "scores": f"{RELEASE}+cdcdcdcdcdcd"}
+def test_what_a_build_fixed_comes_before_the_sources(tree: Tree) -> None:
+    digests = {kind: SourceDigest("ab" * 32, {"numpy": "1.0"}) for kind in ENTRIES}
+    (tree.folder / "services" / "runtime" / FIXED.name).write_text(json.dumps(record_of(digests)))
+    assert tree.versions() == {kind: version_of(one) for kind, one in digests.items()}
 
 
 @pytest.mark.parametrize(
@@ -186,17 +136,18 @@ def test_what_a_build_wrote_comes_before_the_sources(tree: Tree) -> None:
         "",
         "[]",
         "null",
-        json.dumps({"labels": "ab" * 32}),
-        json.dumps({"labels": "ab" * 32, "scores": "cd" * 31}),
-        json.dumps({"labels": "ab" * 32, "scores": 7}),
-        json.dumps({"labels": "AB" * 32, "scores": "cd" * 32}),
+        fixed_text("ab" * 32),
+        fixed_text({"sha256": "ab" * 32, "libraries": {}}, skipped=1),
+        fixed_text({"sha256": "ab" * 31, "libraries": {}}),
+        fixed_text({"sha256": 7, "libraries": {}}),
+        fixed_text({"sha256": "ab" * 32, "libraries": []}),
     ],
 )
 def test_digests_that_a_build_wrote_wrong_are_refused(text: str, tmp_path: Path) -> None:
     fixed = tmp_path / "source_digests.json"
     fixed.write_text(text)
-    with pytest.raises(BrokenDigestsError, match="holds no sha256 for each of labels, scores"):
-        digests_in_force(fixed)
+    with pytest.raises(BrokenDigestsError, match="lacks a sha256 and library versions for each of labels, imports"):
+        digests_in_force(fixed, tmp_path / "kept.json")
 
 
 def test_labels_of_other_code_are_made_anew_and_its_runs_are_not_gone_on_with(
@@ -206,7 +157,7 @@ def test_labels_of_other_code_are_made_anew_and_its_runs_are_not_gone_on_with(
     root_id = labelled(brought)
     again = {"STONE_DATA_FOLDER": str(platform.settings.root)}
     assert tree.told(PROCESS_AGAIN, brought.sequence_id, **again) == root_id, "the same code has made it already"
-    tree.append("services/labeler/frames.py")
+    tree.append("services/labeler/frames.py", "\n\nprint(end='')\n")
     other_id = tree.told(PROCESS_AGAIN, brought.sequence_id, **again)
     assert other_id != root_id, "other code makes it anew"
     assert brought.job(other_id).arguments["code_version"] == tree.versions()["labels"]

@@ -141,7 +141,7 @@ def test_a_sequence_of_one_recording_keeps_the_recipe_that_earlier_versions_gave
         "parameters": {},
         "stages": ("synchronise", "label"),
     }
-    assert arguments["recipe"] == recipe_of(as_before)
+    assert arguments["recipe"] == recipe_of("labels", as_before)
 
 
 def _calibration_sha256(brought: Brought) -> str:

@@ -85,7 +85,7 @@ def test_of_jobs_that_ask_at_once_one_begins_a_run_of_the_same_request(ready: Br
 def test_its_jobs_are_told_why_they_end_and_a_run_of_this_version_goes_on(ready: Brought) -> None:
     root_id = begun_before(ready)
     for _ in range(2):
-        with pytest.raises(JobCancelledError, match=f"upgraded to code version {RELEASED}.*processed by job"):
+        with pytest.raises(JobCancelledError, match=r"upgraded to code version [0-9a-f]{12}; .*processed by job"):
             arguments_of_run(ready.platform, attempt_at(ready, root_id))
     _, new = runs(ready)
     assert arguments_of_run(ready.platform, attempt_at(ready, new.id)) == new.arguments
@@ -137,7 +137,7 @@ def test_a_queue_that_takes_nothing_new_fails_the_run_with_the_way_out(ready: Br
     assert run_next(ready.platform, "ingest", handlers(ready.platform))
     (run,) = runs(ready)
     assert (run.id, run.state, run.failure_code) == (root_id, "failed", "code_changed")
-    assert f"begun by version {RELEASED} and this worker is {code_version('labels')}" in run.failure
+    assert f"begun by code version {RELEASED} and this worker runs {code_version('labels')}" in run.failure
     assert "'ingest' is draining" in run.failure
     assert run.failure.endswith("Process the sequence again")
 

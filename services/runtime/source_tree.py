@@ -1,0 +1,252 @@
+"""The source files of this platform as modules: the statements that define each name, and the targets of imports.
+
+**Conventions.** Modules are parsed, never run, and each only once. `Definition` names one by (module, name). A module
+below none of the packages, or below one of `outside`, is not opened. Standard library only: the build of a wheel uses
+this module before anything is installed (`deploy/images/digests_hook.py`).
+"""
+
+import ast
+import builtins
+import os
+from collections.abc import Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, field
+from importlib.util import find_spec
+from pathlib import Path
+from typing import NamedTuple
+
+from stone_base.errors import StoneError
+
+EFFECTS = ""
+"""The name under which a module's definitions hold the statements that run at import and define nothing."""
+UNNAMED = frozenset({"__all__"})
+PURE_DECORATORS = frozenset({"cache", "contextmanager", "dataclass", "intrinsic", "lru_cache", "njit", "overload"})
+"""Decorators that only change the function or class below them; any other may register it somewhere."""
+
+
+class Definition(NamedTuple):
+    """One name of one module."""
+
+    module: str
+    name: str
+
+
+class ModuleObject(NamedTuple):
+    """A module of the platform used as a value."""
+
+    module: str
+
+
+class External(NamedTuple):
+    """Something that is not opened: of a library, of the standard library, or of a module below `outside`.
+
+    `library` is its top-level package, "" for builtins and for modules of the platform.
+    """
+
+    name: str
+    library: str = ""
+
+
+Target = Definition | ModuleObject | External
+
+
+class SourcesMissingError(StoneError):
+    """A package or module has no source files in this installation."""
+
+    code = "sources_missing"
+
+    def __init__(self, name: str) -> None:
+        super().__init__(
+            f"no source file of {name} can be found, so its results have no version; was it installed without sources?"
+        )
+
+
+class UnresolvedNameError(StoneError):
+    """A module uses a name that nothing defines."""
+
+    code = "unresolved_name"
+
+    def __init__(self, module: str, name: str) -> None:
+        super().__init__(f"{module} defines no {name}; was it renamed or moved without those that use it?")
+
+
+@dataclass(frozen=True)
+class Import:
+    """The target of an imported name: a module, or if `name` is given something in it."""
+
+    module: str
+    name: str = ""
+
+
+@dataclass
+class Module:
+    """One source file. `statements` by the name that they define, in their order; `imports` by the name they bind."""
+
+    name: str
+    path: Path
+    statements: dict[str, list[ast.stmt]] = field(default_factory=dict)
+    imports: dict[str, Import] = field(default_factory=dict)
+    loaded: set[str] = field(default_factory=set)
+    """The modules that importing this one imports."""
+
+    @property
+    def is_package(self) -> bool:
+        return self.path.name == "__init__.py"
+
+
+class SourceTree:
+    """The modules of top-level packages, whose folders are `places`, but for those below the packages `outside`."""
+
+    def __init__(self, places: Mapping[str, Path], outside: Sequence[str] = ()) -> None:
+        self._places = dict(places)
+        self._outside = tuple(outside)
+        self._modules: dict[str, Module] = {}
+
+    def module(self, name: str) -> Module:
+        """Return the module called `name`, parsed. Raises `SourcesMissingError`."""
+        if name not in self._modules:
+            path = self.path_of(name)
+            if path is None:
+                raise SourcesMissingError(name)
+            self._modules[name] = _parsed(name, path)
+        return self._modules[name]
+
+    def path_of(self, name: str) -> Path | None:
+        """Return the file of a module of the platform, or None if there is no such module."""
+        root, *parts = name.split(".")
+        if root not in self._places:
+            return None
+        base = self._places[root].joinpath(*parts)
+        file = base.parent / f"{base.name}.py"
+        return next((path for path in (base / "__init__.py", file) if path.is_file()), None)
+
+    def is_inside(self, name: str) -> bool:
+        """Return whether the module called `name` is opened."""
+        is_outside = any(name == one or name.startswith(f"{one}.") for one in self._outside)
+        return not is_outside and name.partition(".")[0] in self._places
+
+    def resolved(self, module: str, name: str) -> Target:
+        """Return the target of `name` in a module; imports are followed. Raises `UnresolvedNameError`."""
+        found = self.module(module)
+        if name in found.statements:
+            return Definition(module, name)
+        if name in found.imports:
+            return self.imported(found.imports[name])
+        if found.is_package and self.path_of(f"{module}.{name}") is not None:
+            return ModuleObject(f"{module}.{name}")
+        if hasattr(builtins, name) or (name.startswith("__") and name.endswith("__")):
+            return External(name)
+        raise UnresolvedNameError(module, name)
+
+    def imported(self, found: Import) -> Target:
+        """Return the target of an import. Raises `UnresolvedNameError`, `SourcesMissingError`."""
+        root = found.module.partition(".")[0]
+        if root not in self._places:
+            return External(f"{found.module}.{found.name}" if found.name else found.module, root)
+        if not self.is_inside(found.module):
+            return External(found.name or found.module.rpartition(".")[2])
+        return self.resolved(found.module, found.name) if found.name else ModuleObject(found.module)
+
+
+def place_of(root: str) -> Path:
+    """Return the folder of a top-level package, which is not run. Raises `SourcesMissingError`."""
+    spec = find_spec(root)
+    if spec is None or not spec.submodule_search_locations:
+        raise SourcesMissingError(root)
+    return Path(next(iter(spec.submodule_search_locations)))
+
+
+def imports_of(node: ast.Import | ast.ImportFrom) -> Iterator[tuple[str, Import, str]]:
+    """Yield (bound name, its target, loaded module) for each name of an import statement."""
+    for alias in node.names:
+        if isinstance(node, ast.ImportFrom):
+            yield alias.asname or alias.name, Import(node.module or "", alias.name), node.module or ""
+        elif alias.asname:
+            yield alias.asname, Import(alias.name), alias.name
+        else:
+            root = alias.name.partition(".")[0]
+            yield root, Import(root), alias.name
+
+
+@dataclass
+class ScopeNames:
+    """The names that the statements of one scope bind, import, or declare global or nonlocal."""
+
+    bound: set[str] = field(default_factory=set)
+    imports: list[ast.Import | ast.ImportFrom] = field(default_factory=list)
+    declared: set[str] = field(default_factory=set)
+
+
+def names_in(nodes: Iterable[ast.AST]) -> ScopeNames:
+    """Return the names that these nodes bind, import or declare in their own scope, without nested scopes."""
+    names, todo = ScopeNames(), list(nodes)
+    while todo:
+        match node := todo.pop():
+            case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+                names.bound.add(node.name)
+                continue
+            case ast.Lambda():
+                continue
+            case ast.ListComp() | ast.SetComp() | ast.DictComp() | ast.GeneratorExp():
+                names.bound |= {one.target.id for one in ast.walk(node) if isinstance(one, ast.NamedExpr)}
+                continue
+            case ast.Name(ctx=ast.Store() | ast.Del()):
+                names.bound.add(node.id)
+            case ast.Name() | ast.Constant():
+                continue
+            case ast.ExceptHandler(name=str(name)) | ast.MatchAs(name=str(name)) | ast.MatchStar(name=str(name)):
+                names.bound.add(name)
+            case ast.MatchMapping(rest=str(name)):
+                names.bound.add(name)
+            case ast.Import() | ast.ImportFrom():
+                names.imports.append(node)
+            case ast.Global() | ast.Nonlocal():
+                names.declared |= set(node.names)
+        todo += ast.iter_child_nodes(node)
+    return names
+
+
+def _parsed(name: str, path: Path) -> Module:
+    module = Module(name, path)
+    for statement in ast.parse(path.read_bytes()).body:
+        names = names_in([statement])
+        for node in names.imports:
+            for bound, target, loaded in imports_of(node):
+                module.imports[bound] = target
+                module.loaded |= {loaded, f"{target.module}.{target.name}"}
+        for defined in _defined(statement, names.bound):
+            module.statements.setdefault(defined, []).append(statement)
+    return module
+
+
+def _defined(statement: ast.stmt, bound: set[str]) -> set[str]:
+    """Return the names that a statement of a module defines; `EFFECTS` too if running it may do something else."""
+    match statement:
+        case ast.Import() | ast.ImportFrom() | ast.Expr(value=ast.Constant()) | ast.Pass():
+            return set()
+        case ast.FunctionDef() | ast.AsyncFunctionDef() | ast.ClassDef():
+            is_pure = all(_name_of(one) in PURE_DECORATORS for one in statement.decorator_list)
+            return {statement.name} if is_pure else {statement.name, EFFECTS}
+        case ast.If(test=ast.Compare(left=ast.Name(id="__name__"))):  # the program that the file also is
+            return set()
+    is_definition = isinstance(statement, ast.Assign | ast.AnnAssign | ast.AugAssign) and bool(bound)
+    is_condition_of_imports = isinstance(statement, ast.If) and all(
+        isinstance(one, ast.Import | ast.ImportFrom) for one in (*statement.body, *statement.orelse)
+    )
+    return (bound if is_definition or is_condition_of_imports else bound | {EFFECTS}) - UNNAMED
+
+
+def _name_of(decorator: ast.expr) -> str:
+    """Return the last name of a decorator: `njit` for `@numba.njit(cache=True)`."""
+    called = decorator.func if isinstance(decorator, ast.Call) else decorator
+    return called.attr if isinstance(called, ast.Attribute) else getattr(called, "id", "")
+
+
+def source_files(folder: Path) -> Iterator[tuple[str, Path]]:
+    """Yield the files below a folder by their name relative to it, in the order of names; none that Python compiled."""
+    for entry in sorted(os.scandir(folder), key=lambda entry: entry.name):
+        path = Path(entry.path)
+        if entry.is_dir():
+            if entry.name != "__pycache__":
+                yield from ((f"{entry.name}/{name}", file) for name, file in source_files(path))
+        else:
+            yield entry.name, path
