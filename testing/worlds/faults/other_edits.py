@@ -10,10 +10,13 @@ from typing import Any
 
 import numpy as np
 from mcap.reader import make_reader
+from mcap.records import ChunkIndex
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration
 from testing.worlds.faults.fault import Misreading
+
+CRC_OFFSET_BYTES = 33  # in a Chunk record: opcode u8, length, start, end and uncompressed size u64, then the CRC
 
 
 def tf_cycle(message: Any) -> Any:
@@ -88,12 +91,25 @@ def _with_lidar(rig: Calibration, ego_from_lidar: SE3) -> Calibration:
 
 def bad_chunk(path: Path) -> None:
     """One byte of the chunk in the middle is another."""
+    chunk = _middle_chunk(path)
+    _flip(path, chunk.chunk_start_offset + chunk.chunk_length // 2)
+
+
+def bad_checksum(path: Path) -> None:
+    """The checksum of the chunk in the middle is another; its data is sound, however it was compressed."""
+    _flip(path, _middle_chunk(path).chunk_start_offset + CRC_OFFSET_BYTES)
+
+
+def _middle_chunk(path: Path) -> ChunkIndex:
     with path.open("rb") as reading:
         summary = make_reader(reading).get_summary()
     assert summary is not None
-    chunk = summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+    return summary.chunk_indexes[len(summary.chunk_indexes) // 2]
+
+
+def _flip(path: Path, at: int) -> None:
+    """Change the byte at this offset of a file."""
     with path.open("r+b") as file:
-        at = chunk.chunk_start_offset + chunk.chunk_length // 2
         file.seek(at)
         byte = file.read(1)[0]
         file.seek(at)
