@@ -23,7 +23,7 @@ from services.runtime.source_tree import (
     names_in,
 )
 
-SKIPPED = frozenset({"ctx", "type_comment", "kind", "simple", "type_ignores"})
+SKIPPED = frozenset({"ctx", "simple"})
 PLACE = re.compile(r"[a-z_]\w*(?:\.\w+)+(?::\w+)?")
 """A string that may name a module of the platform, or something in one (`package.module:function`)."""
 DATA_READERS = ("__file__", "importlib.resources")
@@ -105,16 +105,16 @@ class _Writer:
             case _:
                 self._other(node)
 
-    def _other(self, node: ast.AST, skipped: frozenset[str] = SKIPPED) -> None:
+    def _other(self, node: ast.AST) -> None:
         """Type and fields; a field that is a name of the scope is written as one."""
         is_named = isinstance(node, ast.ExceptHandler | ast.MatchAs | ast.MatchStar)
         self.words.append(f"({type(node).__name__}")
         for name, value in ast.iter_fields(node):
-            if name in skipped or value is None or value == []:
+            if name in SKIPPED or value is None or value == []:
                 continue
             self.words.append(f"{name}=")
             if isinstance(value, ast.AST):
-                self._annotation(value) if name in {"annotation", "returns"} else self._node(value)
+                self._annotation(value) if name == "annotation" else self._node(value)
             elif (is_named and name == "name") or (isinstance(node, ast.MatchMapping) and name == "rest"):
                 self._name(value)
             elif isinstance(value, list):
@@ -139,19 +139,25 @@ class _Writer:
         self._node(node)
 
     def _name(self, name: str) -> None:
+        found = self._meaning(name)
+        if isinstance(found, str):
+            self.words.append(found)
+        else:
+            self._target(found)
+
+    def _meaning(self, name: str) -> Target | str:
+        """Return the target of a name, or its word if it is a local variable or an attribute of a class body."""
         for scope in reversed(self._scopes):
             if name not in scope.bound or (scope.is_class and scope is not self._scopes[-1]):
                 continue
             if name in scope.imports:
-                self._target(self.tree.imported(scope.imports[name]))
-            elif scope.is_class:
-                self.words.append(f"own:{name}")
-            else:
-                if name not in scope.ordinals:
-                    scope.ordinals[name], self._locals = self._locals, self._locals + 1
-                self.words.append(f"local:{scope.ordinals[name]}")
-            return
-        self._target(self.tree.resolved(self.definition.module, name))
+                return self.tree.imported(scope.imports[name])
+            if scope.is_class:
+                return f"own:{name}"
+            if name not in scope.ordinals:
+                scope.ordinals[name], self._locals = self._locals, self._locals + 1
+            return f"local:{scope.ordinals[name]}"
+        return self.tree.resolved(self.definition.module, name)
 
     def _target(self, target: Target) -> None:
         match target:
@@ -181,12 +187,8 @@ class _Writer:
     def _module_member(self, node: ast.expr) -> Target | None:
         """Return the target of `module.name`, or None for an attribute of something else."""
         if isinstance(node, ast.Name):
-            if any(node.id in scope.bound and node.id not in scope.imports for scope in self._scopes):
-                return None
-            imports = next((scope.imports for scope in reversed(self._scopes) if node.id in scope.imports), None)
-            if imports is None:
-                return self.tree.resolved(self.definition.module, node.id)
-            return self.tree.imported(imports[node.id])
+            found = self._meaning(node.id)
+            return None if isinstance(found, str) else found
         if not isinstance(node, ast.Attribute):
             return None
         base = self._module_member(node.value)
@@ -218,7 +220,7 @@ class _Writer:
         self.words.append(f"({type(node).__name__}")
         if not isinstance(node, ast.Lambda):
             if self._scopes:
-                self._name(node.name) if not self._scopes[-1].is_class else self.words.append(f"own:{node.name}")
+                self._name(node.name)
             self._list(node.decorator_list)
             if node.returns is not None:
                 self._annotation(node.returns)
@@ -242,7 +244,7 @@ class _Writer:
     def _class(self, node: ast.ClassDef) -> None:
         self.words.append("(ClassDef")
         if self._scopes:
-            self._name(node.name) if not self._scopes[-1].is_class else self.words.append(f"own:{node.name}")
+            self._name(node.name)
         for expressions in (node.decorator_list, node.bases, node.keywords):
             self._list(expressions)
         with self._scope(_body_scope(node.body, set(), is_class=True)):
