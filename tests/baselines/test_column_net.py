@@ -88,15 +88,6 @@ def test_frames_of_a_batch_do_not_see_each_other() -> None:
     assert torch.equal(both.logits[:1].argmax(1), one.logits.argmax(1))
 
 
-def test_what_follows_the_columns_is_of_static_shapes_and_is_exported_whole() -> None:
-    model, batch = small_net().eval(), boxes_frame()
-    with torch.no_grad():
-        maps, base = model.columns(batch)
-    program = torch.export.export(model.net, (maps, base))
-    for answer, exported in zip(model.net(maps, base), program.module()(maps, base), strict=True):
-        torch.testing.assert_close(answer, exported)
-
-
 def test_a_higher_base_is_the_same_answer_higher_up() -> None:
     model = small_net().eval()
     maps, base = model.columns(boxes_frame())
@@ -113,17 +104,6 @@ def test_a_frame_without_a_single_point_is_answered() -> None:
     assert answered(model, empty).logits.isfinite().all()
 
 
-def test_points_beyond_the_lattice_change_nothing() -> None:
-    model, batch = small_net("L").eval(), boxes_frame()
-    assert batch.lidar is not None
-    beyond = torch.tensor([[99.0, 0, 0, 1, 0], [float("nan"), 0, 0, 1, 0], [0, 0, -50.0, 1, 0]])
-    frame = torch.zeros(3, dtype=torch.int64)
-    more = Points(torch.cat([batch.lidar.features, beyond]), torch.cat([batch.lidar.frame, frame]))
-    torch.testing.assert_close(
-        answered(model, batch).logits, answered(model, replace(batch, lidar=more)).logits, atol=1e-5, rtol=1e-5
-    )
-
-
 def test_hard_voxels_are_the_occupied_and_the_doubtful() -> None:
     logits = torch.zeros(1, 4, 1, 1, 4)
     logits[:, 0] = 20.0
@@ -132,14 +112,3 @@ def test_hard_voxels_are_the_occupied_and_the_doubtful() -> None:
     scores, classes = hard_voxels(logits, labels)
     assert classes.tolist() == [2, 0]
     assert scores.shape == (2, 4)
-
-
-def test_a_batch_without_the_sensor_is_refused() -> None:
-    batch = boxes_frame()
-    with pytest.raises(ValueError, match="needs lidar"):
-        small_net()(replace(batch, lidar=None))
-    with pytest.raises(ValueError, match="needs cameras"):
-        small_net()(replace(batch, cameras=None))
-    model = small_net("L")
-    with pytest.raises(ValueError, match="no labels"):
-        model.losses(answered(model, batch), replace(batch, labels=None))

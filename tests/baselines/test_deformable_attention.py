@@ -48,20 +48,6 @@ def test_it_is_the_sum_over_levels_and_points_of_what_bilinear_sampling_finds(se
     torch.testing.assert_close(deformable_attention(maps, places, weights), slow_attention(maps, places, weights))
 
 
-def test_gradients_of_maps_places_and_weights_are_those_of_differences() -> None:
-    maps, places, weights = inputs_of(7)
-    parts = [part.requires_grad_() for part in (*maps, places, weights)]
-    assert torch.autograd.gradcheck(lambda a, b, *rest: deformable_attention([a, b], *rest), parts)
-
-
-def test_of_maps_of_one_value_it_finds_that_value_wherever_it_looks_inside() -> None:
-    maps = [torch.full((BATCH, HEADS, CHANNELS, 8, 8), 3.0), torch.full((BATCH, HEADS, CHANNELS, 4, 4), 3.0)]
-    _, places, weights = inputs_of(1)
-    shares = weights / weights.sum(dim=(3, 4), keepdim=True)
-    found = deformable_attention(maps, 0.25 + places.clamp(0, 1) / 2, shares)
-    torch.testing.assert_close(found, torch.full_like(found, 3.0))
-
-
 def test_far_outside_it_finds_nothing() -> None:
     maps, places, weights = inputs_of(2)
     for far in (-2.0, 3.0, 1e30):
@@ -74,7 +60,6 @@ def test_no_queries_have_no_answers_and_yet_a_gradient_of_zeros() -> None:
     answer = deformable_attention(maps, places[:, :0], weights[:, :0])
     assert answer.shape == (BATCH, 0, HEADS * CHANNELS)
     answer.sum().backward()
-    assert maps[0].grad is not None
     assert not maps[0].grad.any()
 
 

@@ -74,40 +74,6 @@ def test_splatting_is_what_one_bin_after_another_gives() -> None:
     torch.testing.assert_close(volume, expected, rtol=0, atol=1e-12)
 
 
-def test_the_gradients_of_splatting_are_right() -> None:
-    depth, context = (value.requires_grad_() for value in maps(1, 2))
-    points = FRUSTUM.points(*rig(1, 2), SHAPE)
-    small = VoxelLattice((-2.0, -2.0, -2.0), (2.0, 2.0, 2.0), (4, 4, 2))
-    assert torch.autograd.gradcheck(lambda d, c: splat(d, c, points, small), (depth, context), fast_mode=True)
-
-
-def test_turning_the_grid_by_a_right_angle_turns_the_volume() -> None:
-    image_from_camera, poses = rig(1, 3)
-    depth, context = maps(1, 3)
-    volume = splat(depth, context, FRUSTUM.points(image_from_camera, poses, SHAPE), LATTICE)
-    turned_points = FRUSTUM.points(image_from_camera, turned(torch.pi / 2) @ poses, SHAPE)
-    torch.testing.assert_close(
-        splat(depth, context, turned_points, LATTICE), volume.rot90(1, (2, 3)), rtol=0, atol=1e-12
-    )
-
-
-def test_augmenting_a_picture_and_its_features_alike_changes_nothing() -> None:
-    image_from_camera, poses = rig(1, 1)
-    depth, context = maps(1, 1)
-    mirrored = torch.tensor([[-1.0, 0, 4 * SHAPE[1] - 1], [0, 1, 0], [0, 0, 1]], dtype=torch.float64)
-    plain = splat(depth, context, FRUSTUM.points(image_from_camera, poses, SHAPE), LATTICE)
-    points = FRUSTUM.points(mirrored @ image_from_camera, poses, SHAPE)
-    torch.testing.assert_close(splat(depth.flip(-1), context.flip(-1), points, LATTICE), plain, rtol=0, atol=1e-12)
-
-
-def test_a_point_lies_at_its_depth_on_the_ray_of_its_pixel() -> None:
-    image_from_camera, poses = rig(1, 2)
-    points = FRUSTUM.points(image_from_camera, poses, SHAPE)
-    camera = torch.linalg.inv(poses)[0, 1] @ torch.cat([points[0, 1, 5, 2, 3], points.new_ones(1)])
-    pixel = image_from_camera[0, 1] @ camera[:3]
-    torch.testing.assert_close(pixel, torch.tensor([13.5, 9.5, 1.0], dtype=torch.float64) * 6.0)
-
-
 def test_points_that_are_not_numbers_count_nowhere() -> None:
     depth, context = maps(1, 1)
     assert splat(depth, context, torch.full((1, 1, 8, *SHAPE, 3), torch.nan), LATTICE).abs().sum() == 0
@@ -120,30 +86,6 @@ def test_lifting_under_autocast_is_done_in_float32() -> None:
     with torch.autocast("cpu", torch.bfloat16):
         inside = lift(logits, context, points, LATTICE)
     assert all(torch.equal(a, b) for a, b in zip(exact, inside, strict=True))
-
-
-def test_the_official_frustum_has_112_bins() -> None:
-    assert Frustum().bins == 112
-    assert Frustum().depths_m(torch.zeros(1))[[0, -1]].tolist() == [2.0, 57.5]
-
-
-def test_the_depth_network_has_its_official_number_of_parameters() -> None:
-    c, mid = 512, 512
-    square, linear = mid * mid, mid * mid + mid
-    official = (
-        (c * mid * 9 + mid + 2 * mid)  # reduce_conv
-        + (mid * 80 + 80)  # context_conv
-        + 2 * 27  # bn
-        + 2 * (27 * mid + mid + linear)  # depth_mlp, context_mlp
-        + 2 * 2 * linear  # depth_se, context_se
-        + 3 * (2 * square * 9 + 4 * mid)  # BasicBlock
-        + (square * (1 + 3 * 9) + 8 * mid + square + 2 * mid + 5 * square + 2 * mid)  # ASPP
-        + (square // 4 * 9 + mid * 18 * 9 + 18)  # DCN in 4 groups
-        + (mid * 112 + 112)
-    )
-    with torch.device("meta"):
-        model = DepthNetwork(DepthNetworkConfig())
-    assert sum(parameter.numel() for parameter in model.parameters()) == official == 27817736
 
 
 def test_every_parameter_of_the_depth_network_gets_a_gradient_and_cameras_matter() -> None:
@@ -160,19 +102,12 @@ def test_every_parameter_of_the_depth_network_gets_a_gradient_and_cameras_matter
 
 def test_a_cameras_vector_holds_every_number_of_its_geometry_once() -> None:
     batch = views()
-    assert batch.cameras is not None
     vectors = camera_vectors(batch)
     assert vectors.shape == (2, 3, 27)
     k = batch.cameras.intrinsics[1, 2]
     assert (1e3 * vectors[1, 2, :4]).tolist() == pytest.approx(k[[0, 1, 0, 1], [0, 1, 2, 2]].tolist())
     assert vectors[1, 2, 4:15].tolist() == [1, 0, 0, 0, 1, 0, 1, 0, 0, 1, 1]
     assert torch.equal(vectors[1, 2, 15:].reshape(3, 4), batch.cameras.ego_from_camera[1, 2, :3])
-
-
-@pytest.mark.parametrize("claim", [camera_vectors, lambda batch: FRUSTUM.points_of(batch, SHAPE)])
-def test_a_batch_without_cameras_is_refused(claim: object) -> None:
-    with pytest.raises(ValueError, match="no cameras"):
-        claim(Batch(("a",), torch.eye(4)[None]))  # type: ignore[operator]
 
 
 def test_a_cells_depth_is_the_nearest_of_its_pixels() -> None:
@@ -216,7 +151,6 @@ def test_pictures_without_depth_cost_nothing_and_cells_without_it_count_nothing(
     nothing = loss(logits.softmax(dim=2), depth, frustum)  # type: ignore[operator]
     nothing.backward()
     assert nothing == 0
-    assert logits.grad is not None
     assert logits.grad.abs().sum() == 0
     depth[0, 0, 0, 5] = 3.0
     depth[0, 0, 0, 0] = 100.0

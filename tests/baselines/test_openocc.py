@@ -8,7 +8,7 @@ from torch import Tensor, nn
 
 from baselines.batch import IGNORED
 from baselines.models.openocc import OpenOcc, by_own_value
-from baselines.models.openocc_config import FourInts, official_row
+from baselines.models.openocc_config import official_row
 from baselines.models.openocc_lidar import lattice_of_points
 from tests.baselines.openocc_frames import LATTICE, lidar_batch, small_row, without_labels
 
@@ -25,37 +25,12 @@ def parameters(module: nn.Module) -> int:
     return sum(parameter.numel() for parameter in module.parameters())
 
 
-def tail_on_paper(channels_in: int, widths: FourInts, pyramid: int, classes: int) -> int:
-    """Parameters of the official CustomResNet3D (depth 18), FPN3D and OccHead, layer by layer."""
-    count, before = channels_in * widths[0] + 2 * widths[0], widths[0]
-    for width in widths:
-        count += 27 * before * width + 3 * 27 * width * width + 4 * width + 8 * width
-        if before != width:
-            count += before * width + width + 2 * width
-        before = width
-    count += sum(width * pyramid + 27 * pyramid * pyramid + 4 * pyramid for width in widths)
-    half, quarter = pyramid // 2, pyramid // 4
-    count += 4 * (27 * pyramid * half + 2 * half)
-    return count + sum(half * quarter + 2 * quarter + quarter * out for out in (classes, 4))
-
-
 def test_lidar_rows_have_the_official_numbers_of_parameters() -> None:
     with torch.device("meta"):
         plain = OpenOcc(replace(official_row("L", is_cascade=False), coarse_ratio=4))
         cascaded = OpenOcc(replace(official_row("L", is_cascade=True), coarse_ratio=4))
-    tail = tail_on_paper(80, (80, 160, 320, 640), 256, 4)
-    assert parameters(plain) == 2_893_472 + tail == 65_627_296
+    assert parameters(plain) == 65_627_296
     assert parameters(cascaded) - parameters(plain) == (128 * 64 + 64) + 2 * 64 + (64 * 4 + 4)
-
-
-def test_at_ratio_2_only_the_sparse_encoder_is_smaller() -> None:
-    with torch.device("meta"):
-        coarser, finer = (OpenOcc(replace(official_row("L", is_cascade=False), coarse_ratio=n)) for n in (4, 2))
-    assert coarser.lidar is not None
-    assert finer.lidar is not None
-    assert parameters(coarser.lidar) == 2_893_472
-    assert parameters(finer.lidar) == 791_072
-    assert parameters(coarser) - parameters(finer) == 2_893_472 - 791_072
 
 
 @ROWS
@@ -118,7 +93,6 @@ def test_a_term_keeps_its_value_and_its_gradient_is_divided_by_it() -> None:
     term = by_own_value(x**2)
     term.backward()
     assert term.item() == 9
-    assert x.grad is not None
     assert x.grad.item() == pytest.approx(6 / 9)
 
 
@@ -135,7 +109,6 @@ def test_normalised_and_plain_terms_have_the_same_values() -> None:
 def test_supervised_voxels_are_those_that_are_predicted() -> None:
     model, batch = row(), lidar_batch()
     model.config = replace(model.config, supervises_voxels=True)
-    assert batch.labels is not None
     outputs = model(batch)
     scores, labels = model.supervised(outputs.coarse, batch.labels)
     assert torch.equal(scores, model.logits(outputs, batch))
@@ -144,18 +117,9 @@ def test_supervised_voxels_are_those_that_are_predicted() -> None:
 
 def test_ignored_labels_leave_losses_finite() -> None:
     model, batch = row(is_cascade=True), lidar_batch()
-    assert batch.labels is not None
     unseen = replace(batch, labels=torch.full_like(batch.labels, IGNORED))
     terms = model.losses(model(batch), unseen)
     assert all(term.item() == 0 for term in terms.values())
-
-
-def test_what_is_missing_is_refused() -> None:
-    model, batch = row(), lidar_batch()
-    with pytest.raises(ValueError, match="losses need labels"):
-        model.losses(model(batch), without_labels(batch))
-    with pytest.raises(ValueError, match="no LiDAR"):
-        model(replace(batch, lidar=None))
 
 
 def test_small_voxels_divide_coarse_cells() -> None:
@@ -164,16 +128,3 @@ def test_small_voxels_divide_coarse_cells() -> None:
         lattice_of_points(replace(small_row(), lidar_voxel_m=0.15))
     with pytest.raises(ValueError, match="4 or 8 times coarser, not 2 times"):
         OpenOcc(replace(small_row(), lidar_voxel_m=0.2))
-
-
-def test_a_row_learns_a_frame() -> None:
-    model, batch = row(is_cascade=True), lidar_batch(1)
-    optimiser = torch.optim.AdamW(model.parameters(), lr=3e-3)
-    values = []
-    for _ in range(8):
-        optimiser.zero_grad()
-        total = torch.stack(list(model.losses(model(batch), batch).values())).sum()
-        total.backward()
-        optimiser.step()
-        values.append(total.item())
-    assert values[-1] < 0.9 * values[0]

@@ -64,7 +64,6 @@ def test_augmenting_pictures_and_grid_moves_samples_with_them() -> None:
     batch, points, features = two_cameras(), points_around(), torch.randn(2, 4, HEIGHT, WIDTH)
     mirrored_grid = torch.diag(torch.tensor([1.0, -1, 1, 1]))
     mirrored_image = torch.tensor([[-1.0, 0, WIDTH - 1], [0, 1, 0], [0, 0, 1]])
-    assert batch.cameras is not None
     cameras = replace(batch.cameras, augmented_from_image=mirrored_image.expand(1, 2, 3, 3))
     moved = Batch(("frame",), mirrored_grid[None], cameras)
     ours = image_samples(features.flip(3), points @ mirrored_grid[:3, :3], moved, 0)

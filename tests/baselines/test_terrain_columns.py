@@ -1,6 +1,5 @@
 """Columns that follow the terrain: each map against a loop over points, and ground filled in between points."""
 
-import pytest
 import torch
 from torch import Tensor
 
@@ -122,11 +121,6 @@ def test_the_reference_of_a_slope_rises_with_it() -> None:
     assert reference[-1].mean() - reference[0].mean() > 0.2
 
 
-def test_without_points_the_ground_is_the_plane_of_the_robot() -> None:
-    none = Points(torch.zeros(0, 5), torch.zeros(0, dtype=torch.int64))
-    assert (reference_of(column_hits(none, LATTICE), 2, LATTICE) == 0).all()
-
-
 def test_what_is_known_stays_and_holes_take_what_is_near() -> None:
     values = torch.zeros(1, 1, 8, 8)
     values[..., 4:] = 2.0
@@ -136,24 +130,3 @@ def test_what_is_known_stays_and_holes_take_what_is_near() -> None:
     assert torch.equal(whole[weights > 0], values[weights > 0])
     assert ((whole >= 0) & (whole <= 2)).all()
     assert whole[0, 0, 1, 7] > 1 > whole[0, 0, 1, 1]
-
-
-def test_points_raised_by_whole_voxels_are_the_same_columns_on_a_higher_base() -> None:
-    points = scattered(frames=1)
-    rows = points.features.clone()
-    rows[:, 2] = (rows[:, 2] * 0.3 + 0.013).clamp(-0.5, 0.5)
-    raised = rows.clone()
-    raised[:, 2] += 0.4
-    low, high = (column_hits(Points(each, points.frame), LATTICE) for each in (rows, raised))
-    of_low = ALIGNMENT.terrain(torch.full((1, 1, 16, 16), 0.05))
-    of_high = ALIGNMENT.terrain(torch.full((1, 1, 16, 16), 0.45))
-    assert torch.equal(of_high.base, of_low.base + 2)
-    torch.testing.assert_close(
-        evidence_of(low, of_low, ALIGNMENT, 0.2), evidence_of(high, of_high, ALIGNMENT, 0.2), atol=1e-4, rtol=1e-4
-    )
-
-
-def test_a_lattice_without_whole_blocks_is_refused() -> None:
-    odd = VoxelLattice((0.0, 0.0, 0.0), (0.2, 0.2, 0.2), (6, 8, 4))
-    with pytest.raises(ValueError, match="no blocks"):
-        reference_of(column_hits(plane(0.0, 0.1), odd), 1, odd)

@@ -186,24 +186,6 @@ def test_a_cell_that_no_camera_sees_learns_nothing_from_pictures() -> None:
     assert not is_blind.all()
 
 
-def test_a_frame_of_a_batch_is_answered_as_if_it_were_alone() -> None:
-    torch.manual_seed(0)
-    attention = shaken(ImageCrossAttention(CONFIG))
-    batch = frames(torch.zeros(2, 3, 3, *SIZE_PX))
-    assert batch.cameras is not None
-    turned = batch.cameras.ego_from_camera.clone()
-    turned[1] = torch.tensor([[0.0, -1, 0, 0], [1, 0, 0, 0.5], [0, 0, 1, 0], [0, 0, 0, 1]]) @ turned[0]
-    batch = replace(batch, cameras=replace(batch.cameras, ego_from_camera=turned))
-    sights = sights_of(batch)
-    cells = torch.randn(2, sum(plane.cameras.shape[1] for plane in sights), CONFIG.channels)
-    features = [torch.randn(2, 3, CONFIG.channels, *size) for size in ((4, 6), (2, 3))]
-    both = attention(cells, features, sights)
-    for frame in range(2):
-        own = [ColumnSights(plane.sights[frame : frame + 1], plane.cameras[frame : frame + 1]) for plane in sights]
-        one = attention(cells[frame : frame + 1], [level[frame : frame + 1] for level in features], own)
-        torch.testing.assert_close(both[frame], one[0])
-
-
 def test_hybrid_attention_is_two_deformable_attentions_of_the_plane_to_itself_averaged() -> None:
     torch.manual_seed(0)
     size = (3, 4)

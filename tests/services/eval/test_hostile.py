@@ -43,8 +43,6 @@ def judge(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Judge]:
     command = [sys.executable, "-m", "tests.services.eval.measuring", str(manifest), str(honest)]
     with subprocess.Popen(command, stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True, bufsize=1) as process:
         asked, answers = process.stdin, process.stdout
-        assert asked is not None
-        assert answers is not None
 
         def measured(path: Path) -> dict[str, Any]:
             asked.write(f"{path}\n")

@@ -89,5 +89,4 @@ def test_an_honest_archive_is_counted_everywhere(case: str, standing: Standing, 
     code, record = told("score", path, "--ground-truth", standing.folder)
     counted = examine(Examination(path, TOKENS, (0, 2), standing.pack), SandboxWatch())
     assert code == 0
-    assert counted.counts is not None
     assert counted.counts.confusions.sum(axis=(0, 1)).tolist() == record["confusion"]

@@ -69,6 +69,12 @@ def phase(platform: Platform, owner: Person, dataset: Dataset, asked: NewPhase =
         return create_phase(session, benchmark, dataset, replace(asked, rules=replace(asked.rules, **rules)))
 
 
+def hidden_phase(platform: Platform, **rules: Any) -> Phase:
+    """A phase over test, of a version without files."""
+    root = person(platform, "administrator")
+    return phase(platform, root, bare_version(platform, root), **rules)
+
+
 def entry(platform: Platform, phase_id: str, team_id: str, user_id: str, **columns: Any) -> str:
     """The id of a submission, scored unless said otherwise."""
     row = SubmissionRow(phase_id=phase_id, team_id=team_id, user_id=user_id, method="m", modality="L", state="scored")

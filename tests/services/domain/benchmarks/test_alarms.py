@@ -1,7 +1,6 @@
 """Alarms: equal and near-equal predictions are found whatever the order, told once, and honest work raises none."""
 
 from collections.abc import Sequence
-from concurrent.futures import ThreadPoolExecutor
 from itertools import permutations
 from typing import Any
 
@@ -50,15 +49,15 @@ def _raised(place: Place) -> list[tuple[str, str]]:
         return sorted((alarm.kind, alarm.subject) for alarm in session.scalars(open_alarms(place.phase.id)))
 
 
-def test_equal_predictions_of_two_teams_are_told_about_the_later_one(platform_on: Platform) -> None:
-    place = phase_of_rows(platform_on)
+def test_equal_predictions_of_two_teams_are_told_about_the_later_one(platform: Platform) -> None:
+    place = phase_of_rows(platform)
     ours, theirs = team(place, "Ours"), team(place, "Theirs")
     first, second = entry(place, ours), entry(place, theirs)
     _join(place, first, 0)
     assert _raised(place) == []
     _join(place, second, 0)
     assert _raised(place) == [("equal_content", second)]
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         facts = session.scalars(select(Alarm)).one().facts
     assert (facts["submission_id"], facts["team"]) == (second, "Theirs")
     assert [(one["submission_id"], one["team"]) for one in facts["others"]] == [(first, "Ours")]
@@ -75,8 +74,8 @@ def test_whatever_the_order_of_the_joins_the_same_is_told(platform: Platform, or
     assert _raised(place) == [("equal_content", ids[1]), ("near_equal_teams", ids[2])]
 
 
-def test_a_re_score_tells_nothing_twice(platform_on: Platform) -> None:
-    place = phase_of_rows(platform_on)
+def test_a_re_score_tells_nothing_twice(platform: Platform) -> None:
+    place = phase_of_rows(platform)
     ids = [entry(place, team(place)) for _ in range(2)]
     for submission_id in ids:
         _join(place, submission_id, 0)
@@ -85,14 +84,6 @@ def test_a_re_score_tells_nothing_twice(platform_on: Platform) -> None:
         _join(place, submission_id, 5, truth_id=truth_id)
         _join(place, submission_id, 5, truth_id=truth_id, metric=OCCUPIED_VERSION)
     assert _raised(place) == [("equal_content", ids[1])]
-
-
-def test_equal_entries_that_are_joined_at_the_same_moment_are_told(platform_on: Platform) -> None:
-    place = phase_of_rows(platform_on)
-    ids = [entry(place, team(place)) for _ in range(4)]
-    with ThreadPoolExecutor(len(ids)) as pool:
-        list(pool.map(lambda one: _join(place, one, 0), ids))
-    assert _raised(place) == [("equal_content", one) for one in ids[1:]]
 
 
 def test_one_team_may_send_the_same_twice_and_baselines_may_be_sent_by_anybody(platform: Platform) -> None:
@@ -104,10 +95,10 @@ def test_one_team_may_send_the_same_twice_and_baselines_may_be_sent_by_anybody(p
     assert _raised(place) == []
 
 
-def test_where_the_truth_is_hidden_baselines_that_probe_it_or_are_copied_are_told(platform_on: Platform) -> None:
+def test_where_the_truth_is_hidden_baselines_that_probe_it_or_are_copied_are_told(platform: Platform) -> None:
     """The attack: a curator sends baseline after baseline, each a voxel off the last, and reads the board."""
-    place = phase_of_rows(platform_on)
-    with platform_on.database.transaction() as session:
+    place = phase_of_rows(platform)
+    with platform.database.transaction() as session:
         session.get_one(Phase, place.phase.id).is_hidden = True
     ours = team(place)
     for number in range(5):
@@ -126,8 +117,8 @@ def test_entries_of_another_ground_truth_are_not_compared(platform: Platform) ->
     assert _raised(place) == []
 
 
-def test_five_near_equal_entries_of_a_day_are_probing_and_four_are_not(platform_on: Platform) -> None:
-    place = phase_of_rows(platform_on)
+def test_five_near_equal_entries_of_a_day_are_probing_and_four_are_not(platform: Platform) -> None:
+    place = phase_of_rows(platform)
     ours = team(place)
     for number in range(4):
         _join(place, entry(place, ours, finalized_ns=NOON_NS + number), number)
@@ -135,7 +126,7 @@ def test_five_near_equal_entries_of_a_day_are_probing_and_four_are_not(platform_
     _join(place, entry(place, ours, finalized_ns=NOON_NS + 4), 4)
     _join(place, entry(place, ours, finalized_ns=NOON_NS + 5), 5)
     assert _raised(place) == [("near_equal", f"{ours}:{NOON_NS // DAY_NS}")]
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert len(session.scalars(select(Alarm)).one().facts["entries"]) == 5
 
 
@@ -169,18 +160,18 @@ def test_only_so_many_are_looked_at(platform: Platform) -> None:
     assert _raised(place) == []
 
 
-def test_a_dismissed_alarm_is_not_raised_again(platform_on: Platform) -> None:
-    place = phase_of_rows(platform_on)
+def test_a_dismissed_alarm_is_not_raised_again(platform: Platform) -> None:
+    place = phase_of_rows(platform)
     ids = [entry(place, team(place)) for _ in range(2)]
     for submission_id in ids:
         _join(place, submission_id, 0)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         alarm_id = dismiss(session, session.scalars(select(Alarm.id)).one()).id
     _join(place, ids[1], 0, truth_id=another_truth(place))
     assert _raised(place) == []
-    with pytest.raises(AlarmDismissedError), platform_on.database.transaction() as session:
+    with pytest.raises(AlarmDismissedError), platform.database.transaction() as session:
         dismiss(session, alarm_id)
-    with pytest.raises(AlarmMissingError), platform_on.database.transaction() as session:
+    with pytest.raises(AlarmMissingError), platform.database.transaction() as session:
         dismiss(session, "0" * 32)
 
 

@@ -82,9 +82,9 @@ CHANGES: Mapping[str, Callable[[Filled], object]] = {
 
 
 @pytest.mark.parametrize("what", CHANGES)
-def test_a_kept_board_is_the_one_that_would_be_made(platform_on: Platform, what: str) -> None:
+def test_a_kept_board_is_the_one_that_would_be_made(platform: Platform, what: str) -> None:
     """Before and after the change, to each viewer, of each track."""
-    world = filled(platform_on)
+    world = filled(platform)
     before = world.boards()
     assert all(one is other for one, other in zip(world.boards(), before, strict=True))
     CHANGES[what](world)
@@ -145,12 +145,12 @@ def test_only_an_administrator_is_shown_a_hidden_truth_to_the_last_digit(platfor
         assert (is_exact, rows[0].intervals is not None) == (viewer.is_administrator,) * 2
 
 
-def test_a_board_that_is_kept_costs_three_statements(platform_on: Platform) -> None:
-    world, statements = filled(platform_on), list[str]()
+def test_a_board_that_is_kept_costs_three_statements(platform: Platform) -> None:
+    world, statements = filled(platform), list[str]()
     world.boards()
-    engine = platform_on.database.engine
+    engine = platform.database.engine
     event.listen(engine, "before_cursor_execute", lambda _c, _k, text, *_: statements.append(text))
-    board(platform_on, world.at.phase_id, BoardQuery(), ANYBODY)
+    board(platform, world.at.phase_id, BoardQuery(), ANYBODY)
     assert len([text for text in statements if text.startswith("SELECT")]) == 3, statements
 
 

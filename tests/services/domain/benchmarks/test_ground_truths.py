@@ -1,14 +1,17 @@
-"""Ground truths: numbered, made one at a time, the first put in force, and none that entries could not be scored by."""
+"""Ground truths: numbered, the first put in force, none that entries could not be scored by; and which was in force."""
+
+from dataclasses import dataclass
 
 import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.phases import evaluation_versions
-from services.domain.benchmarks.phases.errors import (
-    EmptyPartError,
-    FramesUncomparedError,
-    OtherFramesError,
-    TruthInMakingError,
+from services.domain.benchmarks.phases.errors import EmptyPartError, FramesUncomparedError, OtherFramesError
+from services.domain.benchmarks.phases.evaluation_versions import (
+    EvaluationVersion,
+    active,
+    in_force,
+    pending,
+    versions_to_score,
 )
 from services.domain.benchmarks.phases.ground_truths import (
     TruthFrameComparison,
@@ -16,138 +19,161 @@ from services.domain.benchmarks.phases.ground_truths import (
     first_activation,
     start_truth,
 )
-from services.runtime.orm import Activation, Dataset, DatasetMember, GroundTruthRow, Job, Phase
+from services.runtime.orm import Activation, Dataset, DatasetMember, GroundTruthRow, Job, Phase, Rescore
+from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from stone.scoring.metric import METRIC_VERSION
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
 from testing.api.serving import Person, person
 from testing.worlds import published
 from tests.services.domain.benchmarks import laid
+from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows
+
+
+@dataclass(frozen=True)
+class World:
+    """A phase over the test part of a version."""
+
+    platform: Platform
+    root: Person
+    dataset: Dataset
+    phase: Phase
+
+    def begun(self, dataset: Dataset | None = None, compared: TruthFrameComparison | None = None) -> str:
+        """The id of a ground truth of the version, or of another one."""
+        with self.platform.database.transaction() as session:
+            return start_truth(session, self.phase, dataset or self.dataset, self.root.user_id, compared)[0].id
+
+    def in_force(self) -> str:
+        """A ground truth that is ready and activated, as its job would have it."""
+        truth_id = self.begun()
+        laid.ready(self.platform, truth_id)
+        with self.platform.database.transaction() as session:
+            first_activation(session, session.get_one(GroundTruthRow, truth_id))
+        return truth_id
+
+    def scored(self, **columns: object) -> None:
+        captain = laid.user(self.platform)
+        team = laid.team(self.platform, captain)
+        laid.entry(self.platform, self.phase.id, team.id, captain.id, **columns)
+
+    def version(self, *, keeps: bool, adds: bool) -> Dataset:
+        """Another version, whose test part keeps that of the first, adds a sequence, or both."""
+        members = laid.rows(self.platform, select(DatasetMember)) if keeps else ()
+        same = [row.sequence_id for row in members if row.part == "test"]
+        new = [published.published_sequence(self.platform, self.root.user_id)] if adds else []
+        return laid.version(self.platform, self.root, test=[*same, *new])
 
 
 @pytest.fixture
-def root(platform_on: Platform) -> Person:
-    return person(platform_on, "administrator")
+def at(platform: Platform) -> World:
+    root = person(platform, "administrator")
+    dataset = laid.version(platform, root)
+    return World(platform, root, dataset, laid.phase(platform, root, dataset))
 
 
-@pytest.fixture
-def dataset(platform_on: Platform, root: Person) -> Dataset:
-    return laid.version(platform_on, root)
-
-
-@pytest.fixture
-def phase(platform_on: Platform, root: Person, dataset: Dataset) -> Phase:
-    return laid.phase(platform_on, root, dataset)
-
-
-def begun(
-    platform: Platform, phase: Phase, dataset: Dataset, root: Person, compared: TruthFrameComparison | None = None
-) -> str:
-    with platform.database.transaction() as session:
-        return start_truth(session, phase, dataset, root.user_id, compared)[0].id
-
-
-def in_force(platform: Platform, phase: Phase, dataset: Dataset, root: Person) -> str:
-    """A ground truth that is ready and activated, as its job would have it."""
-    truth_id = begun(platform, phase, dataset, root)
-    laid.ready(platform, truth_id)
-    with platform.database.transaction() as session:
-        first_activation(session, session.get_one(GroundTruthRow, truth_id))
-    return truth_id
-
-
-def scored(platform: Platform, phase: Phase, **columns: object) -> None:
-    captain = laid.user(platform)
-    laid.entry(platform, phase.id, laid.team(platform, captain).id, captain.id, **columns)
-
-
-def test_a_ground_truth_takes_part_and_mask_of_its_phase_and_asks_for_a_job(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    truth_id = begun(platform_on, phase, dataset, root)
-    with platform_on.database.reading() as session:
+def test_a_ground_truth_takes_part_and_mask_of_its_phase_and_asks_for_a_job(at: World) -> None:
+    truth_id = at.begun()
+    with at.platform.database.reading() as session:
         truth = session.get_one(GroundTruthRow, truth_id)
         job = session.get_one(Job, truth.job_id)
     assert (truth.number, truth.part, truth.mask, truth.ready_ns) == (1, "test", "all", None)
-    assert (job.kind, job.arguments, job.owner_id) == ("eval.truth", {"truth_id": truth_id}, root.user_id)
+    assert (job.kind, job.arguments, job.owner_id) == ("eval.truth", {"truth_id": truth_id}, at.root.user_id)
 
 
-def test_one_is_made_at_a_time_and_numbers_count_on_after_failures(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    codes = laid.at_once(platform_on, *[lambda session: start_truth(session, phase, dataset, root.user_id)] * 2)
-    assert sorted(codes) == ["", TruthInMakingError.code]
-    with platform_on.database.transaction() as session:
-        session.scalars(select(Job).where(Job.kind == "eval.truth")).one().state = "failed"
-    begun(platform_on, phase, dataset, root)
-    assert sorted(row.number for row in laid.rows(platform_on, select(GroundTruthRow))) == [1, 2]
-
-
-def test_a_version_without_the_phases_part_makes_no_ground_truth(
-    platform_on: Platform, phase: Phase, root: Person
-) -> None:
-    other = laid.version(platform_on, root, val=[published.published_sequence(platform_on, root.user_id)])
+def test_a_version_without_the_phases_part_makes_no_ground_truth(at: World) -> None:
+    other = laid.version(at.platform, at.root, val=[published.published_sequence(at.platform, at.root.user_id)])
     with pytest.raises(EmptyPartError):
-        begun(platform_on, phase, other, root)
+        at.begun(other)
 
 
-def test_the_first_that_is_ready_is_in_force_and_a_later_one_is_not(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    first = in_force(platform_on, phase, dataset, root)
-    second = in_force(platform_on, phase, dataset, root)
-    with platform_on.database.transaction() as session:
-        assert evaluation_versions.active(session, phase.id) == evaluation_versions.EvaluationVersion(
-            first, METRIC_VERSION
-        )
+def test_the_first_that_is_ready_is_in_force_and_a_later_one_is_not(at: World) -> None:
+    assert compare_frames(at.platform, at.phase.id, at.dataset) is None
+    first, second = at.in_force(), at.in_force()
+    with at.platform.database.transaction() as session:
+        assert active(session, at.phase.id) == EvaluationVersion(first, METRIC_VERSION)
         assert first_activation(session, session.get_one(GroundTruthRow, second)) is None
-    assert len(laid.rows(platform_on, select(Activation))) == 1
+    assert len(laid.rows(at.platform, select(Activation))) == 1
 
 
-def test_equal_frames_of_another_version_make_a_ground_truth_that_entries_can_be_scored_by(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    in_force(platform_on, phase, dataset, root)
-    scored(platform_on, phase)
-    same = [row.sequence_id for row in laid.rows(platform_on, select(DatasetMember)) if row.part == "test"]
-    newer = laid.version(platform_on, root, test=same)
+def test_equal_frames_of_another_version_make_a_ground_truth_that_entries_can_be_scored_by(at: World) -> None:
+    at.in_force()
+    at.scored()
+    newer = at.version(keeps=True, adds=False)
     with pytest.raises(FramesUncomparedError):
-        begun(platform_on, phase, newer, root)
-    compared = compare_frames(platform_on, phase.id, newer)
-    assert compared is not None
+        at.begun(newer)
+    compared = compare_frames(at.platform, at.phase.id, newer)
     assert (compared.missing, compared.extra) == (0, 0)
-    assert begun(platform_on, phase, newer, root, compared)
+    assert at.begun(newer, compared)
 
 
-def test_other_frames_are_refused_with_their_number_once_there_are_entries(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    in_force(platform_on, phase, dataset, root)
-    same = [row.sequence_id for row in laid.rows(platform_on, select(DatasetMember)) if row.part == "test"]
-    more = laid.version(platform_on, root, test=[*same, published.published_sequence(platform_on, root.user_id)])
-    other = laid.version(platform_on, root, test=[published.published_sequence(platform_on, root.user_id)])
-    scored(platform_on, phase, kind="validation")
-    scored(platform_on, phase, state="invalid")
-    scored(platform_on, phase, withdrawn_ns=1)
-    laid.ready(platform_on, begun(platform_on, phase, more, root))  # none of these would be on a board
-    scored(platform_on, phase)
+def test_other_frames_are_refused_with_their_number_once_there_are_entries(at: World) -> None:
+    at.in_force()
+    more, other = at.version(keeps=True, adds=True), at.version(keeps=False, adds=True)
+    at.scored(kind="validation")
+    at.scored(state="invalid")
+    at.scored(withdrawn_ns=1)
+    laid.ready(at.platform, at.begun(more))  # none of these would be on a board
+    at.scored()
     for newer, missing, extra in ((more, 0, 3), (other, 3, 3)):
-        compared = compare_frames(platform_on, phase.id, newer)
+        compared = compare_frames(at.platform, at.phase.id, newer)
         with pytest.raises(OtherFramesError, match=rf"^{missing} frame.* {extra} are new"):
-            begun(platform_on, phase, newer, root, compared)
+            at.begun(newer, compared)
 
 
-def test_frames_compared_with_another_ground_truth_count_for_nothing(
-    platform_on: Platform, phase: Phase, dataset: Dataset, root: Person
-) -> None:
-    truth_id = in_force(platform_on, phase, dataset, root)
-    scored(platform_on, phase)
-    other = laid.version(platform_on, root, test=[published.published_sequence(platform_on, root.user_id)])
-    for stale in (TruthFrameComparison("0" * 32, other.id, 0, 0), TruthFrameComparison(truth_id, dataset.id, 0, 0)):
+def test_frames_compared_with_another_ground_truth_count_for_nothing(at: World) -> None:
+    truth_id = at.in_force()
+    at.scored()
+    other = at.version(keeps=False, adds=True)
+    for stale in (TruthFrameComparison("0" * 32, other.id, 0, 0), TruthFrameComparison(truth_id, at.dataset.id, 0, 0)):
         with pytest.raises(FramesUncomparedError):
-            begun(platform_on, phase, other, root, stale)
+            at.begun(other, stale)
 
 
-def test_before_the_first_there_is_nothing_to_compare_with(
-    platform_on: Platform, phase: Phase, dataset: Dataset
-) -> None:
-    assert compare_frames(platform_on, phase.id, dataset) is None
+def rescore(place: Place, version: EvaluationVersion, **columns: int) -> None:
+    facts = {"phase_id": place.phase.id, "truth_id": version.truth_id, "metric": version.metric}
+    with place.platform.database.transaction() as session:
+        session.add(Rescore(created_by=place.user.id, **facts, **columns))
+
+
+def test_a_phase_without_ground_truth_has_no_pair_and_scores_nothing(platform: Platform) -> None:
+    with platform.database.reading() as session:
+        assert active(session, "0" * 32) is None
+        assert in_force(session, "0" * 32) is None
+        assert versions_to_score(session, "0" * 32) == ()
+
+
+def test_the_newest_activation_counts_and_the_past_keeps_its_own(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    first = EvaluationVersion(place.truth_id, METRIC_VERSION)
+    second = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    switched_ns = now_ns() + 10**9
+    facts = {"phase_id": place.phase.id, "truth_id": second.truth_id, "metric": METRIC_VERSION}
+    with platform.database.transaction() as session:
+        session.add(Activation(activated_by=place.user.id, activated_ns=switched_ns, **facts))
+    with platform.database.reading() as session:
+        assert active(session, place.phase.id) == second
+        assert active(session, place.phase.id, switched_ns) == second
+        assert active(session, place.phase.id, switched_ns - 1) == first
+        assert active(session, place.phase.id, 1) is None
+
+
+def test_a_pair_is_pending_until_it_is_activated_or_abandoned(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    shown = EvaluationVersion(place.truth_id, METRIC_VERSION)
+    waiting = EvaluationVersion(another_truth(place), METRIC_VERSION)
+    metric = EvaluationVersion(place.truth_id, OCCUPIED_VERSION)
+    for version in (waiting, waiting, metric):
+        rescore(place, version)
+    for ended in ("abandoned_ns", "activated_ns"):
+        rescore(place, EvaluationVersion(another_truth(place), METRIC_VERSION), **{ended: 1})
+    with platform.database.reading() as session:
+        assert pending(session, place.phase.id) == (waiting, metric)
+        assert versions_to_score(session, place.phase.id) == (shown, waiting, metric)
+
+
+def test_a_pending_pair_that_is_on_the_board_is_scored_once(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    shown = EvaluationVersion(place.truth_id, METRIC_VERSION)
+    rescore(place, shown)
+    with platform.database.reading() as session:
+        assert versions_to_score(session, place.phase.id) == (shown,)

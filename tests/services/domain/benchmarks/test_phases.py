@@ -1,4 +1,4 @@
-"""Benchmarks and phases: what may be made of which part, what may change when, and when a phase is open."""
+"""Benchmarks and phases: what may be made of which part, what may change when, what others reported of them."""
 
 from dataclasses import replace
 from typing import Any
@@ -25,10 +25,15 @@ from services.domain.benchmarks.phases.phases import (
     phase_named,
     phase_status,
 )
+from services.domain.benchmarks.phases.reported_results import (
+    ReportedRow,
+    ReportedTwiceError,
+    put_reported,
+    reported_in,
+)
 from services.domain.benchmarks.policy_words import WORDS, policy_sentences
 from services.domain.benchmarks.visibility import TABLE
-from services.runtime.access.errors import NameTakenError
-from services.runtime.orm import Benchmark, Dataset, DatasetMember, Job, Phase
+from services.runtime.orm import Benchmark, Dataset, DatasetMember, Job, Phase, Reported
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
@@ -39,54 +44,43 @@ HOUR_NS = 3600 * 10**9
 
 
 @pytest.fixture
-def root(platform_on: Platform) -> Person:
-    return person(platform_on, "administrator")
+def root(platform: Platform) -> Person:
+    return person(platform, "administrator")
 
 
 @pytest.fixture
-def dataset(platform_on: Platform, root: Person) -> Dataset:
-    return laid.bare_version(platform_on, root)
+def dataset(platform: Platform, root: Person) -> Dataset:
+    return laid.bare_version(platform, root)
 
 
 def test_a_version_with_val_and_test_has_an_open_and_a_hidden_phase(
-    platform_on: Platform, root: Person, dataset: Dataset
+    platform: Platform, root: Person, dataset: Dataset
 ) -> None:
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         benchmark = create_benchmark(session, NewBenchmark("stone", "STONE", "", root.user_id))
         for asked in default_phases(session, dataset):
             create_phase(session, benchmark, dataset, asked)
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         val, test = phase_named(session, "stone", "val"), phase_named(session, "stone", "test")
         assert phase_named(session, "stone", "train") is None
-    assert val is not None
     assert (val.part, val.is_hidden, val.scorings_per_window) == ("val", False, None)
-    assert test is not None
     assert (test.part, test.is_hidden, test.scorings_per_window) == ("test", True, 3)
 
 
-def test_a_version_without_val_and_test_has_no_phase_by_itself(platform_on: Platform, root: Person) -> None:
-    only_train = laid.version(platform_on, root, train=[published.published_sequence(platform_on, root.user_id)])
-    with (
-        pytest.raises(EmptyPartError, match="val or test"),
-        platform_on.database.reading() as session,
-    ):
+def test_a_version_without_val_and_test_has_no_phase_by_itself(platform: Platform, root: Person) -> None:
+    only_train = laid.version(platform, root, train=[published.published_sequence(platform, root.user_id)])
+    with pytest.raises(EmptyPartError), platform.database.reading() as session:
         default_phases(session, only_train)
 
 
-@pytest.mark.parametrize(
-    ("asked", "error"),
-    [
-        (NewPhase("t", "test", is_hidden=False), OpenTestError),
-        (NewPhase("t", "train", is_hidden=False), EmptyPartError),
-    ],
-)
 def test_no_phase_is_made_that_would_tell_test_or_that_has_no_sequence(
-    platform_on: Platform, root: Person, dataset: Dataset, asked: NewPhase, error: type[Exception]
+    platform: Platform, root: Person, dataset: Dataset
 ) -> None:
-    with pytest.raises(error):
-        laid.phase(platform_on, root, dataset, asked)
-    assert laid.rows(platform_on, select(Phase)) == []
-    assert laid.rows(platform_on, select(Benchmark)) == []
+    for part, error in (("test", OpenTestError), ("train", EmptyPartError)):
+        with pytest.raises(error):
+            laid.phase(platform, root, dataset, NewPhase("t", part, is_hidden=False))
+    assert laid.rows(platform, select(Phase)) == []
+    assert laid.rows(platform, select(Benchmark)) == []
 
 
 OUT_OF_RANGE: tuple[dict[str, Any], ...] = (
@@ -102,31 +96,14 @@ OUT_OF_RANGE: tuple[dict[str, Any], ...] = (
 )
 
 
-def test_a_phase_may_allow_no_scoring_at_all(platform: Platform) -> None:
-    root = person(platform, "administrator")
-    made = laid.phase(platform, root, laid.bare_version(platform, root), scorings_per_window=0, scorings_total=0)
+def test_rules_out_of_range_are_refused_and_a_phase_may_allow_no_scoring(
+    platform: Platform, root: Person, dataset: Dataset
+) -> None:
+    made = laid.phase(platform, root, dataset, scorings_per_window=0, scorings_total=0)
     assert (made.scorings_per_window, made.scorings_total) == (0, 0)
-
-
-def test_rules_out_of_range_are_refused(platform: Platform) -> None:
-    root = person(platform, "administrator")
-    dataset = laid.bare_version(platform, root)
     for rules in OUT_OF_RANGE:
         with pytest.raises(BadPhaseError, match="|".join(rules)):
             laid.phase(platform, root, dataset, **rules)
-
-
-def test_two_that_make_a_benchmark_or_a_phase_of_one_name_at_once_make_one(
-    platform_on: Platform, root: Person, dataset: Dataset
-) -> None:
-    asked = NewBenchmark("stone", "", "", root.user_id)
-    assert sorted(laid.at_once(platform_on, *[lambda session: create_benchmark(session, asked)] * 2)) == [
-        "",
-        NameTakenError.code,
-    ]
-    benchmark = laid.rows(platform_on, select(Benchmark))[0]
-    made = [lambda session: create_phase(session, benchmark, dataset, laid.TEST)] * 2
-    assert sorted(laid.at_once(platform_on, *made)) == ["", NameTakenError.code]
 
 
 def test_a_phase_is_open_from_its_first_moment_until_before_its_last() -> None:
@@ -136,52 +113,50 @@ def test_a_phase_is_open_from_its_first_moment_until_before_its_last() -> None:
 
 
 def test_what_is_evaluated_changes_until_a_ground_truth_is_being_made(
-    platform_on: Platform, root: Person, dataset: Dataset
+    platform: Platform, root: Person, dataset: Dataset
 ) -> None:
-    phase = laid.phase(platform_on, root, dataset, laid.VAL)
-    with platform_on.database.transaction() as session:
+    phase = laid.phase(platform, root, dataset, laid.VAL)
+    with platform.database.transaction() as session:
         assert change_phase(session, phase.id, {"mask": "lidar", "is_hidden": True}).revision == 2
         _truth, job = start_truth(session, phase, dataset, root.user_id)
-    with (
-        pytest.raises(PhaseFixedError, match="is_hidden, mask, part"),
-        platform_on.database.transaction() as session,
-    ):
+    fixed = pytest.raises(PhaseFixedError, match="is_hidden, mask, part")
+    with fixed, platform.database.transaction() as session:
         change_phase(session, phase.id, {"mask": "all", "part": "test", "is_hidden": False})
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         changed = change_phase(session, phase.id, {"mask": "lidar", "title": "the same mask is no change"})
         assert (changed.mask, changed.title, changed.revision) == ("lidar", "the same mask is no change", 3)
         session.get_one(Job, job.id).state = "failed"
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         assert change_phase(session, phase.id, {"mask": "all"}).mask == "all"
 
 
 def test_a_hidden_phase_that_told_its_results_does_not_open_again(
-    platform_on: Platform, root: Person, dataset: Dataset
+    platform: Platform, root: Person, dataset: Dataset
 ) -> None:
-    phase = laid.phase(platform_on, root, dataset, closes_ns=now_ns() - HOUR_NS)
-    with platform_on.database.transaction() as session:  # nothing was scored, so nothing was told
+    phase = laid.phase(platform, root, dataset, closes_ns=now_ns() - HOUR_NS)
+    with platform.database.transaction() as session:  # nothing was scored, so nothing was told
         change_phase(session, phase.id, {"closes_ns": now_ns() - HOUR_NS // 2})
-    captain = laid.user(platform_on)
-    laid.entry(platform_on, phase.id, laid.team(platform_on, captain).id, captain.id)
+    captain = laid.user(platform)
+    laid.entry(platform, phase.id, laid.team(platform, captain).id, captain.id)
     for later in (now_ns() + HOUR_NS, None):
-        with pytest.raises(PhaseEndedError), platform_on.database.transaction() as session:
+        with pytest.raises(PhaseEndedError), platform.database.transaction() as session:
             change_phase(session, phase.id, {"closes_ns": later})
 
 
-def test_labels_that_are_public_in_another_version_are_warned_of(platform_on: Platform, root: Person) -> None:
-    dataset = laid.version(platform_on, root)
-    test = laid.phase(platform_on, root, dataset)
-    val = laid.phase(platform_on, root, dataset, replace(laid.VAL, is_hidden=True))
-    open_val = laid.phase(platform_on, root, dataset, laid.VAL)
+def test_labels_that_are_public_in_another_version_are_warned_of(platform: Platform, root: Person) -> None:
+    dataset = laid.version(platform, root)
+    test = laid.phase(platform, root, dataset)
+    val = laid.phase(platform, root, dataset, replace(laid.VAL, is_hidden=True))
+    open_val = laid.phase(platform, root, dataset, laid.VAL)
 
     def codes(*phases: Phase) -> list[list[str]]:
-        with platform_on.database.reading() as session:
+        with platform.database.reading() as session:
             return [[finding.code for finding in findings_of(session, phase)] for phase in phases]
 
     assert codes(test, val, open_val) == [[], ["labels_are_public"], []]
-    members = laid.rows(platform_on, select(DatasetMember))
+    members = laid.rows(platform, select(DatasetMember))
     ids = {row.part: [row.sequence_id] for row in members}
-    laid.version(platform_on, root, train=ids["test"], test=ids["val"])  # the roles of the two exchanged
+    laid.version(platform, root, train=ids["test"], test=ids["val"])  # the roles of the two exchanged
     assert codes(test, val, open_val) == [["labels_are_public"], ["labels_are_public"], ["labels_are_hidden_elsewhere"]]
 
 
@@ -195,3 +170,40 @@ def test_the_policy_in_words_names_every_field_once_for_each_state() -> None:
     for sentence in (running, ended, *policy_sentences(Phase(is_hidden=False), 10)):
         assert all(sentence.count(word) >= 1 for word in WORDS.values())
     assert policy_sentences(hidden, 40) == (ended,)
+
+
+A = ReportedRow("a method", "C", "somebody, some year, some table", iou_occ=0.5, miou=0.25)
+B = ReportedRow("b method", "C+L", "somebody, some year, some table")
+
+
+def put(platform: Platform, phase: Phase, *rows: ReportedRow) -> list[Reported]:
+    with platform.database.transaction() as session:
+        return put_reported(session, phase, rows)
+
+
+def test_what_is_put_is_what_stands_and_nothing_else(platform: Platform) -> None:
+    phase = laid.hidden_phase(platform)
+    first = put(platform, phase, B, A)
+    assert [(row.method, row.modality, row.iou_occ, row.miou) for row in first] == [
+        ("a method", "C", 0.5, 0.25),
+        ("b method", "C+L", None, None),
+    ]
+    again = put(platform, phase, A, B)
+    assert [row.id for row in again] == [row.id for row in first]
+    erratum = replace(A, miou=None, source="an erratum", note="of another split", percent_digits=1)
+    changed = put(platform, phase, erratum, replace(A, modality="L"))
+    assert [(row.modality, row.miou, row.source, row.note, row.percent_digits) for row in changed] == [
+        ("C", None, "an erratum", "of another split", 1),
+        ("L", 0.25, A.source, "", 2),
+    ]
+    assert changed[0].id == first[0].id
+    assert put(platform, phase) == []
+
+
+def test_a_method_that_stands_twice_with_one_modality_changes_nothing(platform: Platform) -> None:
+    phase = laid.hidden_phase(platform)
+    put(platform, phase, A)
+    with pytest.raises(ReportedTwiceError):
+        put(platform, phase, B, A, replace(A, miou=0.9))
+    with platform.database.reading() as session:
+        assert [row.method for row in reported_in(session, phase.id)] == ["a method"]

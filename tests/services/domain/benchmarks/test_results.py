@@ -57,12 +57,12 @@ def test_the_kept_counts_are_those_that_were_made(platform: Platform) -> None:
         assert arrays["bev"].shape == (FRAMES, 3, 3)
 
 
-def test_a_result_is_by_the_pair_in_force_and_older_ones_stay_readable(platform_on: Platform) -> None:
-    at = scene(platform_on)
+def test_a_result_is_by_the_pair_in_force_and_older_ones_stay_readable(platform: Platform) -> None:
+    at = scene(platform)
     submission_id = at.enter(at.team(), Made(0.4))
     old = at.score_row(submission_id).id
     new = at.score(submission_id, Made(0.2), at.another_pair(activated_ns=now_ns()))
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         row = session.get_one(SubmissionRow, submission_id)
         now, before = results(session, ADMINISTRATOR, row), results(session, ADMINISTRATOR, row, old)
     assert (now.seen.score.id, before.seen.score.id) == (new, old)

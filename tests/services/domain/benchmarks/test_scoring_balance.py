@@ -1,16 +1,11 @@
 """The balance of scorings: whatever is released and retaken, a submission holds one scoring or none."""
 
-from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
-
 import pytest
 from hypothesis import HealthCheck, example, given, settings
 from hypothesis import strategies as st
-from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
-from services.domain.benchmarks.teams.teams import lock_team
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from tests.services.domain.benchmarks.drafts import Entrant, a_submission, another_phase, entrant_on, reserved, standing
@@ -25,40 +20,19 @@ def counted(platform: Platform) -> Entrant:
 
 
 def test_what_was_reserved_before_the_window_and_is_retaken_in_it_is_counted(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """The attack: an old submission that is given back and scored again, at no cost of this window."""
-    entrant = entrant_on(platform_on, scorings_per_window=1, window_ns=7 * DAY_NS)
+    entrant = entrant_on(platform, scorings_per_window=1, window_ns=7 * DAY_NS)
     old = reserved(entrant)
     monkeypatch.setattr(scoring_quota, "now_ns", lambda: now_ns() + 8 * DAY_NS)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         assert scoring_quota.release(session, old, "released: failed") == 1
         assert scoring_quota.retake(session, old) == 1
     later = now_ns() + 8 * DAY_NS
     assert (standing(entrant, later).reserved, standing(entrant, later + 8 * DAY_NS).reserved) == (1, 0)
     with pytest.raises(ScoringsExhaustedError):
         reserved(entrant)
-
-
-def test_two_releases_at_once_give_back_one(platform_on: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Both have begun before either has the team's lock; SQLite lets one begin at a time by itself."""
-    entrant = entrant_on(platform_on, scorings_per_window=1)
-    held, together = reserved(entrant), Barrier(2)
-
-    def locked(session: Session, team_id: str) -> None:
-        if session.get_bind().dialect.name == "postgresql":
-            together.wait(300)
-        lock_team(session, team_id)
-
-    def attempt(_: int) -> int:
-        with platform_on.database.transaction() as session:
-            return scoring_quota.release(session, held, "released: failed")
-
-    monkeypatch.setattr(scoring_quota, "lock_team", locked)
-    with ThreadPoolExecutor(2) as threads:
-        assert sum(threads.map(attempt, range(2))) == 1
-    with platform_on.database.reading() as session:
-        assert scoring_quota.balance(session, entrant.phase_id, entrant.team_id) == 0
 
 
 STEPS = st.lists(

@@ -1,8 +1,6 @@
 """The ledger of scorings: what is taken is given back once, and nobody takes the last one twice."""
 
 from collections.abc import Iterable
-from concurrent.futures import ThreadPoolExecutor
-from threading import Barrier
 
 import pytest
 from hypothesis import HealthCheck, given, settings
@@ -146,25 +144,6 @@ def test_what_never_held_a_scoring_takes_and_gives_none(platform: Platform) -> N
         assert scoring_quota.release(session, submission_id, "released: valid") == 0
         assert scoring_quota.retake(session, submission_id) == 0
         assert session.query(ScoringEntry).count() == 0
-
-
-def test_of_many_at_once_exactly_as_many_pass_as_are_left(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on, scorings_per_window=3)
-    drafts = [drafted(entrant) for _ in range(8)]
-    together = Barrier(len(drafts))
-
-    def attempt(submission_id: str) -> bool:
-        together.wait()
-        try:
-            with platform_on.database.transaction() as session:
-                scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
-        except ScoringsExhaustedError:
-            return False
-        return True
-
-    with ThreadPoolExecutor(len(drafts)) as threads:
-        assert sum(threads.map(attempt, drafts)) == 3
-    assert standing(entrant).reserved == 3
 
 
 ENTRIES = st.lists(

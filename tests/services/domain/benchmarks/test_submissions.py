@@ -112,15 +112,15 @@ def test_a_team_has_a_bounded_number_of_open_submissions(platform: Platform) -> 
     drafted(entrant)
 
 
-def test_an_entry_takes_its_upload_a_scoring_and_a_place_in_the_queue(platform_on: Platform, bells: Bells) -> None:
-    entrant = entrant_on(platform_on)
+def test_an_entry_takes_its_upload_a_scoring_and_a_place_in_the_queue(platform: Platform, bells: Bells) -> None:
+    entrant = entrant_on(platform)
     submission_id = drafted(entrant)
     upload_id = uploaded(entrant, submission_id)
     finalised(entrant, submission_id, upload_id)
     row = seen(entrant, submission_id)
     assert (row.state, row.upload_id, row.revision) == ("queued", upload_id, 2)
     assert (upload_state(entrant, upload_id), taken(entrant)) == ("consumed", 1)
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         bound = session.query(PhaseTeam).one()
         job = session.query(Job).filter_by(kind=OPEN).one()
         run = session.get_one(Job, job.root_id)
@@ -137,9 +137,9 @@ def test_what_is_not_an_entry_costs_no_scoring(platform: Platform, kind: str) ->
     assert taken(entrant) == 0
 
 
-def test_a_baseline_costs_a_scoring_where_the_truth_is_hidden(platform_on: Platform) -> None:
+def test_a_baseline_costs_a_scoring_where_the_truth_is_hidden(platform: Platform) -> None:
     """The attack: as many looks at a hidden truth as a curator likes, by calling each a baseline."""
-    entrant = entrant_on(platform_on, is_hidden=True, scorings_per_window=2)
+    entrant = entrant_on(platform, is_hidden=True, scorings_per_window=2)
     finalised(entrant, kind="baseline")
     finalised(entrant, kind="validation")
     finalised(entrant, kind="entry")
@@ -149,14 +149,14 @@ def test_a_baseline_costs_a_scoring_where_the_truth_is_hidden(platform_on: Platf
     assert taken(entrant) == 2
 
 
-def test_a_quota_that_is_used_up_leaves_draft_and_upload_for_later(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on, scorings_per_window=0)
+def test_a_quota_that_is_used_up_leaves_draft_and_upload_for_later(platform: Platform) -> None:
+    entrant = entrant_on(platform, scorings_per_window=0)
     submission_id = drafted(entrant)
     upload_id = uploaded(entrant, submission_id)
     with pytest.raises(ScoringsExhaustedError):
         finalised(entrant, submission_id, upload_id)
     assert_untouched(entrant, submission_id, upload_id)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         scoring_quota.grant(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, 1)
     finalised(entrant, submission_id, upload_id)
 
@@ -173,11 +173,11 @@ def test_a_draining_queue_takes_nothing(platform: Platform) -> None:
     assert taken(entrant) == 0
 
 
-def test_who_takes_part_with_another_team_cannot_submit_with_this_one(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on)
+def test_who_takes_part_with_another_team_cannot_submit_with_this_one(platform: Platform) -> None:
+    entrant = entrant_on(platform)
     other = another_entrant(entrant.place)
     finalised(other)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         session.add(TeamMember(team_id=entrant.team_id, user_id=other.captain.user_id))
     submission_id = drafted(entrant)
     with pytest.raises(AlreadyInTeamError):
@@ -187,15 +187,15 @@ def test_who_takes_part_with_another_team_cannot_submit_with_this_one(platform_o
     assert (seen(entrant, submission_id).state, taken(entrant)) == ("draft", 0)
 
 
-def test_a_submission_is_finalised_once(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on)
+def test_a_submission_is_finalised_once(platform: Platform) -> None:
+    entrant = entrant_on(platform)
     submission_id = drafted(entrant)
     first, second = uploaded(entrant, submission_id), uploaded(entrant, submission_id)
     finalised(entrant, submission_id, first)
     with pytest.raises(SubmissionStateError, match="is queued and cannot be finalised"):
         finalised(entrant, submission_id, second)
     assert taken(entrant) == 1
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert session.get_one(Upload, second).expires_ns <= now_ns()
 
 
@@ -227,12 +227,12 @@ def test_an_upload_that_nobody_has_made_is_missing(platform: Platform) -> None:
         finalised(entrant, drafted(entrant), NOBODY)
 
 
-def test_validations_are_counted_by_the_day(platform_on: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    entrant = entrant_on(platform_on, validations_per_day=2)
+def test_validations_are_counted_by_the_day(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    entrant = entrant_on(platform, validations_per_day=2)
     waiting = drafted(entrant, kind="validation")
     finalised(entrant, kind="validation")
     failed = finalised(entrant, kind="validation")
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         session.get_one(SubmissionRow, failed).state = "failed"
     finalised(entrant, waiting)
     with pytest.raises(ValidationsExhaustedError, match="all 2 validation-only submissions of the day") as refused:

@@ -10,22 +10,22 @@ from services.runtime.platform import Platform
 from tests.services.domain.benchmarks.drafts import Entrant, drafted, entrant_on, finalised, seen, taken, uploaded
 
 
-def test_cancelling_gives_the_scoring_back_and_stops_the_run(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on)
+def test_cancelling_gives_the_scoring_back_and_stops_the_run(platform: Platform) -> None:
+    entrant = entrant_on(platform)
     submission_id = finalised(entrant)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         cancel(session, session.get_one(SubmissionRow, submission_id), "the wrong weights")
     row = seen(entrant, submission_id)
     assert (row.state, taken(entrant)) == ("cancelled", 0)
     assert row.settled_ns is not None
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert {job.state for job in session.query(Job).filter_by(root_id=row.job_id)} == {"cancelled"}
     with (
         pytest.raises(SubmissionStateError, match="is cancelled and cannot be cancelled now"),
-        platform_on.database.transaction() as session,
+        platform.database.transaction() as session,
     ):
         cancel(session, session.get_one(SubmissionRow, submission_id))
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert [entry.amount for entry in session.query(ScoringEntry).order_by(ScoringEntry.id)] == [1, -1]
 
 

@@ -53,8 +53,8 @@ def retried(entrant: Entrant, submission_id: str) -> None:
 @pytest.mark.parametrize(
     ("state", "held"), [("scored", 1), ("valid", 0), ("invalid", 0), ("failed", 0), ("cancelled", 0)]
 )
-def test_only_a_score_uses_a_scoring_up(platform_on: Platform, state: str, held: int) -> None:
-    entrant = entrant_on(platform_on)
+def test_only_a_score_uses_a_scoring_up(platform: Platform, state: str, held: int) -> None:
+    entrant = entrant_on(platform)
     submission_id = finalised(entrant)
     begun(entrant, submission_id)
     assert (seen(entrant, submission_id).state, taken(entrant)) == ("scoring", 1)
@@ -134,12 +134,12 @@ def test_a_state_that_is_no_end_is_a_mistake_of_the_caller(platform: Platform) -
         (Failure("internal_error", "KeyError: 'a secret'"), ("internal_error", "a fault of the platform ended it")),
     ],
 )
-def test_a_run_that_failed_ends_its_submission(platform_on: Platform, failure: Failure, told: tuple[str, str]) -> None:
-    entrant = entrant_on(platform_on)
+def test_a_run_that_failed_ends_its_submission(platform: Platform, failure: Failure, told: tuple[str, str]) -> None:
+    entrant = entrant_on(platform)
     submission_id = finalised(entrant)
-    assert settle_ended(platform_on) == 0
+    assert settle_ended(platform) == 0
     failed_with(entrant, failure)
-    assert (settle_ended(platform_on), settle_ended(platform_on)) == (1, 0)
+    assert (settle_ended(platform), settle_ended(platform)) == (1, 0)
     row = seen(entrant, submission_id)
     assert (row.state, taken(entrant)) == ("failed", 0)
     assert row.failure_code == told[0]
@@ -149,14 +149,14 @@ def test_a_run_that_failed_ends_its_submission(platform_on: Platform, failure: F
 
 @pytest.mark.parametrize("act", [control.cancel, control.terminate])
 def test_a_run_that_was_stopped_cancels_its_submission(
-    platform_on: Platform, act: Callable[[Session, str, str], Job]
+    platform: Platform, act: Callable[[Session, str, str], Job]
 ) -> None:
-    entrant = entrant_on(platform_on)
+    entrant = entrant_on(platform)
     submission_id = finalised(entrant)
     begun(entrant, submission_id)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         act(session, seen(entrant, submission_id).job_id or "", "maintenance")
-    assert settle_ended(platform_on) == 1
+    assert settle_ended(platform) == 1
     row = seen(entrant, submission_id)
     assert (row.state, row.failure, taken(entrant)) == ("cancelled", "cancelled: maintenance", 0)
 
@@ -169,15 +169,15 @@ def test_a_run_that_forgot_its_submission_does_not_leave_it_waiting(platform: Pl
     assert (seen(entrant, submission_id).state, seen(entrant, submission_id).failure_code) == ("failed", "unsettled")
 
 
-def test_what_is_tried_again_is_queued_again_and_paid_again(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on, scorings_total=1)
+def test_what_is_tried_again_is_queued_again_and_paid_again(platform: Platform) -> None:
+    entrant = entrant_on(platform, scorings_total=1)
     submission_id = finalised(entrant)
     failed_with(entrant, Failure("worker_lost", "gone"))
-    settle_ended(platform_on)
+    settle_ended(platform)
     retried(entrant, submission_id)
     row = seen(entrant, submission_id)
     assert (row.state, row.failure_code, row.settled_ns, taken(entrant)) == ("queued", "", None, 1)
-    assert settle_ended(platform_on) == 0
+    assert settle_ended(platform) == 0
     ended(entrant, submission_id, "scored")
     assert taken(entrant) == 1
 

@@ -61,14 +61,14 @@ def long_ago() -> int:
 
 
 @pytest.mark.parametrize("state", ["invalid", "failed", "cancelled", "valid"])
-def test_a_file_that_no_score_stands_on_is_purged_after_its_time(platform_on: Platform, state: str) -> None:
-    entrant = entrant_on(platform_on)
+def test_a_file_that_no_score_stands_on_is_purged_after_its_time(platform: Platform, state: str) -> None:
+    entrant = entrant_on(platform)
     submission_id = sent(entrant, state=state, settled_ns=long_ago())
-    assert tidy_submissions(platform_on) == (1, 0)
+    assert tidy_submissions(platform) == (1, 0)
     row = seen(entrant, submission_id)
     assert (row.state, row.upload_id, row.blob_sha256) == (state, None, None)
     assert counted_bytes(entrant) == 0
-    assert tidy_submissions(platform_on) == (0, 0)
+    assert tidy_submissions(platform) == (0, 0)
 
 
 @pytest.mark.parametrize(
@@ -128,32 +128,30 @@ def test_a_file_that_was_never_kept_goes_from_the_uploads_folder(platform: Platf
     assert not path.exists()
 
 
-def test_a_draft_that_nothing_is_sent_for_goes_after_its_time(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on)
+def test_a_draft_that_nothing_is_sent_for_goes_after_its_time(platform: Platform) -> None:
+    entrant = entrant_on(platform)
     old = [drafted(entrant) for _ in range(3)]
     fresh, finished = drafted(entrant), sent(entrant)
     uploaded(entrant, old[0])
     uploaded(entrant, old[1], state="expired")
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         for submission_id in (*old, finished):
             session.get_one(SubmissionRow, submission_id).created_ns = long_ago()
-    assert tidy_submissions(platform_on) == (0, 2)
-    with platform_on.database.reading() as session:
+    assert tidy_submissions(platform) == (0, 2)
+    with platform.database.reading() as session:
         left = {row.id for row in session.query(SubmissionRow)}
     assert left == {old[0], fresh, finished}
 
 
-def test_drafts_that_are_awaited_hold_up_none_behind_them(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_drafts_that_are_awaited_hold_up_none_behind_them(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(chores, "AT_A_TIME", 1)
-    entrant, walk = entrant_on(platform_on), DraftWalk()
+    entrant, walk = entrant_on(platform), DraftWalk()
     awaited, forgotten = drafted(entrant), drafted(entrant)
     uploaded(entrant, awaited)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         for age_ns, submission_id in enumerate((awaited, forgotten), start=1):
             session.get_one(SubmissionRow, submission_id).created_ns = age_ns
-    assert [tidy_submissions(platform_on, walk) for _ in range(3)] == [(0, 0), (0, 1), (0, 0)]
+    assert [tidy_submissions(platform, walk) for _ in range(3)] == [(0, 0), (0, 1), (0, 0)]
     assert seen(entrant, awaited).state == "draft"
 
 

@@ -117,12 +117,12 @@ def test_what_is_on_the_board_is_everybodys_to_know_of(platform: Platform) -> No
         assert {row.id for row in session.scalars(submissions_seen(ANYBODY))} == known
 
 
-def test_a_viewer_has_the_teams_they_are_in_now(platform_on: Platform) -> None:
-    at = scene(platform_on)
+def test_a_viewer_has_the_teams_they_are_in_now(platform: Platform) -> None:
+    at = scene(platform)
     team, user_id = at.team(), at.place.user.id
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         session.add(TeamMember(team_id=team, user_id=user_id))
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         assert viewer_of(session, user_id, False) == Viewer(False, frozenset({team}))
         session.delete(session.scalars(select(TeamMember)).one())
         session.flush()

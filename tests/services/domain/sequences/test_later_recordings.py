@@ -163,7 +163,6 @@ def test_a_recording_that_comes_while_a_run_is_at_work_is_taken_by_the_next(labe
 def test_labels_whose_run_took_the_recording_and_failed_say_so(labelled: Brought) -> None:
     taken_in_vain(labelled)
     shown = said(labelled)
-    assert shown is not None
     assert shown.names == ("cameras.mcap",)
     assert "failed" in shown.why_not
 
@@ -172,7 +171,6 @@ def test_what_keeps_a_run_from_starting_is_said_and_it_starts_once_that_is_gone(
     with_recording(labelled, "registered", "run.mcap", "cd" * 32)
     assert follow(labelled) == 0
     shown = said(labelled)
-    assert shown is not None
     assert "two different recordings" in shown.why_not
     with labelled.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, labelled.recording_ids[0]))
