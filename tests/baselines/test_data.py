@@ -1,9 +1,10 @@
-"""What a model is given of frames: earlier sweeps where they were, nothing later, augmented alike everywhere."""
+"""What a model is given of frames: nothing later, augmented alike everywhere; and how what it answers is scored."""
 
 import math
 import warnings
 from dataclasses import dataclass, replace
 from io import BytesIO
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,6 +13,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
+from torch import Tensor
 
 from baselines.augment import (
     IMAGENET_DEVIATION,
@@ -27,10 +29,14 @@ from baselines.batch import Batch
 from baselines.collate import joined
 from baselines.data import EpochSampler, FrameDataset, FrameRequest
 from baselines.depth_targets import depth_picture
+from baselines.evaluation import scores_on
 from baselines.frame_record import FrameRecord, PictureRecord
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice, grid_part
+from baselines.metrics import confusion_of
+from baselines.models.occupancy_model import OccupancyModel, likeliest
 from stone.geometry.se3 import SE3
+from stone.scoring.metric import RATIOS
 
 INPUTS = InputConfig("C+L+R", (24, 32), ("CAM_FRONT",), lidar_sweeps=4, radar_scans=3, with_depth=True)
 SMALL = VoxelLattice((-3.2, -3.2, -1.2), shape=(32, 32, 16))
@@ -325,3 +331,77 @@ def test_epochs_have_other_orders() -> None:
 def test_a_lattice_that_is_no_part_of_the_grid_is_refused(lattice: VoxelLattice) -> None:
     with pytest.raises(ValueError, match="is no part of the benchmark's grid"):
         grid_part(lattice)
+
+
+CPU = (torch.device("cpu"), "float32")
+
+
+def one_hot(labels: Tensor) -> Tensor:
+    return torch.nn.functional.one_hot(labels.long().clamp(max=3), 4).movedim(-1, 1).float()
+
+
+class Oracle(OccupancyModel[Tensor]):
+    """Answers the labels that it is given, or free."""
+
+    def __init__(self, knows: bool = True) -> None:
+        super().__init__()
+        self.lattice, self.modality, self.knows = SMALL, "L", knows
+
+    def forward(self, batch: Batch) -> Tensor:
+        assert not self.training
+        return one_hot(batch.labels * self.knows)
+
+    def losses(self, outputs: Tensor, batch: Batch) -> dict[str, Tensor]:
+        return {}
+
+    def logits(self, outputs: Tensor, batch: Batch) -> Tensor:
+        return outputs
+
+
+def lidar_dataset(**changes: Any) -> FrameDataset:
+    return FrameDataset(Frames(RECORDS), FrameRequest(InputConfig("L"), SMALL, **changes))
+
+
+def test_a_confusion_is_a_loop_over_voxels() -> None:
+    random = np.random.default_rng(1)
+    labels = random.choice(np.array([0, 1, 2, 3, 255], np.uint8), (2, 4, 3, 5))
+    logits = torch.from_numpy(random.normal(size=(2, 4, 4, 3, 5)))
+    wanted = np.zeros((4, 4), np.int64)
+    for frame, x, y, z in np.ndindex(labels.shape):
+        if labels[frame, x, y, z] != 255:
+            wanted[labels[frame, x, y, z], int(logits[frame, :, x, y, z].argmax())] += 1
+    assert np.array_equal(confusion_of(logits, torch.from_numpy(labels)), wanted)
+
+
+def test_of_equal_logits_the_first_class_is_taken() -> None:
+    logits = torch.from_numpy(np.random.default_rng(2).integers(0, 3, (2, 4, 5, 6, 7))).float()
+    logits[0, :, 0, 0] = -torch.inf
+    classes = likeliest(logits)
+    assert classes.dtype == torch.uint8
+    assert np.array_equal(classes.numpy(), logits.numpy().argmax(axis=1))
+
+
+def test_true_predictions_score_one_and_free_ones_nothing() -> None:
+    targets = range(3)
+    assert scores_on(Oracle().train(), lidar_dataset(), targets, CPU) == dict.fromkeys(RATIOS, 1.0)
+    assert scores_on(Oracle(knows=False), lidar_dataset(), targets, CPU)["miou"] == 0
+
+
+@pytest.mark.parametrize("trains", [True, False])
+def test_a_model_is_left_in_the_mode_it_was_in(trains: bool) -> None:
+    model = Oracle().train(trains)
+    scores_on(model, lidar_dataset(), [0], CPU)
+    assert model.training == trains
+
+
+def test_what_nobody_observed_counts_as_free_or_not_at_all() -> None:
+    lattice = replace(VoxelLattice(), shape=(16, 16, 8))  # a corner of the grid, of which nine rows were not observed
+    request = FrameRequest(InputConfig("L"), lattice)
+    both = [
+        FrameDataset(Frames(RECORDS), replace(request, counted=counted))[0, 0].labels for counted in ("all", "observed")
+    ]
+    assert all(labels is not None for labels in both)
+    everywhere, observed = (labels[0] for labels in both if labels is not None)
+    assert not everywhere[:9].any()
+    assert (observed[:9] == 255).all()
+    assert torch.equal(everywhere[9:], observed[9:])

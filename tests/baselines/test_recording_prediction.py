@@ -1,4 +1,7 @@
-"""`stone predict --bag`: a recording is predicted as its export is, from nothing later, and a few frames at a time."""
+"""What a trained row answers: for exports, for a recording as for its export, as ONNX what torch answers.
+
+Catches alone a graph that an exporter's optimiser changed.
+"""
 
 import json
 import weakref
@@ -6,29 +9,51 @@ import zipfile
 from dataclasses import dataclass, field, replace
 from io import BytesIO
 from pathlib import Path
+from shutil import copytree
+from typing import Any
 
 import numpy as np
+import onnxruntime
 import pytest
+import torch
 from numpy.typing import NDArray
 from typer.testing import CliRunner, Result
 
+from baselines.batch import Batch
+from baselines.checkpoint import WEIGHTS, WeightsProvenance, write_weights
 from baselines.data import RECORDS_KEPT
+from baselines.errors import BadRunError
 from baselines.frame_record import FrameRecord, read_record
+from baselines.lattice import grid_part
+from baselines.layers.efficient_vit import relu_attention
+from baselines.models.architectures import build_model
+from baselines.models.column_net import ColumnNet
+from baselines.models.column_net_program import ColumnNetProgram, column_cells, inputs_of, program_inputs
+from baselines.models.occfusion_config import OccFusionConfig
 from baselines.predict import PredictionPlan, loaded_run, predict
+from baselines.row_config import RowConfig, row_of
+from baselines.run_folder import say_row
+from baselines.train import TrainingPlan
 from services.ingest.sequence import open_sequence
 from services.labeler.exports.inputs import write_sensed
 from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Sequence
 from stone_client.main import app
+from stone_exports.errors import FramesMissingError
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
 from stone_local.models.prediction_pace import PredictionPace
 from stone_local.models.recorded_frames import DamagedSampleError, RecordedStore
 from stone_local.models.recording_prediction import PREDICTION, RecordingPlan, predict_recording
 from stone_recordings.sync.samples import BagSamples
+from stone_submissions.archive import open_submission
 from stone_submissions.manifest import Manifest, write_manifest
+from stone_submissions.npz_frame import prediction_grid
+from testing.worlds.small_export import SmallExport, write_small_export
+from tests.baselines.boxes_frame import IMAGE, SMALL, boxes_frame
 from tests.baselines.recorded_run import DRIVE, ROW, made_run
+from tests.baselines.small_training import row_record, small_row, trained
 
 Grids = dict[str, NDArray[np.uint8]]
 
@@ -218,3 +243,200 @@ def test_options_that_exclude_each_other_are_refused(driven: Driven, manifest: P
         (*bag, *calibration, "--submit", "--benchmark", "b", "--phase", "p", "--team", "t"),
     ):
         assert stone("predict", driven.run, *arguments, "-o", tmp_path / "out").exit_code == 2, arguments
+
+
+BOXES_ROW = replace(
+    ROW,
+    inputs=replace(ROW.inputs, image_size_px=IMAGE, channels=("CAM_FRONT", "CAM_BACK")),
+    model=replace(ROW.model, lattice=SMALL),
+)
+
+
+@pytest.fixture(scope="module")
+def model(boxes_run: Path) -> ColumnNet:
+    found = loaded_run(boxes_run, "cpu").predictor.model
+    assert isinstance(found, ColumnNet)
+    return found
+
+
+@pytest.fixture(scope="module")
+def boxes_run(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    return made_run(tmp_path_factory.mktemp("onnx") / "boxes_run", BOXES_ROW)
+
+
+@pytest.fixture(scope="module")
+def written(boxes_run: Path) -> tuple[Path, dict[str, Any]]:
+    """The file, and what the command says of it."""
+    path = boxes_run.with_name("model.onnx")
+    result = CliRunner().invoke(app, ["onnx", str(boxes_run), "-o", str(path), "--json"])
+    assert result.exit_code == 0, (result.stderr, result.exception)
+    return path, json.loads(result.stdout)
+
+
+@pytest.fixture(scope="module")
+def session(written: tuple[Path, dict[str, Any]]) -> Any:
+    return onnxruntime.InferenceSession(written[0], providers=["CPUExecutionProvider"])
+
+
+@pytest.fixture(scope="module")
+def batch() -> Batch:
+    return boxes_frame(SMALL)
+
+
+def test_the_file_answers_what_torch_answers(model: ColumnNet, session: Any, batch: Batch) -> None:
+    with torch.inference_mode():
+        wanted = model(batch)
+        fed = {name: value.numpy() for name, value in inputs_of(model, batch).items()}
+    logits, log_temperature = session.run(["logits", "log_temperature"], fed)
+    assert np.abs(logits - wanted.logits.numpy()).max() < 1e-4 * np.abs(logits).max()
+    assert np.abs(log_temperature - wanted.log_temperature.numpy()).max() < 1e-4
+    assert np.mean(logits.argmax(1) == wanted.logits.numpy().argmax(1)) >= 0.9999
+    assert len(np.unique(logits.argmax(1))) == 4
+
+
+def test_an_empty_frame_is_answered_too(model: ColumnNet, session: Any) -> None:
+    nothing = program_inputs(model, 2, IMAGE)
+    with torch.inference_mode():
+        wanted, _ = ColumnNetProgram(model)(*nothing.values())
+    logits, _ = session.run(None, {name: value.numpy() for name, value in nothing.items()})
+    np.testing.assert_allclose(logits, wanted.numpy(), atol=1e-4 * np.abs(logits).max())
+
+
+def test_the_file_says_what_it_is(written: tuple[Path, dict[str, Any]], session: Any) -> None:
+    said = session.get_modelmeta().custom_metadata_map
+    assert json.loads(said["stone.classes"]) == [
+        "free", "traversable", "potentially_traversable", "non_traversable",
+    ]  # fmt: skip
+    assert json.loads(said["stone.lattice"])["shape"] == list(SMALL.shape)
+    assert json.loads(said["stone.row"])["method"] == "Tiny"
+    assert said["stone.data_sha256"] == "0" * 64
+    assert list(json.loads(said["stone.inputs"])) == [one.name for one in session.get_inputs()]
+    shapes = {one.name: one.shape for one in session.get_inputs()}
+    assert shapes == {"maps": [1, 76, 32, 32], "base": [1, 32, 32], "images": [2, 3, 64, 64], "cells": [2, 2, 32, 32]}
+    assert written[1]["inputs"] == shapes
+    assert written[1]["size_bytes"] == written[0].stat().st_size
+
+
+def test_cells_are_where_the_model_itself_looks(model: ColumnNet, batch: Batch) -> None:
+    with torch.inference_mode():
+        maps, _ = model.columns(batch)
+        program = ColumnNetProgram(model)
+        seen = list[torch.Tensor]()
+        program.net.register_forward_pre_hook(lambda _net, given: seen.append(given[0]))
+        program(*inputs_of(model, batch).values())
+    torch.testing.assert_close(seen[0], maps)
+
+
+def test_attention_without_a_key_is_0() -> None:
+    nothing = torch.zeros(1, 4, 9)
+    assert torch.equal(relu_attention(torch.ones(1, 4, 9), nothing, torch.ones(1, 4, 9)), nothing)
+
+
+def test_without_cameras_there_are_no_cells(model: ColumnNet, batch: Batch) -> None:
+    with pytest.raises(ValueError, match="there are none"):
+        column_cells(model, replace(batch, cameras=None), torch.zeros(1, 2, 32, 32))
+    alone = ColumnNet(replace(model.config, modality="L"))
+    assert list(program_inputs(alone, 2, IMAGE)) == list(inputs_of(alone, batch)) == ["maps", "base"]
+
+
+def test_other_architectures_are_refused_in_a_line(tmp_path: Path) -> None:
+    other = OccFusionConfig(
+        modality="C+L",
+        resnet_depth=14,
+        resnet_width=8,
+        head_channels=8,
+        pyramid_channels=16,
+        level_channels=(8, 8, 8, 8),
+    )
+    row = RowConfig("other", "OccFusion", "a test", replace(ROW.inputs, modality="C+L"), other)
+    say_row(tmp_path, row)
+    write_weights(tmp_path, build_model(other), WeightsProvenance(row.as_json(), "0" * 64, "all", 1))
+    result = CliRunner().invoke(app, ["onnx", str(tmp_path), "-o", str(tmp_path / "model.onnx")])
+    assert (result.exit_code, len(result.stderr.splitlines())) == (1, 1)
+    assert result.stderr.startswith("not_deployable: ")
+
+
+MEADOW = SmallExport("meadow", 9)
+
+
+@pytest.fixture(scope="module")
+def trained_run(meadow: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    trained_run = tmp_path_factory.mktemp("trained") / "trained_run"
+    trained(TrainingPlan(small_row(epochs=8, learning_rate=1e-2), (meadow,), trained_run))
+    return trained_run
+
+
+@pytest.fixture
+def plan(trained_run: Path, meadow: Path, tmp_path: Path) -> PredictionPlan:
+    """Not in the order of time: a submission's is free."""
+    manifest = tmp_path / "M.json"
+    write_manifest(manifest, Manifest({"meadow": MEADOW.tokens[:2:-1]}))
+    return PredictionPlan(trained_run, (meadow,), manifest, tmp_path / "sub.zip")
+
+
+def predicted_grids(plan: PredictionPlan) -> dict[str, np.ndarray]:
+    torch.set_num_threads(1)
+    predict(plan, lambda *_: None)
+    tokens = MEADOW.tokens[3:]
+    with open_submission(plan.output, tokens) as submission:
+        return {token: prediction_grid(bytes(submission.read(token))) for token in tokens}
+
+
+def test_a_prediction_is_a_valid_submission_and_free_outside_the_lattice(plan: PredictionPlan) -> None:
+    written = predict(plan, lambda *_: None)
+    assert (written.frames, written.method, written.modality, written.steps) == (6, "Small", "L", 32)
+    part = grid_part(small_row().model.lattice)
+    for grid in predicted_grids(plan).values():
+        inside = grid[part].copy()
+        outside = grid.copy()
+        outside[part] = 0
+        assert not outside.any()
+        assert inside.any()
+        assert grid.max() <= 3
+
+
+def test_predictions_are_the_same_every_time_and_hold_of_the_frame(plan: PredictionPlan) -> None:
+    one, other = predicted_grids(plan), predicted_grids(plan)
+    assert all(np.array_equal(one[token], other[token]) for token in one)
+    assert len({grid.tobytes() for grid in one.values()}) > 1
+
+
+def test_later_frames_change_no_prediction(plan: PredictionPlan, meadow: Path, tmp_path: Path) -> None:
+    """Whether they are there or hold something else."""
+    before = predicted_grids(plan)
+    copytree(meadow, tmp_path / "copied")
+    for sweep in sorted((tmp_path / "copied" / "samples" / "LIDAR_TOP").iterdir())[6:]:
+        sweep.write_bytes(sweep.read_bytes()[: 20 * 100])
+    after = predicted_grids(replace(plan, exports=(tmp_path / "copied",)))
+    assert [np.array_equal(before[token], after[token]) for token in MEADOW.tokens[3:6]] == [True] * 3
+    assert not np.array_equal(before[MEADOW.tokens[8]], after[MEADOW.tokens[8]])
+
+
+def test_frames_that_are_missing_are_refused_and_nothing_is_written(plan: PredictionPlan, tmp_path: Path) -> None:
+    other = write_small_export(tmp_path / "other", SmallExport("quarry", 3))
+    with pytest.raises(FramesMissingError, match=r"\b6 frames"):
+        predict(replace(plan, exports=(other,)), lambda *_: None)
+    assert not plan.output.exists()
+
+
+def test_a_folder_that_is_no_run_is_refused(plan: PredictionPlan, meadow: Path) -> None:
+    with pytest.raises(BadRunError):
+        predict(replace(plan, run=meadow), lambda *_: None)
+
+
+def test_a_run_without_weights_is_refused(plan: PredictionPlan, trained_run: Path, tmp_path: Path) -> None:
+    (tmp_path / "trained_run").mkdir()
+    (tmp_path / "trained_run" / "row.json").write_text((trained_run / "row.json").read_text())
+    with pytest.raises(BadRunError):
+        predict(replace(plan, run=tmp_path / "trained_run"), lambda *_: None)
+
+
+def test_weights_of_another_model_are_refused(plan: PredictionPlan, trained_run: Path, tmp_path: Path) -> None:
+    said = row_record()
+    other = row_of("other", {**said, "model": {**said["model"], "volume_channels": 16}})
+    (tmp_path / "trained_run").mkdir()
+    (tmp_path / "trained_run" / "row.json").write_text(other.as_json())
+    (tmp_path / "trained_run" / WEIGHTS).write_bytes((trained_run / WEIGHTS).read_bytes())
+    with pytest.raises(BadRunError) as refused:
+        predict(replace(plan, run=tmp_path / "trained_run"), lambda *_: None)
+    assert "\n" not in str(refused.value)

@@ -62,11 +62,6 @@ def plan(meadow: Path, cache: Path, tmp_path: Path) -> TrainingPlan:
     return TrainingPlan(small_row(), (meadow,), tmp_path / "run", watch=(meadow,), cache=cache)
 
 
-def told(run: Path) -> list[dict[str, Any]]:
-    """The log, without what depends on the machine's speed."""
-    return [{key: line[key] for key in line if key not in ("frames_per_s", "left_s")} for line in logged(run)]
-
-
 @pytest.mark.parametrize("step", [1, 3, 8])
 def test_a_run_that_goes_on_is_one_that_never_stopped(plan: TrainingPlan, whole: Path, step: int) -> None:
     """Bit for bit, wherever it stopped: before the first checkpoint, within an epoch, at its end.

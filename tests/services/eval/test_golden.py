@@ -62,14 +62,6 @@ def test_every_metric_reads_the_golden_ratios(golden: Path, said: Any, mask: Mas
     assert vars(extras(total, tally.bev.sum(axis=(0, 1)))) == said["masks"][mask]["total"]["extras"]
 
 
-def test_the_golden_vectors_hold_every_edge(said: Any) -> None:
-    whole = said["masks"]["all"]
-    assert set(whole["sequences"]["golden-free"]["metrics"]["stone-iou-2"].values()) == {None}
-    absent = whole["sequences"]["golden-absent"]["metrics"]["stone-iou-2"]
-    assert (absent["iou_t"], absent["iou_n"], absent["miou"]) == (0.0, None, None)
-    assert all(voxels > 0 for row in whole["total"]["confusion"] for voxels in row)
-
-
 def test_unknown_written_as_255_is_refused_as_the_vectors_say(golden: Path, said: Any) -> None:
     refused = said["refused"]
     found = validate(golden / refused["file"], golden / "manifest.json")

@@ -31,6 +31,9 @@ pytestmark = pytest.mark.whole
 
 Told = Callable[..., tuple[object, dict[str, object]]]
 STONE = get_command(app)  # building it anew costs more than a verdict
+ATTACKS = {codes: case for case, (codes, _) in EVERY_CASE.items()}.values()  # one of each refusal
+HONEST = ("a normal frame", "positional array", "in a folder", "wide end record alone", "sizes behind, 24 bytes",
+          "folder in UTF-8", "header of version 2")  # fmt: skip
 
 
 @dataclass(frozen=True)
@@ -69,7 +72,7 @@ def told(capsys: pytest.CaptureFixture[str]) -> Told:
     return run
 
 
-@pytest.mark.parametrize("case", EVERY_CASE)
+@pytest.mark.parametrize("case", ATTACKS)
 def test_an_attack_is_refused_alike_everywhere(case: str, standing: Standing, told: Told, tmp_path: Path) -> None:
     path = tmp_path / "sub.zip"
     EVERY_CASE[case][1]()(path)
@@ -81,7 +84,7 @@ def test_an_attack_is_refused_alike_everywhere(case: str, standing: Standing, to
     assert (counted.validation, counted.counts) == (verdict, None)
 
 
-@pytest.mark.parametrize("case", TOOLS)
+@pytest.mark.parametrize("case", HONEST)
 def test_an_honest_archive_is_counted_everywhere(case: str, standing: Standing, told: Told, tmp_path: Path) -> None:
     path = tmp_path / "sub.zip"
     TOOLS[case](path)

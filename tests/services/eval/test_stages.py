@@ -5,17 +5,26 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import func, select
 
 from services.domain.benchmarks.submissions import scoring_ranges
+from services.eval.cases import truth_of
 from services.eval.pipeline import score
-from services.runtime.orm import Blob
-from services.runtime.uploads import upload_file
+from services.eval.scoring_errors import TruthUnreadyError
+from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.specs import Context, JobSpec
+from services.runtime.orm import Blob, GroundTruthRow, Job, Upload, UploadPartRow
+from services.runtime.settings import Settings, StoreSettings
+from services.runtime.uploads.files import remove_file, upload_file
+from services.runtime.uploads.store_backend import StoreUploadBackend
 from stone.scoring.metric import RATIOS
-from testing.worlds.benchmark_world import World, labels_npz, run_eval
+from testing.servers.fixtures import opened
+from testing.worlds.benchmark_world import World, benchmark_world, labels_npz, run_eval
 from testing.worlds.sending import (
     counts_of,
     guess,
     jobs_of,
+    pair_of,
     parts_left,
     row_of,
     said_of,
@@ -124,3 +133,110 @@ def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeyp
     words = json.dumps(told)
     counts = [count for count in np.array(row.record["confusion"]).ravel().tolist() if count > 999]
     assert not [figure for figure in (row.miou, row.iou_occ, *counts) if str(figure)[:6] in words]
+
+
+def moved_to_store(world: World, submission_id: str) -> None:
+    """As if its file had come into the store."""
+    platform = world.platform
+    with platform.database.transaction() as session:
+        upload = session.get_one(Upload, row_of(platform, submission_id).upload_id)
+        upload.backend, upload.state = "store", "open"
+        upload.expires_ns = 2**62
+    path = upload_file(platform.settings, upload.id)
+    held = StoreUploadBackend(platform).hold(upload)
+    held.append([path.read_bytes()], 0)
+    held.accept(is_whole=True)
+    held.close()
+    remove_file(path)
+    with platform.database.transaction() as session:
+        session.get_one(Upload, upload.id).state = "consumed"
+
+
+def slabs(world: World) -> int:
+    with world.platform.database.reading() as session:
+        return session.scalar(select(func.count()).select_from(UploadPartRow)) or 0
+
+
+def copies(world: World) -> list[Path]:
+    return [path for path in (world.platform.settings.root / "cache/objects/uploads").rglob("*") if path.is_file()]
+
+
+def test_it_is_scored_and_its_slabs_go(world: World) -> None:
+    submission_id = send(world, zipped(world, guess(world, turn=31)))
+    moved_to_store(world, submission_id)
+    assert slabs(world) == 1
+    run_eval(world.platform)
+    row = row_of(world.platform, submission_id)
+    assert (row.state, row.blob_sha256) == ("scored", row.declared_sha256)
+    assert (slabs(world), copies(world)) == (0, [])
+
+
+def test_slabs_that_are_gone_are_told(world: World) -> None:
+    submission_id = send(world, zipped(world, guess(world, turn=32)))
+    moved_to_store(world, submission_id)
+    for stored in list(world.platform.store.listed("uploads/")):
+        world.platform.store.delete(stored.key)
+    run_eval(world.platform)
+    row = row_of(world.platform, submission_id)
+    assert (row.state, row.failure_code) == ("failed", "upload_damaged")
+
+
+NOBODY = "0" * 32
+
+
+def ran(world: World, kind: str, **arguments: object) -> Job:
+    """The job after it was run by itself."""
+    with world.platform.database.transaction() as session:
+        job_id = enqueue(session, JobSpec(kind, arguments), Context(world.administrator.user_id)).id
+    run_eval(world.platform)
+    with world.platform.database.reading() as session:
+        return session.get_one(Job, job_id)
+
+
+@pytest.mark.parametrize("kind", ["eval.open", "eval.part", "eval.join"])
+def test_a_job_of_a_submission_that_is_gone_ends_cancelled(world: World, kind: str) -> None:
+    truth_id = pair_of(world, "val").truth_id
+    job = ran(world, kind, submission_id=NOBODY, truth_id=truth_id, start=0, stop=1, metric="stone-iou-2")
+    assert (job.state, job.attempt) == ("cancelled", 1)
+
+
+def test_a_job_of_a_ground_truth_that_is_gone_ends_cancelled(world: World) -> None:
+    assert ran(world, "eval.truth", truth_id=NOBODY).state == "cancelled"
+
+
+def test_nothing_is_scored_against_a_ground_truth_that_is_not_ready(world: World) -> None:
+    ready = pair_of(world, "val").truth_id
+    with world.platform.database.transaction() as session:
+        row = session.get_one(GroundTruthRow, ready)
+        unready = GroundTruthRow(phase_id=row.phase_id, number=99, dataset_id=row.dataset_id, part="val", mask="all")
+        unready.created_by = row.created_by
+        session.add(unready)
+        session.flush()
+        for truth_id in (unready.id, NOBODY):
+            with pytest.raises(TruthUnreadyError):
+                truth_of(session, truth_id)
+    submission_id = send(world, zipped(world, guess(world, turn=41)))
+    run_eval(world.platform)
+    ended = ran(world, "eval.join", submission_id=submission_id, truth_id=unready.id, metric="stone-iou-2")
+    assert (ended.state, ended.result) == ("succeeded", {"refused": "ground_truth_unready"})
+    assert row_of(world.platform, submission_id).state == "scored", "what it has, it keeps"
+
+
+def test_a_metric_that_nobody_knows_is_refused_and_the_score_stands(world: World) -> None:
+    submission_id = send(world, zipped(world, guess(world, turn=42)))
+    run_eval(world.platform)
+    truth_id = pair_of(world, "val").truth_id
+    ended = ran(world, "eval.join", submission_id=submission_id, truth_id=truth_id, metric="stone-iou-0")
+    assert (ended.state, ended.result) == ("succeeded", {"refused": "unknown_metric"})
+    assert [score.metric for score in scores_of(world.platform, submission_id)] == ["stone-iou-2"]
+
+
+def test_it_is_scored_from_a_bucket(settings: Settings, s3_settings: StoreSettings) -> None:
+    platform = opened(settings.model_copy(update={"store": s3_settings}), [])
+    world = benchmark_world(platform, frames=1)
+    submission_id = send(world, zipped(world, guess(world)))
+    run_eval(platform)
+    assert (row_of(platform, submission_id).state, taken(platform, submission_id)) == ("scored", 1)
+    assert [job.kind for job in jobs_of(platform, submission_id)] == ["eval.open"]
+    assert len(scores_of(platform, submission_id)) == 1
+    platform.database.close()

@@ -1,18 +1,22 @@
 """A pack gives back what was put in, any part of it alone, and names the same ground truth as `stone score` does."""
 
+import json
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from pathlib import Path
 
 import numpy as np
 import pytest
+from hypothesis import given
+from hypothesis import strategies as st
 
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
 from services.eval.truth_pack import TRAILER, PackSummary, TruthPack, TruthPackError, write_truth_pack
 from stone.scoring.bitplanes import TruthPlanes
-from stone_submissions.errors import GroundTruthError, UnreadableInputError
-from stone_submissions.manifest import Manifest
+from stone.sensors.sequence import NAME
+from stone_submissions.errors import GroundTruthError, ManifestError, UnreadableInputError
+from stone_submissions.manifest import Manifest, read_manifest, write_manifest
 from testing.worlds.submission_files import write_submission
 from tests.golden_vectors import MASKS
 from tests.services.eval.conftest import World
@@ -85,7 +89,7 @@ def test_a_pack_that_cannot_be_made_leaves_nothing(world: World, tmp_path: Path)
     def broken(token: str) -> TruthPlanes:
         raise GroundTruthError(tmp_path / token, "lost")
 
-    with pytest.raises(GroundTruthError, match="lost"):
+    with pytest.raises(GroundTruthError):
         write_truth_pack(tmp_path / "p", find_ground_truth(world.folder).manifest, broken)
     assert list(tmp_path.iterdir()) == []
 
@@ -98,7 +102,7 @@ def test_a_changed_byte_is_noticed(world: World, tmp_path: Path, place: float) -
         end = int(pack._offsets[-1])
     raw[8 + int(place * (end - 8))] ^= 4
     (tmp_path / "p").write_bytes(raw)
-    with TruthPack(tmp_path / "p") as pack, pytest.raises(TruthPackError, match="fails its checksum"):
+    with TruthPack(tmp_path / "p") as pack, pytest.raises(TruthPackError):
         list(map(pack.planes, range(3)))
 
 
@@ -113,8 +117,65 @@ def test_what_is_no_pack_is_refused(world: World, tmp_path: Path) -> None:
     }
     for name, content in broken.items():
         (tmp_path / "p").write_bytes(content)
-        with pytest.raises(TruthPackError, match=r"ground truth p: it|ground truth p: its"):
+        with pytest.raises(TruthPackError):
             TruthPack(tmp_path / "p")
         assert name
-    with pytest.raises(UnreadableInputError, match="absent cannot be read"):
+    with pytest.raises(UnreadableInputError):
         TruthPack(tmp_path / "absent")
+
+
+TOKEN = "0123456789abcdef" * 2
+
+
+@given(st.dictionaries(st.from_regex(NAME, fullmatch=True), st.integers(1, 3), min_size=1, max_size=4))
+def test_a_manifest_survives_the_disk(tmp_path_factory: pytest.TempPathFactory, sizes: dict[str, int]) -> None:
+    path = tmp_path_factory.mktemp("m") / "manifest.json"
+    tokens = iter(f"{index:032x}" for index in range(100))
+    manifest = Manifest({name: tuple(next(tokens) for _ in range(size)) for name, size in sizes.items()})
+    write_manifest(path, manifest)
+    assert read_manifest(path) == manifest
+
+
+def test_the_manifest_of_a_ground_truth_lists_its_folders(world: World) -> None:
+    manifest = find_ground_truth(world.folder).manifest
+    assert {name: len(tokens) for name, tokens in manifest.sequences.items()} == {"north": 2, "south": 1}
+    assert set(manifest.tokens) == set(world.labels)
+    assert read_manifest(world.manifest_path) == manifest
+
+
+@pytest.mark.parametrize(
+    "text",
+    [
+        "<html>",
+        "[" * 100_000,
+        "[]",
+        json.dumps({"stone_manifest": 2, "sequences": {"s": [TOKEN]}}),
+        " " * (8 * 2**20 + 1),
+        *(
+            json.dumps({"stone_manifest": 1, "sequences": sequences})
+            for sequences in (
+                [TOKEN],
+                {"s": "x"},
+                {"s": ["../../etc/passwd"]},
+                {"s": [TOKEN.upper()]},
+                {"s": [{}]},
+                {"../s": [TOKEN]},
+                {"a b": [TOKEN]},
+                {"\u202eevil": [TOKEN]},
+                {"s" * 101: [TOKEN]},
+                {"s": []},
+                {"s": [TOKEN, TOKEN]},
+            )
+        ),
+    ],
+)
+def test_a_broken_manifest_is_refused(text: str, tmp_path: Path) -> None:
+    path = tmp_path / "manifest.json"
+    path.write_text(text)
+    with pytest.raises(ManifestError):
+        read_manifest(path)
+
+
+def test_an_absent_manifest_is_refused(tmp_path: Path) -> None:
+    with pytest.raises(UnreadableInputError):
+        read_manifest(tmp_path / "m.json")

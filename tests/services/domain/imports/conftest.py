@@ -17,5 +17,5 @@ def tar(tmp_path: Path) -> Path:
 
 
 @pytest.fixture
-def brought(platform_on: Platform, tar: Path) -> BroughtDataset:
-    return bring_dataset(platform_on, tar, an_owner(platform_on))
+def brought(platform: Platform, tar: Path) -> BroughtDataset:
+    return bring_dataset(platform, tar, an_owner(platform))

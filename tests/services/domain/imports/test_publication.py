@@ -52,9 +52,9 @@ def test_what_would_not_fit_is_not_published(brought: BroughtDataset) -> None:
         assert balance(session, brought.owner_id) == TAR_BYTES
 
 
-def test_a_sequence_that_is_deleted_as_labels_are_added_keeps_none(brought: BroughtDataset, tar: Path) -> None:
+def test_a_sequence_that_is_deleted_as_labels_are_added_keeps_none(platform_on: Platform, tar: Path) -> None:
     """Catches alone labels that are added to a sequence between the deletion of its labels and its own."""
-    platform = brought.platform
+    platform, brought = platform_on, bring_dataset(platform_on, tar, an_owner(platform_on))
     (sequence_id,) = ended(brought.indexed("a"))
     again = bring_dataset(platform, tar, brought.owner_id, existing="add").indexed("a")
     is_written, is_deleting = Event(), Event()

@@ -26,7 +26,7 @@ REFUSED = [
 def test_no_address_of_this_machine_its_network_or_a_special_purpose_is_sent_to(address: str) -> None:
     assert not is_allowed(ip_address(address), STRICT)
     host = f"[{address}]" if ":" in address else address
-    with pytest.raises(BadWebhookUrlError, match="private, of this machine or reserved"):
+    with pytest.raises(BadWebhookUrlError):
         checked_url(f"https://{host}/hooks", STRICT)
 
 

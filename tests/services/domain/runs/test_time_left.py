@@ -1,9 +1,13 @@
 """The estimate of the time left: what it must never do."""
 
+from pathlib import Path
+from statistics import median
+
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
+from benchmarks.time_left import LIMIT, read_traces
 from services.domain.runs.time_left import (
     LABELLING,
     LAYERS,
@@ -133,3 +137,12 @@ def test_a_run_of_kinds_that_nobody_has_seen_is_not_told() -> None:
 )
 def test_what_is_shown_is_rounded_up(seconds: float, shown: int) -> None:
     assert rounded_s(seconds) == shown
+
+
+TRACE = Path(__file__).with_name("demo-trace.json")
+
+
+def test_recorded_runs_of_the_demo_were_told_within_a_quarter_at_half_time() -> None:
+    """Catches alone constants that were tuned for another machine or another demo."""
+    errors = [trace.error(0.5) for trace in read_traces(TRACE)]
+    assert median(errors) <= LIMIT, errors

@@ -1,4 +1,4 @@
-"""Pictures whose class colours are exchanged without decoding them."""
+"""Grids of a frame as they are read, their pictures against a loop, and colours exchanged without decoding them."""
 
 import io
 
@@ -7,19 +7,22 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
+from services.domain.viewer.frame_grids import GridUnreadableError, read_grids
+from services.domain.viewer.frame_picture import picture_bytes, plan
 from services.domain.viewer.indexed_pictures import (
     GROUND_INDEX,
     LIGHTS,
     UNSEEN_INDEX,
     lit,
     of_class,
-    palette_bytes,
     png_of,
     recoloured,
     rgb_on_paper,
     with_words,
 )
-from stone.labels.class_colours import CLASS_RGB, PALETTES, PAPER, UNSEEN, ColourName
+from stone.labels.class_colours import CLASS_RGB, INK, PALETTES, PAPER, UNSEEN, ColourName
+from stone.labels.grid import GRID_SHAPE
+from stone_files.npz import npz_bytes
 from testing.colour_vision import least_of_pairs
 
 RNG = np.random.default_rng(3)
@@ -102,6 +105,76 @@ def test_words_are_laid_over_the_picture_and_read_on_light_and_dark() -> None:
     assert [int(alpha) for alpha in colours[1:, 3]] == [136, 255]
 
 
-def test_palettes_are_whole_and_differ() -> None:
-    assert len({palette_bytes(name) for name in PALETTES}) == len(PALETTES)
-    assert {len(palette_bytes(name)) for name in PALETTES} == {768}
+def test_every_column_shows_its_highest_label_and_forward_is_up() -> None:
+    rng = np.random.default_rng(0)
+    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    semantics[40:90, 60:140] = (rng.integers(1, 4, (50, 80, 32)) * (rng.random((50, 80, 32)) < 0.05)).astype(np.uint8)
+    mask = np.zeros(GRID_SHAPE, np.uint8)
+    mask[:128, :, 3] = 1
+    shown = plan(semantics, mask)
+    hues = np.array([CLASS_RGB[kind] for kind in (1, 2, 3)], float)
+    for i, j in [*rng.integers(0, 256, (300, 2)).tolist(), *rng.integers((40, 60), (90, 140), (300, 2)).tolist()]:
+        kinds = [int(kind) for kind in semantics[i, j] if kind]
+        colour = shown[255 - i, 255 - j]
+        if not kinds:
+            assert tuple(colour) == (PAPER if mask[i, j].any() else UNSEEN)
+        else:  # the class's colour in more or less light
+            lights = np.minimum(np.outer(1 + 0.045 * np.arange(-4, 5), hues[kinds[-1] - 1]), 255)
+            assert np.abs(lights - colour).max(axis=1).min() <= 0.5
+
+
+def test_relief_that_rises_is_lit_otherwise_than_relief_that_falls() -> None:
+    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    for i in range(100, 110):
+        semantics[i, :, i - 95] = 2
+        semantics[i + 20, :, 20 - (i - 95)] = 2
+    shown = plan(semantics)
+    assert shown[255 - 104, 100, 0] != shown[255 - 124, 100, 0]
+
+
+def test_the_picture_has_two_pixels_a_voxel_and_the_robot_in_the_middle() -> None:
+    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    semantics[200, 30, 5] = 3  # 14.4 m ahead, 19.5 m to the right
+    png = Image.open(io.BytesIO(picture_bytes(semantics, np.ones(GRID_SHAPE, np.uint8))))
+    pixels = np.asarray(png.convert("RGBA"))
+    assert pixels.shape == (512, 512, 4)
+    assert tuple(pixels[256, 256]) == (*INK, 255)
+    assert {tuple(pixel) for pixel in pixels[110:112, 450:452].reshape(-1, 4).tolist()} == {(*CLASS_RGB[3], 255)}
+    assert pixels[108, 450, 3] == 0  # free, and seen: the page shows through
+
+
+def grids(seed: int = 0) -> dict[str, NDArray[np.uint8]]:
+    rng = np.random.default_rng(seed)
+    return {
+        key: (rng.integers(0, 4, GRID_SHAPE) * (rng.random(GRID_SHAPE) < 0.02)).astype(np.uint8)
+        for key in ("semantics", "mask_lidar", "mask_camera")
+    }
+
+
+def test_the_grids_are_those_that_numpy_reads() -> None:
+    payload = npz_bytes(grids())
+    with np.load(io.BytesIO(payload)) as archive:
+        for key, found in zip(
+            ("mask_lidar", "semantics"), read_grids(payload, ("mask_lidar", "semantics")), strict=True
+        ):
+            np.testing.assert_array_equal(found, archive[key])
+
+
+def test_a_stored_member_is_read_as_well() -> None:
+    file, made = io.BytesIO(), grids(1)
+    np.savez(file, semantics=made["semantics"])
+    (found,) = read_grids(file.getvalue(), ("semantics",))
+    np.testing.assert_array_equal(found, made["semantics"])
+
+
+def test_what_is_damaged_or_of_another_form_is_named() -> None:
+    payload = npz_bytes(grids())
+    flipped = bytearray(payload)
+    flipped[60:90] = bytes(30)
+    small = npz_bytes({"semantics": np.zeros((2, 2, 2), np.uint8)})
+    wide = npz_bytes({"semantics": np.zeros(GRID_SHAPE, np.int16)})
+    for content, reason in ((bytes(flipped), "semantics"), (small, "uint8"), (wide, "int16"), (b"no zip", "zip")):
+        with pytest.raises(GridUnreadableError, match=reason):
+            read_grids(content, ("semantics",))
+    with pytest.raises(GridUnreadableError, match="absent"):
+        read_grids(payload, ("absent",))
