@@ -20,7 +20,7 @@ from services.runtime.orm import Blob, Job, JobLine, Score, ScorePart, ScoringEn
 from services.runtime.platform import Platform
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds import made
-from testing.worlds.benchmark_world import Grid, World, benchmark_world
+from testing.worlds.benchmark_world import Grid, World, benchmark_world, labels_npz
 from testing.worlds.submission_files import write_submission
 
 
@@ -45,6 +45,16 @@ def zipped(world: World, frames: Mapping[str, Grid]) -> bytes:
     path = Path(world.platform.settings.root) / f"{new_id()}.zip"
     write_submission(path, frames.items())
     return path.read_bytes()
+
+
+def truth_folder(world: World, part: str, folder: Path) -> Path:
+    """The labels of a part as files, as `stone score` takes them."""
+    for sequence, grids in world.grids[part].items():
+        for token, grid in grids.items():
+            path = folder / "gts" / sequence / token / "labels.npz"
+            path.parent.mkdir(parents=True)
+            path.write_bytes(labels_npz(grid))
+    return folder
 
 
 def send(world: World, content: bytes, part: str = "val", **said: Any) -> str:

@@ -177,11 +177,7 @@ def test_torchvisions_weights_are_taken(name: str, tmp_path: Path) -> None:
     model = Model()
     load_backbone(model, written(tmp_path / name, of_torchvision()))
     state = model.cameras["backbone"].state_dict()
-    assert {
-        "conv1.weight",
-        "layer1.0.conv2.weight",
-        "layer4.0.downsample.1.running_var",
-    } <= of_torchvision().keys()
+    assert {"conv1.weight", "layer1.0.conv2.weight", "layer4.0.downsample.1.running_var"} <= of_torchvision().keys()
     for key, value in of_torchvision().items():
         assert key.startswith("fc.") or torch.equal(state[key], value)
 

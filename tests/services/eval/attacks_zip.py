@@ -190,10 +190,7 @@ HEADERS: Mapping[str, Case] = {
         "unexpected_file",
         raw(*PAIR, Entry(b"pipe", b"", central={"made_by": 0x314, "attributes": 0o010644 << 16})),
     ),
-    "a link of macOS": (
-        "symlink",
-        lying(made_by=0x1314, attributes=0o120777 << 16),
-    ),
+    "a link of macOS": ("symlink", lying(made_by=0x1314, attributes=0o120777 << 16)),
 }
 STOWAWAYS: Mapping[str, Case] = {
     "a picture before it": ("unsupported_zip", raw(*PAIR, prefix=PNG)),

@@ -178,20 +178,6 @@ def truth_in(world: World, token: str) -> TruthPlanes:
     return read_truth(next(world.folder.glob(f"gts/*/{token}/labels.npz")), "all")
 
 
-def test_parts_join_to_the_whole(world: World, tmp_path: Path) -> None:
-    write_submission(tmp_path / "sub.zip", world.predictions.items())
-    tokens = tuple(world.predictions)
-    with open_submission(tmp_path / "sub.zip", tokens) as submission:
-        whole = count_range(submission, tokens, lambda token: truth_in(world, token))
-        parts = [
-            count_range(submission, part, lambda t: truth_in(world, t), threads=1) for part in (tokens[:1], tokens[1:])
-        ]
-    for name in ("confusions", "bev"):
-        np.testing.assert_array_equal(np.concatenate([getattr(part, name) for part in parts]), getattr(whole, name))
-    assert whole.confusions.any(axis=(1, 2, 3)).all()
-    assert whole.problems == ()
-
-
 def test_every_problem_of_a_range_is_found_and_its_frames_count_nothing(world: World, tmp_path: Path) -> None:
     tokens = tuple(world.predictions)
     spoiled = [np.where(world.predictions[token] == 3, 200, world.predictions[token]) for token in tokens[:2]]
@@ -215,13 +201,6 @@ def test_a_broken_ground_truth_is_no_problem_of_the_submission(world: World, tmp
     tokens = tuple(world.predictions)
     with open_submission(tmp_path / "sub.zip", tokens) as submission, pytest.raises(GroundTruthError):
         count_range(submission, tokens, broken)
-
-
-def test_a_range_of_no_frames_is_empty(world: World, tmp_path: Path) -> None:
-    write_submission(tmp_path / "sub.zip", world.predictions.items())
-    with open_submission(tmp_path / "sub.zip", tuple(world.predictions)) as submission:
-        counted = count_range(submission, (), lambda token: truth_in(world, token))
-    assert (counted.confusions.shape, counted.bev.shape, counted.problems) == ((0, 3, 4, 4), (0, 3, 3), ())
 
 
 TOKENS = tuple(secrets.token_hex(16) for _ in range(40))

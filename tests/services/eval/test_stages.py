@@ -19,7 +19,7 @@ from services.runtime.uploads.files import remove_file, upload_file
 from services.runtime.uploads.store_backend import StoreUploadBackend
 from stone.scoring.metric import RATIOS
 from testing.servers.fixtures import opened
-from testing.worlds.benchmark_world import World, benchmark_world, labels_npz, run_eval
+from testing.worlds.benchmark_world import World, benchmark_world, run_eval
 from testing.worlds.sending import (
     counts_of,
     guess,
@@ -31,6 +31,7 @@ from testing.worlds.sending import (
     scores_of,
     send,
     taken,
+    truth_folder,
     zipped,
 )
 from tests.plain_confusion import confusion_matrix
@@ -41,23 +42,13 @@ def world(standing: World) -> World:
     return standing
 
 
-def truth_folder(world: World, folder: Path) -> Path:
-    """The labels of val as a folder."""
-    for sequence, grids in world.grids["val"].items():
-        for token, grid in grids.items():
-            path = folder / "gts" / sequence / token / "labels.npz"
-            path.parent.mkdir(parents=True)
-            path.write_bytes(labels_npz(grid))
-    return folder
-
-
 def test_a_submission_is_scored_as_the_command_scores_it(world: World, tmp_path: Path) -> None:
     frames = guess(world)
     submission_id = send(world, zipped(world, frames))
     run_eval(world.platform)
     (row,) = scores_of(world.platform, submission_id)
     (tmp_path / "guess.zip").write_bytes(zipped(world, frames))
-    told = score(tmp_path / "guess.zip", truth_folder(world, tmp_path)).as_record()
+    told = score(tmp_path / "guess.zip", truth_folder(world, "val", tmp_path)).as_record()
     assert row.signature == told["signature"]
     assert row.record["cells"] == told["cells"]
     assert {name: getattr(row, name) for name in RATIOS} == told["total"]

@@ -22,16 +22,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.factory import open_store
 from testing.process_states import children_of, is_running
 from testing.worlds.benchmark_world import World, benchmark_world, run_eval
-from testing.worlds.sending import (
-    guess,
-    jobs_of,
-    parts_left,
-    row_of,
-    scores_of,
-    send,
-    taken,
-    zipped,
-)
+from testing.worlds.sending import guess, jobs_of, parts_left, row_of, scores_of, send, taken, zipped
 
 pytestmark = pytest.mark.whole
 

@@ -2,7 +2,6 @@
 
 import os
 from collections.abc import Mapping
-from dataclasses import dataclass
 from typing import Any
 
 import numpy as np
@@ -24,17 +23,9 @@ from services.runtime.orm import Blob, GroundTruthRow, Job, Score, ScoringEntry,
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from testing.worlds.benchmark_world import Grid, World, run_eval
-from testing.worlds.sending import (
-    guess,
-    jobs_of,
-    pair_of,
-    parts_left,
-    row_of,
-    scores_of,
-    send,
-    taken,
-    zipped,
-)
+from testing.worlds.made import row_of as job_row
+from testing.worlds.runs import Said
+from testing.worlds.sending import guess, jobs_of, pair_of, parts_left, row_of, scores_of, send, taken, zipped
 
 
 @pytest.fixture(scope="module")
@@ -161,35 +152,6 @@ def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, m
     assert (parts_left(world.platform), taken(world.platform, submission_id)) == (0, 0)
 
 
-@dataclass(frozen=True)
-class Quiet:
-    """An attempt that says nothing."""
-
-    claim: Claim
-
-    @property
-    def job_id(self) -> str:
-        return self.claim.job_id
-
-    @property
-    def root_id(self) -> str:
-        return self.claim.root_id
-
-    @property
-    def sequence_id(self) -> str | None:
-        return None
-
-    @property
-    def arguments(self) -> dict[str, object]:
-        return self.claim.arguments
-
-    def progress(self, stage: str, done: int, total: int) -> None:
-        """Nobody listens."""
-
-    def log(self, event: str, level: str = "info", **facts: object) -> None:
-        """Nobody reads."""
-
-
 def told(platform: Platform) -> tuple[int, int, int]:
     """How many scores, entries of the ledger and parts there are."""
     with platform.database.reading() as session:
@@ -231,7 +193,7 @@ def test_an_attempt_that_was_given_up_writes_nothing_when_it_ends_after_all(
     late: list[tuple[Claim, Outcome]] = []
     stages = handlers(world.platform)
     while (first := fallen_silent(world.platform)) is not None:
-        late.append((first, stages[first.kind](Quiet(first))))
+        late.append((first, stages[first.kind](Said(job_row(world.platform, first.job_id)))))
         assert run_next(world.platform, "eval", stages)
     before = told(world.platform)
     with world.platform.database.transaction() as session:

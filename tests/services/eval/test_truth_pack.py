@@ -75,16 +75,6 @@ def test_threads_read_at_once_what_one_reads(pack: TruthPack) -> None:
             np.testing.assert_array_equal(planes.planes, alone[index])
 
 
-def test_progress_tells_every_frame(world: World, tmp_path: Path) -> None:
-    told: list[tuple[str, int, int]] = []
-    truth = find_ground_truth(world.folder)
-    paths = truth.paths()
-    write_truth_pack(
-        tmp_path / "p", truth.manifest, lambda t: read_truth(paths[t], "all"), progress=lambda *step: told.append(step)
-    )
-    assert told == [("truth", 3, 3)]
-
-
 def test_a_pack_that_cannot_be_made_leaves_nothing(world: World, tmp_path: Path) -> None:
     def broken(token: str) -> TruthPlanes:
         raise GroundTruthError(tmp_path / token, "lost")

@@ -10,14 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_files.npz import npz_bytes
-from stone_submissions.errors import (
-    BadShapeError,
-    NotZipError,
-    SubmissionError,
-    TooLargeError,
-    TruncatedError,
-    shape_hint,
-)
+from stone_submissions.errors import BadShapeError, NotZipError, SubmissionError, TooLargeError, TruncatedError
 from stone_submissions.npz_frame import PLAIN_NAMES, prediction_grid
 from stone_submissions.plain_npz import plain_member
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
@@ -103,11 +96,6 @@ def test_the_hint_for_a_shape_makes_it_the_right_one(shape: tuple[int, ...], ste
         assert step in hint
         assert eval(step, {"grid": np.zeros(shape, np.uint8)}).shape == (256, 256, 32)
     assert "ascontiguousarray" not in hint
-
-
-def test_only_another_order_is_mended_by_a_copy_and_other_shapes_are_told_the_axes() -> None:
-    assert "numpy.ascontiguousarray(grid)" in shape_hint("Fortran order")
-    assert "axes are x, y, z" in shape_hint("(200, 200, 16)")
 
 
 def test_zip64_end_records_are_understood(monkeypatch: pytest.MonkeyPatch) -> None:

@@ -14,11 +14,7 @@ from services.domain.benchmarks.boards.board import LeaderboardRow, board
 from services.domain.benchmarks.boards.comparison import compare
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.submissions.predicted_frames import downloadable_zip, pictured_zip
-from services.domain.benchmarks.submissions.result_errors import (
-    FramesHiddenError,
-    PredictionsGoneError,
-    WithheldError,
-)
+from services.domain.benchmarks.submissions.result_errors import FramesHiddenError, PredictionsGoneError, WithheldError
 from services.domain.benchmarks.submissions.results import (
     BY,
     ScoreView,

@@ -15,16 +15,7 @@ from services.domain.benchmarks.rescores.errors import AlarmDismissedError, Alar
 from services.runtime.orm import Alarm, Phase
 from services.runtime.platform import Platform
 from stone.scoring.metric import OCCUPIED_VERSION
-from tests.services.domain.benchmarks.scored import (
-    CELLS,
-    Laid,
-    Place,
-    another_truth,
-    entry,
-    phase_of_rows,
-    score,
-    team,
-)
+from tests.services.domain.benchmarks.scored import CELLS, Laid, Place, another_truth, entry, phase_of_rows, score, team
 
 NOON_NS = 20_000 * DAY_NS + DAY_NS // 2
 

@@ -16,12 +16,7 @@ from services.domain.benchmarks.submissions.errors import (
     ValidationsExhaustedError,
 )
 from services.domain.benchmarks.submissions.scoring_jobs import OPEN
-from services.domain.benchmarks.submissions.submissions import (
-    MOST_OPEN,
-    cancel,
-    largest_bytes,
-    validations_left,
-)
+from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel, largest_bytes, validations_left
 from services.domain.benchmarks.teams.errors import AlreadyInTeamError
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.errors import QueueDrainingError

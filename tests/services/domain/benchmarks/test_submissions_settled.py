@@ -224,10 +224,7 @@ def test_cancelling_gives_the_scoring_back_and_stops_the_run(platform: Platform)
     assert row.settled_ns is not None
     with platform.database.reading() as session:
         assert {job.state for job in session.query(Job).filter_by(root_id=row.job_id)} == {"cancelled"}
-    with (
-        pytest.raises(SubmissionStateError),
-        platform.database.transaction() as session,
-    ):
+    with pytest.raises(SubmissionStateError), platform.database.transaction() as session:
         cancel(session, session.get_one(SubmissionRow, submission_id))
     with platform.database.reading() as session:
         assert [entry.amount for entry in session.query(ScoringEntry).order_by(ScoringEntry.id)] == [1, -1]

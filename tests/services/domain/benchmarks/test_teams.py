@@ -229,8 +229,5 @@ def test_names_that_look_alike_are_one_and_others_are_kept_composed(platform: Pl
 
 def test_a_name_of_nothing_that_is_seen_or_too_long_when_composed_is_refused(platform: Platform, ada: User) -> None:
     for name, counted in (("\u3164\ufe0f", "2 .* 0 "), ("\u0958" * 33, "66 .* 66 ")):
-        with (
-            pytest.raises(team_names.BadTeamNameError, match=counted),
-            platform.database.transaction() as session,
-        ):
+        with pytest.raises(team_names.BadTeamNameError, match=counted), platform.database.transaction() as session:
             teams.found(session, name, ada.id)

@@ -7,13 +7,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.submissions.result_errors import NotScoredError, ScoreMissingError
 from services.domain.benchmarks.submissions.results import readable_scores, seen_score, submission_seen
-from services.domain.benchmarks.visibility import (
-    ANYBODY,
-    Viewer,
-    secrecy_of,
-    submissions_seen,
-    viewer_of,
-)
+from services.domain.benchmarks.visibility import ANYBODY, Viewer, secrecy_of, submissions_seen, viewer_of
 from services.runtime.orm import Phase, SubmissionRow, TeamMember
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform

@@ -27,12 +27,7 @@ from services.runtime.backup.references import backup_references
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
-from services.runtime.orm import (
-    DatasetImport,
-    Job,
-    Upload,
-    User,
-)
+from services.runtime.orm import DatasetImport, Job, Upload, User
 from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file

@@ -13,11 +13,7 @@ from services.domain.imports.publication import PublishedScene, end_import, foll
 from services.domain.imports.requests import ImportedFacts
 from services.domain.sequences.processing import delete_sequence
 from services.runtime.access.storage_quota import QuotaExceededError, balance
-from services.runtime.orm import (
-    DatasetImport,
-    LabelSet,
-    SequenceRow,
-)
+from services.runtime.orm import DatasetImport, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 
