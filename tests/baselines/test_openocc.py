@@ -146,7 +146,7 @@ SMALL_CAMERAS = OpenOccConfig(
     fine_channels=16,
     refined_cells=100,
 )
-CAMERA_ROWS: tuple[tuple[Modality, bool], ...] = (("C", False), ("C", True), ("C+L", False), ("C+L", True))
+CAMERA_ROWS: tuple[tuple[Modality, bool], ...] = (("C", True), ("C+L", True))
 
 
 @cache

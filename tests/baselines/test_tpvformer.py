@@ -415,7 +415,7 @@ def slow_attention(maps: list[torch.Tensor], places: torch.Tensor, weights: torc
     return answer.flatten(2)
 
 
-@pytest.mark.parametrize("seed", range(5))
+@pytest.mark.parametrize("seed", range(2))
 def test_it_is_the_sum_over_levels_and_points_of_what_bilinear_sampling_finds(seed: int) -> None:
     maps, places, weights = inputs_of(seed)
     torch.testing.assert_close(deformable_attention(maps, places, weights), slow_attention(maps, places, weights))

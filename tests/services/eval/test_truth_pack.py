@@ -7,7 +7,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from hypothesis import given
+from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth
@@ -117,9 +117,10 @@ def test_what_is_no_pack_is_refused(world: World, tmp_path: Path) -> None:
 TOKEN = "0123456789abcdef" * 2
 
 
+@settings(max_examples=30, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(st.dictionaries(st.from_regex(NAME, fullmatch=True), st.integers(1, 3), min_size=1, max_size=4))
-def test_a_manifest_survives_the_disk(tmp_path_factory: pytest.TempPathFactory, sizes: dict[str, int]) -> None:
-    path = tmp_path_factory.mktemp("m") / "manifest.json"
+def test_a_manifest_survives_the_disk(tmp_path: Path, sizes: dict[str, int]) -> None:
+    path = tmp_path / "manifest.json"
     tokens = iter(f"{index:032x}" for index in range(100))
     manifest = Manifest({name: tuple(next(tokens) for _ in range(size)) for name, size in sizes.items()})
     write_manifest(path, manifest)

@@ -110,7 +110,7 @@ def test_zip64_end_records_are_understood(monkeypatch: pytest.MonkeyPatch) -> No
         read_directory(reader(raw), len(raw), 3)
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.integers(0, len(NPZ) * 8 - 1))
 def test_no_flipped_bit_changes_a_grid_unseen(bit: int) -> None:
     damaged = bytearray(NPZ)
@@ -122,14 +122,14 @@ def test_no_flipped_bit_changes_a_grid_unseen(bit: int) -> None:
     np.testing.assert_array_equal(found, PREDICTION)
 
 
-@settings(max_examples=200, deadline=None)
+@settings(max_examples=100, deadline=None)
 @given(st.integers(0, len(NPZ) - 1))
 def test_every_cut_is_refused(length: int) -> None:
     with pytest.raises(SubmissionError):
         prediction_grid(NPZ[:length])
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.data())
 def test_no_damage_to_the_frame_of_an_archive_escapes_as_another_error(data: st.DataObject) -> None:
     """Headers, directory and end record: where the structure is."""
@@ -225,7 +225,7 @@ def test_whatever_is_unusual_is_left_to_the_full_reader(npz: bytes) -> None:
     assert plain_member(npz, PLAIN_NAMES) is None
 
 
-@settings(max_examples=300, deadline=None)
+@settings(max_examples=150, deadline=None)
 @given(st.sampled_from(USUAL), st.lists(st.tuples(st.integers(0, 170), st.integers(0, 255)), min_size=1, max_size=3))
 def test_nothing_is_recognised_that_the_full_reader_would_refuse_or_read_otherwise(
     npz: bytes, changes: list[tuple[int, int]]

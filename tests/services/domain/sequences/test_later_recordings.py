@@ -16,11 +16,11 @@ from services.domain.sequences.later_recordings import (
 )
 from services.domain.sequences.processing import PROCESS, register
 from services.domain.sequences.recordings import remove_recording
-from services.runtime.jobs.control import cancel, set_mode
+from services.runtime.jobs.control import set_mode
 from services.runtime.orm import Job, LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
 from testing.worlds.runs import Brought, bring
-from tests.services.domain.sequences.test_processing import ready_on, with_recording
+from tests.services.domain.sequences.test_processing import ended, ready_on, with_recording
 
 CAMERAS, RADAR = ("cameras.mcap", "cd" * 32), ("radar.bag", "ef" * 32)
 
@@ -35,18 +35,6 @@ def labelled_on(platform: Platform, tmp_path: Path) -> Brought:
     brought = ready_on(platform, tmp_path)
     ended(brought, brought.process(profile="local", parameters={"reference.alpha": 0.1}))
     return brought
-
-
-def ended(brought: Brought, root_id: str, state: str = "succeeded") -> None:
-    """The run ends so; with labels where it succeeds."""
-    with brought.platform.database.transaction() as session:
-        run = cancel(session, root_id, "")
-        run.state = state
-        if state == "succeeded":
-            recipe = run.arguments["recipe"]
-            row = LabelSet(sequence_id=brought.sequence_id, job_id=root_id, recipe=recipe, parameters={})
-            row.code_version, row.frames = "0", 1
-            session.add(row)
 
 
 def runs(brought: Brought) -> list[Job]:

@@ -96,6 +96,17 @@ def test_what_is_missing_is_said_in_the_order_in_which_it_is_given(platform: Pla
         brought.process()
 
 
+def ended(brought: Brought, root_id: str, state: str = "succeeded", **columns: Any) -> None:
+    """The run ends so; with labels where it succeeds."""
+    with brought.platform.database.transaction() as session:
+        run = cancel(session, root_id, "")
+        run.state = state
+        if state == "succeeded":
+            facts = {"parameters": {}, "code_version": "0", "frames": 1, **columns}
+            recipe = run.arguments["recipe"]
+            session.add(LabelSet(sequence_id=brought.sequence_id, job_id=root_id, recipe=recipe, **facts))
+
+
 def recipe_of_run(brought: Brought, **request: Any) -> str:
     """The recipe of a run that is cancelled at once."""
     root_id = brought.process(**request)
@@ -200,6 +211,7 @@ def test_a_run_that_an_earlier_version_began_names_its_one_recording(ready: Brou
 
 
 def test_choices_out_of_bounds_and_stages_that_do_not_begin_at_the_first_are_refused(platform: Platform) -> None:
+    brought = bring(platform)
     for parameters in (
         {"surface.width_m": 0.001},
         {"reference.alpha": 0.9},
@@ -209,12 +221,12 @@ def test_choices_out_of_bounds_and_stages_that_do_not_begin_at_the_first_are_ref
         {"terrain.neighbours": 20.5},
     ):
         with pytest.raises(ChoiceError):
-            bring(platform).process(parameters=parameters)
+            brought.process(parameters=parameters)
     with pytest.raises(ChoiceError):
-        bring(platform).process(profile="mine")
+        brought.process(profile="mine")
     for stages in ((), ("label",), ("synchronise", "labels"), ("label", "synchronise")):
         with pytest.raises(UnknownStagesError):
-            bring(platform).process(stages=stages)
+            brought.process(stages=stages)
 
 
 def test_equal_requests_are_one_run_and_another_is_told_its_id(ready: Brought) -> None:
@@ -248,25 +260,14 @@ def test_a_run_that_was_cancelled_but_still_stops_is_not_joined(ready: Brought) 
 
 def test_what_was_made_is_answered_with_the_run_that_made_it(ready: Brought) -> None:
     root_id = ready.process()
-    recipe = ready.job(root_id).arguments["recipe"]
-    with ready.platform.database.transaction() as session:
-        cancel(session, root_id, "")
-        row = LabelSet(sequence_id=ready.sequence_id, job_id=root_id, recipe=recipe, parameters={})
-        row.code_version, row.frames = "0", 1
-        session.add(row)
+    ended(ready, root_id)
     assert ready.process() == root_id
     assert ready.process(profile="local") != root_id
 
 
 def test_of_several_label_sets_the_one_asked_for_last_counts(ready: Brought) -> None:
     for alpha in (0.1, 0.2):
-        root_id = ready.process(parameters={"reference.alpha": alpha})
-        with ready.platform.database.transaction() as session:
-            cancel(session, root_id, "")
-            recipe = session.get_one(Job, root_id).arguments["recipe"]
-            row = LabelSet(sequence_id=ready.sequence_id, job_id=root_id, recipe=recipe, parameters={"alpha": alpha})
-            row.code_version, row.frames = "0", 1
-            session.add(row)
+        ended(ready, ready.process(parameters={"reference.alpha": alpha}), parameters={"alpha": alpha})
     ready.process(parameters={"reference.alpha": 0.1})
     with ready.platform.database.reading() as session:
         counts = newest_label_set(session, ready.sequence_id)

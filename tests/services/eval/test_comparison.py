@@ -1,10 +1,12 @@
 """Two folders of labels: what is counted, by an oracle; what is drawn; what is refused."""
 
 import io
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
 from PIL import Image
 
 from services.domain.viewer.difference_picture import difference_picture
@@ -12,9 +14,30 @@ from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB, GREY, SAME_A
 from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
+from stone_files.npz import npz_bytes
 from stone_submissions.errors import GroundTruthError, UnreadableInputError
 from tests.plain_confusion import confusion_matrix
-from tests.services.eval.comparison.label_folders import SHAPE, TOKENS, random_grid, write_labels
+
+SHAPE = (256, 256, 32)
+TOKENS = tuple(f"{number:032x}" for number in range(1, 4))
+Grid = NDArray[np.uint8]
+
+
+def random_grid(seed: int, occupied_ratio: float = 0.05) -> Grid:
+    """Classes 1 to 3 in so many of the voxels, free elsewhere."""
+    rng = np.random.default_rng(seed)
+    grid = rng.integers(1, 4, SHAPE, dtype=np.uint8)
+    grid[rng.random(SHAPE, dtype=np.float32) >= occupied_ratio] = 0
+    return grid
+
+
+def write_labels(folder: Path, frames: Mapping[str, Mapping[str, Grid]], sequence: str = "forest") -> Path:
+    """`gts/<sequence>/<token>/labels.npz` of these arrays."""
+    for token, arrays in frames.items():
+        path = folder / "gts" / sequence / token / "labels.npz"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(npz_bytes(arrays))
+    return folder
 
 
 def distance_m() -> np.ndarray:
