@@ -1,5 +1,7 @@
 """A frame whose truth is known: ground with a track and boxes, pictures and a sweep made by marching along rays."""
 
+from dataclasses import replace
+
 import torch
 from torch import Tensor
 
@@ -82,3 +84,20 @@ def scene_batch(lattice: VoxelLattice, image_shape: tuple[int, int] = (64, 96), 
         scene_sweep(labels, lattice),
         labels=labels[None],
     )
+
+
+def frames(images: torch.Tensor, labels: torch.Tensor | None = None) -> Batch:
+    """Frames of pictures (B, N, 3, H, W): the first camera looks along x, the others each further to the left."""
+    batch, count, _, height, width = images.shape
+    empty = VoxelLattice((-1.0, -1.0, -1.0), (2.0, 2.0, 2.0), (1, 1, 1))
+    one = scene_cameras(torch.zeros(empty.shape, dtype=torch.uint8), empty, (height, width), count)
+    cameras = replace(
+        one,
+        images=images,
+        intrinsics=one.intrinsics.expand(batch, count, 3, 3),
+        augmented_from_image=one.augmented_from_image.expand(batch, count, 3, 3),
+        ego_from_camera=one.ego_from_camera.expand(batch, count, 4, 4),
+        depth_m=None,
+    )
+    tokens = tuple(f"frame-{index}" for index in range(batch))
+    return Batch(tokens, torch.eye(4).expand(batch, 4, 4), cameras, labels=labels)

@@ -22,8 +22,7 @@ from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_si
 from baselines.layers.tpv.planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
 from baselines.models.tpvformer import TPVFormer
 from baselines.models.tpvformer_config import TPVFormerConfig
-from tests.baselines.camera_frames import frames
-from tests.baselines.camera_scene import CAMERA_M
+from tests.baselines.camera_scene import CAMERA_M, frames
 
 torch.set_num_threads(1)
 LATTICE = VoxelLattice((-3.2, -2.4, -1.0), (0.8, 0.8, 0.5), (8, 6, 4))

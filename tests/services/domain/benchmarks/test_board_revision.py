@@ -219,18 +219,6 @@ def test_each_change_tells_the_best_of_the_board_as_it_stood_then(at: Scene) -> 
     assert found[-1].best is None
 
 
-def test_between_two_changes_the_board_is_the_same(at: Scene) -> None:
-    for hours, errors in ((50, 0.5), (40, 0.4), (30, 0.3)):
-        enter(at, hours, errors)
-    moments = [one.at_ns for one in changes(at)]
-    for since, until in zip(moments, [*moments[1:], NOW_NS], strict=True):
-        told = [
-            board(at.platform, at.phase_id, BoardQuery("all", when), ADMINISTRATOR).rows
-            for when in (since, until - 1000)
-        ]
-        assert [row.submission_id for row in told[0]] == [row.submission_id for row in told[1]]
-
-
 def test_a_track_has_its_own_history(at: Scene) -> None:
     enter(at, 50, 0.5, modality="C")
     enter(at, 40, 0.2, modality="L")

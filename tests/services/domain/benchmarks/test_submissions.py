@@ -221,12 +221,6 @@ def test_only_the_announced_file_is_taken(
     assert (seen(entrant, submission_id).state, taken(entrant)) == ("draft", 0)
 
 
-def test_an_upload_that_nobody_has_made_is_missing(platform: Platform) -> None:
-    entrant = entrant_on(platform)
-    with pytest.raises(UploadMissingError):
-        finalised(entrant, drafted(entrant), NOBODY)
-
-
 def test_validations_are_counted_by_the_day(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     entrant = entrant_on(platform, validations_per_day=2)
     waiting = drafted(entrant, kind="validation")
