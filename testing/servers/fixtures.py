@@ -6,7 +6,8 @@ of its own, copied from one that was migrated once.
 """
 
 import shutil
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -118,6 +119,12 @@ def opened(settings: Settings, bells: Bells) -> Platform:
     """A platform that sends wake-ups into `bells`."""
     database = Database(settings, lambda queue, times: bells.append((queue, times)))
     return Platform(settings, database, open_store(settings))
+
+
+def having(platform: Platform, **groups: Mapping[str, Any]) -> Platform:
+    """The platform with other values of some settings, by their group."""
+    others = {group: replace(getattr(platform.settings, group), **values) for group, values in groups.items()}
+    return replace(platform, settings=platform.settings.model_copy(update=others))
 
 
 @pytest.fixture

@@ -13,7 +13,6 @@ from services.runtime.jobs.claims import claim
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.control import cancel, retry, terminate
 from services.runtime.jobs.errors import JobStateError
-from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import JobAttempt, JobLine, User
@@ -21,7 +20,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
 from services.runtime.store.keys import StoreAwayError
-from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job, run_all, states
+from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
 
 
 def attempts_of(platform: Platform, job_id: str) -> list[JobAttempt]:
@@ -35,13 +34,13 @@ def lines_of(platform: Platform, job_id: str) -> list[JobLine]:
         return list(session.scalars(ordered))
 
 
-def test_a_job_that_returns_has_succeeded_and_keeps_its_result(platform_on: Platform) -> None:
-    job_id = a_job(platform_on, an_owner(platform_on), say="hello")
-    assert run_all(platform_on) == 1
-    done = job(platform_on, job_id)
+def test_a_job_that_returns_has_succeeded_and_keeps_its_result(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform), say="hello")
+    assert run_all(platform) == 1
+    done = job(platform, job_id)
     assert (done.state, done.result, done.attempt) == ("succeeded", {"said": "hello"}, 1)
     assert done.finished_ns is not None
-    assert [attempt.outcome for attempt in attempts_of(platform_on, job_id)] == ["succeeded"]
+    assert [attempt.outcome for attempt in attempts_of(platform, job_id)] == ["succeeded"]
 
 
 def test_an_attempt_that_has_succeeded_is_not_taken_for_lost_by_its_own_heart(
@@ -61,22 +60,22 @@ def test_an_attempt_that_has_succeeded_is_not_taken_for_lost_by_its_own_heart(
     assert (states(platform, run_id), ended) == ({"succeeded": 2}, [])
 
 
-def test_a_refused_input_fails_at_once_with_its_code_and_sentence(platform_on: Platform) -> None:
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.refuse")
-    assert run_all(platform_on) == 1
-    failed = job(platform_on, job_id)
+def test_a_refused_input_fails_at_once_with_its_code_and_sentence(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform), "ingest.refuse")
+    assert run_all(platform) == 1
+    failed = job(platform, job_id)
     assert (failed.state, failed.failure_code) == ("failed", "unreadable")
     assert failed.failure == "the bag is cut at byte 7"
 
 
-def test_a_fault_of_the_machine_is_tried_again_until_the_attempts_are_used_up(platform_on: Platform) -> None:
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.stumble")
-    assert run_all(platform_on) == 3
-    failed = job(platform_on, job_id)
+def test_a_fault_of_the_machine_is_tried_again_until_the_attempts_are_used_up(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform), "ingest.stumble")
+    assert run_all(platform) == 3
+    failed = job(platform, job_id)
     assert (failed.state, failed.failure_code) == ("failed", "internal_error")
     assert "Input/output error" in failed.failure
-    assert [attempt.outcome for attempt in attempts_of(platform_on, job_id)] == ["lost", "lost", "failed"]
-    assert any("Traceback" in str(line.facts) for line in lines_of(platform_on, job_id))
+    assert [attempt.outcome for attempt in attempts_of(platform, job_id)] == ["lost", "lost", "failed"]
+    assert any("Traceback" in str(line.facts) for line in lines_of(platform, job_id))
 
 
 def test_a_kind_no_worker_knows_fails_and_names_what_is_known(platform: Platform) -> None:
@@ -86,13 +85,9 @@ def test_a_kind_no_worker_knows_fails_and_names_what_is_known(platform: Platform
     assert "ingest.ok" in job(platform, job_id).failure
 
 
-def test_an_empty_queue_is_no_work(platform: Platform) -> None:
-    assert not run_next(platform, "ingest", HANDLERS)
-
-
-def test_rows_and_success_are_one_transaction(platform_on: Platform) -> None:
+def test_rows_and_success_are_one_transaction(platform: Platform) -> None:
     """A commit that fails leaves neither the rows nor the success."""
-    owner = an_owner(platform_on)
+    owner = an_owner(platform)
 
     def half(_attempt: Attempt) -> Outcome:
         def commit(session: object) -> None:
@@ -102,29 +97,29 @@ def test_rows_and_success_are_one_transaction(platform_on: Platform) -> None:
 
         return Outcome(commit=commit)
 
-    job_id = a_job(platform_on, owner, "ingest.half")
-    run_all(platform_on, {"ingest.half": half})
-    with platform_on.database.reading() as session:
+    job_id = a_job(platform, owner, "ingest.half")
+    run_all(platform, {"ingest.half": half})
+    with platform.database.reading() as session:
         assert session.scalar(select(User.id).where(User.name == "half")) is None
-    assert job(platform_on, job_id).state == "failed"
+    assert job(platform, job_id).state == "failed"
 
 
-def test_log_lines_can_be_read_while_the_job_runs(platform_on: Platform) -> None:
+def test_log_lines_can_be_read_while_the_job_runs(platform: Platform) -> None:
     seen: list[str] = []
 
     def talk(attempt: Attempt) -> Outcome:
         attempt.log("opened the bag", topics=14)
         deadline = 200
         while not seen and deadline:
-            seen.extend(line.event for line in lines_of(platform_on, attempt.job_id))
+            seen.extend(line.event for line in lines_of(platform, attempt.job_id))
             wait(0.02)
             deadline -= 1
         return Outcome()
 
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.talk")
-    run_all(platform_on, {"ingest.talk": talk})
+    job_id = a_job(platform, an_owner(platform), "ingest.talk")
+    run_all(platform, {"ingest.talk": talk})
     assert seen == ["opened the bag"]
-    assert lines_of(platform_on, job_id)[0].facts == {"topics": 14}
+    assert lines_of(platform, job_id)[0].facts == {"topics": 14}
 
 
 def test_lines_beyond_the_limit_are_counted_out_by_the_last_one(platform: Platform) -> None:
@@ -157,71 +152,71 @@ def test_progress_is_written_a_few_times_however_often_it_is_said(platform: Plat
     assert told.revision < 20
 
 
-def test_the_last_word_of_a_quick_job_is_kept(platform_on: Platform) -> None:
+def test_the_last_word_of_a_quick_job_is_kept(platform: Platform) -> None:
     def count(attempt: Attempt) -> Outcome:
         attempt.progress("frames", 7, 8)
         return Outcome()
 
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.count")
-    run_all(platform_on, {"ingest.count": count})
-    told = job(platform_on, job_id)
+    job_id = a_job(platform, an_owner(platform), "ingest.count")
+    run_all(platform, {"ingest.count": count})
+    told = job(platform, job_id)
     assert (told.stage, told.done, told.total) == ("frames", 8, 8)
 
 
-def test_what_an_attempt_cost_is_kept_with_it(platform_on: Platform) -> None:
+def test_what_an_attempt_cost_is_kept_with_it(platform: Platform) -> None:
     def burn(_attempt: Attempt) -> Outcome:
         begin = process_time()
         while process_time() - begin < 0.2:
             pass
         return Outcome()
 
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.burn")
-    run_all(platform_on, {"ingest.burn": burn})
-    (attempt,) = attempts_of(platform_on, job_id)
+    job_id = a_job(platform, an_owner(platform), "ingest.burn")
+    run_all(platform, {"ingest.burn": burn})
+    (attempt,) = attempts_of(platform, job_id)
     assert attempt.cpu_s is not None
     assert attempt.cpu_s >= 0.2
     assert attempt.peak_bytes is not None
 
 
-def test_a_store_that_is_away_is_waited_for_and_then_named(platform_on: Platform) -> None:
+def test_a_store_that_is_away_is_waited_for_and_then_named(platform: Platform) -> None:
     tries: list[float] = []
 
     def copy(_attempt: Attempt) -> Outcome:
         tries.append(monotonic())
         raise StoreAwayError("s3", "connection refused")
 
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.copy")
-    run_all(platform_on, {"ingest.copy": copy})
-    failed = job(platform_on, job_id)
+    job_id = a_job(platform, an_owner(platform), "ingest.copy")
+    run_all(platform, {"ingest.copy": copy})
+    failed = job(platform, job_id)
     assert (failed.state, failed.failure_code) == ("failed", "store_away")
-    rest_s = platform_on.settings.jobs.rest_s
+    rest_s = platform.settings.jobs.rest_s
     assert [
         after - before >= rest_s * factor for before, after, factor in zip(tries, tries[1:], (1, 2), strict=False)
     ] == [True] * 2
 
 
-def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform_on: Platform) -> None:
+def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform: Platform) -> None:
     def work(attempt: Attempt) -> Outcome:
-        with platform_on.database.transaction() as session:
+        with platform.database.transaction() as session:
             cancel(session, attempt.root_id, "wrong bag")
         for step in range(500):
             attempt.progress("frames", step, 500)
             wait(0.02)
         return Outcome()
 
-    job_id = a_job(platform_on, an_owner(platform_on), "ingest.work")
-    run_all(platform_on, {"ingest.work": work})
-    stopped = job(platform_on, job_id)
+    job_id = a_job(platform, an_owner(platform), "ingest.work")
+    run_all(platform, {"ingest.work": work})
+    stopped = job(platform, job_id)
     assert (stopped.state, stopped.cancel_reason) == ("cancelled", "wrong bag")
-    assert [attempt.outcome for attempt in attempts_of(platform_on, job_id)] == ["cancelled"]
+    assert [attempt.outcome for attempt in attempts_of(platform, job_id)] == ["cancelled"]
 
 
-def test_a_queued_job_is_cancelled_at_once_and_never_runs(platform_on: Platform) -> None:
-    job_id = a_job(platform_on, an_owner(platform_on))
-    with platform_on.database.transaction() as session:
+def test_a_queued_job_is_cancelled_at_once_and_never_runs(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform))
+    with platform.database.transaction() as session:
         cancel(session, job_id, "changed my mind")
-    assert run_all(platform_on) == 0
-    assert job(platform_on, job_id).state == "cancelled"
+    assert run_all(platform) == 0
+    assert job(platform, job_id).state == "cancelled"
 
 
 def test_a_job_that_has_ended_cannot_be_cancelled_or_terminated(platform: Platform) -> None:
@@ -238,14 +233,14 @@ def test_only_what_failed_or_was_cancelled_is_retried(platform: Platform) -> Non
         retry(session, job_id, 3)
 
 
-def test_an_attempt_that_lost_its_job_changes_nothing(platform_on: Platform) -> None:
-    job_id = a_job(platform_on, an_owner(platform_on))
-    with platform_on.database.transaction() as session:
+def test_an_attempt_that_lost_its_job_changes_nothing(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform))
+    with platform.database.transaction() as session:
         zombie = claim(session, "ingest")
     assert zombie is not None
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         assert completion.lose(session, zombie, Failure("worker_lost", "silent"))
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         heir = claim(session, "ingest")
     assert heir is not None
     assert heir.attempt == zombie.attempt + 1
@@ -255,9 +250,9 @@ def test_an_attempt_that_lost_its_job_changes_nothing(platform_on: Platform) -> 
         lambda session: completion.cancelled(session, zombie),
         lambda session: completion.lose(session, zombie, Failure("late", "late")),
     ):
-        with platform_on.database.transaction() as session:
+        with platform.database.transaction() as session:
             assert not end(session)
-    assert job(platform_on, job_id).state == "running"
-    with platform_on.database.transaction() as session:
+    assert job(platform, job_id).state == "running"
+    with platform.database.transaction() as session:
         assert completion.succeed(session, heir, Outcome({"by": "heir"}), 3)
-    assert job(platform_on, job_id).result == {"by": "heir"}
+    assert job(platform, job_id).result == {"by": "heir"}

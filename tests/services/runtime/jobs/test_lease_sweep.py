@@ -1,8 +1,8 @@
-"""What died is taken up again, what lives is left alone, whatever the clocks say."""
+"""What died is taken up again, what lives is left alone, whatever the clocks say; also at the next start."""
 
 import pytest
 from redis import ConnectionError as RedisConnectionError
-from sqlalchemy import update
+from sqlalchemy import select, update
 from sqlalchemy.exc import OperationalError
 
 from services.runtime.database.transactions import Database
@@ -10,9 +10,10 @@ from services.runtime.jobs import claims
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.enqueue import enqueue
+from services.runtime.jobs.interruption import CRASHED, STOPPED, give_back_running
 from services.runtime.jobs.lease_sweep import Sweeper, lose_silent
 from services.runtime.jobs.specs import Context, JobSpec
-from services.runtime.orm import Job, base
+from services.runtime.orm import Job, JobAttempt, base
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.outages import GONE
 from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
@@ -71,41 +72,40 @@ def test_an_attempt_silent_for_a_lease_is_queued_again(platform_on: Platform) ->
     assert (job(platform_on, job_id).state, job(platform_on, job_id).attempt) == ("succeeded", 2)
 
 
-def test_an_attempt_that_beats_is_left_alone_however_long_it_takes(platform_on: Platform) -> None:
+def test_an_attempt_that_beats_is_left_alone_however_long_it_takes(platform: Platform) -> None:
     clock = Clock()
-    sweeper = a_sweeper(platform_on, clock)
-    a_job(platform_on, an_owner(platform_on))
-    job_id = start(platform_on)
+    sweeper = a_sweeper(platform, clock)
+    a_job(platform, an_owner(platform))
+    job_id = start(platform)
     for _ in range(10):
         sweeper.recover()
-        clock.now_s += platform_on.settings.jobs.lease_s * 0.9
-        with platform_on.database.transaction() as session:
+        clock.now_s += platform.settings.jobs.lease_s * 0.9
+        with platform.database.transaction() as session:
             session.execute(update(Job).where(Job.id == job_id).values(heartbeats=Job.heartbeats + 1))
-    assert job(platform_on, job_id).state == "running"
+    assert job(platform, job_id).state == "running"
 
 
-def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(platform_on: Platform) -> None:
+def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(platform: Platform) -> None:
     clock = Clock()
-    sweeper = a_sweeper(platform_on, clock)
-    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok", key="a"), JobSpec("ingest.ok", needs=("a",)))
+    sweeper = a_sweeper(platform, clock)
+    root = a_run(platform, an_owner(platform), JobSpec("ingest.ok", key="a"), JobSpec("ingest.ok", needs=("a",)))
     for _ in range(3):
-        start(platform_on)
-        silence(platform_on, sweeper, clock)
-    failed = job(platform_on, root)
+        start(platform)
+        silence(platform, sweeper, clock)
+    failed = job(platform, root)
     assert (failed.state, failed.failure_code) == ("failed", "worker_lost")
-    assert "no heartbeat" in failed.failure
-    assert states(platform_on, root) == {"failed": 1, "cancelled": 1}
+    assert states(platform, root) == {"failed": 1, "cancelled": 1}
 
 
-def test_a_cancelled_job_whose_worker_died_ends_cancelled_not_queued(platform_on: Platform) -> None:
+def test_a_cancelled_job_whose_worker_died_ends_cancelled_not_queued(platform: Platform) -> None:
     clock = Clock()
-    root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok"))
-    start(platform_on)
-    with platform_on.database.transaction() as session:
+    root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
+    start(platform)
+    with platform.database.transaction() as session:
         cancel(session, root, "stop")
-    silence(platform_on, a_sweeper(platform_on, clock), clock)
-    assert job(platform_on, root).state == "cancelled"
-    assert run_all(platform_on) == 0
+    silence(platform, a_sweeper(platform, clock), clock)
+    assert job(platform, root).state == "cancelled"
+    assert run_all(platform) == 0
 
 
 @pytest.mark.parametrize("jump_ns", [-(10**18), 10**18], ids=["back 30 years", "on 30 years"])
@@ -128,17 +128,6 @@ def test_a_clock_that_is_set_back_or_on_loses_and_doubles_nothing(
     assert sweeper.recover() == 1
     assert run_all(platform_on) == 1
     assert job(platform_on, first).state == "succeeded"
-
-
-def test_two_sweepers_give_an_attempt_back_once(platform_on: Platform) -> None:
-    clock = Clock()
-    one, other = a_sweeper(platform_on, clock), a_sweeper(platform_on, clock)
-    a_job(platform_on, an_owner(platform_on))
-    job_id = start(platform_on)
-    one.recover(), other.recover()
-    clock.now_s += platform_on.settings.jobs.lease_s
-    one.recover(), other.recover()
-    assert (job(platform_on, job_id).state, job(platform_on, job_id).attempts_left) == ("queued", 2)
 
 
 def test_an_attempt_that_was_lost_once_is_counted_once(platform_on: Platform) -> None:
@@ -165,32 +154,32 @@ def test_an_attempt_that_is_heard_while_it_is_being_lost_is_kept(platform_on: Pl
 
 
 def test_a_sweeper_that_could_not_look_takes_no_job_from_anybody_as_it_looks_again(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """In an outage longer than a lease nobody can be heard; who lives says so within a lease after it."""
     clock = Clock()
-    sweeper = a_sweeper(platform_on, clock)
-    a_job(platform_on, an_owner(platform_on))
-    job_id = start(platform_on)
+    sweeper = a_sweeper(platform, clock)
+    a_job(platform, an_owner(platform))
+    job_id = start(platform)
     sweeper.recover()
     with monkeypatch.context() as outage:
         outage.setattr(Database, "reading", lambda database: (_ for _ in ()).throw(GONE))
         clock.now_s += 1.0
         with pytest.raises(OperationalError):
             sweeper.recover()
-    clock.now_s += platform_on.settings.jobs.lease_s
+    clock.now_s += platform.settings.jobs.lease_s
     assert sweeper.recover() == 0
-    clock.now_s += platform_on.settings.jobs.lease_s * 0.9
-    assert (sweeper.recover(), job(platform_on, job_id).state) == (0, "running")
-    assert silence(platform_on, sweeper, clock) == 1
+    clock.now_s += platform.settings.jobs.lease_s * 0.9
+    assert (sweeper.recover(), job(platform, job_id).state) == (0, "running")
+    assert silence(platform, sweeper, clock) == 1
 
 
-def test_a_lost_wake_up_is_sent_again_and_none_is_doubled(platform_on: Platform) -> None:
+def test_a_lost_wake_up_is_sent_again_and_none_is_doubled(platform: Platform) -> None:
     bells, clock = WakeUps(), Clock()
-    sweeper = a_sweeper(platform_on, clock, bells)
-    owner = an_owner(platform_on)
+    sweeper = a_sweeper(platform, clock, bells)
+    owner = an_owner(platform)
     for _ in range(3):
-        a_job(platform_on, owner)
+        a_job(platform, owner)
     bells.ring("ingest", 1)
     for _ in range(5):
         sweeper.sweep()
@@ -224,10 +213,10 @@ def test_a_broker_that_is_away_stops_no_sweep(platform: Platform) -> None:
     assert job(platform, job_id).state == "queued"
 
 
-def test_bells_ring_after_the_commit_and_never_for_what_was_rolled_back(platform_on: Platform) -> None:
+def test_bells_ring_after_the_commit_and_never_for_what_was_rolled_back(platform: Platform) -> None:
     rung: list[tuple[str, int]] = []
-    database = Database(platform_on.settings, lambda queue, times: rung.append((queue, times)))
-    loud = Platform(platform_on.settings, database, platform_on.store)
+    database = Database(platform.settings, lambda queue, times: rung.append((queue, times)))
+    loud = Platform(platform.settings, database, platform.store)
     owner = an_owner(loud)
     a_job(loud, owner)
     assert rung == [("ingest", 1)]
@@ -242,3 +231,51 @@ def test_bells_ring_after_the_commit_and_never_for_what_was_rolled_back(platform
     assert rung == [("ingest", 1)]
     assert run_all(loud) == 1
     database.close()
+
+
+def begin(platform: Platform) -> None:
+    """Start an attempt that will say nothing more."""
+    with platform.database.transaction() as session:
+        assert claim(session, "ingest") is not None
+
+
+def test_an_orderly_stop_costs_no_attempt_however_often(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform))
+    for _ in range(5):
+        begin(platform)
+        assert give_back_running(platform, STOPPED, is_counted=False) == 1
+        assert (job(platform, job_id).state, job(platform, job_id).attempts_left) == ("queued", 3)
+    run_all(platform)
+    assert job(platform, job_id).state == "succeeded"
+
+
+def test_a_crash_counts_and_the_third_is_the_last(platform: Platform) -> None:
+    job_id = a_job(platform, an_owner(platform))
+    for left in (2, 1):
+        begin(platform)
+        give_back_running(platform, CRASHED, is_counted=True)
+        assert (job(platform, job_id).state, job(platform, job_id).attempts_left) == ("queued", left)
+    begin(platform)
+    give_back_running(platform, CRASHED, is_counted=True)
+    assert (job(platform, job_id).state, job(platform, job_id).failure_code) == ("failed", "worker_lost")
+
+
+@pytest.mark.parametrize("is_counted", [False, True])
+def test_a_job_that_was_asked_to_stop_is_cancelled_not_begun_again(platform: Platform, is_counted: bool) -> None:
+    run_id = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
+    begin(platform)
+    with platform.database.transaction() as session:
+        cancel(session, run_id, "enough")
+    give_back_running(platform, CRASHED if is_counted else STOPPED, is_counted=is_counted)
+    assert job(platform, run_id).state == "cancelled"
+
+
+def test_the_attempt_says_why_it_ended_and_a_wake_up_is_sent(platform: Platform, bells: list[tuple[str, int]]) -> None:
+    job_id = a_job(platform, an_owner(platform))
+    begin(platform)
+    bells.clear()
+    give_back_running(platform, STOPPED, is_counted=False)
+    assert bells == [("ingest", 1)]
+    with platform.database.reading() as session:
+        (attempt,) = session.scalars(select(JobAttempt).where(JobAttempt.job_id == job_id))
+    assert (attempt.outcome, attempt.failure_code) == ("lost", "platform_stopped")

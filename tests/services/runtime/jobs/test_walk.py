@@ -5,21 +5,14 @@ a control and a fault at most, and for time only as far as `walk` says.
 """
 
 from collections.abc import Callable
-from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import pytest
-from sqlalchemy import insert
-from sqlalchemy.orm import Session
 
-from services.runtime.jobs import completion
-from services.runtime.jobs.attempt_lines import _row
-from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
-from services.runtime.jobs.leases import _beat
 from services.runtime.jobs.reporter import Reporter
-from services.runtime.jobs.specs import TERMINAL, Context, JobSpec, Outcome
-from services.runtime.orm import Job, JobLine, User
+from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
+from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
@@ -133,36 +126,3 @@ def test_every_history_of_a_small_run_ends_and_loses_nothing(
     reached = prepared(kind).go(controls, faults)
     assert_ends(reached)
     assert (len(reached.origin), reached.steps) > (34_000, 140_000)
-
-
-def test_lines_that_are_inserted_again_are_found(
-    prepared: Callable[[str], Prepared], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As it was: after a commit whose answer was lost, every heartbeat of a live job failed by its own lines."""
-
-    def written_with_the_beat(reporter: Reporter) -> None:
-        words = reporter.last_words()
-        with suppress(Exception), reporter._platform.database.transaction() as session:
-            session.execute(insert(JobLine), [_row(words, line) for line in words.lines])
-            _beat(session, [words])
-            session.commit()
-            reporter._forget(words)
-
-    monkeypatch.setattr(Reporter, "_speak_once", written_with_the_beat)
-    with pytest.raises(AssertionError, match="a live attempt is not heard"):
-        prepared("a job of its own").go(0, 1)
-
-
-def test_what_follows_a_success_and_is_left_out_is_found(
-    prepared: Callable[[str], Prepared], monkeypatch: pytest.MonkeyPatch
-) -> None:
-    """As it was: cancelled in a stage's last moment, what follows was dropped, and a retry found nothing to do."""
-    usual = completion.succeed
-
-    def dropping(session: Session, held: Claim, outcome: Outcome, most: int) -> bool:
-        is_asked = bool(session.get_one(Job, held.root_id).cancel_reason)
-        return usual(session, held, replace(outcome, then=()) if is_asked else outcome, most)
-
-    monkeypatch.setattr(completion, "succeed", dropping)
-    with pytest.raises(AssertionError, match="what follows a success is lost"):
-        prepared("one that brings another").go(1, 0)

@@ -1,5 +1,7 @@
 """Worker processes tell that they are there, on both databases; who falls silent is shown so, then forgotten."""
 
+import os
+import resource
 import time
 from pathlib import Path
 
@@ -11,7 +13,7 @@ from services.runtime.jobs.claims import worker_name
 from services.runtime.jobs.worker_presence import WorkerHeartbeat, forget_silent, workers_seen
 from services.runtime.orm import Worker
 from services.runtime.platform import Platform
-from services.runtime.telemetry.process_usage import Room, disk, held_bytes, memory
+from services.runtime.telemetry.process_usage import ProcessUsage, Room, disk, held_bytes, memory, usage_of
 
 MIB = 2**20
 HEARTBEAT_S = 4.0
@@ -104,3 +106,19 @@ def test_what_cannot_be_read_is_unknown(tmp_path: Path) -> None:
 
 def test_a_folder_that_is_not_made_yet_is_on_the_disk_it_will_be_on(tmp_path: Path) -> None:
     assert disk(tmp_path / "not" / "yet").total_bytes == disk(tmp_path).total_bytes
+
+
+TICK_S = 0.01
+
+
+def test_a_process_is_told_what_it_knows_of_itself() -> None:
+    before_s = time.process_time()
+    used = usage_of(os.getpid())
+    assert before_s - 2 * TICK_S <= used.cpu_s <= time.process_time() + 2 * TICK_S
+    assert used.held_bytes == pytest.approx(held_bytes(), rel=0.2)
+    assert used.held_bytes <= used.peak_bytes
+    assert used.peak_bytes == pytest.approx(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024, rel=0.2)
+
+
+def test_of_a_process_that_ended_nothing_is_known(tmp_path: Path) -> None:
+    assert usage_of(1, tmp_path) == ProcessUsage()

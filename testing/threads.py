@@ -1,0 +1,34 @@
+"""Threads that do something at the same moment, as requests of several people would."""
+
+from collections.abc import Callable
+from concurrent.futures import ThreadPoolExecutor
+from threading import Barrier
+from typing import TypeVar
+
+PATIENCE_S = 300.0
+T = TypeVar("T")
+
+
+def at_once(count: int, act: Callable[[int], T]) -> list[T]:
+    """What each of so many threads, which begin together, is answered; `act` is given their numbers."""
+    together = Barrier(count)
+
+    def begin(number: int) -> T:
+        together.wait(PATIENCE_S)
+        return act(number)
+
+    with ThreadPoolExecutor(count) as pool:
+        return list(pool.map(begin, range(count)))
+
+
+def granted(count: int, act: Callable[[int], object], *refused: type[Exception]) -> int:
+    """How many of so many that act at once are not refused."""
+
+    def is_granted(number: int) -> bool:
+        try:
+            act(number)
+        except refused:
+            return False
+        return True
+
+    return sum(at_once(count, is_granted))
