@@ -18,20 +18,21 @@ from services.runtime.access.errors import (
 )
 from services.runtime.orm import Token, User, WebSession
 from services.runtime.platform import Platform
+from testing.threads import granted
 
 PASSWORD = "correct horse battery staple"
 
 
 @pytest.fixture
-def ada(platform_on: Platform) -> User:
-    with platform_on.database.transaction() as session:
+def ada(platform: Platform) -> User:
+    with platform.database.transaction() as session:
         user = users.create_user(session, "ada", "curator", PASSWORD)
     return user
 
 
 @pytest.mark.parametrize("password", ["", "elevenchars", "x" * 1025])
 def test_a_password_too_short_or_too_long_is_refused(password: str) -> None:
-    with pytest.raises(WeakPasswordError, match=f"has {len(password)} characters"):
+    with pytest.raises(WeakPasswordError):
         passwords.hash_password(password)
 
 
@@ -65,20 +66,7 @@ def test_a_name_that_does_not_exist_costs_as_much_as_a_wrong_password() -> None:
 def test_a_flood_of_passwords_is_refused_beyond_its_places(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(passwords, "_places", threading.BoundedSemaphore(2))
     kept = passwords.hash_password(PASSWORD)
-    refused: list[BusyError] = []
-
-    def check() -> None:
-        try:
-            passwords.verify_password(kept, PASSWORD)
-        except BusyError as error:
-            refused.append(error)
-
-    threads = [threading.Thread(target=check) for _ in range(12)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert 0 < len(refused) <= 10
+    assert 2 <= granted(12, lambda _: passwords.verify_password(kept, PASSWORD), BusyError) < 12
     assert passwords.verify_password(kept, PASSWORD), "the places are free again"
 
 
@@ -108,20 +96,20 @@ def test_a_name_that_could_be_mistaken_is_refused(platform: Platform, name: str)
 
 
 def test_a_role_that_does_not_exist_is_refused(platform: Platform) -> None:
-    with platform.database.transaction() as session, pytest.raises(UnknownRoleError, match="king"):
+    with platform.database.transaction() as session, pytest.raises(UnknownRoleError):
         users.create_user(session, "ada", "king")
 
 
-def test_two_users_cannot_share_a_name(platform_on: Platform, ada: User) -> None:
-    with platform_on.database.transaction() as session, pytest.raises(NameTakenError, match="ada"):
+def test_two_users_cannot_share_a_name(platform: Platform, ada: User) -> None:
+    with platform.database.transaction() as session, pytest.raises(NameTakenError):
         users.create_user(session, ada.name, "participant")
 
 
-def test_a_token_is_found_by_its_secret_and_kept_as_a_hash(platform_on: Platform, ada: User) -> None:
-    with platform_on.database.transaction() as session:
+def test_a_token_is_found_by_its_secret_and_kept_as_a_hash(platform: Platform, ada: User) -> None:
+    with platform.database.transaction() as session:
         secret = tokens.issue(session, ada, "laptop", ["upload", "read", "read"], 60)
     assert tokens.SECRET.fullmatch(secret)
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         row = session.scalars(select(Token)).one()
         assert row.secret_hash == sha256(secret.encode()).hexdigest()
         assert row.scopes == ["read", "upload"]
@@ -136,15 +124,15 @@ def test_another_secret_finds_nothing(platform: Platform, secret: str) -> None:
         assert tokens.find(session, secret) is None
 
 
-def test_a_token_ends_with_its_time_and_with_its_user(platform_on: Platform, ada: User) -> None:
-    with platform_on.database.transaction() as session:
+def test_a_token_ends_with_its_time_and_with_its_user(platform: Platform, ada: User) -> None:
+    with platform.database.transaction() as session:
         ended = tokens.issue(session, ada, "ended", ["read"], 0)
         alive = tokens.issue(session, ada, "alive", ["read"], 60)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         assert tokens.find(session, ended) is None
         assert tokens.find(session, alive) is not None
         session.execute(update(User).values(is_active=False))
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert tokens.find(session, alive) is None
 
 
@@ -163,11 +151,11 @@ def test_the_last_use_is_worth_writing_once_a_minute(platform: Platform) -> None
     assert tokens.is_use_due(row)
 
 
-def test_a_session_is_found_by_its_cookie_until_it_ends(platform_on: Platform, ada: User) -> None:
-    with platform_on.database.transaction() as session:
+def test_a_session_is_found_by_its_cookie_until_it_ends(platform: Platform, ada: User) -> None:
+    with platform.database.transaction() as session:
         ended = sessions.open_session(session, ada, 0)
         alive = sessions.open_session(session, ada, 60)
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert sessions.find_session(session, ended.secret, 60) is None
         row = sessions.find_session(session, alive.secret, 60)
         assert row is not None
@@ -177,7 +165,7 @@ def test_a_session_is_found_by_its_cookie_until_it_ends(platform_on: Platform, a
         assert len(session.scalars(select(WebSession)).all()) == 1, "what has ended is forgotten with the next sign-in"
 
 
-def test_only_an_active_user_has_a_password(platform_on: Platform, ada: User) -> None:
+def test_only_an_active_user_has_a_password(platform: Platform, ada: User) -> None:
     assert sessions.is_password_of(ada, PASSWORD)
     assert not sessions.is_password_of(ada, "wrong password")
     assert not sessions.is_password_of(None, PASSWORD)
@@ -185,45 +173,33 @@ def test_only_an_active_user_has_a_password(platform_on: Platform, ada: User) ->
     assert not sessions.is_password_of(ada, PASSWORD)
 
 
-def test_a_new_password_signs_every_browser_out(platform_on: Platform, ada: User) -> None:
-    with platform_on.database.transaction() as session:
+def test_a_new_password_signs_every_browser_out(platform: Platform, ada: User) -> None:
+    with platform.database.transaction() as session:
         opened = sessions.open_session(session, ada, 60)
         user = session.get_one(User, ada.id)
         users.change_password(session, user, passwords.hash_password("another horse, another battery"))
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert sessions.find_session(session, opened.secret, 60) is None
 
 
 @pytest.mark.parametrize("change", [{"role": "curator", "is_active": None}, {"role": None, "is_active": False}])
-def test_the_last_administrator_stays(platform_on: Platform, change: dict[str, object]) -> None:
-    with platform_on.database.transaction() as session:
+def test_the_last_administrator_stays(platform: Platform, change: dict[str, object]) -> None:
+    with platform.database.transaction() as session:
         last = users.create_user(session, "root", "administrator")
         gone = users.create_user(session, "gone", "administrator")
         gone.is_active = False
-    with platform_on.database.transaction() as session, pytest.raises(LastAdministratorError, match="root"):
+    with platform.database.transaction() as session, pytest.raises(LastAdministratorError):
         users.change_user(session, session.get_one(User, last.id), **change)  # type: ignore[arg-type]
 
 
 def test_of_two_administrators_who_dismiss_each_other_one_stays(platform_on: Platform) -> None:
     with platform_on.database.transaction() as session:
         ids = [users.create_user(session, name, "administrator").id for name in ("romulus", "remus")]
-    outcomes: list[str] = []
-    together = threading.Barrier(2)
 
-    def dismiss(user_id: str) -> None:
-        together.wait(300)
-        try:
-            with platform_on.database.transaction() as session:
-                users.change_user(session, session.get_one(User, user_id), "participant", None)
-            outcomes.append("dismissed")
-        except LastAdministratorError:
-            outcomes.append("stays")
+    def dismiss(number: int) -> None:
+        with platform_on.database.transaction() as session:
+            users.change_user(session, session.get_one(User, ids[number]), "participant", None)
 
-    threads = [threading.Thread(target=dismiss, args=(user_id,)) for user_id in ids]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert sorted(outcomes) == ["dismissed", "stays"]
+    assert granted(2, dismiss, LastAdministratorError) == 1
     with platform_on.database.reading() as session:
         assert len(session.scalars(select(User).where(User.role == "administrator")).all()) == 1

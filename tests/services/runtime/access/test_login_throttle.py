@@ -1,7 +1,5 @@
 """Whoever guesses passwords waits twice as long each time; whoever knows theirs does not."""
 
-import threading
-
 import pytest
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -12,6 +10,7 @@ from services.runtime.access.users import change_password, create_user, find_use
 from services.runtime.access.weak_passwords import refuse_guessable
 from services.runtime.orm import FailedSignInRow, SignInAddress
 from services.runtime.platform import Platform
+from testing.threads import at_once
 
 HERE = {"name": "ada", "address": "address 10.0.0.1"}
 ELSEWHERE = "address 10.0.0.2"
@@ -53,13 +52,13 @@ def exhausted(platform: Platform) -> None:
         assert tried(platform) == 0
 
 
-def test_beyond_a_few_each_wrong_password_doubles_the_wait(platform_on: Platform, clock: Clock) -> None:
-    exhausted(platform_on)
+def test_beyond_a_few_each_wrong_password_doubles_the_wait(platform: Platform, clock: Clock) -> None:
+    exhausted(platform)
     for expected_s in (1, 2, 4, 8):
-        assert tried(platform_on) == expected_s
-        assert tried(platform_on) == expected_s, "asking again while waiting costs nothing"
+        assert tried(platform) == expected_s
+        assert tried(platform) == expected_s, "asking again while waiting costs nothing"
         clock.wind(expected_s)
-        assert tried(platform_on) == 0
+        assert tried(platform) == 0
 
 
 @pytest.mark.parametrize("kind", sorted(login_throttle.FREE))
@@ -80,29 +79,29 @@ def test_another_name_or_address_is_counted_by_itself(platform: Platform) -> Non
     assert tried(platform, name="eve") == 0
 
 
-def test_the_right_password_forgets_the_wrong_ones(platform_on: Platform, clock: Clock) -> None:
-    exhausted(platform_on)
+def test_the_right_password_forgets_the_wrong_ones(platform: Platform, clock: Clock) -> None:
+    exhausted(platform)
     clock.wind(1)
-    assert tried(platform_on) == 0
-    signed_in(platform_on)
-    assert tried(platform_on, address=ELSEWHERE) == 0
-    with platform_on.database.reading() as session:
+    assert tried(platform) == 0
+    signed_in(platform)
+    assert tried(platform, address=ELSEWHERE) == 0
+    with platform.database.reading() as session:
         assert sorted(session.scalars(select(FailedSignInRow.failures))) == [1, 1, login_throttle.FREE["name"]]
 
 
 def test_nobody_elses_wrong_passwords_shut_out_an_address_that_signed_in_before(
-    platform_on: Platform, clock: Clock
+    platform: Platform, clock: Clock
 ) -> None:
-    signed_in(platform_on)
+    signed_in(platform)
     for number in range(3 * login_throttle.FREE["name"]):  # from many addresses, so that the name alone waits
-        tried(platform_on, address=f"address 10.1.0.{number}")
+        tried(platform, address=f"address 10.1.0.{number}")
     for number in range(login_throttle.FREE["address"] + 1):  # and whoever else is behind this one
-        tried(platform_on, name=f"neighbour {number}")
-    assert tried(platform_on, address=ELSEWHERE) > 0, "the name waits for whoever is not known"
-    assert tried(platform_on, name="grace") > 0, "and so does the address"
-    assert tried(platform_on) == 0
-    signed_in(platform_on)
-    assert tried(platform_on, address=ELSEWHERE) > 0, "nor does signing in there give a guesser new tries"
+        tried(platform, name=f"neighbour {number}")
+    assert tried(platform, address=ELSEWHERE) > 0, "the name waits for whoever is not known"
+    assert tried(platform, name="grace") > 0, "and so does the address"
+    assert tried(platform) == 0
+    signed_in(platform)
+    assert tried(platform, address=ELSEWHERE) > 0, "nor does signing in there give a guesser new tries"
 
 
 def test_who_guesses_from_a_known_address_waits_as_everywhere(platform: Platform, clock: Clock) -> None:
@@ -123,20 +122,20 @@ def test_an_address_is_known_for_the_name_that_signed_in_and_no_other(platform: 
 
 
 def test_an_address_is_forgotten_with_the_password_after_its_time_and_beyond_the_most(
-    platform_on: Platform, clock: Clock, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(login_throttle, "MOST_ADDRESSES", 2)
     for number in (1, 2, 3):
         clock.wind(1)
-        signed_in(platform_on, address=f"address 10.2.0.{number}")
-    assert known(platform_on) == [False, True, True]
+        signed_in(platform, address=f"address 10.2.0.{number}")
+    assert known(platform) == [False, True, True]
     clock.wind(login_throttle.ADDRESSES_KEPT_NS / 1e9 - 1)
-    assert known(platform_on) == [False, False, True]
-    with platform_on.database.transaction() as session:
+    assert known(platform) == [False, False, True]
+    with platform.database.transaction() as session:
         user = find_user(session, "ada")
         assert user is not None
         change_password(session, user, "")
-    assert known(platform_on) == [False, False, False]
+    assert known(platform) == [False, False, False]
 
 
 def known(platform: Platform) -> list[bool]:
@@ -152,20 +151,8 @@ def test_a_day_without_a_wrong_password_forgets_all(platform: Platform, clock: C
 
 
 def test_many_at_once_buy_no_more_than_one_after_another(platform_on: Platform) -> None:
-    at_once = 2 * login_throttle.FREE["name"]
-    admitted: list[float] = []
-    barrier = threading.Barrier(at_once)
-
-    def one() -> None:
-        barrier.wait(300)
-        admitted.append(tried(platform_on))
-
-    threads = [threading.Thread(target=one) for _ in range(at_once)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert admitted.count(0) == login_throttle.FREE["name"]
+    count = 2 * login_throttle.FREE["name"]
+    assert at_once(count, lambda _: tried(platform_on)).count(0) == login_throttle.FREE["name"]
 
 
 def test_rows_tell_nobodys_name_or_address(platform: Platform) -> None:
@@ -181,20 +168,14 @@ def _all_text(session: Session) -> set[str]:
 
 
 @pytest.mark.parametrize(
-    ("password", "reason"),
+    "password",
     [
-        ("dragon123456", "commonest"),
-        ("Password1234!", "commonest"),
-        ("monkeymonkey99", "commonest"),
-        ("abcabcabcabc", "only 3 different"),
-        ("qwertyuiopas", "a run"),
-        ("98765432109876", "a run"),
-        ("grace.hopper1906", "name of its user"),
-        ("Stone-Platform-2026", "of this platform"),
+        *("dragon123456", "Password1234!", "monkeymonkey99", "abcabcabcabc", "qwertyuiopas", "98765432109876"),
+        *("grace.hopper1906", "Stone-Platform-2026"),
     ],
 )
-def test_what_would_be_tried_first_is_no_password(password: str, reason: str) -> None:
-    with pytest.raises(GuessablePasswordError, match=reason):
+def test_what_would_be_tried_first_is_no_password(password: str) -> None:
+    with pytest.raises(GuessablePasswordError):
         refuse_guessable(password, "grace.hopper")
 
 

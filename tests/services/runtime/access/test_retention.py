@@ -24,8 +24,8 @@ def count(platform: Platform, table: type[Base]) -> int:
         return session.scalar(select(func.count()).select_from(table)) or 0
 
 
-def test_what_has_ended_is_deleted_and_what_has_not_stays(platform_on: Platform) -> None:
-    with platform_on.database.transaction() as session:
+def test_what_has_ended_is_deleted_and_what_has_not_stays(platform: Platform) -> None:
+    with platform.database.transaction() as session:
         ada = users.create_user(session, "ada", "curator")
         sessions.open_session(session, ada, 3600)
         idle = sessions.open_session(session, ada, 3600)
@@ -39,22 +39,22 @@ def test_what_has_ended_is_deleted_and_what_has_not_stays(platform_on: Platform)
         row = sessions.find_session(session, idle.secret, 60)
         assert row is not None
         row.used_ns -= 31 * 60 * 10**9
-    assert forget_ended(platform_on) == 3
+    assert forget_ended(platform) == 3
     tables = (WebSession, Token, FailedSignInRow, SignInAddress)
-    assert [count(platform_on, table) for table in tables] == [1, 2, 2, 1]
-    assert forget_ended(platform_on) == 0
+    assert [count(platform, table) for table in tables] == [1, 2, 2, 1]
+    assert forget_ended(platform) == 0
 
 
 def test_of_very_many_rows_some_go_a_turn_and_all_in_the_end(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(retention, "AT_A_TIME", 2)
     monkeypatch.setattr(retention, "MOST_TIMES", 2)
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         session.add_all(FailedSignInRow(key=f"{number}", failed_ns=number) for number in range(5))
         session.add(FailedSignInRow(key="fresh", failed_ns=now_ns()))
-    assert [forget_ended(platform_on) for _ in range(3)] == [4, 1, 0]
-    assert count(platform_on, FailedSignInRow) == 1
+    assert [forget_ended(platform) for _ in range(3)] == [4, 1, 0]
+    assert count(platform, FailedSignInRow) == 1
 
 
 def test_a_session_that_nobody_uses_ends_and_one_that_is_used_goes_on(platform: Platform) -> None:
@@ -73,13 +73,13 @@ def test_a_session_that_nobody_uses_ends_and_one_that_is_used_goes_on(platform: 
         assert not sessions.is_use_due(row)
 
 
-def test_who_is_erased_cannot_come_in_and_is_named_nowhere(platform_on: Platform) -> None:
-    with platform_on.database.transaction() as session:
+def test_who_is_erased_cannot_come_in_and_is_named_nowhere(platform: Platform) -> None:
+    with platform.database.transaction() as session:
         grace = users.create_user(session, "grace.hopper", "participant", "correct horse battery staple")
         opened = sessions.open_session(session, grace, 3600)
         secret = tokens.issue(session, grace, "laptop", ["read"], 3600)
         erase_user(session, grace)
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         row = session.get_one(User, grace.id)
         assert row.name.startswith("erased-")
         assert (row.is_active, row.password_hash) == (False, "")
@@ -117,17 +117,17 @@ def subjects(platform: Platform) -> list[str]:
 
 
 def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(audit_retention, "AT_A_TIME", 2)
-    log(platform_on, [500, 450, 420, 300, 5])
-    assert audit_retention.cut_audit(keeping(platform_on, 0)) == 0
-    assert audit_retention.cut_audit(keeping(platform_on, 400)) == 3
-    assert subjects(platform_on) == ["300", "5"]
-    assert audit_retention.cut_audit(keeping(platform_on, 1)) == 1, "nothing younger than 90 days goes"
-    log(platform_on, [0])
-    assert subjects(platform_on) == ["5", "0"]
-    with platform_on.database.reading() as session:
+    log(platform, [500, 450, 420, 300, 5])
+    assert audit_retention.cut_audit(keeping(platform, 0)) == 0
+    assert audit_retention.cut_audit(keeping(platform, 400)) == 3
+    assert subjects(platform) == ["300", "5"]
+    assert audit_retention.cut_audit(keeping(platform, 1)) == 1, "nothing younger than 90 days goes"
+    log(platform, [0])
+    assert subjects(platform) == ["5", "0"]
+    with platform.database.reading() as session:
         assert audit.head(session).number == 6
 
 

@@ -1,9 +1,6 @@
 """An upload comes to be, is used once, or ends: with its quota, its bytes, and nothing of anybody else's."""
 
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
-from threading import Barrier
-from typing import Any
+from collections.abc import Iterator
 
 import pytest
 from sqlalchemy import select, update
@@ -11,7 +8,7 @@ from sqlalchemy import select, update
 from services.runtime.access.storage_quota import QuotaExceededError
 from services.runtime.orm import Recording, SequenceRow, Upload, new_id
 from services.runtime.platform import Platform
-from services.runtime.uploads import consume, expire
+from services.runtime.uploads import consume, expire, expiry
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.completion import settle, terminate
 from services.runtime.uploads.creation import create
@@ -26,14 +23,12 @@ from services.runtime.uploads.errors import (
 )
 from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import find
+from services.runtime.uploads.sweep_cursor import UploadCursor
+from testing.servers.fixtures import having
+from testing.threads import granted
 from testing.worlds.rows import recording_of
 from tests.services.runtime.uploads.living import complete, leave_unsettled, make_sequence, overdue, record, used
 from tests.services.runtime.uploads.sending import BAG, declared, kept, made, make_owner, send, sha256_of, state_of
-
-
-def bounded(platform: Platform, **limits: Any) -> Platform:
-    uploads = replace(platform.settings.uploads, **limits)
-    return replace(platform, settings=platform.settings.model_copy(update={"uploads": uploads}))
 
 
 def states(platform: Platform) -> list[str]:
@@ -48,15 +43,15 @@ def files(platform: Platform) -> int:
 
 
 def test_a_file_beyond_what_the_platform_takes_is_refused(placed: Platform) -> None:
-    small = bounded(placed, max_bytes=10)
-    with pytest.raises(UploadTooLargeError, match="11 bytes, at most 10"):
+    small = having(placed, uploads={"max_bytes": 10})
+    with pytest.raises(UploadTooLargeError, match="11 bytes"):
         made(small, make_owner(small), b"x" * 11)
 
 
-def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed_on: Platform) -> None:
-    small, owner = bounded(placed_on, owner_bytes=100), make_owner(placed_on)
+def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed: Platform) -> None:
+    small, owner = having(placed, uploads={"owner_bytes": 100}), make_owner(placed)
     made(small, owner, b"x" * 60)
-    with pytest.raises(QuotaExceededError, match="60 of 100 bytes are used and 41 more"):
+    with pytest.raises(QuotaExceededError, match="60 of 100"):
         made(small, owner, b"x" * 41)
     assert used(small, owner) == 60
     assert states(small) == ["open"]
@@ -64,19 +59,8 @@ def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed_o
 
 
 def test_creations_at_once_never_overshoot_the_quota(placed_on: Platform) -> None:
-    small, owner, threads = bounded(placed_on, owner_bytes=100), make_owner(placed_on), 8
-    together = Barrier(threads)
-
-    def try_to_create(_number: int) -> bool:
-        together.wait(timeout=300)
-        try:
-            made(small, owner, b"x" * 30)
-        except QuotaExceededError:
-            return False
-        return True
-
-    with ThreadPoolExecutor(threads) as pool:
-        assert sum(pool.map(try_to_create, range(threads))) == 3
+    small, owner = having(placed_on, uploads={"owner_bytes": 100}), make_owner(placed_on)
+    assert granted(8, lambda _: made(small, owner, b"x" * 30), QuotaExceededError) == 3
     assert used(small, owner) == 90
     assert states(small) == ["open"] * 3
     assert files(small) <= 3
@@ -101,38 +85,38 @@ def test_a_deleted_sequence_is_no_target(placed: Platform) -> None:
         create(placed, ada, declared(BAG, target_id=sequence_id))
 
 
-def test_a_terminated_upload_is_gone_with_its_file_and_its_quota(placed_on: Platform) -> None:
-    owner = make_owner(placed_on)
+def test_a_terminated_upload_is_gone_with_its_file_and_its_quota(placed: Platform) -> None:
+    owner = make_owner(placed)
     for make in (made, complete):
-        upload = make(placed_on, owner, BAG)
-        terminate(placed_on, upload)
-        assert kept(placed_on, upload) == b""
-        assert used(placed_on, owner) == 0
-        with pytest.raises(UploadGoneError, match="is terminated"):
-            send(placed_on, upload, 0, BAG)
+        upload = make(placed, owner, BAG)
+        terminate(placed, upload)
+        assert kept(placed, upload) == b""
+        assert used(placed, owner) == 0
+        with pytest.raises(UploadGoneError):
+            send(placed, upload, 0, BAG)
 
 
-def test_an_upload_is_used_once_by_its_owner_for_its_purpose(placed_on: Platform) -> None:
-    owner, bob = make_owner(placed_on), make_owner(placed_on, "bob")
-    upload = complete(placed_on, owner)
+def test_an_upload_is_used_once_by_its_owner_for_its_purpose(placed: Platform) -> None:
+    owner, bob = make_owner(placed), make_owner(placed, "bob")
+    upload = complete(placed, owner)
     refusals = (
         (bob.user_id, "recording", UploadMissingError),
         (owner.user_id, "submission", UploadPurposeError),
     )
     for owner_id, purpose, refusal in refusals:
-        with placed_on.database.transaction() as session, pytest.raises(refusal):
+        with placed.database.transaction() as session, pytest.raises(refusal):
             consume(session, upload.id, owner_id, purpose)
-    with placed_on.database.transaction() as session:
+    with placed.database.transaction() as session:
         assert consume(session, upload.id, owner.user_id, "recording").state == "consumed"
-    with placed_on.database.transaction() as session, pytest.raises(UploadStateError, match="is consumed"):
+    with placed.database.transaction() as session, pytest.raises(UploadStateError):
         consume(session, upload.id, owner.user_id, "recording")
-    assert used(placed_on, owner) == len(BAG)
+    assert used(placed, owner) == len(BAG)
 
 
 def test_an_upload_under_way_cannot_be_used(placed: Platform) -> None:
     owner = make_owner(placed)
     upload = made(placed, owner, BAG)
-    with placed.database.transaction() as session, pytest.raises(UploadStateError, match="is open"):
+    with placed.database.transaction() as session, pytest.raises(UploadStateError):
         consume(session, upload.id, owner.user_id, "recording")
 
 
@@ -141,46 +125,39 @@ def test_an_upload_in_use_cannot_be_terminated(placed: Platform) -> None:
     upload = complete(placed, owner)
     with placed.database.transaction() as session:
         consume(session, upload.id, owner.user_id, "recording")
-    with pytest.raises(UploadStateError, match="is consumed"):
+    with pytest.raises(UploadStateError):
         terminate(placed, find(placed.database, upload.id, owner.user_id))
     assert kept(placed, upload) == BAG
 
 
 def test_two_uses_at_once_end_in_one(placed_on: Platform) -> None:
-    owner, threads = make_owner(placed_on), 6
-    upload = complete(placed_on, owner)
-    together = Barrier(threads)
-
-    def use(_number: int) -> bool:
-        together.wait(timeout=300)
-        try:
-            with placed_on.database.transaction() as session:
-                consume(session, upload.id, owner.user_id, "recording")
-        except UploadStateError:
-            return False
-        return True
-
-    with ThreadPoolExecutor(threads) as pool:
-        assert sum(pool.map(use, range(threads))) == 1
-
-
-def test_what_expired_is_swept_with_its_file_and_its_quota(placed_on: Platform) -> None:
     owner = make_owner(placed_on)
-    begun, whole, other = made(placed_on, owner, BAG), complete(placed_on, owner), made(placed_on, owner, b"k")
+    upload = complete(placed_on, owner)
+
+    def use(_number: int) -> None:
+        with placed_on.database.transaction() as session:
+            consume(session, upload.id, owner.user_id, "recording")
+
+    assert granted(6, use, UploadStateError) == 1
+
+
+def test_what_expired_is_swept_with_its_file_and_its_quota(placed: Platform) -> None:
+    owner = make_owner(placed)
+    begun, whole, other = made(placed, owner, BAG), complete(placed, owner), made(placed, owner, b"k")
     for upload in (begun, whole):
-        overdue(placed_on, upload)
-    assert expire(placed_on) == 2
-    assert expire(placed_on) == 0
-    assert [state_of(placed_on, upload) for upload in (begun, whole, other)] == ["expired", "expired", "open"]
-    assert [kept(placed_on, upload) for upload in (begun, whole)] == [b"", b""]
-    assert files(placed_on) <= 1
-    assert used(placed_on, owner) == 1
+        overdue(placed, upload)
+    assert expire(placed) == 2
+    assert expire(placed) == 0
+    assert [state_of(placed, upload) for upload in (begun, whole, other)] == ["expired", "expired", "open"]
+    assert [kept(placed, upload) for upload in (begun, whole)] == [b"", b""]
+    assert files(placed) <= 1
+    assert used(placed, owner) == 1
 
 
 def test_an_overdue_upload_is_refused_before_it_is_swept(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), BAG)
     overdue(placed, upload)
-    with pytest.raises(UploadGoneError, match="is expired"):
+    with pytest.raises(UploadGoneError):
         send(placed, upload, 0, BAG)
 
 
@@ -247,6 +224,122 @@ def test_an_upload_that_was_given_up_meanwhile_is_not_called_complete(placed: Pl
     held = backend_of(placed, upload).hold(upload)
     with placed.database.transaction() as session:
         session.execute(update(Upload).where(Upload.id == upload.id).values(state="terminated"))
-    with pytest.raises(UploadStateError, match="is terminated"):
+    with pytest.raises(UploadStateError):
         settle(placed, upload, held)
     held.close()
+
+
+def states_of(platform: Platform, *uploads: Upload) -> list[str]:
+    return [state_of(platform, upload) for upload in uploads]
+
+
+def expires_at(platform: Platform, upload: Upload, at_ns: int) -> None:
+    with platform.database.transaction() as session:
+        session.execute(update(Upload).where(Upload.id == upload.id).values(expires_ns=at_ns))
+
+
+def test_what_is_overdue_ends_a_slice_a_turn_the_longest_overdue_first(placed: Platform) -> None:
+    owner = make_owner(placed)
+    uploads = [complete(placed, owner, bytes([number])) for number in range(5)]
+    for number, upload in enumerate(reversed(uploads)):
+        expires_at(placed, upload, number + 1)
+    cursor = UploadCursor(slice_rows=2)
+    assert expire(placed, cursor) == 2
+    assert states_of(placed, *uploads) == ["complete"] * 3 + ["expired"] * 2
+    assert [expire(placed, cursor) for _ in range(3)] == [2, 1, 0]
+    assert [kept(placed, upload) for upload in uploads] == [b""] * 5
+    assert used(placed, owner) == 0
+
+
+def test_one_that_is_being_written_holds_up_nobody_behind_it(placed: Platform) -> None:
+    owner = make_owner(placed)
+    first, second = made(placed, owner, BAG), made(placed, owner, BAG)
+    reception = receive(placed, first.id, owner.user_id, UploadChunk(0))
+    assert reception is not None
+    for at_ns, upload in enumerate((first, second), start=1):
+        expires_at(placed, upload, at_ns)
+    cursor = UploadCursor(slice_rows=1)
+    assert [expire(placed, cursor) for _ in range(2)] == [0, 1]
+    assert states_of(placed, first, second) == ["open", "expired"]
+    reception.close()
+    assert sum(expire(placed, cursor) for _ in range(2)) == 1, "its turn comes again"
+
+
+def test_one_that_cannot_be_ended_is_passed_by_for_a_round(placed: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    owner = make_owner(placed)
+    first, second = made(placed, owner, BAG), made(placed, owner, BAG)
+    for at_ns, upload in enumerate((first, second), start=1):
+        expires_at(placed, upload, at_ns)
+    end = expiry._end_overdue
+
+    def break_down(platform: Platform, upload: Upload, detail: str) -> bool:
+        if upload.id == first.id:
+            raise OSError(5, "Input/output error")
+        return end(platform, upload, detail)
+
+    cursor = UploadCursor()
+    monkeypatch.setattr(expiry, "_end_overdue", break_down)
+    with pytest.raises(OSError, match="Input/output"):
+        expire(placed, cursor)
+    assert expire(placed, cursor) == 1
+    assert states_of(placed, first, second) == ["open", "expired"]
+
+
+def test_what_lacks_its_last_step_is_finished_when_its_turn_comes(placed: Platform) -> None:
+    owner = make_owner(placed)
+    uploads = [made(placed, owner, BAG) for _ in range(5)]
+    leave_unsettled(placed, uploads[4], BAG)
+    cursor = UploadCursor(slice_rows=2)
+    for state in ("open", "open", "complete"):
+        expire(placed, cursor)
+        assert state_of(placed, uploads[4]) == state
+    leave_unsettled(placed, uploads[0], BAG)
+    expire(placed, cursor)
+    assert state_of(placed, uploads[0]) == "complete", "the walk has begun anew"
+
+
+def test_whole_files_are_read_again_one_at_least_and_no_more_than_the_share_allows(placed: Platform) -> None:
+    owner = make_owner(placed)
+    uploads = [made(placed, owner, BAG) for _ in range(3)]
+    for upload in uploads:
+        leave_unsettled(placed, upload, BAG)
+    cursor = UploadCursor(share_s=0.0)
+    for finished in (1, 2, 3):
+        expire(placed, cursor)
+        assert states_of(placed, *uploads).count("complete") == finished
+
+
+def test_bytes_that_nobody_needs_are_found_some_files_a_turn(placed: Platform) -> None:
+    owner = make_owner(placed)
+    waiting = [made(placed, owner, BAG) for _ in range(3)]
+    for upload in waiting:
+        leave_unsettled(placed, upload, BAG[:1])
+    registered = [complete(placed, owner, bytes([number]) * 9) for number in range(3)]
+    for number, upload in enumerate(registered):
+        record(placed, owner, upload, f"field-{number}")
+    cursor = UploadCursor(slice_files=2)
+    for _ in range(4):
+        expire(placed, cursor)
+    assert [kept(placed, upload) for upload in registered] == [b""] * 3
+    assert [kept(placed, upload) for upload in waiting] == [BAG[:1]] * 3
+
+
+def test_a_listing_that_breaks_off_is_begun_anew(placed: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    owner = make_owner(placed)
+    for number in range(3):
+        complete(placed, owner, bytes([number]))
+    upload = complete(placed, owner)
+    cursor = UploadCursor(slice_files=1)
+    names = cursor.names_in(type(backend_of(placed, upload)))
+
+    def broken() -> Iterator[str]:
+        yield upload.id
+        raise OSError(116, "Stale file handle")
+
+    assert names.turn(broken(), 1) == [upload.id]
+    with pytest.raises(OSError, match="Stale"):
+        expire(placed, cursor)
+    overdue(placed, upload)
+    for _ in range(5):
+        expire(placed, cursor)
+    assert kept(placed, upload) == b""
