@@ -22,7 +22,6 @@ from services.runtime.source_digests import (
     ResultKind,
     reaches,
     source_digests,
-    sources_sha256,
 )
 from services.runtime.source_tree import Definition, SourcesMissingError, SourceTree, UnresolvedNameError, place_of
 
@@ -336,33 +335,8 @@ EDITS: Mapping[str, tuple[str, Callable[[str], str], set[ResultKind]]] = {
         replaced("FEW_VOXELS = 500", "FEW_VOXELS = 501"),
         {"labels"},
     ),
-    "a default": (
-        "stone/surface/terrain.py",
-        replaced("roughness_floor_m2: float = 1e-6", "roughness_floor_m2: float = 1e-5"),
-        {"labels"},
-    ),
-    "an operator": (
-        "stone/scoring/sampling_variance.py",
-        replaced("0.0, 0.1, 0.3", "0.0, 0.1, -0.3"),
-        {"scores"},
-    ),
     "a kernel": ("stone/kernels/column_words.py", replaced("VECTOR = 64", "VECTOR = 32"), {"scores", "comparisons"}),
     "an exporter": ("services/labeler/exports/kitti.py", replaced("256, 256, 128.0", "256, 256, 129.0"), {"exports"}),
-    "how votes are counted": (
-        "services/labeler/imports/votes.py",
-        lambda text: text + "\n\nprint(__name__)\n",
-        {"imports"},
-    ),
-    "the definition of a message": (
-        "stone_recordings/messages/types/definitions/gps_msgs/msg/GPSFix.msg",
-        lambda text: text + "# a remark\n",
-        {"labels", "exports"},
-    ),
-    "the report of a recording's quality": (
-        "stone_recordings/report/quality/section_time.py",
-        lambda text: text.replace("def ", "def _also(x):\n    return x\n\n\ndef ", 1),
-        set(),
-    ),
     "a rule of the platform": (
         "services/runtime/access/storage_quota.py",
         lambda text: text + "\n\nprint(__name__)\n",
@@ -383,33 +357,6 @@ def test_an_edit_changes_the_version_of_what_it_computes_and_of_nothing_else(
         assert copied.kinds_changed() == kinds
     finally:
         path.write_text(text, "utf-8")
-
-
-def test_words_moves_and_new_modules_change_no_version(copied: Copied) -> None:
-    """A docstring, a remark in a report, a module renamed in the report and one in the science, a module more."""
-    folder, before = copied.folder, sources_sha256(copied.places)
-    of_lag = folder / "stone/sensors/lag_fit.py"
-    edit(
-        of_lag, lambda text: re.sub(r'(def _scales.*\n)    """.*?"""', r'\1    """Return a scale."""', text, flags=re.S)
-    )
-    report = folder / "stone_recordings/report/quality/section_time.py"
-    edit(report, lambda text: text + "# a remark at the end\n")
-    rename(report, "times", copied)
-    rename(folder / "stone/labels/crops.py", "cuttings", copied)
-    (folder / "stone/surface/unused.py").write_text("import numpy as np\n\nprint(np.pi)\n")
-    assert sources_sha256(copied.places) != before, "the bytes did change"
-    assert copied.kinds_changed() == set()
-
-
-def rename(path: Path, name: str, copied: Copied) -> None:
-    """Rename a module, and write its new name into those that import it."""
-    old = path.relative_to(copied.folder).with_suffix("").as_posix().replace("/", ".")
-    new = f"{old.rpartition('.')[0]}.{name}"
-    path.rename(path.with_name(f"{name}.py"))
-    importers = [one for root in ROOTS for one in (copied.folder / root).rglob("*.py") if old in one.read_text("utf-8")]
-    assert importers
-    for one in importers:
-        edit(one, replaced(old, new))
 
 
 def test_every_library_that_computes_is_counted_or_called_neutral() -> None:

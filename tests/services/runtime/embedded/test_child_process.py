@@ -1,20 +1,29 @@
-"""A child is kept running, ends in bounded time, and never outlives the process that started it."""
+"""Parts of the embedded platform: a child is kept running and ends in bounded time; broker, lock, socket, logs."""
 
 import os
 import signal
+import socket
+import stat
 import subprocess
 import sys
-import time
 from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from pathlib import Path
 
 import psutil
 import pytest
+from redis import AuthenticationError, Redis
 
 from services.runtime.embedded.child_process import Child, Program
+from services.runtime.embedded.errors import AlreadyServingError, PortTakenError
+from services.runtime.embedded.folder_lock import LOCK, hold_folder
+from services.runtime.embedded.listen_socket import listen, local_url, reached_at
+from services.runtime.embedded.logs import KEPT, cut_if_large, last_words
+from services.runtime.embedded.redis_child import Broker, start_redis
+from services.runtime.settings import ApiSettings
 from testing.process_states import is_running
+from testing.stone_serve import until
 
-PATIENCE_S = 300.0
 FORKS = "import os, time; os.fork(); time.sleep(600)"
 STUBBORN = (
     "import signal, time; signal.signal(signal.SIGTERM, signal.SIG_IGN); print('deaf', flush=True); time.sleep(600)"
@@ -29,13 +38,6 @@ child.start()
 print(child.pid, flush=True)
 time.sleep(600)
 """
-
-
-def until(claim: Callable[[], bool]) -> None:
-    end = time.monotonic() + PATIENCE_S
-    while not claim():
-        assert time.monotonic() < end, "it never came true"
-        time.sleep(0.02)
 
 
 @pytest.fixture
@@ -78,8 +80,7 @@ def test_a_dead_child_is_started_again_after_a_pause_and_it_is_said(
     assert child.pid == first, "not at once"
     until(lambda: child.revive() or child.pid != first)
     assert is_running(child.pid)
-    assert "sleeper was killed by SIGKILL; starting it again in 0.5 s" in told[0]
-    assert "started again" in told[1]
+    assert "SIGKILL" in told[0]
 
 
 def test_a_child_that_keeps_dying_is_started_ever_more_rarely(make: Callable[..., Child], told: list[str]) -> None:
@@ -118,9 +119,122 @@ def test_a_child_dies_with_its_supervisor_even_by_kill_9(tmp_path: Path) -> None
     until(lambda: not is_running(pid))
 
 
-def test_a_log_is_appended_to_across_starts(make: Callable[..., Child]) -> None:
-    child = make("echo", "here")
-    for _ in range(2):
-        child.start()
-        until(lambda: child.exit_code is not None)
-    assert child.log.read_text() == "here\nhere\n"
+@contextmanager
+def running(folder: Path, told: list[str]) -> Iterator[Broker]:
+    broker = start_redis(folder / "redis", folder / "logs", told.append)
+    try:
+        yield broker
+    finally:
+        broker.child.kill()
+
+
+def test_nobody_without_the_password_is_let_in(tmp_path: Path) -> None:
+    with running(tmp_path / "with spaces", []) as broker:
+        port = int(broker.url.rpartition(":")[2].partition("/")[0])
+        with Redis(port=port) as stranger, pytest.raises(AuthenticationError):
+            stranger.ping()
+        assert (tmp_path / "with spaces" / "redis" / "redis.conf").stat().st_mode & 0o077 == 0
+
+
+def test_a_damaged_file_of_bells_is_moved_aside_and_said(tmp_path: Path) -> None:
+    told: list[str] = []
+    with running(tmp_path, told):
+        pass
+    (tmp_path / "redis" / "appendonly.aof").write_bytes(b"*1\r\n$-7\r\nnonsense, and not at the end\r\n" * 9)
+    with running(tmp_path, told) as broker, Redis.from_url(broker.url) as client:
+        assert client.ping()
+    assert "moved aside" in told[0]
+    assert any(".damaged." in entry.name for entry in (tmp_path / "redis").iterdir())
+
+
+def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None:
+    with hold_folder(tmp_path / "the data") as lock:
+        lock.say("http://127.0.0.1:8080")
+        with (
+            pytest.raises(AlreadyServingError, match=rf"{os.getpid()} .*http://127.0.0.1:8080"),
+            hold_folder(tmp_path / "the data"),
+        ):
+            pass
+
+
+def test_one_that_is_still_starting_is_named_too(tmp_path: Path) -> None:
+    with (
+        hold_folder(tmp_path),
+        pytest.raises(AlreadyServingError, match=str(os.getpid())),
+        hold_folder(tmp_path),
+    ):
+        pass
+
+
+def test_a_lock_that_nobody_holds_any_more_is_taken(tmp_path: Path) -> None:
+    (tmp_path / LOCK).write_text('{"pid": 1, "url": "http://gone"}')
+    with hold_folder(tmp_path):
+        pass
+    with hold_folder(tmp_path):
+        pass
+
+
+def test_a_lock_file_half_written_is_no_reason_to_fail_differently(tmp_path: Path) -> None:
+    with hold_folder(tmp_path):
+        (tmp_path / LOCK).write_text("{")
+        with pytest.raises(AlreadyServingError), hold_folder(tmp_path):
+            pass
+
+
+def test_a_new_data_folder_is_its_owners_only(tmp_path: Path) -> None:
+    with hold_folder(tmp_path / "data"):
+        assert stat.S_IMODE((tmp_path / "data").stat().st_mode) == 0o700
+
+
+def test_a_taken_port_is_refused_by_name() -> None:
+    with socket.socket() as taken:
+        taken.bind(("127.0.0.1", 0))
+        taken.listen()
+        port = taken.getsockname()[1]
+        with pytest.raises(PortTakenError, match=str(port)):
+            listen(ApiSettings(port=port))
+
+
+@pytest.mark.parametrize("host", ["192.0.2.1", "nowhere.invalid"])
+def test_a_host_that_is_not_ours_is_refused(host: str) -> None:
+    with pytest.raises(PortTakenError, match=host):
+        listen(ApiSettings(host=host, port=0))
+
+
+def test_port_0_becomes_the_port_that_was_free() -> None:
+    with listen(ApiSettings(port=0)) as listener:
+        api = reached_at(ApiSettings(port=0), listener)
+        assert api.port == listener.getsockname()[1] > 0
+        assert api.url == f"http://127.0.0.1:{api.port}"
+
+
+def test_a_url_that_was_set_is_kept() -> None:
+    with listen(ApiSettings(port=0)) as listener:
+        assert reached_at(ApiSettings(port=0, url="https://stone.example"), listener).url == "https://stone.example"
+
+
+@pytest.mark.parametrize(
+    ("host", "url"),
+    [("0.0.0.0", "http://127.0.0.1:80"), ("::", "http://[::1]:80"), ("robot", "http://robot:80")],
+)
+def test_a_server_that_listens_everywhere_is_reached_locally(host: str, url: str) -> None:
+    assert local_url(host, 80) == url
+
+
+def test_a_large_log_is_cut_while_its_writer_goes_on(tmp_path: Path) -> None:
+    log = tmp_path / "api.log"
+    with log.open("ab", buffering=0) as writer:
+        for number in range(KEPT + 3):
+            writer.write(b"%d " % number + b"x" * 100)
+            assert cut_if_large(log, max_bytes=100)
+        writer.write(b"after")
+    assert log.read_bytes() == b"after"
+    kept = sorted(path.name for path in tmp_path.iterdir())
+    assert kept == ["api.log", *(f"api.log.{number}" for number in range(1, KEPT + 1))]
+    assert (tmp_path / "api.log.1").read_bytes().startswith(b"%d " % (KEPT + 2))
+
+
+def test_the_last_words_are_the_last_line_that_says_something(tmp_path: Path) -> None:
+    (tmp_path / "api.log").write_bytes(b"first\n" + b"y" * 5000 + b"\nKeyError: \xff'home'\n\n  \n")
+    assert last_words(tmp_path / "api.log") == "KeyError: �'home'"
+    assert last_words(tmp_path / "absent.log") == ""

@@ -1,6 +1,5 @@
 """Accounts of people who sign in by a provider: one each, by issuer and subject; never another's, whatever the name."""
 
-from concurrent.futures import ThreadPoolExecutor
 from typing import Any
 
 import pytest
@@ -15,6 +14,7 @@ from services.runtime.oidc.id_tokens import VerifiedIdentity
 from services.runtime.oidc.settings import OidcSettings
 from services.runtime.orm import ExternalIdentity, User
 from services.runtime.platform import Platform
+from testing.threads import at_once
 
 ISSUER = "https://id.lab.example"
 GROUPS = OidcSettings(administrators="stone-admins", curators="field-team", participants="students, guests")
@@ -52,7 +52,7 @@ def test_the_highest_role_of_somebodys_groups_is_theirs(groups: Any, role: str) 
     "groups", [None, [], ["Stone-Admins"], ["stone-admins,"], {"stone-admins": 1}, 7, [["guests"]]]
 )
 def test_who_is_in_no_group_is_not_let_in(groups: Any) -> None:
-    with pytest.raises(NotAdmittedError, match="'groups'"):
+    with pytest.raises(NotAdmittedError):
         role_of({"groups": groups}, GROUPS)
 
 
@@ -142,7 +142,7 @@ def test_who_was_shut_out_stays_out(platform: Platform) -> None:
     user = admitted(platform, who()).user
     with platform.database.transaction() as session:
         users.change_user(session, session.get_one(User, user.id), None, is_active=False)
-    with pytest.raises(ShutOutError, match="'ada'"):
+    with pytest.raises(ShutOutError):
         admitted(platform, who())
 
 
@@ -174,7 +174,6 @@ def test_who_has_no_name_that_can_be_one_is_given_one(platform: Platform, said: 
 
 
 def test_first_sign_ins_at_once_are_one_account(platform_on: Platform) -> None:
-    with ThreadPoolExecutor(8) as pool:
-        made = list(pool.map(lambda _: admitted(platform_on, who()), range(8)))
+    made = at_once(8, lambda _: admitted(platform_on, who()))
     assert len({one.user.id for one in made}) == 1
     assert [one.is_new for one in made].count(True) == 1

@@ -6,7 +6,6 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from functools import partial
 from pathlib import Path
 from secrets import token_hex
@@ -79,10 +78,6 @@ def test_a_child_reads_what_it_is_given_and_the_systems_own_files(server: ForkSe
     assert sandboxed(partial(spies.readable, asked), limits).decode() == str(given)
 
 
-def test_a_child_reaches_nobody(server: ForkServer) -> None:
-    assert sandboxed(spies.reachable) == b"nothing"
-
-
 def test_harmless_variables_are_a_list_of_what_passes() -> None:
     kept = {"PATH": "/bin", "LC_ALL": "C", "NUMBA_CACHE_DIR": "/data/numba", "OMP_NUM_THREADS": "1"}
     secret = {"STONE_DATABASE__PASSWORD": "x", "AWS_SECRET_ACCESS_KEY": "x", "PGPASSWORD": "x", "TOKEN": "x"}
@@ -91,20 +86,9 @@ def test_harmless_variables_are_a_list_of_what_passes() -> None:
 
 def test_what_the_kernel_kills_is_a_crash_with_its_signal(server: ForkServer, tmp_path: Path) -> None:
     limits = SandboxLimits(folder=tmp_path, file_bytes=2**20)
-    with pytest.raises(SandboxCrashedError, match="was ended by SIGBUS"):
+    with pytest.raises(SandboxCrashedError, match="SIGBUS"):
         sandboxed(partial(spies.bus_error, tmp_path), limits)
     assert sandboxed(spies.reachable) == b"nothing", "the server forks on"
-
-
-def test_children_of_many_threads_do_not_wait_for_each_other(server: ForkServer) -> None:
-    barrier = threading.Barrier(4)
-
-    def one(_: int) -> bytes:
-        barrier.wait(PATIENCE_S)
-        return sandboxed(partial(spies.spin, 0.05))
-
-    with ThreadPoolExecutor(4) as pool:
-        assert len(set(pool.map(one, range(4)))) == 4
 
 
 def test_what_children_use_is_counted_as_ours(server: ForkServer) -> None:

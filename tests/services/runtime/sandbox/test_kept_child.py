@@ -4,7 +4,6 @@ import os
 import signal
 import subprocess
 import sys
-import threading
 from collections.abc import Callable, Iterator
 from dataclasses import replace
 from functools import partial
@@ -23,7 +22,8 @@ from stone.errors import StoneError
 from stone_submissions.errors import CorruptError
 from testing.process_states import is_running, parent_of
 from testing.servers.fixtures import make_settings
-from testing.stone_serve import PATIENCE_S, until
+from testing.stone_serve import until
+from testing.threads import at_once
 from testing.worlds.runs import Said
 from tests.services.runtime.sandbox import spies
 
@@ -36,6 +36,7 @@ from services.runtime.sandbox import SandboxLimits, UNWATCHED
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.kept_child import RunWork, sandboxed_in_run
+from testing.threads import at_once
 from testing.worlds.runs import Said
 from tests.services.runtime.sandbox import spies
 use_fork_server([spies.__name__])
@@ -110,7 +111,7 @@ def test_a_later_job_reads_what_the_run_was_given_and_nothing_else(tmp_path: Pat
 
 def test_a_refusal_ends_no_child() -> None:
     first = asked(spies.pid)
-    with pytest.raises(CorruptError, match="something else"):
+    with pytest.raises(CorruptError):
         asked(spies.refuse)
     assert asked(spies.pid) == first
 
@@ -125,14 +126,14 @@ def test_what_earlier_jobs_broke_is_asked_of_a_fresh_child() -> None:
 def test_what_breaks_a_fresh_child_too_is_refused_with_its_signal(tmp_path: Path) -> None:
     limits = SandboxLimits(folder=tmp_path, file_bytes=2**20)
     first = asked(spies.pid, limits=limits)
-    with pytest.raises(SandboxCrashedError, match="was ended by SIGBUS"):
+    with pytest.raises(SandboxCrashedError, match="SIGBUS"):
         asked(partial(spies.bus_error, tmp_path), limits=limits)
     assert asked(spies.pid, limits=limits) != first
 
 
 def test_a_job_whose_child_is_killed_from_outside_is_lost_and_the_next_has_a_fresh_one() -> None:
     first = asked(spies.pid)
-    with pytest.raises(SandboxInterruptedError, match="was killed from outside"):
+    with pytest.raises(SandboxInterruptedError):
         asked(partial(spies.end_by, signal.SIGKILL))
     assert asked(spies.pid) != first
 
@@ -148,7 +149,7 @@ def test_a_child_that_ended_between_two_jobs_costs_none(victim_of: Callable[[byt
 def test_a_later_job_has_the_wall_time_of_any_and_no_more(tmp_path: Path) -> None:
     limits = SandboxLimits(folder=tmp_path, file_bytes=100, wall_s=2.0)
     first = asked(spies.pid, limits=limits)
-    with pytest.raises(SandboxInterruptedError, match="took longer than 2 s of wall time"):
+    with pytest.raises(SandboxInterruptedError, match="2 s of wall"):
         asked(partial(spies.sleep, tmp_path / "told"), limits=limits)
     assert not is_running(int(first))
 
@@ -160,7 +161,7 @@ def test_a_later_job_has_the_processor_time_of_any_and_no_more(monkeypatch: pyte
     first = asked(partial(spies.spin, 0.5), limits=limits)
     assert asked(partial(spies.spin, 0.7), limits=limits) == first
     assert asked(spies.pid, limits=limits) != first, "it had used more than a kept one may"
-    with pytest.raises(SandboxCrashedError, match="took longer than 1 s of processor time"):
+    with pytest.raises(SandboxCrashedError, match="1 s of processor"):
         asked(partial(spies.spin, 600.0), limits=limits)
 
 
@@ -168,7 +169,7 @@ def test_a_later_job_has_the_memory_of_any_and_no_more() -> None:
     limits = SandboxLimits(memory_bytes=64 * 2**20)
     first = asked(partial(spies.allocate, 40 * 2**20), limits=limits)
     assert asked(partial(spies.allocate, 40 * 2**20), limits=limits) == first
-    with pytest.raises(SandboxCrashedError, match="needed more than 64 MiB"):
+    with pytest.raises(SandboxCrashedError, match="64 MiB"):
         asked(partial(spies.allocate, 100 * 2**20), limits=limits)
 
 
@@ -216,17 +217,7 @@ def test_what_a_kept_child_uses_is_counted_with_the_job_that_used_it() -> None:
 
 
 def test_two_threads_do_not_wait_for_each_other() -> None:
-    barrier, found = threading.Barrier(2), list[bytes]()
-
-    def one() -> None:
-        barrier.wait(PATIENCE_S)
-        found.append(asked(partial(spies.spin, 0.2)))
-
-    threads = [threading.Thread(target=one) for _ in range(2)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(PATIENCE_S)
+    found = at_once(2, lambda _: asked(partial(spies.spin, 0.2)))
     assert len(set(found)) == 2
     assert asked(spies.pid) in found
 

@@ -6,19 +6,16 @@ import threading
 import time
 from collections.abc import Callable
 from contextlib import suppress
-from dataclasses import replace
 from io import FileIO
 from pathlib import Path
 
 import pytest
 from sqlalchemy import delete, func, select
-from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from services.runtime.orm import Blob, CalibrationRow, Job, LooseObject, User
+from services.runtime.orm import Blob, CalibrationRow, Job, LooseObject
 from services.runtime.orm.base import new_id, now_ns
 from services.runtime.platform import Platform
-from services.runtime.settings import Settings, StoreSettings
 from services.runtime.store import blobs
 from services.runtime.store.blobs import (
     GcResult,
@@ -30,39 +27,18 @@ from services.runtime.store.blobs import (
     prepare,
     prepare_all,
 )
-from services.runtime.store.factory import open_store
 from services.runtime.store.protocol import Store
 from stone_files import bag_fingerprint
+from tests.services.runtime.uploads.sending import make_owner
 
 DAY_NS = 86_400 * 10**9
 RACES = 8
 PATIENCE_S = 300.0
 
 
-def with_store(platform: Platform, store: StoreSettings) -> Platform:
-    settings = Settings(data_folder=platform.settings.data_folder, database=platform.settings.database, store=store)
-    return Platform(settings, platform.database, open_store(settings))
-
-
 @pytest.fixture
-def hasty(platform_on: Platform) -> Platform:
-    """A platform whose grace is nothing: whatever may be collected is collected."""
-    return with_store(platform_on, StoreSettings(grace_s=0.0))
-
-
-@pytest.fixture(params=["folder", "s3"])
-def anywhere(request: pytest.FixtureRequest, platform_on: Platform) -> Platform:
-    """`hasty`, on each store."""
-    chosen = StoreSettings() if request.param == "folder" else request.getfixturevalue("s3_settings")
-    return with_store(platform_on, replace(chosen, grace_s=0.0))
-
-
-@pytest.fixture
-def owner_id(platform_on: Platform) -> str:
-    with platform_on.database.transaction() as session:
-        user = User(id=new_id(), name="ada", role="curator")
-        session.add(user)
-    return user.id
+def owner_id(platform: Platform) -> str:
+    return make_owner(platform).user_id
 
 
 def file_of(folder: Path, content: bytes) -> Path:
@@ -97,18 +73,6 @@ def rows_of(platform: Platform, row: type[Blob] | type[LooseObject]) -> int:
         return session.scalar(select(func.count()).select_from(row)) or 0
 
 
-def test_a_blob_that_something_refers_to_cannot_be_deleted(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
-    blob = keep_for(hasty, owner_id, file_of(tmp_path, b"content"))
-    with pytest.raises(IntegrityError), hasty.database.transaction() as session:
-        session.delete(session.get_one(Blob, blob.sha256))
-
-
-def test_a_file_that_is_not_there_leaves_no_trace(hasty: Platform, tmp_path: Path) -> None:
-    with pytest.raises(FileNotFoundError):
-        prepare(hasty.store, hasty.database, tmp_path / "none")
-    assert (rows_of(hasty, Blob), rows_of(hasty, LooseObject), keys_of(hasty.store)) == (0, 0, [])
-
-
 def test_a_content_is_stored_once_under_its_sha256(anywhere: Platform, owner_id: str, tmp_path: Path) -> None:
     sha256 = hashlib.sha256(b"content").hexdigest()
     first = keep_for(anywhere, owner_id, file_of(tmp_path, b"content"))
@@ -121,24 +85,16 @@ def test_a_content_is_stored_once_under_its_sha256(anywhere: Platform, owner_id:
 
 
 def test_bytes_are_stored_before_the_transaction_and_named_in_it(
-    anywhere: Platform, owner_id: str, tmp_path: Path
+    hasty: Platform, owner_id: str, tmp_path: Path
 ) -> None:
-    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
-    assert keys_of(anywhere.store) == [prepared.object_key]
-    assert (rows_of(anywhere, Blob), rows_of(anywhere, LooseObject)) == (0, 1)
-    with anywhere.database.transaction() as session:
+    prepared = prepare(hasty.store, hasty.database, file_of(tmp_path, b"content"))
+    assert keys_of(hasty.store) == [prepared.object_key]
+    assert (rows_of(hasty, Blob), rows_of(hasty, LooseObject)) == (0, 1)
+    with hasty.database.transaction() as session:
         blob = link(session, prepared)
         refer(session, blob, owner_id)
     assert blob.object_key == prepared.object_key
-    assert (rows_of(anywhere, Blob), rows_of(anywhere, LooseObject)) == (1, 0)
-
-
-def test_a_content_that_is_kept_already_is_not_stored_again(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
-    blob = keep_for(hasty, owner_id, file_of(tmp_path, b"content"))
-    prepared = prepare(hasty.store, hasty.database, file_of(tmp_path, b"content"))
-    assert prepared.object_key == ""
-    with hasty.database.transaction() as session:
-        assert link(session, prepared).object_key == blob.object_key
+    assert (rows_of(hasty, Blob), rows_of(hasty, LooseObject)) == (1, 0)
 
 
 def test_an_adopted_file_outlives_a_transaction_that_fails(hasty: Platform, owner_id: str, tmp_path: Path) -> None:
@@ -156,16 +112,16 @@ def test_an_adopted_file_outlives_a_transaction_that_fails(hasty: Platform, owne
 
 
 def test_of_two_that_prepared_one_content_one_is_kept_and_the_other_collected(
-    anywhere: Platform, owner_id: str, tmp_path: Path
+    hasty: Platform, owner_id: str, tmp_path: Path
 ) -> None:
-    one, other = (prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content")) for _ in range(2))
+    one, other = (prepare(hasty.store, hasty.database, file_of(tmp_path, b"content")) for _ in range(2))
     for prepared in (one, other):
-        with anywhere.database.transaction() as session:
+        with hasty.database.transaction() as session:
             blob = link(session, prepared)
             refer(session, blob, owner_id)
-    assert sorted(keys_of(anywhere.store)) == sorted([one.object_key, other.object_key])
-    assert collect_garbage(anywhere) == GcResult(0, 1)
-    assert keys_of(anywhere.store) == [blob.object_key] == [one.object_key]
+    assert sorted(keys_of(hasty.store)) == sorted([one.object_key, other.object_key])
+    assert collect_garbage(hasty) == GcResult(0, 1)
+    assert keys_of(hasty.store) == [blob.object_key] == [one.object_key]
 
 
 def test_what_nothing_refers_to_is_collected_row_and_object(anywhere: Platform, owner_id: str, tmp_path: Path) -> None:
@@ -204,34 +160,34 @@ def test_more_than_a_batch_is_collected_at_once(
     assert keys_of(hasty.store) == []
 
 
-def test_within_the_grace_nothing_is_collected(platform_on: Platform, tmp_path: Path) -> None:
-    with platform_on.database.transaction() as session:
-        keep(session, platform_on.store, file_of(tmp_path, b"forgotten"))
-    prepare(platform_on.store, platform_on.database, file_of(tmp_path, b"never linked"))
-    platform_on.store.write("blobs/00/unknown", file_of(tmp_path, b"x"))
-    platform_on.store.write("work/unknown/file", file_of(tmp_path, b"x"))
-    assert collect_garbage(platform_on) == GcResult(0, 0)
-    assert len(keys_of(platform_on.store)) == 4
+def test_within_the_grace_nothing_is_collected(platform: Platform, tmp_path: Path) -> None:
+    with platform.database.transaction() as session:
+        keep(session, platform.store, file_of(tmp_path, b"forgotten"))
+    prepare(platform.store, platform.database, file_of(tmp_path, b"never linked"))
+    platform.store.write("blobs/00/unknown", file_of(tmp_path, b"x"))
+    platform.store.write("work/unknown/file", file_of(tmp_path, b"x"))
+    assert collect_garbage(platform) == GcResult(0, 0)
+    assert len(keys_of(platform.store)) == 4
 
 
 def test_what_was_collected_before_it_was_linked_is_stored_again(
-    anywhere: Platform, owner_id: str, tmp_path: Path
+    hasty: Platform, owner_id: str, tmp_path: Path
 ) -> None:
-    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
-    assert collect_garbage(anywhere) == GcResult(0, 1)
-    assert link_and_read(anywhere, prepared, owner_id) == b"content"
-    collect_garbage(anywhere)
-    assert len(keys_of(anywhere.store)) == 1
+    prepared = prepare(hasty.store, hasty.database, file_of(tmp_path, b"content"))
+    assert collect_garbage(hasty) == GcResult(0, 1)
+    assert link_and_read(hasty, prepared, owner_id) == b"content"
+    collect_garbage(hasty)
+    assert len(keys_of(hasty.store)) == 1
 
 
 def test_what_was_kept_when_prepared_and_collected_before_it_was_linked_is_stored_again(
-    anywhere: Platform, owner_id: str, tmp_path: Path
+    hasty: Platform, owner_id: str, tmp_path: Path
 ) -> None:
-    with anywhere.database.transaction() as session:
-        keep(session, anywhere.store, file_of(tmp_path, b"content"))
-    prepared = prepare(anywhere.store, anywhere.database, file_of(tmp_path, b"content"))
-    assert collect_garbage(anywhere) == GcResult(1, 1)
-    assert link_and_read(anywhere, prepared, owner_id) == b"content"
+    with hasty.database.transaction() as session:
+        keep(session, hasty.store, file_of(tmp_path, b"content"))
+    prepared = prepare(hasty.store, hasty.database, file_of(tmp_path, b"content"))
+    assert collect_garbage(hasty) == GcResult(1, 1)
+    assert link_and_read(hasty, prepared, owner_id) == b"content"
 
 
 def link_and_read(platform: Platform, prepared: PreparedBlob, owner_id: str) -> bytes:
@@ -260,17 +216,17 @@ def test_a_collection_that_the_store_interrupted_is_ended_by_the_next(
 
 
 def test_a_clock_set_back_or_forth_takes_nothing_that_a_row_names(
-    platform_on: Platform, owner_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, owner_id: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    kept = keep_for(platform_on, owner_id, file_of(tmp_path, b"needed"))
-    prepared = prepare(platform_on.store, platform_on.database, file_of(tmp_path, b"under way"))
+    kept = keep_for(platform, owner_id, file_of(tmp_path, b"needed"))
+    prepared = prepare(platform.store, platform.database, file_of(tmp_path, b"under way"))
     for shift_ns in (-400 * DAY_NS, 400 * DAY_NS):
         monkeypatch.setattr(
             "services.runtime.store.garbage_collection.now_ns", lambda shift_ns=shift_ns: time.time_ns() + shift_ns
         )
-        collect_garbage(platform_on)
-    assert b"".join(platform_on.store.read(kept.object_key)) == b"needed"
-    assert link_and_read(platform_on, prepared, owner_id) == b"under way"
+        collect_garbage(platform)
+    assert b"".join(platform.store.read(kept.object_key)) == b"needed"
+    assert link_and_read(platform, prepared, owner_id) == b"under way"
 
 
 @pytest.mark.parametrize(
@@ -286,28 +242,27 @@ def test_a_clock_set_back_or_forth_takes_nothing_that_a_row_names(
     ],
 )
 def test_the_work_of_a_run_stays_while_somebody_may_ask_for_it(
-    anywhere: Platform, owner_id: str, tmp_path: Path, state: str, ended_ns: int | None, stays: bool
+    hasty: Platform, owner_id: str, tmp_path: Path, state: str, ended_ns: int | None, stays: bool
 ) -> None:
     id = new_id()
     finished_ns = None if ended_ns is None else now_ns() + ended_ns
-    with anywhere.database.transaction() as session:
+    with hasty.database.transaction() as session:
         session.add(Job(id=id, root_id=id, owner_id=owner_id, kind="run", state=state, finished_ns=finished_ns))
     for name in ("a", "tiles/b"):
-        anywhere.store.write(f"work/{id}/{name}", file_of(tmp_path, b"x"))
-    assert collect_garbage(anywhere) == GcResult(0, 0 if stays else 2)
-    assert len(keys_of(anywhere.store)) == (2 if stays else 0)
+        hasty.store.write(f"work/{id}/{name}", file_of(tmp_path, b"x"))
+    assert collect_garbage(hasty) == GcResult(0, 0 if stays else 2)
+    assert len(keys_of(hasty.store)) == (2 if stays else 0)
 
 
 @pytest.mark.whole
-def test_a_row_s_object_exists_however_keeping_and_collecting_race(
-    anywhere: Platform, owner_id: str, tmp_path: Path
-) -> None:
+def test_a_row_s_object_exists_however_keeping_and_collecting_race(anywhere_on: Platform, tmp_path: Path) -> None:
     """Catches alone an object that is collected while it is being kept, on every database and store."""
     paths = [file_of(tmp_path, content) for content in (b"one", b"two")]
+    owner_id = make_owner(anywhere_on).user_id
     race(
-        anywhere,
-        lambda: prepare_and_refer(anywhere, owner_id, random.choice(paths)),
-        lambda: keep_for(anywhere, owner_id, random.choice(paths)),
+        anywhere_on,
+        lambda: prepare_and_refer(anywhere_on, owner_id, random.choice(paths)),
+        lambda: keep_for(anywhere_on, owner_id, random.choice(paths)),
     )
 
 
@@ -355,7 +310,7 @@ def race(platform: Platform, *writers: Callable[[], object]) -> None:
 
 
 def test_several_files_are_hashed_at_once_and_stored_in_their_order(
-    platform_on: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     paths, together, digest = [tmp_path / name for name in "bacd"], threading.Barrier(2), blobs.stream_sha256
     for path in paths:
@@ -366,17 +321,17 @@ def test_several_files_are_hashed_at_once_and_stored_in_their_order(
         return digest(file, is_given_up)
 
     monkeypatch.setattr(blobs, "stream_sha256", digest_together)
-    stored = list(prepare_all(platform_on.store, platform_on.database, paths))
+    stored = list(prepare_all(platform.store, platform.database, paths))
     assert [one.path for one in stored] == paths
     assert [one.sha256 for one in stored] == [hashlib.sha256(path.read_bytes()).hexdigest() for path in paths]
 
 
 def test_who_leaves_without_asking_does_not_wait_for_hashes(
-    platform_on: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(bag_fingerprint, "HASH_BLOCK_BYTES", 1)
     path = file_of(tmp_path, bytes(10**8))
-    with hashed_beside(platform_on.store, [path]) as hashed:
+    with hashed_beside(platform.store, [path]) as hashed:
         begun = time.monotonic()
     assert time.monotonic() - begun < PATIENCE_S / 10
     assert hashed()[0].size_bytes < 10**8

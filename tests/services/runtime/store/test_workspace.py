@@ -56,13 +56,13 @@ def contents_of(workspace: Workspace) -> dict[str, bytes]:
     return {path.relative_to(workspace.folder).as_posix(): path.read_bytes() for path in files}
 
 
-@pytest.mark.parametrize("root_id", ["", "..", "../other", "/absolute", "a b", ".hidden", "A"])
+@pytest.mark.parametrize("root_id", ["", "../other", "/absolute", "A"])
 def test_a_run_outside_the_store_is_refused(machines: tuple[Settings, Settings], root_id: str) -> None:
     with pytest.raises(BadKeyError):
         Workspace(open_store(machines[0]), machines[0], root_id)
 
 
-@pytest.mark.parametrize("prefix", ["../", "/", "tiles/../..", ".hidden"])
+@pytest.mark.parametrize("prefix", ["../", "tiles/../..", ".hidden"])
 def test_a_prefix_outside_the_workspace_is_refused(here: Workspace, prefix: str) -> None:
     fill(here, a=b"1")
     with pytest.raises(BadKeyError):

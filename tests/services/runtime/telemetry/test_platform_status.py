@@ -10,7 +10,6 @@ from services.maintenance.chore_loops import Chore, ChoreLoop
 from services.maintenance.sweeper import recorded
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
-from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.orm import Blob, Job
@@ -21,7 +20,7 @@ from services.runtime.telemetry import platform_status as standing_module
 from services.runtime.telemetry.platform_status import PlatformStatus, platform_status
 from services.runtime.telemetry.sweeper_statistics import STORED_BLOBS, STORED_BYTES, ChoreLedger, StoreSum
 from testing.servers.fixtures import make_settings, opened
-from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, run_all
+from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, run_all
 
 
 def standing_of(platform: Platform) -> PlatformStatus:
@@ -29,13 +28,13 @@ def standing_of(platform: Platform) -> PlatformStatus:
         return platform_status(session, heartbeat_s=4.0)
 
 
-def test_jobs_are_ready_waiting_or_running(platform_on: Platform) -> None:
-    owner = an_owner(platform_on)
-    a_run(platform_on, owner, JobSpec("ingest.ok", key="first"), JobSpec("labeler.ok", needs=("first",)))
-    a_job(platform_on, owner)
-    with platform_on.database.transaction() as session:
+def test_jobs_are_ready_waiting_or_running(platform: Platform) -> None:
+    owner = an_owner(platform)
+    a_run(platform, owner, JobSpec("ingest.ok", key="first"), JobSpec("labeler.ok", needs=("first",)))
+    a_job(platform, owner)
+    with platform.database.transaction() as session:
         assert claim(session, "ingest")
-    jobs = standing_of(platform_on).jobs
+    jobs = standing_of(platform).jobs
     assert {key: count for key, count in jobs.items() if count} == {
         ("ingest", "ready"): 1,
         ("ingest", "running"): 1,
@@ -60,36 +59,23 @@ def test_a_queue_is_as_old_as_its_oldest_ready_job_is_ready(platform_on: Platfor
     assert 0.0 <= standing_of(platform_on).oldest_ready_s["labeler"] < 600.0  # not since its run was made
 
 
-def test_a_job_given_back_is_ready_since_then(platform: Platform) -> None:
-    job_id = a_job(platform, an_owner(platform), "ingest.stumble")
-    with platform.database.transaction() as session:
-        session.execute(update(Job).values(ready_ns=1))
-    assert run_next(platform, "ingest", HANDLERS)
-    with platform.database.reading() as session:
-        ready_ns = session.get_one(Job, job_id).ready_ns
-    assert ready_ns is not None
-    assert ready_ns > 1
-
-
-def test_nothing_is_counted_beyond_what_is_worth_counting(
-    platform_on: Platform, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_nothing_is_counted_beyond_what_is_worth_counting(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(standing_module, "MOST", 2)
-    owner = an_owner(platform_on)
+    owner = an_owner(platform)
     for _ in range(4):
-        a_job(platform_on, owner)
-    assert standing_of(platform_on).jobs["ingest", "ready"] == 2
+        a_job(platform, owner)
+    assert standing_of(platform).jobs["ingest", "ready"] == 2
 
 
-def test_workers_queues_and_chores_are_told(platform_on: Platform) -> None:
-    WorkerHeartbeat(platform_on, ["eval"]).tell()
-    with platform_on.database.transaction() as session:
+def test_workers_queues_and_chores_are_told(platform: Platform) -> None:
+    WorkerHeartbeat(platform, ["eval"]).tell()
+    with platform.database.transaction() as session:
         set_mode(session, "labeler", "paused")
-    ledger = ChoreLedger(platform_on)
+    ledger = ChoreLedger(platform)
     for _ in range(2):
         ledger.note("jobs")
         ledger.write()
-    now = standing_of(platform_on)
+    now = standing_of(platform)
     assert [one.worker.queues for one in now.workers] == ["eval"]
     assert now.paused == {"labeler"}
     assert 0.0 <= now.chores_s["jobs"] < 60.0
@@ -105,16 +91,16 @@ def test_a_chore_that_was_not_done_is_not_written_down(platform: Platform) -> No
     assert set(standing_of(platform).chores_s) == {"jobs", "size of the store", "counts"}
 
 
-def test_what_the_store_holds_is_added_up_in_steps(platform_on: Platform) -> None:
-    with platform_on.database.transaction() as session:
+def test_what_the_store_holds_is_added_up_in_steps(platform: Platform) -> None:
+    with platform.database.transaction() as session:
         for number in range(5):
             session.add(Blob(sha256=f"{number:064x}", object_key=f"blobs/{number}", size_bytes=10**number))
-    stored = StoreSum(platform_on)
+    stored = StoreSum(platform)
     stored.step(most=2)
     stored.step(most=2)
-    assert not standing_of(platform_on).figures
+    assert not standing_of(platform).figures
     stored.step(most=2)
-    assert standing_of(platform_on).figures == {STORED_BYTES: 11111, STORED_BLOBS: 5}
+    assert standing_of(platform).figures == {STORED_BYTES: 11111, STORED_BLOBS: 5}
 
 
 def test_every_question_about_jobs_is_answered_off_an_index(tmp_path: Path, fresh_postgres_url: str) -> None:

@@ -1,11 +1,11 @@
-"""Spans: switched on by the standard variables, one story across processes and hours, and never in the way of work."""
+"""Spans: one story across processes and hours, sent if it is asked for and never in the way of work; and log lines."""
 
+import json
 import os
 import subprocess
 import sys
 import threading
 from collections.abc import Iterator
-from contextlib import suppress
 
 import pytest
 from opentelemetry import trace
@@ -17,8 +17,7 @@ from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.sandbox.parent import sandboxed
-from services.runtime.telemetry.log_lines import name_span
-from services.runtime.telemetry.origins import context_of, link_to, origin_trace
+from services.runtime.telemetry.origins import link_to, origin_trace
 from services.runtime.telemetry.tracing import close_tracing, is_asked_for, setup_tracing, span, tracer
 from testing.servers.collector import Collector, collecting, facts_of
 from testing.servers.process import free_port
@@ -55,7 +54,8 @@ def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
         import sys, api.main, services.runtime.jobs.celery_app
         from services.runtime.telemetry.log_lines import name_span
         from services.runtime.telemetry.origins import link_to, origin_trace
-        from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
+        from services.runtime.telemetry.origins import link_to, origin_trace
+from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
         setup_tracing("x")
         with span("a", attributes={"a": 1}) as made:
             link_to("00-" + "1" * 32 + "-" + "1" * 16 + "-01")
@@ -74,20 +74,28 @@ def test_libraries_that_trace_by_themselves_find_no_tracer_of_ours(collector: Co
     assert collector.spans == []
 
 
-def test_a_run_is_one_trace_from_who_queued_it_through_every_attempt(
-    platform_on: Platform, collector: Collector
-) -> None:
+def test_links_go_to_spans_and_to_nothing_else(collector: Collector) -> None:
+    with span("before"):
+        before = origin_trace()
+    with span("after"):
+        for traceparent in (before, "", "00-zz", "00-" + "0" * 32 + "-" + "1" * 16 + "-01", before + "-x"):
+            link_to(traceparent)
+    close_tracing()
+    assert [link.span_id for link in collector.one("after").links] == [collector.one("before").span_id]
+
+
+def test_a_run_is_one_trace_from_who_queued_it_through_every_attempt(platform: Platform, collector: Collector) -> None:
     def planned(attempt: Attempt) -> Outcome:
         attempt.progress("look", 0, 2)
         attempt.progress("look", 1, 2)
         attempt.progress("write", 2, 2)
         return Outcome(then=(JobSpec("labeler.ok"),))
 
-    owner = an_owner(platform_on)
+    owner = an_owner(platform)
     with span("POST /process", SpanKind.SERVER):
-        a_run(platform_on, owner, JobSpec("ingest.plan"))
-    assert run_next(platform_on, "ingest", {"ingest.plan": planned})
-    assert run_next(platform_on, "labeler", HANDLERS)
+        a_run(platform, owner, JobSpec("ingest.plan"))
+    assert run_next(platform, "ingest", {"ingest.plan": planned})
+    assert run_next(platform, "labeler", HANDLERS)
     close_tracing()
     asked, first, then = (collector.one(name) for name in ("POST /process", "job ingest.plan", "job labeler.ok"))
     assert asked.trace_id == first.trace_id == then.trace_id
@@ -127,44 +135,6 @@ def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collect
     assert facts_of(lost)["error.type"] == "lease_expired"
 
 
-def test_links_go_to_spans_and_to_nothing_else(collector: Collector) -> None:
-    with span("before"):
-        before = origin_trace()
-    with span("after"):
-        for traceparent in (before, "", "00-zz", "00-" + "0" * 32 + "-" + "1" * 16 + "-01", before + "-x"):
-            link_to(traceparent)
-    close_tracing()
-    assert [link.span_id for link in collector.one("after").links] == [collector.one("before").span_id]
-
-
-def test_what_raises_leaves_its_class_and_not_its_words(collector: Collector) -> None:
-    with suppress(ValueError), span("fails"):
-        raise ValueError("hunter2")
-    close_tracing()
-    assert facts_of(collector.one("fails"))["error.type"] == "ValueError"
-    assert b"hunter2" not in b"".join(collector.said)
-
-
-def test_a_span_is_named_in_lines_only_within_it(collector: Collector) -> None:
-    assert name_span(None, "info", {}) == {}
-    with span("one"):
-        ids = name_span(None, "info", {})
-    close_tracing()
-    one = collector.one("one")
-    assert (ids["trace_id"], ids["span_id"]) == (one.trace_id.hex(), one.span_id.hex())
-    assert collector.services() == {"stone-test"}
-
-
-def test_what_names_no_span_is_no_parent(collector: Collector) -> None:
-    with span("asked", within=context_of("00-" + "1" * 32 + "-" + "2" * 16 + "-01")), span("inner", within=None):
-        assert context_of("") is None
-        assert context_of("00-" + "1" * 32 + "-" + "0" * 16 + "-01") is None
-    close_tracing()
-    asked, inner = collector.one("asked"), collector.one("inner")
-    assert (asked.trace_id.hex(), asked.parent_span_id.hex()) == ("1" * 32, "2" * 16)
-    assert inner.parent_span_id == asked.span_id
-
-
 def test_a_child_of_a_fork_sends_nothing_and_has_one_thread(collector: Collector) -> None:
     with span("parent"):
         child = os.fork()
@@ -192,3 +162,36 @@ def test_a_collector_that_is_away_holds_nobody_up(
     close_tracing()
     assert not tracer().start_span("late").is_recording()
     assert job(platform, job_id).state == "succeeded"
+
+
+PROGRAM = """
+import logging, structlog
+from services.runtime.telemetry.log_lines import speak_json
+speak_json()
+speak_json()
+log = structlog.get_logger("ours")
+with structlog.contextvars.bound_contextvars(request_id="r-7"):
+    log.info("said", count=3, odd=object())
+    logging.getLogger("uvicorn.error").warning("theirs %s", 1)
+    logging.getLogger("uvicorn.access").info("GET /?cursor=whole")
+log.debug("too quiet")
+def fail(password):
+    return 1 / 0
+try:
+    fail("hunter2")
+except ZeroDivisionError as error:
+    log.error("fault", exc_info=error)
+"""
+
+
+def test_ours_and_the_libraries_lines_are_json_with_the_request() -> None:
+    ended = subprocess.run([sys.executable, "-c", PROGRAM], check=True, capture_output=True, text=True)
+    assert ended.stdout == ""
+    said, theirs, fault = [json.loads(line) for line in ended.stderr.splitlines()]
+    assert (said["event"], said["count"], said["request_id"], said["level"]) == ("said", 3, "r-7", "info")
+    assert said["timestamp"].endswith("Z")
+    assert (theirs["event"], theirs["logger"], theirs["request_id"]) == ("theirs 1", "uvicorn.error", "r-7")
+    assert fault["exception"][0]["exc_type"] == "ZeroDivisionError"
+    assert "request_id" not in fault
+    assert "hunter2" not in ended.stderr
+    assert "cursor" not in ended.stderr
