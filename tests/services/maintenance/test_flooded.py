@@ -4,7 +4,7 @@ from collections.abc import Callable
 from functools import partial
 
 import pytest
-from sqlalchemy import func, insert, select
+from sqlalchemy import func, select
 
 from services.domain.benchmarks.submissions import chores as submission_chores
 from services.domain.notifications import spread
@@ -12,17 +12,16 @@ from services.domain.sequences import later_recordings
 from services.maintenance import sweeper
 from services.maintenance.notifications import delivery
 from services.runtime.access import audit_retention, retention
-from services.runtime.orm import Base, Upload, User, new_id
+from services.runtime.orm import Base
 from services.runtime.platform import Platform
 from services.runtime.settings import RetentionSettings
 from services.runtime.store import garbage_collection
 from services.runtime.store.gc_cursor import GcCursor
-from services.runtime.uploads.sweep_cursor import FILES, SLICE, UploadCursor
-from tests.services.maintenance.flood import LATER_NS, NOT_STRANGERS, PARTICULAR, Cost, cost_of, flood
+from services.runtime.uploads.sweep_cursor import UploadCursor
+from tests.services.maintenance.flood import NOT_STRANGERS, PARTICULAR, Cost, cost_of, flood
 
 SOME, MORE = 250, 750
 SMALL = 40
-ATTACK = 5000
 CHORES = (
     *(
         "jobs",
@@ -84,25 +83,6 @@ def test_a_turn_of_a_chore_costs_no_more_where_strangers_have_left_more(flooded:
     assert is_bounded(before, after), f"{before}, then {after}"
 
 
-def test_a_chore_that_reads_everything_is_noticed(flooded: Platform) -> None:
-    def read_all() -> None:
-        with flooded.database.reading() as session:
-            session.scalar(select(func.count()).select_from(Upload).where(Upload.filename != ""))
-
-    def ask_of_each() -> None:
-        with flooded.database.reading() as session:
-            for upload_id in session.scalars(select(Upload.id).limit(after_rows.pop())).all():
-                session.get(Upload, upload_id)
-
-    after_rows = [SOME + MORE, SOME]
-    assert not is_bounded(*costs(flooded, read_all))
-    with cost_of(flooded.database.engine) as before:
-        ask_of_each()
-    with cost_of(flooded.database.engine) as after:
-        ask_of_each()
-    assert not is_bounded(before, after)
-
-
 def test_every_chore_is_flooded_and_every_table_but_those_that_strangers_do_not_fill(platform: Platform) -> None:
     assert [chore.name for loop in sweeper.loops_of(platform) for chore in loop.chores] == list(CHORES)
     assert NOT_STRANGERS.keys() | PARTICULAR.keys() <= Base.metadata.tables.keys()
@@ -112,22 +92,3 @@ def test_every_chore_is_flooded_and_every_table_but_those_that_strangers_do_not_
             table.name: session.scalar(select(func.count()).select_from(table)) for table in Base.metadata.sorted_tables
         }
     assert {name for name, count in rows.items() if not count} == NOT_STRANGERS.keys()
-
-
-def test_thousands_of_tiny_uploads_cost_a_turn_a_few_statements(platform: Platform) -> None:
-    """The attack as it was made: files of one byte that nobody sends, each of which was asked for by itself."""
-    with platform.database.transaction() as session:
-        eve = User(name="eve", role="participant")
-        session.add(eve)
-        session.flush()
-        ids = [new_id() for _ in range(ATTACK)]
-        said = {"owner_id": eve.id, "purpose": "submission", "filename": "a", "length_bytes": 1}
-        session.execute(insert(Upload), [{"id": one, "expires_ns": LATER_NS, **said} for one in ids])
-    platform.settings.uploads_folder.mkdir(parents=True)
-    for one in ids:
-        (platform.settings.uploads_folder / one).touch()
-    work = work_of(platform, "uploads")
-    for _ in range(ATTACK // min(SLICE, FILES) + 1):
-        with cost_of(platform.database.engine) as cost:
-            work()
-        assert cost.statements <= 20

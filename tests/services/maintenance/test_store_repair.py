@@ -41,11 +41,11 @@ def harm(platform: Platform, blobs: dict[str, Blob]) -> None:
 
 
 @pytest.fixture
-def blobs(platform_on: Platform, tmp_path: Path) -> dict[str, Blob]:
+def blobs(platform: Platform, tmp_path: Path) -> dict[str, Blob]:
     folder = tmp_path / "brought"
     folder.mkdir()
-    made = laid(platform_on, folder)
-    harm(platform_on, made)
+    made = laid(platform, folder)
+    harm(platform, made)
     return made
 
 
@@ -53,20 +53,20 @@ def faults(platform: Platform, *, is_read: bool) -> dict[str, str]:
     return {one.sha256: one.fault for one in damaged_blobs(platform, is_read=is_read)}
 
 
-def test_a_store_that_is_whole_has_lost_nothing(platform_on: Platform, tmp_path: Path) -> None:
-    laid(platform_on, tmp_path)
-    assert list(damaged_blobs(platform_on, is_read=True)) == []
+def test_a_store_that_is_whole_has_lost_nothing(platform: Platform, tmp_path: Path) -> None:
+    laid(platform, tmp_path)
+    assert list(damaged_blobs(platform, is_read=True)) == []
 
 
-def test_what_is_gone_cut_or_changed_is_found_with_what_names_it(platform_on: Platform, blobs: dict[str, Blob]) -> None:
+def test_what_is_gone_cut_or_changed_is_found_with_what_names_it(platform: Platform, blobs: dict[str, Blob]) -> None:
     looked = {blobs["gone"].sha256: "missing", blobs["cut"].sha256: "size"}
-    assert faults(platform_on, is_read=False) == looked
-    assert faults(platform_on, is_read=True) == {**looked, blobs["changed"].sha256: "bytes"}
-    assert {one.named_by for one in damaged_blobs(platform_on)} == {("calibrations",)}
+    assert faults(platform, is_read=False) == looked
+    assert faults(platform, is_read=True) == {**looked, blobs["changed"].sha256: "bytes"}
+    assert {one.named_by for one in damaged_blobs(platform)} == {("calibrations",)}
 
 
 def test_what_is_lost_is_put_back_by_content_under_any_name(
-    platform_on: Platform, blobs: dict[str, Blob], tmp_path: Path
+    platform: Platform, blobs: dict[str, Blob], tmp_path: Path
 ) -> None:
     copies = tmp_path / "somewhere" / "else"
     copies.mkdir(parents=True)
@@ -74,35 +74,35 @@ def test_what_is_lost_is_put_back_by_content_under_any_name(
         (copies / f"{number}.bin").write_bytes(CONTENTS[name])
     (copies / "4.bin").write_bytes(b"x" * len(CONTENTS["gone"]))
     (copies / "link").symlink_to(copies / "1.bin")
-    lost = list(damaged_blobs(platform_on, is_read=True))
-    assert len(restore_objects(platform_on, lost, tmp_path / "somewhere")) == 3
-    assert list(damaged_blobs(platform_on, is_read=True)) == []
+    lost = list(damaged_blobs(platform, is_read=True))
+    assert len(restore_objects(platform, lost, tmp_path / "somewhere")) == 3
+    assert list(damaged_blobs(platform, is_read=True)) == []
     for name, blob in blobs.items():
-        assert b"".join(platform_on.store.read(blob.object_key)) == CONTENTS[name]
+        assert b"".join(platform.store.read(blob.object_key)) == CONTENTS[name]
 
 
-def test_files_of_other_content_put_nothing_back(platform_on: Platform, blobs: dict[str, Blob], tmp_path: Path) -> None:
-    lost = list(damaged_blobs(platform_on))
+def test_files_of_other_content_put_nothing_back(platform: Platform, blobs: dict[str, Blob], tmp_path: Path) -> None:
+    lost = list(damaged_blobs(platform))
     wrong = tmp_path / "wrong"
     wrong.mkdir()
     (wrong / lost[0].sha256).write_bytes(b"y" * lost[0].size_bytes)
-    assert restore_objects(platform_on, lost, wrong) == []
+    assert restore_objects(platform, lost, wrong) == []
 
 
 @pytest.mark.parametrize("way", ["prepared", "kept"])
 def test_a_content_that_comes_again_mends_what_is_lost(
-    platform_on: Platform, blobs: dict[str, Blob], tmp_path: Path, way: str
+    platform: Platform, blobs: dict[str, Blob], tmp_path: Path, way: str
 ) -> None:
     again = tmp_path / "brought" / "gone"
     if way == "prepared":
-        prepared = prepare(platform_on.store, platform_on.database, again)
-        with platform_on.database.transaction() as session:
+        prepared = prepare(platform.store, platform.database, again)
+        with platform.database.transaction() as session:
             blob = link(session, prepared)
     else:
-        with platform_on.database.transaction() as session:
-            blob = keep(session, platform_on.store, again)
+        with platform.database.transaction() as session:
+            blob = keep(session, platform.store, again)
     assert blob.object_key == blobs["gone"].object_key
-    assert b"".join(platform_on.store.read(blob.object_key)) == CONTENTS["gone"]
+    assert b"".join(platform.store.read(blob.object_key)) == CONTENTS["gone"]
 
 
 def labelled(platform: Platform, blob: Blob) -> tuple[str, str]:
@@ -130,15 +130,13 @@ def labelled(platform: Platform, blob: Blob) -> tuple[str, str]:
         return sequence.id, labels.id
 
 
-def test_labels_that_lost_something_are_forgotten_and_others_stay(
-    platform_on: Platform, blobs: dict[str, Blob]
-) -> None:
-    sequence_id, lost_labels = labelled(platform_on, blobs["gone"])
-    lost = [one for one in damaged_blobs(platform_on) if one.fault == "missing"]
+def test_labels_that_lost_something_are_forgotten_and_others_stay(platform: Platform, blobs: dict[str, Blob]) -> None:
+    sequence_id, lost_labels = labelled(platform, blobs["gone"])
+    lost = [one for one in damaged_blobs(platform) if one.fault == "missing"]
     assert "artefacts" in lost[0].named_by
-    assert forget_derived(platform_on, [DamagedBlob("0" * 64, "blobs/00/x", 1, "missing", ())]) == 0
-    assert forget_derived(platform_on, lost) == 2
-    with platform_on.database.reading() as session:
+    assert forget_derived(platform, [DamagedBlob("0" * 64, "blobs/00/x", 1, "missing", ())]) == 0
+    assert forget_derived(platform, lost) == 2
+    with platform.database.reading() as session:
         assert session.get(LabelSet, lost_labels) is None
         assert session.get(SequenceRow, sequence_id) is not None
         assert session.get(Blob, blobs["gone"].sha256) is not None, "the calibration still names it"

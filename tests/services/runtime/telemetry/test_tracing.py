@@ -17,7 +17,8 @@ from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.sandbox.parent import sandboxed
-from services.runtime.telemetry.origins import link_to, origin_trace
+from services.runtime.telemetry.log_lines import name_span
+from services.runtime.telemetry.origins import context_of, link_to, origin_trace
 from services.runtime.telemetry.tracing import close_tracing, is_asked_for, setup_tracing, span, tracer
 from testing.servers.collector import Collector, collecting, facts_of
 from testing.servers.process import free_port
@@ -53,8 +54,10 @@ def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
     program = """if True:
         import sys, api.main, services.runtime.jobs.celery_app
         from services.runtime.telemetry.log_lines import name_span
-        from services.runtime.telemetry.origins import link_to, origin_trace
-        from services.runtime.telemetry.origins import link_to, origin_trace
+        from services.runtime.telemetry.log_lines import name_span
+from services.runtime.telemetry.origins import context_of, link_to, origin_trace
+        from services.runtime.telemetry.log_lines import name_span
+from services.runtime.telemetry.origins import context_of, link_to, origin_trace
 from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
         setup_tracing("x")
         with span("a", attributes={"a": 1}) as made:
@@ -133,6 +136,20 @@ def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collect
     asked, lost = collector.one("asked"), collector.one("job ingest.ok")
     assert lost.trace_id == asked.trace_id
     assert facts_of(lost)["error.type"] == "lease_expired"
+
+
+def test_a_span_is_named_in_lines_only_within_it_and_has_the_parent_that_it_is_given(collector: Collector) -> None:
+    assert name_span(None, "info", {}) == {}
+    with span("asked", within=context_of("00-" + "1" * 32 + "-" + "2" * 16 + "-01")), span("inner", within=None):
+        ids = name_span(None, "info", {})
+        assert context_of("") is None
+        assert context_of("00-" + "1" * 32 + "-" + "0" * 16 + "-01") is None
+    close_tracing()
+    asked, inner = collector.one("asked"), collector.one("inner")
+    assert (asked.trace_id.hex(), asked.parent_span_id.hex()) == ("1" * 32, "2" * 16)
+    assert inner.parent_span_id == asked.span_id
+    assert (ids["trace_id"], ids["span_id"]) == (inner.trace_id.hex(), inner.span_id.hex())
+    assert collector.services() == {"stone-test"}
 
 
 def test_a_child_of_a_fork_sends_nothing_and_has_one_thread(collector: Collector) -> None:
