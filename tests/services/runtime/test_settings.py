@@ -11,7 +11,6 @@ from typing import Any
 
 import pytest
 from pydantic import SecretStr
-from pydantic_settings import SettingsError
 from structlog.testing import capture_logs
 
 from services.runtime.database.transactions import Database
@@ -33,16 +32,11 @@ from services.runtime.settings_checks import (
     RENAMED,
     ImpossibleSettingsError,
     UnknownSettingError,
-    variable_of,
-    variables_of,
 )
 from testing.servers.fixtures import make_settings
 
 ROOT = Path(__file__).resolve().parents[3]
 PROCESSES = ("services.runtime.processes.api", "services.runtime.processes.worker", "services.runtime.backup")
-QUOTED = re.compile(r"""["'](STONE_[A-Z][A-Z0-9_]*[A-Z0-9])["']""")
-EXPANDED = re.compile(r"\$\{?(STONE_[A-Z][A-Z0-9_]*[A-Z0-9])")
-NO_VARIABLES = {"STONE_MAY_IMPORT"}
 
 
 @pytest.fixture(autouse=True)
@@ -96,18 +90,6 @@ def test_a_secret_file_that_is_no_setting_is_refused_with_the_nearest(tmp_path: 
     (tmp_path / "stone_database__pasword").write_text("word")
     with pytest.raises(UnknownSettingError, match=r"stone_database__pasword.*STONE_DATABASE__P"):
         Settings()
-
-
-def test_every_variable_that_the_project_speaks_of_is_known() -> None:
-    """What commands, tests and deployments read may stand in the environment of a process."""
-    folders = ("api", "benchmarks", "chaos", "fuzz", "services", "simulator", "stone_client", "testing", "tests", "web")
-    modules = [path for folder in folders for path in (ROOT / folder).rglob("*.py") if path != Path(__file__)]
-    named = {name for path in modules for name in QUOTED.findall(path.read_text("utf-8"))}
-    deployed = [ROOT / "docker-compose.yml", *(ROOT / "deploy").rglob("*.sh"), *(ROOT / "deploy").rglob("Caddyfile")]
-    named |= {name for path in deployed for name in EXPANDED.findall(path.read_text("utf-8"))}
-    assert {"STONE_TOKEN", "STONE_FIELD_DATA", "STONE_PORTS", "STONE_ENGINE"} <= named
-    groups = {variable_of(name) for name in Settings.model_fields}
-    assert named - {*variables_of(Settings), *groups, *OTHERS, *RENAMED, *NO_VARIABLES} == set()
 
 
 @pytest.mark.parametrize("bound", BOUNDS, ids=lambda bound: bound.setting)
@@ -265,13 +247,6 @@ def test_a_volume_of_secrets_as_a_cluster_mounts_it_is_read(secrets: Path) -> No
     (secrets / "..data").symlink_to("..2026_11_22")
     (secrets / "stone_database__password").symlink_to("..data/stone_database__password")
     assert Settings().database.password.get_secret_value() == "rotated"
-
-
-def test_a_folder_of_secrets_that_is_a_file_is_refused(secrets: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    (secrets / "file").write_text("")
-    monkeypatch.setenv(SECRETS_VARIABLE, str(secrets / "file"))
-    with pytest.raises(SettingsError, match="must reference a directory"):
-        Settings()
 
 
 def test_a_database_password_reaches_the_driver_and_no_text(secrets: Path, monkeypatch: pytest.MonkeyPatch) -> None:

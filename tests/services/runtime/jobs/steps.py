@@ -1,14 +1,20 @@
 """What the tests of the jobs share: an owner, a queue run to its end, small handlers."""
 
-from collections.abc import Mapping
-from typing import Any
+from collections.abc import Callable, Mapping
+from typing import Any, Concatenate, ParamSpec, TypeVar
 
+from sqlalchemy.orm import Session
+
+from services.runtime.jobs.claims import Claim, claim
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Context, Handlers, JobSpec, Outcome
 from services.runtime.orm import Job, User
 from services.runtime.platform import Platform
 from stone.errors import StoneError
+
+P = ParamSpec("P")
+T = TypeVar("T")
 
 
 class UnreadableError(StoneError):
@@ -56,6 +62,19 @@ def a_job(platform: Platform, owner: str, kind: str = "ingest.ok", priority: int
 def a_run(platform: Platform, owner: str, *specs: JobSpec) -> str:
     with platform.database.transaction() as session:
         return enqueue_run(session, "sequence.process", specs, Context(owner)).id
+
+
+def claimed(platform: Platform, queue: str = "ingest") -> Claim:
+    """The next job, taken by somebody who says nothing more."""
+    taken = act(platform, claim, queue)
+    assert taken is not None
+    return taken
+
+
+def act(platform: Platform, what: Callable[Concatenate[Session, P], T], *said: P.args, **more: P.kwargs) -> T:
+    """What is answered in a transaction of its own."""
+    with platform.database.transaction() as session:
+        return what(session, *said, **more)
 
 
 def run_all(platform: Platform, handlers: Handlers = HANDLERS, queues: tuple[str, ...] = ("ingest", "labeler")) -> int:

@@ -27,14 +27,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import Bells, make_settings, opened
 from testing.threads import at_once
-from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, an_owner, job, run_all, states
-
-
-def take(platform: Platform) -> str:
-    with platform.database.transaction() as session:
-        taken = claim(session, "ingest")
-    assert taken is not None
-    return taken.job_id
+from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, act, an_owner, claimed, job, run_all, states
 
 
 def test_eight_workers_that_receive_the_same_wake_up_take_each_job_once(platform_on: Platform) -> None:
@@ -127,23 +120,21 @@ def test_the_urgent_job_is_taken_before_the_older(platform: Platform) -> None:
     owner = an_owner(platform)
     patient = a_job(platform, owner)
     urgent = a_job(platform, owner, priority=5)
-    assert [take(platform), take(platform)] == [urgent, patient]
+    assert [claimed(platform).job_id, claimed(platform).job_id] == [urgent, patient]
 
 
 def test_an_owner_with_a_hundred_jobs_does_not_starve_the_next(platform: Platform) -> None:
     greedy, modest = an_owner(platform, "greedy"), an_owner(platform, "modest")
     first = [a_job(platform, greedy) for _ in range(20)]
     only = a_job(platform, modest)
-    assert [take(platform), take(platform)] == [first[0], only]
+    assert [claimed(platform).job_id, claimed(platform).job_id] == [first[0], only]
 
 
 def test_a_paused_queue_gives_nothing_until_it_is_opened(platform: Platform) -> None:
     job_id = a_job(platform, an_owner(platform))
-    with platform.database.transaction() as session:
-        set_mode(session, "ingest", "paused")
+    act(platform, set_mode, "ingest", "paused")
     assert run_all(platform) == 0
-    with platform.database.transaction() as session:
-        set_mode(session, "ingest", "open")
+    act(platform, set_mode, "ingest", "open")
     run_all(platform)
     assert job(platform, job_id).state == "succeeded"
 
@@ -152,9 +143,7 @@ def test_how_long_a_job_was_ready_before_it_was_claimed_is_known_once_it_is(plat
     queued_id = a_job(platform, an_owner(platform))
     with platform.database.transaction() as session:
         session.execute(update(Job).where(Job.id == queued_id).values(ready_ns=Job.ready_ns - 3 * 10**9))
-    with platform.database.transaction() as session:
-        taken = claim(session, "ingest")
-    assert taken is not None
+    taken = claimed(platform)
     assert taken.origin.waited_s is not None
     assert 3.0 <= taken.origin.waited_s < 600.0
 

@@ -9,7 +9,6 @@ from sqlalchemy import select
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs import completion
-from services.runtime.jobs.claims import claim
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.control import cancel, retry, terminate
 from services.runtime.jobs.errors import JobStateError
@@ -20,7 +19,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
 from services.runtime.store.keys import StoreAwayError
-from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
+from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all, states
 
 
 def attempts_of(platform: Platform, job_id: str) -> list[JobAttempt]:
@@ -197,8 +196,7 @@ def test_a_store_that_is_away_is_waited_for_and_then_named(platform: Platform) -
 
 def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform: Platform) -> None:
     def work(attempt: Attempt) -> Outcome:
-        with platform.database.transaction() as session:
-            cancel(session, attempt.root_id, "wrong bag")
+        act(platform, cancel, attempt.root_id, "wrong bag")
         for step in range(500):
             attempt.progress("frames", step, 500)
             wait(0.02)
@@ -213,8 +211,7 @@ def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform: Platform)
 
 def test_a_queued_job_is_cancelled_at_once_and_never_runs(platform: Platform) -> None:
     job_id = a_job(platform, an_owner(platform))
-    with platform.database.transaction() as session:
-        cancel(session, job_id, "changed my mind")
+    act(platform, cancel, job_id, "changed my mind")
     assert run_all(platform) == 0
     assert job(platform, job_id).state == "cancelled"
 
@@ -235,14 +232,9 @@ def test_only_what_failed_or_was_cancelled_is_retried(platform: Platform) -> Non
 
 def test_an_attempt_that_lost_its_job_changes_nothing(platform: Platform) -> None:
     job_id = a_job(platform, an_owner(platform))
-    with platform.database.transaction() as session:
-        zombie = claim(session, "ingest")
-    assert zombie is not None
-    with platform.database.transaction() as session:
-        assert completion.lose(session, zombie, Failure("worker_lost", "silent"))
-    with platform.database.transaction() as session:
-        heir = claim(session, "ingest")
-    assert heir is not None
+    zombie = claimed(platform)
+    assert act(platform, completion.lose, zombie, Failure("worker_lost", "silent"))
+    heir = claimed(platform)
     assert heir.attempt == zombie.attempt + 1
     for end in (
         lambda session: completion.succeed(session, zombie, Outcome({"by": "zombie"}), 3),
@@ -253,6 +245,5 @@ def test_an_attempt_that_lost_its_job_changes_nothing(platform: Platform) -> Non
         with platform.database.transaction() as session:
             assert not end(session)
     assert job(platform, job_id).state == "running"
-    with platform.database.transaction() as session:
-        assert completion.succeed(session, heir, Outcome({"by": "heir"}), 3)
+    assert act(platform, completion.succeed, heir, Outcome({"by": "heir"}), 3)
     assert job(platform, job_id).result == {"by": "heir"}

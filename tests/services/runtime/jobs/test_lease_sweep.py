@@ -7,7 +7,6 @@ from sqlalchemy.exc import OperationalError
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs import claims
-from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.interruption import CRASHED, STOPPED, give_back_running
@@ -16,7 +15,7 @@ from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Job, JobAttempt, base
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.outages import GONE
-from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all, states
+from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all, states
 
 
 class WakeUps:
@@ -47,14 +46,6 @@ def a_sweeper(platform: Platform, clock: Clock, bells: WakeUps | None = None) ->
     return Sweeper(platform, bells.waiting, bells.ring, clock)
 
 
-def start(platform: Platform) -> str:
-    """A job of an attempt that will say nothing more: its worker was killed."""
-    with platform.database.transaction() as session:
-        taken = claim(session, "ingest")
-    assert taken is not None
-    return taken.job_id
-
-
 def silence(platform: Platform, sweeper: Sweeper, clock: Clock) -> int:
     """Let a lease pass; how many attempts were given back."""
     sweeper.recover()
@@ -65,7 +56,7 @@ def silence(platform: Platform, sweeper: Sweeper, clock: Clock) -> int:
 def test_an_attempt_silent_for_a_lease_is_queued_again(platform_on: Platform) -> None:
     clock = Clock()
     a_job(platform_on, an_owner(platform_on))
-    job_id = start(platform_on)
+    job_id = claimed(platform_on).job_id
     assert silence(platform_on, a_sweeper(platform_on, clock), clock) == 1
     assert job(platform_on, job_id).state == "queued"
     run_all(platform_on)
@@ -76,7 +67,7 @@ def test_an_attempt_that_beats_is_left_alone_however_long_it_takes(platform: Pla
     clock = Clock()
     sweeper = a_sweeper(platform, clock)
     a_job(platform, an_owner(platform))
-    job_id = start(platform)
+    job_id = claimed(platform).job_id
     for _ in range(10):
         sweeper.recover()
         clock.now_s += platform.settings.jobs.lease_s * 0.9
@@ -90,7 +81,7 @@ def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(plat
     sweeper = a_sweeper(platform, clock)
     root = a_run(platform, an_owner(platform), JobSpec("ingest.ok", key="a"), JobSpec("ingest.ok", needs=("a",)))
     for _ in range(3):
-        start(platform)
+        claimed(platform)
         silence(platform, sweeper, clock)
     failed = job(platform, root)
     assert (failed.state, failed.failure_code) == ("failed", "worker_lost")
@@ -100,9 +91,8 @@ def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(plat
 def test_a_cancelled_job_whose_worker_died_ends_cancelled_not_queued(platform: Platform) -> None:
     clock = Clock()
     root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    start(platform)
-    with platform.database.transaction() as session:
-        cancel(session, root, "stop")
+    claimed(platform)
+    act(platform, cancel, root, "stop")
     silence(platform, a_sweeper(platform, clock), clock)
     assert job(platform, root).state == "cancelled"
     assert run_all(platform) == 0
@@ -116,7 +106,7 @@ def test_a_clock_that_is_set_back_or_on_loses_and_doubles_nothing(
     sweeper = a_sweeper(platform_on, clock)
     owner = an_owner(platform_on)
     first, second = a_job(platform_on, owner), a_job(platform_on, owner)
-    assert start(platform_on) == first
+    assert claimed(platform_on).job_id == first
     sweeper.recover()
     shifted = base.now_ns() + jump_ns
     for module in (base, claims):
@@ -134,7 +124,7 @@ def test_an_attempt_that_was_lost_once_is_counted_once(platform_on: Platform) ->
     """The second sweeper's look was before the first one's act."""
     clock = Clock()
     a_job(platform_on, an_owner(platform_on))
-    seen = job(platform_on, start(platform_on))
+    seen = job(platform_on, claimed(platform_on).job_id)
     lost = []
     for _ in range(2):
         with platform_on.database.transaction() as session:
@@ -145,7 +135,7 @@ def test_an_attempt_that_was_lost_once_is_counted_once(platform_on: Platform) ->
 
 def test_an_attempt_that_is_heard_while_it_is_being_lost_is_kept(platform_on: Platform) -> None:
     a_job(platform_on, an_owner(platform_on))
-    seen = job(platform_on, start(platform_on))
+    seen = job(platform_on, claimed(platform_on).job_id)
     with platform_on.database.transaction() as session:
         session.execute(update(Job).where(Job.id == seen.id).values(heartbeats=Job.heartbeats + 1))
     with platform_on.database.transaction() as session:
@@ -160,7 +150,7 @@ def test_a_sweeper_that_could_not_look_takes_no_job_from_anybody_as_it_looks_aga
     clock = Clock()
     sweeper = a_sweeper(platform, clock)
     a_job(platform, an_owner(platform))
-    job_id = start(platform)
+    job_id = claimed(platform).job_id
     sweeper.recover()
     with monkeypatch.context() as outage:
         outage.setattr(Database, "reading", lambda database: (_ for _ in ()).throw(GONE))
@@ -190,8 +180,7 @@ def test_nothing_is_rung_for_a_paused_queue(platform: Platform) -> None:
     bells = WakeUps()
     sweeper = a_sweeper(platform, Clock(), bells)
     a_job(platform, an_owner(platform))
-    with platform.database.transaction() as session:
-        set_mode(session, "ingest", "paused")
+    act(platform, set_mode, "ingest", "paused")
     sweeper.sweep()
     sweeper.sweep()
     assert bells.in_queue == {}
@@ -206,7 +195,7 @@ def test_a_broker_that_is_away_stops_no_sweep(platform: Platform) -> None:
     owner = an_owner(platform)
     job_id = a_job(platform, owner)
     a_job(platform, owner)
-    start(platform)
+    claimed(platform)
     sweeper.sweep()
     clock.now_s += platform.settings.jobs.lease_s
     sweeper.sweep()
@@ -233,16 +222,10 @@ def test_bells_ring_after_the_commit_and_never_for_what_was_rolled_back(platform
     database.close()
 
 
-def begin(platform: Platform) -> None:
-    """Start an attempt that will say nothing more."""
-    with platform.database.transaction() as session:
-        assert claim(session, "ingest") is not None
-
-
 def test_an_orderly_stop_costs_no_attempt_however_often(platform: Platform) -> None:
     job_id = a_job(platform, an_owner(platform))
     for _ in range(5):
-        begin(platform)
+        claimed(platform)
         assert give_back_running(platform, STOPPED, is_counted=False) == 1
         assert (job(platform, job_id).state, job(platform, job_id).attempts_left) == ("queued", 3)
     run_all(platform)
@@ -252,10 +235,10 @@ def test_an_orderly_stop_costs_no_attempt_however_often(platform: Platform) -> N
 def test_a_crash_counts_and_the_third_is_the_last(platform: Platform) -> None:
     job_id = a_job(platform, an_owner(platform))
     for left in (2, 1):
-        begin(platform)
+        claimed(platform)
         give_back_running(platform, CRASHED, is_counted=True)
         assert (job(platform, job_id).state, job(platform, job_id).attempts_left) == ("queued", left)
-    begin(platform)
+    claimed(platform)
     give_back_running(platform, CRASHED, is_counted=True)
     assert (job(platform, job_id).state, job(platform, job_id).failure_code) == ("failed", "worker_lost")
 
@@ -263,16 +246,15 @@ def test_a_crash_counts_and_the_third_is_the_last(platform: Platform) -> None:
 @pytest.mark.parametrize("is_counted", [False, True])
 def test_a_job_that_was_asked_to_stop_is_cancelled_not_begun_again(platform: Platform, is_counted: bool) -> None:
     run_id = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    begin(platform)
-    with platform.database.transaction() as session:
-        cancel(session, run_id, "enough")
+    claimed(platform)
+    act(platform, cancel, run_id, "enough")
     give_back_running(platform, CRASHED if is_counted else STOPPED, is_counted=is_counted)
     assert job(platform, run_id).state == "cancelled"
 
 
 def test_the_attempt_says_why_it_ended_and_a_wake_up_is_sent(platform: Platform, bells: list[tuple[str, int]]) -> None:
     job_id = a_job(platform, an_owner(platform))
-    begin(platform)
+    claimed(platform)
     bells.clear()
     give_back_running(platform, STOPPED, is_counted=False)
     assert bells == [("ingest", 1)]

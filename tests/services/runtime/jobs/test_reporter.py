@@ -23,7 +23,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import Bells, make_settings, opened
 from tests.services.runtime.jobs.outages import GONE, Away, LostAnswers, quick
-from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, job, run_all
+from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all
 
 PATIENCE_S = 120.0
 
@@ -132,8 +132,7 @@ def test_an_attempt_hears_after_an_outage_that_it_is_to_stop(
     platform, away = quick(platform), Away(monkeypatch)
 
     def work(attempt: Attempt) -> Outcome:
-        with platform.database.transaction() as session:
-            cancel(session, attempt.root_id, "wrong bag")
+        act(platform, cancel, attempt.root_id, "wrong bag")
         away.error = GONE
         until(lambda: away.refused >= 3)
         away.error = None
@@ -199,9 +198,7 @@ def test_many_attempts_are_renewed_at_once_and_each_is_answered_for_itself(platf
         lose(session, lost, Failure("worker_lost", "silent"))
     line = AttemptLine(0, "info", "opened", {}, 1)
     unkept = replace(line, event="a\ud800b")
-    with platform_on.database.transaction() as session:
-        heir = claim(session, "ingest")
-    assert heir is not None
+    heir = claimed(platform_on)
     assert (heir.job_id, heir.attempt) == (lost.job_id, 2)
     words = [
         AttemptWords(fine.job_id, 1, progress_now("frames", 3, 8), (line,)),

@@ -17,7 +17,7 @@ from services.runtime.jobs.specs import TERMINAL, Attempt, JobSpec, Outcome
 from services.runtime.orm import Job, JobNeed
 from services.runtime.platform import Platform
 from testing.threads import at_once
-from tests.services.runtime.jobs.steps import HANDLERS, a_run, an_owner, job, run_all, states
+from tests.services.runtime.jobs.steps import HANDLERS, a_run, act, an_owner, claimed, job, run_all, states
 
 ORDER = (
     JobSpec("ingest.ok", key="read"),
@@ -93,8 +93,7 @@ def test_a_retry_waits_anew_for_the_job_beside_that_failed(platform: Platform) -
     root = a_run(platform, an_owner(platform), JobSpec("ingest.plan"))
     run_all(platform, table, queues=("ingest", "labeler", "eval"))
     assert job(platform, root).state == "failed"
-    with platform.database.transaction() as session:
-        retry(session, root, 3)
+    act(platform, retry, root, 3)
     run_all(platform, {**table, "eval.ok": HANDLERS["labeler.ok"]}, queues=("labeler", "eval"))
     assert job(platform, root).state == "succeeded"
     assert states(platform, root) == {"succeeded": 5}
@@ -123,8 +122,7 @@ def test_a_run_that_failed_waits_for_what_still_runs_of_it(platform: Platform) -
     run_all(platform, queues=("ingest",))
     assert job(platform, root).state == "running"
     assert busy is not None
-    with platform.database.transaction() as session:
-        assert completion.cancelled(session, busy)
+    assert act(platform, completion.cancelled, busy)
     assert job(platform, root).state == "failed"
 
 
@@ -143,14 +141,10 @@ def test_the_two_last_jobs_of_a_run_ending_at_once_end_it(platform_on: Platform)
 
 def test_cancelling_a_run_cancels_what_is_queued_and_asks_the_rest(platform_on: Platform) -> None:
     root = a_run(platform_on, an_owner(platform_on), JobSpec("ingest.ok"), JobSpec("labeler.ok"))
-    with platform_on.database.transaction() as session:
-        busy = claim(session, "labeler")
-    assert busy is not None
-    with platform_on.database.transaction() as session:
-        cancel(session, root, "wrong calibration")
+    busy = claimed(platform_on, "labeler")
+    act(platform_on, cancel, root, "wrong calibration")
     assert states(platform_on, root) == {"running": 1, "cancelled": 1}
-    with platform_on.database.transaction() as session:
-        assert completion.succeed(session, busy, Outcome(then=(JobSpec("labeler.ok"),)), 3)
+    assert act(platform_on, completion.succeed, busy, Outcome(then=(JobSpec("labeler.ok"),)), 3)
     assert states(platform_on, root) == {"succeeded": 1, "cancelled": 2}, "what follows is there and does not start"
     assert run_all(platform_on) == 0
     assert job(platform_on, root).state == "cancelled"
@@ -158,15 +152,11 @@ def test_cancelling_a_run_cancels_what_is_queued_and_asks_the_rest(platform_on: 
 
 def test_terminating_a_run_takes_its_jobs_away_at_once(platform: Platform) -> None:
     root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"), JobSpec("labeler.ok"))
-    with platform.database.transaction() as session:
-        busy = claim(session, "labeler")
-    assert busy is not None
-    with platform.database.transaction() as session:
-        terminate(session, root, "it eats the machine")
+    busy = claimed(platform, "labeler")
+    act(platform, terminate, root, "it eats the machine")
     assert job(platform, root).state == "cancelled"
     assert states(platform, root) == {"cancelled": 2}
-    with platform.database.transaction() as session:
-        assert not completion.succeed(session, busy, Outcome(), 3)
+    assert not act(platform, completion.succeed, busy, Outcome(), 3)
 
 
 @pytest.mark.parametrize("then", [(), (JobSpec("labeler.ok", key="a"), JobSpec("labeler.ok", needs=("a",)))])
@@ -175,17 +165,12 @@ def test_a_run_cancelled_while_its_last_job_succeeds_is_taken_up_by_a_retry(
 ) -> None:
     """The job did not look whether it was to stop; what was to follow it must not be lost with the cancelling."""
     root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    with platform.database.transaction() as session:
-        taken = claim(session, "ingest")
-    assert taken is not None
-    with platform.database.transaction() as session:
-        cancel(session, root, "the wrong profile")
-    with platform.database.transaction() as session:
-        assert completion.succeed(session, taken, Outcome(then=then), 3)
+    taken = claimed(platform)
+    act(platform, cancel, root, "the wrong profile")
+    assert act(platform, completion.succeed, taken, Outcome(then=then), 3)
     assert job(platform, root).state == "cancelled"
     assert run_all(platform) == 0
-    with platform.database.transaction() as session:
-        retry(session, root, 3)
+    act(platform, retry, root, 3)
     assert run_all(platform) == len(then)
     assert job(platform, root).state == "succeeded"
     assert states(platform, root) == {"succeeded": 1 + len(then)}
@@ -210,8 +195,7 @@ def test_a_retry_takes_up_what_failed_and_leaves_what_was_done(platform: Platfor
     run_all(platform, handlers)
     assert job(platform, root).state == "failed"
     mended = True
-    with platform.database.transaction() as session:
-        retry(session, root, 3)
+    act(platform, retry, root, 3)
     assert run_all(platform, handlers) == 2
     done = job(platform, root)
     assert (done.state, done.failure_code) == ("succeeded", "")
@@ -233,8 +217,7 @@ def test_the_progress_of_a_run_counts_its_jobs_by_stage(platform: Platform) -> N
 def test_a_draining_queue_takes_nothing_new_and_finishes_what_it_has(platform: Platform) -> None:
     owner = an_owner(platform)
     root = a_run(platform, owner, *ORDER)
-    with platform.database.transaction() as session:
-        set_mode(session, "labeler", "draining")
+    act(platform, set_mode, "labeler", "draining")
     with pytest.raises(QueueDrainingError, match="labeler"):
         a_run(platform, owner, *ORDER)
     run_all(platform)
@@ -248,11 +231,8 @@ def test_a_run_of_no_jobs_is_refused(platform: Platform) -> None:
 
 def test_a_failure_of_an_attempt_with_tries_left_is_not_the_runs(platform: Platform) -> None:
     root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    with platform.database.transaction() as session:
-        lost = claim(session, "ingest")
-    assert lost is not None
-    with platform.database.transaction() as session:
-        assert completion.lose(session, lost, Failure("worker_lost", "silent"))
+    lost = claimed(platform)
+    assert act(platform, completion.lose, lost, Failure("worker_lost", "silent"))
     run_all(platform)
     assert job(platform, root).state == "succeeded"
 

@@ -36,21 +36,27 @@ sandboxed(partial(spies.sleep, told), SandboxLimits(folder=told.parent, file_byt
 needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
 
 
-@pytest.fixture
-def secret(monkeypatch: pytest.MonkeyPatch) -> str:
+@pytest.fixture(scope="module")
+def secret() -> Iterator[str]:
     """In this process's memory and environment, as the key of a store is."""
     made = f"stone-secret-{token_hex(16)}"
-    monkeypatch.setenv("STONE_STORE__S3_SECRET", made)
-    monkeypatch.setenv("AWS_SECRET_ACCESS_KEY", made)
-    return made
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setenv("STONE_STORE__S3_SECRET", made)
+        patch.setenv("AWS_SECRET_ACCESS_KEY", made)
+        yield made
+
+
+@pytest.fixture(scope="module")
+def started(secret: str) -> Iterator[ForkServer]:
+    made = ForkServer(SPIES)
+    yield made
+    made.close()
 
 
 @pytest.fixture
-def server(monkeypatch: pytest.MonkeyPatch, secret: str) -> Iterator[ForkServer]:
-    made = ForkServer(SPIES)
-    monkeypatch.setattr(fork_client, "_SERVERS", [made])
-    yield made
-    made.close()
+def server(started: ForkServer, monkeypatch: pytest.MonkeyPatch) -> ForkServer:
+    monkeypatch.setattr(fork_client, "_SERVERS", [started])
+    return started
 
 
 def test_a_child_holds_no_secret_of_the_service(server: ForkServer, secret: str) -> None:

@@ -47,13 +47,18 @@ sys.stdin.readline()
 needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
 
 
-@pytest.fixture(autouse=True)
-def server(monkeypatch: pytest.MonkeyPatch) -> Iterator[ForkServer]:
+@pytest.fixture(scope="module")
+def server() -> Iterator[ForkServer]:
     made = ForkServer((spies.__name__,))
-    monkeypatch.setattr(fork_client, "_SERVERS", [made])
     yield made
-    CHILDREN.close()
     made.close()
+
+
+@pytest.fixture(autouse=True)
+def _served(server: ForkServer, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
+    monkeypatch.setattr(fork_client, "_SERVERS", [server])
+    yield
+    CHILDREN.close()
 
 
 def asked(

@@ -81,7 +81,7 @@ names = st.sampled_from(["a", "b/c", "b/d.npz", "e_f/g/h.jpg", "z+1", "m=2@x"])
     kind=st.sampled_from(KINDS),
     data=st.data(),
 )
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=25, deadline=None)
 def test_any_range_of_an_archive_is_read_from_the_packs(
     content: dict[str, bytes], pack_bytes: int, kind: Kind, data: st.DataObject
 ) -> None:

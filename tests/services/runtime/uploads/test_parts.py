@@ -189,14 +189,6 @@ def test_on_a_slow_line_what_came_counts_before_a_slab_is_full(
     reception.close()
 
 
-def test_a_request_that_is_cut_off_keeps_what_came(stored: Platform) -> None:
-    upload = made(stored, make_owner(stored), CONTENT)
-    reception = begun(stored, upload.id, upload.owner_id)
-    reception.write([CONTENT[:1700]])
-    reception.close()
-    assert kept(stored, upload) == CONTENT[:1700]
-
-
 def test_a_file_in_crumbs_is_not_kept_in_ever_more_objects(stored: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part_writer, "MOST_PARTS", 2)
     upload = made(stored, make_owner(stored), CONTENT)
