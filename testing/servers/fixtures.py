@@ -134,12 +134,26 @@ def platform(settings: Settings, bells: Bells) -> Iterator[Platform]:
     made.database.close()
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def platform_on(request: pytest.FixtureRequest, tmp_path: Path, bells: Bells) -> Iterator[Platform]:
-    if request.param == "sqlite":
-        yield request.getfixturevalue("platform")
-        return
-    url = request.getfixturevalue("fresh_postgres_url")
-    made = opened(make_settings(tmp_path, database=DatabaseSettings(url)), bells)
+@pytest.fixture
+def on_postgres(fresh_postgres_url: str, tmp_path: Path, bells: Bells) -> Iterator[Platform]:
+    """The platform on PostgreSQL alone."""
+    made = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), bells)
     yield made
     made.database.close()
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def platform_on(request: pytest.FixtureRequest) -> Platform:
+    made: Platform = request.getfixturevalue("platform" if request.param == "sqlite" else "on_postgres")
+    return made
+
+
+@pytest.fixture(params=["sqlite", "postgres"])
+def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
+    """Settings of a database without any table, on both."""
+    if request.param == "sqlite":
+        yield make_settings(tmp_path)
+        return
+    server: PostgresServer = request.getfixturevalue("postgres_server")
+    with server.fresh_database() as url:
+        yield make_settings(tmp_path, database=DatabaseSettings(url))

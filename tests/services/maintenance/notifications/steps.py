@@ -50,6 +50,12 @@ def turn(platform: Platform) -> int:
     return before + deliver_queued(platform)
 
 
+def all_sent(platform: Platform) -> None:
+    """Turns until there is nothing to do."""
+    while turn(platform):
+        pass
+
+
 def deliveries(platform: Platform) -> list[NotificationDelivery]:
     with platform.database.reading() as session:
         return session.query(NotificationDelivery).order_by(NotificationDelivery.id).all()

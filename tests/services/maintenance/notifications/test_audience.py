@@ -20,7 +20,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from testing.servers.webhook_receiver import WebhookReceiver, webhook_receiver
 from tests.services.domain.benchmarks.drafts import Entrant, entrant_on, finalised, reserved
-from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
+from tests.services.maintenance.notifications.steps import a_user, all_sent, deliveries, happened, telling
 from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, run_all
 
 GIB = 2**30
@@ -42,11 +42,6 @@ def wanting(platform: Platform, user_id: str, url: str) -> None:
     with platform.database.transaction() as session:
         choose(session, user_id, {"webhook": list(EVENTS)})
         set_webhook(session, user_id, url, platform.settings.notifications)
-
-
-def all_sent(platform: Platform) -> None:
-    while turn(platform):
-        pass
 
 
 def test_nobody_is_told_anything_who_did_not_choose_it(platform: Platform, receiver: WebhookReceiver) -> None:

@@ -28,7 +28,7 @@ from services.runtime.orm import EmailAddress, Job, User
 from services.runtime.platform import Platform
 from testing.servers.certificates import self_signed
 from testing.servers.process import free_port
-from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
+from tests.services.maintenance.notifications.steps import a_user, all_sent, deliveries, happened, telling, turn
 
 PASSWORD = "between us and the relay"
 ADDRESS = "ada@example.org"
@@ -79,12 +79,21 @@ def mailbox() -> Mailbox:
     return Mailbox()
 
 
+@pytest.fixture
+def context(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> ssl.SSLContext:
+    """A server's, whose certificate is believed."""
+    certificate = self_signed(tmp_path)
+    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
+    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
+    context.load_cert_chain(certificate, tmp_path / "key.pem")
+    return context
+
+
 def test_an_event_is_one_plain_message_that_says_how_to_be_told_no_more(platform: Platform, mailbox: Mailbox) -> None:
     with mail_server(mailbox) as place:
         platform = telling(platform, **place)
         happened(platform, a_user(platform, "ada", email=ADDRESS))
-        while turn(platform):
-            pass
+        all_sent(platform)
     (message,) = mailbox.messages
     (row,) = deliveries(platform)
     assert (message["To"], message["From"], row.state) == (ADDRESS, "stone@example.org", "delivered")
@@ -93,12 +102,8 @@ def test_an_event_is_one_plain_message_that_says_how_to_be_told_no_more(platform
 
 
 def test_starttls_and_password_are_used_and_a_server_without_tls_is_told_nothing(
-    platform: Platform, mailbox: Mailbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, mailbox: Mailbox, context: ssl.SSLContext
 ) -> None:
-    certificate = self_signed(tmp_path)
-    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificate, tmp_path / "key.pem")
     said: list[tuple[bytes, bytes]] = []
 
     def authenticator(_server: Any, _session: Any, _envelope: Any, _mechanism: str, data: LoginPassword) -> AuthResult:
@@ -123,12 +128,8 @@ def test_starttls_and_password_are_used_and_a_server_without_tls_is_told_nothing
 
 
 def test_tls_from_the_first_byte_is_spoken_where_it_is_set(
-    platform: Platform, mailbox: Mailbox, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    platform: Platform, mailbox: Mailbox, context: ssl.SSLContext
 ) -> None:
-    certificate = self_signed(tmp_path)
-    monkeypatch.setenv("SSL_CERT_FILE", str(certificate))
-    context = ssl.SSLContext(ssl.PROTOCOL_TLS_SERVER)
-    context.load_cert_chain(certificate, tmp_path / "key.pem")
     with mail_server(mailbox, ssl_context=context) as place:
         platform = telling(platform, **place | {"smtp_security": "tls"})
         happened(platform, a_user(platform, "ada", email=ADDRESS))
@@ -155,8 +156,7 @@ def test_an_address_is_written_to_once_its_link_was_followed_by_its_user(platfor
         with platform.database.transaction() as session:
             set_address(session, ada, "new@example.org", platform.settings.notifications)
         happened(platform, ada)
-        while turn(platform):
-            pass
+        all_sent(platform)
         (message,) = mailbox.messages  # the event was dropped: the new address is not verified
         assert message["To"] == "new@example.org"
         found = re.search(r"email_secret=([\w-]+)", message.get_content())
@@ -169,8 +169,7 @@ def test_an_address_is_written_to_once_its_link_was_followed_by_its_user(platfor
             with pytest.raises(EmailVerificationError):
                 verify(session, ada, found[1])  # it worked once
         happened(platform, ada)
-        while turn(platform):
-            pass
+        all_sent(platform)
     assert [one["To"] for one in mailbox.messages] == ["new@example.org"] * 2
 
 

@@ -30,7 +30,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import JobSettings
 from testing.servers.certificates import self_signed
 from testing.servers.webhook_receiver import WebhookReceiver, webhook_receiver
-from tests.services.maintenance.notifications.steps import a_user, deliveries, happened, telling, turn
+from tests.services.maintenance.notifications.steps import a_user, all_sent, deliveries, happened, telling, turn
 
 SOON = 1e-6
 """Pauses of microseconds."""
@@ -53,8 +53,7 @@ def test_an_event_is_sent_once_signed_as_another_implementation_verifies(
     platform = telling(platform)
     user_id = a_user(platform, "ada", receiver.url())
     happened(platform, user_id)
-    while turn(platform):
-        pass
+    all_sent(platform)
     (came,) = receiver.received()
     told = Verifier(secret_of(platform, user_id)).verify(came["body"], came["headers"])
     assert told["type"] == "quota.low"
@@ -116,8 +115,7 @@ def test_one_that_is_gone_is_sent_nothing_more(platform: Platform, receiver: Web
     user_id = a_user(platform, "ada", receiver.url("/status/410"))
     happened(platform, user_id)
     happened(platform, user_id)
-    while turn(platform):
-        pass
+    all_sent(platform)
     assert len(receiver.received()) == 1
     with platform.database.reading() as session:
         assert session.get_one(Webhook, user_id).disabled_ns is not None

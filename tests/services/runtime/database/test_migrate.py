@@ -5,8 +5,6 @@ What an older version left in the database is there, in its new place, once the 
 
 import json
 import multiprocessing
-from collections.abc import Iterator
-from pathlib import Path
 from random import Random
 from typing import Any
 
@@ -45,24 +43,11 @@ from services.runtime.orm import (
     SequenceRow,
 )
 from services.runtime.platform import Platform
-from services.runtime.settings import DatabaseSettings, Settings
+from services.runtime.settings import Settings
 from stone.splits.composition import duration_ns
-from testing.servers.fixtures import make_settings
-from testing.servers.postgres import PostgresServer
 
 ORDERED = "ix_jobs_ready"
 """An index with a column in descending order, which SQLite does not tell when it is asked for its indexes."""
-
-
-@pytest.fixture(params=["sqlite", "postgres"])
-def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
-    """Settings of a database without any table."""
-    if request.param == "sqlite":
-        yield make_settings(tmp_path)
-        return
-    server: PostgresServer = request.getfixturevalue("postgres_server")
-    with server.fresh_database() as url:
-        yield make_settings(tmp_path, database=DatabaseSettings(url))
 
 
 def test_a_database_of_a_newer_version_is_refused(platform: Platform) -> None:
@@ -158,15 +143,10 @@ OLDER: dict[str, dict[str, Any]] = {
 }  # fmt: skip
 
 
-@pytest.fixture(params=["sqlite", "postgres"])
-def older(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Settings]:
+@pytest.fixture
+def older(empty: Settings) -> Settings:
     """Settings of a database of revision 0005 with a registered recording."""
-    if request.param == "sqlite":
-        yield filled(make_settings(tmp_path))
-        return
-    server: PostgresServer = request.getfixturevalue("postgres_server")
-    with server.fresh_database() as url:
-        yield filled(make_settings(tmp_path, database=DatabaseSettings(url)))
+    return filled(empty)
 
 
 def filled(settings: Settings) -> Settings:

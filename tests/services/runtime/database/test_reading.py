@@ -12,8 +12,8 @@ from structlog.testing import capture_logs
 from services.runtime.database.transactions import wake_up_after_commit
 from services.runtime.orm import Team
 from services.runtime.platform import Platform, open_platform, open_silent_platform
-from services.runtime.settings import BrokerSettings, DatabaseSettings, Settings
-from testing.servers.fixtures import make_settings, opened
+from services.runtime.settings import BrokerSettings, Settings
+from testing.servers.fixtures import make_settings
 
 TEAMS = select(func.count()).select_from(Team)
 
@@ -70,15 +70,14 @@ def test_each_statement_sees_what_is_committed_by_then(platform_on: Platform) ->
         assert session.scalar(TEAMS) == 1
 
 
-def test_on_postgresql_no_transaction_is_open_between_statements(tmp_path: Path, fresh_postgres_url: str) -> None:
-    database = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), []).database
+def test_on_postgresql_no_transaction_is_open_between_statements(on_postgres: Platform) -> None:
+    database = on_postgres.database
     own = text("SELECT pg_backend_pid()")
     state = text("SELECT state FROM pg_stat_activity WHERE pid = :pid")
     seen = []
     for name in ("reading", "lookups"):
         with getattr(database, name)() as session, database.reading() as other:
             seen.append(other.scalar(state, {"pid": session.scalar(own)}))
-    database.close()
     assert seen == ["idle in transaction", "idle"]
 
 

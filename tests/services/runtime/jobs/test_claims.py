@@ -228,19 +228,17 @@ def test_ends_and_claims_are_planned_once_and_ask_for_little(tmp_path: Path, fre
 PLANS = "SELECT statement, generic_plans FROM pg_prepared_statements"
 
 
-def test_however_long_the_history_few_of_its_rows_are_read(tmp_path: Path, fresh_postgres_url: str) -> None:
-    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), [])
-    with platform.database.transaction() as session:
+def test_however_long_the_history_few_of_its_rows_are_read(on_postgres: Platform) -> None:
+    with on_postgres.database.transaction() as session:
         ids = owners(session, 4)
         ended = [JobState(ids[0], new_id(), "ingest", "succeeded", 0, 0) for _ in range(2000)]
         waiting = [JobState(ids[number % 4], new_id(), "ingest", "queued", 0, 0) for number in range(2000)]
         filled(session, ended + waiting)
-    with platform.database.transaction() as session:
+    with on_postgres.database.transaction() as session:
         session.execute(text("ANALYZE"))
-    with taken_down(platform.database.engine) as statements, platform.database.reading() as session:
+    with taken_down(on_postgres.database.engine) as statements, on_postgres.database.reading() as session:
         assert len(owners_waiting("ingest").rows(session, {})) == 4
-    with platform.database.engine.connect() as connection:
+    with on_postgres.database.engine.connect() as connection:
         plan = explained(connection, statements[-1], frozenset({"jobs"}))
-    platform.database.close()
     assert plan.rows_read is not None
     assert plan.rows_read <= 5 * 4

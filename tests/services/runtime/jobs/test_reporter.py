@@ -2,7 +2,6 @@
 
 from collections.abc import Callable
 from dataclasses import replace
-from pathlib import Path
 from time import monotonic
 from time import sleep as wait
 
@@ -20,8 +19,6 @@ from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import Job, JobLine
 from services.runtime.platform import Platform
-from services.runtime.settings import DatabaseSettings
-from testing.servers.fixtures import Bells, make_settings, opened
 from tests.services.runtime.jobs.outages import GONE, Away, LostAnswers, quick
 from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all
 
@@ -173,9 +170,9 @@ def test_progress_that_no_column_takes_silences_no_heartbeat(
 
 
 def test_a_row_that_somebody_else_holds_locked_delays_no_heartbeat_of_the_others(
-    tmp_path: Path, fresh_postgres_url: str, bells: Bells
+    on_postgres: Platform,
 ) -> None:
-    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), bells)
+    platform = on_postgres
     owner = an_owner(platform)
     ids = [a_job(platform, owner, "ingest.work") for _ in range(2)]
     with platform.database.transaction() as session:
@@ -185,7 +182,6 @@ def test_a_row_that_somebody_else_holds_locked_delays_no_heartbeat_of_the_others
         answers = renew(platform.database, words)
     assert answers == [LeaseAnswer(True, is_written=False), LeaseAnswer(True)]
     assert [(job(platform, one).heartbeats, job(platform, one).done) for one in ids] == [(0, 0), (1, 3)]
-    platform.database.close()
 
 
 def test_many_attempts_are_renewed_at_once_and_each_is_answered_for_itself(platform_on: Platform) -> None:

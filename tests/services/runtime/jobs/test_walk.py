@@ -17,8 +17,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
 from tests.services.runtime.jobs.outages import LostAnswers
-from tests.services.runtime.jobs.walk import MOST_ATTEMPTS, Reached, Walk, World, walk
-from tests.services.runtime.jobs.walked_database import Memory, MemoryDatabase
+from tests.services.runtime.jobs.walk import MOST_ATTEMPTS, Memory, MemoryDatabase, Reached, Walk, World, walk
 
 FIRST = JobSpec("ingest.ok", {"is_first": True}, key="a")
 RUNS: dict[str, tuple[tuple[JobSpec, ...], tuple[JobSpec, ...]]] = {

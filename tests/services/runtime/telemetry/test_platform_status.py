@@ -1,7 +1,5 @@
 """How things stand, on both databases: what waits, since when, who works, what was swept; found by steps, not scans."""
 
-from pathlib import Path
-
 import pytest
 from sqlalchemy import update
 
@@ -15,11 +13,9 @@ from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.orm import Blob, Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.settings import DatabaseSettings
 from services.runtime.telemetry import platform_status as standing_module
 from services.runtime.telemetry.platform_status import PlatformStatus, platform_status
 from services.runtime.telemetry.sweeper_statistics import STORED_BLOBS, STORED_BYTES, ChoreLedger, StoreSum
-from testing.servers.fixtures import make_settings, opened
 from tests.services.runtime.jobs.steps import a_job, a_run, an_owner, run_all
 
 
@@ -103,15 +99,13 @@ def test_what_the_store_holds_is_added_up_in_steps(platform: Platform) -> None:
     assert standing_of(platform).figures == {STORED_BYTES: 11111, STORED_BLOBS: 5}
 
 
-def test_every_question_about_jobs_is_answered_off_an_index(tmp_path: Path, fresh_postgres_url: str) -> None:
-    platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url)), [])
-    with taken_down(platform.database.engine) as statements:
-        standing_of(platform)
-    with platform.database.engine.connect() as connection:
+def test_every_question_about_jobs_is_answered_off_an_index(on_postgres: Platform) -> None:
+    with taken_down(on_postgres.database.engine) as statements:
+        standing_of(on_postgres)
+    with on_postgres.database.engine.connect() as connection:
         connection.exec_driver_sql("SET enable_seqscan = off")
         asked = [one for one in statements if one.is_explained]
         plans = [explained(connection, one, frozenset({"jobs"}), is_run=False) for one in asked]
-    platform.database.close()
     assert [plan.faults for plan in plans if plan.faults] == []
     used = {index for plan in plans for index in plan.indexes}
     assert {"ix_jobs_ready_since", "ix_jobs_waiting", "ix_jobs_running"} <= used
