@@ -65,6 +65,7 @@ def test_a_variable_that_is_no_setting_is_refused_with_the_nearest(
     with pytest.raises(UnknownSettingError, match=f"{name}.* {nearest}") as refused:
         Settings()
     assert refused.value.code == "unknown_setting"
+    assert "a secret" not in str(refused.value)
 
 
 def test_a_name_like_no_other_is_refused_too_and_all_are_said_at_once(monkeypatch: pytest.MonkeyPatch) -> None:

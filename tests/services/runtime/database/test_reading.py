@@ -81,6 +81,19 @@ def test_on_postgresql_no_transaction_is_open_between_statements(on_postgres: Pl
     assert seen == ["idle in transaction", "idle"]
 
 
+def test_a_connection_that_looked_up_takes_part_in_transactions_again(platform_on: Platform) -> None:
+    """Connections go back to one pool."""
+    database = platform_on.database
+    with database.lookups() as session:
+        session.scalar(TEAMS)
+    with database.transaction() as session:
+        session.add(Team(name="undone"))
+        session.flush()
+        session.rollback()
+    with database.reading() as session:
+        assert session.scalar(TEAMS) == 0
+
+
 def test_rows_that_were_changed_are_refused_and_not_written(platform_on: Platform) -> None:
     database = platform_on.database
     with database.lookups() as session:

@@ -6,6 +6,7 @@ import subprocess
 import sys
 import threading
 from collections.abc import Iterator
+from contextlib import suppress
 
 import pytest
 from opentelemetry import trace
@@ -136,6 +137,14 @@ def test_an_attempt_that_died_is_told_by_the_sweeper(platform: Platform, collect
     asked, lost = collector.one("asked"), collector.one("job ingest.ok")
     assert lost.trace_id == asked.trace_id
     assert facts_of(lost)["error.type"] == "lease_expired"
+
+
+def test_what_raises_leaves_its_class_and_not_its_words(collector: Collector) -> None:
+    with suppress(ValueError), span("fails"):
+        raise ValueError("hunter2")
+    close_tracing()
+    assert facts_of(collector.one("fails"))["error.type"] == "ValueError"
+    assert b"hunter2" not in b"".join(collector.said)
 
 
 def test_a_span_is_named_in_lines_only_within_it_and_has_the_parent_that_it_is_given(collector: Collector) -> None:
