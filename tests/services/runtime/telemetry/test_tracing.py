@@ -55,11 +55,8 @@ def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
     program = """if True:
         import sys, api.main, services.runtime.jobs.celery_app
         from services.runtime.telemetry.log_lines import name_span
-        from services.runtime.telemetry.log_lines import name_span
-from services.runtime.telemetry.origins import context_of, link_to, origin_trace
-        from services.runtime.telemetry.log_lines import name_span
-from services.runtime.telemetry.origins import context_of, link_to, origin_trace
-from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
+        from services.runtime.telemetry.origins import link_to, origin_trace
+        from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
         setup_tracing("x")
         with span("a", attributes={"a": 1}) as made:
             link_to("00-" + "1" * 32 + "-" + "1" * 16 + "-01")

@@ -10,7 +10,7 @@ from services.runtime.uploads.creation import create
 from services.runtime.uploads.declaration import UploadDeclaration
 from services.runtime.uploads.files import offset_of
 from services.runtime.uploads.part_rows import upload_parts_of
-from services.runtime.uploads.reception import Checksum, UploadChunk, receive
+from services.runtime.uploads.reception import Checksum, UploadChunk, UploadReceiver, receive
 from services.runtime.uploads.rows import UploadOwner, find
 
 CONTENT = bytes(range(256)) * 40
@@ -40,6 +40,13 @@ def sha256_of(content: bytes) -> str:
 
 def made(platform: Platform, owner: UploadOwner, content: bytes, *, sha256: str = "") -> Upload:
     return create(platform, owner, declared(content, sha256=sha256))
+
+
+def receiving(platform: Platform, upload: Upload, chunk: UploadChunk) -> UploadReceiver:
+    """A request that has begun, of bytes that the upload lacks."""
+    reception = receive(platform, upload.id, upload.owner_id, chunk)
+    assert reception is not None
+    return reception
 
 
 def send(

@@ -21,14 +21,24 @@ from services.runtime.uploads.errors import (
     UploadTargetMissingError,
     UploadTooLargeError,
 )
-from services.runtime.uploads.reception import UploadChunk, receive
+from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import find
 from services.runtime.uploads.sweep_cursor import UploadCursor
 from testing.servers.fixtures import having
 from testing.threads import granted
 from testing.worlds.rows import recording_of
 from tests.services.runtime.uploads.living import complete, leave_unsettled, make_sequence, overdue, record, used
-from tests.services.runtime.uploads.sending import BAG, declared, kept, made, make_owner, send, sha256_of, state_of
+from tests.services.runtime.uploads.sending import (
+    BAG,
+    declared,
+    kept,
+    made,
+    make_owner,
+    receiving,
+    send,
+    sha256_of,
+    state_of,
+)
 
 
 def states(platform: Platform) -> list[str]:
@@ -163,8 +173,7 @@ def test_an_overdue_upload_is_refused_before_it_is_swept(placed: Platform) -> No
 
 def test_an_upload_that_is_being_written_does_not_expire(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), BAG)
-    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(0))
-    assert reception is not None
+    reception = receiving(placed, upload, UploadChunk(0))
     overdue(placed, upload)
     assert expire(placed) == 0
     with pytest.raises(UploadLockedError):
@@ -254,8 +263,7 @@ def test_what_is_overdue_ends_a_slice_a_turn_the_longest_overdue_first(placed: P
 def test_one_that_is_being_written_holds_up_nobody_behind_it(placed: Platform) -> None:
     owner = make_owner(placed)
     first, second = made(placed, owner, BAG), made(placed, owner, BAG)
-    reception = receive(placed, first.id, owner.user_id, UploadChunk(0))
-    assert reception is not None
+    reception = receiving(placed, first, UploadChunk(0))
     for at_ns, upload in enumerate((first, second), start=1):
         expires_at(placed, upload, at_ns)
     cursor = UploadCursor(slice_rows=1)

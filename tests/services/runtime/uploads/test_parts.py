@@ -24,7 +24,7 @@ from services.runtime.uploads.completion import bytes_here, terminate
 from services.runtime.uploads.errors import DiskFullError, OffsetMismatchError, TooManyUploadPartsError, UploadGoneError
 from services.runtime.uploads.expiry import _expire
 from services.runtime.uploads.part_rows import announce
-from services.runtime.uploads.reception import UploadChunk, UploadReceiver, receive
+from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import find
 from testing.servers.fixtures import having
 from tests.services.runtime.uploads.conftest import with_place
@@ -35,6 +35,7 @@ from tests.services.runtime.uploads.sending import (
     kept,
     made,
     make_owner,
+    receiving,
     right,
     send,
     sha256_of,
@@ -54,12 +55,6 @@ def elsewhere(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(part_writer.UPLOAD_LOCKS, "take", lambda upload_id: None)
 
 
-def begun(platform: Platform, upload_id: str, owner_id: str, offset_bytes: int = 0) -> UploadReceiver:
-    reception = receive(platform, upload_id, owner_id, UploadChunk(offset_bytes))
-    assert reception is not None
-    return reception
-
-
 def objects(platform: Platform) -> list[str]:
     return [found.key for found in platform.store.listed("uploads/")]
 
@@ -74,7 +69,7 @@ def test_of_two_replicas_that_write_at_once_one_goes_on_and_the_other_is_told_wh
 ) -> None:
     platform = with_place(platform_on, "store")
     upload = made(platform, make_owner(platform), CONTENT, sha256=sha256_of(CONTENT))
-    first, second = (begun(platform, upload.id, upload.owner_id) for _ in range(2))
+    first, second = (receiving(platform, upload, UploadChunk(0)) for _ in range(2))
     first.write([CONTENT[:2500]])
     first.break_off()
     second.write([CONTENT[:900]])
@@ -88,10 +83,10 @@ def test_of_two_replicas_that_write_at_once_one_goes_on_and_the_other_is_told_wh
 
 def test_a_writer_that_was_overtaken_in_the_middle_adds_nothing_more(stored: Platform, elsewhere: None) -> None:
     upload = made(stored, make_owner(stored), CONTENT)
-    slow = begun(stored, upload.id, upload.owner_id)
+    slow = receiving(stored, upload, UploadChunk(0))
     slow.write([CONTENT[:1000]])
     slow.break_off()
-    overtaking = begun(stored, upload.id, upload.owner_id, 1000)
+    overtaking = receiving(stored, upload, UploadChunk(1000))
     overtaking.write([CONTENT[1000:1400]])
     assert overtaking.end().state == "open"
 
@@ -123,8 +118,7 @@ def test_bytes_a_killed_process_had_not_added_are_collected_and_nothing_else(sto
 
 def test_what_was_collected_before_it_was_added_is_not_said_to_be_here(stored: Platform) -> None:
     upload = made(stored, make_owner(stored), CONTENT)
-    reception = receive(stored, upload.id, upload.owner_id, UploadChunk(0, 2000, right(CONTENT[:2000])))
-    assert reception is not None
+    reception = receiving(stored, upload, UploadChunk(0, 2000, right(CONTENT[:2000])))
     reception.write([CONTENT[:2000]])
     with stored.database.transaction() as session:
         session.execute(update(LooseObject).values(expected_ns=0))
@@ -154,7 +148,7 @@ def test_an_upload_swept_while_another_process_writes_to_it_takes_nothing_more(
     stored: Platform, elsewhere: None
 ) -> None:
     upload = made(stored, make_owner(stored), CONTENT)
-    reception = begun(stored, upload.id, upload.owner_id)
+    reception = receiving(stored, upload, UploadChunk(0))
     reception.write([CONTENT[:1500]])
     overdue(stored, upload)
     assert expire(stored) == 1
@@ -182,7 +176,7 @@ def test_on_a_slow_line_what_came_counts_before_a_slab_is_full(
 ) -> None:
     monkeypatch.setattr(part_writer, "OLD_S", -1.0)
     upload = made(stored, make_owner(stored), CONTENT)
-    reception = begun(stored, upload.id, upload.owner_id)
+    reception = receiving(stored, upload, UploadChunk(0))
     for offset in range(0, 50, 10):
         reception.write([CONTENT[offset : offset + 10]])
     assert bytes_here(stored, upload) >= 20

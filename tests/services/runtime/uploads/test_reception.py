@@ -35,6 +35,7 @@ from tests.services.runtime.uploads.sending import (
     made,
     make_owner,
     path_of,
+    receiving,
     right,
     send,
     sha256_of,
@@ -69,8 +70,7 @@ def test_an_announced_overlength_is_refused_before_a_byte_is_written(placed: Pla
 def test_an_overlength_that_was_not_announced_is_cut_off_again(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT[:100])
-    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(100))
-    assert reception is not None
+    reception = receiving(placed, upload, UploadChunk(100))
     reception.write([CONTENT[100:200]])
     with pytest.raises(OverLengthError):
         reception.write([CONTENT])
@@ -81,8 +81,7 @@ def test_an_overlength_that_was_not_announced_is_cut_off_again(placed: Platform)
 
 def test_a_second_writer_is_locked_out_while_the_first_one_writes(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
-    first = receive(placed, upload.id, upload.owner_id, UploadChunk(0))
-    assert first is not None
+    first = receiving(placed, upload, UploadChunk(0))
     with pytest.raises(UploadLockedError):
         receive(placed, upload.id, upload.owner_id, UploadChunk(0))
     with pytest.raises(UploadLockedError):
@@ -104,8 +103,7 @@ def test_a_wrong_checksum_takes_its_bytes_back(placed: Platform) -> None:
 def test_bytes_under_a_checksum_do_not_count_until_it_was_right(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT[:100])
-    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(100, 400, right(CONTENT[100:500])))
-    assert reception is not None
+    reception = receiving(placed, upload, UploadChunk(100, 400, right(CONTENT[100:500])))
     reception.write([CONTENT[100:300]])
     assert bytes_here(placed, upload) == 100
     reception.break_off()
@@ -115,8 +113,7 @@ def test_bytes_under_a_checksum_do_not_count_until_it_was_right(placed: Platform
 
 def test_bytes_of_a_client_that_left_count(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT, sha256=sha256_of(CONTENT))
-    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(0, len(CONTENT)))
-    assert reception is not None
+    reception = receiving(placed, upload, UploadChunk(0, len(CONTENT)))
     reception.write([CONTENT[:300]])
     reception.break_off()
     reception.close()
@@ -201,8 +198,7 @@ def test_a_request_that_is_closed_at_its_last_bytes_ends_first(
 ) -> None:
     """A client that leaves while they are written: the file is not closed between them and the end."""
     upload = made(placed, make_owner(placed), CONTENT)
-    reception = receive(placed, upload.id, upload.owner_id, UploadChunk(0, len(CONTENT)))
-    assert reception is not None
+    reception = receiving(placed, upload, UploadChunk(0, len(CONTENT)))
     written, may_go_on, write = Event(), Event(), reception._write
 
     def slow(pieces: Sequence[bytes]) -> None:
@@ -225,8 +221,7 @@ def test_a_request_that_is_closed_at_its_last_bytes_ends_first(
 
 def test_unverified_bytes_of_a_killed_process_are_discarded_by_the_next_writer(platform: Platform) -> None:
     upload = made(platform, make_owner(platform), CONTENT)
-    killed = receive(platform, upload.id, upload.owner_id, UploadChunk(0, 400, right(CONTENT[:400])))
-    assert killed is not None
+    killed = receiving(platform, upload, UploadChunk(0, 400, right(CONTENT[:400])))
     killed.write([b"not what was sent"])
     killed.close()  # as kill -9 leaves it: lock gone, mark and bytes there
     assert path_of(platform, upload).stat().st_size == 17
