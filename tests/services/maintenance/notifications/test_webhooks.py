@@ -181,7 +181,7 @@ def test_texts_of_others_call_nobody_and_are_no_markup() -> None:
 
 
 QUICK = JobSettings(lease_s=0.6, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.02, rest_s=0.1)
-EVENTS, KILLS, PATIENCE_S = 20, 6, 300.0
+EVENTS, KILLS, PATIENCE_S = 20, 6, 900.0
 
 
 def test_killed_at_many_moments_the_sender_loses_nothing_and_repeats_only_with_the_same_id(

@@ -208,6 +208,7 @@ def test_whose_turn_it_is_is_what_a_plain_reckoning_says(platform_on: Platform) 
 STATES = ("queued", "queued", "running", "succeeded")
 
 
+@pytest.mark.usefixtures("long_rows")
 def test_ends_and_claims_are_planned_once_and_ask_for_little(tmp_path: Path, fresh_postgres_url: str) -> None:
     """psycopg prepares a statement at its sixth execution, PostgreSQL keeps its plan from the sixth one after that."""
     platform = opened(make_settings(tmp_path, database=DatabaseSettings(fresh_postgres_url, pool_size=1)), [])
