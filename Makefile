@@ -21,7 +21,8 @@ MANUAL := web/manual/index.html
 DOCS := mkdocs.yml $(shell find docs docsite -type f -not -name '*.pyc')
 CLIENT := $(shell find stone_base stone_files stone_submissions stone_client deploy/client -name '*.py' -o -name '*.toml')
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
-BESIDE = --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
+# A test that failed beside the others runs once more, alone (testing/reruns.py).
+BESIDE = --rerun-failed-once --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
 # Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
 KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/stone/sensors tests/stone/surface \
 	tests/stone/test_kernels.py tests/stone_recordings/bags/test_messages_pointcloud2.py \

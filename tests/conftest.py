@@ -13,6 +13,7 @@ pytest_plugins = [
     "testing.costs",
     "testing.tiers",
     "testing.memory",
+    "testing.reruns",
 ]
 
 # A machine that is busy is slow, and no property is about that.
