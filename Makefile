@@ -1,6 +1,6 @@
-# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-starts | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-starts | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-starts bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-starts bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -101,6 +101,10 @@ test-kernels: develop
 test-baselines: baselines
 	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_local.models -p stone_local.commands.models
 	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
+
+# make stress TEST=<node id or file> runs it 50 times beside load; RUNS=10 for a slow one.
+stress: develop
+	$(BIN)/python -m testing.stress '$(TEST)' --runs $(or $(RUNS),50)
 
 check: test-clients
 	$(BIN)/ruff format --check .
