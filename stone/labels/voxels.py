@@ -1,7 +1,7 @@
 """Voxel features: properties of the ground in each voxel of the label lattice (paper, IV-C, Eq. 4–5).
 
 **Conventions.** Rows are sorted by key, on a lattice of `VOXEL_M`. Vertices lie where the surface crosses the lines
-between voxel centres (see `services.labeler.poisson`), never on voxel borders.
+between voxel centres (see `stone/surface/screened_poisson.py`), never on voxel borders.
 """
 
 from dataclasses import dataclass

@@ -1,8 +1,9 @@
 """Worker heartbeats: one row per worker process, updated every few seconds.
 
-**Conventions.** For people who look, and for nothing else: who holds a job is decided by `claiming`, whether an attempt
-lives by `sweeping`. A row is aged by the database's clock alone. A process that is idle tells as one that works; one
-that ends in order takes its row away, one that was killed falls silent and is forgotten after `FORGOTTEN_S`.
+**Conventions.** For people who look, and for nothing else: who holds a job is decided by
+`services/runtime/jobs/claims.py`, whether an attempt lives by `services/runtime/jobs/lease_sweep.py`. A row is aged by
+the database's clock alone. A process that is idle tells as one that works; one that ends in order takes its row away,
+one that was killed falls silent and is forgotten after `FORGOTTEN_S`.
 """
 
 import time

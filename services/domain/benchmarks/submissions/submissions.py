@@ -1,8 +1,9 @@
 """Submissions: created, finalized, cancelled, withdrawn, hidden, described.
 
 **Conventions.** Each function is part of the caller's transaction. Locks are taken in one order: run, submission,
-upload, team. A draft says which file will come (sha256, size); only that file is taken. `settle` and its like, by which
-stages end a submission, are in `submission_states`; what the sweeper does in `submission_chores`.
+upload, team. A draft says which file will come (sha256, size); only that file is taken. Stages end a submission by
+`settle` and its like in `services/domain/benchmarks/submissions/states.py`, the sweeper by
+`services/domain/benchmarks/submissions/chores.py`.
 """
 
 from collections.abc import Mapping

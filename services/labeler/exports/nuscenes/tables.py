@@ -2,7 +2,7 @@
 
 **Conventions.** A table is a JSON list, a row on each line, so that tables of many rows are written, and joined, and
 never held. A token is the first 32 hex digits of sha256 over what the row is about, so it is the same in every export.
-Source: nuScenes schema (nuscenes-devkit 1.2, docs/schema_nuscenes.md).
+Source: nuScenes schema (schema_nuscenes.md of nuscenes-devkit 1.2).
 """
 
 import json
