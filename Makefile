@@ -23,8 +23,9 @@ CLIENT := $(shell find stone_base stone_files stone_submissions stone_client dep
 # One more than cores: tests wait for the servers that they start. Whole files, so that what a file makes is made once.
 # A test that failed beside the others runs once more, alone (testing/reruns.py).
 BESIDE = --rerun-failed-once --numprocesses $(shell n=$$(nproc); echo $$((n < 5 ? n + 1 : 6))) --dist loadfile --no-loadscope-reorder
-# Tests that run kernels, and with every index checked: from a cache of their own, for numba takes what it finds there.
-KERNELS := tests/stone/geometry tests/stone/labels tests/stone/scoring tests/stone/sensors tests/stone/surface \
+# Tests that enter a kernel, and with every index checked: from a cache of their own, for numba takes what it finds there.
+KERNELS := tests/stone/labels tests/stone/surface tests/stone/geometry/test_lattice.py tests/stone/geometry/test_se3.py \
+	tests/stone/scoring/test_slow_metric.py tests/stone/sensors/test_deskew.py tests/stone/sensors/test_ground.py \
 	tests/stone/test_kernels.py tests/stone_recordings/bags/test_messages_pointcloud2.py \
 	tests/services/labeler/previews/test_render.py tests/services/labeler/test_hostile_values.py \
 	tests/simulator/test_noise.py
@@ -94,8 +95,9 @@ test-all: test-clients
 	$(MAKE) --no-print-directory test-kernels
 	$(BIN)/pytest $(BESIDE)
 
+# In one process: beside each other several would compile the same kernels, which is most of what this costs.
 test-kernels: develop
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest $(BESIDE) -m "not whole" $(KERNELS)
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest --rerun-failed-once -m "not whole" $(KERNELS)
 
 # What models need is in an environment of its own: the platform's tests run without torch.
 test-baselines: baselines

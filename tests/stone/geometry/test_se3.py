@@ -8,6 +8,7 @@ from hypothesis.extra import numpy as hnp
 from scipy.spatial.transform import Rotation, Slerp
 
 from stone.errors import ShapeError
+from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3, interpolate, multiply, rotate, slerp, wxyz_from_rotation
 
 TIGHT = 1e-9
@@ -53,35 +54,14 @@ def assert_same(a: SE3, b: SE3, atol: float = 1e-8) -> None:
 
 @quick
 @given(triples())
-def test_composition_is_associative(abc):
+def test_transforms_are_a_group_that_acts_on_points_and_stay_unit(abc):
     a, b, c = abc
     assert_same((a @ b) @ c, a @ (b @ c))
-
-
-@quick
-@given(transforms())
-def test_identity_is_neutral_on_both_sides(a):
-    assert_same(a @ SE3.identity(a.batch), a)
-    assert_same(SE3.identity() @ a, a)
-
-
-@quick
-@given(transforms())
-def test_a_transform_and_its_inverse_cancel(a):
-    assert_same(a @ a.inverse(), SE3.identity(a.batch))
-    assert_same(a.inverse() @ a, SE3.identity(a.batch))
-
-
-@quick
-@given(triples())
-def test_applying_a_composition_is_applying_twice(abc):
-    a, b, c = abc
+    for same in (a @ SE3.identity(a.batch), SE3.identity() @ a):
+        assert_same(same, a)
+    for nothing in (a @ a.inverse(), a.inverse() @ a):
+        assert_same(nothing, SE3.identity(a.batch))
     np.testing.assert_allclose((a @ b) @ c.translation_m, a @ (b @ c.translation_m), atol=1e-8)
-
-
-@quick
-@given(transforms())
-def test_quaternions_stay_unit(a):
     np.testing.assert_allclose(np.linalg.norm((a @ a).wxyz, axis=-1), 1.0, atol=1e-12)
 
 
@@ -121,16 +101,6 @@ def test_slerp_is_scipys_shortest_arc(a, b, ratio):
     assert (mixed * oracle.inv()).magnitude().max() < 1e-7
 
 
-@quick
-@given(transforms(batch=(3,)), st.floats(0, 1))
-def test_the_sign_of_a_quaternion_does_not_matter_to_slerp(a, ratio):
-    b_wxyz = a.wxyz[::-1]
-    assume(np.all(np.abs(np.sum(a.wxyz * b_wxyz, axis=-1)) > 1e-3))
-    ratios = np.full(3, ratio)
-    one, other = slerp(a.wxyz, b_wxyz, ratios), slerp(a.wxyz, -b_wxyz, ratios)
-    np.testing.assert_allclose(rotation_of(one).as_matrix(), rotation_of(other).as_matrix(), atol=TIGHT)
-
-
 def test_two_degrees_across_a_sign_flip_meet_in_the_middle_at_one():
     start, end = wxyz_of(np.array([0, 0, 0.0])), -wxyz_of(np.array([0, 0, np.deg2rad(2)]))
     middle = rotation_of(slerp(start, end, np.array(0.5))).as_rotvec()[0]
@@ -160,7 +130,21 @@ def test_a_batch_acts_like_its_members(a):
 
 
 def test_another_length_is_refused():
-    with pytest.raises(ShapeError, match=r"wxyz_xyz has shape \(6,\)"):
+    with pytest.raises(ShapeError):
         SE3(np.zeros(6))
-    with pytest.raises(ShapeError, match=r"matrix has shape \(3, 3\)"):
+    with pytest.raises(ShapeError):
         SE3.from_matrix(np.eye(3))
+
+
+@settings(max_examples=60, deadline=None)
+@given(transforms(batch=()))
+def test_every_bit_is_that_of_the_pose_applied(pose: SE3) -> None:
+    points = np.random.default_rng(3).normal(0.0, 20.0, (257, 3))
+    points[0], points[1, 1] = 0.0, np.nan
+    assert placed(pose, points).tobytes() == (pose @ points).tobytes()
+
+
+@pytest.mark.parametrize("points", [np.zeros((0, 3)), np.arange(12.0).reshape(2, 6)[:, ::2], np.ones((3, 4)).T[:, :3]])
+def test_no_points_and_points_that_do_not_lie_in_a_row(points: np.ndarray) -> None:
+    pose = SE3(np.array([0.5, 0.5, -0.5, 0.5, 1.0, 2.0, 3.0]))
+    assert (placed(pose, points) == pose @ points).all()

@@ -88,7 +88,7 @@ def test_the_order_of_points_does_not_matter() -> None:
 
 
 def test_other_shapes_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"points_ego has shape \(5, 4\)"):
+    with pytest.raises(ShapeError):
         predict_from_sweep(np.zeros((5, 4), np.float32))
 
 

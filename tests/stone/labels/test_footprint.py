@@ -1,15 +1,20 @@
-"""The swept footprint against a loop over all voxels and poses."""
+"""The swept footprint against a loop over voxels and poses, and how much of the way is T."""
 
 import math
+import tracemalloc
+from itertools import product
 
 import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
+from services.labeler.map.track_coverage import coverage_findings
 from stone.geometry.lattice import centres_of, keys_from_indices
 from stone.geometry.se3 import SE3
 from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, _reached, densified, passed_through, swept
+from stone.labels.track_coverage import STEP_M as SPACING_M
+from stone.labels.track_coverage import TrackCoverage, coverage, covered_places, places_of, spaced
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
 
@@ -56,25 +61,6 @@ def test_voxels_beyond_the_band_are_not_driven_on():
     assert set(centres_of(keys[under], VOXEL_M)[:, 2].round(3)) == {-0.1, 0.1}
 
 
-def test_every_surface_voxel_under_a_curved_track_is_covered():
-    angle = np.linspace(0, 2 * math.pi, 25)
-    track = path(*[(6 * math.sin(a), 6 * (1 - math.cos(a)), 0.1, a) for a in angle])
-    keys = block((-40, -10, 0), (40, 70, 1))
-    x, y, _ = centres_of(keys, VOXEL_M).T
-    off_track_m = np.abs(np.hypot(x, y - 6) - 6)
-    under = swept(keys, [track], FOOTPRINT)
-    sagitta_m = 6 * (1 - math.cos(math.pi / 24))  # poses between are interpolated on the chord
-    assert under[off_track_m <= FOOTPRINT.width_m / 2 - sagitta_m].all()
-    assert not under[off_track_m > math.hypot(6 + 0.425, 0.53) - 6 + sagitta_m].any()
-
-
-def test_the_way_between_two_poses_is_covered():
-    keys = block((-5, -2, 0), (60, 2, 1))
-    x, _, _ = centres_of(keys, VOXEL_M).T
-    under = swept(keys, [path((0, 0, 0.1, 0), (10, 0, 0.1, 0))], FOOTPRINT)
-    assert under[(x >= -0.53) & (x <= 10.53)].all()
-
-
 def test_nothing_is_driven_between_two_stretches():
     keys = block((-5, -2, 0), (60, 2, 1))
     x, _, _ = centres_of(keys, VOXEL_M).T
@@ -109,10 +95,7 @@ def test_fewer_than_two_poses_have_nothing_between(count):
     assert len(densified(poses, 0.1)) == count
     keys = block((-3, -3, 0), (3, 3, 1))
     assert swept(keys, [poses], FOOTPRINT).any() == (count == 1)
-
-
-def test_no_voxels_are_swept_where_there_are_none():
-    assert swept(np.zeros(0, np.int64), [path((0, 0, 0, 0))], FOOTPRINT).shape == (0,)
+    assert swept(keys[:0], [poses], FOOTPRINT).shape == (0,)
 
 
 def test_the_body_goes_through_what_is_above_its_clearance_and_below_its_top():
@@ -132,3 +115,106 @@ def test_what_is_looked_at_is_as_flat_as_the_footprint(voxel_m):
     x, y, z = (end - first for first, end in spans)
     assert max(x, y) <= 50 * (math.cos(0.3) + math.sin(0.3)) / voxel_m + 4
     assert z <= 0.3 / voxel_m + 4
+
+
+WIDE = np.array(list(product(range(-20, 60), range(-20, 20), (0,))), np.int64)
+WAY = SE3.from_parts(np.tile([1.0, 0, 0, 0], (81, 1)), np.linspace([0.03, 0.02, 0.1], [8.03, 0.02, 0.1], 81))
+
+
+def keys(indices) -> np.ndarray:
+    return np.sort(keys_from_indices(np.asarray(indices, np.int64)))
+
+
+def without(*gone) -> np.ndarray:
+    """The floor without the columns (i, j)."""
+    is_gone = (WIDE[:, None, :2] == np.array(gone)).all(axis=2).any(axis=1)
+    return keys(WIDE[~is_gone])
+
+
+def test_a_floor_that_is_driven_on_everywhere_is_covered_and_so_is_what_sweeping_marks():
+    floor = keys(WIDE)
+    for driven in (floor, floor[swept(floor, (WAY,), FOOTPRINT)]):
+        assert coverage(driven, WAY, FOOTPRINT).closed_ratio == 1.0
+
+
+def test_one_missing_column_is_a_pinhole_and_two_are_a_gap():
+    for gone, is_closed in (
+        ([(10, 0)], True),
+        ([(10, 0), (11, 1)], True),
+        ([(10, 0), (11, 0), (10, 1), (11, 1)], False),
+    ):
+        own, closed = covered_places(without(*gone), WAY, FOOTPRINT)
+        assert not own.all()
+        assert closed.all() == is_closed
+
+
+@pytest.mark.parametrize(("higher", "is_covered"), [(-2, False), (-1, True), (0, True), (1, True), (2, False)])
+def test_t_counts_one_voxel_above_and_below(higher, is_covered):
+    own, _ = covered_places(keys(WIDE + np.array([0, 0, higher])), WAY, FOOTPRINT)
+    assert own.all() == is_covered
+    assert own.any() == is_covered
+
+
+def test_a_stretch_without_t_is_bare():
+    found = coverage(keys(WIDE[(WIDE[:, 0] < 10) | (WIDE[:, 0] > 30)]), spaced(WAY), FOOTPRINT)
+    assert found.poses == 17
+    assert found.bare == 7  # where the whole footprint lies between x = 2.0 and 6.2 m
+    assert 0.4 < found.closed_ratio < 0.6
+    assert found.bare_ratio == pytest.approx(7 / 17)
+
+
+def test_nothing_driven_is_all_bare_and_no_way_is_none():
+    assert coverage(np.zeros(0, np.int64), WAY, FOOTPRINT).bare_ratio == 1.0
+    nobody = coverage(keys(WIDE), WAY[:0], FOOTPRINT)
+    assert (nobody.closed_ratio, nobody.bare_ratio, nobody.poses) == (1.0, 0.0, 0)
+
+
+def test_the_parts_of_a_way_add_to_the_whole():
+    driven = without((10, 0), (11, 0), (10, 1))
+    parts = coverage(driven, WAY[:30], FOOTPRINT) + coverage(driven, WAY[30:], FOOTPRINT)
+    assert parts == coverage(driven, WAY, FOOTPRINT)
+
+
+def test_a_footprint_of_one_voxel_is_its_middle_line():
+    assert places_of(Footprint(0.1, 0.1)).tolist() == [[0.0, 0.0, 0.0]]
+    assert len(places_of(Footprint(1.0, 0.1))) > 1
+
+
+def test_poses_are_spaced_by_the_way_and_the_first_stays():
+    steps_m = np.linalg.norm(np.diff(spaced(WAY).translation_m, axis=0), axis=1)
+    assert steps_m.min() > SPACING_M - 0.11
+    assert len(spaced(WAY[:1])) == 1
+
+
+@settings(max_examples=25, deadline=None)
+@given(st.sets(st.tuples(st.integers(-4, 12), st.integers(-4, 4)), max_size=40), st.floats(-3.1, 3.1))
+def test_the_slow_way_agrees(gone, yaw_rad):
+    """An oracle: place by place, over a set of columns."""
+    left = {(i, j) for i, j, _ in WIDE.tolist()} - gone
+    pose = SE3.from_parts(np.array([np.cos(yaw_rad / 2), 0, 0, np.sin(yaw_rad / 2)]), np.array([0.7, 0.1, 0.1]))
+    own, closed = covered_places(keys([(i, j, 0) for i, j in left]), SE3(pose.wxyz_xyz[None]), FOOTPRINT)
+    for at, place in enumerate(pose @ places_of(FOOTPRINT)):
+        i, j = (int(n) for n in np.floor(place[:2] / VOXEL_M))
+        beside = {step for step in ((-1, 0), (1, 0), (0, -1), (0, 1)) if (i + step[0], j + step[1]) in left}
+        is_own = (i, j) in left
+        assert own[0, at] == is_own
+        assert closed[0, at] == (is_own or beside >= {(-1, 0), (1, 0)} or beside >= {(0, -1), (0, 1)})
+
+
+def test_a_way_that_holds_too_little_t_is_a_finding():
+    assert coverage_findings(TrackCoverage(1000, 981, 20, 0), 0.15) == ()
+    (finding,) = coverage_findings(TrackCoverage(1000, 900, 20, 2), 0.15)
+    assert (finding.code, finding.severity) == ("LAB-607", "warning")
+    assert all(number in finding.message for number in ("10.0%", "2 of 20", "0.15 m"))
+
+
+def test_a_footprint_as_large_as_a_calibration_may_say_is_looked_at_in_pieces():
+    """500 poses of 20 × 20 m at a time were gigabytes."""
+    large = Footprint(20.0, 20.0)
+    tracemalloc.start()
+    found = coverage(keys(WIDE), WAY[:40], large)
+    _, peak_bytes = tracemalloc.get_traced_memory()
+    tracemalloc.stop()
+    assert found.places == 40 * len(places_of(large))
+    assert 0 < found.closed < found.places
+    assert peak_bytes < 64 * 2**20

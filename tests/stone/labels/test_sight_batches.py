@@ -1,4 +1,4 @@
-"""Sight through batches of frames: against the definition voxel by voxel, one frame at a time, and against rays."""
+"""What cameras see: the definition voxel by voxel, one frame at a time, exact rays, and closed forms."""
 
 import functools
 import math
@@ -10,15 +10,79 @@ from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
 from stone.labels.columns import gathered, spread_out
-from stone.labels.grid import GRID_SHAPE
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.sight_batches import BESIDE, LANES, SightBatch, _by_frame, _by_voxel
 from stone.labels.visibility import FRAMED, IN_IMAGE, OPEN, VOXEL_BITS, sight_lines, ways
+from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import CameraIntrinsics
 from tests.stone.rays import in_voxels, lit_share, open_share
 
 INTRINSICS = CameraIntrinsics("pinhole", 640, 480, 400.0, 400.0, 320.0, 240.0)
+# z forward is ego x, x right is ego −y, y down is ego −z
 FORWARD = np.array([0.5, -0.5, 0.5, -0.5])
 EGO_FROM_CAMERA = SE3.from_parts(FORWARD, np.array([0.41, 0.03, 1.13]))
+
+
+def centres():
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
+    return (index + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+
+
+def pixels(ego_from_camera, k=INTRINSICS):
+    """(u, v, depth) of every voxel centre, by the camera matrix."""
+    matrix = np.array([[k.fx_px, 0, k.cx_px], [0, k.fy_px, k.cy_px], [0, 0, 1.0]])
+    inverse = np.linalg.inv(ego_from_camera.as_matrix())
+    u, v, depth = np.moveaxis((centres() @ inverse[:3, :3].T + inverse[:3, 3]) @ matrix.T, -1, 0)
+    ahead = np.where(depth > 0.1, depth, np.inf)
+    return u / ahead, v / ahead, depth
+
+
+def in_image(ego_from_camera, k=INTRINSICS):
+    """Which voxels' centres lie in the image."""
+    u, v, depth = pixels(ego_from_camera, k)
+    return (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px) & (depth > 0.1)
+
+
+def seen_in(classes, *lines):
+    return spread_out(SightBatch(lines or [LINES()]).visible(gathered(classes)[None])[0]).astype(bool)
+
+
+def test_in_an_empty_grid_all_of_the_image_is_seen_and_nothing_else():
+    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8))
+    assert (visible == in_image(EGO_FROM_CAMERA)).all()
+    assert visible.sum() > 100_000
+
+
+def test_what_any_of_two_cameras_sees_is_seen():
+    backward = SE3.from_parts(np.array([0.5, -0.5, -0.5, 0.5]), EGO_FROM_CAMERA.translation_m)
+    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8), LINES(), sight_lines(INTRINSICS, backward))
+    assert (visible == in_image(EGO_FROM_CAMERA) | in_image(backward)).all()
+    assert visible[:64].any()
+    assert visible[-64:].any()
+
+
+def test_without_cameras_nothing_is_seen():
+    occupied = np.zeros((3, *GRID_SHAPE[:2]), np.uint32)
+    assert not SightBatch([]).visible(occupied).any()
+
+
+@pytest.mark.parametrize("place", [133, 200])
+def test_nothing_is_seen_behind_a_wall(place):
+    classes = np.zeros(GRID_SHAPE, np.uint8)
+    classes[place] = 3
+    visible = seen_in(classes)
+    free_view = in_image(EGO_FROM_CAMERA)
+    assert (visible[: place + 1] == free_view[: place + 1]).all()
+    assert not visible[place + 1 :].any()
+
+
+def test_a_camera_outside_the_grid_sees_into_it():
+    outside = SE3.from_parts(FORWARD, np.array([-40.0, 0.0, 1.0]))
+    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8), sight_lines(INTRINSICS, outside))
+    assert (visible == in_image(outside)).all()
+    assert visible.any()
+
+
 LINES = functools.cache(lambda: sight_lines(INTRINSICS, EGO_FROM_CAMERA))
 
 
@@ -83,15 +147,14 @@ def is_seen(voxel, camera, is_free, in_view, known):
     return False
 
 
-@pytest.mark.parametrize("seed", [4])
-def test_each_voxel_is_seen_as_the_definition_says(seed):
+def test_each_voxel_is_seen_as_the_definition_says():
     """Catches alone bit lanes that agree with each other and not with the definition, followed ray by ray."""
-    classes = scene(seed)
+    classes = scene(4)
     voxels, is_inside = placed(LINES())
-    visible = spread_out(SightBatch([LINES()]).visible(gathered(classes)[None])[0])
+    visible = seen_in(classes)
     camera, known = in_voxels(EGO_FROM_CAMERA.translation_m).tolist(), {}
     in_view = set(map(tuple, voxels[(LINES().place >> VOXEL_BITS) & 31 > 0].tolist()))
-    rng, kinds = np.random.default_rng(seed), classes[tuple(voxels.T)] > 0
+    rng, kinds = np.random.default_rng(4), classes[tuple(voxels.T)] > 0
     chosen = np.concatenate([rng.choice(np.flatnonzero(is_inside & of), 80) for of in (kinds, ~kinds)])
     for voxel in sorted(map(tuple, voxels[chosen].tolist())):
         assert visible[voxel] == is_seen(voxel, camera, classes == 0, in_view, known), voxel
@@ -145,10 +208,9 @@ def test_every_line_comes_from_voxels_that_were_looked_at_before_or_from_outside
     assert len(np.unique(voxel)) == len(voxel)
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_a_free_voxel_is_seen_where_half_of_many_rays_to_it_come_through(seed):
-    classes = scene(seed)
-    visible = spread_out(SightBatch([LINES()]).visible(gathered(classes)[None])[0]).astype(bool)
+def test_a_free_voxel_is_seen_where_half_of_many_rays_to_it_come_through():
+    classes = scene(seed := 1)
+    visible = seen_in(classes)
     voxels, is_inside = placed(LINES())
     is_free = is_inside & (classes[tuple(voxels.T)] == 0)
     chosen = voxels[np.random.default_rng(seed).choice(np.flatnonzero(is_free), 1500, replace=False)]
@@ -160,11 +222,10 @@ def test_a_free_voxel_is_seen_where_half_of_many_rays_to_it_come_through(seed):
     assert seen[share == 1].mean() > 0.95
 
 
-@pytest.mark.parametrize("seed", [1, 2])
-def test_what_is_labelled_is_seen_where_any_of_many_rays_ends_on_its_sides_as_in_occ3d(seed):
+def test_what_is_labelled_is_seen_where_any_of_many_rays_ends_on_its_sides_as_in_occ3d():
     """Along a ray from the camera the first labelled voxel is observed, and nothing behind it."""
-    classes = scene(seed)
-    visible = spread_out(SightBatch([LINES()]).visible(gathered(classes)[None])[0]).astype(bool)
+    classes = scene(seed := 2)
+    visible = seen_in(classes)
     voxels, is_inside = placed(LINES())
     labelled = voxels[is_inside & (classes[tuple(voxels.T)] > 0)]
     chosen = labelled[np.random.default_rng(seed).choice(len(labelled), 3000, replace=False)]

@@ -1,6 +1,8 @@
-"""The kernels and the ratios against the slow metric, which shares nothing with them: random grids and edges."""
+"""The kernels and the ratios against the slow metric and a plain histogram; planes come back from their runs."""
 
 from collections.abc import Callable
+from dataclasses import replace
+from itertools import pairwise
 
 import numpy as np
 import pytest
@@ -8,10 +10,22 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from numpy.typing import NDArray
 
+from stone.errors import ShapeError
 from stone.labels.grid import GRID_SHAPE, Grid
-from stone.scoring.bitplanes import LabelRangeError, frame_counts, truth_planes
+from stone.scoring.bitplanes import (
+    COLUMNS,
+    RINGS,
+    WORDS,
+    LabelRangeError,
+    Planes,
+    column_rings,
+    frame_counts,
+    truth_planes,
+)
 from stone.scoring.confusion import extras, named_ratios
 from stone.scoring.metric import METRICS, RATIOS
+from stone.scoring.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
+from tests.plain_confusion import confusion_matrix
 from tests.slow_metric import Counts, added, slow_counts, slow_extras, slow_ratios
 
 Mask = NDArray[np.bool_]
@@ -48,7 +62,7 @@ def holds(truth: Grid, prediction: Grid, is_evaluated: Mask) -> None:
 CLASSES = st.lists(st.sampled_from([1, 2, 3]), unique=True, max_size=3).map(tuple)
 
 
-@settings(max_examples=6, deadline=None)
+@settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), CLASSES, CLASSES, st.floats(0, 1))
 def test_random_grids_count_as_the_slow_metric_counts(
     seed: int, true: tuple[int, ...], predicted: tuple[int, ...], evaluated_ratio: float
@@ -71,14 +85,6 @@ def test_edge_grids_count_as_the_slow_metric_counts(
     holds(truth(), prediction(), is_evaluated)
 
 
-def test_a_grid_of_255_is_refused_by_both() -> None:
-    unknown = np.full(GRID_SHAPE, 255, np.uint8)
-    with pytest.raises(LabelRangeError, match="255"):
-        frame_counts(unknown, truth_planes(filled(0)(), NOWHERE))
-    with pytest.raises(ValueError, match="label_out_of_range"):
-        slow_counts(filled(0)(), unknown, NOWHERE)
-
-
 def test_a_column_is_drivable_only_with_a_way_and_without_a_wall() -> None:
     """Truth T, prediction T under a wall; and a column whose wall is not evaluated."""
     truth, prediction, is_evaluated = filled(0)(), filled(0)(), EVERYWHERE.copy()
@@ -88,3 +94,104 @@ def test_a_column_is_drivable_only_with_a_way_and_without_a_wall() -> None:
     bev = frame_counts(prediction, truth_planes(truth, is_evaluated)).bev
     np.testing.assert_array_equal(bev, [[0, 1, 0], [0, 0, 0], [1, 0, 0]])
     holds(truth, prediction, is_evaluated)
+
+
+Grid = NDArray[np.uint8]
+
+
+def random_grid(seed: int, occupied_ratio: float) -> Grid:
+    rng = np.random.default_rng(seed)
+    is_occupied = rng.random(GRID_SHAPE, dtype=np.float32) < occupied_ratio
+    return np.where(is_occupied, rng.integers(0, 4, GRID_SHAPE), 0).astype(np.uint8)
+
+
+@settings(max_examples=4, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(0, 1))
+def test_each_ring_counts_as_a_histogram_does(seed: int, occupied_ratio: float, evaluated_ratio: float) -> None:
+    truth, prediction = random_grid(seed, occupied_ratio), random_grid(seed + 1, 1 - occupied_ratio)
+    is_evaluated = np.random.default_rng(seed + 2).random(GRID_SHAPE, dtype=np.float32) < evaluated_ratio
+    counted = frame_counts(prediction, truth_planes(truth, is_evaluated)).confusion
+    assert counted.dtype == np.int32
+    rings = column_rings().reshape(*GRID_SHAPE[:2], 1)
+    for ring in range(RINGS):
+        np.testing.assert_array_equal(
+            counted[ring], confusion_matrix(truth, prediction, is_evaluated & (rings == ring))
+        )
+
+
+def test_a_column_lies_in_the_ring_of_its_distance_from_the_robot() -> None:
+    rings = column_rings().reshape(GRID_SHAPE[:2])
+    for x, y in [(128, 128), (128, 177), (128, 178), (177, 128), (178, 128), (128, 227), (128, 228), (0, 0), (92, 163)]:
+        distance_m = ((x * 0.2 - 25.5) ** 2 + (y * 0.2 - 25.5) ** 2) ** 0.5
+        assert rings[x, y] == (distance_m >= 10) + (distance_m >= 20)
+    assert np.bincount(rings.ravel()).sum() == COLUMNS
+
+
+def test_a_value_above_three_is_refused_even_where_nothing_is_evaluated() -> None:
+    nothing = truth_planes(np.zeros(GRID_SHAPE, np.uint8), np.zeros(GRID_SHAPE, np.bool_))
+    for value in (4, 128, 255):
+        grid = np.zeros(GRID_SHAPE, np.uint8)
+        grid[200, 17, 31] = value
+        with pytest.raises(LabelRangeError):
+            frame_counts(grid, nothing)
+
+
+def test_other_shapes_and_types_are_refused() -> None:
+    everywhere = np.ones(GRID_SHAPE, np.bool_)
+    for truth, is_evaluated in (
+        (np.zeros((32, 256, 256), np.uint8), everywhere),
+        (np.zeros(GRID_SHAPE, np.int64), everywhere),
+        (np.zeros(GRID_SHAPE, np.uint8), everywhere[:1]),
+    ):
+        with pytest.raises(ShapeError):
+            truth_planes(truth, is_evaluated)
+
+
+def test_memory_order_does_not_matter() -> None:
+    truth, prediction = random_grid(1, 0.3), random_grid(2, 0.3)
+    planes = truth_planes(truth, np.ones(GRID_SHAPE, np.bool_))
+    same = frame_counts(np.asfortranarray(prediction), planes)
+    np.testing.assert_array_equal(same.confusion, frame_counts(prediction, planes).confusion)
+    np.testing.assert_array_equal(same.bev, frame_counts(prediction, planes).bev)
+
+
+def patchy(seed: int, change_ratio: float) -> Planes:
+    """Planes whose columns change at about this share of places."""
+    rng = np.random.default_rng(seed)
+    values = rng.integers(0, 2**32, 3 * COLUMNS, np.uint32)
+    starts = np.maximum.accumulate(np.where(rng.random(3 * COLUMNS) < change_ratio, np.arange(3 * COLUMNS), 0))
+    return values[starts].view(np.uint64).reshape(3, WORDS)
+
+
+@settings(max_examples=6, deadline=None)
+@given(st.integers(0, 2**32 - 1), st.floats(0, 1))
+def test_planes_come_back_as_they_were(seed: int, change_ratio: float) -> None:
+    planes = patchy(seed, change_ratio)
+    runs = runs_of(planes)
+    np.testing.assert_array_equal(planes_of(runs), planes)
+    flat = planes.view(np.uint32).reshape(-1).tolist()
+    assert len(runs.columns) == 1 + sum(here != before for before, here in pairwise(flat))
+
+
+@pytest.mark.parametrize("word", [0, 2**64 - 1])
+def test_planes_that_are_all_alike_are_one_run(word: int) -> None:
+    runs = runs_of(np.full((3, WORDS), word, np.uint64))
+    assert len(runs.columns) == 1
+    assert (planes_of(runs) == np.uint64(word)).all()
+
+
+def test_runs_that_do_not_fit_are_refused_before_anything_is_read() -> None:
+    runs = runs_of(patchy(0, 0.1))
+    first = runs.changes.copy()
+    first[0] &= ~np.uint64(1)
+    everywhere = np.full(CHANGES, 2**64 - 1, np.uint64)
+    for wrong in (
+        PlaneRuns(everywhere, runs.columns),
+        replace(runs, columns=runs.columns[1:]),
+        replace(runs, changes=first),
+        replace(runs, changes=runs.changes[:-1]),
+    ):
+        with pytest.raises(ShapeError):
+            planes_of(wrong)
+    with pytest.raises(ShapeError):
+        runs_of(np.zeros((2, WORDS), np.uint64))

