@@ -1,5 +1,7 @@
-"""Pictures of the six cameras: their rays, their edges, their noise, and that they disturb nothing else."""
+"""How simulated places look: rays, edges, shade and noise of pictures, materials and lights."""
 
+import tracemalloc
+from collections.abc import Callable
 from dataclasses import replace
 from io import BytesIO
 from pathlib import Path
@@ -9,14 +11,30 @@ import pytest
 from PIL import Image
 from rosbags.highlevel import AnyReader
 
-from simulator.options import SimulateOptions, SimulationOptionError
+from simulator.appearance import materials
+from simulator.appearance import renderer as rendering
+from simulator.appearance.ground_cover import GRAVEL, ROCK, SOIL, TALL, build_ground_cover
+from simulator.appearance.lights import LIGHTS
+from simulator.appearance.materials import Spots
+from simulator.appearance.renderer import Renderer, View
+from simulator.appearance.shading import MATERIALS
+from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
+from simulator.scenery import shapes
+from simulator.scenery.drivability import drivability
+from simulator.scenery.movers import Mover, Vehicle, Walker
+from simulator.scenery.objects import OBSTACLE, Objects, Surface
+from simulator.scenery.path import DriveTrajectory
+from simulator.scenery.route import Route, Schedule
 from simulator.scenery.scene import RayScene
-from simulator.scenery.world import START_NS, build_world, generator
+from simulator.scenery.terrain import Terrain
+from simulator.scenery.world import START_NS, SimulatedWorld, build_world, generator
 from simulator.sensors import rig
 from simulator.sensors.cameras import COARSE_RAYS, SimulatedPicture, build_ring, take_pictures
 from simulator.sensors.lidar import build_lidar, sweep_points
-from tests.simulator.stage import OPTIONS, WALL_AHEAD_M, WALL_TOP_M, renderer, stage
+from simulator.truth import DRIVABLE, truth_of
+from stone.geometry.se3 import SE3
+from stone.splits.surroundings import DAYLIGHT, ILLUMINATIONS
 
 SWEEP_NS = START_NS + 215_000_000
 # Ranges in mm of the first sweep of seed 11 with 4 × 24 rays, firing by firing, as recorded before there were textures.
@@ -59,15 +77,6 @@ def test_a_coarse_picture_has_few_rays_and_the_size_that_was_asked() -> None:
     coarse = replace(OPTIONS, camera_detail="coarse", camera_width_px=320)
     assert build_ring(coarse).directions.shape[1::-1] == COARSE_RAYS
     assert front(coarse).shape == (200, 320, 3)
-
-
-def test_coarse_and_full_pictures_show_the_same_place() -> None:
-    full, coarse = (front(replace(OPTIONS, camera_detail=detail)).astype(float) for detail in ("full", "coarse"))
-    small = [
-        np.asarray(Image.fromarray(one.astype(np.uint8)).resize((40, 25), Image.Resampling.BOX))
-        for one in (full, coarse)
-    ]
-    assert np.abs(small[0].astype(float) - small[1]).mean() < 8
 
 
 def test_the_walls_edge_is_where_the_pinhole_puts_it() -> None:
@@ -157,7 +166,209 @@ def test_an_older_recordings_seed_still_gives_its_geometry() -> None:
     assert len(world.objects.triangles) == 88540
 
 
-@pytest.mark.parametrize(("name", "value"), [("camera_detail", "fine"), ("illumination", "noon")])
-def test_words_that_are_not_known_are_refused(name: str, value: str) -> None:
-    with pytest.raises(SimulationOptionError, match=f"{name} is '{value}'; it must be one of"):
-        SimulateOptions(**{name: value})
+def test_an_older_seed_gives_its_things_and_a_drive_over_drivable_ground() -> None:
+    world = build_world(replace(OLD, world_width_m=80.0, seconds=6.0))
+    truth, near = truth_of(world, [START_NS]), world.terrain.path_distance_m < 25.0
+    places = world.trajectory.map_from_ego.translation_m
+    assert np.bincount(world.objects.surface).tolist() == [0, 0, 20628, 119899, 1940, 92433, 24, 1075]
+    assert truth.is_drivable[near].mean() == pytest.approx(0.4357, abs=2e-3)
+    assert np.ptp(places[:, 2]) == pytest.approx(2.598, abs=1e-3)
+    assert np.all(truth.judge(places) == DRIVABLE)
+    obstacles = world.objects.obstacles
+    centres = np.stack([obstacles["x"], obstacles["y"]], axis=-1)
+    apart_m = np.linalg.norm(centres - places[::20, None, :2], axis=-1) - obstacles["radius"]
+    assert apart_m.min() > 0.45
+
+
+ABOVE_M = np.array([0.0, 0.0, 6.0])
+
+
+class FlatGround:
+    def elevation_m(self, xy: np.ndarray) -> np.ndarray:
+        return np.zeros(xy.shape[:-1])
+
+
+def ground_points(x_m: tuple[float, float], y_m: tuple[float, float], count: int = 400) -> np.ndarray:
+    """Scattered over a rectangle about the robot."""
+    xy = np.random.default_rng(4).uniform((x_m[0], y_m[0]), (x_m[1], y_m[1]), (count, 2))
+    return CENTRE_M + np.concatenate([xy, np.zeros((count, 1))], axis=1)
+
+
+def walker_beside(trajectory: DriveTrajectory) -> tuple[Mover, ...]:
+    return (Walker(Route(trajectory, FlatGround(), Schedule(0.0), aside_m=3.0)),)
+
+
+def vehicle_beside(trajectory: DriveTrajectory) -> tuple[Mover, ...]:
+    return (Vehicle(Route(trajectory, FlatGround(), Schedule(0.0), aside_m=3.0)),)
+
+
+def seen_from_above(points: np.ndarray, illumination: str = "day", **of_stage) -> np.ndarray:
+    return renderer(stage(**of_stage), illumination).pixels(looking_at(points, points + ABOVE_M)).astype(int)
+
+
+def test_a_wall_shades_the_ground_as_far_as_its_height_over_the_tangent_of_the_suns_elevation() -> None:
+    """Moving the wall by the length of its shade takes the shade away; the ground keeps its texture."""
+    sun = LIGHTS["day"].towards
+    far_m = WALL_TOP_M * sun[0] / sun[2]  # along x, away from the sun
+    assert far_m > 0.5
+    behind = WALL_AHEAD_M - 0.15
+    shaded, lit = (
+        ground_points((behind - far_m + 0.1, behind - 0.1), (-1, 1)),
+        ground_points((2, behind - far_m - 0.1), (-1, 1)),
+    )
+    away = WALL_AHEAD_M + 8
+    assert np.all(seen_from_above(shaded).sum(axis=1) < 0.8 * seen_from_above(shaded, wall_ahead_m=away).sum(axis=1))
+    np.testing.assert_array_equal(seen_from_above(lit), seen_from_above(lit, wall_ahead_m=away))
+
+
+@pytest.mark.parametrize("movers", [walker_beside, vehicle_beside])
+def test_what_moves_casts_shade(movers) -> None:
+    sun = LIGHTS["day"].towards
+    foot = np.array([0.0, 3.0, 0.0])
+    middle = foot - 1.2 * sun / sun[2]  # below the shade of its axis at 1.2 m
+    points = CENTRE_M + (middle + np.random.default_rng(5).uniform(-0.05, 0.05, (50, 3))) * (1, 1, 0)
+    origins = points + np.array([-0.4, 3.0, 1.0])
+    with_it, without = (
+        renderer(stage(movers=who)).pixels(looking_at(points, origins)).astype(int) for who in (movers, lambda _: ())
+    )
+    assert with_it.sum() < 0.85 * without.sum()
+
+
+def test_every_word_for_the_light_has_one_and_nights_are_darker_than_days() -> None:
+    assert set(LIGHTS) == set(ILLUMINATIONS)
+    points = ground_points((-6, 4), (-6, 6), 200)
+    brightness = {word: seen_from_above(points, word).mean() for word in ILLUMINATIONS}
+    days = [value for word, value in brightness.items() if DAYLIGHT[word] == "day"]
+    nights = [value for word, value in brightness.items() if DAYLIGHT[word] == "night"]
+    assert max(nights) < min(days)
+    assert brightness["night"] < brightness["moonlit"] < brightness["floodlit"]
+
+
+def test_pieces_change_no_pixel_and_bound_the_memory(monkeypatch: pytest.MonkeyPatch) -> None:
+    seen, points = renderer(stage()), ground_points((-10, 10), (-10, 10), 24_000)
+    view = looking_at(points, points + ABOVE_M)
+    whole = seen.pixels(view)
+    monkeypatch.setattr(rendering, "PIECE_RAYS", 3000)
+    np.testing.assert_array_equal(seen.pixels(view), whole)
+    peaks = [_peak_bytes(lambda count=count: seen.pixels(view.of(slice(count)))) for count in (6000, 24_000)]
+    assert peaks[1] < 1.3 * peaks[0]
+
+
+def _peak_bytes(run) -> int:
+    tracemalloc.start()
+    run()
+    peak = tracemalloc.get_traced_memory()[1]
+    tracemalloc.stop()
+    return peak
+
+
+GROUND = {
+    "grass": lambda spots: materials.grass(spots, np.zeros(len(spots.up_m), np.float32)),
+    "soil": materials.soil,
+    "gravel": materials.gravel,
+}
+ALL = {**GROUND, **{surface.name.lower(): colour for surface, colour in MATERIALS.items()}}
+
+
+@pytest.fixture(scope="module")
+def world() -> SimulatedWorld:
+    return build_world(SimulateOptions(seconds=6.0, seed=2, world_width_m=60.0))
+
+
+def spots_on_a_square(count: int = 4000, footprint_m: float = 0.004) -> Spots:
+    draw = np.random.default_rng(3)
+    points = draw.uniform(0, 12, (count, 3)).astype(np.float32)
+    normals = np.tile(np.float32([1, 0, 0]), (count, 1))
+    return Spots(points, normals, points[:, 2] / 8, np.full(count, footprint_m, np.float32))
+
+
+def test_the_ground_is_covered_once_and_as_it_is_drivable(world: SimulatedWorld) -> None:
+    layers = build_ground_cover(world.terrain, generator(2, "cover")).layers
+    shares = layers[..., [SOIL, GRAVEL, ROCK, TALL]]
+    assert shares.min() >= 0
+    assert shares.sum(axis=-1).max() <= 1 + 1e-5
+    # The track is bare, what is too steep is rock, earth or gravel, and most of the rest is grass.
+    terrain = world.terrain
+    layers = build_ground_cover(terrain, generator(2, "cover")).layers
+    field, bare = drivability(terrain.height_m, terrain.resolution_m), layers[..., [SOIL, GRAVEL, ROCK]].sum(axis=-1)
+    is_beside = terrain.path_distance_m > 3.0
+    assert layers[terrain.path_distance_m < 0.5, SOIL].mean() > 0.5
+    assert bare[is_beside & field.is_drivable & (field.slope_rad < 0.3)].mean() < 0.2
+    assert bare[is_beside & (field.slope_rad > np.deg2rad(32))].mean() > 0.8
+    assert layers[~terrain.lowland & (field.slope_rad > np.deg2rad(38)), ROCK].mean() > 0.8
+
+
+CENTRE_M = np.array([20.0, 20.0, 0.0])
+WALL_AHEAD_M, WALL_TOP_M = 6.0, 1.8
+OPTIONS = SimulateOptions(seconds=0.2, noise_ratio=0.0, traffic="none", camera_detail="full")
+
+
+def stage(wall_ahead_m: float = WALL_AHEAD_M, movers: Callable[[DriveTrajectory], tuple[Mover, ...]] = lambda _: ()):
+    """40 m × 40 m of lowland, the robot at rest in its middle, a wall along y ahead of it."""
+    lattice = np.zeros((201, 201))
+    terrain = Terrain(lattice, np.ones(lattice.shape, bool), np.full(lattice.shape, 10.0))
+    wall = shapes.wall(8.0, 0.3, WALL_TOP_M, np.pi / 2) + CENTRE_M + (wall_ahead_m, 0, 0)
+    none = np.zeros(0, OBSTACLE)
+    objects = Objects(wall.astype(np.float32), np.full(len(wall), Surface.WALL, np.uint8), none, none)
+    at_rest = SE3.from_parts(np.tile([1.0, 0, 0, 0], (401, 1)), np.tile(CENTRE_M, (401, 1)))
+    trajectory = DriveTrajectory(START_NS, at_rest)
+    return SimulatedWorld(terrain, objects, trajectory, movers(trajectory))
+
+
+def renderer(world: SimulatedWorld, illumination: str = "day") -> Renderer:
+    return Renderer(RayScene(world), SimulateOptions(seconds=0.2, illumination=illumination))
+
+
+def looking_at(points: np.ndarray, origins: np.ndarray) -> View:
+    """A ray from each origin (N, 3) to each point (N, 3), 3 mrad apart."""
+    ways = points - origins
+    directions = (ways / np.linalg.norm(ways, axis=1, keepdims=True)).astype(np.float32)
+    return View(origins.astype(np.float32), directions, 0.003, START_NS, np.zeros((0, 7)))
+
+
+def test_normals_of_movers_point_outwards() -> None:
+    trajectory = stage().trajectory
+    (walker,), (vehicle,) = walker_beside(trajectory), vehicle_beside(trajectory)
+    foot = CENTRE_M + np.array([0, 3, 0])
+    np.testing.assert_allclose(walker.normals(foot[None] + (0.25, 0, 1.0), START_NS), [[1, 0, 0]], atol=1e-6)
+    faces = np.array([[2.1, 0.3, 1.0], [-2.1, 0.3, 1.0], [0.5, 0.9, 1.0], [0.5, -0.9, 1.0], [0.5, 0.3, 1.6]])
+    expected = [[1, 0, 0], [-1, 0, 0], [0, 1, 0], [0, -1, 0], [0, 0, 1]]
+    np.testing.assert_allclose(vehicle.normals(foot + faces, START_NS), expected, atol=1e-6)
+
+
+# Of each material 1000 times its mean colour, their deviations, and that of red as seen from where it is blurred.
+MATERIALS_MEAN = {
+    "grass": (239.5, 218.3, 86.9, 60.4, 42.3, 22.4, 54.7), "soil": (174.1, 115.1, 69.3, 58.5, 38.8, 24.1, 55.0),
+    "gravel": (160.8, 146.8, 125.3, 80.8, 73.8, 63.0, 46.8), "rock": (181.2, 169.2, 149.1, 55.2, 51.3, 47.3, 53.8),
+    "bush": (79.5, 113.7, 22.0, 30.7, 37.3, 7.1, 28.5), "trunk": (96.2, 68.7, 46.2, 44.2, 31.5, 21.2, 18.7),
+    "crown": (53.0, 86.6, 20.0, 20.5, 28.4, 6.4, 19.0), "wall": (235.5, 204.5, 166.4, 64.7, 61.9, 57.6, 50.3),
+    "walker": (236.1, 92.6, 72.1, 238.5, 128.1, 119.4, 238.5), "vehicle": (30.4, 51.1, 125.8, 8.5, 31.4, 122.6, 8.5),
+}  # fmt: skip
+# Of a coarse picture of the flat place: the means of red, green and blue, and of 2 × 4 parts of it.
+LIGHTS_MEAN = {
+    "day": (141.9, 146.9, 131.0, 170.9, 165.0, 160.4, 172.6, 116.4, 110.1, 111.9, 112.0),
+    "sunny": (130.4, 139.1, 126.3, 153.1, 144.8, 141.6, 153.8, 119.6, 113.4, 115.0, 114.4),
+    "overcast": (138.8, 139.7, 125.0, 182.2, 164.2, 168.9, 183.0, 97.4, 92.7, 94.0, 93.6),
+    "dawn": (141.5, 130.3, 115.4, 184.7, 165.4, 162.6, 175.5, 90.8, 83.4, 84.5, 86.0),
+    "dusk": (156.9, 130.5, 105.9, 174.9, 169.0, 167.6, 176.0, 91.5, 90.4, 91.7, 87.7),
+    "night": (79.2, 77.3, 56.3, 35.3, 56.0, 56.0, 36.6, 80.6, 112.7, 115.0, 75.2),
+    "moonlit": (78.5, 78.6, 63.7, 56.2, 71.5, 69.8, 56.9, 72.2, 96.5, 98.5, 67.4),
+    "floodlit": (65.9, 63.4, 42.7, 35.6, 43.6, 43.0, 32.8, 70.0, 83.3, 84.9, 65.6),
+}
+
+
+@pytest.mark.parametrize("name", ALL)
+def test_a_material_looks_as_ever_and_the_same_whatever_else_is_seen(name: str) -> None:
+    spots = spots_on_a_square()
+    near, far = ALL[name](spots), ALL[name](spots_on_a_square(footprint_m=0.1))
+    found = 1000 * np.concatenate([near.mean(axis=0), near.std(axis=0), far.std(axis=0)[:1]])
+    np.testing.assert_allclose(found, MATERIALS_MEAN[name], atol=1)
+    np.testing.assert_array_equal(ALL[name](spots.of(np.arange(5, 9))), near[5:9])
+
+
+@pytest.mark.parametrize("light", ILLUMINATIONS)
+def test_a_picture_looks_as_ever_in_every_light(light: str) -> None:
+    """Sky, wall, ground, shade and lamps; by value, since another processor may round otherwise."""
+    pixels = front(replace(OPTIONS, camera_detail="coarse", camera_width_px=320), light).astype(float)
+    parts = pixels.mean(axis=2).reshape(2, 100, 4, 80).mean(axis=(1, 3))
+    np.testing.assert_allclose([*pixels.mean(axis=(0, 1)), *parts.ravel()], LIGHTS_MEAN[light], atol=1.0)
