@@ -8,13 +8,7 @@ from typing import Any
 
 import pytest
 
-from testing.worlds.published_datasets import (
-    VERSION,
-    SyntheticDataset,
-    made_labels,
-    write_annotated,
-    write_published,
-)
+from testing.worlds.published_datasets import VERSION, SyntheticDataset, made_labels, write_annotated, write_published
 
 GOOD = SyntheticDataset(
     labels=(made_labels(1), made_labels(2)), splits={"train": ["field-0000"], "val": ["field-0001"]}

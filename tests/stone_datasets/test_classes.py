@@ -5,12 +5,16 @@ from pathlib import Path
 import numpy as np
 import pytest
 
+from stone.errors import StoneError
 from stone.labels.grid import GRID_SHAPE
 from stone_datasets.classes import read_class_map
+from stone_datasets.faults import DatasetFaultError
 from stone_datasets.file_faults import BadClassMapError, LabelShapeError, UnknownLabelsError
 from stone_datasets.labels import read_labels
+from stone_datasets.reading import check_dataset
 from stone_exports.files import ExportFileSpan
 from stone_files.npz import npz_bytes
+from tests.stone_datasets.malformed import ANNOTATED, KINDS, Kind
 
 GRID = np.zeros(GRID_SHAPE, np.uint8)
 
@@ -56,39 +60,28 @@ def test_what_is_unobserved_takes_itself_out_of_the_mask(tmp_path: Path) -> None
     assert found.classes.max() == 0
 
 
-def test_numbers_that_the_file_does_not_name_are_refused_by_name(tmp_path: Path) -> None:
+def test_unnamed_numbers_are_refused_and_arrays_that_nobody_asked_for_are_left(tmp_path: Path) -> None:
     said = read_class_map(mapped(tmp_path, "name: short\nclasses: {0: free, 1: T}\n"))
     with pytest.raises(UnknownLabelsError, match="semantics has 2, 3, which 'short' does not name"):
         read_labels(labels(tmp_path, semantics=np.resize(np.arange(4, dtype=np.uint8), GRID_SHAPE)), said)
-
-
-def test_arrays_that_nobody_asked_for_are_left(tmp_path: Path) -> None:
     found = read_labels(labels(tmp_path, distance_squared=GRID.astype(np.float16), semantics=GRID))
     assert (found.mask_lidar, found.mask_camera) == (None, None)
 
 
 BAD = {
-    "none": ("", "no name"),
-    "no YAML": ("{", "not YAML"),
-    "a list": ("[1]", "no name"),
-    "no classes": ("name: x", "no classes"),
-    "a class of nobody": ("name: x\nclasses: {0: grass}", "0 is 'grass'"),
-    "a class of a number": ("name: x\nclasses: {0: 1}", "0 is 1"),
-    "a number of nobody": ("name: x\nclasses: {256: T}", "256 is not a number"),
-    "a negative one": ("name: x\nclasses: {-1: T}", "-1 is not a number"),
-    "a name for a number": ("name: x\nclasses: {road: T}", "'road' is not a number"),
-    "a truth for a number": ("name: x\nclasses: {true: T}", "True is not a number"),
-    "two of one number": ("name: x\nclasses: {1: T, 1: P}", "not YAML"),
-    "a tag": ("!!python/object:os.system {}", "not YAML"),
-    "far too long": ("name: x\n" + "#" * 70_000, "65536"),
-}
+    "none": "", "no YAML": "{", "a list": "[1]", "no classes": "name: x",
+    "a class of nobody": "name: x\nclasses: {0: grass}", "a class of a number": "name: x\nclasses: {0: 1}",
+    "a number of nobody": "name: x\nclasses: {256: T}", "a negative one": "name: x\nclasses: {-1: T}",
+    "a name for a number": "name: x\nclasses: {road: T}", "a truth for a number": "name: x\nclasses: {true: T}",
+    "two of one number": "name: x\nclasses: {1: T, 1: P}", "a tag": "!!python/object:os.system {}",
+    "far too long": "name: x\n" + "#" * 70_000,
+}  # fmt: skip
 
 
 @pytest.mark.parametrize("name", BAD)
 def test_a_file_of_classes_that_is_none_is_refused(tmp_path: Path, name: str) -> None:
-    text, why = BAD[name]
-    with pytest.raises(BadClassMapError, match=why) as refused:
-        read_class_map(mapped(tmp_path, text))
+    with pytest.raises(BadClassMapError) as refused:
+        read_class_map(mapped(tmp_path, BAD[name]))
     assert refused.value.code == "DST-070"
 
 
@@ -97,3 +90,40 @@ def test_real_labels_of_occ3d_are_refused_for_their_grid(field_data: Path) -> No
     path = next((field_data / "occ3d_labels").rglob("labels.npz"))
     with pytest.raises(LabelShapeError, match=r"shape \(200, 200, 16\).*Occ3D-nuScenes has 200 × 200 × 16"):
         read_labels(ExportFileSpan(path, "labels.npz", 0, path.stat().st_size))
+
+
+def refused(folder: Path, kind: Kind) -> None:
+    code, edit = kind
+    edit(folder)
+    check = check_dataset(folder)
+    assert check.contents is None
+    told = [str(fault) for fault in check.faults.found]
+    assert {fault.code for fault in check.faults.found} == {code}, told
+
+
+@pytest.mark.parametrize("name", KINDS)
+def test_a_malformed_release_is_refused_by_its_code(copied: Path, name: str) -> None:
+    refused(copied, KINDS[name])
+
+
+@pytest.mark.parametrize("name", ANNOTATED)
+def test_malformed_annotations_are_refused_by_their_code(copied_annotated: Path, name: str) -> None:
+    refused(copied_annotated, ANNOTATED[name])
+
+
+def test_every_code_of_datasets_is_one_fault_s_and_has_a_kind_that_provokes_it() -> None:
+    elsewhere = {
+        "DST-003",  # test_files.py
+        "DST-005",  # test_files.py
+        "DST-048",  # test_scene_tables.py
+        "DST-049",  # what only an import refuses: tests/services/labeler/imports
+        "DST-071",
+        "DST-072",
+        "DST-070",  # above
+    }
+    coded = {leaf.code for leaf in DatasetFaultError.__subclasses__()}
+    assert coded == {code for code, _ in (*KINDS.values(), *ANNOTATED.values())} | elsewhere
+    assert len(coded) > 45
+    leaves = DatasetFaultError.__subclasses__()
+    assert len({leaf.code for leaf in leaves}) == len(leaves)
+    assert all(issubclass(leaf, StoneError) and leaf.likely for leaf in leaves)

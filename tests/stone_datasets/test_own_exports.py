@@ -15,6 +15,12 @@ from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
 from stone_datasets.index import DatasetIndex
 from stone_datasets.labels import read_labels
 from stone_datasets.reading import check_dataset, read_dataset
+from stone_exports.cameras import undistorted_picture
+from stone_exports.files import FolderFiles
+from stone_exports.frames import ExportedFrame, frames_in
+from stone_exports.labels import observed_classes
+from stone_exports.radar import detections_ego
+from stone_exports.sweeps import SweepFile
 from tests.services.labeler.exports.conftest import drive
 from tests.services.labeler.exports.made import Labelled, unheard
 
@@ -59,9 +65,7 @@ def test_frames_have_the_tokens_stamps_and_poses_that_were_labelled(index: Datas
     assert np.array_equal(sequence.map_from_ego.translation_m, moved_m)
 
 
-def test_sensors_have_the_mounts_lenses_stamps_and_poses_that_were_exported(
-    index: DatasetIndex, drive: Labelled
-) -> None:
+def test_sensors_have_the_mounts_lenses_stamps_and_poses_that_were_exported(index, drive):
     (sequence,), source = index.sequences, drive.source().sequence
     log = json.loads((index.files.path / "v1.0-trainval" / "log.json").read_text())[0]
     low_m = (-log["global_from_map_m"][0], -log["global_from_map_m"][1])
@@ -101,3 +105,40 @@ def test_an_export_in_a_tar_is_the_same(exported: Path, index: DatasetIndex, tmp
     assert check.contents is not None
     assert check.contents.index.sequences[0].tokens == index.sequences[0].tokens
     assert check.contents.as_record()["size_bytes"] > 0
+
+
+@pytest.fixture(scope="module")
+def frames(exported: Path) -> tuple[ExportedFrame, ...]:
+    return frames_in(FolderFiles(exported))
+
+
+def test_sweeps_are_the_recorded_returns_in_the_ego_frame(drive: Labelled, frames: tuple[ExportedFrame, ...]) -> None:
+    source = drive.source()
+    ego_from_lidar = source.sequence.calibration.ego_from_lidar
+    for index, frame in enumerate(frames):
+        sample = source.samples.lidar(index)
+        returns = SweepFile(frame.lidar.span, frame.lidar.sensor.ego_from_sensor).returns_ego()
+        np.testing.assert_allclose(returns[:, :3], ego_from_lidar @ sample.points_lidar.astype(float), atol=1e-4)
+        assert np.array_equal(returns[:, 3], sample.intensity)
+
+
+def test_labels_are_read_alike_for_training(frames: tuple[ExportedFrame, ...]) -> None:
+    for frame in frames:
+        assert frame.labels is not None
+        classes = observed_classes(frame.labels)
+        with np.load(frame.labels.path) as arrays:
+            is_ignored = (arrays["semantics"] == 0) & (arrays["mask_lidar"] == 0)
+            assert np.array_equal(classes == 255, is_ignored)
+            assert np.array_equal(classes[~is_ignored], arrays["semantics"][~is_ignored])
+        assert {0, 3, 255} <= set(np.unique(classes).tolist())
+
+
+def test_pictures_and_scans_can_be_read(frames: tuple[ExportedFrame, ...]) -> None:
+    frame = frames[len(frames) // 2]
+    for datum in frame.of_modality("camera"):
+        lens = datum.sensor.intrinsics
+        assert lens is not None
+        assert undistorted_picture(datum.span, lens, (48, 32)).std() > 5
+    scans = [detections_ego(datum) for datum in frame.of_modality("radar")]
+    assert sum(map(len, scans)) > 3
+    assert all(np.isfinite(rows).all() for rows in scans)

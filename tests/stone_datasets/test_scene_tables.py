@@ -63,14 +63,11 @@ def rich(copied: Path) -> Path:
     return copied
 
 
-def test_the_scenes_together_have_every_row_once_and_in_order(rich: Path, tmp_path: Path) -> None:
+def test_a_scene_has_every_row_of_it_once_and_in_order(rich: Path, tmp_path: Path) -> None:
     parts = parted(rich, tmp_path / "out")
     for table in ("calibrated_sensor", "ego_pose", "log", "sample", "sample_data", "scene"):
         assert [row for part in parts for row in part[table]] == rows_of(rich, table)
         assert all(part[table] for part in parts)
-
-
-def test_a_scene_has_what_is_told_to_be_of_it(rich: Path, tmp_path: Path) -> None:
     first, second = parted(rich, tmp_path / "out")
     tokens = {table: [[row["token"] for row in part[table]] for part in (first, second)] for table in TABLES}
     assert tokens["map"] == [["both"], ["both", "second"]]
@@ -114,15 +111,13 @@ def test_rows_in_any_order_are_parted_alike(rich: Path, tmp_path: Path) -> None:
             assert sorted(plain[table], key=key) == sorted(other[table], key=key)
 
 
-def test_rows_of_all_scenes_that_would_become_too_many_are_refused(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_rows_of_all_scenes_that_would_become_too_many_are_refused(tmp_path, monkeypatch):
     monkeypatch.setattr("stone_datasets.scene_tables.ALWAYS_BYTES", 0)
     folder = write_published(tmp_path / "dataset", SyntheticDataset(scenes=2, frames=1))
     write(folder, "category", [{"token": str(number), "name": "x" * 900} for number in range(900)])
     assert len(parted(folder, tmp_path / "few")) == 2
     monkeypatch.setattr("stone_datasets.scene_tables.MOST_GROWTH", 1)
-    with pytest.raises(TablesGrowError, match="bytes too many"):
+    with pytest.raises(TablesGrowError):
         parted(folder, tmp_path / "many")
 
 

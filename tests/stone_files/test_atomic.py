@@ -59,13 +59,16 @@ def dead_pid() -> int:
     return process.pid
 
 
-def test_a_file_appears_only_when_complete(tmp_path: Path) -> None:
+def test_a_file_appears_only_when_complete_and_the_handler_is_back_afterwards(tmp_path: Path) -> None:
     with atomic_file(tmp_path / "out.bin") as staging:
         assert staging.parent == tmp_path
         staging.write_bytes(b"whole")
         assert not (tmp_path / "out.bin").exists()
     assert (tmp_path / "out.bin").read_bytes() == b"whole"
     assert leftovers(tmp_path) == []
+    with atomic_file(tmp_path / "out"):
+        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
+    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
 
 
 def test_a_file_replaces_an_earlier_one_and_survives_a_failure(tmp_path: Path) -> None:
@@ -98,19 +101,13 @@ def test_a_file_respects_the_umask(tmp_path: Path) -> None:
     assert (tmp_path / "out.bin").stat().st_mode & 0o777 == 0o640
 
 
-def test_a_folder_in_place_of_a_file_is_refused_before_any_work(tmp_path: Path) -> None:
-    with pytest.raises(OutputExistsError, match="a folder; choose another"), atomic_file(tmp_path):
+def test_a_folder_or_device_in_place_of_a_file_and_the_reverse_are_refused(tmp_path: Path) -> None:
+    with pytest.raises(OutputExistsError), atomic_file(tmp_path):
         pytest.fail("work began")
-
-
-def test_a_device_in_place_of_a_file_is_refused() -> None:
-    with pytest.raises(OutputExistsError, match="no regular file"), atomic_file(Path(os.devnull)):
+    with pytest.raises(OutputExistsError), atomic_file(Path(os.devnull)):
         pytest.fail("work began")
-
-
-def test_a_file_in_place_of_a_folder_is_refused(tmp_path: Path) -> None:
     (tmp_path / "out").write_text("")
-    with pytest.raises(OutputExistsError, match="a file, not a folder"), atomic_directory(tmp_path / "out"):
+    with pytest.raises(OutputExistsError), atomic_directory(tmp_path / "out"):
         pytest.fail("work began")
 
 
@@ -139,7 +136,7 @@ def test_an_empty_folder_is_taken_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("replaces", [None, "report.json"])
 def test_a_folder_that_is_not_ours_is_never_replaced(tmp_path: Path, replaces: str | None) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(OutputExistsError, match="not empty"), atomic_directory(tmp_path, replaces=replaces):
+    with pytest.raises(OutputExistsError), atomic_directory(tmp_path, replaces=replaces):
         pytest.fail("work began")
     assert (tmp_path / "thesis.tex").exists()
 
@@ -148,7 +145,7 @@ def test_a_folder_filled_by_somebody_else_meanwhile_is_not_replaced(tmp_path: Pa
     theirs = tmp_path / "source"
     theirs.mkdir()
     (theirs / "theirs").write_text("")
-    with pytest.raises(OutputExistsError, match="not empty"), atomic_directory(tmp_path / "out"):
+    with pytest.raises(OutputExistsError), atomic_directory(tmp_path / "out"):
         shutil.copytree(theirs, tmp_path / "out")
     assert leftovers(tmp_path) == []
     assert (tmp_path / "out" / "theirs").exists()
@@ -202,10 +199,7 @@ def test_an_output_moved_aside_by_a_run_that_died_is_put_back(tmp_path: Path) ->
     aside = tmp_path / f".out.{dead_pid()}.0123abcd.replaced"
     aside.mkdir()
     (aside / "report.json").write_text("old")
-    with (
-        pytest.raises(ZeroDivisionError),
-        atomic_directory(tmp_path / "out", replaces="report.json"),
-    ):
+    with pytest.raises(ZeroDivisionError), atomic_directory(tmp_path / "out", replaces="report.json"):
         raise ZeroDivisionError
     assert (tmp_path / "out" / "report.json").read_text() == "old"
 
@@ -213,10 +207,7 @@ def test_an_output_moved_aside_by_a_run_that_died_is_put_back(tmp_path: Path) ->
 def test_a_move_that_fails_puts_the_earlier_output_back(tmp_path: Path) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "report.json").write_text("old")
-    with (
-        pytest.raises(FileNotFoundError),
-        atomic_directory(tmp_path / "out", replaces="report.json") as staging,
-    ):
+    with pytest.raises(FileNotFoundError), atomic_directory(tmp_path / "out", replaces="report.json") as staging:
         staging.rename(tmp_path / "elsewhere")
     assert (tmp_path / "out" / "report.json").read_text() == "old"
     assert leftovers(tmp_path) == []
@@ -258,9 +249,3 @@ def test_a_process_with_its_own_handler_keeps_it(tmp_path: Path) -> None:
         signal.signal(signal.SIGTERM, before)
     assert seen == [signal.SIGTERM]
     assert (tmp_path / "out").exists()
-
-
-def test_the_default_handler_is_back_afterwards(tmp_path: Path) -> None:
-    with atomic_file(tmp_path / "out"):
-        assert signal.getsignal(signal.SIGTERM) is not signal.SIG_DFL
-    assert signal.getsignal(signal.SIGTERM) is signal.SIG_DFL
