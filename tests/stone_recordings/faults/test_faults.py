@@ -3,32 +3,97 @@
 Catches alone a fault of the rig that goes by another name when a whole recording has it.
 """
 
-import re
+from collections.abc import Callable
+from dataclasses import dataclass, replace
+from functools import cache
+from pathlib import Path
 from typing import get_args
 
 import pytest
 
+from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.sequence import open_sequence
 from simulator.faults import (
-    DRIFT_RATIO,
     DRIFTING_TOPIC,
     DROPPING_CHANNEL,
     FIX_GAP_NS,
     IMU_LAG_NS,
     INVERTED_CHANNEL,
     LATE_CHANNEL,
-    LATE_NS,
-    STEP_BACK_NS,
     STEPPING_TOPIC,
     SWAPPED_CHANNELS,
 )
-from simulator.options import FaultName
-from simulator.sensors.navigation import FIX_NS
+from simulator.options import FaultName, SimulateOptions
+from simulator.pipeline import calibration_path, simulate
 from simulator.sensors.rig import cameras
 from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC
-from tests.stone_recordings.faults.conftest import Telling
+from stone.errors import StoneError
+from stone.findings import Finding
+from stone.sensors.sequence import Sequence
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.report.inspection import Inspection, inspect
+
+# A host whose stamps are the receiver's: the default one is late by up to 20 ms, which is a finding of its own.
+CLEAN = SimulateOptions(
+    seconds=6.0,
+    seed=5,
+    channels=16,
+    columns=180,
+    camera_width_px=64,
+    compression="none",
+    world_width_m=30.0,
+    host_delay_max_ns=0,
+    transport_jitter_ns=300_000,
+)
+# Pictures are most of the work, so only the clean drive and these have any.
+OF_CAMERAS: set[FaultName] = {"camera_late_5ms", "camera_dropped", "cameras_swapped", "extrinsic_inverted"}
+
+
+@dataclass(frozen=True, eq=False)
+class Told:
+    """What inspection, calibration and synchronisation said of one drive; `sequence` is None where it was refused."""
+
+    inspection: Inspection
+    sequence: Sequence | None
+    findings: tuple[Finding, ...]
+
+    @property
+    def codes(self) -> set[tuple[str, str]]:
+        """Code and topic (or channel) of each finding."""
+        return {(finding.code, finding.topic) for finding in self.findings}
+
+    def sentence(self, code: str, topic: str) -> str:
+        return next(found.message for found in self.findings if (found.code, found.topic) == (code, topic))
+
+
+Telling = Callable[..., Told]
+
+
+@pytest.fixture(scope="module")
+def told(tmp_path_factory: pytest.TempPathFactory) -> Telling:
+    """`told("rtk_gap", ...)`: the drive with these faults, looked at once a session."""
+
+    @cache
+    def tell(*faults: FaultName) -> Told:
+        bag = tmp_path_factory.mktemp("drive") / "run.mcap"
+        simulate(bag, replace(CLEAN, faults=faults, cameras=not faults or bool(OF_CAMERAS & set(faults))))
+        return _told(bag)
+
+    return tell
+
+
+def _told(bag: Path) -> Told:
+    inspection = inspect(bag)
+    _calibration, doubts = read_calibration(calibration_path(bag))
+    findings = inspection.findings + tuple(doubts)
+    try:
+        sequence, _sweeps = open_sequence(bag, calibration_path(bag), "run", SynchroniseOptions())
+    except StoneError as refusal:
+        return Told(inspection, None, (*findings, Finding(refusal.code, "error", "", str(refusal))))
+    return Told(inspection, sequence, findings + sequence.findings)
+
 
 pytestmark = pytest.mark.whole
-
 TOPICS = {camera.channel: camera.topic for camera in cameras()}
 Named = set[tuple[str, str]]
 FOUND: dict[FaultName, Named] = {
@@ -54,10 +119,6 @@ def test_nothing_is_found_on_the_clean_drive(told: Telling) -> None:
     assert clean.sequence.excluded == ()
 
 
-def test_every_fault_of_the_simulator_is_proved_here() -> None:
-    assert set(FOUND) == set(get_args(FaultName))
-
-
 CONSEQUENCES: dict[FaultName, Named] = {
     # 37 s apart, not one sweep has a pose.
     "clock_37s": {("SYN-501", "")},
@@ -68,33 +129,12 @@ CONSEQUENCES: dict[FaultName, Named] = {
 }
 
 
-@pytest.mark.parametrize("fault", list(FOUND))
+@pytest.mark.parametrize("fault", get_args(FaultName))
 def test_each_fault_is_found_and_named_and_accuses_nothing_that_is_sound(told: Telling, fault: FaultName) -> None:
     """By code and topic; whatever else is said is a consequence of this fault, and of what it touches."""
     codes = told(fault).codes
     assert codes >= FOUND[fault]
     assert codes <= FOUND[fault] | CONSEQUENCES.get(fault, set())
-
-
-def number(pattern: str, sentence: str) -> float:
-    match = re.search(pattern, sentence)
-    assert match is not None, sentence
-    return float(match.group(1))
-
-
-def test_the_offsets_of_time_scales_are_recognised(told: Telling) -> None:
-    assert "GPS − UTC" in told("clock_18s").sentence("TIM-202", INSPVAX_TOPIC)
-    assert "TAI − UTC" in told("clock_37s").sentence("TIM-202", LIDAR_TOPIC)
-
-
-def test_a_late_trigger_is_measured(told: Telling) -> None:
-    sentence = told("camera_late_5ms").sentence("TIM-205", TOPICS[LATE_CHANNEL])
-    assert number(r"(-?[\d.]+) ms", sentence) == pytest.approx(LATE_NS / 1e6, abs=1.0)
-
-
-def test_the_drift_of_a_radar_is_measured(told: Telling) -> None:
-    sentence = told("radar_drift_50ppm").sentence("TIM-207", DRIFTING_TOPIC)
-    assert number(r"([-+][\d.]+) ppm", sentence) == pytest.approx(DRIFT_RATIO * 1e6, abs=15.0)
 
 
 def test_the_lag_of_the_imu_is_recovered_within_2_ms(told: Telling) -> None:
@@ -108,17 +148,7 @@ def test_the_lag_of_the_imu_is_recovered_within_2_ms(told: Telling) -> None:
 
 def test_the_gap_of_the_receiver_is_measured_and_its_frames_left_out(told: Telling) -> None:
     gap = told("rtk_gap")
-    assert number(r"longest of ([\d.]+) s", gap.sentence("TIM-204", INSPVAX_TOPIC)) == pytest.approx(FIX_GAP_NS / 1e9)
+    assert f"longest of {FIX_GAP_NS / 1e9:.3f} s" in gap.sentence("TIM-204", INSPVAX_TOPIC)
     assert gap.sequence is not None
     # A sweep lasts 0.1 s, so those of 0.5 s touch a gap of 0.4 s.
     assert [frame.code for frame in gap.sequence.excluded] == ["pose_gap"] * 5
-
-
-def test_a_step_back_is_measured(told: Telling) -> None:
-    sentence = told("stamps_back").sentence("TIM-203", STEPPING_TOPIC)
-    assert number(r"worst by ([\d.]+) s", sentence) == pytest.approx((STEP_BACK_NS - FIX_NS) / 1e9)
-
-
-def test_faults_are_told_apart_when_they_come_together(told: Telling) -> None:
-    together: tuple[FaultName, ...] = ("clock_18s", "camera_late_5ms", "rtk_gap", "stamps_back", "extrinsic_inverted")
-    assert told(*together).codes >= set().union(*(FOUND[fault] for fault in together))

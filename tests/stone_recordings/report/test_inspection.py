@@ -5,11 +5,9 @@ from typing import Any
 
 import numpy as np
 import pytest
-from mcap.writer import CompressionType
 
-from stone_recordings.bags.errors import CutBagError
-from stone_recordings.messages.gps_time import unix_ns
 from stone_recordings.report.inspection import Inspection, inspect
+from tests.stone_recordings.clocks.streams import clouds, every, inspected, stream
 from tests.stone_recordings.writing import (
     HESAI,
     KITTI,
@@ -102,7 +100,7 @@ def test_a_sound_recording_has_roles_and_rates_and_no_findings(tmp_path: Path) -
     }
 
 
-def test_two_lost_messages_are_a_gap_and_one_is_not(tmp_path: Path) -> None:
+def test_gaps_and_steps_back_are_counted(tmp_path: Path) -> None:
     """In header time: the log times of these messages are a millisecond apart throughout."""
     messages = _clouds() + _stamped("/imu", IMU, _every(5 * MS, 100, lost=(20, 50, 51)))
     messages += _stamped("/odom", ODOMETRY, _every(50 * MS, 18, lost=(7,)))
@@ -113,9 +111,6 @@ def test_two_lost_messages_are_a_gap_and_one_is_not(tmp_path: Path) -> None:
     assert odometry["gaps"] == []
     assert _codes(inspection) == [("TIM-204", "/imu")]
     assert "the longest of 0.015 s" in inspection.findings[0].message
-
-
-def test_stamps_that_step_back_are_counted(tmp_path: Path) -> None:
     stamps_ns = _every(5 * MS, 100)
     stamps_ns[40] -= 8 * MS
     stamps_ns[70] -= 12 * MS
@@ -126,65 +121,17 @@ def test_stamps_that_step_back_are_counted(tmp_path: Path) -> None:
     assert inspection.findings[0].message == "2 stamps go backwards (worst by 0.007000 s)."
 
 
-def _ins(jitter_ns: int, offset_ns: int = 40 * MS) -> list[Recorded]:
-    """GPS times every 50 ms, published late by an offset and a jitter."""
-    recorded = []
-    week, first_ms = 2289, 200_000
-    generator = np.random.default_rng(1)
-    for row in range(40):
-        message = random_message(INSPVAX, np.random.default_rng(row), is_tame=True)
-        gps_ns = int(unix_ns(np.array([week]), np.array([first_ms + 50 * row]))[0])
-        message.nov_header.gps_week_number, message.nov_header.gps_week_milliseconds = week, first_ms + 50 * row
-        message.pos_type.type = 56
-        message.header = header(gps_ns + offset_ns + int(generator.normal(0, jitter_ns)), "gps")
-        recorded.append(Recorded("/inspvax", INSPVAX, gps_ns + offset_ns, serialised(message)))
-    return recorded
-
-
-def test_novatel_stamped_on_the_host_is_told_from_stamped_by_the_receiver(tmp_path: Path) -> None:
-    host = _inspected(tmp_path, _ins(jitter_ns=3 * MS))
-    assert ("TIM-201", "/inspvax") in _codes(host)
-    message = next(finding.message for finding in host.findings if finding.code == "TIM-201")
-    assert "median offset 40." in message or "median offset 39." in message
-    assert "TIM-201" not in {code for code, _topic in _codes(_inspected(tmp_path, _ins(jitter_ns=0)))}
-
-
-def test_a_clock_that_counts_tai_is_told_by_its_37_seconds(tmp_path: Path) -> None:
-    messages = _clouds() + _stamped("/odom", ODOMETRY, _every(MS, 18))
-    messages += _stamped("/imu", IMU, [stamp_ns + 37_000 * MS for stamp_ns in _every(MS, 180)])
-    inspection = _inspected(tmp_path, messages)
-    assert _codes(inspection) == [("TIM-202", "/imu")]
-    assert "by 37." in inspection.findings[0].message
-    assert "TAI − UTC?" in inspection.findings[0].message
-
-
-def test_a_recording_without_lidar_or_poses_says_which_is_missing(tmp_path: Path) -> None:
+def test_what_is_missing_is_said(tmp_path: Path) -> None:
     inspection = _inspected(tmp_path, _stamped("/imu", IMU, _every(5 * MS, 20)))
     assert _codes(inspection) == [("TOP-101", ""), ("TOP-103", "")]
-
-
-def test_packets_without_points_are_named(tmp_path: Path) -> None:
-    frame = random_message("hesai_ros_driver/msg/UdpFrame", np.random.default_rng(0), is_tame=True)
-    packets = [Recorded("/lidar_packets", "hesai_ros_driver/msg/UdpFrame", START_NS, serialised(frame))]
-    inspection = _inspected(tmp_path, packets + _stamped("/odom", ODOMETRY, _every(50 * MS, 18)))
-    assert _codes(inspection) == [("MSG-313", "/lidar_packets"), ("TOP-101", "/lidar_packets")]
-    assert "raw packets: record /lidar_points of hesai_ros_driver" in inspection.findings[1].message
-
-
-def test_points_without_time_and_points_of_another_clock_are_told(tmp_path: Path) -> None:
     odometry = _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
     assert _codes(_inspected(tmp_path, _clouds(record=KITTI) + odometry)) == [("TOP-102", "/lidar")]
     other = cloud_payload(sweep(HESAI, 1500, 0, START_NS + 37_000 * MS), CloudText(stamp_ns=START_NS))
     inspection = _inspected(tmp_path, [Recorded("/lidar", POINT_CLOUD, START_NS, other), *odometry])
     assert _codes(inspection) == [("TOP-102", "/lidar")]
     assert "another clock" in inspection.findings[0].message
-
-
-def test_two_lidars_are_a_choice_to_make(tmp_path: Path) -> None:
-    odometry = _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
-    inspection = _inspected(tmp_path, _clouds("/left") + _clouds("/right") + odometry)
-    assert _codes(inspection) == [("TOP-110", "/left")]
-    assert "2 topics fit role lidar: /left, /right" in inspection.findings[0].message
+    messages = _clouds() + _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
+    assert _codes(_inspected(tmp_path, messages, use_chunking=False)) == [("BAG-011", "")]
 
 
 def test_a_topic_that_lies_is_a_finding_and_the_others_are_still_inspected(tmp_path: Path) -> None:
@@ -194,27 +141,6 @@ def test_a_topic_that_lies_is_a_finding_and_the_others_are_still_inspected(tmp_p
     assert {("MSG-303", "/lidar"), ("MSG-301", "/imu")} <= set(_codes(inspection))
     assert [topic.role for topic in inspection.topics] == ["imu", "lidar", "odometry"]
     assert inspection.topics[2].timing.rate_hz == 20.0
-
-
-def test_a_recording_without_index_is_told_that_it_was_walked(tmp_path: Path) -> None:
-    messages = _clouds() + _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
-    assert _codes(_inspected(tmp_path, messages, use_chunking=False)) == [("BAG-011", "")]
-
-
-def test_compression_changes_nothing(tmp_path: Path) -> None:
-    messages = _clouds() + _stamped("/imu", IMU, _every(5 * MS, 100, lost=(50, 51)))
-    records = [
-        _inspected(tmp_path, messages, compression=compression, chunk_size=50_000).as_record()
-        for compression in CompressionType
-    ]
-    assert records[0] == records[1] == records[2]
-
-
-def test_a_recording_that_was_cut_is_refused(tmp_path: Path) -> None:
-    path = write_mcap(tmp_path / "run.mcap", _clouds())
-    path.write_bytes(path.read_bytes()[:1000])
-    with pytest.raises(CutBagError, match=r"run\.mcap was cut off at byte 1000"):
-        inspect(path)
 
 
 @pytest.mark.field_data
@@ -228,3 +154,77 @@ def test_the_real_recording_has_its_roles(field_data: Path) -> None:
         "/velodyne_points": ("lidar", 154),
     }
     assert _codes(inspection) == [("TOP-102", "/velodyne_points")]
+
+
+SWEEPS, READINGS = every(100 * MS, 20), every(10 * MS, 200)
+CODES = {"MSG-312", "TOP-115", "TIM-211"}
+
+
+def _cloud(stamp_ns: int, points: int = 1200, frame_id: str = "lidar", shown_ns: int | None = None) -> Recorded:
+    said = CloudText(stamp_ns=stamp_ns if shown_ns is None else shown_ns, frame_id=frame_id)
+    return Recorded("/lidar", POINT_CLOUD, stamp_ns + 10 * MS, cloud_payload(sweep(HESAI, points, 0, stamp_ns), said))
+
+
+def _readings(ahead_ns: int = 0) -> list[Recorded]:
+    return stream("/imu", IMU, READINGS + ahead_ns, READINGS + MS)
+
+
+def _told(inspection: Inspection) -> dict[tuple[str, str], str]:
+    return {(one.code, one.topic): one.message for one in inspection.findings if one.code in CODES}
+
+
+def test_a_sound_recording_lacks_nothing_and_a_head_that_is_cut_says_nothing(tmp_path: Path) -> None:
+    assert _told(inspected(tmp_path, clouds(SWEEPS, SWEEPS + 10 * MS), _readings())) == {}
+    sweeps = [_cloud(stamp_ns) for stamp_ns in SWEEPS.tolist()]
+    whole = sweeps[4].payload
+    for size in (12, 14, 16, 20, int(np.random.default_rng(1).integers(21, 40))):
+        sweeps[4] = Recorded("/lidar", POINT_CLOUD, sweeps[4].log_time_ns, whole[:size])
+        assert _told(inspected(tmp_path, sweeps, _readings())) == {}
+
+
+@pytest.mark.parametrize("frame_id", ["l", "lidar", "hesai_lidar_top"])
+def test_empty_clouds_are_counted_wherever_they_are(tmp_path: Path, frame_id: str) -> None:
+    sweeps = [_cloud(stamp_ns, 0 if row in (0, 3) else 1200, frame_id) for row, stamp_ns in enumerate(SWEEPS.tolist())]
+    told = _told(inspected(tmp_path, sweeps, _readings()))
+    assert list(told) == [("MSG-312", "/lidar")]
+    assert told["MSG-312", "/lidar"].startswith("2 of 20 clouds hold no point")
+
+
+def test_messages_without_a_frame_are_counted(tmp_path: Path) -> None:
+    sweeps = [_cloud(stamp_ns, frame_id="" if row < 5 else "lidar") for row, stamp_ns in enumerate(SWEEPS.tolist())]
+    told = _told(inspected(tmp_path, sweeps, _readings()))
+    assert list(told) == [("TOP-115", "/lidar")]
+    assert told["TOP-115", "/lidar"].startswith("5 of 20 messages name no frame")
+
+
+@pytest.mark.parametrize("count", [1, 20])
+def test_stamps_of_zero_are_counted_be_it_all_of_them(tmp_path: Path, count: int) -> None:
+    """A topic whose stamps are all 0 is timed by the recorder, and that was not said."""
+    stamps = enumerate(SWEEPS.tolist())
+    sweeps = [_cloud(stamp_ns, shown_ns=0 if row < count else None) for row, stamp_ns in stamps]
+    told = _told(inspected(tmp_path, sweeps, _readings()))
+    assert list(told) == [("TIM-211", "/lidar")]
+    assert told["TIM-211", "/lidar"].startswith(
+        f"{count} of 20 messages are stamped near 1970-01-01 (the first 0.000 s"
+    )
+
+
+def test_stamps_from_before_a_clock_was_set_are_counted(tmp_path: Path) -> None:
+    """They lie fifty years before the others, which no gap of a beat is told of."""
+    stamps = enumerate(SWEEPS.tolist())
+    sweeps = [
+        _cloud(stamp_ns, shown_ns=4 * 1000 * MS + row * 100 * MS if row < 3 else None) for row, stamp_ns in stamps
+    ]
+    told = _told(inspected(tmp_path, sweeps, _readings()))
+    assert list(told) == [("TIM-211", "/lidar")]
+    assert told["TIM-211", "/lidar"].startswith("3 of 20 messages are stamped near 1970-01-01 (the first 4.000 s")
+
+
+def test_clocks_that_all_count_from_their_start_are_named_and_one_alone_once(tmp_path: Path) -> None:
+    since_boot_ns = 55 * 1000 * MS - int(SWEEPS[0])
+    sweeps = clouds(SWEEPS + since_boot_ns, SWEEPS + 10 * MS)
+    told = _told(inspected(tmp_path, sweeps, _readings(since_boot_ns)))
+    assert list(told) == [("TIM-211", "/imu"), ("TIM-211", "/lidar")]
+    assert "begin 55.000 s after 1970-01-01" in told["TIM-211", "/lidar"]
+    alone = inspected(tmp_path, clouds(SWEEPS, SWEEPS + 10 * MS), _readings(since_boot_ns))
+    assert [one.code for one in alone.findings if one.topic == "/imu"] == ["TIM-202"]

@@ -1,6 +1,7 @@
 """What every sensor gave for a frame, against the messages it was made of."""
 
 import io
+import json
 import pickle
 from collections.abc import Callable
 from dataclasses import dataclass, replace
@@ -13,17 +14,15 @@ from PIL import Image
 from services.ingest.sequence import open_sequence
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from stone.sensors.sequence import Sequence
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration
+from stone.sensors.sequence import Frames, Sequence, frame_token
+from stone.sensors.sweep_lag import SweepLag
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.messages.camera import CameraPicture
 from stone_recordings.messages.pointcloud2 import decode_cloud
-from stone_recordings.sync.samples import (
-    BagSamples,
-    NotRecordedError,
-    RecordingMismatchError,
-    as_jpeg,
-    checked_samples,
-)
+from stone_recordings.sync.lag_check import TOLERATED_NS, lag_findings
+from stone_recordings.sync.samples import BagSamples, NotRecordedError, RecordingMismatchError, as_jpeg, checked_samples
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.sweeps import BagSweeps
 
@@ -133,13 +132,61 @@ def test_samples_travel_to_other_processes_and_through_files(drive: Drive) -> No
         assert samples.camera("CAM_FRONT", 2).content == drive.samples.camera("CAM_FRONT", 2).content  # type: ignore[union-attr]
 
 
-def test_a_sequence_without_messages_is_refused(drive: Drive) -> None:
+def test_only_the_recording_that_was_synchronised_with_its_messages_is_opened(drive: Drive) -> None:
     sequence = replace(drive.sequence, frames=replace(drive.sequence.frames, sweeps=None))
-    with pytest.raises(NotRecordedError, match="without a recording"):
+    with pytest.raises(NotRecordedError):
         BagSamples(drive.bag, sequence).lidar(0)
-
-
-def test_only_the_recording_that_was_synchronised_is_opened(drive: Drive) -> None:
     assert checked_samples(drive.bag, drive.sequence).path == drive.bag
-    with pytest.raises(RecordingMismatchError, match="label it again"):
+    with pytest.raises(RecordingMismatchError):
         checked_samples(drive.bag, replace(drive.sequence, inputs={"drive.mcap": "0" * 64}))
+
+
+STAMPS_NS = np.array([1_700_000_000_123_456_000, 1_700_000_000_223_456_000], np.int64)
+POSES = SE3(np.array([[1.0, 0, 0, 0, 1, 2, 3], [1.0, 0, 0, 0, 4, 5, 6]]))
+FOREIGN = ("0f" * 16, "a0" * 16)
+
+
+def test_tokens_are_stored_and_read_back_where_they_do_not_follow_from_name_and_stamps() -> None:
+    sequence = _sequence(FOREIGN)
+    read = read_sequence(sequence_bytes(sequence))
+    assert read.frames.tokens == FOREIGN
+    assert sequence_bytes(read) == sequence_bytes(sequence)
+    mixed = (_derived()[0], FOREIGN[1])
+    assert read_sequence(sequence_bytes(_sequence(mixed))).frames.tokens == mixed
+    written = sequence_bytes(_sequence(_derived()))
+    with np.load(io.BytesIO(written), allow_pickle=False) as arrays:
+        assert "tokens" not in json.loads(arrays["record"].tobytes())
+    assert read_sequence(written).frames.tokens == _derived()
+    empty = Frames(STAMPS_NS[:0], (), POSES[:0])
+    assert read_sequence(sequence_bytes(replace(_sequence(FOREIGN), frames=empty))).frames.tokens == ()
+
+
+def _derived() -> tuple[str, ...]:
+    return tuple(frame_token("run", stamp) for stamp in STAMPS_NS.tolist())
+
+
+def _sequence(tokens: tuple[str, ...]) -> Sequence:
+    return Sequence("run", Frames(STAMPS_NS, tokens, POSES), (), Calibration("rig", SE3.identity()), "dataset")
+
+
+CERTAIN = SweepLag(16, 100_000_000, 2_000_000, 0.002, 0.02)
+
+
+def test_a_certain_lag_is_named_with_the_options_that_put_it_right() -> None:
+    (finding,) = lag_findings(CERTAIN)
+    assert (finding.code, finding.severity) == ("TIM-213", "warning")
+    assert "pose=-100ms or lidar=100ms" in finding.message
+    (early,) = lag_findings(replace(CERTAIN, lag_ns=-60_000_000))
+    assert "pose=60ms or lidar=-60ms" in early.message
+
+
+@pytest.mark.parametrize(
+    "doubtful",
+    [
+        None, replace(CERTAIN, lag_ns=TOLERATED_NS), replace(CERTAIN, lag_ns=-TOLERATED_NS),
+        replace(CERTAIN, sigma_ns=20_000_000), replace(CERTAIN, lag_ns=60_000_000, sigma_ns=14_000_000),
+        replace(CERTAIN, unshifted_rad=0.0025),
+    ],
+)  # fmt: skip
+def test_what_is_small_or_uncertain_is_not_named(doubtful: SweepLag | None) -> None:
+    assert lag_findings(doubtful) == ()

@@ -1,11 +1,6 @@
-"""A simulated drive measured without noise: poses within 2 mm and 0.02° of exact, deskewed points within 5 mm.
+"""A simulated drive measured without noise: poses within 2 mm and 0.02° of exact, deskewed points within 5 mm."""
 
-What was measured is logged (`--log-cli-level=INFO`) and recorded as properties of the tests.
-"""
-
-import logging
-from dataclasses import dataclass, replace
-from pathlib import Path
+from dataclasses import dataclass
 
 import numpy as np
 import pymap3d
@@ -15,8 +10,7 @@ from scipy.spatial.transform import Rotation
 from services.ingest.sequence import open_sequence
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
-from simulator.scenery.scene import RayScene
-from simulator.scenery.world import ORIGIN_DEG_M, build_world
+from simulator.scenery.world import ORIGIN_DEG_M
 from simulator.sensors import rig
 from simulator.truth import SimulationTruth, read_truth
 from stone.geometry.se3 import SE3
@@ -28,8 +22,7 @@ from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.sync.radars import radars_of
 from stone_recordings.sync.sweeps import BagSweeps
 
-OPTIONS = SimulateOptions(seconds=5.0, seed=5, channels=16, columns=300, cameras=False, noise_ratio=0.0)
-LOG = logging.getLogger(__name__)
+OPTIONS = SimulateOptions(seconds=3.0, seed=5, channels=16, columns=300, cameras=False, noise_ratio=0.0)
 
 
 @dataclass(frozen=True, eq=False)
@@ -69,21 +62,18 @@ def turned_deg(a: SE3, b: SE3) -> np.ndarray:
     return np.asarray(np.rad2deg(2 * np.arctan2(np.linalg.norm(between[:, 1:], axis=1), np.abs(between[:, 0]))))
 
 
-def test_poses_are_within_two_millimetres_and_two_hundredths_of_a_degree(drive, record_property):
+def test_poses_are_within_two_millimetres_and_two_hundredths_of_a_degree(drive):
     frames = drive.sequence.frames
-    assert len(frames) == 50
+    assert len(frames) == 30
     assert set(frames.quality.rtk.tolist()) == {Rtk.FIXED}
     exact, found = drive.truth.trajectory.at(frames.stamps_ns), drive.world_from_ego()
     apart_mm = np.linalg.norm(found.translation_m - exact.translation_m, axis=1) * 1e3
     turn_deg = turned_deg(exact, found)
-    LOG.info("poses: %.3f mm, %.4f° at most", apart_mm.max(), turn_deg.max())
-    record_property("position_mm", float(apart_mm.max()))
-    record_property("turn_deg", float(turn_deg.max()))
     assert apart_mm.max() < 2.0
     assert turn_deg.max() < 0.02
 
 
-def test_deskewed_points_are_where_a_robot_that_stands_still_would_measure_them(drive, record_property):
+def test_deskewed_points_are_where_a_robot_that_stands_still_would_measure_them(drive):
     """Every point, moved by the exact path from where it was measured to where the LiDAR stood at the stamp."""
     worst_mm, raw_mm = [], []
     with open_bag(drive.sweeps.path) as bag:
@@ -97,60 +87,28 @@ def test_deskewed_points_are_where_a_robot_that_stands_still_would_measure_them(
             found = drive.sweeps.sweep(index).points_lidar
             worst_mm.append(np.linalg.norm(found - exact, axis=1).max() * 1e3)
             raw_mm.append(np.linalg.norm(raw.points_lidar - exact, axis=1).max() * 1e3)
-    LOG.info("deskewed points: %.3f mm at most; as measured: %.0f mm", max(worst_mm), max(raw_mm))
-    record_property("deskewed_mm", float(max(worst_mm)))
     assert max(worst_mm) < 5.0
     assert max(raw_mm) > 100.0
-
-
-def test_a_sweep_cast_by_a_robot_that_stands_still_lies_on_the_deskewed_one(drive, record_property):
-    """The rays to the deskewed points, cast from the exact pose of the stamp, end at those points."""
-    world = build_world(OPTIONS)
-    index = 24
-    stamp_ns, points = int(drive.sweeps.stamps_ns[index]), drive.sweeps.sweep(index).points_lidar
-    map_from_lidar = (drive.truth.trajectory.at(np.array([stamp_ns])) @ rig.EGO_FROM_LIDAR)[0]
-    far_m = np.linalg.norm(points, axis=1)
-    rays = (map_from_lidar.rotation() @ (points / far_m[:, None]).T).T
-    origins = np.repeat(map_from_lidar.translation_m[None], len(points), axis=0)
-    hits = RayScene(world).cast(origins.astype(np.float32), rays.astype(np.float32))
-    apart_m = np.abs(hits.range_m - far_m)
-    record_property("cast_median_mm", float(np.median(apart_m) * 1e3))
-    LOG.info("cast from the stamp's pose: median %.3f mm from the deskewed points", np.median(apart_m) * 1e3)
-    assert np.median(apart_m) < 0.005
-    # Grazing rays slide along the ground, edges are missed; most rays hit what was hit.
-    assert np.mean(apart_m < 0.05) > 0.9
 
 
 def test_still_things_stand_still_for_the_radars(drive):
     radars = radars_of(drive.sequence, drive.sweeps)
     assert sorted(radars) == ["RADAR_FRONT", "RADAR_LEFT", "RADAR_RIGHT"]
     radar = radars["RADAR_FRONT"]
-    seen = [radar.frame(index) for index in range(5, 45)]
+    seen = [radar.frame(index) for index in range(5, 25)]
     moving = np.concatenate([frame.range_rate_m_s for frame in seen])
     over_ground = np.concatenate([frame.ground_rate_m_s for frame in seen])
-    LOG.info("radar: %.3f m/s as measured, %.4f m/s over the ground (median)", *map(median_abs, (moving, over_ground)))
     assert median_abs(moving) > 1.0
     assert median_abs(over_ground) < 0.05
     with open_bag(drive.sweeps.path) as bag:
-        row = int(radar.taken.message_index[20])
+        row = int(radar.taken.message_index[12])
         raw = decode_radar("ars548_messages/msg/DetectionList", [bag.message(radar.taken.topic, row)])
-    dt_ns = int(radar.taken.dt_ns[20])
-    stamp_ns = int(radar.stamps_ns[20])
+    dt_ns = int(radar.taken.dt_ns[12])
+    stamp_ns = int(radar.stamps_ns[12])
     exact = drive.truth.trajectory.at(np.array([stamp_ns, stamp_ns + dt_ns])) @ rig.EGO_FROM_LIDAR
     expected = exact[0].inverse() @ (exact[1] @ (radar.lidar_from_radar @ raw.points_radar[raw.is_valid]))
-    np.testing.assert_allclose(radar.frame(20).points_lidar, expected, atol=5e-3)
+    np.testing.assert_allclose(radar.frame(12).points_lidar, expected, atol=5e-3)
 
 
 def median_abs(values: np.ndarray) -> float:
     return float(np.nanmedian(np.abs(values)))
-
-
-def test_noise_is_what_keeps_the_usual_bag_from_being_exact(tmp_path):
-    """The bound is not one that anything would pass: the rig's own noise breaks it."""
-    options = replace(OPTIONS, seconds=1.0, columns=60, noise_ratio=1.0)
-    simulate(tmp_path / "run.mcap", options, tmp_path / "truth")
-    sequence, sweeps = open_sequence(tmp_path / "run.mcap", tmp_path / "run.calibration.yaml", "noisy")
-    noisy = Drive(sequence, sweeps, read_truth(Path(tmp_path / "truth")))
-    exact = noisy.truth.trajectory.at(sequence.frames.stamps_ns)
-    apart_mm = np.linalg.norm(noisy.world_from_ego().translation_m - exact.translation_m, axis=1) * 1e3
-    assert apart_mm.max() > 2.0

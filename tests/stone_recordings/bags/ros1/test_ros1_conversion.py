@@ -90,14 +90,11 @@ def test_packets_of_drivers_that_are_unknown_here_become_cdr_as_their_definition
     assert payload[-1206:] == packets[-1][8:]
 
 
-def test_fields_have_the_names_that_are_known_here_where_the_wire_is_the_same() -> None:
+def test_fields_have_the_names_that_are_known_here_and_one_that_ros2_lacks_stays() -> None:
     named = ros2_type(ros1_of("sensor_msgs/msg/CameraInfo"))
     assert "float64[9] k\n" in named.schema
     assert resolved(*named).findings == ()
     assert "seq" not in named.schema
-
-
-def test_a_field_that_ros2_lacks_stays_and_is_said() -> None:
     text = (
         "Header header\nfloat64 range\nfloat64 mine\n" + ros1_of("sensor_msgs/msg/Imu").definition.partition("\n=")[1]
     )
@@ -109,15 +106,12 @@ def test_a_field_that_ros2_lacks_stays_and_is_said() -> None:
 
 def test_a_connection_that_describes_nothing_is_of_noetic_or_missing() -> None:
     assert ros2_type(Ros1Type("sensor_msgs/Imu", " \n")) == ros2_type(ros1_of("sensor_msgs/msg/Imu"))
-    with pytest.raises(DefinitionMissingError, match=r"no definition of 'acme_msgs/msg/Own' is known"):
+    with pytest.raises(DefinitionMissingError):
         ros2_type(Ros1Type("acme_msgs/Own", ""))
-    with pytest.raises(DefinitionRefusedError, match="is not the name of a type"):
+    with pytest.raises(DefinitionRefusedError):
         ros2_type(Ros1Type("no type at all", "uint8 x\n"))
-    with pytest.raises(DefinitionRefusedError, match="used and not defined"):
+    with pytest.raises(DefinitionRefusedError):
         ros2_type(Ros1Type("acme_msgs/Own", "Other x\n"))
-
-
-def test_an_empty_message_is_the_one_byte_that_ros2_makes_of_it() -> None:
     told = Ros1Type("std_msgs/Empty", "# nothing\n")
     payload = conversion_of(told).of_message(memoryview(b""))
     assert payload == b"\0\1\0\0\0"

@@ -1,6 +1,9 @@
 """The page is one well-formed file without script, says in words what it draws, and shows hostile names as text."""
 
+import json
 import re
+import shutil
+import subprocess
 from collections import Counter
 from html.parser import HTMLParser
 from pathlib import Path
@@ -26,7 +29,6 @@ from tests.stone_recordings.rigs import written
 
 HOSTILE = "</style><script>alert(1)</script><img src=x onerror=alert(1)>$\\frac{a}{0}$ \x1b[2J\u202egpj.exe & \"'"
 VOID = {"meta", "img", "br"}
-SVG_VOID = {"rect", "polyline", "path", "use", "line"}
 S = 10**9
 
 
@@ -96,20 +98,23 @@ def document(page: str) -> Document:
     return Document(page)
 
 
-def test_every_tag_is_closed_by_its_own(document: Document) -> None:
+def test_every_tag_is_closed_identifiers_are_unique_and_links_lead_to_them(document: Document) -> None:
     assert (document.faults, document.open) == ([], [])
+    identifiers = Counter(attributes["id"] for _, attributes in document.elements if "id" in attributes)
+    assert max(identifiers.values()) == 1
+    targets = {(attributes["href"] or "")[1:] for attributes in document.of("a")}
+    assert targets <= set(identifiers)
+    used = {(attributes["xlink:href"] or "")[1:] for attributes in document.of("use")}
+    assert used <= set(identifiers)
 
 
-def test_hostile_names_are_text_everywhere(page: str, document: Document) -> None:
+def test_hostile_names_are_text_and_nothing_is_fetched(page: str, document: Document) -> None:
     tags = {tag for tag, _ in document.elements}
     assert not tags & {"script", "iframe", "object", "embed", "link", "form", "base"}
     assert not [name for _, attributes in document.elements for name in attributes if name.startswith("on")]
     assert "\x1b" not in page
     assert "\u202e" not in page
     assert "<script>alert(1)</script>" in "".join(document.words)
-
-
-def test_nothing_is_fetched_and_the_policy_says_so(page: str, document: Document) -> None:
     sources = [attributes[name] or "" for _, attributes in document.elements for name in ("src", "href", "xlink:href")
                if attributes.get(name)]  # fmt: skip
     assert sources
@@ -119,15 +124,6 @@ def test_nothing_is_fetched_and_the_policy_says_so(page: str, document: Document
     assert policy.startswith("default-src 'none'")
     assert "@import" not in page
     assert "url(http" not in page
-
-
-def test_identifiers_are_unique_and_links_lead_to_them(document: Document) -> None:
-    identifiers = Counter(attributes["id"] for _, attributes in document.elements if "id" in attributes)
-    assert max(identifiers.values()) == 1
-    targets = {(attributes["href"] or "")[1:] for attributes in document.of("a")}
-    assert targets <= set(identifiers)
-    used = {(attributes["xlink:href"] or "")[1:] for attributes in document.of("use")}
-    assert used <= set(identifiers)
 
 
 def test_a_code_leads_to_what_it_means_and_the_findings_with_most_harm_come_first() -> None:
@@ -146,22 +142,16 @@ def test_a_code_leads_to_what_it_means_and_the_findings_with_most_harm_come_firs
         assert CATALOGUE[code].remedy.replace("'", "&#39;") in page
 
 
-def test_every_picture_says_in_words_what_it_shows(document: Document) -> None:
+def test_every_picture_says_in_words_what_it_shows_and_tables_are_headed(document: Document) -> None:
     plots = [attributes for tag, attributes in document.elements if attributes.get("role") == "img"]
     assert len(plots) >= 8
     assert all(attributes.get("aria-label") for attributes in plots)
     assert len(document.of("figure")) == len(document.of("figcaption"))
     assert all(attributes.get("aria-hidden") == "true" for attributes in document.of("svg"))
     assert all(attributes.get("alt") == "" for attributes in document.of("img"))  # the figure around it speaks
-
-
-def test_scrolling_boxes_are_reached_by_keyboard_and_named(document: Document) -> None:
     boxes = [attributes for attributes in document.of("div") if attributes.get("class") == "scroll"]
     assert len(boxes) >= 5
     assert all(box.get("tabindex") == "0" and box.get("role") == "region" and box.get("aria-label") for box in boxes)
-
-
-def test_tables_head_their_columns_and_rows(document: Document) -> None:
     assert len(document.of("table")) == len(document.of("caption"))
     assert {attributes.get("scope") for attributes in document.of("th")} == {"col", "row"}
 
@@ -173,10 +163,6 @@ def test_plots_take_their_colours_from_the_page(page: str) -> None:
     assert variables
     for variable in variables:
         assert page.count(f"--{variable}:") == 2, f"{variable} needs a light and a dark value"
-
-
-def test_equal_recordings_give_equal_pages() -> None:
-    assert hostile_page() == hostile_page()
 
 
 def test_a_page_of_nothing_is_a_page() -> None:
@@ -234,3 +220,48 @@ def test_a_template_that_asks_for_nothing_says_harmless_words(words: str) -> Non
     shown = rendered("lost.html", lost=[Deduction("QLT-601", 1, words)])
     assert shown.replace("\n", "").isprintable()
     assert re.findall(r"<(\w+)", shown) == ["ol", "li", "b", "span", "span"]
+
+
+PHONE_PX, LEAST_TEXT_PX = 360, 9
+MEASURE = """<!doctype html><iframe id="f" src="page.html" style="width:%dpx;height:800px;border:0"></iframe>
+<script>
+f.onload = () => {
+  const page = f.contentDocument, told = { plots: 0 };
+  told.wide = [...page.querySelectorAll("body *")].filter(one => !one.closest(".scroll") && !one.closest("svg")
+    && one.getBoundingClientRect().right > %d + 1).map(one => one.tagName + "." + one.className);
+  const texts = [...page.querySelectorAll(".plot svg:not(.strip) text")];
+  told.plots = texts.length;
+  told.smallest_px = Math.min(...texts.map(one => one.getBoundingClientRect().height));
+  told.background = getComputedStyle(page.body).backgroundColor;
+  told.bar = getComputedStyle(page.querySelector("rect.cover")).fill;
+  told.line = getComputedStyle(page.querySelector(".plot svg:not(.strip) path[style*=stroke]")).stroke;
+  document.body.textContent = "TOLD" + JSON.stringify(told) + "END";
+};
+</script>"""
+
+
+@pytest.fixture(scope="module")
+def chromium() -> str:
+    program = shutil.which("chromium") or shutil.which("chromium-browser") or shutil.which("google-chrome")
+    if program is None:
+        pytest.skip("no Chromium on PATH; install the system's chromium to see the page in it")
+    return program
+
+
+@pytest.mark.whole
+def test_the_page_fits_a_phone_and_wears_its_own_style(chromium: str, tmp_path: Path) -> None:
+    """Catches alone a report that a browser shows other than it was written."""
+    (tmp_path / "page.html").write_text(hostile_page("/camera/front_right/image/compressed" * 2), "utf-8")
+    (tmp_path / "measure.html").write_text(MEASURE % (PHONE_PX, PHONE_PX), "utf-8")
+    command = [chromium, "--headless=new", "--no-sandbox", "--disable-gpu", "--allow-file-access-from-files"]
+    command += [f"--user-data-dir={tmp_path / 'profile'}", "--virtual-time-budget=8000", "--dump-dom"]
+    run = subprocess.run([*command, (tmp_path / "measure.html").as_uri()], capture_output=True, timeout=300, check=True)
+    said = re.search(r"TOLD(\{.*\})END", run.stdout.decode())
+    assert said is not None, run.stdout[-2000:]
+    told = json.loads(said[1])
+    assert told["wide"] == []
+    assert told["plots"] > 30
+    assert told["smallest_px"] >= LEAST_TEXT_PX
+    assert told["background"] in ("rgb(244, 245, 240)", "rgb(20, 23, 15)")
+    assert told["bar"] in ("rgb(46, 125, 70)", "rgb(110, 203, 135)")
+    assert told["line"].startswith("rgb(")

@@ -7,9 +7,15 @@ import numpy as np
 import pytest
 from hypothesis import given
 from hypothesis import strategies as st
+from numpy.typing import NDArray
 from scipy.ndimage import gaussian_filter, laplace
 
+from simulator.options import SimulateOptions
+from simulator.pipeline import simulate
+from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.quality.cameras import picture_facts, sharpness
+from stone_recordings.report.quality.coverage import COVER_BINS, covered_bins, covered_ratio, rates
+from stone_recordings.report.quality.report import Quality
 from stone_recordings.report.quality.rtk import WORD_OF_TYPE
 from tests.stone_recordings.report.quality import recordings
 from tests.stone_recordings.report.quality.recordings import LIDAR, RADAR, measured, ticks
@@ -63,15 +69,12 @@ def test_cameras_are_named_by_their_place_and_measured_at_full_size(tmp_path: Pa
         assert camera.brightness_ratio == pytest.approx([0.5] * 10, abs=0.02)
 
 
-def test_zeros_in_a_cloud_are_no_returns(tmp_path: Path) -> None:
+def test_zeros_in_a_cloud_and_detections_beyond_the_count_are_not_counted(tmp_path: Path) -> None:
     path = written(tmp_path / "run.mcap", recordings.clouds(ticks(2, 10), valid=900, count=1200))
     (lidar,) = measured(path)[1].facts.lidars
     assert (lidar.topic, set(lidar.slots)) == (LIDAR, {1200})
     assert lidar.valid_ratio == pytest.approx([0.75] * len(lidar.at_ns))
     assert all(10 < range_m < 60 for range_m in lidar.range_m)
-
-
-def test_only_the_detections_that_count_are_counted(tmp_path: Path) -> None:
     counts, stamps = (0, 3, 800, 7), ticks(0.2, 20)
     said = [detection_list(int(stamp), count) for stamp, count in zip(stamps, counts, strict=True)]
     (radar,) = measured(written(tmp_path / "run.mcap", said))[1].facts.radars
@@ -96,9 +99,6 @@ def test_the_share_of_fixed_solutions_is_that_of_the_messages(tmp_path: Path) ->
     assert rtk is not None
     assert (rtk.share("fixed"), rtk.share("float"), rtk.share("other")) == (0.75, 0.25, 0.0)
     assert list(rtk.words) == ["fixed"] * 120 + ["float"] * 40
-
-
-def test_integer_ambiguities_are_fixed_and_float_ones_are_not() -> None:
     assert [WORD_OF_TYPE.get(kind, "other") for kind in (50, 56, 34, 55, 16, 53, 69)] == [
         "fixed", "fixed", "float", "float", "other", "other", "other",
     ]  # fmt: skip
@@ -125,14 +125,99 @@ def test_what_the_inspection_named_already_is_not_said_again(tmp_path: Path) -> 
     assert quality.facts.lidars == ()
 
 
-def test_a_recording_without_messages_has_a_quality_too(tmp_path: Path) -> None:
+def test_a_recording_of_one_message_or_none_has_a_quality_too(tmp_path: Path) -> None:
     path = written(tmp_path / "run.mcap", [])
     _, quality = measured(path)
     assert (quality.facts.coverage, quality.facts.cameras, quality.facts.rtk) == ((), (), None)
     assert {deduction.code for deduction in quality.deductions} == {"TOP-101", "TOP-103"}
-
-
-def test_one_message_is_no_period(tmp_path: Path) -> None:
     path = written(tmp_path / "run.mcap", [stamped("/imu", "sensor_msgs/msg/Imu", 10**18, "imu")])
     (topic,) = measured(path)[1].facts.coverage
     assert (topic.covered_ratio, topic.covered, topic.rates_hz) == (None, (), ())
+
+
+@pytest.fixture(scope="module")
+def clean(tmp_path_factory: pytest.TempPathFactory) -> tuple[Inspection, Quality]:
+    path = tmp_path_factory.mktemp("clean") / "run.mcap"
+    simulate(
+        path,
+        SimulateOptions(
+            seconds=1.5, channels=16, columns=180, camera_width_px=64, world_width_m=40.0, host_delay_max_ns=0
+        ),
+    )
+    return measured(path)
+
+
+def test_of_a_clean_drive_every_sensor_is_measured_and_the_score_nearly_full(clean: tuple[Inspection, Quality]) -> None:
+    inspection, quality = clean
+    assert inspection.findings == ()
+    assert quality.score >= 95, quality.deductions
+    assert quality.left_out == ()
+    facts = quality.facts
+    assert {topic.topic for topic in facts.coverage} == {topic.topic.name for topic in inspection.topics}
+    assert [camera.channel for camera in facts.cameras] == [
+        "CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT",
+    ]  # fmt: skip
+    assert len(facts.lidars) == 1
+    assert [min(radar.detections) > 0 for radar in facts.radars] == [True] * 3
+    assert facts.rtk is not None
+    assert facts.rtk.share("fixed") == 1.0
+    for topic in facts.coverage:
+        assert topic.role == "tf_static" or topic.covered_ratio == pytest.approx(1.0), topic
+
+
+S = 1_000_000_000
+STEPS = st.lists(st.integers(1_000_000, 3 * S), min_size=4, max_size=80)
+
+
+def every(period_s: float, start_s: float, stop_s: float) -> NDArray[np.int64]:
+    return (np.arange(start_s, stop_s, period_s) * S).astype(np.int64)
+
+
+def test_a_topic_is_covered_but_for_its_pauses() -> None:
+    times = every(0.1, 0.0, 20.05)
+    assert covered_ratio(times, 20 * S, S // 4) == 1.0
+    assert covered_bins(times, 20 * S, S // 4) == pytest.approx(1.0)
+    times = np.concatenate([every(0.1, 0.0, 8.05), every(0.1, 12.0, 20.05)])
+    assert covered_ratio(times, 20 * S, S // 4) == pytest.approx(0.8)
+    bins = covered_bins(times, 20 * S, S // 4)
+    assert bins.mean() == pytest.approx(0.8)
+    assert (bins[33:47] == 0).all()
+    assert bins[:31] == pytest.approx(1.0)
+    assert bins[49:] == pytest.approx(1.0)
+
+
+@pytest.mark.parametrize(("start_s", "stop_s", "ratio"), [(0.9, 19.1, 1.0), (5.0, 20.05, 0.75), (0.0, 10.05, 0.5)])
+def test_starting_late_by_a_second_costs_nothing_and_by_more_costs_all_of_it(start_s, stop_s, ratio):
+    assert covered_ratio(every(0.1, start_s, stop_s), 20 * S, S // 4) == pytest.approx(ratio, abs=0.01)
+
+
+@given(steps=STEPS, longest_ns=st.integers(1_000_000, 2 * S), head=st.integers(0, 5 * S), tail=st.integers(0, 5 * S))
+def test_bins_add_up_to_the_covered_steps(steps: list[int], longest_ns: int, head: int, tail: int) -> None:
+    times = np.cumsum([head, *steps]).astype(np.int64)
+    span_ns = int(times[-1]) + tail
+    bins = covered_bins(times, span_ns, longest_ns)
+    assert bins.shape == (COVER_BINS,)
+    assert ((bins >= 0) & (bins <= 1)).all()
+    covered_ns = sum(step for step in steps if step <= longest_ns)
+    assert bins.sum() * span_ns / COVER_BINS == pytest.approx(covered_ns, rel=1e-9, abs=1.0)
+
+
+@given(steps=STEPS, longest_ns=st.integers(1_000_000, 2 * S), head=st.integers(0, 5 * S), tail=st.integers(0, 5 * S))
+def test_the_covered_share_is_a_share(steps: list[int], longest_ns: int, head: int, tail: int) -> None:
+    times = np.cumsum([head, *steps]).astype(np.int64)
+    assert 0 <= covered_ratio(times, int(times[-1]) + tail, longest_ns) <= 1
+
+
+@pytest.mark.parametrize("rate_hz", [1.0, 10.0, 200.0])
+@pytest.mark.parametrize("start_s", [0.0, 3.37])
+def test_a_steady_topic_has_its_rate_in_every_bin_in_which_it_speaks(rate_hz: float, start_s: float) -> None:
+    found = rates(every(1 / rate_hz, start_s, 60.0), 60 * S)
+    assert len(found) == min(48, round((60 - start_s) * rate_hz) // 5)
+    assert found[found > 0] == pytest.approx(rate_hz, rel=1e-6)
+    assert (found > 0).sum() >= len(found) * (60 - start_s) / 60 - 1
+
+
+def test_a_rate_that_halves_is_seen_to_halve() -> None:
+    found = rates(np.concatenate([every(0.05, 0, 30), every(0.1, 30, 60)]), 60 * S)
+    assert found[:23] == pytest.approx(20.0)
+    assert found[25:] == pytest.approx(10.0)

@@ -164,10 +164,7 @@ def test_a_position_beyond_the_horizon_is_left_out(tmp_path: Path) -> None:
     assert np.abs(found.points_m).max() < 2 * SPEED_M_S / YAW_RATE_RAD_S
 
 
-def test_a_robot_that_stands_still_is_drawn(tmp_path: Path) -> None:
+def test_one_position_is_no_track_and_a_robot_that_stands_still_is_drawn(tmp_path: Path) -> None:
     still = RecordedTrack("Odometry", np.zeros((5, 2)), (), False)
     assert pixels(track_view(still)).shape == (896, 896, 3)
-
-
-def test_one_position_is_no_track(tmp_path: Path) -> None:
     assert track(written(tmp_path / "run.mcap", recordings.solutions(ticks(0.05, 20), 56))) is None

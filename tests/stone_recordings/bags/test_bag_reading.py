@@ -1,21 +1,115 @@
-"""A rosbag2 database gives what rosbags gives, of any schema version, split, packed or plain."""
+"""What `open_bag` gives back is what was written, whatever the container, and what rosbags gives."""
 
 import sqlite3
+from itertools import product
 from pathlib import Path
 
 import numpy as np
 import pytest
+from mcap.writer import CompressionType, IndexType
 from rosbags.rosbag2 import CompressionFormat, CompressionMode, Reader, StoragePlugin, Writer
 
+from stone_recordings.bags import errors
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.db3.store import SqliteStore
-from stone_recordings.bags.errors import DatabaseRefusedError, EncodingRefusedError, MalformedBagError
 from stone_recordings.bags.mcap.store import McapStore
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.messages.types.registry import message_definition, typestore
 from stone_recordings.report.inspection import inspect
 from tests.stone_recordings.databases import SCHEMAS, write_db3
-from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep
+from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_payload, sweep, write_mcap
+
+IMU = "sensor_msgs/msg/Imu"
+HEAD = b"\x00\x01\x00\x00"
+
+
+def _messages(count: int = 40) -> list[Recorded]:
+    """Two topics, log times out of order and with ties."""
+    generator = np.random.default_rng(3)
+    times = generator.integers(0, 12, count) * 1_000
+    return [
+        Recorded(f"/{'ab'[row % 2]}", IMU, int(times[row]), HEAD + generator.bytes(int(generator.integers(0, 300))))
+        for row in range(count)
+    ]
+
+
+def _in_log_order(messages: list[Recorded], topic: str) -> list[tuple[int, bytes]]:
+    """Stable, so that messages of one log time stay in the order of the file."""
+    of_topic = [(message.log_time_ns, message.payload) for message in messages if message.topic == topic]
+    return sorted(of_topic, key=lambda pair: pair[0])
+
+
+def _read(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
+    return [(message.log_time_ns, bytes(message.payload)) for message in bag.messages(topic)]
+
+
+CONTAINERS = [
+    {"compression": compression, "chunk_size": 1000, "index_types": index, "use_chunking": chunked, **extra}
+    for compression, index, chunked, extra in product(
+        (CompressionType.NONE, CompressionType.LZ4, CompressionType.ZSTD),
+        (IndexType.ALL, IndexType.CHUNK, IndexType.NONE),
+        (True, False),
+        ({}, {"use_statistics": False}, {"repeat_channels": False, "repeat_schemas": False}),
+    )
+]
+
+
+@pytest.mark.parametrize("options", CONTAINERS, ids=lambda options: "-".join(str(v) for v in options.values()))
+def test_every_kind_of_container_gives_the_same_messages(tmp_path: Path, options: dict[str, object]) -> None:
+    messages = _messages()
+    with open_bag(write_mcap(tmp_path / "run.mcap", messages, **options)) as bag:
+        assert [(topic.name, topic.type, topic.count) for topic in bag.topics] == [("/a", IMU, 20), ("/b", IMU, 20)]
+        for topic in ("/a", "/b"):
+            assert _read(bag, topic) == _in_log_order(messages, topic)
+        assert (bag.start_ns, bag.end_ns) == (
+            min(message.log_time_ns for message in messages),
+            max(message.log_time_ns for message in messages),
+        )
+
+
+def test_an_indexed_file_is_not_walked_and_one_without_index_is(tmp_path: Path) -> None:
+    with open_bag(write_mcap(tmp_path / "indexed.mcap", _messages())) as bag:
+        assert bag.is_indexed
+    with open_bag(write_mcap(tmp_path / "plain.mcap", _messages(), use_chunking=False)) as bag:
+        assert not bag.is_indexed
+
+
+def test_any_message_can_be_read_alone_and_outlives_its_bag(tmp_path: Path) -> None:
+    messages = _messages()
+    expected = _in_log_order(messages, "/a")
+    path = write_mcap(tmp_path / "run.mcap", messages, compression=CompressionType.LZ4, chunk_size=500)
+    with open_bag(path) as bag:
+        for index in (19, 0, 7, 7, 12):
+            message = bag.message("/a", index)
+            assert (message.log_time_ns, bytes(message.payload), message.index) == (*expected[index], index)
+        assert [message.index for message in bag.messages("/a", 5, 9)] == [5, 6, 7, 8]
+        assert list(bag.messages("/a", 30)) == []
+        with pytest.raises(IndexError):
+            bag.message("/a", 20)
+    for compression in (CompressionType.NONE, CompressionType.ZSTD):
+        with open_bag(write_mcap(tmp_path / "run.mcap", messages, compression=compression)) as bag:
+            payload = bag.message("/b", 3).payload
+        assert bytes(payload) == _in_log_order(messages, "/b")[3][1]
+        assert payload.readonly
+
+
+def test_a_topic_that_was_not_recorded_or_is_no_cdr_is_refused_and_none_has_no_duration(tmp_path: Path) -> None:
+    with open_bag(write_mcap(tmp_path / "empty.mcap", [])) as bag:
+        assert (bag.topics, bag.start_ns, bag.end_ns) == ((), 0, 0)
+    with open_bag(write_mcap(tmp_path / "run.mcap", _messages())) as bag, pytest.raises(errors.UnknownTopicError):
+        next(bag.messages("/lidar"))
+    with pytest.raises(errors.EncodingRefusedError):
+        open_bag(write_mcap(tmp_path / "ros1.mcap", _messages(), encoding="ros1"))
+
+
+def test_a_topic_of_two_types_is_refused(tmp_path: Path) -> None:
+    path = write_mcap(
+        tmp_path / "run.mcap", [Recorded("/a", IMU, 0, HEAD), Recorded("/b", "nav_msgs/msg/Odometry", 1, HEAD)]
+    )
+    path.write_bytes(path.read_bytes().replace(b"\x02\x00\x00\x00/b", b"\x02\x00\x00\x00/a"))
+    with pytest.raises((errors.MalformedBagError, errors.ChecksumError)):
+        open_bag(path)
+
 
 MESSAGES = [
     Recorded(topic, POINT_CLOUD, time_ns, cloud_payload(sweep(HESAI, 10 + 400 * time_ns)))
@@ -44,10 +138,6 @@ def database(tmp_path_factory: pytest.TempPathFactory) -> Path:
 def _expected(topic: str) -> list[tuple[int, bytes]]:
     own = [(message.log_time_ns, message.payload) for message in MESSAGES if message.topic == topic]
     return sorted(own, key=lambda pair: pair[0])
-
-
-def _read(bag: Bag, topic: str) -> list[tuple[int, bytes]]:
-    return [(message.log_time_ns, bytes(message.payload)) for message in bag.messages(topic)]
 
 
 def _check_whole(bag: Bag) -> None:
@@ -89,9 +179,7 @@ def test_every_schema_version_is_read_and_only_the_fourth_embeds_definitions(tmp
 @pytest.mark.parametrize("mode", [CompressionMode.MESSAGE, CompressionMode.FILE])
 @pytest.mark.parametrize("plugin", StoragePlugin)
 @pytest.mark.parametrize("has_metadata", [True, False])
-def test_what_the_recorder_compressed_is_unpacked(
-    tmp_path: Path, mode: CompressionMode, plugin: StoragePlugin, has_metadata: bool
-) -> None:
+def test_what_the_recorder_compressed_is_unpacked(tmp_path, mode, plugin, has_metadata):
     folder = _written(tmp_path / "run", plugin, mode)
     if not has_metadata:
         (folder / "metadata.yaml").unlink()
@@ -125,14 +213,6 @@ def test_heads_come_once_per_message_cut_unless_asked_whole(database: Path) -> N
     assert any(len(payload) > HEAD_BYTES for _time_ns, payload in _expected("/left"))
 
 
-def test_any_message_of_a_database_can_be_read_alone(database: Path) -> None:
-    with open_bag(database) as bag:
-        for index in (4, 0, 2, 1, 2, 3):
-            assert bytes(bag.message("/right", index).payload) == _expected("/right")[index][1]
-        payload = bag.message("/left", 1).payload
-    assert bytes(payload) == _expected("/left")[1][1]
-
-
 def test_a_folder_of_one_mcap_file_takes_the_fast_path(tmp_path: Path) -> None:
     with open_bag(_written(tmp_path / "run", StoragePlugin.MCAP)) as bag:
         assert isinstance(bag._store, McapStore)
@@ -144,18 +224,15 @@ def test_an_inspection_does_not_depend_on_the_container(tmp_path: Path, database
     assert inspect(mcap).as_record() == inspect(database).as_record()
 
 
-def test_a_recording_that_holds_no_cdr_is_refused(tmp_path: Path) -> None:
+def test_a_database_that_holds_no_cdr_or_is_another_program_s_is_refused(tmp_path: Path) -> None:
     path = write_db3(tmp_path / "run.db3", MESSAGES, encoding="protobuf")
-    with pytest.raises(EncodingRefusedError, match=r"encoded as 'protobuf'"):
+    with pytest.raises(errors.EncodingRefusedError):
         open_bag(path)
-
-
-def test_a_database_of_another_program_is_refused(tmp_path: Path) -> None:
     path = tmp_path / "history.db3"
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE urls(id INTEGER PRIMARY KEY, url TEXT)")
     connection.close()
-    with pytest.raises(DatabaseRefusedError, match=r"it has no table 'topics'; another program's") as caught:
+    with pytest.raises(errors.DatabaseRefusedError) as caught:
         open_bag(path)
     assert caught.value.code == "BAG-018"
 
@@ -172,7 +249,7 @@ def test_a_topic_of_two_types_is_refused_and_of_two_ids_is_one(tmp_path: Path) -
     with sqlite3.connect(path) as connection:
         connection.execute("UPDATE topics SET type = 'sensor_msgs/msg/Imu' WHERE id = 2")
     connection.close()
-    with pytest.raises(MalformedBagError, match="is recorded as"):
+    with pytest.raises(errors.MalformedBagError):
         open_bag(path)
 
 
@@ -186,12 +263,6 @@ def test_rows_that_are_no_messages_are_left_out_and_counted(tmp_path: Path) -> N
         _check_whole(bag)
         assert [(finding.code, finding.severity) for finding in bag.findings] == [("BAG-031", "warning")]
         assert bag.findings[0].message.startswith("4 rows of run.db3")
-
-
-def test_an_empty_database_has_no_messages(tmp_path: Path) -> None:
-    with open_bag(write_db3(tmp_path / "run.db3", [])) as bag:
-        assert (bag.topics, bag.start_ns, bag.end_ns) == ((), 0, 0)
-        assert list(bag.heads(())) == []
 
 
 def test_a_database_is_scanned_without_reading_its_clouds(tmp_path: Path) -> None:

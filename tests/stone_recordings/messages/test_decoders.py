@@ -8,16 +8,18 @@ import numpy as np
 import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
+from mcap.records import Schema
+from mcap_ros2.decoder import DecoderFactory
 from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
+from stone_recordings.bags import errors
 from stone_recordings.bags.bag import open_bag
-from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError, MixedFramesError, PoseValueError
 from stone_recordings.messages.gps_time import unix_ns
 from stone_recordings.messages.imu import decode_imu
 from stone_recordings.messages.novatel import decode_bestpos, decode_inspva
 from stone_recordings.messages.odometry import decode_odometry
 from stone_recordings.messages.tf import decode_transforms
-from stone_recordings.messages.types.registry import typestore
+from stone_recordings.messages.types.registry import message_definition, typestore
 from tests.stone_recordings.writing import header, made, random_message, serialised
 
 IMU, ODOMETRY, TF = "sensor_msgs/msg/Imu", "nav_msgs/msg/Odometry", "tf2_msgs/msg/TFMessage"
@@ -55,7 +57,7 @@ def _three(vector: Any) -> tuple[float, float, float]:
     return vector.x, vector.y, vector.z
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=counts)
 def test_imu_is_what_rosbags_reads(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -67,7 +69,7 @@ def test_imu_is_what_rosbags_reads(seed: int, count: int) -> None:
     assert _same_bits(ours.linear_acceleration_m_s2, [_three(message.linear_acceleration) for message in theirs])
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=counts)
 def test_odometry_is_what_rosbags_reads(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -87,7 +89,7 @@ def test_odometry_is_what_rosbags_reads(seed: int, count: int) -> None:
         np.testing.assert_allclose(ours.parent_from_child.wxyz[row], wxyz / np.linalg.norm(wxyz), atol=1e-15)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=counts)
 def test_transforms_are_what_rosbags_reads_sorted_by_pair(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -126,7 +128,7 @@ def _check_ins(ours: Any, theirs: list[Any]) -> None:
         assert ours.gps_stamps_ns[row] == (time_ns if head.gps_week_number else 0)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=counts)
 def test_inspva_is_what_rosbags_reads(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -138,7 +140,7 @@ def test_inspva_is_what_rosbags_reads(seed: int, count: int) -> None:
     assert (ours.pos_type, ours.position_stdev_m) == (None, None)
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=st.integers(1, 8))
 def test_inspvax_is_what_rosbags_reads(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -161,7 +163,7 @@ def _bestpos(generator: np.random.Generator, store: Any = None) -> Any:
     return message
 
 
-@settings(max_examples=60, deadline=None)
+@settings(max_examples=30)
 @given(seed=seeds, count=counts)
 def test_bestpos_is_what_rosbags_reads(seed: int, count: int) -> None:
     generator = np.random.default_rng(seed)
@@ -199,15 +201,12 @@ def test_the_drivers_own_recordings_of_its_older_header_are_read(field_data: Pat
 
 
 DECODERS = {
-    IMU: decode_imu,
-    ODOMETRY: decode_odometry,
-    TF: decode_transforms,
-    f"{NOVATEL}/INSPVAX": decode_inspva,
+    IMU: decode_imu, ODOMETRY: decode_odometry, TF: decode_transforms, f"{NOVATEL}/INSPVAX": decode_inspva,
     f"{NOVATEL}/BESTPOS": decode_bestpos,
-}
+}  # fmt: skip
 
 
-@settings(max_examples=150, deadline=None)
+@settings(max_examples=80)
 @given(
     type_name=st.sampled_from(sorted(DECODERS)),
     seed=seeds,
@@ -215,16 +214,14 @@ DECODERS = {
     junk=st.binary(max_size=8),
     is_cut=st.booleans(),
 )
-def test_damaged_messages_are_read_or_refused_by_code(
-    type_name: str, seed: int, ratio: float, junk: bytes, is_cut: bool
-) -> None:
+def test_damaged_messages_are_read_or_refused_by_code(type_name, seed, ratio, junk, is_cut):
     generator = np.random.default_rng(seed)
     whole, other = (serialised(random_message(type_name, generator, is_tame=True)) for _ in range(2))
     at = int(ratio * len(whole))
     damaged = whole[:at] + junk + (b"" if is_cut else whole[at + len(junk) :])
     try:
         DECODERS[type_name]([_message(other), _message(damaged)])
-    except (MessageLayoutError, ByteOrderError, MixedFramesError, PoseValueError) as error:
+    except (errors.MessageLayoutError, errors.ByteOrderError, errors.MixedFramesError, errors.PoseValueError) as error:
         refusal = error
     else:
         refusal = None
@@ -239,61 +236,92 @@ def _odometry(parent: str = "odom", child: str = "base", norm: float = 1.0, x: f
     return serialised(message)
 
 
-def test_two_sources_on_one_odometry_topic_are_refused() -> None:
-    with pytest.raises(MixedFramesError, match=r"odom → base, odom → imu"):
+def test_two_sources_or_two_types_on_one_topic_are_refused() -> None:
+    with pytest.raises(errors.MixedFramesError):
         decode_odometry([_message(_odometry()), _message(_odometry(child="imu"))])
+    generator = np.random.default_rng(4)
+    wire = _wire([random_message(f"{NOVATEL}/{name}", generator) for name in ("INSPVA", "INSPVAX")])
+    with pytest.raises(errors.MessageLayoutError):
+        decode_inspva(wire)
 
 
-def test_a_message_without_a_pose_costs_itself_alone() -> None:
+def test_a_message_without_a_pose_costs_itself_and_where_none_has_one_the_first_is_named() -> None:
     bad = [_odometry(norm=0.0), _odometry(x=float("nan")), _odometry(norm=1e200)]
     found = decode_odometry([_message(payload) for payload in (_odometry(x=1.0), *bad, _odometry(x=2.0))])
     assert found.parent_from_child.translation_m[:, 0].tolist() == [1.0, 2.0]
     assert len(found.stamps_ns) == 2
     assert len(found.refused_ns) == 3
     assert found.reason == "has a quaternion of norm 0"
-
-
-def test_where_no_message_holds_a_pose_the_first_is_named() -> None:
-    with pytest.raises(PoseValueError, match=r"number 0 has a quaternion of norm 0"):
+    with pytest.raises(errors.PoseValueError):
         decode_odometry([_message(_odometry(norm=0.0))])
-    with pytest.raises(PoseValueError, match=r"number 0 is not finite"):
+    with pytest.raises(errors.PoseValueError):
         decode_odometry([_message(_odometry(x=float("nan")))])
-    with pytest.raises(PoseValueError, match=r"number 0 has a quaternion component of 1e\+200"):
+    with pytest.raises(errors.PoseValueError):
         decode_odometry([_message(_odometry(norm=1e200))])
 
 
-def test_a_big_endian_message_and_one_of_another_encapsulation_are_refused() -> None:
+def test_big_endian_messages_other_types_and_false_counts_are_refused() -> None:
     content = _odometry()
-    with pytest.raises(ByteOrderError, match=r"nav_msgs/msg/Odometry is big-endian"):
+    with pytest.raises(errors.ByteOrderError):
         decode_odometry([_message(b"\x00\x00" + content[2:])])
-    with pytest.raises(MessageLayoutError, match=r"encapsulation 0003 is not plain CDR"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_odometry([_message(b"\x00\x03" + content[2:])])
-    with pytest.raises(MessageLayoutError, match=r"2 bytes are not a CDR message"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_odometry([_message(b"\x00\x01")])
-
-
-def test_a_message_of_another_type_is_refused_by_its_length() -> None:
     content = serialised(random_message(IMU, np.random.default_rng(1)))
-    with pytest.raises(MessageLayoutError, match=r"nav_msgs/msg/Odometry: \d+ bytes are declared at"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_odometry([_message(content)])
-    with pytest.raises(MessageLayoutError, match=r"fields end at byte \d+, the message has \d+"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_imu([_message(_odometry())])
-    with pytest.raises(MessageLayoutError, match=r"fit no version of the type"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_bestpos([_message(content)])
-
-
-def test_a_transform_message_cannot_declare_more_than_it_holds() -> None:
-    with pytest.raises(MessageLayoutError, match=r"declares 4294967295 elements, 0 bytes are left"):
+    with pytest.raises(errors.MessageLayoutError):
         decode_transforms([_message(b"\x00\x01\x00\x00\xff\xff\xff\xff")])
 
 
-def test_no_messages_give_no_samples() -> None:
-    assert len(decode_imu([]).stamps_ns) == len(decode_odometry([]).stamps_ns) == len(decode_transforms([])) == 0
-    assert len(decode_inspva([]).gps_stamps_ns) == len(decode_bestpos([]).gps_stamps_ns) == 0
+OWN = ("BESTPOS", "INSPVA", "INSPVAX")
+TYPES = (
+    *(f"novatel_oem7_msgs/msg/{name}" for name in OWN), "ars548_messages/msg/DetectionList",
+    "sensor_msgs/msg/PointCloud2", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/CameraInfo",
+    "tf2_msgs/msg/TFMessage",
+)  # fmt: skip
 
 
-def test_inspva_and_inspvax_do_not_share_a_topic() -> None:
-    generator = np.random.default_rng(4)
-    wire = _wire([random_message(f"{NOVATEL}/{name}", generator) for name in ("INSPVA", "INSPVAX")])
-    with pytest.raises(MessageLayoutError, match=r"INSPVA and INSPVAX messages are mixed"):
-        decode_inspva(wire)
+@pytest.mark.parametrize("type_name", TYPES)
+def test_a_definition_holds_everything_the_type_needs(type_name: str) -> None:
+    """Parsed alone it gives the fields of the type and of all types in it."""
+    text = message_definition(type_name)
+    parsed = get_types_from_msg(text, type_name)
+    assert parsed[type_name][1] == typestore().fielddefs[type_name][1]
+    assert text.count("=" * 80) == len(parsed) - 1
+
+
+@pytest.mark.parametrize("type_name", TYPES)
+def test_another_decoder_reads_messages_by_it(type_name: str) -> None:
+    decode = DecoderFactory().decoder_for(
+        "cdr", Schema(1, message_definition(type_name).encode(), "ros2msg", type_name)
+    )
+    message = random_message(type_name, np.random.default_rng(7), is_tame=True)
+    assert decode is not None
+    assert decode(serialised(message)).header.frame_id == message.header.frame_id if "TF" not in type_name else True
+
+
+def test_a_list_of_800_detections_is_as_long_as_its_driver_says_and_an_unknown_type_refused() -> None:
+    """Driver's own layout (ars548_ros): 41,741 bytes for a frame name of eleven characters."""
+    message = random_message("ars548_messages/msg/DetectionList", np.random.default_rng(0))
+    message.header.frame_id = "radar_front"
+    assert len(serialised(message)) == 41_741
+    with pytest.raises(errors.DefinitionMissingError):
+        message_definition("my_msgs/msg/Thing")
+
+
+@pytest.mark.field_data
+def test_our_novatel_fields_are_the_drivers(field_data: Path) -> None:
+    """Names and order; the folder is of the older branch, whose differences are named."""
+    folder = field_data / "novatel_oem7/novatel_oem7_msgs/msg"
+    for name in (*OWN, "Oem7Header"):
+        ours = [field for field, _kind in typestore().fielddefs[f"novatel_oem7_msgs/msg/{name}"][1]]
+        lines = (line.split("#")[0].split() for line in (folder / f"{name}.msg").read_text().splitlines())
+        theirs = [words[1] for words in lines if len(words) == 2 and "=" not in words[1]]
+        extra = ["receiver_status", "idle_time"] if name == "Oem7Header" else []
+        assert ours == theirs + extra
