@@ -128,8 +128,9 @@ def test_samples_without_a_solution_and_rtk_that_was_not_fixed_are_said(tmp_path
     assert "4 of 32 samples had no solution" in " ".join(f.message for f in sequence.findings)
     assert sequence.excluded[0].code == "no_pose_before_first"
     path = written(
-        tmp_path / "a.mcap", [rigs.wall_sweep(int(s)) for s in SWEEPS_NS], ins_messages(POSES_NS, pos_type=55)
+        tmp_path / "b.mcap", [rigs.wall_sweep(int(s)) for s in SWEEPS_NS], ins_messages(POSES_NS, pos_type=55)
     )
+    sequence, _ = synchronised(path)
     assert "RTK was fixed only 0.0 % of the time (100.0 % float)" in [f.message for f in sequence.findings]
 
 

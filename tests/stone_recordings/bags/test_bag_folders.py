@@ -157,11 +157,11 @@ def test_files_of_two_kinds_or_that_contradict_each_other_are_refused(tmp_path: 
     write_mcap(tmp_path / "run" / "converted.mcap", messages)
     with pytest.raises(MembersRefusedError):
         open_bag(tmp_path / "run")
-    (tmp_path / "run").mkdir()
-    write_mcap(tmp_path / "run" / "run_0.mcap", [Recorded("/a", IMU, 0, bytes(4))])
-    write_mcap(tmp_path / "run" / "run_1.mcap", [Recorded("/a", "nav_msgs/msg/Odometry", 1, bytes(4))])
+    (tmp_path / "types").mkdir()
+    write_mcap(tmp_path / "types" / "run_0.mcap", [Recorded("/a", IMU, 0, bytes(4))])
+    write_mcap(tmp_path / "types" / "run_1.mcap", [Recorded("/a", "nav_msgs/msg/Odometry", 1, bytes(4))])
     with pytest.raises(MalformedBagError):
-        open_bag(tmp_path / "run")
+        open_bag(tmp_path / "types")
 
 
 @pytest.mark.parametrize("listed", ["../outside.mcap", "/etc/hostname", "run/../../outside.mcap", "..", ".", '""'])

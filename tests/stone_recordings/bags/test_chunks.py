@@ -74,10 +74,6 @@ def test_a_checked_scan_passes_damage_over_that_nobody_asked_for_and_tells_it_th
     assert len(sound) < 2 * COUNT
 
 
-
-
-
-
 def test_of_a_split_recording_the_indices_are_those_of_the_whole(tmp_path: Path) -> None:
     folder = tmp_path / "run"
     folder.mkdir()

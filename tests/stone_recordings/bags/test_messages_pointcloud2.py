@@ -225,6 +225,7 @@ def test_a_big_endian_cloud_is_read_as_numpy_reads_it_be_it_so_or_only_said() ->
     np.testing.assert_array_equal(cloud.points["timestamp"], raw[:, 18:26].copy().view(">f8")[:, 0])
     np.testing.assert_array_equal(cloud.points["ring"], raw[:, 16:18].copy().view(">u2")[:, 0])
     points = sweep(HESAI, 300)
+    cloud = _cloud(points, CloudText(is_bigendian=True))
     assert cloud.is_misdeclared
     assert cloud.points.tobytes() == points.tobytes()
 
