@@ -1,6 +1,6 @@
-# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-starts | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-starts bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -138,9 +138,6 @@ fuzz: develop
 
 bench-read: develop
 	$(BIN)/python -m benchmarks.read
-
-bench-starts: develop
-	$(BIN)/python -m benchmarks.starts
 
 bench-datasets: develop
 	$(BIN)/python -m benchmarks.datasets
