@@ -29,11 +29,6 @@ def placed(request: pytest.FixtureRequest, platform: Platform) -> Platform:
     return with_place(platform, request.param, 1 << 20)
 
 
-@pytest.fixture(params=["folder", "store"])
-def placed_on(request: pytest.FixtureRequest, platform_on: Platform) -> Platform:
-    return with_place(platform_on, request.param, 1000)
-
-
 @pytest.fixture
 def administrator(platform: Platform) -> Person:
     return person(platform, "administrator")

@@ -52,50 +52,38 @@ def test_an_administrators_act_without_a_reason_is_refused(platform: Platform, r
     assert lines(platform) == []
 
 
-def test_an_act_that_is_rolled_back_leaves_no_line(platform_on: Platform) -> None:
-    with platform_on.database.transaction() as session:
+def test_an_act_that_is_rolled_back_leaves_no_line(platform: Platform) -> None:
+    with platform.database.transaction() as session:
         audit.record(session, ADA, "never", "subject")
         session.rollback()
-    write(platform_on, "after")
-    assert [(line.number, line.act) for line in lines(platform_on)] == [(1, "after")]
+    write(platform, "after")
+    assert [(line.number, line.act) for line in lines(platform)] == [(1, "after")]
 
 
-def test_an_empty_log_is_whole(platform: Platform) -> None:
-    assert first_broken(platform) is None
-
-
-def test_lines_are_numbered_and_linked(platform_on: Platform) -> None:
-    write(platform_on, "one", "two")
-    with platform_on.database.transaction() as session:
+def test_lines_are_numbered_and_linked(platform: Platform) -> None:
+    write(platform, "one", "two")
+    with platform.database.transaction() as session:
         audit.record(session, ADA, "three", "subject")
         audit.record(session, None, "four", "subject")
-    written = lines(platform_on)
+    written = lines(platform)
     assert [(line.number, line.act) for line in written] == [(1, "one"), (2, "two"), (3, "three"), (4, "four")]
     assert written[0].hash == audit.hash_of(written[0], "")
     assert written[3].hash == audit.hash_of(written[3], written[2].hash)
     assert written[3].actor == "anonymous"
-    assert first_broken(platform_on) is None
+    assert first_broken(platform) is None
 
 
-@pytest.mark.parametrize(
-    "change",
-    [
-        {"reason": "another"},
-        {"actor": "eve"},
-        {"act": "other"},
-        {"facts": {}},
-        {"logged_ns": 1},
-        {"subject_id": ""},
-        {"request_id": "x"},
-        {"hash": "0" * 64},
-    ],
-)
-def test_a_changed_line_is_found(platform: Platform, change: dict[str, object]) -> None:
-    write(platform, "one", "two", "three")
-    with platform.database.transaction() as session:
-        unguarded(session)
-        session.execute(update(AuditEntry).where(AuditEntry.number == 2).values(**change))
-    assert first_broken(platform) == 2
+def test_a_changed_line_is_found_whatever_was_changed(platform: Platform) -> None:
+    changes: list[dict[str, object]] = [
+        {"reason": "another"}, {"actor": "eve"}, {"act": "other"}, {"facts": {}}, {"logged_ns": 1}, {"subject_id": ""},
+        {"request_id": "x"}, {"hash": "0" * 64},
+    ]  # fmt: skip
+    write(platform, *("act" for _ in range(len(changes) + 1)))
+    for number in range(len(changes), 0, -1):
+        with platform.database.transaction() as session:
+            unguarded(session)
+            session.execute(update(AuditEntry).where(AuditEntry.number == number).values(**changes[number - 1]))
+        assert first_broken(platform) == number
 
 
 def test_a_line_taken_out_is_found_and_so_is_a_new_order(platform_on: Platform) -> None:
@@ -153,23 +141,11 @@ def test_a_long_log_is_verified_in_pieces(platform: Platform, monkeypatch: pytes
     assert first_broken(platform) == 7
 
 
-def test_only_administrators_read_the_log(api: httpx.Client, curator: Person, participant: Person) -> None:
-    for path in (LOG, f"{LOG}/verification"):
-        assert api.get(path).status_code == 401
-        for caller in (curator, participant):
-            assert api.get(path, headers=caller.headers).status_code == 403
-
-
-@pytest.mark.parametrize("query", [{"actor_id": "x"}, {"act": "a\x00"}, {"subject_id": "x" * 65}, {"limit": 0}])
-def test_a_filter_that_cannot_match_is_422(api: httpx.Client, administrator: Person, query: dict[str, str]) -> None:
-    assert api.get(LOG, params=query, headers=administrator.headers).status_code == 422
-
-
-def test_the_log_is_read_by_pages_and_filters_and_proven(api_on: httpx.Client, platform_on: Platform) -> None:
-    root = person(platform_on, "administrator")
-    write(platform_on, "one", "two", "one")
-    first = api_on.get(LOG, params={"limit": 2}, headers=root.headers).json()
-    rest = api_on.get(LOG, params={"limit": 2, "cursor": first["next"]}, headers=root.headers).json()
+def test_the_log_is_read_by_pages_and_filters_and_proven(api: httpx.Client, platform: Platform) -> None:
+    root = person(platform, "administrator")
+    write(platform, "one", "two", "one")
+    first = api.get(LOG, params={"limit": 2}, headers=root.headers).json()
+    rest = api.get(LOG, params={"limit": 2, "cursor": first["next"]}, headers=root.headers).json()
     assert [line["number"] for line in first["items"] + rest["items"]] == [3, 2, 1]
     assert rest["next"] is None
     for query, numbers in (
@@ -178,15 +154,10 @@ def test_the_log_is_read_by_pages_and_filters_and_proven(api_on: httpx.Client, p
         ({"actor_id": "b" * 32}, []),
         ({"subject_id": "subject", "act": "two"}, [2]),
     ):
-        found = api_on.get(LOG, params=query, headers=root.headers).json()["items"]
+        found = api.get(LOG, params=query, headers=root.headers).json()["items"]
         assert [line["number"] for line in found] == numbers
-    proof = api_on.get(f"{LOG}/verification", headers=root.headers).json()
-    assert proof == {
-        "is_whole": True,
-        "first_broken": None,
-        "lines": 3,
-        "head_hash": first["items"][0]["hash"],
-    }
+    proof = api.get(f"{LOG}/verification", headers=root.headers).json()
+    assert proof == {"is_whole": True, "first_broken": None, "lines": 3, "head_hash": first["items"][0]["hash"]}
 
 
 def test_a_line_carries_the_request_that_wrote_it(api: httpx.Client, administrator: Person) -> None:

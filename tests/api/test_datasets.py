@@ -2,11 +2,9 @@
 
 import hashlib
 import io
-import json
 import tarfile
 from collections.abc import Mapping
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import httpx
@@ -109,22 +107,20 @@ def contents_of(platform: Platform, sequence_id: str) -> dict[str, bytes]:
     return found
 
 
-def test_the_manifest_says_what_the_version_is_made_of(
-    api_on: httpx.Client, platform_on: Platform, release_on: Release
-) -> None:
-    manifest = manifest_of(api_on, release_on)
-    with platform_on.database.reading() as session:
+def test_the_manifest_says_what_the_version_is_made_of(api: httpx.Client, platform: Platform, release: Release) -> None:
+    manifest = manifest_of(api, release)
+    with platform.database.reading() as session:
         entries = {one.entry.id: one for one in labelled_sequences(session)}
-    names = {part: entries[one].entry.name for part, one in release_on.ids.items()}
+    names = {part: entries[one].entry.name for part, one in release.ids.items()}
     assert (manifest["stone_dataset"], manifest["version"], manifest["licence"]) == (1, "stone-1.0", "CC-BY-4.0")
     assert manifest["splits"] == {part: [name] for part, name in names.items()}
     assert [one["split"] for one in manifest["sequences"]] == ["train", "val", "test"]
     train = manifest["sequences"][0]
-    assert train["label_set"]["recipe"] == entries[release_on.ids["train"]].labels.recipe
+    assert train["label_set"]["recipe"] == entries[release.ids["train"]].labels.recipe
     assert (train["frames"], train["duration_s"], train["distance_m"]) == (3, 25.0, 30.5)
     assert manifest["statistics"]["total"]["sequences"] == 3
     for part in ("train", "val"):
-        expected = contents_of(platform_on, release_on.ids[part])
+        expected = contents_of(platform, release.ids[part])
         listed = {file["name"]: (file["size_bytes"], file["sha256"]) for file in manifest["files"][part]}
         sums = listed.pop("sha256sum.txt")
         assert listed == {name: (len(c), hashlib.sha256(c).hexdigest()) for name, c in expected.items()}
@@ -144,20 +140,6 @@ def test_a_part_is_a_tar_of_what_the_manifest_lists(api: httpx.Client, platform:
     sums = found.pop("sha256sum.txt").decode()
     assert found == contents_of(platform, release.ids["train"])
     assert sums == "".join(f"{hashlib.sha256(c).hexdigest()}  {name}\n" for name, c in found.items())
-
-
-def test_a_part_comes_in_ranges_too(api: httpx.Client, release: Release) -> None:
-    path = f"{release.path}/archives/val"
-    whole = api.get(path, headers=release.reader.headers)
-    size = len(whole.content)
-    cuts = [0, 1, 511, 513, 1300, size // 2, size - 1, size]
-    pieces = []
-    for start, stop in pairwise(cuts):
-        ranged = {"Range": f"bytes={start}-{stop - 1}", "If-Range": whole.headers["etag"]}
-        answer = api.get(path, headers={**release.reader.headers, **ranged})
-        assert answer.status_code == 206
-        pieces.append(answer.content)
-    assert b"".join(pieces) == whole.content
 
 
 def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform: Platform, release: Release) -> None:
@@ -189,47 +171,45 @@ def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform:
     assert manifest["statistics"]["total"]["voxels"]["traversable"] == 200, "train and val have 100 each, test as many"
 
 
-@pytest.mark.parametrize("part", ["test", "all", "TEST", "train%2F..%2Ftest"])
-def test_there_is_no_route_to_the_files_of_test(api: httpx.Client, release: Release, part: str) -> None:
-    answer = api.get(f"{release.path}/archives/{part}", headers=release.administrator.headers)
-    assert answer.status_code in (404, 422)
+def test_there_is_no_route_to_the_files_of_test(api: httpx.Client, release: Release) -> None:
+    for part in ["test", "all", "TEST", "train%2F..%2Ftest"]:
+        answer = api.get(f"{release.path}/archives/{part}", headers=release.administrator.headers)
+        assert answer.status_code in (404, 422)
 
 
 def test_a_version_stays_as_it_is_whatever_becomes_of_its_sequences(
-    api_on: httpx.Client, platform_on: Platform, release_on: Release
+    api: httpx.Client, platform: Platform, release: Release
 ) -> None:
     """Renamed words, labels made anew, sequences deleted, splits emptied, the store collected without mercy."""
-    path = f"{release_on.path}/archives/train"
-    before = [api_on.get(one, headers=release_on.reader.headers) for one in (release_on.path, path)]
-    train, sequences = release_on.ids["train"], "/api/v1/sequences"
-    match = {**release_on.owner.headers, "If-Match": "*"}
-    assert api_on.patch(f"{sequences}/{train}", json={"illumination": "night"}, headers=match).status_code == 200
-    with platform_on.database.reading() as session:
-        facts = {"id": train, "name": session.get_one(SequenceRow, train).name, "owner_id": release_on.owner.user_id}
-    labels(platform_on, facts, seed=b"anew")
-    for one in release_on.ids.values():
-        assert api_on.delete(f"{sequences}/{one}", headers=match).status_code == 204
+    path = f"{release.path}/archives/train"
+    before = [api.get(one, headers=release.reader.headers) for one in (release.path, path)]
+    train, sequences = release.ids["train"], "/api/v1/sequences"
+    match = {**release.owner.headers, "If-Match": "*"}
+    assert api.patch(f"{sequences}/{train}", json={"illumination": "night"}, headers=match).status_code == 200
+    with platform.database.reading() as session:
+        facts = {"id": train, "name": session.get_one(SequenceRow, train).name, "owner_id": release.owner.user_id}
+    labels(platform, facts, seed=b"anew")
+    for one in release.ids.values():
+        assert api.delete(f"{sequences}/{one}", headers=match).status_code == 204
     hasty = Settings(
-        data_folder=platform_on.settings.data_folder,
-        database=platform_on.settings.database,
-        store=StoreSettings(grace_s=0.0),
+        data_folder=platform.settings.data_folder, database=platform.settings.database, store=StoreSettings(grace_s=0.0)
     )
-    gone = collect_garbage(Platform(hasty, platform_on.database, open_store(hasty)))
+    gone = collect_garbage(Platform(hasty, platform.database, open_store(hasty)))
     assert gone.rows > 0, "the labels made anew went"
-    after = [api_on.get(one, headers=release_on.reader.headers) for one in (release_on.path, path)]
+    after = [api.get(one, headers=release.reader.headers) for one in (release.path, path)]
     assert [answer.content for answer in after] == [answer.content for answer in before]
-    manifest_of(api_on, release_on)
-    with platform_on.database.reading() as session:
+    manifest_of(api, release)
+    with platform.database.reading() as session:
         held = session.scalars(select(DatasetMember.part).order_by(DatasetMember.part)).all()
         assert list(held) == ["test", "train", "val"]
 
 
-@pytest.mark.parametrize("table", ["datasets", "dataset_members", "dataset_parts", "dataset_packs"])
-def test_the_database_refuses_to_change_a_version(platform_on: Platform, release_on: Release, table: str) -> None:
-    column = {"datasets": "licence", "dataset_members": "region", "dataset_parts": "files"}.get(table, "ordinal")
-    with pytest.raises(DatabaseError, match="does not change"):  # noqa: SIM117
-        with platform_on.database.transaction() as session:
-            session.execute(text(f"UPDATE {table} SET {column} = {column}"))
+def test_the_database_refuses_to_change_a_version(platform_on: Platform, release_on: Release) -> None:
+    for table in ["datasets", "dataset_members", "dataset_parts", "dataset_packs"]:
+        column = {"datasets": "licence", "dataset_members": "region", "dataset_parts": "files"}.get(table, "ordinal")
+        with pytest.raises(DatabaseError, match="does not change"):  # noqa: SIM117
+            with platform_on.database.transaction() as session:
+                session.execute(text(f"UPDATE {table} SET {column} = {column}"))
 
 
 def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Platform, release_on: Release) -> None:
@@ -245,11 +225,11 @@ def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Pla
                 session.execute(delete(Blob).where(Blob.sha256 == sha256))
 
 
-def test_a_name_is_given_once(api_on: httpx.Client, release_on: Release) -> None:
-    again = publish(api_on, release_on.administrator, release_on.name)
+def test_a_name_is_given_once(api: httpx.Client, release: Release) -> None:
+    again = publish(api, release.administrator, release.name)
     assert (again.status_code, again.json()["code"]) == (409, "name_taken")
-    assert publish(api_on, release_on.administrator, "stone-1.1").status_code == 201
-    listed = api_on.get(URL, headers=release_on.reader.headers).json()["items"]
+    assert publish(api, release.administrator, "stone-1.1").status_code == 201
+    listed = api.get(URL, headers=release.reader.headers).json()["items"]
     assert [one["name"] for one in listed] == ["stone-1.1", "stone-1.0"]
     assert listed[0]["sizes"] == {"train": 1, "val": 1, "test": 1}
 
@@ -267,11 +247,6 @@ def test_nothing_can_be_published_without_splits_that_keep_the_rules(
     assert publish(api, release.administrator, "stone-2.0").json()["code"] == "no_splits"
 
 
-@pytest.mark.parametrize("name", ["", "../x", "a b", "x" * 65, ".hidden"])
-def test_a_version_has_a_plain_name(api: httpx.Client, administrator: Person, name: str) -> None:
-    assert publish(api, administrator, name).status_code == 422
-
-
 def test_publishing_is_in_the_audit_log(api: httpx.Client, release: Release) -> None:
     log = api.get("/api/v1/admin/audit-log", headers=release.administrator.headers).json()["items"]
     (line,) = (line for line in log if line["act"] == "dataset.create")
@@ -279,9 +254,3 @@ def test_publishing_is_in_the_audit_log(api: httpx.Client, release: Release) -> 
     digest = release.shown["manifest_sha256"]
     assert line["facts"] == {"name": "stone-1.0", "manifest_sha256": digest, "warnings": warned}
     assert line["reason"] == "release"
-
-
-def test_the_manifest_is_json_that_others_can_read(api: httpx.Client, release: Release) -> None:
-    answer = api.get(f"{release.path}/manifest", headers=release.reader.headers)
-    assert answer.headers["content-type"] == "application/json"
-    assert json.loads(answer.content)["splits"].keys() == {"train", "val", "test"}

@@ -20,7 +20,7 @@ from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from testing.api.serving import Person, client_of, person, serving
-from testing.worlds.made import NOBODY, job, run, sequence
+from testing.worlds.made import job, run, sequence
 
 Event = tuple[str, str, Any]
 
@@ -107,18 +107,6 @@ def streams_of(api: Any) -> int:
     return int(api.state.follower._streams.total()) if hasattr(api.state, "follower") else 0
 
 
-@pytest.mark.parametrize("kind", ["jobs", "sequences"])
-def test_what_is_not_the_callers_is_not_followed(api: httpx.Client, platform: Platform, kind: str) -> None:
-    ada, eve = person(platform, "curator"), person(platform, "curator")
-    subject = run(platform, ada, "ingest.ok") if kind == "jobs" else sequence(api, ada)["id"]
-    path = f"/api/v1/{kind}/{subject}/events"
-    assert api.get(path).status_code == 401
-    assert api.get(path, headers=eve.headers).status_code == 404
-    assert api.get(f"/api/v1/{kind}/{NOBODY}/events", headers=ada.headers).status_code == 404
-    bad = api.get(path, headers=ada.headers | {"Last-Event-ID": "-1"})
-    assert bad.status_code == 422
-
-
 def test_a_caller_follows_a_few_streams_and_no_more(
     platform: Platform, curator: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -143,26 +131,26 @@ def test_a_caller_follows_a_few_streams_and_no_more(
         until(is_free, "who hangs up has a seat again")
 
 
-def test_a_job_is_followed_to_its_end(api_on: httpx.Client, platform_on: Platform) -> None:
-    ada = person(platform_on, "curator")
-    job_id = job(platform_on, ada, "ingest.ok")
-    with heard_from(api_on, f"{JOBS}/{job_id}/events", ada) as events:
+def test_a_job_is_followed_to_its_end(api: httpx.Client, platform: Platform) -> None:
+    ada = person(platform, "curator")
+    job_id = job(platform, ada, "ingest.ok")
+    with heard_from(api, f"{JOBS}/{job_id}/events", ada) as events:
         until(lambda: events, "what stands is told at once")
-        assert run_next(platform_on, "ingest", HANDLERS)
+        assert run_next(platform, "ingest", HANDLERS)
     names, ids, bodies = zip(*events, strict=True)
     assert names == ("progress",) * (len(names) - 1) + ("ended",)
     assert [int(number) for number in ids] == sorted({int(number) for number in ids})
     assert (bodies[0]["state"], bodies[-1]["state"]) == ("queued", "succeeded")
-    assert bodies[-1] == api_on.get(f"{JOBS}/{job_id}", headers=ada.headers).json()
+    assert bodies[-1] == api.get(f"{JOBS}/{job_id}", headers=ada.headers).json()
 
 
-def test_a_run_moves_when_any_of_its_jobs_does(api_on: httpx.Client, platform_on: Platform) -> None:
-    ada = person(platform_on, "curator")
-    root_id = run(platform_on, ada, "ingest.ok", "labeler.ok")
-    with heard_from(api_on, f"{JOBS}/{root_id}/events", ada) as events:
+def test_a_run_moves_when_any_of_its_jobs_does(api: httpx.Client, platform: Platform) -> None:
+    ada = person(platform, "curator")
+    root_id = run(platform, ada, "ingest.ok", "labeler.ok")
+    with heard_from(api, f"{JOBS}/{root_id}/events", ada) as events:
         for done, queue in enumerate(("ingest", "labeler")):
             until(lambda done=done: events and events[-1][2]["progress"]["done"] == done, f"{done} jobs are done")
-            assert run_next(platform_on, queue, HANDLERS)
+            assert run_next(platform, queue, HANDLERS)
     assert (events[-1][0], events[-1][2]["progress"]["done"]) == ("ended", 2)
 
 

@@ -13,8 +13,10 @@ from contextlib import contextmanager
 import httpx
 import pytest
 
-from services.runtime.platform import Platform
+from services.runtime.database.migrate import upgrade
+from services.runtime.settings import ApiSettings
 from testing.api.serving import client_of
+from testing.servers.fixtures import make_settings, opened
 from tests.api.access.cast import Cast, make_cast
 from tests.api.access.world import World, make_world
 
@@ -68,56 +70,58 @@ def status_of(answer: bytes) -> int:
     return int(answer.split(b" ", 2)[1])
 
 
-@pytest.fixture
-def wire(platform: Platform) -> Iterator[Wire]:
+@pytest.fixture(scope="module")
+def wire(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Wire]:
+    unbound = ApiSettings(requests_per_minute=10**7, sign_ins_per_minute=10**7)
+    platform = opened(make_settings(tmp_path_factory.mktemp("hostile"), api=unbound), [])
+    upgrade(platform.settings)
     cast = make_cast(platform)
     with client_of(platform) as client:
         yield Wire(client, cast, make_world(platform, cast.users["owner"]))
+    platform.database.close()
 
 
-@pytest.mark.parametrize(
-    "template", ["/api/v1/sequences/{}", "/api/v1/jobs/{}/events", "/api/v1/frames/{}", "/api/v1/problems/{}"]
-)
-def test_an_id_that_cannot_be_one_names_nothing(wire: Wire, template: str) -> None:
-    answers = {one[:40]: wire.status("GET", template.format(one)) for one in IDS}
-    assert set(answers.values()) <= {404, 422}, answers
+def test_an_id_that_cannot_be_one_names_nothing(wire: Wire) -> None:
+    for template in ["/api/v1/sequences/{}", "/api/v1/jobs/{}/events", "/api/v1/frames/{}", "/api/v1/problems/{}"]:
+        answers = {one[:40]: wire.status("GET", template.format(one)) for one in IDS}
+        assert set(answers.values()) <= {404, 422}, answers
 
 
-@pytest.mark.parametrize("path", ["/api/v1/sequences/", "/api/v1//sequences", "/healthz/", "//evil.example/api/v1/me"])
-def test_a_slash_too_many_leads_nowhere(wire: Wire, path: str) -> None:
+def test_a_slash_too_many_leads_nowhere(wire: Wire) -> None:
     """A redirect would go to the host that the request names."""
-    assert wire.status("GET", path) == 404
+    for path in ["/api/v1/sequences/", "/api/v1//sequences", "/healthz/", "//evil.example/api/v1/me"]:
+        assert wire.status("GET", path) == 404
 
 
-@pytest.mark.parametrize("asked", RANGES, ids=range(len(RANGES)))
-def test_a_range_that_is_none_costs_no_more_than_the_file(wire: Wire, asked: str) -> None:
-    assert wire.status("GET", f"/api/v1/frames/{wire.named['token']}/labels.npz", f"Range: {asked}") in (200, 416)
+def test_a_range_that_is_none_costs_no_more_than_the_file(wire: Wire) -> None:
+    for asked in RANGES:
+        assert wire.status("GET", f"/api/v1/frames/{wire.named['token']}/labels.npz", f"Range: {asked}") in (200, 416)
 
 
-@pytest.mark.parametrize("tag", TAGS, ids=range(len(TAGS)))
-def test_a_tag_that_is_none_changes_nothing(wire: Wire, tag: str) -> None:
-    assert wire.status("DELETE", f"/api/v1/sequences/{wire.named['sequence_id']}", f"If-Match: {tag}") == 412
+def test_a_tag_that_is_none_changes_nothing(wire: Wire) -> None:
+    for tag in TAGS:
+        assert wire.status("DELETE", f"/api/v1/sequences/{wire.named['sequence_id']}", f"If-Match: {tag}") == 412
 
 
-@pytest.mark.parametrize("path", ["sequences", "tokens", "sequences/{sequence_id}/process", "sessions"])
-def test_a_body_that_is_a_trap_is_refused(wire: Wire, path: str) -> None:
-    where = f"/api/v1/{path}".format_map(wire.named)
-    answers = [wire.status("POST", where, "Content-Type: application/json", body=body) for body in BODIES]
-    assert set(answers) <= {400, 422}, answers
+def test_a_body_that_is_a_trap_is_refused(wire: Wire) -> None:
+    for path in ["sequences", "tokens", "sequences/{sequence_id}/process", "sessions"]:
+        where = f"/api/v1/{path}".format_map(wire.named)
+        answers = [wire.status("POST", where, "Content-Type: application/json", body=body) for body in BODIES]
+        assert set(answers) <= {400, 422}, answers
 
 
-@pytest.mark.parametrize("path", ["/api/v1/uploads/form", "/api/v1/calibrations"])
-def test_a_form_that_is_none_is_refused(wire: Wire, path: str) -> None:
-    kind = "Content-Type: multipart/form-data; boundary=B"
-    assert {wire.status("POST", path, kind, body=body) for body in FORMS} <= {400, 422}
-    assert wire.status("POST", path, "Content-Type: multipart/form-data", body=b"x") in (400, 422)
+def test_a_form_that_is_none_is_refused(wire: Wire) -> None:
+    for path in ["/api/v1/uploads/form", "/api/v1/calibrations"]:
+        kind = "Content-Type: multipart/form-data; boundary=B"
+        assert {wire.status("POST", path, kind, body=body) for body in FORMS} <= {400, 422}
+        assert wire.status("POST", path, "Content-Type: multipart/form-data", body=b"x") in (400, 422)
 
 
-@pytest.mark.parametrize("name", ["a\u202eb", "\u200b", "a\u2066b", "a\u0085b", "\ufeffa", "a\u2028b"])
-def test_a_name_that_would_pass_for_another_is_refused(wire: Wire, name: str) -> None:
-    for path in ("teams", "tokens"):
-        answer = wire.client.post(f"/api/v1/{path}", json={"name": name}, headers=wire.cast.headers["owner"])
-        assert answer.status_code == 422, path
+def test_a_name_that_would_pass_for_another_is_refused(wire: Wire) -> None:
+    for name in ["a\u202eb", "\u200b", "a\u2066b", "a\u0085b", "\ufeffa", "a\u2028b"]:
+        for path in ("teams", "tokens"):
+            answer = wire.client.post(f"/api/v1/{path}", json={"name": name}, headers=wire.cast.headers["owner"])
+            assert answer.status_code == 422, path
 
 
 def test_a_head_without_end_is_cut_off(wire: Wire) -> None:

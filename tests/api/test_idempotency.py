@@ -1,7 +1,7 @@
 """A creating request sent twice creates once, whatever happens between the two."""
 
 import threading
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from typing import Any
 
 import httpx
@@ -20,6 +20,7 @@ from services.runtime.platform import Platform
 from testing.api.serving import Person, person, serving
 
 TEAMS = "/api/v1/teams"
+Faulty = tuple[httpx.Client, list[str]]
 
 
 @pytest.fixture
@@ -46,15 +47,14 @@ def found(api: httpx.Client, caller: Person, key: str, name: str = "us", **more:
     return api.post(TEAMS, json={"name": name}, headers={**caller.headers, "Idempotency-Key": key}, **more)
 
 
-@pytest.mark.parametrize("key", ["", "x" * 129, "a\tb", "é", "a b"])
-def test_what_is_no_key_is_422(api: httpx.Client, participant: Person, key: str) -> None:
-    headers = [(b"Authorization", participant.headers["Authorization"].encode()), (b"Idempotency-Key", key.encode())]
-    answer = api.post(TEAMS, json={"name": "us"}, headers=headers)
-    assert (answer.status_code, answer.json()["code"]) == (422, "bad_idempotency_key")
-
-
-def test_a_key_of_nobody_is_still_401(api: httpx.Client) -> None:
-    assert api.post(TEAMS, json={"name": "us"}, headers={"Idempotency-Key": "k"}).status_code == 401
+def test_what_is_no_key_is_422(api: httpx.Client, participant: Person) -> None:
+    for key in ["", "x" * 129, "a\tb", "é", "a b"]:
+        headers = [
+            (b"Authorization", participant.headers["Authorization"].encode()),
+            (b"Idempotency-Key", key.encode()),
+        ]
+        answer = api.post(TEAMS, json={"name": "us"}, headers=headers)
+        assert (answer.status_code, answer.json()["code"]) == (422, "bad_idempotency_key")
 
 
 def test_the_same_key_with_another_request_is_422_and_changes_nothing(
@@ -67,16 +67,16 @@ def test_the_same_key_with_another_request_is_422_and_changes_nothing(
 
 
 def test_a_repeated_request_creates_once_and_is_answered_the_same(
-    api_on: httpx.Client, platform_on: Platform, ada: Person
+    api: httpx.Client, platform: Platform, lone: Person
 ) -> None:
-    first, second = (found(api_on, ada, "k") for _ in range(2))
+    first, second = (found(api, lone, "k") for _ in range(2))
     assert (first.status_code, second.status_code) == (201, 201)
     assert first.content == second.content
     assert "idempotency-replayed" not in first.headers
     assert second.headers["idempotency-replayed"] == "true"
     assert second.headers["content-type"] == "application/json"
     assert second.headers["x-request-id"] != first.headers["x-request-id"]
-    assert teams_in(platform_on) == 1
+    assert teams_in(platform) == 1
 
 
 def test_keys_are_their_callers_own_and_their_routes_own(api: httpx.Client, platform: Platform, lone: Person) -> None:
@@ -129,7 +129,7 @@ def test_of_twenty_equal_requests_at_once_one_creates(api_on: httpx.Client, plat
 
 
 @pytest.fixture
-def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list[str]]]]:
+def faulty(platform: Platform) -> Iterator[Faulty]:
     """A served application with a route that founds a team and then does what the test asks."""
     plan: list[str] = []
     router = APIRouter()
@@ -148,13 +148,11 @@ def faulty(platform: Platform) -> Iterator[Callable[[], tuple[httpx.Client, list
     app = make_api(platform)
     app.include_router(router)
     with serving(platform, app) as url, httpx.Client(base_url=url, timeout=300) as client:
-        yield lambda: (client, plan)
+        yield client, plan
 
 
-def test_a_fault_before_any_effect_is_forgotten(
-    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
-) -> None:
-    client, plan = faulty()
+def test_a_fault_before_any_effect_is_forgotten(faulty: Faulty, platform: Platform, lone: Person) -> None:
+    client, plan = faulty
     plan.append("bug before")
     headers = {**lone.headers, "Idempotency-Key": "k"}
     with capture_logs():
@@ -162,10 +160,8 @@ def test_a_fault_before_any_effect_is_forgotten(
     assert rows_in(platform) == []
 
 
-def test_a_fault_after_the_effect_is_never_worked_on_again(
-    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
-) -> None:
-    client, plan = faulty()
+def test_a_fault_after_the_effect_is_never_worked_on_again(faulty: Faulty, platform: Platform, lone: Person) -> None:
+    client, plan = faulty
     plan.append("bug after")
     headers = {**lone.headers, "Idempotency-Key": "k"}
     with capture_logs():
@@ -176,12 +172,9 @@ def test_a_fault_after_the_effect_is_never_worked_on_again(
 
 
 def test_an_answer_waits_for_a_database_that_is_away_for_a_moment(
-    faulty: Callable[[], tuple[httpx.Client, list[str]]],
-    platform: Platform,
-    lone: Person,
-    monkeypatch: pytest.MonkeyPatch,
+    faulty: Faulty, platform: Platform, lone: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    client, plan = faulty()
+    client, plan = faulty
     plan.append("answer")
     outages, keep = [1, 2, 3], kept_replies.keep
 
@@ -199,9 +192,9 @@ def test_an_answer_waits_for_a_database_that_is_away_for_a_moment(
 
 
 def test_an_answer_too_large_to_keep_goes_out_whole_and_is_not_repeated(
-    faulty: Callable[[], tuple[httpx.Client, list[str]]], platform: Platform, lone: Person
+    faulty: Faulty, platform: Platform, lone: Person
 ) -> None:
-    client, plan = faulty()
+    client, plan = faulty
     plan.append("large answer")
     headers = {**lone.headers, "Idempotency-Key": "k"}
     assert len(client.post("/api/v1/faulty", headers=headers).content) == 70_000
@@ -240,9 +233,9 @@ def test_a_request_whose_process_died_after_its_commit_is_never_worked_on_again(
         kept_replies.reserve(database, asked_by(ada, lease_ns=0))
 
 
-def test_what_was_rolled_back_is_not_marked_as_done(platform_on: Platform, ada: Person) -> None:
-    database = platform_on.database
-    row_id = kept_replies.reserve(database, asked_by(ada))
+def test_what_was_rolled_back_is_not_marked_as_done(platform: Platform, lone: Person) -> None:
+    database = platform.database
+    row_id = kept_replies.reserve(database, asked_by(lone))
     assert isinstance(row_id, str)
     mark = kept_replies.working_for.set(row_id)
     with database.transaction() as session:
@@ -250,7 +243,7 @@ def test_what_was_rolled_back_is_not_marked_as_done(platform_on: Platform, ada: 
         session.flush()
         session.rollback()
     kept_replies.working_for.reset(mark)
-    assert [row.status for row in rows_in(platform_on)] == [kept_replies.IN_WORK]
+    assert [row.status for row in rows_in(platform)] == [kept_replies.IN_WORK]
 
 
 def test_a_day_later_the_key_is_free(api: httpx.Client, platform: Platform, lone: Person) -> None:

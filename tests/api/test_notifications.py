@@ -1,7 +1,6 @@
 """Notifications over REST: chosen, set, shown without secrets; a delivery that was given up is a dead letter."""
 
 import httpx
-import pytest
 
 from services.domain.notifications.email_addresses import new_secret
 from services.maintenance.notifications.errors import UnknownDeliveryError
@@ -98,9 +97,3 @@ def test_the_retry_of_a_delivery_that_is_forgotten_says_so(platform: Platform, p
     turn(told)
     with told.database.reading() as session:
         assert session.get_one(Job, job_id).failure_code == UnknownDeliveryError.code
-
-
-@pytest.mark.parametrize("secret", ["", "short", "x" * 65, "<script>"])
-def test_a_secret_of_another_form_is_refused(api: httpx.Client, participant: Person, secret: str) -> None:
-    answer = api.post(f"{AT}/email/verification", json={"secret": secret}, headers=participant.headers)
-    assert answer.status_code == 422

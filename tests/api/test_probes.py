@@ -1,42 +1,46 @@
-"""Probes tell the truth about what is away, quickly; counts are for those who watch."""
+"""Probes tell the truth about what is away, quickly; counts and traces are for those who watch."""
 
 import re
 import shutil
 import threading
 import time
+from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 
 import httpx
 import pytest
+from opentelemetry.proto.trace.v1.trace_pb2 import Span
 from prometheus_client.core import Metric
 from prometheus_client.parser import text_string_to_metric_families
 from pydantic import SecretStr
 from redis import Redis
 
 from api import probes
+from api.metrics import RequestMetrics
 from api.probes import Probes
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.jobs.wakeup import wake_up_sender
-from services.runtime.platform import Platform
+from services.runtime.orm import new_id
+from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings
 from services.runtime.store.protocol import Store
-from services.runtime.telemetry.counter_rows import CounterWriter
+from services.runtime.telemetry.counter_rows import CounterWriter, fold
 from services.runtime.telemetry.counters import ProcessCounters
 from services.runtime.telemetry.metric_names import RENAMED, WAKE_UPS_RESENT
+from services.runtime.telemetry.tracing import close_tracing
 from testing.api.serving import Person, client_of, person
+from testing.servers.collector import Collector, collecting, facts_of
 from testing.servers.fixtures import make_settings, opened
+from testing.servers.process import free_port
 
 WATCHING = "watching-watching-watching"
 
 
 def with_broker(platform: Platform, redis_url: str) -> Platform:
     settings = platform.settings.model_copy(
-        update={
-            "broker": BrokerSettings(url=redis_url),
-            "api": ApiSettings(metrics_token=SecretStr(WATCHING)),
-        }
+        update={"broker": BrokerSettings(url=redis_url), "api": ApiSettings(metrics_token=SecretStr(WATCHING))}
     )
     return replace(platform, settings=settings)
 
@@ -45,8 +49,8 @@ def states(answer: httpx.Response) -> dict[str, str]:
     return {name: part["state"] for name, part in answer.json()["parts"].items()}
 
 
-def test_with_everything_there_the_platform_is_ready(platform_on: Platform, redis_url: str) -> None:
-    with client_of(with_broker(platform_on, redis_url)) as api:
+def test_with_everything_there_the_platform_is_ready(platform: Platform, redis_url: str) -> None:
+    with client_of(with_broker(platform, redis_url)) as api:
         answer = api.get("/readyz")
         assert answer.status_code == 200, answer.text
         assert states(answer) == {"database": "up", "broker": "up", "store": "up"}
@@ -163,12 +167,12 @@ def test_counts_name_routes_not_ids_and_what_the_queues_hold(platform_on: Platfo
     assert not re.search("[0-9a-f]{32}", exposed)
 
 
-def test_renamed_metrics_are_exposed_under_their_old_names_too(platform_on: Platform, redis_url: str) -> None:
+def test_renamed_metrics_are_exposed_under_their_old_names_too(platform: Platform, redis_url: str) -> None:
     counted = ProcessCounters()
     counted.add(WAKE_UPS_RESENT, ("this test's",), 4.0)  # other tests of this process may have counted queues
-    with platform_on.database.transaction() as session:
+    with platform.database.transaction() as session:
         CounterWriter(counted).tell(session)
-    watched = with_broker(platform_on, redis_url)
+    watched = with_broker(platform, redis_url)
     Redis.from_url(redis_url).delete("eval")
     wake_up_sender(watched.settings)("eval", 3)
     with client_of(watched) as api:
@@ -204,3 +208,124 @@ def test_asking_often_costs_no_more(platform: Platform, redis_url: str, monkeypa
     asking = Probes(with_broker(platform, redis_url))
     first = asking.ask()
     assert [asking.ask() for _ in range(20)] == [first] * 20
+
+
+TEMPLATE = "/api/v1/sequences/{sequence_id}"
+
+
+def counted(meters: RequestMetrics) -> dict[tuple[str, ...], float]:
+    families = text_string_to_metric_families(meters.exposition().decode())
+    return {
+        (sample.name, *sorted(sample.labels.values())): sample.value for family in families for sample in family.samples
+    }
+
+
+def without_broker(platform: Platform) -> Platform:
+    away = BrokerSettings(f"redis://127.0.0.1:{free_port()}/0")
+    settings = platform.settings.model_copy(update={"broker": away})
+    return Platform(settings, platform.database, platform.store)
+
+
+def heard(platform: Platform) -> RequestMetrics:
+    """As of a process of its own, told by the test instead of by a thread."""
+    meters = RequestMetrics(without_broker(platform))
+    meters._is_heard = True
+    return meters
+
+
+def test_each_process_answers_for_all_and_no_count_falls(platform_on: Platform) -> None:
+    one, other = heard(platform_on), heard(platform_on)
+    key = ("stone_requests_total", TEMPLATE, "200", "GET")
+    seen = []
+    for turn in range(4):
+        one.note("GET", TEMPLATE, 200, 0.01)
+        other.note("GET", TEMPLATE, 200, 0.01)
+        one.tell()
+        seen += [counted(meters).get(key, 0.0) for meters in (one, other)]
+        if turn % 2:
+            fold(platform_on, quiet_s=-1.0)
+        other.tell()
+    assert seen == [1.0, 1.0, 3.0, 3.0, 5.0, 5.0, 7.0, 7.0]
+    assert counted(one)["stone_request_seconds_count", TEMPLATE, "GET"] == 8.0
+
+
+def test_bytes_of_bodies_are_counted_by_where_they_go(platform: Platform) -> None:
+    meters = RequestMetrics(without_broker(platform))
+    meters.note_bytes(100, 7)
+    meters.note_bytes(1, 0)
+    found = counted(meters)
+    assert (found["stone_request_bytes_total", "in"], found["stone_request_bytes_total", "out"]) == (101.0, 7.0)
+
+
+def test_with_the_database_away_there_are_no_counts_but_a_word(platform: Platform) -> None:
+    url = f"postgresql://stone@127.0.0.1:{free_port()}/stone"
+    away = open_platform(without_broker(platform).settings.model_copy(update={"database": DatabaseSettings(url)}))
+    meters = RequestMetrics(away)
+    meters.note("GET", TEMPLATE, 200, 0.01)
+    found = counted(meters)
+    away.database.close()
+    assert found["stone_database_up",] == 0.0
+    assert found["stone_disk_free_bytes", "data"] > 0
+    assert not [name for name, *_ in found if name.startswith(("stone_requests", "stone_jobs", "stone_queue_age"))]
+    assert counted(RequestMetrics(without_broker(platform)))["stone_database_up",] == 1.0
+
+
+TRACE, PARENT = "0123456789abcdef" * 2, "0123456789abcdef"
+OFFERED = {"traceparent": f"00-{TRACE}-{PARENT}-01"}
+ROUTE = "GET /api/v1/sequences/{sequence_id}"
+
+
+@pytest.fixture
+def collector(monkeypatch: pytest.MonkeyPatch) -> Iterator[Collector]:
+    with collecting(monkeypatch) as running:
+        yield running
+
+
+def span_of_request(platform: Platform, caller: Person, collector: Collector, **headers: str) -> Span:
+    """The span of one request, which finds nothing."""
+    with client_of(platform, caller) as api:
+        for path in ("/healthz", "/readyz", "/metrics"):
+            api.get(path)
+        answer = api.get(f"/api/v1/sequences/{new_id()}?name=hunter2", headers=headers)
+        assert answer.status_code == 404
+    close_tracing()  # now that the server has ended: a span ends after its answer
+    assert len(collector.spans) == 1
+    assert facts_of(collector.one(ROUTE))["stone.request.id"] == answer.headers["X-Request-ID"]
+    return collector.one(ROUTE)
+
+
+def test_a_span_has_the_routes_template_and_status_and_no_words(
+    platform: Platform, curator: Person, collector: Collector
+) -> None:
+    facts = facts_of(span_of_request(platform, curator, collector))
+    assert facts["http.route"] == "/api/v1/sequences/{sequence_id}"
+    assert facts["http.response.status_code"] == 404
+    assert b"hunter2" not in b"".join(collector.said)
+    assert curator.name.encode() not in b"".join(collector.said)
+
+
+def test_a_trace_from_outside_is_linked_and_not_continued(
+    platform: Platform, curator: Person, collector: Collector
+) -> None:
+    span = span_of_request(platform, curator, collector, **OFFERED)
+    assert span.trace_id.hex() != TRACE
+    assert [(link.trace_id.hex(), link.span_id.hex()) for link in span.links] == [(TRACE, PARENT)]
+
+
+def test_a_stranger_cannot_have_a_request_go_untraced(
+    platform: Platform, curator: Person, collector: Collector
+) -> None:
+    span_of_request(platform, curator, collector, traceparent=f"00-{TRACE}-{PARENT}-00")
+
+
+def test_behind_a_proxy_of_ours_its_trace_is_continued(
+    platform: Platform, curator: Person, collector: Collector
+) -> None:
+    trusting = platform.settings.model_copy(update={"api": ApiSettings(trusts_traceparent=True)})
+    span = span_of_request(replace(platform, settings=trusting), curator, collector, **OFFERED)
+    assert (span.trace_id.hex(), span.parent_span_id.hex()) == (TRACE, PARENT)
+    assert not span.links
+
+
+def test_what_is_no_traceparent_is_not_minded(platform: Platform, curator: Person, collector: Collector) -> None:
+    assert not span_of_request(platform, curator, collector, traceparent="00-" + "z" * 500).links

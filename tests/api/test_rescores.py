@@ -8,21 +8,14 @@ import pytest
 from sqlalchemy import select
 
 from services.domain.benchmarks.alarms.alarms import raise_alarms
-from services.runtime.orm import AuditEntry, Score, SubmissionRow
+from services.runtime.orm import AuditEntry, Score
 from services.runtime.platform import Platform
 from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
 from testing.api.serving import Person
 from testing.worlds.benchmark_world import World, benchmark_world, new_truth, predicted, run_eval, submission_zip
 from testing.worlds.made import NOBODY
 from tests.api.submitting import URL, Submitting, answered, refused, submitting
-from tests.services.domain.benchmarks.scored import (
-    Place,
-    another_truth,
-    phase_of_rows,
-    scored,
-    scored_entry,
-    team,
-)
+from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows, scored, scored_entry, team
 
 
 class Administrating:
@@ -78,22 +71,6 @@ def test_the_whole_way_from_new_labels_to_a_switched_board(
     assert _active_truth(api, world) == truth_id
     assert answered(admin.ask("GET", f"/{started['id']}"), 200)["state"] == "activated"
     assert admin.acts(platform) == ["phase.rescore", "phase.activate"]
-
-
-def test_another_metric_is_scored_from_what_is_kept(api: httpx.Client, platform: Platform, tmp_path: Path) -> None:
-    world = benchmark_world(platform, frames=2)
-    submission_id = _submit(api, world, tmp_path, 0)
-    admin = Administrating(api, world.administrator, world.val)
-    started = admin.start(metric=OCCUPIED_VERSION)
-    with platform.database.transaction() as session:
-        session.get_one(SubmissionRow, submission_id).blob_sha256 = None
-    run_eval(platform)
-    diff = answered(admin.ask("GET", f"/{started['id']}/diff"), 200)
-    (row,) = diff["rows"]
-    assert diff["rescore"]["state"] == "complete"
-    assert row["new"]["iou_occ"] == row["old"]["iou_occ"]
-    assert row["new"]["iou_t"] > row["old"]["iou_t"]
-    assert row["value_move"] == pytest.approx(row["new"]["miou"] - row["old"]["miou"])
 
 
 def test_the_difference_names_moves_in_rank_and_value(place: Place, admin: Administrating) -> None:

@@ -2,18 +2,25 @@
 
 import hashlib
 import io
+from pathlib import Path
 from typing import Any
 
 import httpx
 import numpy as np
 import pytest
 
+from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft, finalise
 from services.runtime.orm import Phase, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from testing.api.serving import person
+from stone.scoring.confusion import ratios
+from stone.scoring.metric import RATIOS
+from testing.api.serving import Person, person
+from testing.worlds import made
+from testing.worlds.benchmark_world import SHAPE, World, benchmark_world, predicted, run_eval, submission_zip
 from testing.worlds.made import NOBODY
 from tests.api.boarding import Boarding, answered, boarding, refused
+from tests.plain_confusion import confusion_matrix
 from tests.services.domain.benchmarks.boards import HOUR_NS, Made, counts
 from tests.services.domain.benchmarks.seen_fields import RELATIONS, STANDINGS, expected
 
@@ -120,8 +127,8 @@ def test_what_is_not_scored_yet_says_so_to_its_team_and_nothing_is_for_nobody(
         assert api.get(f"/api/v1/submissions/{look.mine}/{part}?by=sequence").status_code == 401
 
 
-def test_an_older_score_is_read_by_its_id(api_on: httpx.Client, platform_on: Platform) -> None:
-    look = boarding(api_on, platform_on)
+def test_an_older_score_is_read_by_its_id(api: httpx.Client, platform: Platform) -> None:
+    look = boarding(api, platform)
     pending = look.at.another_pair()
     shadow = look.at.score(look.mine, Made(0.1), pending)
     assert refused(look.of(look.mine, "results", look.member, score=shadow)) == (404, "score_missing")
@@ -150,16 +157,61 @@ def test_the_counts_come_as_a_file_with_its_checksum(api: httpx.Client, platform
     assert (part.status_code, part.content) == (206, reply.content[2:6])
 
 
-def test_a_breakdown_is_by_something(api: httpx.Client, platform: Platform) -> None:
-    look = boarding(api, platform)
-    asked: list[dict[str, Any]] = [{}, {"by": "weather"}, {"by": "sequence", "score": "x"}]
-    for query in asked:
-        assert refused(look.of(look.mine, "results/breakdowns", **query)) == (422, "invalid_request")
+V1 = "/api/v1"
 
 
-def test_what_is_withheld_says_until_when(api: httpx.Client, platform: Platform) -> None:
-    look = boarding(api, platform)
-    look.at.hide()
-    reply = look.of(look.mine, "results/breakdowns", look.member, by="sequence")
-    assert refused(reply) == (403, "withheld")
-    assert "while the phase runs only totals rounded" in reply.json()["detail"]
+def submit(world: World, part: str, team: int, errors: float, folder: Path) -> str:
+    """The id of a finalised submission of the team's captain."""
+    path = submission_zip(folder / f"{part}-{team}.zip", predicted(world.truth(part), errors, team))
+    content = path.read_bytes()
+    facts: dict[str, Any] = {"sha256": hashlib.sha256(content).hexdigest(), "size_bytes": len(content)}
+    captain = world.captains[team]
+    who: dict[str, Any] = {"phase_id": world.phase(part), "team_id": world.teams[team], "user_id": captain.user_id}
+    draft = SubmissionDraft(**who, kind="entry", method=f"Net {team}", description="", modality="L", **facts)
+    with world.platform.database.transaction() as session:
+        submission_id = create_draft(session, draft).id
+    upload_id = made.upload(world.platform, captain, content, purpose="submission", target_id=submission_id)
+    with world.platform.database.transaction() as session:
+        finalise(session, session.get_one(SubmissionRow, submission_id), upload_id)
+    return submission_id
+
+
+def slow_ratios(world: World, part: str, team: int, errors: float) -> list[float]:
+    """By counting voxel by voxel."""
+    truth = world.truth(part)
+    everything = np.ones(SHAPE, bool)
+    found = predicted(truth, errors, team)
+    total = sum((confusion_matrix(truth[token], found[token], everything) for token in truth), np.zeros((4, 4), int))
+    values: list[float] = ratios(total).tolist()
+    return values
+
+
+@pytest.mark.parametrize("part", ["val", "test"])
+def test_zips_become_a_board(api: httpx.Client, platform: Platform, tmp_path: Path, part: str) -> None:
+    world = benchmark_world(platform, frames=2)
+    errors = (0.3, 0.1)
+    ids = [submit(world, part, team, error, tmp_path) for team, error in enumerate(errors)]
+    run_eval(platform)
+
+    def read(path: str, caller: Person, status: int = 200) -> Any:
+        reply = api.get(f"{V1}/{path}", headers=caller.headers)
+        assert reply.status_code == status, reply.text
+        return reply.json()
+
+    at = f"benchmarks/{world.benchmark}/phases/{part}"
+    board = read(f"{at}/leaderboard", world.curator)
+    assert [(row["submission_id"], row["rank"]) for row in board["rows"]] == [(ids[1], 1), (ids[0], 2)]
+    exact = {name: value for name, value in zip(RATIOS, slow_ratios(world, part, 1, errors[1]), strict=True)}
+    told = {name: value if part == "val" else round(value, 4) for name, value in exact.items()}
+    assert board["rows"][0]["ratios"] == pytest.approx(told, abs=1e-12)
+    assert (board["secrecy"], board["pair"]["sequences"]) == ("open" if part == "val" else "running", 2)
+    for caller in (*world.captains, world.member, world.curator):
+        shown = read(f"submissions/{ids[1]}/results", caller)
+        assert shown["total"] == pytest.approx(told, abs=1e-12)
+        assert (shown["confusion"] is None) == (part == "test")
+        read(f"submissions/{ids[1]}/results/breakdowns?by=sequence", caller, 200 if part == "val" else 403)
+        assert read(f"submissions/{ids[1]}/provenance", caller)["code_version"]
+    assert read(f"submissions/{ids[1]}/results", world.administrator)["total"] == pytest.approx(exact, abs=1e-12)
+    compared = read(f"{at}/compare?a={ids[1]}&b={ids[0]}", world.captains[1])
+    assert compared["ratios"]["miou"]["difference"] > 0
+    assert compared["is_withheld"] == (part == "test")

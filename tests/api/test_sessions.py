@@ -1,21 +1,24 @@
-"""Browsers: a cookie that scripts cannot read, and no change without the token only our pages know."""
+"""Browsers and the programs they help: a cookie that scripts cannot read, and codes that a person approves once."""
 
 import json
 from collections.abc import Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
 from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import select, update
+from sqlalchemy import func, select, update
 
 from api.middleware.limits import RequestLimits
-from services.runtime.access import login_throttle, sessions
+from services.runtime.access import device_grants, login_throttle, sessions, tokens, users
+from services.runtime.access.retention import forget_ended
 from services.runtime.access.users import create_user
-from services.runtime.orm import AuditEntry, User, WebSession
+from services.runtime.orm import AuditEntry, DeviceGrant, Token, User, WebSession
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
-from testing.api.serving import Person, client_of
+from testing.api.lab import served_lab
+from testing.api.serving import Person, client_of, person
 
 SESSIONS, ME = "/api/v1/sessions", "/api/v1/me"
 PASSWORD = "correct horse battery staple"
@@ -40,13 +43,13 @@ def csrf_of(browser: httpx.Client) -> dict[str, str]:
     return {"X-CSRF-Token": browser.get(ME).json()["csrf_token"]}
 
 
-@pytest.mark.parametrize("wrong", [{"password": "wrong password"}, {"name": "eve"}, {"password": ""}, {"name": ""}])
-def test_a_wrong_name_or_password_is_refused_alike(api: httpx.Client, ada: dict[str, str], wrong: Any) -> None:
-    answer = api.post(SESSIONS, json={**ada, **wrong})
-    assert answer.status_code == (422 if wrong.get("password") == "" else 401)
-    if answer.status_code == 401:
-        assert answer.json()["code"] == "wrong_password"
-        assert "set-cookie" not in answer.headers
+def test_a_wrong_name_or_password_is_refused_alike(api: httpx.Client, ada: dict[str, str]) -> None:
+    for wrong in [{"password": "wrong password"}, {"name": "eve"}, {"password": ""}, {"name": ""}]:
+        answer = api.post(SESSIONS, json={**ada, **wrong})
+        assert answer.status_code == (422 if wrong.get("password") == "" else 401)
+        if answer.status_code == 401:
+            assert answer.json()["code"] == "wrong_password"
+            assert "set-cookie" not in answer.headers
 
 
 def test_who_has_no_password_cannot_sign_in(api: httpx.Client, curator: Person) -> None:
@@ -70,16 +73,16 @@ def test_sign_ins_are_counted_by_address_and_refused_beyond(
         assert api.get("/api/v1/problems").status_code == 200
 
 
-@pytest.mark.parametrize("offered", [None, "", "wrong", "é"])
-def test_a_change_by_cookie_without_the_csrf_token_is_403(browser: httpx.Client, offered: str | None) -> None:
-    headers = {} if offered is None else {"X-CSRF-Token": offered.encode().decode("latin-1")}
-    encoded = {name: value.encode("latin-1") for name, value in headers.items()}
-    for answer in (
-        browser.post("/api/v1/teams", json={"name": "us"}, headers=encoded),
-        browser.delete(f"{SESSIONS}/current", headers=encoded),
-        browser.put(f"{ME}/password", json={"current": PASSWORD, "new": PASSWORD + "!"}, headers=encoded),
-    ):
-        assert (answer.status_code, answer.json()["code"]) == (403, "csrf")
+def test_a_change_by_cookie_without_the_csrf_token_is_403(browser: httpx.Client) -> None:
+    for offered in [None, "", "wrong", "é"]:
+        headers = {} if offered is None else {"X-CSRF-Token": offered.encode().decode("latin-1")}
+        encoded = {name: value.encode("latin-1") for name, value in headers.items()}
+        for answer in (
+            browser.post("/api/v1/teams", json={"name": "us"}, headers=encoded),
+            browser.delete(f"{SESSIONS}/current", headers=encoded),
+            browser.put(f"{ME}/password", json={"current": PASSWORD, "new": PASSWORD + "!"}, headers=encoded),
+        ):
+            assert (answer.status_code, answer.json()["code"]) == (403, "csrf")
 
 
 def test_another_sessions_csrf_token_does_not_do(browser: httpx.Client, ada: dict[str, str]) -> None:
@@ -234,3 +237,187 @@ def test_a_new_password_is_refused_where_it_would_be_tried_first(browser: httpx.
     refused = browser.put(f"{ME}/password", json=changed, headers=csrf_of(browser))
     assert (refused.status_code, refused.json()["code"]) == (422, "guessable_password")
     assert "dragon" not in refused.text
+
+
+GRANTS = "/api/v1/device-grants"
+ASKED = {"name": "stone on laptop", "scopes": ["read", "submit", "upload", "admin"]}
+
+
+@pytest.fixture
+def uncounted(platform: Platform) -> Iterator[httpx.Client]:
+    """The API, at which nobody is counted."""
+    with (
+        served_lab(platform, platform.settings.oidc) as lab,
+        httpx.Client(base_url=lab.url, timeout=300.0, verify=False, trust_env=False) as client,
+    ):
+        yield client
+
+
+@pytest.fixture
+def approver(platform: Platform) -> Person:
+    return person(platform, "curator", "approver")
+
+
+def begun(uncounted: httpx.Client, **changed: Any) -> dict[str, Any]:
+    answer = uncounted.post(GRANTS, json=ASKED | changed)
+    assert answer.status_code == 201, answer.text
+    codes: dict[str, Any] = answer.json()
+    return codes
+
+
+def decided(uncounted: httpx.Client, who: Person, code: str, approves: bool = True) -> httpx.Response:
+    return uncounted.post(f"{GRANTS}/decision", json={"user_code": code, "approves": approves}, headers=who.headers)
+
+
+def taken(uncounted: httpx.Client, device_code: str) -> httpx.Response:
+    return uncounted.post(f"{GRANTS}/token", json={"device_code": device_code})
+
+
+def rested(platform: Platform) -> None:
+    """As if every program had waited as long as it was told to."""
+    with platform.database.transaction() as session:
+        session.execute(update(DeviceGrant).values(polled_ns=0))
+
+
+def test_a_program_gets_the_token_that_somebody_approved_once(
+    uncounted: httpx.Client, platform: Platform, approver: Person
+) -> None:
+    codes = begun(uncounted)
+    assert codes["url_with_code"] == f"{codes['url']}?code={codes['user_code']}"
+    pending = taken(uncounted, codes["device_code"])
+    assert (pending.status_code, pending.json()["code"]) == (400, "authorization_pending")
+    assert decided(uncounted, approver, codes["user_code"].lower().replace("-", " ")).status_code == 204
+    token = taken(uncounted, codes["device_code"])
+    assert token.status_code == 201
+    assert token.headers["cache-control"] == "no-store"
+    assert (token.json()["name"], token.json()["scopes"]) == ("stone on laptop", ["read", "submit", "upload"])
+    me = uncounted.get("/api/v1/me", headers={"Authorization": f"Bearer {token.json()['secret']}"}).json()
+    assert (me["name"], me["is_session"]) == ("approver", False)
+    again = taken(uncounted, codes["device_code"])
+    assert (again.status_code, again.json()["code"]) == (400, "expired_token")
+    with platform.database.reading() as session:
+        acts = [one.act for one in session.scalars(select(AuditEntry).order_by(AuditEntry.number))]
+        assert acts == ["device.approve", "token.issue"]
+        assert session.scalar(select(func.count()).select_from(DeviceGrant)) == 0
+
+
+def test_a_token_has_no_more_than_its_approver_holds(uncounted: httpx.Client, platform: Platform) -> None:
+    codes, participant = begun(uncounted), person(platform, "participant")
+    decided(uncounted, participant, codes["user_code"])
+    assert taken(uncounted, codes["device_code"]).json()["scopes"] == ["read", "submit"]
+
+
+def test_a_token_that_may_not_issue_tokens_may_not_approve(uncounted: httpx.Client, platform: Platform) -> None:
+    codes, narrow = begun(uncounted), person(platform, "curator", scopes={"read", "upload", "submit"})
+    answer = decided(uncounted, narrow, codes["user_code"])
+    assert (answer.status_code, answer.json()["code"]) == (403, "forbidden")
+
+
+def test_who_asks_too_often_is_told_to_ask_less_often(uncounted: httpx.Client, platform: Platform) -> None:
+    codes = begun(uncounted)
+    assert taken(uncounted, codes["device_code"]).json()["code"] == "authorization_pending"
+    early = taken(uncounted, codes["device_code"])
+    assert (early.status_code, early.json()["code"], early.headers["retry-after"]) == (429, "slow_down", "5")
+    rested(platform)
+    assert taken(uncounted, codes["device_code"]).json()["code"] == "authorization_pending"
+
+
+def test_a_program_that_was_denied_gets_nothing_ever(
+    uncounted: httpx.Client, platform: Platform, approver: Person
+) -> None:
+    codes = begun(uncounted)
+    assert decided(uncounted, approver, codes["user_code"], approves=False).status_code == 204
+    denied = taken(uncounted, codes["device_code"])
+    assert (denied.status_code, denied.json()["code"]) == (403, "access_denied")
+    assert decided(uncounted, approver, codes["user_code"]).status_code == 404
+    assert taken(uncounted, codes["device_code"]).json()["code"] == "expired_token"
+
+
+def test_codes_expire(uncounted: httpx.Client, platform: Platform, approver: Person) -> None:
+    approved, waiting = begun(uncounted), begun(uncounted)
+    decided(uncounted, approver, approved["user_code"])
+    with platform.database.transaction() as session:
+        session.execute(update(DeviceGrant).values(expires_ns=1))
+    assert taken(uncounted, approved["device_code"]).json()["code"] == "expired_token"
+    assert decided(uncounted, approver, waiting["user_code"]).status_code == 404
+    assert forget_ended(platform) == 2
+
+
+def test_who_was_shut_out_after_they_approved_gives_no_token(
+    uncounted: httpx.Client, platform: Platform, approver: Person
+) -> None:
+    codes = begun(uncounted)
+    decided(uncounted, approver, codes["user_code"])
+    with platform.database.transaction() as session:
+        users.change_user(session, session.get_one(User, approver.user_id), None, is_active=False)
+    assert taken(uncounted, codes["device_code"]).json()["code"] == "access_denied"
+
+
+def test_a_role_that_was_lost_after_the_approval_is_not_in_the_token(
+    uncounted: httpx.Client, platform: Platform
+) -> None:
+    boss, codes = person(platform, "administrator", "boss"), begun(uncounted)
+    person(platform, "administrator", "other")
+    decided(uncounted, boss, codes["user_code"])
+    with platform.database.transaction() as session:
+        users.change_user(session, session.get_one(User, boss.user_id), "participant", None)
+    assert taken(uncounted, codes["device_code"]).json()["scopes"] == ["read", "submit"]
+
+
+def test_a_device_code_that_nobody_was_given_is_refused(uncounted: httpx.Client) -> None:
+    for code in ["x", "x" * 43, "BCDF-GHJK", "stone_" + "x" * 43]:
+        begun(uncounted)
+        answer = taken(uncounted, code)
+        assert (answer.status_code, answer.json()["code"]) == (400, "expired_token")
+
+
+def test_no_code_is_kept_as_it_is(uncounted: httpx.Client, platform: Platform) -> None:
+    codes = begun(uncounted)
+    with platform.database.reading() as session:
+        row = session.scalars(select(DeviceGrant)).one()
+        kept = " ".join(str(value) for value in vars(row).values())
+    assert codes["device_code"] not in kept
+    assert codes["user_code"].replace("-", "") not in kept
+
+
+def test_codes_that_are_guessed_are_counted(platform: Platform, approver: Person) -> None:
+    with client_of(platform) as uncounted:
+        statuses = [decided(uncounted, approver, "BBBB-BBBB").status_code for _ in range(31)]
+        begun_ones = [uncounted.post(GRANTS, json=ASKED).status_code for _ in range(31)]
+    assert statuses == [404] * 30 + [429]
+    assert begun_ones == [201] * 30 + [429]
+
+
+def test_programs_that_wait_are_bounded(
+    uncounted: httpx.Client, platform: Platform, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(device_grants, "MOST_WAITING", 1)
+    begun(uncounted)
+    answer = uncounted.post(GRANTS, json=ASKED)
+    assert (answer.status_code, answer.json()["code"]) == (503, "busy")
+
+
+def test_who_has_too_many_tokens_approves_no_more(
+    uncounted: httpx.Client, platform: Platform, approver: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr("api.routes.sign_in_ways.device_grants.MOST_TOKENS", 1)
+    assert decided(uncounted, approver, begun(uncounted)["user_code"]).status_code == 409
+
+
+def test_two_takers_at_once_get_one_token(platform_on: Platform) -> None:
+    def take(_: int) -> str:
+        with platform_on.database.transaction() as session:
+            return device_grants.poll(session, codes.device_code, 60.0).state
+
+    with platform_on.database.transaction() as session:
+        approver = users.create_user(session, "approver", "curator")
+        codes = device_grants.begin_grant(session, device_grants.DeviceRequest("x", "here", ("read",)))
+        grant = device_grants.find_waiting(session, codes.user_code, is_locked=True)
+        assert grant is not None
+        grant.user_id = approver.id
+    with ThreadPoolExecutor(4) as pool:
+        states = list(pool.map(take, range(4)))
+    assert sorted(states) == ["approved", "unknown", "unknown", "unknown"]
+    with platform_on.database.reading() as session:
+        assert tokens.token_count(session, approver.id) == 1
+        assert session.scalars(select(Token)).one().name == "x"

@@ -1,16 +1,26 @@
-"""Splits: who may put them, that every rule is checked, that a change means what was read, and what is proposed."""
+"""Splits and statistics: rules are checked, a change means what was read, sums are of what the caller may see."""
 
+import io
+import subprocess
+import sys
 from collections.abc import Callable
 from typing import Any
 
 import httpx
+import numpy as np
 import pytest
+from PIL import Image
 
+from services.domain.datasets.composition_figure import composition_png, figure_title
+from services.domain.datasets.statistics import statistics_record
 from services.runtime.orm import LabelSet, SequenceRow, SplitMember
 from services.runtime.platform import Platform
+from stone.labels.class_colours import CLASS_RGB
+from stone.splits.composition import CatalogueEntry
 from stone.splits.surroundings import ENVIRONMENTS
 from testing.api.serving import Person, person
-from testing.worlds.published import published_sequence
+from testing.worlds.published import dataset, published_sequence
+from tests.stone.catalogues import catalogue, entry
 
 URL = "/api/v1/splits"
 Put = Callable[..., httpx.Response]
@@ -18,15 +28,6 @@ Put = Callable[..., httpx.Response]
 
 @pytest.fixture
 def put(api: httpx.Client, platform: Platform) -> Put:
-    return putting(api, platform)
-
-
-@pytest.fixture
-def put_on(api_on: httpx.Client, platform_on: Platform) -> Put:
-    return putting(api_on, platform_on)
-
-
-def putting(api: httpx.Client, platform: Platform) -> Put:
     """PUT of splits by an administrator: the three lists of ids; `match` is the If-Match."""
     headers = person(platform, "administrator").headers
 
@@ -48,14 +49,14 @@ def codes(answer: httpx.Response) -> list[str]:
     return [error["code"] for error in answer.json()["errors"]]
 
 
-def test_what_is_put_is_what_is_read(put_on: Put, api_on: httpx.Client, platform_on: Platform) -> None:
-    owner = person(platform_on, "curator")
-    a, b, c, d = (driven(platform_on, owner, region=f"r{n}") for n in range(4))
-    answer = put_on([a], [b], [c])
+def test_what_is_put_is_what_is_read(put: Put, api: httpx.Client, platform: Platform) -> None:
+    owner = person(platform, "curator")
+    a, b, c, d = (driven(platform, owner, region=f"r{n}") for n in range(4))
+    answer = put([a], [b], [c])
     assert answer.status_code == 200
     assert answer.headers["etag"] == '"1"'
-    administrator = person(platform_on, "administrator")
-    read = api_on.get(URL, headers=administrator.headers)
+    administrator = person(platform, "administrator")
+    read = api.get(URL, headers=administrator.headers)
     assert read.headers["etag"] == '"1"'
     assert read.json() == answer.json()
     shown = read.json()
@@ -102,21 +103,6 @@ def test_every_broken_rule_is_named_and_nothing_is_put(put: Put, platform: Platf
         assert session.query(SplitMember).count() == 0
 
 
-def test_day_and_night_and_environments_are_asked_for_where_the_data_allow(
-    put: Put, platform: Platform, curator: Person
-) -> None:
-    nights = [driven(platform, curator, illumination="moonlit", region=f"n{n}") for n in range(3)]
-    days = [driven(platform, curator, region=f"d{n}") for n in range(3)]
-    answer = put([*nights, days[0]], [days[1]], [days[2]])
-    assert codes(answer) == ["day_and_night"]
-    assert answer.json()["errors"][0]["expected"] == "night is not in val and test, though 3 sequences have it"
-    good = put(*([night, day] for night, day in zip(nights, days, strict=True)))
-    assert good.status_code == 200
-    warned = [finding for finding in good.json()["findings"] if finding["severity"] == "warning"]
-    assert [finding["code"] for finding in warned] == ["every_environment"] * 3
-    assert {finding["message"].split()[0] for finding in warned} == {*ENVIRONMENTS} - {"lake"}
-
-
 @pytest.mark.parametrize("role", ["participant", "curator"])
 def test_others_see_the_sizes_and_where_their_own_are(
     put: Put, api: httpx.Client, platform: Platform, curator: Person, role: str
@@ -130,12 +116,12 @@ def test_others_see_the_sizes_and_where_their_own_are(
     assert [one["sequence_id"] for one in api.get(URL, headers=curator.headers).json()["train"]] == [mine]
 
 
-def test_a_sequence_that_is_deleted_leaves_a_finding(put_on: Put, api_on: httpx.Client, platform_on: Platform) -> None:
-    owner = person(platform_on, "curator")
-    mine = driven(platform_on, owner)
-    put_on([mine], [], [])
-    assert api_on.delete(f"/api/v1/sequences/{mine}", headers={**owner.headers, "If-Match": "*"}).status_code == 204
-    shown = api_on.get(URL, headers=person(platform_on, "administrator").headers).json()
+def test_a_sequence_that_is_deleted_leaves_a_finding(put: Put, api: httpx.Client, platform: Platform) -> None:
+    owner = person(platform, "curator")
+    mine = driven(platform, owner)
+    put([mine], [], [])
+    assert api.delete(f"/api/v1/sequences/{mine}", headers={**owner.headers, "If-Match": "*"}).status_code == 204
+    shown = api.get(URL, headers=person(platform, "administrator").headers).json()
     (finding, *_) = shown["findings"]
     assert (finding["code"], finding["severity"], finding["sequence_ids"]) == ("whole_sequences", "error", [mine])
 
@@ -215,3 +201,119 @@ def test_putting_splits_is_in_the_audit_log(
     ]
     assert (line["actor"], line["reason"]) == (administrator.name, "first try")
     assert line["facts"] == {"train": 1, "val": 0, "test": 0, "revision": 1}
+
+
+STATISTICS = "/api/v1/statistics"
+
+
+@pytest.fixture
+def lakes_and_farm(platform: Platform) -> tuple[Person, list[str]]:
+    """A curator with a lake by day, a lake by night and a farm of which nothing was counted."""
+    owner = person(platform, "curator")
+    lakes = [published_sequence(platform, owner.user_id, environment="lake", illumination=i) for i in ("dusk", "night")]
+    farm = published_sequence(platform, owner.user_id, environment="farmland", region="Seoul")
+    with platform.database.transaction() as session:
+        row = session.query(LabelSet).where(LabelSet.sequence_id == farm).one()
+        row.distance_m = row.t_voxels = row.p_voxels = row.n_voxels = None
+    return owner, [*lakes, farm]
+
+
+def test_the_sums_are_those_of_the_rows(api: httpx.Client, lakes_and_farm: tuple[Person, list[str]]) -> None:
+    shown = api.get(STATISTICS, headers=lakes_and_farm[0].headers).json()
+    assert shown["dataset"] is None
+    assert shown["total"] == {
+        "sequences": 3,
+        "frames": 9,
+        "duration_s": 75.0,
+        "distance_m": 61.0,
+        "distances_known": 2,
+        "voxels": {"traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
+        "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7},
+        "voxels_known": 2,
+    }
+    assert [(one["key"], one["sequences"]) for one in shown["environments"]] == [("farmland", 1), ("lake", 2)]
+    assert [(one["key"], one["sequences"]) for one in shown["halves"]] == [("day", 1), ("night", 1), ("", 1)]
+    assert [(one["key"], one["sequences"]) for one in shown["regions"]] == [("Seoul", 1), ("", 2)]
+    assert [(one["environment"], one["illumination"]) for one in shown["cells"]] == [
+        ("farmland", ""), ("lake", "dusk"), ("lake", "night")
+    ]  # fmt: skip
+    farm = shown["environments"][0]
+    assert (farm["voxels"], farm["class_ratios"], farm["distance_m"]) == (None, None, None)
+
+
+def test_everybody_sees_the_sums_of_what_they_may_see(
+    api: httpx.Client, platform: Platform, lakes_and_farm: tuple[Person, list[str]]
+) -> None:
+    def seen(role: str) -> int:
+        total: dict[str, int] = api.get(STATISTICS, headers=person(platform, role).headers).json()["total"]
+        return total["sequences"]
+
+    assert (seen("participant"), seen("curator"), seen("administrator")) == (0, 0, 3)
+
+
+def test_of_a_version_everybody_sees_all_but_the_voxels_of_test(
+    api: httpx.Client, platform: Platform, lakes_and_farm: tuple[Person, list[str]]
+) -> None:
+    owner, (day, night, _farm) = lakes_and_farm
+    name = dataset(platform, owner.user_id, {"train": [day], "test": [night]})
+    headers = person(platform, "participant").headers
+    shown = api.get(STATISTICS, params={"dataset": name}, headers=headers).json()
+    train, test = shown["parts"]
+    assert (train["key"], train["voxels_known"], train["voxels"]["traversable"]) == ("train", 1, 100)
+    assert (test["key"], test["frames"], test["duration_s"], test["distance_m"]) == ("test", 3, 25.0, 30.5)
+    assert (test["voxels"], test["class_ratios"], test["voxels_known"]) == (None, None, 0)
+    assert shown["total"]["voxels_known"] == 1
+    assert [half["voxels"] for half in shown["halves"] if half["key"] == "night"] == [None]
+
+
+def test_a_version_that_was_never_published_is_not_found(api: httpx.Client, participant: Person) -> None:
+    for path in ["", "/composition.png"]:
+        answer = api.get(STATISTICS + path, params={"dataset": "nothing"}, headers=participant.headers)
+        assert (answer.status_code, answer.json()["code"]) == (404, "not_found")
+
+
+def test_the_figure_is_a_png_that_changes_with_what_it_shows(api: httpx.Client, platform: Platform) -> None:
+    owner = person(platform, "curator")
+    empty = api.get(f"{STATISTICS}/composition.png", headers=owner.headers)
+    assert empty.headers["content-type"] == "image/png"
+    published_sequence(platform, owner.user_id, environment="lake", illumination="night")
+    filled = api.get(f"{STATISTICS}/composition.png", headers=owner.headers)
+    assert filled.headers["etag"] != empty.headers["etag"]
+    assert Image.open(io.BytesIO(filled.content)).size == (1320, 888)
+    again = api.get(f"{STATISTICS}/composition.png", headers={**owner.headers, "If-None-Match": filled.headers["etag"]})
+    assert (again.status_code, again.content) == (304, b"")
+
+
+def share_of(png: bytes, colour: tuple[int, int, int], box: tuple[int, int, int, int]) -> float:
+    """Of the pixels in the box (left, top, right, bottom), those of this colour."""
+    pixels = np.asarray(Image.open(io.BytesIO(png)).convert("RGB").crop(box))
+    return float((pixels == np.array(colour)).all(axis=-1).mean())
+
+
+def figure_of(entries: tuple[CatalogueEntry, ...]) -> bytes:
+    record = statistics_record({"train": entries})
+    return composition_png(record, figure_title(record["total"], "A dataset"))
+
+
+def test_the_figure_shows_classes_by_their_share() -> None:
+    """In panel b (top right) the bars of each class cover what it has of the occupied voxels."""
+    png = figure_of((entry(1, voxels=(500, 250, 250)), entry(2, voxels=(500, 250, 250))))
+    panel = (760, 60, 1300, 365)
+    t, p, n = (share_of(png, rgb, panel) for rgb in CLASS_RGB.values())
+    assert t / (t + p + n) == pytest.approx(0.5, abs=0.03)
+    assert p / (t + p + n) == pytest.approx(0.25, abs=0.03)
+
+
+def test_equal_records_give_equal_figures_and_no_word_is_a_formula() -> None:
+    entries = (*catalogue(9, 1), entry(90, environment="$\\frac{1}{0}$", illumination="$x", region="_$^"))
+    assert figure_of(entries) == figure_of(entries)
+
+
+def test_an_empty_dataset_has_a_figure() -> None:
+    assert figure_of(()).startswith(b"\x89PNG")
+
+
+def test_the_api_loads_neither_solver_nor_plots_before_they_are_asked_for() -> None:
+    program = "import sys, api.main; print([n for n in ('scipy', 'matplotlib', 'numba', 'open3d') if n in sys.modules])"
+    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300)
+    assert said.stdout == "[]\n"

@@ -1,26 +1,26 @@
 """Submissions over HTTP: whose they are, what is refused and how, and the whole way from a zip to its verdict."""
 
 from datetime import UTC, datetime, timedelta
-from typing import Any
 
 import httpx
-import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.submissions.submissions import settle
+from services.domain.benchmarks.submissions.submissions import settle, settle_ended
+from services.runtime.access import tokens
+from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import AuditEntry, User
 from services.runtime.platform import Platform
-from testing.api.serving import person
+from testing.api.serving import Person, person
+from testing.api.tus import TUS, ask, create, patch
 from testing.worlds.made import NOBODY
-from tests.api.submitting import URL, Submitting, answered, as_entrant, refused, submitting
+from tests.api.submitting import URL, answered, refused, submitting
 from tests.api.test_events import listen
-from tests.services.domain.benchmarks.drafts import another_entrant, entrant_on
-
-ACTS = ("cancel", "withdraw")
+from tests.services.domain.benchmarks.drafts import ZIP
 
 
-def test_what_is_announced_is_shown_and_found_again(api_on: httpx.Client, platform_on: Platform) -> None:
-    team = submitting(api_on, platform_on)
+def test_what_is_announced_is_shown_and_found_again(api: httpx.Client, platform: Platform) -> None:
+    team = submitting(api, platform)
     reply = team.announce(description="Two\nlines", headers={"Idempotency-Key": "once"})
     draft = answered(reply, 201)
     assert reply.headers["Location"] == f"{URL}/submissions/{draft['id']}"
@@ -37,83 +37,13 @@ def test_what_is_announced_is_shown_and_found_again(api_on: httpx.Client, platfo
     assert (queued["state"], queued["queue_position"], queued["progress"]) == ("queued", 0, {"done": 0, "total": 1})
     assert reply.headers["Location"] == f"{URL}/jobs/{queued['job_id']}"
     assert answered(team.api.get(reply.headers["Location"], headers=team.caller.headers), 200)["state"] == "queued"
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         acts = session.scalars(select(AuditEntry.act).where(AuditEntry.subject_id == draft["id"]))
         assert list(acts.all()) == ["submission.announce", "submission.finalize"]
 
 
-def test_a_second_submission_waits_behind_the_first(api: httpx.Client, platform: Platform) -> None:
-    team = submitting(api, platform)
-    first, second = team.submitted(), team.submitted()
-    assert [team.shown(one["id"])["queue_position"] for one in (first, second)] == [0, 1]
-    answered(team.post(f"{first['id']}/cancel", {"reason": "wrong weights"}), 200)
-    assert team.shown(second["id"])["queue_position"] == 0
-
-
-@pytest.mark.parametrize("what", ["submissions", "validations"])
-def test_nobody_announces_for_a_team_of_others(api: httpx.Client, platform: Platform, what: str) -> None:
-    team = submitting(api, platform)
-    other = as_entrant(api, another_entrant(entrant_on(platform).place))
-    strangers = (other, Submitting(api, person(platform, "administrator"), "", ""))
-    for stranger in strangers:
-        theirs = Submitting(api, stranger.caller, team.phase_id, team.team_id)
-        assert refused(theirs.announce(where=what)) == (404, "not_found")
-    reader = person(platform, "participant", scopes=["read"])
-    assert refused(Submitting(api, reader, team.phase_id, team.team_id).announce(where=what)) == (403, "forbidden")
-    assert refused(Submitting(api, team.caller, NOBODY, team.team_id).announce(where=what)) == (404, "not_found")
-
-
-def test_a_submission_of_others_does_not_exist(api: httpx.Client, platform: Platform) -> None:
-    entrant = entrant_on(platform)
-    team, other = as_entrant(api, entrant), as_entrant(api, another_entrant(entrant.place))
-    submission_id = team.submitted()["id"]
-    for path in ("", "/validation-report", "/events"):
-        for one in (submission_id, NOBODY):
-            assert refused(other.read(f"submissions/{one}{path}")) == (404, "not_found")
-    for act in ACTS:
-        assert refused(other.post(f"{submission_id}/{act}")) == (404, "not_found")
-    assert refused(other.finalize(submission_id, NOBODY)) == (404, "not_found")
-    changed = api.patch(f"{URL}/submissions/{submission_id}", json={"method": "x"}, headers=other.caller.headers)
-    assert refused(changed) == (404, "not_found")
-    assert answered(other.read("submissions"), 200)["items"] == []
-    assert refused(other.read(f"phases/{team.phase_id}/teams/{team.team_id}/quota")) == (404, "not_found")
-    administrator = Submitting(api, person(platform, "administrator"), team.phase_id, team.team_id)
-    assert administrator.shown(submission_id)["id"] == submission_id
-    assert administrator.quota()["reserved"] == 1
-
-
-@pytest.mark.parametrize(
-    ("said", "code"),
-    [
-        ({"sha256": "0" * 63}, "string_pattern_mismatch"),
-        ({"size_bytes": 0}, "greater_than_equal"),
-        ({"modality": "L+C"}, "literal_error"),
-        ({"method": "a\u202eb"}, "string_pattern_mismatch"),
-        ({"method": " "}, "string_too_short"),
-        ({"description": "x" * 20_001}, "string_too_long"),
-        ({"description": "bell\x07"}, "string_pattern_mismatch"),
-        ({"kind": "validation"}, "literal_error"),
-        ({"state": "scored"}, "extra_forbidden"),
-    ],
-)
-def test_what_is_said_of_a_submission_is_checked(
-    api: httpx.Client, platform: Platform, said: dict[str, Any], code: str
-) -> None:
-    reply = submitting(api, platform).announce(**said)
-    assert refused(reply) == (422, "invalid_request")
-    assert [one["code"] for one in reply.json()["errors"]] == [code]
-
-
-def test_a_baseline_is_for_curators(api: httpx.Client, platform: Platform) -> None:
-    team = submitting(api, platform)
-    assert refused(team.announce(kind="baseline")) == (403, "forbidden")
-    with platform.database.transaction() as session:
-        session.get_one(User, team.caller.user_id).role = "curator"
-    assert team.announced(kind="baseline")["kind"] == "baseline"
-
-
-def test_a_quota_that_is_used_up_says_when_the_next_is_free(api_on: httpx.Client, platform_on: Platform) -> None:
-    team = submitting(api_on, platform_on, scorings_per_window=1)
+def test_a_quota_that_is_used_up_says_when_the_next_is_free(api: httpx.Client, platform: Platform) -> None:
+    team = submitting(api, platform, scorings_per_window=1)
     team.submitted()
     draft = team.announced()
     upload_id = team.upload(draft)
@@ -140,16 +70,7 @@ def test_without_any_scoring_left_there_is_no_time_to_wait_for(api: httpx.Client
     assert (team.quota()["total_left"], team.quota()["next_slot_at"]) == (0, None)
 
 
-def test_validations_cost_no_scoring_and_are_bounded_by_the_day(api: httpx.Client, platform: Platform) -> None:
-    team = submitting(api, platform, scorings_total=0, validations_per_day=1)
-    assert team.submitted(where="validations")["kind"] == "validation"
-    reply = team.announce(where="validations")
-    assert refused(reply) == (429, "validations_exhausted")
-    assert 86_300 < int(reply.headers["Retry-After"]) <= 86_400
-    assert (team.quota()["validations_left"], team.quota()["reserved"]) == (0, 0)
-
-
-def test_lists_are_filtered_and_paged(api: httpx.Client, platform: Platform) -> None:
+def test_lists_are_filtered(api: httpx.Client, platform: Platform) -> None:
     team = submitting(api, platform)
     drafts = [team.announced()["id"] for _ in range(3)]
     queued = team.submitted()["id"]
@@ -163,10 +84,6 @@ def test_lists_are_filtered_and_paged(api: httpx.Client, platform: Platform) -> 
     }.items():
         found = answered(team.read(f"submissions?{query}"), 200)["items"]
         assert [one["id"] for one in found] == expected
-    first = answered(team.read("submissions?limit=3"), 200)
-    rest = answered(team.read(f"submissions?limit=3&cursor={first['next']}"), 200)
-    assert [one["id"] for one in (*first["items"], *rest["items"])] == [checked, queued, *reversed(drafts)]
-    assert rest["next"] is None
 
 
 def test_the_page_of_a_method_is_changed_by_who_has_read_it(api: httpx.Client, platform: Platform) -> None:
@@ -225,3 +142,55 @@ def test_a_submission_is_followed_until_it_ends(api: httpx.Client, platform: Pla
     assert [(name, data["state"], data["problems_total"]) for name, _, data in heard] == [("ended", "invalid", 3)]
     seen = {**team.caller.headers, "Last-Event-ID": heard[0][1]}
     assert api.get(path, headers=seen).status_code == 204
+
+
+def test_an_upload_for_a_submission_needs_the_scope_submit_and_the_draft(api: httpx.Client, platform: Platform) -> None:
+    team = submitting(api, platform)
+    draft = team.announced()
+    said = {"purpose": "submission", "target_id": draft["id"], "sha256": draft["sha256"]}
+    assert refused(create(api, team.caller, len(ZIP) + 1, **said)) == (409, "not_as_announced")
+    unsaid = {"purpose": "submission", "target_id": draft["id"]}
+    assert refused(create(api, team.caller, len(ZIP), **unsaid)) == (409, "not_as_announced")
+    assert refused(create(api, team.caller, len(ZIP), purpose="recording")) == (403, "forbidden")
+    stranger = person(platform, "participant")
+    assert refused(create(api, stranger, len(ZIP), **said)) == (404, "upload_target_missing")
+    sender = person(platform, "curator", scopes=["read", "upload"])
+    assert refused(create(api, sender, len(ZIP), **said)) == (403, "forbidden")
+    where = str(create(api, team.caller, len(ZIP), **said).headers["Location"])
+    assert patch(api, team.caller, where, 0, ZIP[:5]).headers["Upload-Offset"] == "5"
+    assert ask(api, team.caller, where).headers["Upload-Offset"] == "5"
+    assert api.delete(where, headers={**TUS, **team.caller.headers}).status_code == 204
+
+
+def test_who_may_only_submit_does_not_touch_a_recording_of_their_own(api: httpx.Client, platform: Platform) -> None:
+    curator = person(platform, "curator")
+    where = str(create(api, curator, 5).headers["Location"])
+    with platform.database.transaction() as session:
+        secret = tokens.issue(session, session.get_one(User, curator.user_id), "narrow", ["submit"], 100.0)
+    narrow = Person(curator.user_id, curator.name, secret)
+    assert ask(api, narrow, where).status_code == 403
+    assert refused(patch(api, narrow, where, 0, b"hello")) == (403, "forbidden")
+    assert refused(api.delete(where, headers={**TUS, **narrow.headers})) == (403, "forbidden")
+
+
+def test_what_raised_while_scoring_is_for_administrators_to_read(api: httpx.Client, platform: Platform) -> None:
+    team = submitting(api, platform)
+    submission = team.submitted()
+
+    def stage(attempt: Attempt) -> Outcome:
+        attempt.log("counting", frames=3)
+        raise KeyError("a voxel of the truth")
+
+    while run_next(platform, "eval", {"eval.open": stage}):
+        pass
+    settle_ended(platform)
+    where = f"{URL}/jobs/{submission['job_id']}"
+    root = team.read(f"jobs?root_id={submission['job_id']}").json()["items"][0]["id"]
+    told = [team.read(f"submissions/{submission['id']}"), team.read(f"jobs/{root}"), team.read(f"jobs/{root}/logs")]
+    told += [api.get(f"{where}{path}", headers=team.caller.headers) for path in ("", "/logs", "/events")]
+    assert all(reply.status_code == 200 and "voxel" not in reply.text for reply in told)
+    assert all("KeyError" in reply.text for reply in told[1:2])
+    assert "counting" in told[2].text
+    administrator = person(platform, "administrator")
+    logs = api.get(f"{URL}/admin/jobs/{submission['job_id']}/logs", headers=administrator.headers)
+    assert "KeyError: 'a voxel of the truth'" in logs.text

@@ -1,8 +1,11 @@
-"""Uploads over HTTP: refusals first, then what tus 1.0 promises."""
+"""Uploads over HTTP: refusals first, then what tus 1.0 promises of bytes."""
 
 import base64
+import threading
+import time
 from collections.abc import Iterator
 from dataclasses import replace
+from email.utils import parsedate_to_datetime
 
 import httpx
 import pytest
@@ -10,6 +13,7 @@ import pytest
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, UploadSettings
+from services.runtime.uploads.rows import find
 from testing.api.serving import Person, client_of, person
 from testing.api.tus import (
     CONTENT,
@@ -26,61 +30,28 @@ from testing.api.tus import (
     offset_of,
     patch,
     send_form,
+    sha256_of,
     shown,
 )
+from tests.services.runtime.uploads.sending import kept
 
 
-@pytest.mark.parametrize("method", ["POST", "GET"])
-def test_nobody_may_neither_create_nor_list(api: httpx.Client, method: str) -> None:
-    assert code_of(api.request(method, UPLOADS, headers=TUS)) == (401, "unauthenticated")
+def test_another_version_of_tus_is_refused_with_ours(api: httpx.Client, curator: Person) -> None:
+    for version in ["", "0.2.2", "1.0.1"]:
+        where = created(api, curator, 10)
+        headers = {**curator.headers, "Upload-Length": "1", **({"Tus-Resumable": version} if version else {})}
+        for method, path in (("POST", UPLOADS), ("PATCH", where), ("DELETE", where)):
+            reply = api.request(method, path, headers=headers)
+            assert code_of(reply) == (412, "tus_version")
+            assert reply.headers["Tus-Version"] == "1.0.0"
+        assert api.head(where, headers=headers).status_code == 412
 
 
-@pytest.mark.parametrize("method", ["PATCH", "DELETE", "GET", "POST"])
-def test_nobody_may_touch_an_upload(api: httpx.Client, curator: Person, method: str) -> None:
-    where = created(api, curator, 10)
-    assert code_of(api.request(method, where, headers=PIECE)) == (401, "unauthenticated")
-
-
-def test_a_participant_and_a_token_that_only_reads_may_not_upload(
-    api: httpx.Client, platform: Platform, participant: Person
-) -> None:
-    reader = person(platform, "curator", scopes=["read"])
-    for caller in (participant, reader):
-        assert code_of(create(api, caller, 10)) == (403, "forbidden")
-        reply = api.post(f"{UPLOADS}/form", files={"file": b"x"}, headers=caller.headers)
-        assert code_of(reply) == (403, "forbidden")
-
-
-@pytest.mark.parametrize("role", ["curator", "administrator"])
-def test_somebody_elses_upload_does_not_exist(
-    api: httpx.Client, platform: Platform, curator: Person, role: str
-) -> None:
-    where, other = created(api, curator, len(CONTENT)), person(platform, role)
-    for path in (where, f"{UPLOADS}/{new_id()}"):
-        assert ask(api, other, path).status_code == 404
-        assert code_of(patch(api, other, path, 0, CONTENT)) == (404, "upload_missing")
-        assert code_of(api.delete(path, headers={**TUS, **other.headers})) == (404, "upload_missing")
-        assert code_of(api.get(path, headers=other.headers)) == (404, "upload_missing")
-    assert api.get(UPLOADS, headers=other.headers).json()["items"] == []
-    assert offset_of(api, curator, where) == 0
-
-
-@pytest.mark.parametrize("version", ["", "0.2.2", "1.0.1"])
-def test_another_version_of_tus_is_refused_with_ours(api: httpx.Client, curator: Person, version: str) -> None:
-    where = created(api, curator, 10)
-    headers = {**curator.headers, "Upload-Length": "1", **({"Tus-Resumable": version} if version else {})}
-    for method, path in (("POST", UPLOADS), ("PATCH", where), ("DELETE", where)):
-        reply = api.request(method, path, headers=headers)
-        assert code_of(reply) == (412, "tus_version")
-        assert reply.headers["Tus-Version"] == "1.0.0"
-    assert api.head(where, headers=headers).status_code == 412
-
-
-@pytest.mark.parametrize("length", ["", "-1", "+5", "5.0", "1_0", "0x10", "1e3", "9" * 19])
-def test_what_is_no_count_is_refused_as_a_length(api: httpx.Client, curator: Person, length: str) -> None:
-    said = metadata(filename="a", purpose="recording")
-    headers = {**TUS, **curator.headers, "Upload-Length": length, "Upload-Metadata": said}
-    assert code_of(api.post(UPLOADS, headers=headers)) == (400, "bad_tus_header")
+def test_what_is_no_count_is_refused_as_a_length(api: httpx.Client, curator: Person) -> None:
+    for length in ["", "-1", "+5", "5.0", "1_0", "0x10", "1e3", "9" * 19]:
+        said = metadata(filename="a", purpose="recording")
+        headers = {**TUS, **curator.headers, "Upload-Length": length, "Upload-Metadata": said}
+        assert code_of(api.post(UPLOADS, headers=headers)) == (400, "bad_tus_header")
 
 
 def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Client, curator: Person) -> None:
@@ -89,9 +60,8 @@ def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Cl
     assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Concat": "partial"})) == (400, "tus_extension")
 
 
-@pytest.mark.parametrize(
-    ("header", "expected"),
-    [
+def test_metadata_is_read_strictly(api: httpx.Client, curator: Person) -> None:
+    for header, expected in [
         ("", (422, "bad_upload_metadata")),
         (metadata(filename="a"), (422, "bad_upload_metadata")),
         (metadata(purpose="recording"), (422, "bad_upload_metadata")),
@@ -107,16 +77,9 @@ def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Cl
         (",", (400, "bad_tus_header")),
         ("a " + "QUFB" * 3000, (400, "bad_tus_header")),
         (",".join(f"k{number}" for number in range(33)), (400, "bad_tus_header")),
-    ],
-)
-def test_metadata_is_read_strictly(api: httpx.Client, curator: Person, header: str, expected: tuple[int, str]) -> None:
-    headers = {**TUS, **curator.headers, "Upload-Length": "1", "Upload-Metadata": header}
-    assert code_of(api.post(UPLOADS, headers=headers)) == expected
-
-
-def test_metadata_that_clients_add_of_their_own_is_let_pass(api: httpx.Client, curator: Person) -> None:
-    reply = create(api, curator, 1, filetype="application/octet-stream", relativePath="a/b")
-    assert reply.status_code == 201
+    ]:
+        headers = {**TUS, **curator.headers, "Upload-Length": "1", "Upload-Metadata": header}
+        assert code_of(api.post(UPLOADS, headers=headers)) == expected
 
 
 def test_a_target_that_is_not_yours_is_refused(api: httpx.Client, curator: Person) -> None:
@@ -162,10 +125,10 @@ def test_pieces_are_not_counted_as_requests_of_a_known_caller_but_all_else_is(
         assert 429 in [api.patch(where, headers=PIECE).status_code for _ in range(12)]
 
 
-@pytest.mark.parametrize("offset", ["", "-1", "x", "1.0"])
-def test_what_is_no_count_is_refused_as_an_offset(api: httpx.Client, curator: Person, offset: str) -> None:
-    where = created(api, curator, 10)
-    assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
+def test_what_is_no_count_is_refused_as_an_offset(api: httpx.Client, curator: Person) -> None:
+    for offset in ["", "-1", "x", "1.0"]:
+        where = created(api, curator, 10)
+        assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
 
 
 def test_another_content_type_is_refused(api: httpx.Client, curator: Person) -> None:
@@ -174,13 +137,11 @@ def test_another_content_type_is_refused(api: httpx.Client, curator: Person) -> 
     assert code_of(reply) == (415, "unsupported_media_type")
 
 
-@pytest.mark.parametrize(
-    "given", ["md5 CY9rzUYh03PK3k6DJie09g==", "sha1", "sha1 x", "sha1 AAAA", "sha256 " + checksum(b"a")[5:]]
-)
-def test_a_checksum_that_is_none_is_refused(api: httpx.Client, curator: Person, given: str) -> None:
-    where = created(api, curator, 10)
-    assert code_of(patch(api, curator, where, 0, b"a", Upload_Checksum=given)) == (400, "bad_tus_header")
-    assert offset_of(api, curator, where) == 0
+def test_a_checksum_that_is_none_is_refused(api: httpx.Client, curator: Person) -> None:
+    for given in ["md5 CY9rzUYh03PK3k6DJie09g==", "sha1", "sha1 x", "sha1 AAAA", "sha256 " + checksum(b"a")[5:]]:
+        where = created(api, curator, 10)
+        assert code_of(patch(api, curator, where, 0, b"a", Upload_Checksum=given)) == (400, "bad_tus_header")
+        assert offset_of(api, curator, where) == 0
 
 
 def test_what_is_spoken_is_said_to_anybody(api: httpx.Client, platform: Platform) -> None:
@@ -202,24 +163,6 @@ def test_methods_may_be_overridden_where_a_network_lets_none_through(api: httpx.
     assert shown(api, curator, where)["state"] == "terminated"
 
 
-def test_uploads_are_listed_by_pages_the_newest_first(api: httpx.Client, curator: Person) -> None:
-    made = [created(api, curator, length).rpartition("/")[2] for length in (1, 2, 3)]
-    first = api.get(UPLOADS, params={"limit": 2}, headers=curator.headers).json()
-    rest = api.get(UPLOADS, params={"cursor": first["next"]}, headers=curator.headers).json()
-    assert [item["id"] for item in first["items"] + rest["items"]] == made[::-1]
-    assert rest["next"] is None
-    assert api.get(UPLOADS, params={"state": "complete"}, headers=curator.headers).json()["items"] == []
-
-
-def test_a_creation_repeated_under_its_key_creates_once(api: httpx.Client, curator: Person) -> None:
-    said = {"Upload-Length": "5", "Upload-Metadata": metadata(filename="a", purpose="recording")}
-    headers = {**TUS, **curator.headers, **said, "Idempotency-Key": "once"}
-    first, second = (api.post(UPLOADS, headers=headers) for _ in range(2))
-    assert first.status_code == second.status_code == 201
-    assert first.headers["Location"] == second.headers["Location"]
-    assert second.headers["Idempotency-Replayed"] == "true"
-
-
 def test_a_form_that_is_none_is_refused(api: httpx.Client, curator: Person) -> None:
     where = f"{UPLOADS}/form"
     plain = api.post(where, content=b"x", headers={**curator.headers, "Content-Type": "text/plain"})
@@ -233,3 +176,140 @@ def test_a_form_that_is_none_is_refused(api: httpx.Client, curator: Person) -> N
     assert code_of(send_form(api, curator, b"x", admin="1")) == (422, "bad_form")
     assert code_of(send_form(api, curator, b"x", target_id="y" * 2000)) == (422, "bad_form")
     assert code_of(send_form(api, curator, b"x", purpose="avatar")) == (422, "bad_upload_metadata")
+
+
+@pytest.fixture
+def narrow(platform: Platform) -> Iterator[httpx.Client]:
+    """The application with narrow bounds."""
+    settings = platform.settings
+    bounds = replace(settings.uploads, max_bytes=100_000, owner_bytes=50_000, form_bytes=20_000, idle_s=0.5)
+    with client_of(replace(platform, settings=settings.model_copy(update={"uploads": bounds}))) as client:
+        yield client
+
+
+def test_bytes_that_do_not_belong_there_are_refused_and_not_kept(api: httpx.Client, curator: Person) -> None:
+    where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT[::-1]))
+    patch(api, curator, where, 0, CONTENT[:100])
+    for offset in (0, 99, 101):
+        assert code_of(patch(api, curator, where, offset, CONTENT[100:])) == (409, "offset_mismatch")
+    for more in (CONTENT, iter([CONTENT[:90], CONTENT])):  # announced or not
+        assert code_of(patch(api, curator, where, 100, more)) == (413, "over_length")
+    for algorithm in ("sha1", "sha256"):
+        damaged = patch(api, curator, where, 100, CONTENT[100:], Upload_Checksum=checksum(CONTENT[101:], algorithm))
+        assert code_of(damaged) == (460, "checksum_mismatch")
+    assert offset_of(api, curator, where) == 100
+    assert code_of(patch(api, curator, where, 100, CONTENT[100:])) == (460, "sha256_mismatch")
+    assert ask(api, curator, where).status_code == 410
+    assert code_of(patch(api, curator, where, 0, CONTENT[:100])) == (410, "upload_gone")
+    assert shown(api, curator, where)["state"] == "failed"
+
+
+def test_a_creation_whose_bytes_are_refused_leaves_nothing_behind(api: httpx.Client, curator: Person) -> None:
+    said = {**PIECE, **curator.headers, "Upload-Metadata": metadata(filename="a", purpose="recording")}
+    headers = {**said, "Upload-Length": "100", "Upload-Checksum": checksum(b"other")}
+    assert code_of(api.post(UPLOADS, content=CONTENT[:100], headers=headers)) == (460, "checksum_mismatch")
+    assert code_of(api.post(UPLOADS, content=CONTENT, headers={**said, "Upload-Length": "9"})) == (413, "over_length")
+    assert {item["state"] for item in api.get(UPLOADS, headers=curator.headers).json()["items"]} == {"terminated"}
+
+
+def test_a_second_writer_is_told_that_it_is_locked_while_everybody_else_is_answered(
+    api: httpx.Client, curator: Person
+) -> None:
+    large = CONTENT * 1000  # more than what is held in memory before it is written
+    where = created(api, curator, len(large))
+    go_on = threading.Event()
+
+    def slowly() -> Iterator[bytes]:
+        yield large[:-10]
+        go_on.wait(300)
+        yield large[-10:]
+
+    replies: list[httpx.Response] = []
+    first = threading.Thread(target=lambda: replies.append(patch(api, curator, where, 0, slowly())))
+    first.start()
+    try:
+        deadline = time.monotonic() + 300
+        while offset_of(api, curator, where) == 0:
+            assert time.monotonic() < deadline, "the first writer does not write"
+            time.sleep(0.01)
+        assert code_of(patch(api, curator, where, 0, b"")) == (423, "upload_locked")
+        assert code_of(api.delete(where, headers={**TUS, **curator.headers})) == (423, "upload_locked")
+        assert api.get(UPLOADS, headers=curator.headers).status_code == 200
+    finally:
+        go_on.set()
+        first.join(300)
+    assert replies[0].status_code == 204
+    assert shown(api, curator, where)["state"] == "complete"
+
+
+def test_a_client_that_falls_silent_loses_its_lock_and_keeps_its_bytes(narrow: httpx.Client, curator: Person) -> None:
+    where = created(narrow, curator, len(CONTENT))
+    silent = threading.Event()
+
+    def then_nothing() -> Iterator[bytes]:
+        yield CONTENT[:1000]
+        silent.wait(3)
+        yield b""
+
+    reply = patch(narrow, curator, where, 0, then_nothing())
+    silent.set()
+    assert code_of(reply) == (408, "receive_timeout")
+    assert offset_of(narrow, curator, where) == 1000
+    assert patch(narrow, curator, where, 1000, CONTENT[1000:]).status_code == 204
+
+
+def test_a_file_arrives_in_pieces(placed: Platform) -> None:
+    owner = person(placed, "curator")
+    with client_of(placed) as api:
+        reply = create(api, owner, len(CONTENT), sha256=sha256_of(CONTENT), filename="Süd.mcap")
+        where = reply.headers["Location"]
+        assert (reply.headers["Tus-Resumable"], reply.headers["Upload-Offset"]) == ("1.0.0", "0")
+        assert parsedate_to_datetime(reply.headers["Upload-Expires"]).timestamp() > 0
+        for offset in range(0, len(CONTENT), 3000):
+            reply = patch(api, owner, where, offset, CONTENT[offset : offset + 3000])
+            assert reply.status_code == 204, reply.text
+            assert int(reply.headers["Upload-Offset"]) == min(offset + 3000, len(CONTENT))
+            asked = ask(api, owner, where)
+            assert asked.headers["Upload-Offset"] == reply.headers["Upload-Offset"]
+            assert asked.headers["Cache-Control"] == "no-store"
+        state = shown(api, owner, where)
+    assert (state["state"], state["sha256"], state["filename"]) == ("complete", sha256_of(CONTENT), "Süd.mcap")
+    assert kept(placed, find(placed.database, state["id"], owner.user_id)) == CONTENT
+
+
+def test_a_file_arrives_with_its_creation(api: httpx.Client, curator: Person) -> None:
+    said = {**PIECE, **curator.headers, "Upload-Metadata": metadata(filename="a", purpose="recording")}
+    whole = api.post(UPLOADS, content=CONTENT, headers={**said, "Upload-Length": str(len(CONTENT))})
+    assert (whole.status_code, whole.headers["Upload-Offset"]) == (201, str(len(CONTENT)))
+    part = api.post(UPLOADS, content=CONTENT[:99], headers={**said, "Upload-Length": str(len(CONTENT))})
+    assert (part.status_code, part.headers["Upload-Offset"]) == (201, "99")
+    assert patch(api, curator, part.headers["Location"], 99, CONTENT[99:]).status_code == 204
+
+
+def test_a_file_that_is_here_already_is_not_asked_for_again(
+    api: httpx.Client, platform: Platform, curator: Person
+) -> None:
+    where = created(api, curator, len(CONTENT))
+    patch(api, curator, where, 0, CONTENT)
+    again = create(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+    assert again.headers["Upload-Offset"] == str(len(CONTENT))
+    assert again.headers["Location"] != where
+    assert shown(api, curator, again.headers["Location"])["state"] == "complete"
+    theirs = create(api, person(platform, "curator"), len(CONTENT), sha256=sha256_of(CONTENT))
+    assert theirs.headers["Upload-Offset"] == "0"
+
+
+def test_a_form_that_is_too_large_or_not_the_declared_file_is_refused(narrow: httpx.Client, curator: Person) -> None:
+    assert send_form(narrow, curator, b"x" * 200_000).status_code == 413
+    assert code_of(send_form(narrow, curator, b"x" * 20_001)) == (413, "upload_too_large")
+    assert code_of(send_form(narrow, curator, b"x", sha256=sha256_of(b"y"))) == (460, "sha256_mismatch")
+    assert create(narrow, curator, 50_000).status_code == 201  # nothing of it was charged
+
+
+def test_a_small_file_arrives_by_a_form(api: httpx.Client, platform: Platform, curator: Person) -> None:
+    reply = send_form(api, curator, CONTENT, sha256=sha256_of(CONTENT).upper())
+    assert reply.status_code == 201
+    body = reply.json()
+    assert (body["state"], body["sha256"], body["filename"]) == ("complete", sha256_of(CONTENT), "a.mcap")
+    assert reply.headers["Location"] == f"{UPLOADS}/{body['id']}"
+    assert kept(platform, find(platform.database, body["id"], curator.user_id)) == CONTENT

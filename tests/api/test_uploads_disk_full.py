@@ -9,22 +9,9 @@ from pathlib import Path
 import httpx
 import pytest
 
-from services.runtime.access.storage_quota import balance
 from services.runtime.platform import Platform
 from testing.api.serving import Person, client_of
-from testing.api.tus import (
-    PIECE,
-    TUS,
-    UPLOADS,
-    checksum,
-    create,
-    created,
-    metadata,
-    offset_of,
-    patch,
-    sha256_of,
-    shown,
-)
+from testing.api.tus import PIECE, UPLOADS, checksum, created, metadata, offset_of, patch, sha256_of, shown
 from tests.services.runtime.uploads.conftest import with_place
 
 DISK_BYTES = 8 << 20
@@ -97,26 +84,6 @@ def test_a_creation_with_more_than_fits_is_told_how_much_did(disk: Path, platfor
         free_space(disk)
         assert patch(api, curator, where, offset, CONTENT[offset:]).status_code == 204
         assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)
-
-
-def test_a_form_that_does_not_fit_leaves_nothing_behind(disk: Path, platform: Platform, curator: Person) -> None:
-    with client_of(platform) as api:
-        reply = api.post(
-            f"{UPLOADS}/form", data={"purpose": "recording"}, files={"file": CONTENT}, headers=curator.headers
-        )
-        assert refuses_for_want_of_room(reply)
-    assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
-    with platform.database.reading() as session:
-        assert balance(session, curator.user_id) == 0
-
-
-def test_an_upload_can_be_given_up_on_a_full_disk(disk: Path, platform: Platform, curator: Person) -> None:
-    with client_of(platform) as api:
-        where = created(api, curator, len(CONTENT))
-        patch(api, curator, where, 0, CONTENT)
-        assert create(api, curator, 1).status_code in (201, 507)
-        assert api.delete(where, headers={**TUS, **curator.headers}).status_code == 204
-        assert create(api, curator, 1).status_code == 201
 
 
 def test_what_fitted_before_it_could_be_stored_goes_to_the_store(

@@ -12,6 +12,7 @@ from typer.testing import CliRunner, Result
 
 from services.domain.benchmarks.teams import teams
 from services.eval.stages import handlers
+from services.ingest import stages as ingest
 from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Phase, SubmissionRow, Upload, new_id
 from services.runtime.platform import Platform
@@ -88,11 +89,11 @@ def _set(served: Served, part: str, columns: Mapping[str, Any]) -> dict[str, Any
         return before
 
 
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
+def stone(*arguments: object, stdin: str = "") -> Result:
+    return CliRunner().invoke(app, [str(argument) for argument in arguments], input=stdin)
 
 
-def answered(*arguments: str | Path) -> dict[str, Any]:
+def answered(*arguments: object) -> dict[str, Any]:
     """What the command prints under --json."""
     result = stone(*arguments, "--json")
     assert result.exit_code == 0, (result.stdout, result.stderr, result.exception)
@@ -114,3 +115,12 @@ def zipped(served: Served, path: Path, part: str = "val", errors: float = 0.1, s
 def scoring(platform: Platform) -> AbstractContextManager[None]:
     """A worker of the queue `eval` in a thread."""
     return working(platform, "eval", handlers)
+
+
+def ingesting(platform: Platform) -> AbstractContextManager[None]:
+    """A worker of the queue `ingest` in a thread."""
+    return working(platform, "ingest", ingest.handlers)
+
+
+def quiet(stage: str, done: int, total: int) -> None:
+    """Nobody watches."""

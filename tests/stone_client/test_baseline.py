@@ -14,31 +14,21 @@ from typing import Any
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner, Result
 
 from services.ingest.sequence import open_sequence
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.inputs import write_inputs
 from stone.labels.baseline import predict_from_sweep
-from stone_client.main import app
 from stone_client.sdk import Stone
 from stone_submissions.manifest import Manifest, write_manifest
 from testing.worlds.submission_files import write_submission
 from tests.services.labeler.exports.conftest import drive
 from tests.services.labeler.exports.made import Labelled, unheard
+from tests.stone_client.participating import refused, stone
 
 pytestmark = pytest.mark.whole
 
 __all__ = ["drive"]  # a fixture
-
-
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def refused(result: Result) -> str:
-    assert result.exit_code == 1, (result.stdout, result.stderr, result.exception)
-    return result.stderr.rstrip("\n").splitlines()[-1].partition(":")[0]
 
 
 @pytest.fixture(scope="module")
@@ -100,17 +90,6 @@ def test_python_writes_the_same(inputs: Path, manifest: Path, tmp_path: Path) ->
     with Stone("http://127.0.0.1:1", "no server is asked") as api:
         written = api.baseline([inputs], manifest, tmp_path / "python.zip")
     assert written.read_bytes() == made(tmp_path / "sub.zip", manifest, inputs)
-
-
-def test_what_it_writes_is_valid(inputs: Path, manifest: Path, tmp_path: Path) -> None:
-    made(tmp_path / "sub.zip", manifest, inputs)
-    assert stone("validate", tmp_path / "sub.zip", "--manifest", manifest).stdout == "valid\n"
-
-
-def test_it_says_how_far_it_is_and_what_comes_next(inputs: Path, manifest: Path, tmp_path: Path) -> None:
-    result = stone("baseline", inputs, "--manifest", manifest, "-o", tmp_path / "sub.zip")
-    assert "predict 12/12" in result.stderr
-    assert f"Next: stone validate {tmp_path / 'sub.zip'}" in result.stdout
 
 
 def renamed(inputs: Path, folder: Path, rename: Callable[[str], str]) -> Path:
@@ -190,23 +169,18 @@ def test_tables_that_lie_are_refused(inputs: Path, manifest: Path, tmp_path: Pat
     assert not (tmp_path / "sub.zip").exists()
 
 
-@pytest.mark.parametrize(
-    ("name", "content"),
-    [
+def test_a_table_that_is_none_is_refused(inputs: Path, manifest: Path, tmp_path: Path) -> None:
+    for name, content in [
         ("sample_data", b"[\n" + b"[" * 100_000),
         ("sample_data", b"[\n{]\n"),
         ("sample_data", b"[\n1,\n2]\n"),
         ("sample_data", b'[{"a": "' + b"x" * 3 * 2**20),
         ("sensor", b"\xff\xfe\n"),
-    ],
-)
-def test_a_table_that_is_none_is_refused(
-    inputs: Path, manifest: Path, tmp_path: Path, name: str, content: bytes
-) -> None:
-    copytree(inputs, tmp_path / "spoilt")
-    (tmp_path / "spoilt" / "v1.0-trainval" / f"{name}.json").write_bytes(content)
-    result = stone("baseline", tmp_path / "spoilt", "--manifest", manifest, "-o", tmp_path / "sub.zip")
-    assert refused(result) == "damaged_export"
+    ]:
+        copytree(inputs, tmp_path / "spoilt")
+        (tmp_path / "spoilt" / "v1.0-trainval" / f"{name}.json").write_bytes(content)
+        result = stone("baseline", tmp_path / "spoilt", "--manifest", manifest, "-o", tmp_path / "sub.zip")
+        assert refused(result) == "damaged_export"
 
 
 def test_a_sweep_that_is_too_large_or_cut_is_refused(inputs: Path, manifest: Path, tmp_path: Path) -> None:

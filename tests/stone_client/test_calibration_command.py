@@ -4,7 +4,6 @@ import json
 from pathlib import Path
 from typing import Any
 
-import numpy as np
 import pytest
 from ruamel.yaml import YAML
 from typer.testing import CliRunner, Result
@@ -108,13 +107,6 @@ def test_a_right_calibration_fits_its_recording(run: Path) -> None:
     assert f"ground: {record['ground']['height_m']:+.2f} m from the ego origin" in told.stdout
 
 
-def test_a_sensor_the_calibration_lacks_is_named_by_its_topic(run: Path, tmp_path: Path) -> None:
-    fewer = changed(run, tmp_path, lambda content: content["sensors"].pop("RADAR_LEFT"))
-    told = calibration("check", fewer, "--bag", run)
-    assert told.exit_code == 0
-    assert "warning: CAL-412: /radar/left/detections: the calibration has no radar for this topic" in told.stderr
-
-
 def test_a_lidar_entered_too_low_cannot_be_used(run: Path, tmp_path: Path) -> None:
     def lower(content: dict[str, Any]) -> None:
         content["ego_from_lidar"]["translation_m"][2] -= 0.23
@@ -129,23 +121,10 @@ def test_a_lidar_entered_too_low_cannot_be_used(run: Path, tmp_path: Path) -> No
     assert codes(record, "error") == ["footprint_off_ground"]
 
 
-def test_an_ins_without_a_lever_arm_cannot_be_used(run: Path, tmp_path: Path) -> None:
-    told = calibration("check", changed(run, tmp_path, lambda content: content["sensors"].pop("INS")), "--bag", run)
-    assert told.exit_code == 1
-    assert "CAL-412: the calibration has no INS" in told.stderr
-
-
 def test_a_topic_that_is_not_there_is_refused_as_for_labels(run: Path) -> None:
     told = calibration("check", calibration_path(run), "--bag", run, "--odometry", "/nowhere")
     assert told.exit_code == 1
     assert "TOP-104: " in told.stderr
-
-
-def test_what_is_no_recording_is_refused_as_by_inspect(native: Path, tmp_path: Path) -> None:
-    (tmp_path / "page.mcap").write_text("<html>")
-    told = calibration("check", native, "--bag", tmp_path / "page.mcap", "--json")
-    assert told.exit_code == 1
-    assert json.loads(told.stdout)["findings"][0]["code"].startswith("BAG-")
 
 
 def test_a_recording_is_checked_as_its_own_calibration(run: Path) -> None:
@@ -155,16 +134,9 @@ def test_a_recording_is_checked_as_its_own_calibration(run: Path) -> None:
     assert record["ground"] is not None
 
 
-@pytest.mark.parametrize(("name", "magic"), [("rig.svg", b"<?xml"), ("RIG.PNG", b"\x89PNG")])
-def test_the_rig_is_drawn(run: Path, tmp_path: Path, name: str, magic: bytes) -> None:
-    told = calibration("show", calibration_path(run), "-o", tmp_path / name)
-    assert told.exit_code == 0
-    assert told.stdout.endswith(f"Drawing: {tmp_path / name}\n")
-    assert (tmp_path / name).read_bytes().startswith(magic)
-
-
-def test_a_drawing_of_another_kind_is_a_usage_error(native: Path, tmp_path: Path) -> None:
-    told = calibration("show", native, "-o", tmp_path / "rig.pdf")
-    assert told.exit_code == 2
-    assert "neither .svg nor .png" in told.stderr
-    assert np.array_equal([], list(tmp_path.glob("rig.*")))
+def test_the_rig_is_drawn(run: Path, tmp_path: Path) -> None:
+    for name, magic in [("rig.svg", b"<?xml"), ("RIG.PNG", b"\x89PNG")]:
+        told = calibration("show", calibration_path(run), "-o", tmp_path / name)
+        assert told.exit_code == 0
+        assert told.stdout.endswith(f"Drawing: {tmp_path / name}\n")
+        assert (tmp_path / name).read_bytes().startswith(magic)

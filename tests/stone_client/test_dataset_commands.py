@@ -4,44 +4,19 @@ import hashlib
 import io
 import json
 import tarfile
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from PIL import Image
-from structlog.testing import capture_logs
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
 from services.domain.datasets.queries import dataset_named
 from services.runtime.platform import Platform
-from stone_client.main import app
-from testing.api.serving import Person, person, serving
+from testing.api.serving import Person, person
 from testing.worlds.published import published_sequence
 from tests.api.inputs_made import made_version_input
-
-
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def answered(*arguments: str | Path) -> dict[str, Any]:
-    """What the command prints under --json."""
-    result = stone(*arguments, "--json")
-    assert result.exit_code == 0, (result.stdout, result.stderr, result.exception)
-    record: dict[str, Any] = json.loads(result.stdout)
-    return record
-
-
-def refused(result: Result) -> str:
-    assert result.exit_code == 1, (result.stdout, result.stderr, result.exception)
-    return result.stderr.rstrip("\n").splitlines()[-1].partition(":")[0]
-
-
-@pytest.fixture(autouse=True)
-def _silence() -> Iterator[None]:
-    with capture_logs():
-        yield
+from tests.stone_client.participating import answered, refused, stone
 
 
 @pytest.fixture
@@ -63,12 +38,9 @@ def names(platform: Platform, owner: Person) -> list[str]:
 
 
 @pytest.fixture(autouse=True)
-def as_administrator(platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    with serving(platform) as url:
-        monkeypatch.setenv("STONE_URL", url)
-        monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
-        monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
-        yield
+def as_administrator(platform: Platform, url: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setenv("STONE_URL", url)
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
 
 
 def put(tmp_path: Path, **parts: Any) -> Result:
@@ -90,18 +62,6 @@ def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: 
     assert sorted(one["name"] for part in ("train", "val", "test") for one in record[part]) == sorted(names)
 
 
-def test_a_proposal_that_cannot_be_says_why_and_ends_with_1(names: list[str]) -> None:
-    result = stone("splits", "--propose", "2,2,2")
-    assert result.exit_code == 1
-    assert "conflict of split_sizes: 2 + 2 + 2 = 6 sequences are asked for" in result.stderr
-    assert "of the time" in result.stdout
-
-
-def test_what_is_left_out_is_not_proposed(names: list[str]) -> None:
-    record = answered("splits", "--propose", "1,0,1", "--leave-out", names[0])
-    assert names[0] not in json.dumps(record)
-
-
 def test_splits_are_put_by_name_and_a_rule_that_is_broken_is_said(tmp_path: Path, names: list[str]) -> None:
     assert put(tmp_path, train=names[:1], val=[], test=names[2:]).exit_code == 0
     broken = put(tmp_path, train=names[:2], val=names[:1], test=[])
@@ -114,20 +74,17 @@ def test_a_file_of_an_older_revision_is_refused(tmp_path: Path, names: list[str]
     assert refused(put(tmp_path, train=[], val=[], test=[], revision=0)) == "precondition_failed"
 
 
-@pytest.mark.parametrize(
-    ("text", "code"),
-    [
+def test_a_file_without_splits_is_refused(tmp_path: Path) -> None:
+    for text, code in [
         ("nothing", "bad_splits_file"),
         ("[" * 100_000, "bad_splits_file"),
         ('{"train": []}', "bad_splits_file"),
         ('{"train": [7], "val": [], "test": []}', "bad_splits_file"),
         ('{"train": ["unheard"], "val": [], "test": []}', "not_found"),
-    ],
-)
-def test_a_file_without_splits_is_refused(tmp_path: Path, text: str, code: str) -> None:
-    path = tmp_path / "splits.json"
-    path.write_text(text)
-    assert refused(stone("splits", "--put", path)) == code
+    ]:
+        path = tmp_path / "splits.json"
+        path.write_text(text)
+        assert refused(stone("splits", "--put", path)) == code
 
 
 def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Platform, owner: Person) -> None:
@@ -139,11 +96,6 @@ def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Pl
             session.get_one(SequenceRow, one).name = "lake"
     assert refused(put(tmp_path, train=["lake"], val=[], test=[])) == "ambiguous_name"
     assert put(tmp_path, train=ids[:1], val=[], test=[]).exit_code == 0
-
-
-@pytest.mark.parametrize("sizes", ["31,7", "a,b,c", "-1,2,3", "1,2,3,4", ""])
-def test_sizes_that_are_none_are_a_usage_error(sizes: str) -> None:
-    assert stone("splits", "--propose", sizes).exit_code == 2
 
 
 def test_statistics_are_shown_and_drawn(tmp_path: Path, names: list[str]) -> None:
@@ -206,23 +158,3 @@ def test_inputs_of_a_version_are_downloaded_beside_its_labels_and_go_on_where_th
     assert output.read_bytes() == content
     said = stone("datasets", "stone-1.0", "--download", folder, "--inputs")
     assert (str(output) in said.stdout, names[1] in said.stderr) == (True, True)
-
-
-def test_inputs_are_only_downloaded_with_the_version() -> None:
-    assert stone("datasets", "stone-1.0", "--inputs").exit_code == 2
-
-
-def test_a_participant_publishes_nothing(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
-    assert refused(stone("datasets", "stone-1.0", "--create")) == "forbidden"
-    assert refused(stone("splits", "--propose", "1,1,1")) == "forbidden"
-
-
-def test_a_version_that_was_never_published_is_not_found() -> None:
-    assert refused(stone("datasets", "../users")) == "not_found"
-    assert refused(stone("datasets", "nothing")) == "not_found"
-
-
-def test_creating_or_downloading_asks_which_version(tmp_path: Path) -> None:
-    assert stone("datasets", "--create").exit_code == 2
-    assert stone("datasets", "--download", tmp_path).exit_code == 2

@@ -1,7 +1,8 @@
-"""A folder of a dataset is sent as the tar that it would make; what its layout tells is refused before that."""
+"""A folder of a dataset is checked, and sent as the tar that it would make; what its layout tells is refused before."""
 
 import gzip
 import io
+import json
 import os
 import shutil
 import subprocess
@@ -26,9 +27,16 @@ from stone_datasets.reading import check_dataset
 from stone_files.dataset_layout import DatasetFaultError
 from stone_files.tar_index import BadTarError, tar_members
 from testing.api.process import ApiProcess, running_api
-from testing.api.serving import Person, person
+from testing.api.serving import Person
 from testing.stone_serve import until
-from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published, write_published_tar
+from testing.worlds.published_datasets import (
+    VERSION,
+    SyntheticDataset,
+    made_labels,
+    write_published,
+    write_published_tar,
+)
+from tests.stone_client.participating import quiet, stone
 
 GOOD = SyntheticDataset(labels=(made_labels(1), made_labels(2)))
 CLIENT = """
@@ -43,10 +51,6 @@ with Api(Server(sys.argv[1], sys.argv[2])) as api:
     local = hashed_dataset(Path(sys.argv[3]), lambda *_: None)
     stone_client.files.tus.upload_file(api, local, stone_client.files.tus.Purpose("dataset"), lambda *_: None)
 """
-
-
-def quiet(stage: str, done: int, total: int) -> None:
-    """Tests watch nothing."""
 
 
 @pytest.fixture(scope="module")
@@ -72,11 +76,6 @@ def test_the_tar_of_a_folder_holds_its_files_byte_for_byte(good: Path) -> None:
     assert held == there
     assert local.sha256 == sha256(whole(local)).hexdigest()
     assert (local.name, dataset_name(good)) == ("field.tar", "field")
-
-
-def test_the_tar_of_a_folder_is_a_good_dataset(good: Path, tmp_path: Path) -> None:
-    (tmp_path / "sent.tar").write_bytes(whole(hashed_dataset(good, quiet)))
-    assert check_dataset(tmp_path / "sent.tar").contents is not None
 
 
 def test_equal_folders_give_equal_tars_whenever_they_were_written(good: Path, tmp_path: Path) -> None:
@@ -139,15 +138,6 @@ def test_a_layout_that_the_server_would_refuse_is_refused_here_by_the_same_code(
         assert codes[path] == check_dataset(path).faults.found[0].code
 
 
-@pytest.mark.parametrize(
-    ("begin", "tool"), [(b"BZh9", "bzip2"), (b"\xfd7zXZ\0", "xz"), (b"\x28\xb5\x2f\xfd", "zstd"), (b"PK\3\4", "zip")]
-)
-def test_whatever_compressed_it_is_named(tmp_path: Path, begin: bytes, tool: str) -> None:
-    (tmp_path / "packed").write_bytes(begin + bytes(600))
-    with pytest.raises(DatasetFaultError, match=f"compressed by {tool}"):
-        hashed_dataset(tmp_path / "packed", quiet)
-
-
 @pytest.mark.parametrize("changed", ["written", "removed"])
 def test_a_file_that_changes_meanwhile_ends_the_upload(good: Path, tmp_path: Path, changed: str) -> None:
     copy = Path(shutil.copytree(good, tmp_path / "field"))
@@ -164,11 +154,6 @@ def test_a_file_that_changes_meanwhile_ends_the_upload(good: Path, tmp_path: Pat
 def server(platform: Platform, tmp_path: Path) -> Iterator[ApiProcess]:
     with running_api(platform.settings, tmp_path / "api.log") as process:
         yield process
-
-
-@pytest.fixture
-def owner(platform: Platform) -> Person:
-    return person(platform, "curator")
 
 
 @pytest.mark.whole
@@ -192,3 +177,45 @@ def test_a_killed_upload_of_a_folder_goes_on_where_it_was(
         (only,) = api.pages("/uploads")
     assert (only["state"], only["purpose"], only["sha256"]) == ("complete", "dataset", local.sha256)
     assert stored_file(platform.settings, upload_id).read_bytes() == whole(local)
+
+
+WHAT = SyntheticDataset(labels=(made_labels(),), splits={"train": ["field-0000"]})
+
+
+@pytest.fixture
+def dataset(tmp_path: Path) -> Path:
+    return write_published(tmp_path / "dataset", WHAT)
+
+
+def test_a_sound_dataset_is_shown(dataset: Path) -> None:
+    found = stone("check", dataset)
+    assert found.exit_code == 0, found.stderr
+    assert "release layout, 2 sequences, 6 frames" in found.stdout
+    for word in ("field-0001", "train", "LIDAR_TOP", "T of the occupied voxels", "frames with mask_camera"):
+        assert word in found.stdout
+
+
+def test_a_folder_and_a_tar_give_the_same_record(dataset: Path, tmp_path: Path) -> None:
+    in_tar = stone("check", write_published_tar(tmp_path / "dataset.tar", WHAT, "top/"), "--json")
+    in_folder = stone("check", dataset, "--json")
+    assert in_folder.exit_code == in_tar.exit_code == 0
+    assert json.loads(in_folder.stdout) == json.loads(in_tar.stdout)
+    assert json.loads(in_folder.stdout)["frames"] == 6
+
+
+def test_every_fault_is_a_line_and_the_exit_code_is_one(dataset: Path) -> None:
+    path = dataset / VERSION / "ego_pose.json"
+    rows = json.loads(path.read_text())
+    for row in rows[:3]:
+        row["rotation"] = [2, 0, 0, 0]
+    path.write_text(json.dumps(rows))
+    found = stone("check", dataset, "--faults", "2", "--json")
+    assert found.exit_code == 1
+    lines = found.stderr.splitlines()
+    assert [line.partition(":")[0] for line in lines if line.startswith("DST")] == ["DST-022", "DST-022"]
+    assert "… and 1 more" in lines
+    assert "These are of its rows" in lines[-1]
+    record = json.loads(found.stdout)
+    assert (record["faults_total"], record["reached"]) == (3, "rows")
+    assert record["faults"][0]["file"] == f"{VERSION}/ego_pose.json"
+    assert [fault["row"] for fault in record["faults"]] == [1, 2]

@@ -10,8 +10,6 @@ from typing import Any
 
 import httpx
 import pytest
-from structlog.testing import capture_logs
-from typer.testing import CliRunner, Result
 
 from services.runtime.platform import Platform
 from stone_client.api import Api
@@ -19,21 +17,12 @@ from stone_client.credentials import Server
 from stone_client.errors import DamagedDownloadError, ServerUnreachableError
 from stone_client.files import fetch as fetching
 from stone_client.files.fetch import PartialFile, fetch, save
-from stone_client.main import app
-from testing.api.serving import Person, client_of, person, serving
+from testing.api.serving import Person, client_of
 from testing.worlds import made
+from tests.stone_client.participating import stone
 
 CONTENT = bytes(range(256)) * 4000
 NAME = "samples/LIDAR_TOP/points.bin"
-
-
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-@pytest.fixture
-def owner(platform: Platform) -> Person:
-    return person(platform, "curator", "ada")
 
 
 @pytest.fixture
@@ -44,13 +33,7 @@ def forest(platform: Platform, owner: Person) -> dict[str, Any]:
     return sequence
 
 
-@pytest.fixture(autouse=True)
-def _as_owner(platform: Platform, owner: Person, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[None]:
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
-    monkeypatch.setenv("STONE_TOKEN", owner.secret)
-    with serving(platform) as address, capture_logs():
-        monkeypatch.setenv("STONE_URL", address)
-        yield
+pytestmark = pytest.mark.usefixtures("as_owner")
 
 
 @pytest.mark.parametrize("kind", ["tar", "zip"])
@@ -115,13 +98,6 @@ def test_two_downloads_to_one_place_do_not_meet(platform: Platform, forest: dict
         fcntl.flock(other, fcntl.LOCK_EX)
         refused = stone("download", "forest", "--format", "mesh", "-o", output)
     assert (refused.exit_code, refused.stderr.partition(":")[0]) == (1, "download_under_way")
-
-
-def test_an_export_that_is_not_there_is_said_with_what_to_do(forest: dict[str, Any], tmp_path: Path) -> None:
-    refused = stone("download", "forest", "--format", "kitti", "-o", tmp_path / "forest.tar")
-    assert refused.exit_code == 1
-    assert "no_export" in refused.stderr
-    assert "run `stone exports forest --format kitti`" in refused.stderr
 
 
 class Breaking(httpx.BaseTransport):

@@ -1,20 +1,27 @@
-"""The installed `stone`, as a user meets it: a process with streams, signals and an exit code."""
+"""The installed `stone` as a user meets it, and the client without the platform."""
 
 import json
 import os
 import re
 import resource
+import shutil
 import signal
 import subprocess
 import sys
+import sysconfig
 import time
+from importlib.util import find_spec
 from pathlib import Path
 
 import pytest
 
+from stone_base.codes.catalogue import CATALOGUE
+from stone_client.platform_part import PLATFORM_COMMANDS
+from stone_client.release import own_release
+from stone_local import registry
 from testing.signals import hear_signals
+from tests.stone_client.participating import refused, stone
 
-ROOT = Path(__file__).resolve().parents[2]
 STONE = Path(sys.executable).parent / "stone"
 HEAVY = ("numpy", "scipy", "numba", "pyarrow", "open3d", "pydantic", "mcap", "rosbags")
 SIMULATE = ("simulate", "run.mcap", "--truth", "truth", "--seconds", "600", "--channels", "16", "--columns", "180")
@@ -54,16 +61,6 @@ def test_help_loads_nothing_heavy(arguments: tuple[str, ...]) -> None:
     loaded = {name.partition(".")[0] for name in loaded_by(*arguments)}
     of_typer = {"pydantic"} if len(arguments) > 1 else set[str]()  # with which it reads the types of options
     assert not loaded & {*HEAVY, "httpx", "services"} - of_typer
-
-
-def test_help_of_all_commands_loads_none_of_them() -> None:
-    loaded = loaded_by("--help")
-    assert "typer" in loaded
-    assert [name for name in loaded if re.match(r"stone_\w+\.commands\.", name) and not is_package(name)] == []
-
-
-def is_package(name: str) -> bool:
-    return (ROOT / name.replace(".", "/")).is_dir()
 
 
 def test_a_command_loads_no_other() -> None:
@@ -126,3 +123,97 @@ def test_an_output_in_a_folder_that_may_not_be_written_is_refused(tmp_path: Path
     refused = run("simulate", "run.mcap", "--seconds", "1", folder=tmp_path)
     assert refused.returncode == 1
     assert refused.stderr.splitlines()[-1].startswith("not_permitted: ")
+
+
+SOURCES = Path(__file__).resolve().parents[2]
+PACKAGES = ("stone_base", "stone_files", "stone_submissions", "stone_client")
+ALONE = "import sys; sys.path[:0] = sys.argv[1:3]; del sys.argv[1:3]; from stone_client.main import main; main()"
+
+
+@pytest.fixture(scope="module")
+def alone(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A folder of the client's packages and no others."""
+    folder = tmp_path_factory.mktemp("client")
+    for package in PACKAGES:
+        shutil.copytree(SOURCES / package, folder / package, ignore=shutil.ignore_patterns("__pycache__"))
+    return folder
+
+
+def alone_stone(alone: Path, *arguments: str) -> subprocess.CompletedProcess[str]:
+    """The command where only those packages and those of others can be imported."""
+    command = [sys.executable, "-I", "-S", "-c", ALONE, str(alone), sysconfig.get_path("purelib"), *arguments]
+    return subprocess.run(command, check=False, capture_output=True, text=True, timeout=300, cwd=alone)
+
+
+def test_the_names_that_are_refused_are_those_of_the_platforms_commands() -> None:
+    assert sorted(PLATFORM_COMMANDS) == sorted(place.word for place in (*registry.COMMANDS, *registry.GROUPS))
+
+
+def test_help_lists_the_clients_own_commands_and_none_of_the_platform(alone: Path) -> None:
+    said = alone_stone(alone, "--help")
+    assert said.returncode == 0, said.stderr
+    listed = {line.split()[1] for line in said.stdout.splitlines() if line.startswith("│ ") and line[2].isalpha()}
+    assert listed >= {"login", "benchmarks", "manifest", "inputs", "datasets", "validate", "submit", "results", "teams"}
+    assert listed >= {"leaderboard", "compare", "upload", "process", "status", "watch", "download"}
+    assert not listed & set(PLATFORM_COMMANDS)
+
+
+@pytest.mark.parametrize("words", [("label", "a.mcap", "-o", "out"), ("serve", "--help"), ("calibration", "check")])
+def test_a_command_of_the_platform_says_what_to_install(alone: Path, words: tuple[str, ...]) -> None:
+    said = alone_stone(alone, *words)
+    assert said.returncode == 1
+    assert said.stderr.startswith(f"platform_not_installed: `stone {words[0]}` needs the platform")
+    assert "stone-platform" in said.stderr
+
+
+def test_validation_needs_nothing_of_the_platform(alone: Path, tmp_path: Path) -> None:
+    (tmp_path / "page.zip").write_text("<html>")
+    (tmp_path / "m.json").write_text(json.dumps({"stone_manifest": 1, "sequences": {"a": ["0" * 32]}}))
+    said = alone_stone(alone, "validate", str(tmp_path / "page.zip"), "--manifest", str(tmp_path / "m.json"))
+    assert said.returncode == 1
+    assert said.stderr.splitlines()[0].startswith("not_zip: "), said.stderr
+
+
+def test_the_release_is_said(alone: Path) -> None:
+    assert alone_stone(alone, "--version").stdout == f"stone {own_release()}\n"
+
+
+def test_a_code_is_explained_in_whatever_letters_it_is_typed() -> None:
+    one = CATALOGUE["LAB-603"]
+    for typed in ("LAB-603", "lab-603"):
+        result = stone("explain", typed)
+        assert result.exit_code == 0
+        for words in ("LAB-603: labels may be wrong", one.meaning, one.remedy):
+            assert words in result.stdout
+    assert "no attempt is left" in stone("explain", "worker_lost").stdout
+
+
+def test_all_codes_are_listed_for_people_and_programs() -> None:
+    assert len(stone("explain").stdout.splitlines()) == len(CATALOGUE)
+    listed = json.loads(stone("explain", "--json").stdout)["codes"]
+    assert [one["code"] for one in listed] == list(CATALOGUE)
+    assert json.loads(stone("explain", "TIM-201", "--json").stdout)["harm"] == "none"
+
+
+def test_an_unknown_code_is_refused() -> None:
+    result = stone("explain", "XYZ-999")
+    assert result.exit_code == 1
+    assert result.stderr.startswith("unknown_code: 'XYZ-999'")
+
+
+def test_the_client_alone_explains(alone: Path) -> None:
+    said = alone_stone(alone, "explain", "TIM-201")
+    assert said.returncode == 0, said.stderr
+    assert said.stdout.startswith("TIM-201: labels unaffected")
+
+
+@pytest.mark.skipif(find_spec("torch") is not None, reason="torch is installed here")
+def test_training_without_torch_is_refused_in_one_line(tmp_path: Path) -> None:
+    result = stone("train", "l-openocc", tmp_path, "-o", tmp_path / "run")
+    assert refused(result) == "no_torch"
+    (line,) = result.stderr.splitlines()
+    assert line == (
+        "no_torch: torch is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
+        "arguments (or pip install 'stone-platform[baselines]')"
+    )
+    assert not (tmp_path / "run").exists()

@@ -91,10 +91,6 @@ def test_where_people_have_a_provider_the_command_asks_for_no_password(
         assert process.returncode == 0
 
 
-def test_where_people_have_none_it_asks_for_name_and_password(local: Lab) -> None:
-    assert not asks_for_browser(local.url)
-
-
 @pytest.mark.parametrize("other", [["--name", "ada"], ["--password-stdin"], ["--token-stdin"]])
 def test_a_browser_says_who_one_is_and_nothing_else(other: list[str], tmp_path: Path) -> None:
     command = [*STONE, "login", "http://127.0.0.1:1", "--browser", *other]

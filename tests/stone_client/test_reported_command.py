@@ -1,12 +1,9 @@
 """`stone reported`: a published table onto a board, by administrators only, whole or not at all, and never twice."""
 
-from collections.abc import Iterator
 from decimal import Decimal
-from pathlib import Path
 from typing import Any
 
 import pytest
-from structlog.testing import capture_logs
 
 from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported, reported_in
 from services.runtime.orm import Phase
@@ -17,7 +14,7 @@ from stone_client.server.published_tables import TABLE2, TABLES
 from stone_client.server.reported import Putting, put_table
 from testing.api.serving import person
 from testing.worlds.benchmark_world import World
-from tests.stone_client.participating import Served, answered, joined, refused, serving_world, stone
+from tests.stone_client.participating import Served, answered, joined, refused, stone
 
 OTHER = ReportedRow("Another", "L+R", "another paper", miou=0.2)
 NOT_COMPARABLE = (
@@ -26,22 +23,14 @@ NOT_COMPARABLE = (
 )
 
 
-@pytest.fixture(scope="module")
-def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
-    with serving_world(tmp_path_factory.mktemp("world")) as served:
-        yield served
-
-
 @pytest.fixture
-def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
+def served(served_world: tuple[World, str], monkeypatch: pytest.MonkeyPatch) -> Served:
     """As the administrator, with one reported row of another paper on the board of val."""
-    made = joined(*_world)
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+    made = joined(*served_world)
     monkeypatch.setenv("STONE_URL", made.url)
     monkeypatch.setenv("STONE_TOKEN", made.world.administrator.secret)
     lay(made, OTHER)
-    with capture_logs():
-        yield made
+    return made
 
 
 def lay(served: Served, *rows: ReportedRow) -> None:
@@ -68,13 +57,6 @@ def test_who_is_no_administrator_puts_nothing(served: Served, monkeypatch: pytes
     assert refused(stone("reported", "table2", *served.at("val"))) == "forbidden", "a token without the scope"
     monkeypatch.setenv("STONE_TOKEN", "nobody's")
     assert refused(stone("reported", "table2", *served.at("val"))) == "unauthenticated"
-
-
-def test_what_does_not_exist_is_refused(served: Served) -> None:
-    assert refused(stone("reported", "table2", *served.at("nothing"))) == "not_found"
-    assert stone("reported", "table9", *served.at("val")).exit_code == 2
-    assert stone("reported", "table2").exit_code == 2
-    assert refused(stone("reported", "table2", *served.at("val"), "--reason", " ")) == "invalid_request"
 
 
 def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Served) -> None:

@@ -1,17 +1,39 @@
-"""Requests to a server that answers as told: what may be sent again is, what may not is not, refusals keep theirs."""
+"""Requests to a server: which one is meant, what is sent again and what is not, what is told of refusals and events."""
 
 import json
+import stat
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
+from pathlib import Path
+from threading import Thread
 
 import pytest
 
+from stone_base.releases import HEADER
 from stone_client.api import Api
-from stone_client.credentials import Server
-from stone_client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
+from stone_client.credentials import (
+    Server,
+    choose_server,
+    configuration_folder,
+    is_local,
+    plain_url,
+    remember,
+)
+from stone_client.errors import (
+    BadCredentialsFileError,
+    BadUrlError,
+    NoServerError,
+    NotSignedInError,
+    ServerFaultError,
+    ServerRefusedError,
+    ServerTooOldError,
+    ServerUnreachableError,
+)
+from stone_client.release import OLDEST_SERVER, own_release
+from stone_client.server.job_following import Event, events
 
 Answer = tuple[int, dict[str, str], bytes]
 DONE: Answer = (200, {}, b'{"items": [1], "next": null}')
@@ -149,3 +171,144 @@ def test_every_page_of_a_list_is_read() -> None:
         assert list(api.pages("/sequences", name="a b")) == [1, 2, 1]
     assert "cursor=c2" in script.heard[1][1]
     assert all("name=a" in path for _, path, _ in script.heard)
+
+
+@contextmanager
+def server_of(release: str, heard: list[str]) -> Iterator[str]:
+    """The URL of a server that says this release and answers everything with an empty object."""
+
+    class Answers(BaseHTTPRequestHandler):
+        def do_GET(self) -> None:
+            heard.append(self.headers.get(HEADER, ""))
+            self.send_response(200)
+            if release:
+                self.send_header(HEADER, release)
+            self.send_header("Content-Length", "2")
+            self.end_headers()
+            self.wfile.write(b"{}")
+
+        def log_message(self, format: str, *args: object) -> None:
+            """Nothing is said."""
+
+    with ThreadingHTTPServer(("127.0.0.1", 0), Answers) as server:
+        thread = Thread(target=server.serve_forever)
+        thread.start()
+        try:
+            yield f"http://127.0.0.1:{server.server_port}"
+        finally:
+            server.shutdown()
+            thread.join()
+
+
+@pytest.mark.parametrize("release", ["", OLDEST_SERVER, "999.1.0", "banana"])
+def test_a_server_that_is_new_enough_or_says_nothing_is_understood_and_told_our_release(release: str) -> None:
+    heard: list[str] = []
+    with server_of(release, heard) as url, Api(Server(url, "token")) as api:
+        assert api.read("/me") == {}
+    assert heard == [own_release()]
+
+
+def test_a_server_that_is_too_old_is_refused_whether_read_at_once_or_as_it_comes() -> None:
+    with server_of("0.0.9", []) as url, Api(Server(url, "token")) as api:
+        with pytest.raises(ServerTooOldError, match=rf"release 0\.0\.9, .* {OLDEST_SERVER} and newer; .*/downloads/"):
+            api.read("/me")
+        with pytest.raises(ServerTooOldError), api.stream("/events"):
+            pass
+
+
+@pytest.mark.parametrize(
+    ("text", "expected"),
+    [
+        ("data: one\n\n", [Event("message", "", "one")]),
+        ("event: job\nid: 7\ndata: {}\n\n", [Event("job", "7", "{}")]),
+        ("data: one\ndata: two\n\n", [Event("message", "", "one\ntwo")]),
+        ("data:  two spaces\n\n", [Event("message", "", " two spaces")]),
+        (": still here\n\ndata:x\n\n", [Event("message", "", "x")]),
+        ("event: empty\n\ndata: x\n\n", [Event("message", "", "x")]),
+        ("id: 7\ndata: a\n\ndata: b\n\n", [Event("message", "7", "a"), Event("message", "7", "b")]),
+        ("retry: 10\ndata\ndata: x\n\n", [Event("message", "", "\nx")]),
+        ("data: cut off", []),
+    ],
+)
+def test_fields_make_events(text: str, expected: list[Event]) -> None:
+    assert list(events(text.splitlines())) == expected
+
+
+HOME = "http://127.0.0.1:8080"
+ELSEWHERE = "https://stone.example"
+
+
+@pytest.fixture(autouse=True)
+def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for name in ("STONE_URL", "STONE_TOKEN", "XDG_CONFIG_HOME"):
+        monkeypatch.delenv(name, raising=False)
+    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
+
+
+def test_without_any_server_the_refusal_says_how_to_name_one() -> None:
+    with pytest.raises(NoServerError, match="stone login URL"):
+        choose_server()
+
+
+def test_a_server_without_a_token_is_refused_by_name() -> None:
+    with pytest.raises(NotSignedInError, match=f"stone login {ELSEWHERE}"):
+        choose_server(ELSEWHERE)
+
+
+@pytest.mark.parametrize("content", ["{", "[]", '{"servers": {"x": 1}}', '{"servers": []}'])
+def test_a_file_changed_by_hand_is_refused_not_overwritten(content: str) -> None:
+    path = configuration_folder() / "credentials.json"
+    path.parent.mkdir(parents=True)
+    path.write_text(content)
+    with pytest.raises(BadCredentialsFileError, match=r"credentials\.json"):
+        remember(HOME, "stone_1", as_default=True)
+    assert path.read_text() == content
+
+
+@pytest.mark.parametrize("url", ["ftp://stone.example", "http://", "http://a:b@c", "http://host:port", "http://h/path"])
+def test_what_is_no_servers_address_is_refused(url: str) -> None:
+    with pytest.raises(BadUrlError):
+        plain_url(url)
+
+
+@pytest.mark.parametrize(
+    ("typed", "meant"),
+    [
+        ("127.0.0.1:8080", HOME),
+        ("https://stone.example/", ELSEWHERE),
+        ("HTTPS://Stone.Example", ELSEWHERE),
+        ("http://[::1]:80", "http://[::1]:80"),
+    ],
+)
+def test_an_address_is_read_as_people_type_it(typed: str, meant: str) -> None:
+    assert plain_url(typed) == meant
+
+
+def test_the_file_is_for_its_owners_eyes_only() -> None:
+    remember(HOME, "stone_1", as_default=True)
+    path = configuration_folder() / "credentials.json"
+    assert stat.S_IMODE(path.stat().st_mode) == 0o600
+    assert json.loads(path.read_text())["default"] == HOME
+
+
+def test_what_is_typed_comes_before_the_environment_and_that_before_what_is_remembered(
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    remember(HOME, "stone_home", as_default=True)
+    remember(ELSEWHERE, "stone_away", as_default=False)
+    assert choose_server() == Server(HOME, "stone_home")
+    assert choose_server(ELSEWHERE) == Server(ELSEWHERE, "stone_away")
+    monkeypatch.setenv("STONE_URL", ELSEWHERE)
+    assert choose_server() == Server(ELSEWHERE, "stone_away")
+    assert choose_server(HOME) == Server(HOME, "stone_home")
+    monkeypatch.setenv("STONE_TOKEN", "stone_given")
+    assert choose_server() == Server(ELSEWHERE, "stone_given")
+
+
+def test_a_token_is_not_shown_by_accident() -> None:
+    assert "stone_secret" not in repr(Server(HOME, "stone_secret"))
+
+
+@pytest.mark.parametrize(("url", "is_ours"), [(HOME, True), ("http://localhost:1", True), (ELSEWHERE, False)])
+def test_a_server_on_this_machine_is_told_from_others(url: str, is_ours: bool) -> None:
+    assert is_local(url) is is_ours

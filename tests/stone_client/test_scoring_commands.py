@@ -7,15 +7,10 @@ from pathlib import Path
 import numpy as np
 import pytest
 from numpy.typing import NDArray
-from typer.testing import CliRunner, Result
 
-from stone_client.main import app
+from tests.stone_client.participating import stone
 
 TOKENS = ("0" * 32, "1" * 32)
-
-
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
 
 
 def world() -> NDArray[np.uint8]:
@@ -61,25 +56,6 @@ def test_a_perfect_prediction_is_valid_and_scores_one(tmp_path: Path, truth: Pat
     assert record["signature"]
 
 
-def test_the_score_is_a_table_for_people(tmp_path: Path, truth: Path) -> None:
-    absent = np.zeros_like(world())
-    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world(), TOKENS[1]: absent})
-    result = stone("score", submission, "--ground-truth", truth)
-    assert result.exit_code == 0
-    assert "50.0 %" in result.stdout
-    assert "Signature: " in result.stdout
-
-
-def test_an_undefined_score_is_null_and_a_dash(tmp_path: Path, truth: Path) -> None:
-    free = np.zeros_like(world())
-    for labels in truth.rglob("labels.npz"):
-        np.savez_compressed(labels, semantics=free)
-    submission = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, free))
-    record = json.loads(stone("score", submission, "--ground-truth", truth, "--json").stdout)
-    assert (record["total"]["iou_occ"], record["total"]["miou"]) == (None, None)
-    assert "–" in stone("score", submission, "--ground-truth", truth).stdout
-
-
 def test_a_missing_frame_is_refused_by_both_commands(tmp_path: Path, truth: Path, manifest: Path) -> None:
     submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world()})
     for command in (("validate", submission, "--manifest", manifest), ("score", submission, "--ground-truth", truth)):
@@ -100,43 +76,6 @@ def test_only_the_first_hundred_problems_are_listed(tmp_path: Path, manifest: Pa
     assert result.exit_code == 1
     assert "… and 52 more" in result.stderr
     assert len(result.stderr.splitlines()) == 101
-
-
-@pytest.mark.parametrize("content", [b"<html><body>404</body></html>", b"", b"PK\3\4" + bytes(60)])
-def test_what_is_no_zip_is_refused(tmp_path: Path, truth: Path, manifest: Path, content: bytes) -> None:
-    (tmp_path / "sub.zip").write_bytes(content)
-    for option, other in (("--manifest", manifest), ("--ground-truth", truth)):
-        command = "validate" if option == "--manifest" else "score"
-        result = stone(command, tmp_path / "sub.zip", option, other)
-        assert result.exit_code == 1
-        assert ": " in result.stderr.splitlines()[-1]
-
-
-def test_half_of_a_zip_is_called_cut_short(tmp_path: Path, manifest: Path) -> None:
-    whole = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, world()))
-    half = tmp_path / "half.zip"
-    for part in (0.5, 0.9):  # inside of the first frame, and behind its end record
-        half.write_bytes(whole.read_bytes()[: int(whole.stat().st_size * part)])
-        result = stone("validate", half, "--manifest", manifest)
-        assert result.exit_code == 1
-        assert result.stderr.startswith("truncated: "), result.stderr
-        assert "cut off inside a file" in result.stderr
-
-
-def test_the_hint_for_a_transposed_frame_turns_it(tmp_path: Path, manifest: Path) -> None:
-    turned = {TOKENS[0]: world(), TOKENS[1]: world().transpose(2, 0, 1).copy()}
-    result = stone("validate", write_zip(tmp_path / "sub.zip", turned), "--manifest", manifest)
-    assert result.exit_code == 1
-    assert "found (32, 256, 256) (axes are x, y, z: grid.transpose(1, 2, 0)" in result.stderr
-
-
-def test_a_label_of_four_is_refused(tmp_path: Path, truth: Path) -> None:
-    grid = world()
-    grid[7, 8, 9] = 4
-    submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world(), TOKENS[1]: grid})
-    result = stone("score", submission, "--ground-truth", truth)
-    assert result.exit_code == 1
-    assert "label_out_of_range: " in result.stderr
 
 
 def test_a_manifest_that_is_none_is_refused(tmp_path: Path, manifest: Path) -> None:

@@ -4,31 +4,15 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from structlog.testing import capture_logs
 
 from stone_client.errors import NoServerError, ServerRefusedError
 from stone_client.sdk import Stone
-from stone_client.server.submission import SubmissionEndedError, SubmissionInvalidError
+from stone_client.server.submission import SubmissionInvalidError
 from stone_client.server.teams import UnknownTeamError
 from stone_submissions.manifest import read_manifest
-from testing.worlds.benchmark_world import World, predicted, submission_zip
+from testing.worlds.benchmark_world import predicted, submission_zip
 from tests.api.inputs_made import made_input
-from tests.stone_client.participating import Served, answered, joined, scoring, serving_world, zipped
-
-
-@pytest.fixture(scope="module")
-def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
-    with serving_world(tmp_path_factory.mktemp("world")) as served:
-        yield served
-
-
-@pytest.fixture
-def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    for name in ("STONE_URL", "STONE_TOKEN"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
-    with capture_logs():
-        yield joined(*_world)
+from tests.stone_client.participating import Served, answered, scoring, zipped
 
 
 @pytest.fixture
@@ -71,13 +55,6 @@ def test_what_is_invalid_is_raised_with_the_whole_report(served: Served, stone: 
         stone.submit(path, **said(served, kind="validation")).wait()
     assert caught.value.code == "missing_frame"
     assert caught.value.report["errors_total"] == 1
-
-
-def test_what_is_cancelled_is_raised_when_it_is_waited_for(served: Served, stone: Stone, tmp_path: Path) -> None:
-    submission = stone.submit(zipped(served, tmp_path / "sub.zip"), **said(served))
-    stone.api.create(f"/submissions/{submission.id}/cancel", {"reason": "no"})
-    with pytest.raises(SubmissionEndedError, match="cancelled"):
-        submission.wait()
 
 
 def test_refusals_are_errors_with_the_servers_codes(served: Served, stone: Stone, tmp_path: Path) -> None:

@@ -2,16 +2,14 @@
 
 import json
 import threading
-from collections.abc import Iterator
-from contextlib import AbstractContextManager
 from pathlib import Path
 from typing import Any
 
 import pytest
-from structlog.testing import capture_logs
-from typer.testing import CliRunner, Result
+from typer.testing import Result
 
-from services.ingest.stages import handlers
+from services.domain.notifications.choices import choices_of
+from services.eval.stages import handlers
 from services.runtime.access.passwords import hash_password
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.execution import run_next
@@ -19,12 +17,24 @@ from services.runtime.jobs.specs import Attempt, Context, JobSpec, Outcome
 from services.runtime.orm import Job, User
 from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
 from stone.errors import StoneError
-from stone_client.main import app
+from stone.splits.composition import CatalogueEntry
+from stone.splits.rules import check_split
+from stone.splits.splits import Split
+from stone_client.api import Api
+from stone_client.credentials import Server
+from stone_client.server.label_sets import NoLabelSetError, compare_label_sets, label_sets_of
+from stone_client.server.newest import place_from_newest
+from stone_local.demo.entries import write_flat_ground
+from stone_local.demo.runs import TRAIN, VAL, demo_runs
+from stone_local.demo.server import demo_server_of
+from stone_submissions.manifest import Manifest, write_manifest
+from stone_submissions.validation import validate
 from testing.api.serving import Person, client_of, person, serving
 from testing.stone_serve import until
 from testing.worlds import made
+from testing.worlds.made import frame_labels, labels
+from tests.stone_client.participating import ingesting, refused, stone
 from tests.working import working
 
 PASSWORD = "correct horse battery staple"
@@ -32,54 +42,6 @@ PASSWORD = "correct horse battery staple"
 
 class MuddyError(StoneError):
     code = "muddy"
-
-
-def stone(*arguments: str | Path, stdin: str = "") -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments], input=stdin)
-
-
-@pytest.fixture
-def owner(platform: Platform) -> Person:
-    return person(platform, "curator", "ada")
-
-
-@pytest.fixture
-def url(platform: Platform) -> Iterator[str]:
-    with serving(platform) as address:
-        yield address
-
-
-@pytest.fixture(autouse=True)
-def nobody(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    for name in ("STONE_URL", "STONE_TOKEN"):
-        monkeypatch.delenv(name, raising=False)
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
-
-
-@pytest.fixture(autouse=True)
-def _silence() -> Iterator[None]:
-    """The server's log lines stay out of the command's stdout: both are in this process."""
-    with capture_logs():
-        yield
-
-
-@pytest.fixture
-def as_owner(url: str, owner: Person, monkeypatch: pytest.MonkeyPatch) -> str:
-    monkeypatch.setenv("STONE_URL", url)
-    monkeypatch.setenv("STONE_TOKEN", owner.secret)
-    return url
-
-
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("recording") / "run.mcap"
-    simulate(path, SimulateOptions(seconds=1.0, channels=16, columns=180, cameras=False))
-    return path
-
-
-def ingesting(platform: Platform) -> AbstractContextManager[None]:
-    """A worker of the queue `ingest` in a thread."""
-    return working(platform, "ingest", handlers)
 
 
 def uploaded(platform: Platform, bag: Path, *options: str) -> Result:
@@ -90,12 +52,6 @@ def uploaded(platform: Platform, bag: Path, *options: str) -> Result:
 def job_of(platform: Platform, owner: Person, kind: str) -> str:
     with platform.database.transaction() as session:
         return enqueue(session, JobSpec(kind), Context(owner.user_id)).id
-
-
-def refused(result: Result) -> str:
-    """The refusal's code; a traceback is none."""
-    assert result.exit_code == 1, (result.stdout, result.stderr, result.exception)
-    return result.stderr.rstrip("\n").splitlines()[-1].partition(":")[0]
 
 
 def test_without_a_login_nothing_is_asked(bag: Path) -> None:
@@ -111,21 +67,6 @@ def test_a_token_that_is_not_known_is_refused(url: str, monkeypatch: pytest.Monk
 def test_a_wrong_password_is_refused_and_nothing_is_kept(url: str, owner: Person, tmp_path: Path) -> None:
     assert refused(stone("login", url, "--name", "ada", "--password-stdin", stdin="guess\n")) == "wrong_password"
     assert not (tmp_path / "configuration").exists()
-
-
-def test_what_is_not_yours_is_not_found(platform: Platform, as_owner: str) -> None:
-    stranger = person(platform, "curator")
-    with client_of(platform) as api:
-        theirs = made.sequence(api, stranger, "secret")
-    assert refused(stone("status", "secret")) == "not_found"
-    assert refused(stone("process", theirs["id"])) == "not_found"
-    assert refused(stone("watch", job_of(platform, stranger, "ingest.register"))) == "not_found"
-    assert "secret" not in stone("status").stdout
-
-
-def test_a_participant_may_not_upload(platform: Platform, url: str, bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
-    assert refused(uploaded(platform, bag, "--server", url)) == "forbidden"
 
 
 def test_a_recording_that_cannot_be_read_is_refused_with_its_own_code(
@@ -170,13 +111,6 @@ def test_a_password_becomes_a_token_that_the_other_commands_use(platform: Platfo
     assert signed_in.exit_code == 0, signed_in.stderr
     assert json.loads(signed_in.stdout)["scopes"] == ["read", "submit", "upload"]
     assert json.loads(stone("status", "--json").stdout) == {"sequences": []}
-
-
-def test_a_token_can_be_given_instead(url: str, owner: Person) -> None:
-    signed_in = stone("login", url, "--token-stdin", stdin=owner.secret + "\n")
-    assert signed_in.exit_code == 0, signed_in.stderr
-    assert signed_in.stdout.startswith(f"ada (curator) at {url}")
-    assert stone("status").exit_code == 0
 
 
 def test_an_upload_makes_the_sequence_and_says_what_comes_next(platform: Platform, as_owner: str, bag: Path) -> None:
@@ -246,3 +180,82 @@ def test_labels_arrive_as_they_are_on_the_server(
         assert (tmp_path / "labels" / "gts" / "forest" / token / "labels.npz").read_bytes() == content
     assert stone("download", "forest", "-o", tmp_path / "labels").exit_code == 0, "an earlier label set is replaced"
     assert refused(stone("download", "forest", "-o", tmp_path)) == "output_exists"
+
+
+@pytest.mark.usefixtures("as_owner")
+def test_events_are_chosen_by_channel_and_taken_back(platform: Platform, owner: Person) -> None:
+    assert stone("notifications", "on", "run.failed", "phase.opened", "--by", "email").exit_code == 0
+    assert stone("notifications", "on", "quota.low", "--by", "webhook").exit_code == 0
+    told = stone("notifications", "off", "phase.opened", "--by", "email")
+    assert told.exit_code == 0
+    with platform.database.reading() as session:
+        assert choices_of(session, owner.user_id) == {"email": ["run.failed"], "webhook": ["quota.low"]}
+    listed = json.loads(stone("notifications", "list", "--json").stdout)
+    assert (listed["email"], listed["webhook"]) == (["run.failed"], ["quota.low"])
+    assert json.loads(stone("notifications", "deliveries", "--json").stdout) == {"deliveries": []}
+
+
+@pytest.mark.parametrize(
+    ("named", "place"),
+    [("latest", 0), ("latest~1", 1), ("latest~0", 0), ("newest", None), ("latest~", None), ("", None)],
+)
+def test_a_name_by_age_is_a_place_from_the_newest(named: str, place: int | None) -> None:
+    assert place_from_newest(named) == place
+
+
+def test_label_sets_are_named_by_id_or_by_age_and_any_other_name_is_refused(platform: Platform) -> None:
+    curator = person(platform, "curator")
+    with serving(platform) as url, Api(Server(url, curator.secret)) as api:
+        made = api.create("/sequences", {"name": "forest"})
+        earlier = labels(platform, made, contents=[frame_labels(1)] * 2, seed=b"earlier")
+        later = labels(platform, made, contents=[frame_labels(2)] * 2, seed=b"later")
+        assert [one["id"] for one in label_sets_of(api, made["id"])] == [later.id, earlier.id]
+        for named in ("latest~2", "yesterday's"):
+            with pytest.raises(NoLabelSetError, match=r"expected is an id, or latest, .* of the 2 of this sequence"):
+                compare_label_sets(api, made, ("latest", named), lambda *_: None)
+        with working(platform, "eval", handlers):
+            compared = compare_label_sets(api, made, ("latest", earlier.id), lambda *_: None)
+        assert (compared["a_id"], compared["b_id"], compared["record"]["frames"]) == (later.id, earlier.id, 2)
+
+
+@pytest.mark.parametrize(("role", "administers"), [("administrator", True), ("curator", False)])
+def test_the_benchmark_is_made_by_whoever_may_administrate(platform: Platform, role: str, administers: bool) -> None:
+    somebody = person(platform, role)
+    with serving(platform) as url:
+        place = demo_server_of(Server(url, somebody.secret))
+        assert place.server == Server(url, somebody.secret)
+        with place.administering() as api:
+            assert (api is not None) == administers
+            if api is not None:
+                assert api.read("/me")["role"] == role
+
+
+def test_the_runs_have_their_conditions_and_no_rule_of_the_splits_is_broken() -> None:
+    runs = demo_runs(SimulateOptions())
+    catalogue = tuple(
+        CatalogueEntry(
+            run.name,
+            run.name,
+            run.conditions["environment"],
+            run.conditions["illumination"],
+            run.conditions["region"],
+            run.simulation.seconds,
+            frames=1,
+        )
+        for run in runs
+    )
+    parts = {part: tuple(run.name for run in runs if run.part == part) for part in (TRAIN, VAL)}
+    assert {part: len(names) for part, names in parts.items()} == {TRAIN: 1, VAL: 2}
+    assert all(all(run.conditions.values()) for run in runs)
+    assert [one for one in check_split(Split(**parts), catalogue) if one.severity == "error"] == []
+
+
+def test_a_run_that_is_too_short_for_a_split_stays_alone() -> None:
+    assert [run.name for run in demo_runs(SimulateOptions(seconds=2.0))] == ["demo"]
+
+
+def test_flat_ground_is_a_valid_submission(tmp_path: Path) -> None:
+    tokens = tuple(f"{number:032x}" for number in range(3))
+    write_manifest(tmp_path / "manifest.json", Manifest({"demo-dusk": tokens}))
+    write_flat_ground(tmp_path / "manifest.json", tmp_path / "flat.zip")
+    assert validate(tmp_path / "flat.zip", tmp_path / "manifest.json").ok

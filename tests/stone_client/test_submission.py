@@ -2,50 +2,27 @@
 
 import hashlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
 import pytest
 from sqlalchemy import select
-from structlog.testing import capture_logs
 from typer.testing import Result
 
 from services.runtime.orm import SubmissionRow, Upload
-from services.runtime.orm.base import now_ns
 from stone_client.api import Api
-from stone_client.credentials import choose_server
 from stone_client.files import tus
 from stone_client.server import submission as submitting
 from testing.api.serving import person
-from testing.worlds.benchmark_world import World, predicted, run_eval, submission_zip
+from testing.worlds.benchmark_world import predicted, submission_zip
 from tests.stone_client.participating import (
     Served,
     answered,
-    changed_phase,
-    joined,
     refused,
     scoring,
-    serving_world,
     stone,
     zipped,
 )
-
-
-@pytest.fixture(scope="module")
-def _world(tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[World, str]]:
-    with serving_world(tmp_path_factory.mktemp("world")) as served:
-        yield served
-
-
-@pytest.fixture
-def served(_world: tuple[World, str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Iterator[Served]:
-    made = joined(*_world)
-    monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "configuration"))
-    monkeypatch.setenv("STONE_URL", made.url)
-    monkeypatch.setenv("STONE_TOKEN", made.captain.secret)
-    with capture_logs():
-        yield made
 
 
 def options(served: Served, part: str = "val") -> tuple[str, ...]:
@@ -101,16 +78,6 @@ def test_a_file_that_is_only_checked_costs_nothing(served: Served, tmp_path: Pat
         assert session.scalars(kind).one() == "validation"
     entered = answered("submit", path, *options(served, "test"), "--no-wait")
     assert (entered["kind"], served.count(SubmissionRow)) == ("entry", 2), "the same file is an entry besides"
-
-
-def test_without_waiting_it_says_where_to_look(served: Served, tmp_path: Path) -> None:
-    result = stone("submit", zipped(served, tmp_path / "sub.zip"), *options(served), "--no-wait")
-    assert result.exit_code == 0, result.stderr
-    submission_id = result.stdout.split()[1]
-    assert result.stdout == f"submission {submission_id} queued\nNext: stone results {submission_id}\n"
-    assert refused(stone("results", submission_id)) == "not_scored"
-    run_eval(served.platform)
-    assert stone("results", submission_id).exit_code == 0
 
 
 class PowerCutError(Exception):
@@ -190,31 +157,6 @@ def test_a_team_mate_goes_on_where_the_captain_left(
     assert json.loads(sent(served, path, "--json").stdout)["id"] == first
 
 
-def test_a_submission_that_is_cancelled_meanwhile_ends_with_1(served: Served, tmp_path: Path) -> None:
-    path = zipped(served, tmp_path / "sub.zip")
-    submission = json.loads(stone("submit", path, *options(served), "--no-wait", "--json").stdout)
-    with Api(choose_server()) as api:
-        api.create(f"/submissions/{submission['id']}/cancel", {"reason": "no"})
-        with pytest.raises(submitting.SubmissionEndedError, match="cancelled"):
-            submitting.settled(api, submission, lambda stage, done, total: None)
-
-
-def test_a_quota_that_is_used_up_says_when_the_next_is_free(served: Served, tmp_path: Path) -> None:
-    path = zipped(served, tmp_path / "a.zip", "test")
-    with changed_phase(served, "test", scorings_per_window=1):
-        assert stone("submit", path, *options(served, "test"), "--no-wait").exit_code == 0
-        result = stone("submit", path, *options(served, "test"), "--no-wait", "--again")
-    assert refused(result) == "scorings_exhausted"
-    assert "1 of 1 submissions within 7 days" in result.stderr
-    assert "the next one is available at" in result.stderr
-
-
-def test_a_phase_that_is_closed_takes_nothing(served: Served, tmp_path: Path) -> None:
-    path = zipped(served, tmp_path / "sub.zip")
-    with changed_phase(served, "val", closes_ns=now_ns() - 1):
-        assert refused(stone("submit", path, *options(served))) == "phase_closed"
-
-
 def test_what_is_not_there_or_not_yours_is_refused_before_a_byte_is_sent(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
     method = ("--method", "GroundNet", "--modality", "L")
@@ -235,12 +177,3 @@ def test_what_cannot_be_said_is_a_usage_error(served: Served, tmp_path: Path) ->
     (tmp_path / "page.txt").write_text("a" * 20_001)
     assert stone("submit", path, *options(served), "--description", tmp_path / "page.txt").exit_code == 2
     assert stone("submit", tmp_path / "none.zip", *options(served)).exit_code == 2
-
-
-def test_a_baseline_is_for_organisers(served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    path = zipped(served, tmp_path / "sub.zip")
-    assert refused(stone("submit", path, *options(served), "--baseline")) == "forbidden"
-    monkeypatch.setenv("STONE_TOKEN", served.world.administrator.secret)
-    assert stone("teams", "create", "Organisers").exit_code == 0
-    said = (*served.at("val"), "--team", "organisers", "--method", "G", "--modality", "L", "--baseline", "--no-wait")
-    assert answered("submit", path, *said)["kind"] == "baseline"

@@ -1,62 +1,26 @@
-"""What is asked wrongly is a usage error, exit code 2, before any work."""
+"""The command line itself: usage, refusals, the list of commands, and how far something is."""
 
+import errno
+import json
+import sys
 from pathlib import Path
 
 import pytest
+import typer
 from typer.testing import CliRunner, Result
 
-from stone_client.main import app
-
-LOCAL = ["simulate", "inspect", "label", "export", "baseline", "validate", "score", "demo", "calibration"]
-ON_A_SERVER = [
-    "serve",
-    "login",
-    "upload",
-    "import",
-    "process",
-    "watch",
-    "status",
-    "exports",
-    "notifications",
-    "download",
-    "statistics",
-    "splits",
-    "datasets",
-    "benchmarks",
-    "teams",
-    "manifest",
-    "inputs",
-    "submit",
-    "results",
-    "leaderboard",
-    "compare",
-    "withdraw",
-    "reported",
-]
-COMMANDS = [*LOCAL, *ON_A_SERVER]
+from stone.errors import StoneError, one_line
+from stone_client.lazy_commands import CommandPlace, LazyCommands
+from stone_client.main import COMMANDS, PANELS
+from stone_client.progress import reported
+from stone_client.refusals import RefusingGroup
+from stone_client.streams import JsonOption
+from stone_local.models.prediction_pace import PredictionPace
+from tests.stone_client.participating import stone
 
 
-def stone(*arguments: str | Path) -> Result:
-    return CliRunner().invoke(app, [str(argument) for argument in arguments])
-
-
-def test_help_names_every_command_that_exists() -> None:
-    result = stone("--help")
-    assert result.exit_code == 0
-    for command in COMMANDS:
-        assert command in result.stdout
-
-
-@pytest.mark.parametrize("command", COMMANDS)
-def test_every_command_explains_itself(command: str) -> None:
-    result = stone(command, "--help")
-    assert result.exit_code == 0
-    assert "--help" in result.stdout
-
-
-@pytest.mark.parametrize(
-    "arguments",
-    [
+def test_wrong_usage_is_exit_code_2(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    for arguments in [
         [],
         ["inspect"],
         ["inspect", "absent.mcap"],
@@ -79,25 +43,134 @@ def test_every_command_explains_itself(command: str) -> None:
         ["exports", "run", "--format", "obj"],
         ["serve", "--port", "65536"],
         ["serve", "--workers", "0"],
-    ],
-    ids=" ".join,
+    ]:
+        monkeypatch.chdir(tmp_path)
+        assert stone(*arguments).exit_code == 2
+        assert list(tmp_path.iterdir()) == []
+
+
+class MuddyError(StoneError):
+    code = "muddy"
+
+
+def run_raising(error: BaseException, *options: str) -> Result:
+    app = typer.Typer(cls=RefusingGroup, pretty_exceptions_enable=False)
+
+    @app.command()
+    def drive(as_json: JsonOption = False) -> None:
+        raise error
+
+    @app.command()
+    def park() -> None:
+        raise error
+
+    return CliRunner().invoke(app, ["drive", *options])
+
+
+def test_a_stone_error_is_one_line_on_stderr_and_exit_code_1() -> None:
+    result = run_raising(MuddyError("the ditch is 2 m deep; at most 0.3 m can be crossed"))
+    assert result.exit_code == 1
+    assert result.stderr == "muddy: the ditch is 2 m deep; at most 0.3 m can be crossed\n"
+    assert result.stdout == ""
+
+
+def test_under_json_the_same_refusal_is_an_object_on_stdout() -> None:
+    result = run_raising(MuddyError("stuck"), "--json")
+    assert result.exit_code == 1
+    assert result.stderr == "muddy: stuck\n"
+    expected = {"code": "muddy", "severity": "error", "topic": "", "message": "stuck"}
+    assert json.loads(result.stdout) == {"findings": [expected]}
+
+
+def test_a_hostile_name_cannot_write_on_the_terminal() -> None:
+    result = run_raising(MuddyError("file '\x1b[2Jname\nmuddy: second line\u202e' is bad"))
+    assert result.stderr == "muddy: file '\\x1b[2Jname\\nmuddy: second line\\u202e' is bad\n"
+
+
+@pytest.mark.parametrize(
+    ("number", "code"), [(errno.EACCES, "not_permitted"), (errno.EROFS, "not_permitted"), (errno.ENOSPC, "disk_full")]
 )
-def test_wrong_usage_is_exit_code_2(arguments: list[str], tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.chdir(tmp_path)
-    assert stone(*arguments).exit_code == 2
-    assert list(tmp_path.iterdir()) == []
+def test_what_the_machine_refuses_is_one_line_too(number: int, code: str) -> None:
+    result = run_raising(OSError(number, "says the kernel", "out/labels"))
+    assert result.exit_code == 1
+    assert result.stderr == f"{code}: out/labels: says the kernel\n"
 
 
-def test_a_missing_calibration_is_usage(tmp_path: Path) -> None:
-    bag = tmp_path / "run.mcap"
-    bag.write_bytes(b"")
-    result = stone("label", bag, "--calibration", tmp_path / "absent.yaml", "-o", tmp_path / "out")
-    assert result.exit_code == 2
-    assert "does not exist" in result.stderr
+@pytest.mark.parametrize("fault", [ValueError("a bug"), OSError(errno.ENOENT, "a file of ours is gone"), MemoryError()])
+def test_a_fault_of_the_program_is_not_swallowed(fault: Exception) -> None:
+    result = run_raising(fault)
+    assert result.exception is fault
+    assert result.stderr == ""
 
 
-def test_an_unknown_profile_is_usage(tmp_path: Path) -> None:
-    for name in ("run.mcap", "rig.yaml"):
-        (tmp_path / name).write_bytes(b"")
-    inputs = (tmp_path / "run.mcap", "--calibration", tmp_path / "rig.yaml", "-o", tmp_path / "out")
-    assert stone("label", *inputs, "--profile", "global").exit_code == 2
+def test_ctrl_c_is_exit_code_130() -> None:
+    assert run_raising(KeyboardInterrupt()).exit_code == 130
+
+
+def test_plain_text_is_not_changed() -> None:
+    assert one_line("δ = 0.2 m, „Grube“ 長い") == "δ = 0.2 m, „Grube“ 長い"
+
+
+@pytest.mark.parametrize("place", COMMANDS, ids=lambda place: place.word)
+def test_the_list_says_what_the_command_says_itself(place: CommandPlace) -> None:
+    outline, command = place.outline(), place.load()
+    assert (outline.name, outline.help, outline.rich_help_panel) == (
+        command.name,
+        command.help,
+        command.rich_help_panel,
+    )
+    assert outline.help
+
+
+def test_every_command_stands_once_below_a_panel_that_help_knows() -> None:
+    words = [place.word for place in COMMANDS]
+    assert len(words) == len(set(words)) > 30
+    assert {place.panel for place in COMMANDS} == set(PANELS)
+
+
+def test_a_command_is_imported_when_it_is_looked_at(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "lazy_dig.py").write_text('def dig() -> None:\n    """Dig a hole."""\n')
+    commands = LazyCommands([CommandPlace("dig", "Garden", "lazy_dig", "dig")], {})
+    assert "dig" in commands
+    assert list(commands) == ["dig"]
+    assert commands.outlines()["dig"].help == "Dig a hole."
+    assert "lazy_dig" not in sys.modules
+    assert commands["dig"].name == "dig"
+    assert "lazy_dig" in sys.modules
+    assert commands["dig"] is commands["dig"]
+    with pytest.raises(KeyError):
+        commands["bury"]
+
+
+@pytest.mark.parametrize("body", ["", "dig = 1", "dig = made()", "dig = made(help=text)"])
+def test_a_command_without_words_of_its_own_is_a_fault(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str
+) -> None:
+    monkeypatch.syspath_prepend(tmp_path)
+    (tmp_path / "lazy_mute.py").write_text(body)
+    with pytest.raises(LookupError):
+        CommandPlace("dig", "Garden", "lazy_mute", "dig").help()
+    with pytest.raises(LookupError):
+        CommandPlace("dig", "Garden", "lazy_absent", "dig").help()
+
+
+def test_without_a_terminal_each_finished_stage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
+    with reported() as progress:
+        for done in range(4):
+            progress("fuse", done, 3)
+        progress("[red]frames", 1, 1)
+    captured = capsys.readouterr()
+    assert captured.err == "fuse 3/3\n[red]frames 1/1\n"
+    assert captured.out == ""
+
+
+def test_it_keeps_up_where_frames_are_predicted_as_fast_as_they_were_recorded() -> None:
+    pace = PredictionPace(done=50, total=100, seconds=5.0, recorded_hz=10.0)
+    assert (pace.frames_per_s, pace.real_time_ratio) == (10.0, 1.0)
+    assert str(pace) == "10.00 frames/s, 1.00 × real time"
+
+
+def test_of_a_single_frame_nobody_knows_how_fast_it_was_recorded() -> None:
+    assert str(PredictionPace(1, 1, 2.0, None)) == "0.50 frames/s"
+    assert PredictionPace(0, 1, 0.0, None).frames_per_s == 0.0

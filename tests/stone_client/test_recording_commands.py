@@ -1,0 +1,324 @@
+"""Recordings by command: inspected, recovered, simulated; with poses of a file, with chosen topics and clocks."""
+
+import json
+import re
+from io import BytesIO, StringIO
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+import typer
+from PIL import Image
+from rich.console import Console
+from rosbags.highlevel import AnyReader
+from typer.testing import Result
+
+from simulator.calibration_yaml import write_calibration
+from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone_client.main import app
+from stone_client.tables import clock_table
+from stone_local.time_offsets import chosen_offsets
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
+from stone_recordings.sync.errors import NoPosedFramesError
+from testing.worlds.pose_files import tum_text
+from tests.stone_client.participating import stone
+from tests.stone_recordings import rigs
+from tests.stone_recordings.report.quality import recordings
+from tests.stone_recordings.report.quality.recordings import ticks
+from tests.stone_recordings.rigs import PERIOD_NS, T0_NS, plain_sweep, written
+
+
+def test_json_is_one_object_with_every_topic(bag: Path) -> None:
+    result = stone("inspect", bag, "--json")
+    assert result.exit_code == 0
+    record = json.loads(result.stdout)
+    assert record["duration_ns"] > 10**9
+    lidar = next(topic for topic in record["topics"] if topic["role"] == "lidar")
+    assert (lidar["type"], lidar["count"]) == ("sensor_msgs/msg/PointCloud2", 10)
+    assert lidar["rate_hz"] == pytest.approx(10.0, abs=0.01)
+    assert {"ins", "imu", "radar", "tf_static"} <= {topic["role"] for topic in record["topics"]}
+    for finding in record["findings"]:
+        assert set(finding) == {"code", "severity", "topic", "message"}
+
+
+def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
+    for content in [
+        b"<!doctype html><title>Sign in</title>",
+        b"",
+        b"\x89MCAP0\r\n",
+        b"\x89MCAP0\r\n" + bytes(500),
+        b"#ROSBAG V2.0\n",
+    ]:
+        (tmp_path / "run.mcap").write_bytes(content)
+        result = stone("inspect", tmp_path / "run.mcap", "--json")
+        assert result.exit_code == 1
+        assert len(result.stderr.splitlines()) == 1
+        assert json.loads(result.stdout)["findings"][0]["severity"] == "error"
+
+
+def test_a_recording_that_was_cut_off_says_where(tmp_path: Path, bag: Path) -> None:
+    whole = bag.read_bytes()
+    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
+    result = stone("inspect", tmp_path / "cut.mcap")
+    assert (result.exit_code, "BAG-010" in result.stderr) == (1, True)
+
+
+def test_with_a_calibration_labelling_is_looked_ahead_to(bag: Path, tmp_path: Path) -> None:
+    rig = calibration_path(bag)
+    plain, checked = stone("inspect", bag, "--json"), stone("inspect", bag, "--json", "--calibration", str(rig))
+    assert (plain.exit_code, checked.exit_code) == (0, 0)
+    codes = [{found["code"] for found in json.loads(one.stdout)["findings"]} for one in (plain, checked)]
+    assert codes[0] <= codes[1]
+    rig_of_nothing = tmp_path / "other.yaml"
+    rig_of_nothing.write_text("stone_calibration: 1\nname: none\n")
+    refused = stone("inspect", bag, "--calibration", str(rig_of_nothing))
+    assert refused.exit_code == 1
+
+
+@pytest.fixture(scope="module")
+def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    path = tmp_path_factory.mktemp("recording") / "$HOME <b>.mcap"
+    return written(path, recordings.clouds(ticks(2, 10)), recordings.solutions(ticks(2, 20), 56))
+
+
+def test_the_page_holds_the_score_and_the_pictures_and_json_the_numbers(drive: Path, tmp_path: Path) -> None:
+    result = stone("inspect", drive, "--html", str(tmp_path / "out.html"), "--json")
+    assert result.exit_code == 0, result.output
+    quality = json.loads(result.stdout)["quality"]
+    page = (tmp_path / "out.html").read_text("utf-8")
+    assert f"Quality {quality['score']} of 100" in page
+    assert page.count('<img src="data:image/png;base64,') == 2
+    assert "$HOME &lt;b&gt;.mcap" in page
+    assert [path.name for path in tmp_path.iterdir()] == ["out.html"]
+
+
+def test_a_topic_that_lies_is_an_error_once_it_is_looked_at(tmp_path: Path) -> None:
+    lies = [recordings.picture("/camera/front/image", int(stamp), b"no picture") for stamp in ticks(1, 10)]
+    path = written(tmp_path / "run.mcap", lies, recordings.clouds(ticks(1, 10)))
+    assert stone("inspect", path).exit_code == 0
+    result = stone("inspect", path, "--html", str(tmp_path / "out.html"))
+    assert result.exit_code == 1
+    assert "/camera/front/image: 10 of 10 sampled messages are left out" in result.stderr
+    assert (tmp_path / "out.html").is_file()
+
+
+def test_what_is_no_recording_leaves_no_page(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"no recording")
+    result = stone("inspect", tmp_path / "run.mcap", "--html", str(tmp_path / "out.html"))
+    assert result.exit_code == 1
+    assert not (tmp_path / "out.html").exists()
+
+
+@pytest.fixture
+def cut(bag: Path, tmp_path: Path) -> Path:
+    (tmp_path / "cut").mkdir()
+    whole = bag.read_bytes()
+    (tmp_path / "cut" / "run.mcap").write_bytes(whole[: len(whole) * 4 // 5])
+    return tmp_path / "cut" / "run.mcap"
+
+
+def test_a_cut_recording_is_refused_recovered_and_then_inspected(cut: Path, tmp_path: Path) -> None:
+    out = tmp_path / "new" / "recovered.mcap"
+    refused = stone("inspect", cut)
+    assert refused.exit_code == 1
+    assert "BAG-010" in refused.stderr
+    recovered = stone("recover", cut, "-o", out)
+    assert recovered.exit_code == 0
+    assert recovered.stdout.strip() == str(out)
+    assert recovered.stderr.startswith("warning: BAG-010: run.mcap was cut off at byte ")
+    inspected = json.loads(stone("inspect", out, "--json").stdout)
+    assert sum(topic["count"] for topic in inspected["topics"]) > 50
+    assert "BAG-011" not in [finding["code"] for finding in inspected["findings"]]
+
+
+def test_the_recording_itself_is_never_written_over(cut: Path) -> None:
+    before = cut.read_bytes()
+    result = stone("recover", cut, "-o", cut)
+    assert result.exit_code == 1
+    assert result.stderr.startswith("BAG-026: run.mcap is the original")
+    assert cut.read_bytes() == before
+
+
+def test_pictures_are_of_the_asked_size_detail_and_light_and_so_is_the_calibration(tmp_path: Path) -> None:
+    bag, truth = tmp_path / "run.mcap", tmp_path / "truth"
+    cameras = ("--camera-width", "96", "--camera-detail", "full", "--illumination", "night")
+    made = stone("simulate", bag, "--seconds", "0.3", "--channels", "4", "--columns", "24", "--truth", truth, *cameras)
+    assert made.exit_code == 0, made.stderr
+    options = json.loads((truth / "world.json").read_text("utf-8"))["options"]
+    assert (options["camera_detail"], options["illumination"]) == ("full", "night")
+    calibration, _ = read_calibration(calibration_path(bag))
+    assert {mount.intrinsics.width_px for mount in calibration.mounts if mount.intrinsics} == {96}
+    with AnyReader([bag]) as reader:
+        links = [link for link in reader.connections if link.topic.endswith("/compressed")]
+        pictures = [reader.deserialize(raw, link.msgtype).data for link, _, raw in reader.messages(links)]
+    assert {Image.open(BytesIO(picture.tobytes())).size for picture in pictures} == {(96, 60)}
+
+
+@pytest.mark.parametrize(("option", "word"), [("--illumination", "noon"), ("--camera-detail", "fine")])
+def test_a_word_that_is_not_known_is_refused_with_those_that_are(option: str, word: str, tmp_path: Path) -> None:
+    refused = stone("simulate", tmp_path / "run.mcap", option, word)
+    assert refused.exit_code == 1
+    assert f"is '{word}'; it must be one of" in refused.stderr
+    assert not list(tmp_path.iterdir())
+
+
+STAMPS_NS = T0_NS + np.arange(8) * PERIOD_NS
+
+
+@pytest.fixture
+def plain(tmp_path: Path) -> Path:
+    return written(tmp_path / "run.mcap", [plain_sweep(int(stamp)) for stamp in STAMPS_NS])
+
+
+def test_inspect_takes_a_file_for_a_source_of_poses(plain: Path, tmp_path: Path) -> None:
+    assert "TOP-103" in stone("inspect", plain).stderr
+    poses = tmp_path / "poses.txt"
+    poses.write_text(tum_text(STAMPS_NS, rigs.world_from_ego(STAMPS_NS)))
+    told = stone("inspect", plain, "--poses", poses, "--poses-frame", "base_link")
+    assert (told.exit_code, "TOP-103" in told.stderr, "SYN-5" in told.stderr) == (0, False, False)
+
+
+def test_a_bad_line_is_named(plain: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.txt"
+    poses.write_text("1 2 3\n")
+    assert "SYN-516: poses.txt, line 1: the line has 3 words" in stone("inspect", plain, "--poses", poses).stderr
+
+
+def test_a_calibration_is_checked_with_the_poses_of_a_file(plain: Path, tmp_path: Path) -> None:
+    calibration, poses = tmp_path / "rig.yaml", tmp_path / "poses.txt"
+    write_calibration(rigs.calibration(), calibration)
+    check = ("calibration", "check", calibration, "--bag", plain, "--poses", poses, "--poses-frame")
+    poses.write_text(tum_text(STAMPS_NS, rigs.world_from_ego(STAMPS_NS)))
+    assert "SYN-5" not in stone(*check, "base_link").stderr
+    assert "SYN-517: poses.txt: unknown frame 'chassis'" in stone(*check, "chassis").stderr
+
+
+def test_a_file_and_a_topic_are_not_taken_together(plain: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.txt"
+    poses.write_text("")
+    calibration = tmp_path / "rig.yaml"
+    calibration.write_text("")
+    label = ("label", plain, "--calibration", calibration, "-o", tmp_path / "labels")
+    refused = stone(*label, "--poses", poses, "--odometry", "/odom")
+    assert refused.exit_code == 2
+    assert "--poses" in refused.stderr
+
+
+FRONT = "/camera/front/image/compressed"
+
+
+@pytest.fixture(scope="module")
+def rig_drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    bag = tmp_path_factory.mktemp("rig_drive") / "run.mcap"
+    simulate(bag, SimulateOptions(seconds=0.5, channels=8, columns=48, camera_width_px=32, world_width_m=30.0))
+    return bag
+
+
+def channels(result: Result) -> dict[str, str]:
+    found: dict[str, str] = json.loads(result.stdout)["channels"]
+    return found
+
+
+def test_the_whole_rig_is_resolved_and_shown(rig_drive: Path) -> None:
+    resolved = channels(stone("inspect", rig_drive, "--json"))
+    assert resolved["CAM_FRONT"] == FRONT
+    assert set(resolved) == {
+        "lidar", "pose", "imu", "RADAR_FRONT", "RADAR_LEFT", "RADAR_RIGHT", "CAM_FRONT", "CAM_FRONT_LEFT",
+        "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT",
+    }  # fmt: skip
+    assert "camera (CAM_FRONT)" in stone("inspect", rig_drive).stdout
+
+
+def test_a_choice_is_saved_and_used_for_the_next_recording(rig_drive: Path, tmp_path: Path) -> None:
+    saved = tmp_path / "rover.yaml"
+    first = stone("inspect", rig_drive, "--topic", f"CAM_BACK={FRONT}", "--save-topics", saved, "--json")
+    assert channels(first)["CAM_BACK"] == FRONT
+    assert "CAM_FRONT" not in channels(first)
+    assert channels(stone("inspect", rig_drive, "--topics", saved, "--json")) == channels(first)
+    mended = stone("inspect", rig_drive, "--topics", saved, "--topic", f"CAM_FRONT={FRONT}", "--json")
+    assert channels(mended)["CAM_FRONT"] == FRONT
+
+
+def test_a_choice_that_the_recording_does_not_bear_out_is_said(rig_drive: Path) -> None:
+    result = stone("inspect", rig_drive, "--topic", "lidar=/imu/data")
+    assert "TOP-111" in result.stderr
+    assert channels(stone("inspect", rig_drive, "--topic", "lidar=/imu/data", "--json"))["lidar"] == "/lidar_points"
+
+
+def test_a_part_there_is_none_is_refused_by_name(rig_drive: Path, tmp_path: Path) -> None:
+    result = stone("inspect", rig_drive, "--topic", "sonar=/lidar_points")
+    assert (result.exit_code, "sonar" in result.stderr) == (1, True)
+    (tmp_path / "no.yaml").write_text("- nothing\n")
+    assert "TOP-114" in stone("inspect", rig_drive, "--topics", tmp_path / "no.yaml").stderr
+
+
+def test_labels_are_refused_a_topic_that_cannot_give_poses(rig_drive: Path, tmp_path: Path) -> None:
+    rig = rig_drive.with_name("run.calibration.yaml")
+    asked = ("label", rig_drive, "--calibration", rig, "-o", tmp_path / "labels", "--topic", "pose=/imu/data")
+    result = stone(*asked)
+    assert result.exit_code == 1
+    assert "TOP-104" in result.stderr
+    assert "/imu/data" in result.stderr
+
+
+def test_offsets_are_read_to_the_nanosecond_in_every_unit() -> None:
+    assert chosen_offsets(["lidar=-18s", "pose=12.5ms"]) == {"lidar": -18 * 10**9, "pose": 12_500_000}
+    assert chosen_offsets(["lidar=+0.000000001s"]) == {"lidar": 1}
+    assert chosen_offsets(["pose=7us", "pose=3ns"]) == {"pose": 3}
+    assert chosen_offsets([]) == {}
+
+
+@pytest.mark.parametrize("choice", ["lidar", "lidar=18", "camera=1s", "lidar=1e3s", "lidar=1m", "lidar=nans", "=1s"])
+def test_what_is_no_offset_is_refused_with_how_to_write_one(choice: str) -> None:
+    with pytest.raises(typer.BadParameter, match=r"write lidar=-18s or pose=12\.5ms"):
+        chosen_offsets([choice])
+
+
+def test_more_than_a_quarter_of_an_hour_is_a_slip_of_the_unit() -> None:
+    with pytest.raises(typer.BadParameter, match="is the unit right"):
+        chosen_offsets(["lidar=1001s"])
+
+
+STARTS_S = (18.0, -37.2, 999.9, 7200.0, 0.1, -1.7e9)
+
+
+@pytest.mark.parametrize("apart_s", STARTS_S)
+def test_where_no_sweep_has_a_pose_each_option_named_is_one_of_stone_label(apart_s: float) -> None:
+    sentence = str(NoPosedFramesError("8 pose_gap", (apart_s, apart_s + 1), (0.0, 1.0)))
+    command = typer.main.get_command(app)
+    label = command.get_command(typer.Context(command), "label")  # type: ignore[attr-defined]
+    known = {name for parameter in label.params for name in parameter.opts}
+    named = re.findall(r"--[a-z-]+", sentence)
+    assert "--odometry" in named
+    assert set(named) <= known
+    tried = re.findall(r"--time-offset (\S+)", sentence)
+    assert len(tried) == (0.5 <= abs(apart_s) <= 1000)
+    for choice in tried:
+        assert chosen_offsets([choice]) == {"pose": round(apart_s * 1e9)}
+
+
+def _shown(report: ClockReport) -> str:
+    console = Console(width=120, file=StringIO())
+    with console.capture() as shown:
+        console.print(clock_table(report.as_record()))
+    return shown.get()
+
+
+def _clock(topic: str, **facts: Any) -> TopicClock:
+    return TopicClock(topic, facts.pop("role", "imu"), 10, 10.0, facts.pop("stamp_source", "sensor"), **facts)
+
+
+def test_what_cannot_be_told_is_a_dash() -> None:
+    (row,) = [
+        line for line in _shown(ClockReport((_clock("/tf", stamp_source="recorder"),))).splitlines() if "/tf" in line
+    ]
+    assert row.split() == ["/tf", "recorder", "–", "–", "–", "–", "0", "0"]
+
+
+def test_names_of_topics_are_no_markup() -> None:
+    shown = _shown(ClockReport((_clock("/[bold]x[/bold]"),), ImuLag("/[red]i", "/[/red]r", 0, 0, 1.0)))
+    assert "/[bold]x[/bold]" in shown
+    assert "/[red]i" in shown
