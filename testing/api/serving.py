@@ -8,10 +8,11 @@ import asyncio
 import socket
 import threading
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from dataclasses import dataclass
-from typing import Any
+from typing import Any, TypeVar
 
 import httpx
 import uvicorn
@@ -25,6 +26,7 @@ from services.runtime.platform import Platform
 STARTS_WITHIN_S = 300.0
 ENDS_WITHIN_S = 20.0
 ANSWERS_WITHIN_S = 300.0
+Answer = TypeVar("Answer")
 
 
 @dataclass(frozen=True)
@@ -113,3 +115,16 @@ def client_of(platform: Platform, caller: Person | None = None) -> Iterator[http
     with serving(platform) as url, httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) as client:
         client.headers.update(caller.headers if caller else {})
         yield client
+
+
+def at_once(url: str, times: int, ask: Callable[[httpx.Client, int], Answer]) -> list[Answer]:
+    """What is answered to so many who ask at once, each on a connection of their own, none before all are ready."""
+    ready = threading.Barrier(times)
+
+    def asked(number: int) -> Answer:
+        with httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) as client:
+            ready.wait(ANSWERS_WITHIN_S)
+            return ask(client, number)
+
+    with ThreadPoolExecutor(times) as pool:
+        return list(pool.map(asked, range(times)))

@@ -15,12 +15,8 @@ PAPER = {"method": "a method", "modality": "C+L", "source": "somebody, a year, a
 
 def make(api: httpx.Client, caller: Person, version: str, **said: Any) -> httpx.Response:
     body = {
-        "name": "stone",
-        "title": "STONE",
-        "description": "Traversability of voxels\nIn 3D.",
-        "dataset": version,
-        **WHY,
-    }
+        "name": "stone", "title": "STONE", "description": "Traversability of voxels\nIn 3D.", "dataset": version, **WHY,
+    }  # fmt: skip
     return api.post(f"{ADMIN}/benchmarks", json=body | said, headers=caller.headers)
 
 

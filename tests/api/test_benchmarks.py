@@ -202,17 +202,11 @@ def test_who_has_read_the_reported_rows_writes_over_nobody_elses(
 
 
 NO_ROWS: tuple[tuple[dict[str, Any], str], ...] = (
-    ({"miou": 25.0}, "invalid_request"),
-    ({"miou": -0.1}, "invalid_request"),
-    ({"modality": "L+C"}, "invalid_request"),
-    ({"method": ""}, "invalid_request"),
-    ({"source": "a\u200bb"}, "invalid_request"),
-    ({"rank": 1}, "invalid_request"),
-    ({"note": "a\u202eb"}, "invalid_request"),
-    ({"note": "a" * 601}, "invalid_request"),
-    ({"percent_digits": 5}, "invalid_request"),
-    ({}, "reported_twice"),
-)
+    ({"miou": 25.0}, "invalid_request"), ({"miou": -0.1}, "invalid_request"), ({"modality": "L+C"}, "invalid_request"),
+    ({"method": ""}, "invalid_request"), ({"source": "a\u200bb"}, "invalid_request"), ({"rank": 1}, "invalid_request"),
+    ({"note": "a\u202eb"}, "invalid_request"), ({"note": "a" * 601}, "invalid_request"),
+    ({"percent_digits": 5}, "invalid_request"), ({}, "reported_twice"),
+)  # fmt: skip
 
 
 def test_a_row_that_cannot_be_a_result_is_refused(api: httpx.Client, administrator: Person, version: str) -> None:

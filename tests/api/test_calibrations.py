@@ -2,7 +2,6 @@
 
 import io
 import socket
-import threading
 import zipfile
 from collections.abc import Mapping
 from hashlib import sha256
@@ -15,7 +14,7 @@ import pytest
 from api.views import calibration_reading
 from services.runtime.platform import Platform
 from services.runtime.sandbox.result_files import packed
-from testing.api.serving import Person, client_of, person
+from testing.api.serving import Person, at_once, person
 from testing.worlds.made import sequence
 
 URL = "/api/v1/calibrations"
@@ -129,40 +128,17 @@ def test_other_bytes_of_a_name_are_its_next_version_and_the_same_bytes_none(
     assert [item["version"] for item in named] == [2, 1]
 
 
-def test_versions_that_come_at_once_come_one_after_another(platform_on: Platform) -> None:
+def test_versions_that_come_at_once_come_one_after_another(api_on: httpx.Client, platform_on: Platform) -> None:
     ada = person(platform_on, "curator")
-    with client_of(platform_on) as api:
-        versions: list[int] = []
-
-        def add(number: int) -> None:
-            with httpx.Client(base_url=api.base_url, timeout=300) as own:
-                versions.append(kept(own, ada, PLAIN + b"# %d\n" % number)["version"])
-
-        threads = [threading.Thread(target=add, args=(number,)) for number in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert sorted(versions) == [1, 2, 3, 4]
+    made = at_once(str(api_on.base_url), 4, lambda api, number: kept(api, ada, PLAIN + b"# %d\n" % number))
+    assert sorted(item["version"] for item in made) == [1, 2, 3, 4]
 
 
-def test_the_same_bytes_at_once_are_kept_once(platform_on: Platform) -> None:
+def test_the_same_bytes_at_once_are_kept_once(api_on: httpx.Client, platform_on: Platform) -> None:
     ada = person(platform_on, "curator")
-    with client_of(platform_on) as api:
-        answers: list[tuple[int, str]] = []
-
-        def add() -> None:
-            with httpx.Client(base_url=api.base_url, timeout=300) as own:
-                answer = posted(own, ada)
-                answers.append((answer.status_code, answer.json()["id"]))
-
-        threads = [threading.Thread(target=add) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert sorted(status for status, _ in answers) == [200, 200, 200, 201]
-    assert len({made for _, made in answers}) == 1
+    answers = at_once(str(api_on.base_url), 4, lambda api, _: posted(api, ada))
+    assert sorted(answer.status_code for answer in answers) == [200, 200, 200, 201]
+    assert len({answer.json()["id"] for answer in answers}) == 1
 
 
 def test_what_was_mended_is_said(api: httpx.Client, curator: Person) -> None:

@@ -54,14 +54,9 @@ def test_an_import_says_what_it_was_asked_for(platform: Platform, api: httpx.Cli
     made = api.post(PATH, json=body, headers=owner.headers).json()
     told = {name: made[name] for name in ("name", "existing", "classes", "state", "scenes_total", "scenes", "failure")}
     assert told == {
-        "name": "offroad",
-        "existing": "add",
-        "classes": "theirs",
-        "state": "queued",
-        "scenes_total": None,
-        "scenes": [],
-        "failure": None,
-    }
+        "name": "offroad", "existing": "add", "classes": "theirs", "state": "queued", "scenes_total": None,
+        "scenes": [], "failure": None,
+    }  # fmt: skip
     assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json() == made
     assert api.get(f"/api/v1/jobs/{made['job_id']}", headers=owner.headers).json()["kind"] == "dataset.import"
     with platform.database.reading() as session:

@@ -11,7 +11,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import select
 
 from services.runtime.access import storage_quota
 from services.runtime.orm import AuditEntry, Blob, Export, ExportPack, Job, SequenceRow
@@ -253,20 +253,6 @@ def test_a_deleted_export_gives_everything_back(
         assert storage_quota.balance(session, curator.user_id) == 0
         acts = session.scalars(select(AuditEntry.act).where(AuditEntry.subject_id == made.rpartition("/")[2])).all()
     assert acts == ["export.delete"]
-
-
-def test_a_collection_leaves_exports_and_a_deleted_sequence_has_none(
-    api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any], made: str
-) -> None:
-    collect_all(platform)
-    assert unpacked(ask(api, curator, f"{made}/archive").content, "tar").keys() == {*FILES, "sha256sum.txt"}
-    etag = api.get(f"{URL}/{forest['id']}", headers=curator.headers).headers["ETag"]
-    assert api.delete(f"{URL}/{forest['id']}", headers=curator.headers | {"If-Match": etag}).status_code == 204
-    collect_all(platform)
-    with platform.database.reading() as session:
-        assert session.scalar(select(func.count()).select_from(Export)) == 0
-        assert session.scalar(select(func.count()).select_from(ExportPack)) == 0
-        assert storage_quota.balance(session, curator.user_id) == 0
 
 
 def test_deleting_an_export_stops_its_job(

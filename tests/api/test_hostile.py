@@ -33,12 +33,9 @@ BODIES = (b"[" * 100_000, b'{"a":' * 100_000, b'{"name":NaN}', b'{"name":1e999}'
           b'{"name":"\xed\xa0\x80"}', b'{"":1}')  # fmt: skip
 NUL_NAME = b'Content-Disposition: form-data; name="file"; filename="a\0b"'
 FORMS = (
-    b"garbage" * 100,
-    b"--B\r\n",
-    b"--B\r\n" + NUL_NAME + b"\r\n\r\nx\r\n--B--",
-    b"--B\r\nX: y\r\n\r\nabc\r\n--B--\r\n",
+    b"garbage" * 100, b"--B\r\n", b"--B\r\n" + NUL_NAME + b"\r\n\r\nx\r\n--B--", b"--B\r\nX: y\r\n\r\nabc\r\n--B--\r\n",
     b"--B\r\n" + b"X: y\r\n" * 5000,
-)
+)  # fmt: skip
 
 
 class Wire:

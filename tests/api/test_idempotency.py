@@ -1,6 +1,5 @@
 """A creating request sent twice creates once, whatever happens between the two."""
 
-import threading
 from collections.abc import Iterator
 from typing import Any
 
@@ -17,7 +16,7 @@ from api.middleware.kept_replies import KEPT_NS, IdempotentRequest, StoredReply
 from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply, Team
 from services.runtime.platform import Platform
-from testing.api.serving import Person, person, serving
+from testing.api.serving import Person, at_once, person, serving
 
 TEAMS = "/api/v1/teams"
 Faulty = tuple[httpx.Client, list[str]]
@@ -105,19 +104,7 @@ def test_a_secret_is_not_kept_and_its_repetition_says_so(api: httpx.Client, plat
 
 
 def test_of_twenty_equal_requests_at_once_one_creates(api_on: httpx.Client, platform_on: Platform, ada: Person) -> None:
-    answers: list[httpx.Response] = []
-    together = threading.Barrier(20)
-
-    def ask() -> None:
-        with httpx.Client(base_url=api_on.base_url, timeout=300) as client:
-            together.wait(300)
-            answers.append(found(client, ada, "k"))
-
-    threads = [threading.Thread(target=ask) for _ in range(20)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
+    answers = at_once(str(api_on.base_url), 20, lambda client, _: found(client, ada, "k"))
     assert teams_in(platform_on) == 1
     fresh = [answer for answer in answers if answer.status_code == 201 and "idempotency-replayed" not in answer.headers]
     assert len(fresh) == 1
@@ -252,11 +239,3 @@ def test_a_day_later_the_key_is_free(api: httpx.Client, platform: Platform, lone
         session.execute(update(IdempotentReply).values(created_ns=IdempotentReply.created_ns - KEPT_NS - 10**9))
     assert found(api, lone, "k", name="them").status_code == 201
     assert len(rows_in(platform)) == 1
-
-
-def test_a_form_is_known_by_its_head(api: httpx.Client, platform: Platform, lone: Person) -> None:
-    headers = {**lone.headers, "Idempotency-Key": "k"}
-    file = {"file": ("unit.yaml", b"not a calibration", "application/yaml")}
-    first = api.post("/api/v1/calibrations", files=file, headers=headers)
-    assert first.status_code == 422
-    assert rows_in(platform) == []

@@ -11,7 +11,6 @@ import pytest
 from PIL import Image
 from sqlalchemy import select
 
-from services.runtime.jobs.control import cancel
 from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelledFrameRow, LabelSet, new_id
 from services.runtime.platform import Platform
 from stone_files.npz import npz_bytes
@@ -90,29 +89,6 @@ def test_a_comparison_is_counted_once_and_says_what_differs(
     assert record["least_alike"] == [{"token": forest.tokens[0], "agreement_ratio": pytest.approx(2 / 3)}]
     assert ask(api, curator, forest).json()["comparison"] == shown
     assert api.get(forest.url, headers=curator.headers).json()["items"] == [shown]
-
-
-def test_exchanged_label_sets_are_another_comparison_with_the_same_ratios(
-    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
-) -> None:
-    forth = ask(api, curator, forest).json()["comparison"]["id"]
-    back = ask(api, curator, forest, a_id=forest.b_id, b_id=forest.a_id).json()["comparison"]["id"]
-    run_eval(platform)
-    one, other = (api.get(f"{forest.url}/{found}", headers=curator.headers).json()["record"] for found in (forth, back))
-    assert forth != back
-    assert one["all_voxels"]["ratios"] == other["all_voxels"]["ratios"]
-    assert np.array_equal(one["all_voxels"]["confusion"], np.transpose(other["all_voxels"]["confusion"]))
-
-
-def test_a_comparison_whose_job_was_cancelled_is_tried_again(
-    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
-) -> None:
-    first = ask(api, curator, forest).json()
-    with platform.database.transaction() as session:
-        cancel(session, first["job"]["id"], "changed my mind")
-    second = ask(api, curator, forest).json()
-    assert (second["comparison"]["id"], second["comparison"]["state"]) == (first["comparison"]["id"], "queued")
-    assert second["job"]["id"] != first["job"]["id"]
 
 
 def test_frames_are_those_of_equal_stamps_in_whole_microseconds(

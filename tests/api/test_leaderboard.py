@@ -151,14 +151,10 @@ def test_a_comparison_says_whether_it_is_more_than_chance(api: httpx.Client, pla
     hidden = answered(look.read(f"{look.path}/compare", look.member, a=look.mine, b=look.theirs))
     assert hidden["is_withheld"]
     assert hidden["ratios"]["miou"] == {
-        "a": round(miou["a"], 4),
-        "b": round(miou["b"], 4),
-        "difference": round(round(miou["a"], 4) - round(miou["b"], 4), 4),
-        "these_places": None,
-        "new_place": None,
-        "silences": None,
-        "sign_flip": None,
-    }
+        "a": round(miou["a"], 4), "b": round(miou["b"], 4),
+        "difference": round(round(miou["a"], 4) - round(miou["b"], 4), 4), "these_places": None, "new_place": None,
+        "silences": None, "sign_flip": None,
+    }  # fmt: skip
 
 
 def test_what_cannot_be_compared_is_refused(api: httpx.Client, platform: Platform) -> None:

@@ -99,13 +99,9 @@ def test_an_administrator_is_told_so_the_search_sees(stage: Stage) -> None:
         entry = hidden_scores(session, stage.world)[0].submission_id
     token = next(iter(stage.world.truth("test")))
     routes = (
-        f"/frames/{token}/labels.npz",
-        f"/frames/{token}",
-        f"/submissions/{entry}/results",
-        f"/submissions/{entry}/results/breakdowns?by=sequence",
-        "/statistics",
-        f"/sequences/{label_set.sequence_id}",
-    )
+        f"/frames/{token}/labels.npz", f"/frames/{token}", f"/submissions/{entry}/results",
+        f"/submissions/{entry}/results/breakdowns?by=sequence", "/statistics", f"/sequences/{label_set.sequence_id}",
+    )  # fmt: skip
     with client_of(unbound(stage.world.platform), stage.world.administrator) as client:
         for route in routes:
             answer = client.get(f"/api/v1{route}")

@@ -88,14 +88,11 @@ def test_buckets_are_bounded_and_those_used_last_stay(monkeypatch: pytest.Monkey
 @pytest.mark.parametrize(
     ("host", "expected"),
     [
-        ("10.0.0.1", "address 10.0.0.1"),
-        ("::ffff:10.0.0.1", "address 10.0.0.1"),
-        ("2001:db8:1:2:3:4:5:6", "address 2001:db8:1:2::/64"),
-        ("2001:db8:1:2::1", "address 2001:db8:1:2::/64"),
-        ("", "address "),
-        ("/run/socket", "address /run/socket"),
+        ("10.0.0.1", "address 10.0.0.1"), ("::ffff:10.0.0.1", "address 10.0.0.1"),
+        ("2001:db8:1:2:3:4:5:6", "address 2001:db8:1:2::/64"), ("2001:db8:1:2::1", "address 2001:db8:1:2::/64"),
+        ("", "address "), ("/run/socket", "address /run/socket"),
     ],
-)
+)  # fmt: skip
 def test_an_address_counts_as_one_house(host: str, expected: str) -> None:
     assert address_of(request(host)) == expected
 

@@ -19,20 +19,11 @@ from services.runtime.platform import Platform
 from testing.api.serving import client_of
 
 PUBLIC = {
-    ("/healthz", "get"),
-    ("/readyz", "get"),
-    ("/api/v1/problems", "get"),
-    ("/api/v1/problems/{code}", "get"),
-    ("/api/v1/docs", "get"),
-    ("/api/v1/client", "get"),
-    ("/api/v1/sessions", "post"),
-    ("/api/v1/sign-in", "get"),
-    ("/api/v1/sign-in/oidc", "get"),
-    ("/api/v1/sign-in/oidc/callback", "get"),
-    ("/api/v1/device-grants", "post"),
-    ("/api/v1/device-grants/token", "post"),
-    ("/api/v1/uploads", "options"),
-}
+    ("/healthz", "get"), ("/readyz", "get"), ("/api/v1/problems", "get"), ("/api/v1/problems/{code}", "get"),
+    ("/api/v1/docs", "get"), ("/api/v1/client", "get"), ("/api/v1/sessions", "post"), ("/api/v1/sign-in", "get"),
+    ("/api/v1/sign-in/oidc", "get"), ("/api/v1/sign-in/oidc/callback", "get"), ("/api/v1/device-grants", "post"),
+    ("/api/v1/device-grants/token", "post"), ("/api/v1/uploads", "options"),
+}  # fmt: skip
 
 
 @pytest.fixture(scope="module")

@@ -18,6 +18,10 @@ from api import statuses
 from api.errors import ForbiddenError
 from api.main import make_api
 from api.problems import MEDIA_TYPE, Problem, answer_to, title_of
+from services.domain.benchmarks.submissions.errors import PhaseClosedError, ValidationsExhaustedError
+from services.domain.benchmarks.teams.errors import CaptainStaysError, NotMemberError
+from services.domain.benchmarks.teams.names import BadTeamNameError
+from services.domain.sequences.processing_errors import UnknownStagesError
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from stone.errors import StoneError
@@ -287,3 +291,11 @@ def test_the_nearest_class_in_the_table_counts() -> None:
         code = "narrow"
 
     assert answer_to(NarrowError("no")).status_code == 403
+
+
+def test_refusals_that_are_provoked_below_http_have_their_status() -> None:
+    expected = {
+        UnknownStagesError: 422, BadTeamNameError: 422, CaptainStaysError: 409, NotMemberError: 404,
+        PhaseClosedError: 409, ValidationsExhaustedError: 429,
+    }  # fmt: skip
+    assert {kind: statuses.STATUS_OF[kind] for kind in expected} == expected

@@ -1,6 +1,5 @@
 """Recordings: an upload, or several of one bag, becomes one, once, of its owner; several of a run; roles of topics."""
 
-import threading
 from collections.abc import Mapping
 from hashlib import sha256
 from typing import Any
@@ -17,7 +16,7 @@ from services.runtime.platform import Platform
 from services.runtime.store import blobs
 from services.runtime.store.blobs import keep
 from stone_files.bag_files import MOST_FILES
-from testing.api.serving import Person, client_of, person
+from testing.api.serving import Person, at_once, person
 from testing.worlds.made import NOBODY, row_of, sequence, upload
 from testing.worlds.rows import recording_of
 
@@ -64,22 +63,19 @@ def test_a_draining_queue_takes_neither_the_upload_nor_the_job(api: httpx.Client
     assert added(api, ada, made["id"], upload_id).status_code == 202
 
 
-def test_of_requests_that_use_an_upload_at_once_one_does(platform_on: Platform) -> None:
+@pytest.mark.parametrize("is_group", [False, True])
+def test_of_requests_that_use_an_upload_at_once_one_does(
+    api_on: httpx.Client, platform_on: Platform, is_group: bool
+) -> None:
     ada = person(platform_on, "curator")
-    with client_of(platform_on) as api:
-        made, upload_id = sequence(api, ada), upload(platform_on, ada)
-        answers: list[int] = []
+    made, upload_ids = sequence(api_on, ada), uploads(platform_on, ada)
 
-        def add() -> None:
-            with httpx.Client(base_url=api.base_url, timeout=300) as own:
-                answers.append(added(own, ada, made["id"], upload_id).status_code)
+    def use(api: httpx.Client, number: int) -> int:
+        ordered = upload_ids if number % 2 else upload_ids[::-1]
+        body = {"upload_ids": ordered, "name": f"run-{number}"} if is_group else {"upload_id": upload_ids[0]}
+        return sealed(api, ada, made["id"], body).status_code
 
-        threads = [threading.Thread(target=add) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert sorted(answers) == [202, 409, 409, 409]
+    assert sorted(at_once(str(api_on.base_url), 4, use)) == [202, 409, 409, 409]
     with platform_on.database.reading() as session:
         assert session.query(Recording).count() == session.query(Job).count() == 1
 
@@ -221,28 +217,6 @@ def test_somebody_elses_file_in_the_group_does_not_exist(
     answer = sealed(api, curator, forest["id"], {"upload_ids": [*upload_ids, theirs], "name": "run"})
     assert (answer.status_code, answer.json()["code"]) == (404, "upload_missing")
     assert states(platform, [*upload_ids, theirs]) == {"complete"}
-
-
-def test_groups_that_share_a_file_are_sealed_once_however_many_ask(platform_on: Platform) -> None:
-    with client_of(platform_on) as api:
-        ada = person(platform_on, "curator")
-        made, upload_ids = sequence(api, ada), uploads(platform_on, ada)
-        answers: list[int] = []
-
-        def seal(number: int) -> None:
-            ordered = upload_ids if number % 2 else upload_ids[::-1]
-            with httpx.Client(base_url=api.base_url, timeout=300) as own:
-                body = {"upload_ids": ordered, "name": f"run-{number}"}
-                answers.append(sealed(own, ada, made["id"], body).status_code)
-
-        threads = [threading.Thread(target=seal, args=(number,)) for number in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-    assert sorted(answers) == [202, 409, 409, 409]
-    with platform_on.database.reading() as session:
-        assert session.query(Recording).count() == session.query(Job).count() == 1
 
 
 def test_a_body_that_cannot_be_meant_is_refused(api: httpx.Client, curator: Person, forest: Mapping[str, Any]) -> None:

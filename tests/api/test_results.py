@@ -28,15 +28,9 @@ BY = ("sequence", "environment", "illumination", "distance")
 PARTS = ("results", "provenance", "confusions", "results/breakdowns")
 # What of the results' body each field of the table is.
 BODY_OF = {
-    "intervals": "intervals",
-    "support": "support",
-    "confusion": "confusion",
-    "extras": "extras",
-    "within occupied": "within_occupied",
-    "method": "method",
-    "description": "description",
-    "team": "team",
-}
+    "intervals": "intervals", "support": "support", "confusion": "confusion", "extras": "extras",
+    "within occupied": "within_occupied", "method": "method", "description": "description", "team": "team",
+}  # fmt: skip
 
 
 def standing(at: Boarding, name: str) -> None:

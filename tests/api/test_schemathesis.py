@@ -48,15 +48,10 @@ REFUSING = ["400", "401", "403", "404", "405", "409", "412", "413", "415", "416"
 PATIENCE_S = 120.0  # splits proposed for all that was made meanwhile take seconds
 CONFIG = {"request-timeout": PATIENCE_S, "checks": {"negative_data_rejection": {"expected-statuses": REFUSING}}}
 CHECKS = [
-    schemathesis.checks.not_a_server_error,
-    checks.status_code_conformance,
-    checks.content_type_conformance,
-    checks.response_headers_conformance,
-    checks.response_schema_conformance,
-    checks.unsupported_method,
-    checks.allow_header_conformance,
-    checks.negative_data_rejection,
-]
+    schemathesis.checks.not_a_server_error, checks.status_code_conformance, checks.content_type_conformance,
+    checks.response_headers_conformance, checks.response_schema_conformance, checks.unsupported_method,
+    checks.allow_header_conformance, checks.negative_data_rejection,
+]  # fmt: skip
 
 
 @schemathesis.serializer("application/offset+octet-stream")

@@ -1,6 +1,5 @@
 """Sequences: made, seen, changed and deleted; what a list costs; what anybody may have is not put into test unseen."""
 
-import threading
 from collections.abc import Callable, Mapping
 from dataclasses import replace
 from hashlib import sha256
@@ -17,7 +16,7 @@ from services.domain.datasets.queries import dataset_named
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import LabelSet, Phase, Recording, RecordingFile, SequenceRow, SplitMember
 from services.runtime.platform import Platform
-from testing.api.serving import Person, client_of, person
+from testing.api.serving import Person, at_once, person
 from testing.worlds import made
 from testing.worlds.made import NOBODY, labels, row_of, run, sequence, upload
 from testing.worlds.published import published_sequence
@@ -89,23 +88,12 @@ def test_a_name_is_an_owners_own_once(api: httpx.Client, platform: Platform) -> 
     assert (again.status_code, code_of(again)) == (409, "name_taken")
 
 
-def test_of_two_that_take_a_name_at_once_one_gets_it(platform_on: Platform) -> None:
+def test_of_several_that_take_a_name_at_once_one_gets_it(api_on: httpx.Client, platform_on: Platform) -> None:
     ada = person(platform_on, "curator")
-    with client_of(platform_on, ada) as client:
-        answers: list[int] = []
-        gate = threading.Barrier(4)
-
-        def take() -> None:
-            gate.wait()
-            answers.append(httpx.post(f"{client.base_url}{URL}", json={"name": "x"}, headers=ada.headers).status_code)
-
-        threads = [threading.Thread(target=take) for _ in range(4)]
-        for thread in threads:
-            thread.start()
-        for thread in threads:
-            thread.join()
-        assert sorted(answers) == [201, 409, 409, 409]
-        assert len(client.get(URL).json()["items"]) == 1
+    url = str(api_on.base_url)
+    answers = at_once(url, 4, lambda api, _: api.post(URL, json={"name": "x"}, headers=ada.headers).status_code)
+    assert sorted(answers) == [201, 409, 409, 409]
+    assert len(api_on.get(URL, headers=ada.headers).json()["items"]) == 1
 
 
 def test_a_change_says_which_state_it_means(api: httpx.Client, curator: Person, forest: Mapping[str, Any]) -> None:

@@ -222,15 +222,10 @@ def test_the_sums_are_those_of_the_rows(api: httpx.Client, lakes_and_farm: tuple
     shown = api.get(STATISTICS, headers=lakes_and_farm[0].headers).json()
     assert shown["dataset"] is None
     assert shown["total"] == {
-        "sequences": 3,
-        "frames": 9,
-        "duration_s": 75.0,
-        "distance_m": 61.0,
-        "distances_known": 2,
+        "sequences": 3, "frames": 9, "duration_s": 75.0, "distance_m": 61.0, "distances_known": 2,
         "voxels": {"traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
-        "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7},
-        "voxels_known": 2,
-    }
+        "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7}, "voxels_known": 2,
+    }  # fmt: skip
     assert [(one["key"], one["sequences"]) for one in shown["environments"]] == [("farmland", 1), ("lake", 2)]
     assert [(one["key"], one["sequences"]) for one in shown["halves"]] == [("day", 1), ("night", 1), ("", 1)]
     assert [(one["key"], one["sequences"]) for one in shown["regions"]] == [("Seoul", 1), ("", 2)]

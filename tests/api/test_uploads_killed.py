@@ -64,15 +64,11 @@ class Victim:
         """Send the rest from `offset` and kill the API when `kill_at` bytes of the file have left the client."""
         rest = self.content[offset:]
         head = [
-            f"PATCH {self.where} HTTP/1.1",
-            "Host: localhost",
-            "Tus-Resumable: 1.0.0",
-            "Content-Type: application/offset+octet-stream",
-            f"Authorization: Bearer {self.owner.secret}",
-            f"Upload-Offset: {offset}",
-            f"Content-Length: {len(rest)}",
+            f"PATCH {self.where} HTTP/1.1", "Host: localhost", "Tus-Resumable: 1.0.0",
+            "Content-Type: application/offset+octet-stream", f"Authorization: Bearer {self.owner.secret}",
+            f"Upload-Offset: {offset}", f"Content-Length: {len(rest)}",
             *([f"Upload-Checksum: {checksum(rest)}"] if with_checksum else []),
-        ]
+        ]  # fmt: skip
         with socket.create_connection(("127.0.0.1", self.process.port), timeout=300) as connection:
             connection.sendall(("\r\n".join(head) + "\r\n\r\n").encode())
             for start in range(offset, min(kill_at, len(self.content)), SLICE_BYTES):

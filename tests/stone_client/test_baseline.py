@@ -150,14 +150,8 @@ def lidar(rows: list[dict[str, Any]]) -> dict[str, Any]:
 
 ATTACKS: dict[str, tuple[str, Callable[[list[dict[str, Any]]], object]]] = {
     "a path elsewhere": ("sample_data", lambda rows: lidar(rows).update(filename="../../../etc/passwd")),
-    "an absolute path": ("sample_data", lambda rows: lidar(rows).update(filename="/etc/passwd")),
     "a file that is no sweep": ("sample_data", lambda rows: lidar(rows).update(filename="v1.0-trainval/log.json")),
-    "a filename that is none": ("sample_data", lambda rows: lidar(rows).update(filename=[1, 2])),
-    "a rotation of three": ("calibrated_sensor", lambda rows: lidar(rows).update(rotation=[1, 0, 0])),
-    "a rotation of text": ("calibrated_sensor", lambda rows: lidar(rows).update(rotation=["a", 0, 0, 0])),
     "a rotation that scales": ("calibrated_sensor", lambda rows: lidar(rows).update(rotation=[2, 0, 0, 0])),
-    "a mount on the moon": ("calibrated_sensor", lambda rows: lidar(rows).update(translation=[4e8, 0, 0])),
-    "no translation": ("calibrated_sensor", lambda rows: lidar(rows).pop("translation")),
 }
 
 

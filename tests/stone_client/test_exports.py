@@ -19,7 +19,7 @@ from stone_client.files import fetch as fetching
 from stone_client.files.fetch import PartialFile, fetch, save
 from testing.api.serving import Person, client_of
 from testing.worlds import made
-from tests.stone_client.participating import stone
+from tests.stone_client.participating import refused, stone
 
 CONTENT = bytes(range(256)) * 4000
 NAME = "samples/LIDAR_TOP/points.bin"
@@ -89,15 +89,17 @@ def test_a_half_that_is_not_of_this_file_is_dropped(
     assert sha256(output.read_bytes()).hexdigest() == tar["sha256"]
 
 
-def test_two_downloads_to_one_place_do_not_meet(platform: Platform, forest: dict[str, Any], tmp_path: Path) -> None:
+def test_two_downloads_to_one_place_do_not_meet_and_what_is_not_there_is_refused(
+    platform: Platform, forest: dict[str, Any], tmp_path: Path
+) -> None:
     made.export(platform, forest["id"], {NAME: CONTENT})
     output = tmp_path / "forest.tar"
     record = json.loads(stone("download", "forest", "--format", "mesh", "-o", output, "--json").stdout)
     partial = output.with_name(f".forest.tar.{record['sha256'][:32]}.partial")
     with partial.open("wb") as other:
         fcntl.flock(other, fcntl.LOCK_EX)
-        refused = stone("download", "forest", "--format", "mesh", "-o", output)
-    assert (refused.exit_code, refused.stderr.partition(":")[0]) == (1, "download_under_way")
+        assert refused(stone("download", "forest", "--format", "mesh", "-o", output)) == "download_under_way"
+    assert refused(stone("download", "forest", "--format", "kitti", "-o", output)) == "no_export"
 
 
 class Breaking(httpx.BaseTransport):

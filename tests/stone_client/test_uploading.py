@@ -146,12 +146,9 @@ def test_files_whose_names_count_on_are_one_bag_and_others_are_their_own(tmp_pat
     (tmp_path / "split").mkdir()
     at = [tmp_path / name for name in ("run_0.mcap", "cams.mcap", "run_1.mcap", "ins_0.db3", "radar.bag", "split")]
     assert names(*at) == [
-        ("run", ["run_0.mcap", "run_1.mcap"]),
-        ("cams.mcap", ["cams.mcap"]),
-        ("ins_0.db3", ["ins_0.db3"]),
-        ("radar.bag", ["radar.bag"]),
-        ("split", ["split"]),
-    ]
+        ("run", ["run_0.mcap", "run_1.mcap"]), ("cams.mcap", ["cams.mcap"]), ("ins_0.db3", ["ins_0.db3"]),
+        ("radar.bag", ["radar.bag"]), ("split", ["split"]),
+    ]  # fmt: skip
     assert names(at[1], at[1]) == [("cams.mcap", ["cams.mcap"])]
     assert names(*(tmp_path / name for name in ("a.db3", "a.db3-wal", "b.mcap"))) == [
         ("a.db3", ["a.db3"]),

@@ -22,27 +22,19 @@ INSTEAD = {  # of what is usually named
     **{
         f"/api/v1/submissions/{{submission_id}}/{part}": {"submission_id": "scored_submission"}
         for part in (
-            "results",
-            "results/breakdowns",
-            "provenance",
-            "confusions",
-            "frames/{token}.png",
-            "predictions.zip",
+            "results", "results/breakdowns", "provenance", "confusions", "frames/{token}.png", "predictions.zip",
         )
     },
-}
+}  # fmt: skip
 IN_BODIES = ("team_id", "upload_id")
 ACT_OF = {"queues": "resume", "jobs": "cancel"}
 PIECES = "application/offset+octet-stream"
 FORM = "multipart/form-data"
 HEADERS = {
-    "tus-resumable": "1.0.0",
-    "upload-length": "6",
-    "upload-offset": "0",
-    "upload-metadata": metadata(filename="rig.yaml", purpose="calibration"),
-    "x-http-method-override": "DELETE",
+    "tus-resumable": "1.0.0", "upload-length": "6", "upload-offset": "0",
+    "upload-metadata": metadata(filename="rig.yaml", purpose="calibration"), "x-http-method-override": "DELETE",
     "if-match": "*",
-}
+}  # fmt: skip
 
 
 @dataclass(frozen=True)

@@ -63,17 +63,12 @@ def make_cast(platform: Platform) -> Cast:
         opened = sessions.open_session(session, owner, LASTS_S)
         cookie = {"Cookie": f"{COOKIE}={opened.secret}"}
         headers: dict[str, Headers] = {
-            "anonymous": {},
-            "participant": _token(session, participant),
-            "owner": _token(session, owner),
-            "other": _token(session, other),
-            "administrator": _token(session, administrator),
-            "modest": _token(session, administrator, curators),
-            "expired": _token(session, owner, lasts_s=-1.0),
-            "inactive": _token(session, inactive),
-            "browser": {**cookie, "X-CSRF-Token": opened.csrf_token},
+            "anonymous": {}, "participant": _token(session, participant), "owner": _token(session, owner),
+            "other": _token(session, other), "administrator": _token(session, administrator),
+            "modest": _token(session, administrator, curators), "expired": _token(session, owner, lasts_s=-1.0),
+            "inactive": _token(session, inactive), "browser": {**cookie, "X-CSRF-Token": opened.csrf_token},
             "forger": cookie,
-        }
+        }  # fmt: skip
         narrow = {scope: _token(session, owner, curators - {scope}) for scope in SCOPES_OF["administrator"]}
         inactive.is_active = False
     people = dict.fromkeys(OF_OWNER, owner) | {"other": other, "participant": participant, "inactive": inactive}

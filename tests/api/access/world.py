@@ -46,49 +46,18 @@ from tests.api.inputs_made import made_input, made_version_input
 
 CALIBRATION_FILE = Path(__file__).resolve().parents[3] / "examples" / "kitti0005.calibration.yaml"
 IDS = (
-    "sequence_id",
-    "calibration_id",
-    "recording_id",
-    "job_id",
-    "upload_id",
-    "token_id",
-    "user_id",
-    "token",
-    "export_id",
-    "comparison_id",
-    "a_id",
-    "b_id",
-    "phase_id",
-    "team_id",
-    "invitation_id",
-    "truth_id",
-    "rescore_id",
-    "alarm_id",
-    "submission_id",
-    "submission_upload",
-    "import_id",
-    "dataset_upload",
-    "settled_submission",
-    "scored_submission",
-)
+    "sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token", "export_id",
+    "comparison_id", "a_id", "b_id", "phase_id", "team_id", "invitation_id", "truth_id", "rescore_id", "alarm_id",
+    "submission_id", "submission_upload", "import_id", "dataset_upload", "settled_submission", "scored_submission",
+)  # fmt: skip
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
 UNKNOWN |= {name: UNKNOWN["scored_submission"] for name in ("a", "b")}
 UNKNOWN |= {"dataset_name": "never-published", "benchmark_name": "never-made"}
 WORDS = {
-    "name": "bev.png",
-    "code": "not_found",
-    "act": "cancel",
-    "queue": "labeler",
-    "platform_name": "warthog",
-    "path": "mesh.ply",
-    "part": "train",
-    "sequence_name": "n-forest-07",
-    "phase_name": "test",
-    "metric": METRIC_VERSION,
-    "member": "ada",
-    "tile_name": "0_-1",
-    "channel": "CAM_FRONT",
-}
+    "name": "bev.png", "code": "not_found", "act": "cancel", "queue": "labeler", "platform_name": "warthog",
+    "path": "mesh.ply", "part": "train", "sequence_name": "n-forest-07", "phase_name": "test", "metric": METRIC_VERSION,
+    "member": "ada", "tile_name": "0_-1", "channel": "CAM_FRONT",
+}  # fmt: skip
 PUBLIC = ("dataset_name", "benchmark_name", "phase_id")
 
 

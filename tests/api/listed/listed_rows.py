@@ -59,21 +59,15 @@ def _sequences(session: Session) -> None:
     """Ada's but the last two; one of each is public, one is deleted, and names are not all ASCII."""
     rows = [
         {
-            "id": id_of("sequence", number),
-            "owner_id": id_of("user", 1 if number <= 5 else 2),
-            "name": f"forest-{number}",
-            "environment": ("forest", "", "mountain")[number % 3],
-            "illumination": ("day", "night", "")[number % 3],
-            "region": ("Gyeonggi", "Île-de-France", "")[number % 3],
-            "platform": ('warthog "1"', "hüsky <2> & \\", "")[number % 3],
-            "is_public": number in (2, 6),
-            "published_ns": at_ns(number) if number in (2, 6) else None,
-            "revision": number,
-            "created_ns": at_ns(number),
-            "deleted_ns": at_ns(9) if number == 4 else None,
+            "id": id_of("sequence", number), "owner_id": id_of("user", 1 if number <= 5 else 2),
+            "name": f"forest-{number}", "environment": ("forest", "", "mountain")[number % 3],
+            "illumination": ("day", "night", "")[number % 3], "region": ("Gyeonggi", "Île-de-France", "")[number % 3],
+            "platform": ('warthog "1"', "hüsky <2> & \\", "")[number % 3], "is_public": number in (2, 6),
+            "published_ns": at_ns(number) if number in (2, 6) else None, "revision": number,
+            "created_ns": at_ns(number), "deleted_ns": at_ns(9) if number == 4 else None,
         }
         for number in range(1, SEQUENCES + 1)
-    ]
+    ]  # fmt: skip
     session.execute(insert(SequenceRow), rows)
     session.execute(insert(Recording), [_recording(number, of) for number, of in enumerate((1, 1, 3), 1)])
     session.execute(insert(SplitMember), [{"sequence_id": id_of("sequence", 1), "part": "val"}])
@@ -87,27 +81,12 @@ def _recording(number: int, sequence: int) -> dict[str, Any]:
 
 def _job(number: int, sequence: int, **said: Any) -> dict[str, Any]:
     usual: dict[str, Any] = {
-        "id": id_of("job", number),
-        "root_id": id_of("job", number),
-        "owner_id": id_of("user", 1 if sequence <= 5 else 2),
-        "sequence_id": id_of("sequence", sequence),
-        "kind": "sequence.process",
-        "queue": "",
-        "state": "succeeded",
-        "priority": 0,
-        "arguments": {},
-        "attempt": 0,
-        "done": 0,
-        "total": 0,
-        "stage": "",
-        "failure_code": "",
-        "failure": "",
-        "cancel_reason": "",
-        "revision": number,
-        "created_ns": at_ns(number),
-        "started_ns": at_ns(number + 1),
-        "finished_ns": at_ns(number + 3),
-    }
+        "id": id_of("job", number), "root_id": id_of("job", number),
+        "owner_id": id_of("user", 1 if sequence <= 5 else 2), "sequence_id": id_of("sequence", sequence),
+        "kind": "sequence.process", "queue": "", "state": "succeeded", "priority": 0, "arguments": {}, "attempt": 0,
+        "done": 0, "total": 0, "stage": "", "failure_code": "", "failure": "", "cancel_reason": "", "revision": number,
+        "created_ns": at_ns(number), "started_ns": at_ns(number + 1), "finished_ns": at_ns(number + 3),
+    }  # fmt: skip
     return usual | said
 
 
@@ -151,17 +130,11 @@ def _labels(session: Session) -> None:
 
 def _label_set(number: int, sequence: int, sums: dict[str, Any], chosen_ns: int) -> dict[str, Any]:
     return {
-        "id": id_of("labels", number),
-        "sequence_id": id_of("sequence", sequence),
-        "job_id": id_of("job", 10 * sequence),
-        "recipe": f"{number:064x}",
-        "parameters": {},
-        "code_version": "71299b6a455d",
-        "frames": 10 * number,
-        "created_ns": at_ns(20 + number),
-        "chosen_ns": chosen_ns,
+        "id": id_of("labels", number), "sequence_id": id_of("sequence", sequence),
+        "job_id": id_of("job", 10 * sequence), "recipe": f"{number:064x}", "parameters": {},
+        "code_version": "71299b6a455d", "frames": 10 * number, "created_ns": at_ns(20 + number), "chosen_ns": chosen_ns,
         **sums,
-    }
+    }  # fmt: skip
 
 
 def _artefact(number: int, labels: int, name: str) -> dict[str, Any]:

@@ -9,18 +9,8 @@ FAR_NS = 4_000_000_000 * 10**9
 SHA = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
 STATES = ("succeeded", "failed", "cancelled", "queued", "succeeded")
 KINDS = (
-    "user",
-    "team",
-    "sequence",
-    "job",
-    "labels",
-    "artefact",
-    "recording",
-    "export",
-    "submission",
-    "dataset",
-    "token",
-)
+    "user", "team", "sequence", "job", "labels", "artefact", "recording", "export", "submission", "dataset", "token",
+)  # fmt: skip
 
 
 def id_of(kind: str, number: int) -> str:

@@ -18,28 +18,17 @@ from tests.api.listed.listed_values import id_of
 GOLDEN = Path(__file__).parent / "golden"
 FIRST = id_of("sequence", 1)
 ASKED = {
-    "sequences": "/sequences",
-    "sequences_paged": "/sequences?limit=2",
-    "sequences_of_forest": "/sequences?environment=forest",
-    "sequences_named": "/sequences?name=forest-2",
-    "sequences_of_owner": f"/sequences?{urlencode({'owner_id': id_of('user', 2)})}",
-    "jobs": "/jobs",
-    "jobs_paged": "/jobs?limit=3",
-    "jobs_of_a_run": f"/jobs?{urlencode({'root_id': id_of('job', 10)})}",
-    "jobs_failed": "/jobs?state=failed",
-    "jobs_of_a_kind": "/jobs?kind=labeler.export",
-    "jobs_of_a_sequence": f"/jobs?{urlencode({'sequence_id': FIRST})}",
-    "submissions": "/submissions",
-    "submissions_queued": "/submissions?state=queued",
-    "exports": f"/sequences/{FIRST}/exports",
-    "exports_paged": f"/sequences/{FIRST}/exports?limit=1",
-    "datasets": "/datasets",
-    "datasets_paged": "/datasets?limit=1",
-    "a_sequence": f"/sequences/{FIRST}",
-    "a_job": f"/jobs/{id_of('job', 10)}",
-    "a_submission": f"/submissions/{id_of('submission', 3)}",
-    "me": "/me",
-}
+    "sequences": "/sequences", "sequences_paged": "/sequences?limit=2",
+    "sequences_of_forest": "/sequences?environment=forest", "sequences_named": "/sequences?name=forest-2",
+    "sequences_of_owner": f"/sequences?{urlencode({'owner_id': id_of('user', 2)})}", "jobs": "/jobs",
+    "jobs_paged": "/jobs?limit=3", "jobs_of_a_run": f"/jobs?{urlencode({'root_id': id_of('job', 10)})}",
+    "jobs_failed": "/jobs?state=failed", "jobs_of_a_kind": "/jobs?kind=labeler.export",
+    "jobs_of_a_sequence": f"/jobs?{urlencode({'sequence_id': FIRST})}", "submissions": "/submissions",
+    "submissions_queued": "/submissions?state=queued", "exports": f"/sequences/{FIRST}/exports",
+    "exports_paged": f"/sequences/{FIRST}/exports?limit=1", "datasets": "/datasets",
+    "datasets_paged": "/datasets?limit=1", "a_sequence": f"/sequences/{FIRST}", "a_job": f"/jobs/{id_of('job', 10)}",
+    "a_submission": f"/submissions/{id_of('submission', 3)}", "me": "/me",
+}  # fmt: skip
 TAGGED = ("/sequences", "/jobs", "/submissions", f"/sequences/{FIRST}/exports", "/datasets")
 WHO = ("ada", "bob", "root", "visitor")
 
