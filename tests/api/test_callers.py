@@ -65,19 +65,6 @@ def test_a_token_loses_what_its_user_loses(api: httpx.Client, platform: Platform
     assert api.get("/api/v1/users", headers=administrator.headers).status_code == 403
 
 
-def test_the_last_use_of_a_token_is_noted_once_a_minute(api: httpx.Client, platform: Platform, curator: Person) -> None:
-    def used_ns() -> int | None:
-        with platform.database.reading() as session:
-            return session.query(Token.used_ns).filter(Token.user_id == curator.user_id).scalar()
-
-    assert used_ns() is None
-    api.get(ME, headers=curator.headers)
-    first = used_ns()
-    assert first is not None
-    api.get(ME, headers=curator.headers)
-    assert used_ns() == first
-
-
 def test_what_cannot_be_written_to_can_still_be_read(platform: Platform, curator: Person, tmp_path: Path) -> None:
     hurried = opened(make_settings(tmp_path, database=DatabaseSettings(busy_timeout_s=0.05)), [])
     with (

@@ -6,7 +6,10 @@ import tarfile
 import zipfile
 from base64 import b64decode
 from collections.abc import Mapping
+from concurrent.futures import ThreadPoolExecutor
+from contextlib import ExitStack
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -17,7 +20,9 @@ from services.runtime.access import storage_quota
 from services.runtime.orm import AuditEntry, Blob, Export, ExportPack, Job, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.garbage_collection import collect_garbage
-from testing.api.serving import Person, person
+from testing.api.process import running_api
+from testing.api.serving import Person, client_of, person
+from testing.worlds import made as laid
 from testing.worlds import published
 from testing.worlds.made import export, labels, playback, sequence
 
@@ -269,3 +274,40 @@ def collect_all(platform: Platform) -> None:
     """The collection of a platform whose grace has passed."""
     settings = platform.settings.model_copy(update={"store": type(platform.settings.store)(grace_s=-1.0)})
     collect_garbage(Platform(settings, platform.database, platform.store))
+
+
+MIB = 2**20
+LARGE = 96 * MIB
+MORE_BYTES = 40 * MIB
+
+
+@pytest.mark.whole
+def test_memory_is_flat_while_archives_are_streamed(platform: Platform, curator: Person, tmp_path: Path) -> None:
+    """Catches alone an archive that is held in memory while it is sent, however many download it at once."""
+    with client_of(platform) as client:
+        sequence = laid.sequence(client, curator)
+    laid.labels(platform, sequence)
+    files = {"large.bin": bytes(LARGE), **{f"small/{n:04d}.bin": b"x" * 700 for n in range(20)}}
+    laid.export(platform, sequence["id"], files)
+    path = f"/api/v1/sequences/{sequence['id']}/exports"
+    with ExitStack() as stack:
+        api = stack.enter_context(running_api(platform.settings, tmp_path / "api.log"))
+        client = stack.enter_context(httpx.Client(base_url=api.url, headers=curator.headers, timeout=300))
+        export = client.get(path).json()["items"][0]
+        url = f"{path}/{export['id']}/archive?format=zip"
+        client.get(url, headers={"Range": "bytes=-1000"})
+        before = api.peak_bytes()
+        with ThreadPoolExecutor(2) as pool:
+            found = list(pool.map(lambda _: digest(client, url), range(2)))
+        after = api.peak_bytes()
+    wanted = {one["format"]: one["sha256"] for one in export["archives"]}["zip"]
+    assert found == [wanted] * 2
+    assert after - before < MORE_BYTES
+
+
+def digest(client: httpx.Client, url: str) -> str:
+    found = sha256()
+    with client.stream("GET", url) as answer:
+        for piece in answer.iter_bytes():
+            found.update(piece)
+    return found.hexdigest()

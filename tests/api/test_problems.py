@@ -24,6 +24,7 @@ from services.domain.benchmarks.teams.names import BadTeamNameError
 from services.domain.sequences.processing_errors import UnknownStagesError
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
+from services.runtime.uploads.errors import TooManyUploadsError
 from stone.errors import StoneError
 from testing.api.serving import Person, client_of, serving
 from testing.servers.fixtures import make_settings, opened
@@ -296,6 +297,6 @@ def test_the_nearest_class_in_the_table_counts() -> None:
 def test_refusals_that_are_provoked_below_http_have_their_status() -> None:
     expected = {
         UnknownStagesError: 422, BadTeamNameError: 422, CaptainStaysError: 409, NotMemberError: 404,
-        PhaseClosedError: 409, ValidationsExhaustedError: 429,
+        PhaseClosedError: 409, ValidationsExhaustedError: 429, TooManyUploadsError: 409,
     }  # fmt: skip
     assert {kind: statuses.STATUS_OF[kind] for kind in expected} == expected

@@ -103,17 +103,6 @@ def test_what_is_too_large_or_over_the_quota_is_refused_with_the_figures(small: 
     assert "30000 of 50000 bytes are used and 20001 more" in reply.json()["detail"]
 
 
-def test_more_than_may_wait_are_refused_until_one_is_deleted(platform: Platform, curator: Person) -> None:
-    settings = platform.settings.model_copy(update={"uploads": UploadSettings(owner_waiting=2)})
-    with client_of(replace(platform, settings=settings)) as api:
-        where = [created(api, curator, 1), created(api, curator, 1)]
-        for refused in (create(api, curator, 1), send_form(api, curator, b"x")):
-            assert code_of(refused) == (409, "too_many_uploads")
-            assert "2 uploads of yours are unfinished or not used yet" in refused.json()["detail"]
-        assert api.delete(where[0], headers={**TUS, **curator.headers}).status_code == 204
-        created(api, curator, 1)
-
-
 def test_pieces_are_not_counted_as_requests_of_a_known_caller_but_all_else_is(
     platform: Platform, curator: Person
 ) -> None:

@@ -116,15 +116,6 @@ def wait_for_staging(folder: Path, name: str) -> None:
         time.sleep(0.05)
 
 
-def test_an_output_in_a_folder_that_may_not_be_written_is_refused(tmp_path: Path) -> None:
-    if os.geteuid() == 0:
-        pytest.skip("root may write everywhere")
-    tmp_path.chmod(0o500)
-    refused = run("simulate", "run.mcap", "--seconds", "1", folder=tmp_path)
-    assert refused.returncode == 1
-    assert refused.stderr.splitlines()[-1].startswith("not_permitted: ")
-
-
 SOURCES = Path(__file__).resolve().parents[2]
 PACKAGES = ("stone_base", "stone_files", "stone_submissions", "stone_client")
 ALONE = "import sys; sys.path[:0] = sys.argv[1:3]; del sys.argv[1:3]; from stone_client.main import main; main()"
@@ -186,13 +177,6 @@ def test_a_code_is_explained_in_whatever_letters_it_is_typed() -> None:
         for words in ("LAB-603: labels may be wrong", one.meaning, one.remedy):
             assert words in result.stdout
     assert "no attempt is left" in stone("explain", "worker_lost").stdout
-
-
-def test_all_codes_are_listed_for_people_and_programs() -> None:
-    assert len(stone("explain").stdout.splitlines()) == len(CATALOGUE)
-    listed = json.loads(stone("explain", "--json").stdout)["codes"]
-    assert [one["code"] for one in listed] == list(CATALOGUE)
-    assert json.loads(stone("explain", "TIM-201", "--json").stdout)["harm"] == "none"
 
 
 def test_an_unknown_code_is_refused() -> None:
