@@ -188,15 +188,16 @@ def test_of_a_versions_test_there_is_nothing_for_anybody_whatever_rows_say(
             assert ask(f"{version.inputs}/{version.names['test']}.tar", headers=caller.headers).status_code == 404
 
 
-def test_what_was_lost_is_said_the_rest_is_made_and_nothing_twice(
-    api: httpx.Client, administrator: Person, version: Place
-) -> None:
+def test_what_was_lost_is_said_and_the_rest_is_made(api: httpx.Client, administrator: Person, version: Place) -> None:
     version.record(administrator, "val")
     train, val = version.names["train"], version.names["val"]
     assert version.states(api, administrator) == {train: ("train", "lost"), val: ("val", "missing")}
     assert version.start(api, administrator).status_code == 202
-    for name in (train, val):
-        version.make(name, FILES)
+
+
+def test_what_stands_is_not_made_again(api: httpx.Client, administrator: Person, version: Place) -> None:
+    for part in ("train", "val"):
+        version.make(version.names[part], FILES)
     refused = version.start(api, administrator)
     assert (refused.status_code, refused.json()["code"]) == (409, "inputs_stand")
 
