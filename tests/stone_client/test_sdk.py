@@ -57,13 +57,16 @@ def test_what_is_invalid_is_raised_with_the_whole_report(served: Served, stone: 
     assert caught.value.report["errors_total"] == 1
 
 
-def test_refusals_are_errors_with_the_servers_codes(served: Served, stone: Stone, tmp_path: Path) -> None:
+def test_refusals_are_errors_with_the_servers_codes(
+    served: Served, stone: Stone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     path = zipped(served, tmp_path / "sub.zip")
     with pytest.raises(UnknownTeamError):
         stone.submit(path, **said(served, team="nobody's"))
     with pytest.raises(ServerRefusedError, match="no phase") as caught:
         stone.submit(path, **said(served, phase="nothing"))
     assert caught.value.code == "not_found"
+    monkeypatch.delenv("STONE_URL")
     with pytest.raises(NoServerError):
         Stone()
 
