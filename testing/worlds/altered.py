@@ -1,20 +1,16 @@
 """A recording written anew with some of its messages altered: faults made of a real drive.
 
 **Conventions.** A change gets the topic, the log time and the bytes of a message, and gives the bytes to write, a list
-of them where it is to be several messages, or None where it is to be missing. An odometry's pose lies at x, y, z, then
-x, y, z, w of the quaternion, float64.
+of them where it is to be several messages, or None where it is to be missing.
 """
 
 from collections.abc import Callable
 from pathlib import Path
 
-import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
-from numpy.typing import NDArray
 
 Change = Callable[[str, int, bytearray], bytes | list[bytes] | None]
-ENCAPSULATION, STAMP, ALIGNMENT = 4, 8, 8
 
 
 def altered(source: Path, target: Path, change: Change, compression: CompressionType = CompressionType.NONE) -> Path:
@@ -33,13 +29,3 @@ def altered(source: Path, target: Path, change: Change, compression: Compression
                 writer.add_message(where, times[0], bytes(data), times[1], message.sequence)
         writer.finish()  # type: ignore[no-untyped-call]
     return target
-
-
-def odometry_pose(data: bytearray) -> NDArray[np.float64]:
-    """The pose (7,) of a nav_msgs/msg/Odometry, to be written to."""
-    at = STAMP
-    for _ in ("frame_id", "child_frame_id"):
-        at += -at % 4
-        at += 4 + int.from_bytes(data[ENCAPSULATION + at : ENCAPSULATION + at + 4], "little")
-    at += -at % ALIGNMENT
-    return np.frombuffer(memoryview(data)[ENCAPSULATION + at : ENCAPSULATION + at + 56], "<f8")

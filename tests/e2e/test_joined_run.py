@@ -14,21 +14,14 @@ from typing import Any
 import numpy as np
 import pytest
 
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone_files.bag_fingerprint import recording_sha256
-from testing.worlds.recording_parts import RecordingPart, split_into
+from testing.worlds.drives import OF_THREE_CLOCKS, THREE_CLOCKS, drive
+from testing.worlds.recording_parts import split_into
 
 STONE = Path(sys.executable).parent / "stone"
-RUN = SimulateOptions(seconds=6.0, seed=1, channels=16, columns=180, camera_width_px=320)
-AHEAD_NS, LIMIT_NS = 80_000_000, 2_000_000
+LIMIT_NS = 2_000_000
 pytestmark = pytest.mark.whole
-
-PARTS = (
-    RecordingPart("run.mcap", lambda topic, _time: "camera" not in topic and "radar" not in topic),
-    RecordingPart("cameras.mcap", lambda topic, _time: "camera" in topic, AHEAD_NS),
-    RecordingPart("radars.bag", lambda topic, _time: "radar" in topic, -AHEAD_NS),
-)
 
 
 def stone(*arguments: str | Path) -> subprocess.CompletedProcess[str]:
@@ -46,37 +39,28 @@ def labels(out: Path) -> dict[str, bytes]:
     return {str(file.relative_to(out)): file.read_bytes() for file in sorted(out.rglob("labels.npz"))}
 
 
-def test_three_files_with_clocks_of_their_own_give_the_labels_of_one(tmp_path: Path) -> None:
+def test_three_files_with_clocks_of_their_own_give_the_labels_of_one(
+    tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
+) -> None:
     """Byte for byte with offsets known to 2 ms: no label asks when a picture was taken to the microsecond."""
-    whole = tmp_path / "whole" / "run.mcap"
-    whole.parent.mkdir()
-    simulate(whole, RUN)
+    whole = drive(tmp_path_factory, THREE_CLOCKS)
     calibration = calibration_path(whole)
-    paths = split_into(whole, tmp_path, PARTS)
+    paths = split_into(whole, tmp_path, OF_THREE_CLOCKS)
     one = labelled(tmp_path / "one", calibration, whole)
     three = labelled(tmp_path / "three", calibration, *paths)
 
     assert labels(tmp_path / "three") == labels(tmp_path / "one") != {}
     told = {recording["name"]: recording for recording in three["recordings"]}
-    for part in PARTS[1:]:
+    for part in OF_THREE_CLOCKS[1:]:
         apart_ns = told[part.name]["offset_ns"] + part.ahead_ns
         assert abs(apart_ns) < LIMIT_NS
         assert abs(apart_ns) < 4 * told[part.name]["sigma_ns"]
     assert one["recordings"] == []
 
-    assert {part.name for part in PARTS} < set(three["inputs"])
+    assert {part.name for part in OF_THREE_CLOCKS} < set(three["inputs"])
     assert three["inputs"]["radars.bag"] == recording_sha256(paths[2])
     named = {finding["topic"] for finding in three["findings"] if finding["code"] == "SYN-520"}
     assert named == {"cameras.mcap", "radars.bag"}
-
-    # What is made of the labels later finds the recording, and the pictures that the one file gives.
-    exported = {}
-    for name in ("one", "three"):
-        done = stone("export", tmp_path / name, "--format", "nuscenes", "-o", tmp_path / f"{name}.nuscenes")
-        assert done.returncode == 0, done.stderr
-        pictures = sorted((tmp_path / f"{name}.nuscenes").rglob("*CAM_FRONT__*"))
-        exported[name] = [picture.read_bytes() for picture in pictures]
-    assert exported["one"] == exported["three"] != []
 
     shown = stone("inspect", *paths, "--calibration", calibration, "--json")
     assert json.loads(shown.stdout)["recordings"] == three["recordings"]

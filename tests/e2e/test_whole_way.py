@@ -12,17 +12,14 @@ from collections.abc import Callable
 from hashlib import sha256
 from pathlib import Path
 
-import numpy as np
 import pytest
 
-from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
 from stone_client.api import Api
 from stone_client.credentials import Server
 from testing.signals import hear_signals
 from testing.stone_serve import environment
 from testing.worlds.demo import made_demo
-from testing.worlds.submission_files import write_submission
+from testing.worlds.drives import drive
 
 STONE = Path(sys.executable).parent / "stone"
 Spoil = Callable[[Path, Path], None]
@@ -43,9 +40,7 @@ def demo(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """A recording too short to take long, with its calibration beside it."""
-    bag = tmp_path_factory.mktemp("recording") / "run.mcap"
-    simulate(bag, SimulateOptions(seconds=1.0, channels=16, columns=180, cameras=False))
-    return bag
+    return drive(tmp_path_factory)
 
 
 def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path) -> None:
@@ -79,20 +74,6 @@ def test_the_demo_leaves_everything_it_promises(demo: Path) -> None:
     assert names >= {"dusk", "night", "ground-truth", "inputs", "flat.zip", "corridor.zip"}
     assert (demo / "labels" / "bev.png").read_bytes().startswith(b"\x89PNG")
     assert not [name for name in names if name.endswith(".partial")]
-
-
-def test_every_frame_has_labels_as_the_design_fixes_them(demo: Path) -> None:
-    report = json.loads((demo / "labels" / "report.json").read_text())
-    files = sorted(demo.glob("labels/gts/demo/*/labels.npz"))
-    assert report["frames"] == len(files) > 30
-    assert set(report["inputs"]) == {"run.mcap", "run.calibration.yaml"}
-    for path in files:
-        labels = np.load(path)
-        for key in ("semantics", "mask_lidar", "mask_camera"):
-            assert labels[key].shape == (256, 256, 32)
-            assert labels[key].dtype == np.uint8
-        assert labels["semantics"].max() <= 3
-        assert (labels["semantics"][126:130, 127:129] == 1).any(), "the robot stands on what it drove over"
 
 
 def test_the_frames_of_the_phase_are_those_of_the_other_two_runs(demo: Path) -> None:
@@ -137,21 +118,6 @@ def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(de
     assert sorted(row["standing"] for row in rows.values()) == ["baseline", "baseline", "ranked"]
 
 
-def test_the_board_of_the_demo_tells_intervals(demo: Path) -> None:
-    rows = json.loads((demo / "demo.json").read_text())["benchmark"]["board"]["rows"]
-    for row in rows:
-        if row["method"] != "flat ground":
-            low, high = row["intervals"]["miou"]
-            assert low < row["ratios"]["miou"] < high
-
-
-def test_the_labels_themselves_score_one(demo: Path, tmp_path: Path) -> None:
-    files = sorted(demo.glob("labels/gts/demo/*/labels.npz"))
-    write_submission(tmp_path / "perfect.zip", ((path.parent.name, np.load(path)["semantics"]) for path in files))
-    record = json.loads(stone("score", tmp_path / "perfect.zip", "--ground-truth", demo / "labels", "--json").stdout)
-    assert (record["total"]["iou_occ"], record["total"]["miou"]) == (1.0, 1.0)
-
-
 def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> None:
     (tmp_path / "precious").write_text("")
     refused = stone("demo", "-o", tmp_path, "--data", tmp_path / "data")
@@ -160,27 +126,8 @@ def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> No
     assert [entry.name for entry in tmp_path.iterdir()] == ["precious"]
 
 
-def test_label_by_hand_is_what_the_demo_did(demo: Path, tmp_path: Path) -> None:
-    arguments = (demo / "run.mcap", "--calibration", demo / "run.calibration.yaml", "-o", tmp_path / "labels")
-    outcome = stone("label", *arguments, "--workers", "2", "--json")
-    assert outcome.returncode == 0, outcome.stderr
-    record = json.loads(outcome.stdout)
-    assert record == json.loads((tmp_path / "labels" / "report.json").read_text())
-    theirs = json.loads((demo / "labels" / "report.json").read_text())
-    assert record["class_share_of_occupied"] == theirs["class_share_of_occupied"]
-
-
 def truncated(bag: Path, calibration: Path) -> None:
     bag.write_bytes(bag.read_bytes()[: bag.stat().st_size // 2])
-
-
-def a_web_page(bag: Path, calibration: Path) -> None:
-    bag.write_text("<!doctype html><title>Sign in</title>")
-
-
-def a_mirror(bag: Path, calibration: Path) -> None:
-    matrix = "[[-1, 0, 0, 0], [0, 1, 0, 0], [0, 0, 1, 1], [0, 0, 0, 1]]"
-    calibration.write_text(f"stone_calibration: 1\nname: mirror\nego_from_lidar: {{matrix: {matrix}}}\n")
 
 
 def a_bomb_of_aliases(bag: Path, calibration: Path) -> None:
@@ -188,13 +135,7 @@ def a_bomb_of_aliases(bag: Path, calibration: Path) -> None:
     calibration.write_text(f"stone_calibration: 1\na0: &a0 [x]\n{rows}\n")
 
 
-def no_text(bag: Path, calibration: Path) -> None:
-    calibration.write_bytes(bytes(range(256)))
-
-
-@pytest.mark.parametrize(
-    "spoil", [truncated, a_web_page, a_mirror, a_bomb_of_aliases, no_text], ids=lambda f: f.__name__
-)
+@pytest.mark.parametrize("spoil", [truncated, a_bomb_of_aliases], ids=lambda f: f.__name__)
 def test_a_spoilt_input_is_refused_and_leaves_nothing(spoil: Spoil, recording: Path, tmp_path: Path) -> None:
     bag, calibration = tmp_path / "run.mcap", tmp_path / "rig.yaml"
     bag.write_bytes(recording.read_bytes())

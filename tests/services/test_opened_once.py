@@ -15,25 +15,22 @@ from services.domain.exports.requests import EXPORT, start_export
 from services.domain.sequences.processing import CHECK, REGISTER, SYNCHRONISE
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.platform import Platform
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone_client.main import app
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.sync import sweeps
+from testing.worlds.drives import SHORT, drive
 from testing.worlds.runs import bring, run_all
 
 pytestmark = pytest.mark.whole
 
-DRIVE = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180)
 Opens = Callable[[], int]
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("field") / "run.mcap"
-    simulate(path, DRIVE)
-    return path
+    return drive(tmp_path_factory, SHORT)
 
 
 @pytest.fixture

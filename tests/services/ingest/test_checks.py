@@ -1,25 +1,43 @@
-"""What the late checks find is said of the sequence once and whole, after what synchronisation said, before labels."""
+"""What the late checks find is said of the sequence once and whole, after what synchronisation said, before labels;
+and they leave a picture per camera with the LiDAR's points on it, of the recipe that made the sequence."""
 
+from io import BytesIO
 from pathlib import Path
 
 import pytest
+from PIL import Image
 from sqlalchemy import select
 
-from services.domain.sequences.processing import CHECK, SYNCHRONISE
+from services.domain.sequences.processing import CHECK, SYNCHRONISE, delete_sequence
 from services.ingest import sandboxed_check
 from services.ingest.stages import handlers
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.notifications.events import LABELS_UNUSABLE
-from services.runtime.orm import CalibrationRow, Job, NotificationEvent
+from services.runtime.orm import Blob, CalibrationRow, Job, NotificationEvent, Preview
 from services.runtime.platform import Platform
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.sync.sequence_file import read_sequence
-from testing.worlds.runs import Brought, bring, run_all
-from tests.services.ingest.killed_checks import killed_once
+from testing.worlds.drives import SHORT, drive
+from testing.worlds.runs import Brought, bring, bring_ready, run_all
+
+
+def killed_once(kind: str, handler: Handler) -> Handler:
+    """The first attempt at the checks has done everything and written nothing when it ends."""
+
+    def run(attempt: Attempt) -> Outcome:
+        outcome = handler(attempt)
+        if kind == CHECK and attempt.job_id not in killed:
+            killed.add(attempt.job_id)
+            raise RuntimeError("killed")
+        return outcome
+
+    killed: set[str] = set()
+    return run
+
 
 SEEN = Finding("CAL-404", "error", "CAM_FRONT", "its mount is not this camera's")
 
@@ -32,9 +50,7 @@ class UnreadablePicturesError(StoneError):
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("checked") / "run.mcap"
-    simulate(path, SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False))
-    return path
+    return drive(tmp_path_factory)
 
 
 @pytest.fixture
@@ -106,3 +122,49 @@ def test_what_the_checks_refuse_fails_the_run_and_a_retry_takes_up_the_checks_al
     run_all(brought.platform)
     assert brought.job(root_id).state == "succeeded"
     assert [job_of(brought, root_id, kind).attempt for kind in (SYNCHRONISE, CHECK)] == [1, 2]
+
+
+@pytest.fixture
+def looked_at(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Brought:
+    """A sequence with pictures."""
+    return bring_ready(platform, drive(tmp_path_factory, SHORT))
+
+
+def overlays(brought: Brought) -> dict[tuple[str, str], Preview]:
+    with brought.platform.database.reading() as session:
+        rows = session.scalars(select(Preview).where(Preview.recording_id.is_(None)))
+        return {(row.recipe, row.name): row for row in rows}
+
+
+@pytest.mark.whole
+def test_every_camera_has_its_overlay_and_a_killed_attempt_leaves_the_same(looked_at: Brought) -> None:
+    """Catches alone overlays of another recipe, or none after a killed attempt."""
+    root_id = looked_at.process(stages=("synchronise",))
+    run_all(looked_at.platform, wrap=killed_once)
+    assert (looked_at.job(root_id).state, looked_at.job(root_id).failure) == ("succeeded", "")
+    recipe = looked_at.job(root_id).arguments["recipe"]
+    kept = overlays(looked_at)
+    assert {of for of, _name in kept} == {recipe}
+    assert len(kept) == 6
+    with looked_at.platform.database.reading() as session:
+        keys = [session.get_one(Blob, row.blob_sha256).object_key for row in kept.values()]
+    for key in keys:
+        picture = Image.open(BytesIO(b"".join(looked_at.platform.store.read(key))))
+        assert picture.format == "JPEG"
+    again = looked_at.process(stages=("synchronise",))
+    run_all(looked_at.platform)
+    assert looked_at.job(again).state == "succeeded"
+    assert {at: row.blob_sha256 for at, row in overlays(looked_at).items()} == {
+        at: row.blob_sha256 for at, row in kept.items()
+    }
+
+
+@pytest.mark.whole
+def test_overlays_go_with_their_sequence(looked_at: Brought) -> None:
+    looked_at.process(stages=("synchronise",))
+    run_all(looked_at.platform)
+    assert overlays(looked_at)
+    with looked_at.platform.database.transaction() as session:
+        delete_sequence(session, looked_at.sequence())
+    with looked_at.platform.database.reading() as session:
+        assert session.scalars(select(Preview)).all() == []

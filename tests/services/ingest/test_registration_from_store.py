@@ -15,20 +15,15 @@ from services.runtime.uploads import expire
 from services.runtime.uploads.creation import create
 from services.runtime.uploads.declaration import UploadDeclaration
 from services.runtime.uploads.rows import UploadOwner
-from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
+from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, bring, run_all
 from tests.services.runtime.uploads.conftest import with_place
 from tests.services.runtime.uploads.sending import send
 
-TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
-
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tiny") / "run.mcap"
-    simulate(path, TINY)
-    return path
+    return drive(tmp_path_factory)
 
 
 @pytest.fixture

@@ -14,19 +14,16 @@ from services.runtime.sandbox import SandboxLimits, job_sandbox, sandboxed
 from services.runtime.sandbox.result_files import packed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
+from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, bring, run_all
 
-TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 Attack = Callable[..., object]
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tiny") / "run.mcap"
-    simulate(path, TINY)
-    return path
+    return drive(tmp_path_factory)
 
 
 def left_apart(brought: Brought, job_id: str) -> list[Path]:

@@ -1,5 +1,6 @@
 """A recording opened as a sequence, at once or with its checks beside."""
 
+import shutil
 from pathlib import Path
 
 import pytest
@@ -16,18 +17,26 @@ from stone.findings import Finding
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import ChecksumError
 from stone_recordings.sync.sequence_file import read_sequence
+from testing.worlds.drives import SEEN_BY_CAMERAS, drive
 from testing.worlds.faults.other_edits import bad_checksum, bad_chunk
 
 SEEN = Finding("CAL-404", "warning", "CAM_FRONT", "its mount is not this camera's")
 
 
+@pytest.fixture
+def recorded(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
+    """A recording of the test's own."""
+    bag = drive(tmp_path_factory, SEEN_BY_CAMERAS)
+    shutil.copyfile(calibration_path(bag), calibration_path(tmp_path / bag.name))
+    return shutil.copyfile(bag, tmp_path / bag.name)
+
+
 def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Catches alone findings of the late checks that labels lack, or tell in another order."""
     monkeypatch.setattr("services.ingest.pipeline.projection_findings", lambda *_: (SEEN,))
-    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    bag, calibration = recorded, calibration_path(recorded)
     whole, _ = open_sequence(bag, calibration, "run")
     with opened_sequence(bag, calibration, "run", SynchroniseOptions()) as opened:
         at_once, late = opened.sequence.findings, opened.late_findings()
@@ -39,10 +48,11 @@ def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
     assert read_sequence((tmp_path / "labels" / "sequence.npz").read_bytes()).findings == whole.findings
 
 
-def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_checked_first(tmp_path: Path) -> None:
+def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_checked_first(
+    recorded: Path, tmp_path: Path
+) -> None:
     """Catches alone labels that differ because damage was found while they were made, and not before."""
-    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    bag, calibration = recorded, calibration_path(recorded)
     bad_chunk(bag)
     checked, _ = open_sequence(bag, calibration, "run")
 
@@ -58,10 +68,9 @@ def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_ch
 
 
 def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opened_once(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+    bag, calibration = recorded, calibration_path(recorded)
 
     def late(opened: OpenedSequence) -> bool:
         opened.late_findings()
@@ -100,9 +109,8 @@ def test_a_chunk_that_a_worker_finds_damaged_while_it_fuses_is_left_out_the_seco
     assert report.sequence.findings == checked.findings
 
 
-def test_what_fails_of_a_sound_recording_fails_once(tmp_path: Path) -> None:
-    bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
+def test_what_fails_of_a_sound_recording_fails_once(recorded: Path) -> None:
+    bag, calibration = recorded, calibration_path(recorded)
     tries = list[OpenedSequence]()
 
     def fails(opened: OpenedSequence) -> None:

@@ -19,8 +19,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import StoreSettings
 from services.runtime.store.named_objects import named
 from services.runtime.uploads import expire, upload_file
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone.sensors.deskew import SweepMount
 from stone_recordings.report.inspection import inspect
 from stone_recordings.report.inspection_record import LONGEST_TEXT, MOST_GAPS, MOST_TOPICS, inspection_record
@@ -28,16 +27,13 @@ from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
 from testing.servers.fixtures import make_settings, opened
+from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, Interrupted, bring, run_all
-
-TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tiny") / "run.mcap"
-    simulate(path, TINY)
-    return path
+    return drive(tmp_path_factory)
 
 
 def once(error: Exception, *, at_end: bool) -> object:
@@ -63,10 +59,10 @@ def attempts(brought: Brought, job_id: str) -> list[str]:
         return list(session.scalars(rows))
 
 
-def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform_on: Platform, bag: Path) -> None:
-    brought = bring(platform_on)
+def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform: Platform, bag: Path) -> None:
+    brought = bring(platform)
     job_id = brought.add(bag, "Feldweg 3.mcap")
-    run_all(platform_on)
+    run_all(platform)
     recording = brought.recording()
     assert (brought.job(job_id).state, recording.state) == ("succeeded", "registered")
     assert [file.blob_sha256 for file in recording.files] == [recording.sha256]
@@ -75,12 +71,12 @@ def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform_on:
     assert [topic["name"] for topic in recording.inspection["topics"]] == [topic.topic.name for topic in seen.topics]
     assert recording.inspection["duration_ns"] == seen.duration_ns
     assert [finding["code"] for finding in recording.findings] == [finding.code for finding in seen.findings]
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         blob = session.get_one(Blob, recording.sha256)
-    assert platform_on.store.local(blob.object_key).read_bytes() == bag.read_bytes()
-    file = upload_file(platform_on.settings, recording.files[0].upload_id or "")
+    assert platform.store.local(blob.object_key).read_bytes() == bag.read_bytes()
+    file = upload_file(platform.settings, recording.files[0].upload_id or "")
     assert file.exists()
-    expire(platform_on)
+    expire(platform)
     assert not file.exists()
 
 
@@ -98,20 +94,19 @@ def test_an_attempt_cut_off_anywhere_loses_no_recording(platform: Platform, bag:
 
 
 def test_what_is_no_bag_fails_the_job_and_refuses_the_recording_in_the_same_words(
-    platform_on: Platform, tmp_path: Path
+    platform: Platform, tmp_path: Path
 ) -> None:
-    brought = bring(platform_on)
+    brought = bring(platform)
     (tmp_path / "page").write_text("<!doctype html><title>Sign in</title>")
     job_id = brought.add(tmp_path / "page", "run.mcap")
     upload_id = brought.recording().files[0].upload_id or ""
-    run_all(platform_on)
+    run_all(platform)
     job, recording = brought.job(job_id), brought.recording()
     assert (job.state, job.failure_code, recording.state) == ("failed", "BAG-001", "refused")
     assert recording.findings == [{"code": "BAG-001", "severity": "error", "topic": "", "message": job.failure}]
-    assert job.failure.startswith("run.mcap ")
     assert recording.files[0].blob_sha256 is None
-    assert not upload_file(platform_on.settings, upload_id).exists()
-    with platform_on.database.reading() as session:
+    assert not upload_file(platform.settings, upload_id).exists()
+    with platform.database.reading() as session:
         assert session.scalar(select(func.sum(QuotaEntry.amount))) == 0
 
 
@@ -155,22 +150,22 @@ def test_a_worker_without_the_uploads_says_so(platform: Platform, bag: Path) -> 
     assert brought.recording().state == "received"
 
 
-def test_a_recording_whose_sequence_is_deleted_meanwhile_is_not_kept(platform_on: Platform, bag: Path) -> None:
-    brought = bring(platform_on)
+def test_a_recording_whose_sequence_is_deleted_meanwhile_is_not_kept(platform: Platform, bag: Path) -> None:
+    brought = bring(platform)
     job_id = brought.add(bag)
 
     def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
         def run(attempt: Attempt) -> Outcome:
             outcome = handler(attempt)
-            with platform_on.database.transaction() as session:
+            with platform.database.transaction() as session:
                 delete_sequence(session, brought.sequence())
             return outcome
 
         return run
 
-    run_all(platform_on, wrap=deleted_meanwhile)
+    run_all(platform, wrap=deleted_meanwhile)
     assert brought.job(job_id).state == "cancelled"
-    with platform_on.database.reading() as session:
+    with platform.database.reading() as session:
         assert session.scalars(select(Blob)).all() == []
 
 
@@ -271,13 +266,13 @@ def test_a_name_never_leads_out_of_its_folder(tmp_path: Path, name: str) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["object"]
 
 
-def test_a_run_fails_by_the_refusal_of_its_stage(platform_on: Platform, bag: Path) -> None:
-    brought = bring(platform_on)
+def test_a_run_fails_by_the_refusal_of_its_stage(platform: Platform, bag: Path) -> None:
+    brought = bring(platform)
     brought.calibrate(calibration_path(bag))
     brought.add(bag)
-    run_all(platform_on)
+    run_all(platform)
     root_id = brought.process(odometry_topic="/no/such/topic")
-    run_all(platform_on)
+    run_all(platform)
     run = brought.job(root_id)
     (job,) = (job for job in brought.jobs(root_id) if job.queue)
     assert (run.state, run.failure_code) == ("failed", job.failure_code)

@@ -42,7 +42,7 @@ for name in sorted(set(sys.modules) - loaded):
 def test_a_child_that_registers_synchronises_or_checks_loads_no_module(tmp_path: Path) -> None:
     """Catches alone a library that every child loads anew, 0.1 s each, because the warm-up forgets it."""
     bag = tmp_path / "run.mcap"
-    simulate(bag, SimulateOptions(seconds=3.0, seed=3, channels=32, columns=360))
+    simulate(bag, SimulateOptions(seconds=3.0, seed=3, channels=32, columns=360, camera_width_px=96))
     command = [sys.executable, "-c", ASKED, str(bag), str(calibration_path(bag))]
     told = subprocess.run(command, cwd=ROOT, check=True, capture_output=True, text=True, timeout=600)
     assert told.stdout.split() == []

@@ -1,10 +1,10 @@
-"""An export goes through the queue: its files are what the exporter writes, there once, all or none.
+"""An export goes through the queue: its files are what the exporter writes, there once, all or none; labels that are
+published are followed by their playback: once, and never in their way.
 
-Catches alone an export of a job that is cut off anywhere: halves, a second one, bytes that nobody counts.
+Catches alone an export of a job that is cut off anywhere: halves, a second one, bytes that nobody counts; and a
+playback that is made twice, or that holds up or spoils the labels it follows.
 """
 
-import json
-import shutil
 import time
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
@@ -13,63 +13,41 @@ from multiprocessing import get_context
 from pathlib import Path
 
 import pytest
-from sqlalchemy import func, select
+from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import EXPORT, FORMATS, delete_export, start_export
 from services.domain.sequences.recordings import RecordingInUseError, remove_recording
+from services.domain.viewer.playback import playback_of, shown_by
 from services.labeler.export_stage import located_inputs
 from services.labeler.exports.registry import EXPORTERS, exporter_of
 from services.labeler.recordings import located_recording
 from services.labeler.stages import handlers
 from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
-from services.runtime.database.migrate import upgrade
-from services.runtime.jobs.control import cancel
+from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.interruption import CRASHED, give_back_running
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Blob, Export, ExportPack, Job, Recording
 from services.runtime.platform import Platform
-from services.runtime.settings import Settings, UploadSettings
-from services.runtime.store.pack_archive import locate_export, stored_files
-from services.runtime.store.pack_reading import file_pieces
-from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
-from testing.servers.fixtures import make_settings, opened
+from services.runtime.settings import Settings, UploadSettings, ViewingSettings
+from testing.servers.fixtures import opened
 from testing.stone_serve import until
-from testing.worlds.runs import Brought, Listening, Said, bring_ready, run_all
+from testing.worlds.drives import exported_files, labelled_platform
+from testing.worlds.runs import Brought, Listening, Said, run_all
+from tests.services.labeler.test_stages import publish_again
 
 pytestmark = pytest.mark.whole
 
-RUN = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, cameras=False)
 FORM = "nuscenes"
 
 
-@pytest.fixture(scope="module")
-def labelled(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """The data folder of a platform with a labelled sequence."""
-    bag = tmp_path_factory.mktemp("field") / "run.mcap"
-    simulate(bag, RUN)
-    root = tmp_path_factory.mktemp("labelled")
-    platform = opened(make_settings(root), [])
-    upgrade(platform.settings)
-    brought = bring_ready(platform, bag)
-    brought.process()
-    run_all(platform)
-    platform.database.close()
-    (root / "ids.json").write_text(json.dumps([brought.owner_id, brought.sequence_id, brought.recording_ids]))
-    return root
-
-
 @pytest.fixture
-def brought(labelled: Path, tmp_path: Path) -> Iterator[Brought]:
-    """A copy of that platform."""
-    shutil.copytree(labelled, tmp_path / "platform")
-    platform = opened(make_settings(tmp_path / "platform"), [])
-    owner_id, sequence_id, recording_ids = json.loads((tmp_path / "platform" / "ids.json").read_text())
-    yield Brought(platform, owner_id, sequence_id, recording_ids)
-    platform.database.close()
+def brought(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Iterator[Brought]:
+    """A platform of the test's own with a labelled sequence."""
+    with labelled_platform(tmp_path_factory, tmp_path / "platform") as brought:
+        yield brought
 
 
 def asked(brought: Brought, form: str = FORM) -> tuple[str, str]:
@@ -82,17 +60,6 @@ def asked(brought: Brought, form: str = FORM) -> tuple[str, str]:
 def row(platform: Platform, export_id: str) -> Export | None:
     with platform.database.reading() as session:
         return session.get(Export, export_id)
-
-
-def files_of(platform: Platform, export_id: str) -> dict[str, bytes]:
-    with platform.database.reading() as session:
-        located = locate_export(session, session.get_one(Export, export_id))
-    stored = stored_files(platform.store, located)
-    files, read = stored.files, stored.reader(platform.store)
-    return {
-        name: b"".join(file_pieces(files, ordinal, (0, int(files.sizes_bytes[ordinal])), read))
-        for ordinal, name in enumerate(files.names)
-    }
 
 
 def written_directly(brought: Brought, form: str, out: Path) -> dict[str, bytes]:
@@ -115,32 +82,19 @@ def test_every_format_can_be_asked_for_by_the_name_the_exporters_have() -> None:
     assert set(FORMATS) == set(EXPORTERS)
 
 
-@pytest.mark.parametrize("form", ["nuscenes", "mesh"])
-def test_an_export_has_every_file_the_exporter_writes_and_their_checksums(
-    brought: Brought, tmp_path: Path, form: str
-) -> None:
-    export_id, job_id = asked(brought, form)
+def test_an_export_has_every_file_the_exporter_writes_and_their_checksums(brought: Brought, tmp_path: Path) -> None:
+    export_id, job_id = asked(brought)
     assert run_all(brought.platform) == 1
     assert brought.job(job_id).state == "succeeded", brought.job(job_id).failure
-    files = files_of(brought.platform, export_id)
+    files = exported_files(brought.platform, export_id)
     sums = files.pop("sha256sum.txt").decode().splitlines()
     assert [line.split("  ")[1] for line in sums] == sorted(files)
-    assert files == written_directly(brought, form, tmp_path / "direct" / "out")
+    assert files == written_directly(brought, FORM, tmp_path / "direct" / "out")
     export = row(brought.platform, export_id)
     assert export is not None
     assert (export.files, brought.job(job_id).result["files"]) == (len(files) + 1,) * 2  # type: ignore[index]
-    assert asked(brought, form) == (export_id, job_id)
+    assert asked(brought) == (export_id, job_id)
     assert run_all(brought.platform) == 0
-
-
-def test_an_export_that_another_version_was_asked_for_is_of_the_version_that_writes_it(brought: Brought) -> None:
-    export_id, job_id = asked(brought, "mesh")
-    of_another_version(brought.platform, export_id)
-    assert run_all(brought.platform) == 1
-    export = row(brought.platform, export_id)
-    assert export is not None
-    assert (export.code_version, export.files > 0) == (code_version("exports"), True)
-    assert asked(brought, "mesh") == (export_id, job_id), "nor is it made again"
 
 
 def test_exports_of_two_versions_under_way_are_both_written(brought: Brought) -> None:
@@ -222,7 +176,7 @@ def test_an_export_survives_kill_9(brought: Brought, tmp_path: Path) -> None:
     assert run_all(brought.platform) == 1
     assert brought.job(job_id).state == "succeeded"
     assert set(leftovers(brought.platform, job_id)).isdisjoint(killed)
-    assert files_of(brought.platform, export_id).keys() > {"sha256sum.txt"}
+    assert exported_files(brought.platform, export_id).keys() > {"sha256sum.txt"}
 
 
 def work_until(settings: Settings, half: Path) -> None:
@@ -246,16 +200,6 @@ class Pausing(Said):
         if stage == "pack" and done == total // 2:
             self.half.touch()
             time.sleep(60)
-
-
-def test_what_a_killed_attempt_left_is_removed_by_the_next(brought: Brought) -> None:
-    _, job_id = asked(brought)
-    left = brought.platform.settings.root / "store" / "work" / job_id / f"export-{job_id}-01234567" / "files"
-    left.mkdir(parents=True)
-    (left / "half.bin").write_bytes(b"half")
-    run_all(brought.platform)
-    assert not left.exists()
-    assert brought.job(job_id).state == "succeeded"
 
 
 def test_a_cancelled_export_stops_at_its_next_word_and_leaves_nothing(brought: Brought) -> None:
@@ -333,3 +277,72 @@ def test_labels_that_are_not_what_they_were_fail_the_export(brought: Brought, tm
     _, job_id = asked(brought)
     run_all(brought.platform)
     assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "damaged_labels")
+
+
+@pytest.fixture
+def unpublished(brought: Brought) -> tuple[Brought, str]:
+    """A platform that makes playbacks, about to publish labels; the run that does."""
+    settings = brought.platform.settings.model_copy(update={"viewing": ViewingSettings(makes_playback=True)})
+    platform = replace(brought.platform, settings=settings)
+    (label_set,) = brought.label_sets()
+    publish_again(brought, label_set.job_id)
+    return replace(brought, platform=platform), label_set.job_id
+
+
+def exports_of(brought: Brought) -> list[Export]:
+    with brought.platform.database.reading() as session:
+        return list(session.scalars(select(Export)))
+
+
+def test_published_labels_are_followed_by_their_playback_as_a_job_of_its_own(
+    unpublished: tuple[Brought, str],
+) -> None:
+    brought, run_id = unpublished
+    assert run_all(brought.platform) == 2
+    (label_set,), (export,) = brought.label_sets(), exports_of(brought)
+    job = brought.job(export.job_id)
+    assert (export.format, export.label_set_id, export.sequence_id) == ("playback", label_set.id, brought.sequence_id)
+    assert (job.state, job.failure, job.root_id, job.priority) == ("succeeded", "", job.id, -1)
+    assert (job.owner_id, brought.job(run_id).state) == (brought.owner_id, "succeeded")
+    with brought.platform.database.reading() as session:
+        playback = playback_of(session, label_set.id)
+    shown = shown_by(brought.platform.store, playback)
+    assert (playback.state, playback.export_id, len(shown.cameras), shown.has_clouds) == ("ready", export.id, 6, True)
+    with brought.platform.database.transaction() as session:
+        again, _ = start_export(session, brought.sequence(), "playback")
+        assert again.id == export.id, "who asks for it is given the one that stands"
+
+
+def test_a_run_that_is_published_twice_has_one_label_set_and_is_followed_once(unpublished: tuple[Brought, str]) -> None:
+    brought, run_id = unpublished
+    run_all(brought.platform)
+    with brought.platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == run_id).values(state="running"))
+        session.execute(update(Job).where(Job.kind == "labeler.publish").values(state="queued", attempts_left=3))
+    assert run_all(brought.platform) == 1
+    (label_set,) = brought.label_sets()
+    assert brought.job(run_id).result["label_set_id"] == label_set.id  # type: ignore[index]
+    assert len(exports_of(brought)) == 1
+
+
+def test_nothing_follows_where_that_is_switched_off(unpublished: tuple[Brought, str]) -> None:
+    brought, _ = unpublished
+    settings = brought.platform.settings.model_copy(update={"viewing": ViewingSettings(makes_playback=False)})
+    assert run_all(replace(brought.platform, settings=settings)) == 1
+    assert (len(brought.label_sets()), exports_of(brought)) == (1, [])
+
+
+def test_labels_are_published_though_the_queue_takes_nothing_new(unpublished: tuple[Brought, str]) -> None:
+    brought, run_id = unpublished
+    with brought.platform.database.transaction() as session:
+        set_mode(session, "labeler", "draining")
+    assert run_all(brought.platform) == 1
+    assert (brought.job(run_id).state, len(brought.label_sets()), exports_of(brought)) == ("succeeded", 1, [])
+
+
+def test_labels_are_published_though_their_recording_is_gone(unpublished: tuple[Brought, str]) -> None:
+    brought, run_id = unpublished
+    with brought.platform.database.transaction() as session:
+        session.execute(delete(Recording))
+    assert run_all(brought.platform) == 1
+    assert (brought.job(run_id).state, len(brought.label_sets()), exports_of(brought)) == ("succeeded", 1, [])

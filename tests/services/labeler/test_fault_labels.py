@@ -7,42 +7,41 @@ from pathlib import Path
 
 import pytest
 
+from testing.worlds.drives import sound_drive
 from testing.worlds.faults.catalogue import FAULTS
-from testing.worlds.faults.drive import SoundDrive, kitti_drive, simulated_drive
+from testing.worlds.faults.drive import SoundDrive, kitti_drive
 from testing.worlds.faults.outcome import LabelledDrive, outcome, sound
 
 pytestmark = pytest.mark.whole
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 LABELLED = (
-    "poses jump 30 m in the middle",
-    "one pose 30 m off",
-    "poses silent for a third",
-    "one pose stamped 0",
-    "one cloud of another sensor",
-    "one sweep stamped 1 s back",
-    "a plain chunk with a bad CRC",
+    ("simulated", "poses jump 30 m in the middle"),
+    ("simulated", "poses silent for a third"),
+    ("simulated", "one pose stamped 0"),
+    ("simulated", "one cloud of another sensor"),
+    ("simulated", "a plain chunk with a bad CRC"),
+    ("kitti", "poses jump 30 m in the middle"),
+    ("kitti", "one pose 30 m off"),
+    ("kitti", "one sweep stamped 1 s back"),
 )
 REFUSED = {
-    "one pose recorded": "SYN-503",
-    "every cloud all NaN": "SYN-509",
-    "LiDAR entered upside down": "footprint_off_ground",
+    ("simulated", "one pose recorded"): "SYN-503",
+    ("simulated", "every cloud all NaN"): "SYN-509",
+    ("kitti", "LiDAR entered upside down"): "footprint_off_ground",
 }
 Sound = tuple[SoundDrive, LabelledDrive]
 
 
-@pytest.fixture(scope="module", params=["simulated", "kitti"])
+@pytest.fixture(scope="module")
 def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sound:
     folder = tmp_path_factory.mktemp("drive")
-    made = (
-        simulated_drive(folder)
-        if request.param == "simulated"
-        else kitti_drive(request.getfixturevalue("field_data"), folder)
-    )
+    is_simulated = request.param == "simulated"
+    made = sound_drive(tmp_path_factory) if is_simulated else kitti_drive(request.getfixturevalue("field_data"), folder)
     return made, sound(made, folder / "labels")
 
 
-@pytest.mark.parametrize("name", LABELLED)
+@pytest.mark.parametrize(("drive", "name"), LABELLED, indirect=["drive"])
 def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(drive: Sound, tmp_path: Path, name: str) -> None:
     whole, labelled = drive
     found = outcome(whole, BY_NAME[name], tmp_path, labelled.grids)
@@ -53,9 +52,9 @@ def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(drive: Sound, tmp_p
     assert found.p_share == pytest.approx(shares["potentially_traversable"], abs=0.12)
 
 
-@pytest.mark.parametrize("name", list(REFUSED))
+@pytest.mark.parametrize(("drive", "name"), list(REFUSED), indirect=["drive"])
 def test_what_cannot_be_labelled_is_refused_and_was_named(drive: Sound, tmp_path: Path, name: str) -> None:
     whole, labelled = drive
     found = outcome(whole, BY_NAME[name], tmp_path, labelled.grids)
-    assert found.refusal == REFUSED[name]
+    assert found.refusal == REFUSED[whole.name, name]
     assert found.refusal in found.named or "CAL-433" in found.named

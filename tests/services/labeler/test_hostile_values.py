@@ -7,19 +7,18 @@ import json
 import subprocess
 import sys
 import warnings
-from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 
-from fuzz.labels import WrongLabelsError, checked, labelled, read_and_label
+from fuzz.labels import labelled, read_and_label
 from fuzz.limits import OF_LABELLING, check
 from services.labeler.report import LabelReport
 from stone.errors import StoneError
 from stone.sensors.reach import FARTHEST_POINT_M
-from testing.worlds.hostile_drive import ATTACKS, attacked, edit_bytes, edits_in, sound_drive, write_drive
+from testing.worlds.hostile_drive import ATTACKS, attacked, edit_bytes, write_drive
 
 STONE = Path(sys.executable).parent / "stone"
 OVERFLOWING = "points that overflow as they are turned"
@@ -101,37 +100,6 @@ def test_the_command_labels_the_recording_that_killed_it(tmp_path: Path) -> None
     assert (record["frames"], record["map"]["far_points"]) == (8, 512)
     assert "LAB-608" in {finding["code"] for finding in record["findings"]}
     assert "Traceback" not in ended.stderr
-
-
-def _bits(value: float | int) -> float | int:
-    return value & (2**64 - 1) if isinstance(value, int) else value
-
-
-def test_any_bytes_are_edits_and_edits_are_bytes() -> None:
-    for edits in ATTACKS.values():
-        again = list(edits_in(edit_bytes(*edits)))
-        assert [(one.array, one.first, one.count, one.step) for one in again] == [
-            (one.array, one.first, one.count, one.step) for one in edits
-        ]
-        ours, theirs = ([_bits(one.value) for one in each] for each in (again, edits))
-        np.testing.assert_array_equal(ours, theirs)
-    drawn = np.random.default_rng(1).bytes(4000)
-    assert len(list(edits_in(drawn))) == 4000 // 13
-    with np.errstate(all="raise"):
-        arrays = attacked(*edits_in(drawn))
-    assert {name: (array.shape, array.dtype) for name, array in arrays.items()} == {
-        name: (array.shape, array.dtype) for name, array in sound_drive().items()
-    }
-
-
-def test_labels_that_are_no_labels_are_noticed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    checks: list[Callable[[], LabelReport]] = []
-    monkeypatch.setattr("fuzz.labels.checked", lambda run: checks.append(lambda: checked(run)))
-    labelled(sound_drive(), tmp_path)
-    assert len(checks[0]().sequence.frames) == 8
-    monkeypatch.setattr("services.labeler.report.LabelReport.class_shares", lambda _: {"traversable": float("nan")})
-    with pytest.raises(WrongLabelsError, match="a number of the report is none"):
-        checks[0]()
 
 
 @pytest.mark.whole

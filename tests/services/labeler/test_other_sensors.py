@@ -1,8 +1,8 @@
-"""Labels of one simulated run as people record it: the LiDAR as packets, the poses by other messages and by files.
+"""Labels of one simulated run as people record it: the LiDAR as packets, the poses by other messages.
 
 Catches alone packets that are deskewed, mapped or counted otherwise than clouds, and poses that are right at the frames
-and wrong between them; for that, ten runs of labelling, some 15 s of processor time each. What was measured is recorded
-as properties of the tests.
+and wrong between them; for that, four runs of labelling, some 15 s of processor time each. What was measured is
+recorded as properties of the tests.
 """
 
 from collections.abc import Callable
@@ -10,14 +10,12 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
-import pymap3d
 import pytest
 from numpy.typing import NDArray
 
 from services.ingest.pipeline import SynchroniseOptions
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
-from simulator.scenery.world import ORIGIN_DEG_M
 from simulator.sensors import rig
 from simulator.truth import read_truth
 from stone.geometry.se3 import SE3
@@ -27,16 +25,11 @@ from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.sweep_clouds import sweep_cloud
-from stone_recordings.poses.file_poses import PoseFile
 from testing.worlds.faults.outcome import LabelledDrive, agreement, labelled
-from testing.worlds.pose_files import kitti_text, tum_text
 from tests.stone_recordings import rigs
 from tests.stone_recordings.messages.lidars.encoding import SentPacket, pandar_scan
 from tests.stone_recordings.pose_messages import (
-    POSED,
     WITH_COVARIANCE,
-    attitude_message,
-    fix_message,
     pose_message,
 )
 from tests.stone_recordings.writing import CloudText, Recorded, cloud_payload, write_mcap
@@ -155,47 +148,8 @@ def test_a_run_recorded_as_packets_is_labelled_as_the_points_they_hold(
     assert run.alike(made) > 0.8
 
 
-@pytest.mark.parametrize("type_name", [POSED, WITH_COVARIANCE])
-def test_stamped_poses_label_as_odometry_does(run: OneRun, type_name: str) -> None:
-    poses = run.truth(run.stamps_ns)
-    posed = [pose_message(int(stamp), poses[row], type_name, "/pose", "map") for row, stamp in enumerate(run.stamps_ns)]
-    made = run.labelled(type_name.rsplit("/", 1)[1], run.clouds + posed, poses_frame="base_link")
+def test_stamped_poses_label_as_odometry_does(run: OneRun) -> None:
+    poses, kind = run.truth(run.stamps_ns), WITH_COVARIANCE
+    posed = [pose_message(int(stamp), poses[row], kind, "/pose", "map") for row, stamp in enumerate(run.stamps_ns)]
+    made = run.labelled("posed", run.clouds + posed, poses_frame="base_link")
     assert run.alike(made) == 1.0
-
-
-def test_a_tum_file_labels_as_odometry_does(run: OneRun) -> None:
-    path = run.folder / "tum.txt"
-    path.write_text(tum_text(run.stamps_ns, run.truth(run.stamps_ns)))
-    made = run.labelled("tum", run.clouds, poses=PoseFile(path, "base_link"))
-    assert run.alike(made) == 1.0
-
-
-def test_a_kitti_file_labels_as_odometry_of_the_same_map_does(
-    run: OneRun, record_property: Callable[..., None]
-) -> None:
-    """The map begins at the first sweep: lattices of the surface lie elsewhere than in the other runs."""
-    path, poses = run.folder / "kitti.txt", run.truth(run.sweeps_ns)
-    path.write_text(kitti_text(poses[0].inverse() @ poses))
-    made = run.labelled("kitti", run.clouds, poses=PoseFile(path, "base_link"))
-    same = run.labelled("first_map", run.clouds + odometry(run.sweeps_ns, poses[0].inverse() @ poses))
-    record_property("kitti_alike", agreement(made.grids, same.grids))
-    assert made.grids.keys() == same.grids.keys()
-    assert agreement(made.grids, same.grids) > 0.999
-
-
-def test_positions_with_an_attitude_label_as_odometry_of_the_same_map_does(
-    run: OneRun, record_property: Callable[..., None]
-) -> None:
-    """The map begins at the first position of the antenna."""
-    poses = run.truth(run.stamps_ns)
-    place_m = (poses @ rig.EGO_FROM_INS).translation_m
-    geodetic = np.stack(pymap3d.enu2geodetic(*place_m.T, *ORIGIN_DEG_M), axis=-1)
-    fixes = [fix_message(int(at), place, 0, "gps", {}) for at, place in zip(run.stamps_ns, geodetic, strict=True)]
-    imu_ns = np.arange(run.stamps_ns[0], run.stamps_ns[-1], 10_000_000)
-    turned = (run.truth(imu_ns) @ rig.EGO_FROM_IMU).wxyz
-    attitudes = [attitude_message(int(at), wxyz, 0.01, "/imu/data") for at, wxyz in zip(imu_ns, turned, strict=True)]
-    made = run.labelled("gnss", run.clouds + fixes + attitudes)
-    moved = SE3.from_parts(poses.wxyz, poses.translation_m - place_m[0])
-    same = run.labelled("antenna_map", run.clouds + odometry(run.stamps_ns, moved))
-    record_property("gnss_alike", agreement(made.grids, same.grids))
-    assert agreement(made.grids, same.grids) > 0.97

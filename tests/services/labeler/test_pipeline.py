@@ -1,7 +1,12 @@
-"""The whole labeler on small worlds that are ray-cast in closed form."""
+"""The whole labeler on small worlds that are ray-cast in closed form; what it refuses, and that a run which ends early
+leaves nothing behind."""
 
 import io
 import json
+import os
+import signal
+import subprocess
+import sys
 from dataclasses import replace
 from pathlib import Path
 
@@ -10,14 +15,17 @@ import pyarrow.parquet as pq
 import pytest
 from PIL import Image
 
+from services.labeler.errors import NoUsableFramesError
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.map.ply import FACE, HEADER, VERTEX
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
 from stone.labels.class_colours import CLASS_RGB
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone.labels.traversability import NoReferenceError
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import ExcludedFrame
+from stone_files.errors import OutputExistsError
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -158,6 +166,7 @@ def test_the_report_tells_what_was_made_from_what_and_how(made):
     assert report["parameters"]["surface"]["width_m"] == 0.2
     assert [row["code"] for row in report["excluded"]] == ["pose_gap", "no_pose"]
     assert report["excluded"][0]["reason"] == "no pose within 250 ms"
+    assert (report["refinement"], report["parameters"]["refinement"]) == (None, None), "which nobody asked for"
     assert sum(report["class_share_of_occupied"].values()) == pytest.approx(1, abs=1e-5)
     assert np.shape(report["reference"]["mean"]) == (3,)
     assert np.shape(report["reference"]["covariance"]) == (3, 3)
@@ -225,3 +234,80 @@ def test_progress_goes_from_none_to_all_in_every_stage(tmp_path):
         steps = [(done, total) for name, done, total in seen if name == stage]
         assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]
     assert json.loads((tmp_path / "out" / "report.json").read_text())["reference"]["is_floored"]
+
+
+BARE = World(grade=(0.06, 0.02))
+
+
+def test_an_earlier_label_set_is_replaced_and_a_foreign_folder_is_refused(tmp_path):
+    world = replace(BARE, frames=2, boxes=())
+    (tmp_path / "home").mkdir()
+    (tmp_path / "home" / "thesis.txt").write_text("years of work")
+    with pytest.raises(OutputExistsError):
+        labelled(world, tmp_path / "home")
+    assert [path.name for path in (tmp_path / "home").iterdir()] == ["thesis.txt"]
+    (tmp_path / "earlier" / "gts" / "old").mkdir(parents=True)
+    (tmp_path / "earlier" / "report.json").write_text("{}")
+    labelled(world, tmp_path / "earlier")
+    assert [path.name for path in (tmp_path / "earlier" / "gts").iterdir()] == ["small"]
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["earlier", "home"]
+
+
+def test_a_sequence_without_usable_frames_is_refused(tmp_path):
+    sequence = replace(sequence_of(replace(BARE, frames=1)), excluded=LEFT_OUT)
+    none = replace(sequence.frames, stamps_ns=sequence.frames.stamps_ns[:0], tokens=())
+    empty = replace(sequence, frames=replace(none, map_from_ego=none.map_from_ego[:0]))
+    with pytest.raises(NoUsableFramesError, match=r"2 .*no_pose, pose_gap"):
+        label(empty, RayCast(BARE), tmp_path / "out")
+    with pytest.raises(NoUsableFramesError):
+        label(replace(empty, excluded=()), RayCast(BARE), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+@pytest.mark.parametrize(("width_m", "reach_m"), [(0.0, 7.0), (0.85, 0.0)], ids=["no footprint", "nothing seen"])
+def test_a_track_that_touches_no_surface_leaves_no_folder(tmp_path, width_m, reach_m):
+    world = replace(BARE, frames=2, boxes=(), reach_m=reach_m)
+    sequence = sequence_of(world)
+    rig = replace(sequence.calibration, footprint=replace(sequence.calibration.footprint, width_m=width_m))
+    with pytest.raises(NoReferenceError):
+        label(replace(sequence, calibration=rig), RayCast(world), tmp_path / "out")
+    assert list(tmp_path.iterdir()) == []
+
+
+def test_a_worker_that_fails_leaves_no_folder(tmp_path):
+    with pytest.raises(RuntimeError, match="this sweep cannot be read"):
+        labelled(replace(BARE, frames=4, breaks_at=2), tmp_path / "out", workers=2)
+    assert list(tmp_path.iterdir()) == []
+
+
+SHOWN = """
+import sys
+from pathlib import Path
+from services.labeler.local_run import label
+from tests.services.labeler.worlds import RayCast, World, sequence_of
+
+def shown(stage, done, total):
+    print(stage, done, flush=True)
+
+if __name__ == "__main__":
+    world = World(frames=6)
+    label(sequence_of(world), RayCast(world), Path(sys.argv[1]), progress=shown)
+"""
+
+
+@pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
+def test_killing_the_run_leaves_no_output_folder(tmp_path, number):
+    (tmp_path / "run.py").write_text(SHOWN)
+    environment = {**os.environ, "PYTHONPATH": str(ROOT)}
+    command = [sys.executable, str(tmp_path / "run.py"), str(tmp_path / "out")]
+    with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as run:
+        assert run.stdout is not None
+        begun = next(line for line in run.stdout if line.startswith("surface"))
+        assert begun == "surface 0\n"
+        run.send_signal(number)
+        run.stdout.close()
+        assert run.wait(300) in (128 + number, -number)
+    assert not (tmp_path / "out").exists()
+    left = [path for path in tmp_path.iterdir() if path.name != "run.py"]
+    assert (left == []) == (number == signal.SIGTERM)  # kill −9 leaves a hidden staging folder for the next run
+    assert all(path.name.startswith(".out.") for path in left)

@@ -1,22 +1,39 @@
-"""Workers do every task, pass errors on, and do not outlive who asked for them."""
+"""Workers do every task, pass errors on, and do not outlive who asked for them; a run that is opened for each of their
+jobs is read once, and what its cameras see is laid out once."""
 
 import gc
 import os
+import resource
 import signal
 import subprocess
 import sys
 import time
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import replace
 from pathlib import Path
 
+import numpy as np
 import pytest
 
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
 from services.labeler.errors import NoUsableFramesError
+from services.labeler.frames import _sight_of, compute_sight_lines
+from services.labeler.freed_memory import keep_freed_memory
+from services.labeler.kernel_warmup import warmup_sequence
+from services.labeler.parameters import LabelParameters
+from services.labeler.run import LabelRun
+from services.labeler.sandboxed_run import RunOpening
 from services.labeler.workers import Task, Workers
 from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_SHAPE
+from stone.labels.sight_batches import SightBatch
+from stone.labels.visibility import sight_lines
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Frames, Sequence
 from stone_base.garbage import COLLECTED_AFTER
+from stone_recordings.sync.sequence_file import sequence_bytes
 from testing.signals import hear_signals
+from tests.services.labeler.worlds import CALIBRATION, CAMERA, RayCast, World, sequence_of
 
 ROOT = Path(__file__).resolve().parents[3]
 ENDLESS = """
@@ -55,7 +72,7 @@ def test_every_task_is_done_and_says_what_it_came_to() -> None:
 
 
 def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
-    with Workers(1) as workers, pytest.raises(NoUsableFramesError, match=r"sequence run has no usable frame"):
+    with Workers(1) as workers, pytest.raises(NoUsableFramesError, match="run"):
         list(workers.run([Task(("refused",), refuse, ("run",))]))
 
 
@@ -99,3 +116,80 @@ def test_workers_end_with_a_command_that_is_killed(tmp_path: Path, number: int) 
     while any(Path(f"/proc/{pid}").exists() for pid in pids):
         assert time.monotonic() < until, f"workers {pids} are still alive"
         time.sleep(0.05)
+
+
+def faults_of_a_task() -> int:
+    import numpy as np
+
+    for turn in range(20):
+        if turn == 2:
+            before = resource.getrusage(resource.RUSAGE_SELF).ru_minflt
+        [np.ones(2**20) for _ in range(4)]
+    return resource.getrusage(resource.RUSAGE_SELF).ru_minflt - before
+
+
+@pytest.mark.skipif(sys.platform != "linux", reason="mallopt is glibc's")
+def test_workers_keep_freed_memory() -> None:
+    with Workers(1) as workers:
+        [(_task, done)] = workers.run([Task(("a",), faults_of_a_task, ())])
+    assert done.value < 100
+    assert keep_freed_memory()
+
+
+def write(path: Path, name: str) -> None:
+    """As stages leave files: written beside, renamed into place."""
+    staging = path.with_name("staging")
+    staging.write_bytes(sequence_bytes(replace(warmup_sequence(), name=name)))
+    staging.replace(path)
+
+
+def test_a_sequence_is_read_once(tmp_path: Path) -> None:
+    write(tmp_path / SEQUENCE_FILE, "one")
+    opening = RunOpening(tmp_path, "local", {})
+    assert opening.run().sequence is opening.run().sequence
+    assert opening.run().sequence.name == "one"
+
+
+def test_a_file_that_was_replaced_and_another_file_are_read_anew(tmp_path: Path) -> None:
+    write(tmp_path / SEQUENCE_FILE, "one")
+    write(tmp_path / CHECKED_FILE, "two")
+    opening = RunOpening(tmp_path, "local", {})
+    checked = replace(opening, sequence_file=CHECKED_FILE)
+    assert [one.run().sequence.name for one in (opening, checked, opening)] == ["one", "two", "one"]
+    write(tmp_path / SEQUENCE_FILE, "six")
+    assert opening.run().sequence.name == "six"
+
+
+WORLD = World()
+BACKWARD = SE3.from_parts(np.array([0.0, 0, 0, 1.0]), np.zeros(3))
+
+
+def run_in(scratch: Path, calibration: Calibration = CALIBRATION) -> LabelRun:
+    """Its camera's lines laid out in `scratch`."""
+    sequence = replace(sequence_of(WORLD), calibration=calibration)
+    run = LabelRun(sequence, RayCast(WORLD), LabelParameters(), scratch)
+    compute_sight_lines(run, 0)
+    return run
+
+
+def test_parts_of_a_run_share_it(tmp_path: Path) -> None:
+    run = run_in(tmp_path)
+    assert _sight_of(run) is _sight_of(run)
+
+
+def test_another_run_in_the_same_folder_sees_what_its_own_cameras_see(tmp_path: Path) -> None:
+    before = _sight_of(run_in(tmp_path))
+    turned = replace(CAMERA, lidar_from_sensor=BACKWARD @ CAMERA.lidar_from_sensor)
+    run = run_in(tmp_path, replace(CALIBRATION, mounts=(turned,)))
+    nothing = np.zeros((1, *GRID_SHAPE[:2]), np.uint32)
+    assert turned.intrinsics is not None
+    alone = SightBatch([sight_lines(turned.intrinsics, CALIBRATION.ego_from_lidar @ turned.lidar_from_sensor)])
+    assert (_sight_of(run).visible(nothing) == alone.visible(nothing)).all()
+    assert (before.visible(nothing) != alone.visible(nothing)).any()
+
+
+def test_two_threads_do_not_follow_lines_in_the_same_memory(tmp_path: Path) -> None:
+    run = run_in(tmp_path)
+    own = _sight_of(run)
+    with ThreadPoolExecutor(1) as other:
+        assert other.submit(_sight_of, run).result() is not own

@@ -12,8 +12,7 @@ import pytest
 from services.ingest.joining.joining import join_recordings
 from services.ingest.joining.request import JoinRequest
 from services.ingest.pipeline import SynchroniseOptions
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone_files.joined_file import GIVEN, GYRO, RADARS, REFERENCE, SAME_MESSAGES, SAME_TOPICS, JoinedMember
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.joined.joined_store import JoinedTopicError
@@ -25,6 +24,7 @@ from stone_recordings.joining.errors import (
 )
 from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.sync.errors import NoLidarError
+from testing.worlds.drives import drive
 from testing.worlds.recording_parts import RecordingPart, split_into
 from testing.worlds.runs import SMALL
 
@@ -35,16 +35,12 @@ Holds = Callable[[str, int], bool]
 
 @pytest.fixture(scope="module")
 def short(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    bag = tmp_path_factory.mktemp("short") / "run.mcap"
-    simulate(bag, SimulateOptions(seconds=1.0, channels=2, columns=60, cameras=False))
-    return bag
+    return drive(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
 def long(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    bag = tmp_path_factory.mktemp("long") / "run.mcap"
-    simulate(bag, SMALL)
-    return bag
+    return drive(tmp_path_factory, SMALL)
 
 
 def of(*words: str) -> Holds:

@@ -1,7 +1,6 @@
 """A short drive of the simulated full rig and its labels, made once and exported by many tests."""
 
 import json
-from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
@@ -33,27 +32,23 @@ class Labelled:
         return folder_source(self.folder, checked_samples)
 
 
-def made_labels(root: Path) -> Labelled:
+def made_labels(root: Path) -> None:
     """Twelve sweeps, six cameras and three radars."""
-    bag = root / "drive.mcap"
+    bag, calibration = root / "drive.mcap", root / "drive.calibration.yaml"
     simulate(bag, OPTIONS)
-    return labelled(bag, root / "drive.calibration.yaml", root / "labels", "drive")
-
-
-def labelled(bag: Path, calibration: Path, folder: Path, name: str) -> Labelled:
-    sequence, sweeps = open_sequence(bag, calibration, name)
+    sequence, sweeps = open_sequence(bag, calibration, "drive")
     source = {"recording": str(bag), "calibration": str(calibration)}
-    label(sequence, sweeps, folder, LabelOptions(parameters_for("local"), 1, source))
-    return Labelled(bag, folder)
+    label(sequence, sweeps, root / "labels", LabelOptions(parameters_for("local"), 1, source))
+
+
+def labelled_in(root: Path) -> Labelled:
+    return Labelled(root / "drive.mcap", root / "labels")
 
 
 def files_of(folder: Path) -> dict[str, bytes]:
     """Every file below a folder by its name there."""
-    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in _files(folder)}
-
-
-def _files(folder: Path) -> Iterator[Path]:
-    return (path for path in sorted(folder.rglob("*")) if path.is_file())
+    paths = (path for path in sorted(folder.rglob("*")) if path.is_file())
+    return {path.relative_to(folder).as_posix(): path.read_bytes() for path in paths}
 
 
 def unheard(_done: int, _total: int) -> None:

@@ -14,11 +14,7 @@ import numpy as np
 import pytest
 import trimesh
 
-from services.ingest.sequence import open_sequence
-from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.nuscenes.layout import write_nuscenes
-from services.labeler.local_run import LabelOptions, label
-from services.labeler.parameters import parameters_for
 from stone.labels.class_colours import CLASS_RGB
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.samples import egos_at
@@ -32,7 +28,6 @@ INSTALL = "deploy/install-devkit.sh"
 PYTHON = ROOT / ".venv" / "nuscenes-devkit" / "bin" / "python"
 WALK = ROOT / "tests" / "clients" / "devkit" / "walk.py"
 CAMERAS = 6
-KITTI_FRAMES = 20
 WITHOUT_FRONT = (1, 2)  # frames that miss a picture
 
 
@@ -148,36 +143,3 @@ def test_a_frame_may_lack_a_camera(drive: Labelled, found: dict[str, Any]) -> No
     count = len(drive.source().sequence.frames)
     assert found["chains"]["CAM_FRONT"] == count - len(WITHOUT_FRONT)
     assert all(found["chains"][channel] == count for channel in ("CAM_BACK", "CAM_FRONT_LEFT", "RADAR_FRONT"))
-
-
-def test_the_devkit_opens_a_real_recording_of_others(devkit: Path, field_data: Path, tmp_path: Path) -> None:
-    bag = field_data / "kitti0005_ros2_mcap" / "kitti0005_lidar_odom.mcap"
-    sequence, sweeps = open_sequence(bag, ROOT / "examples" / "kitti0005.calibration.yaml", "kitti0005")
-    options = LabelOptions(parameters_for("local"), 1, {"recording": str(bag)})
-    label(first_frames(sequence, KITTI_FRAMES), sweeps, tmp_path / "labels", options)
-    made = Labelled(bag, tmp_path / "labels")
-    export(ExportRequest("nuscenes", tmp_path / "out", made.report), made.source, unheard)
-    found = walked(devkit, tmp_path / "out", tmp_path)
-    assert found["chains"] == {"LIDAR_TOP": KITTI_FRAMES}
-    assert found["held"]["LIDAR_TOP"] > 20_000 * KITTI_FRAMES
-    assert found["projected"] == {}
-
-
-def first_frames(sequence: Sequence, count: int) -> Sequence:
-    """The sequence as if it had ended there."""
-    frames = sequence.frames
-    assert frames.sweeps is not None
-    sweeps = replace(
-        frames.sweeps, message_index=frames.sweeps.message_index[:count], dt_ns=frames.sweeps.dt_ns[:count]
-    )
-    short = replace(
-        frames,
-        stamps_ns=frames.stamps_ns[:count],
-        tokens=frames.tokens[:count],
-        map_from_ego=frames.map_from_ego[:count],
-        associations={},
-        slices={},
-        quality=None,
-        sweeps=sweeps,
-    )
-    return replace(sequence, frames=short)

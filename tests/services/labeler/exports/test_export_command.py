@@ -30,16 +30,7 @@ def copy(drive: Labelled, tmp_path: Path) -> Path:
     return Path(shutil.copytree(drive.folder, tmp_path / "labels"))
 
 
-def test_people_are_told_what_was_written_and_that_nothing_changed(copy: Path) -> None:
-    first, again = run(copy, "--format", "mesh"), run(copy, "--format", "mesh")
-    assert (first.exit_code, again.exit_code) == (0, 0)
-    assert first.stdout.startswith("written: drive, ")
-    assert again.stdout.startswith("unchanged: drive, ")
-    assert (copy.parent / "labels-mesh" / "drive" / "mesh.glb").is_file()
-    assert "export 2/2" in first.stderr
-
-
-def test_programs_are_told_the_same(copy: Path, tmp_path: Path) -> None:
+def test_what_was_written_is_told_and_that_nothing_changed(copy: Path, tmp_path: Path) -> None:
     result = run(copy, "--format", "mesh", "-o", tmp_path / "new" / "out", "--json")
     record = json.loads(result.stdout)
     assert (record["status"], record["format"], record["sequences"]) == ("written", "mesh", ["drive"])
@@ -47,18 +38,44 @@ def test_programs_are_told_the_same(copy: Path, tmp_path: Path) -> None:
     held = [path for path in (tmp_path / "new" / "out" / "drive").iterdir()]
     assert record["files"] == len(held)
     assert record["size_bytes"] == sum(path.stat().st_size for path in held)
+    again = run(copy, "--format", "mesh", "-o", tmp_path / "new" / "out", "--json")
+    assert (again.exit_code, json.loads(again.stdout)["status"]) == (0, "unchanged")
+    assert run(copy, "--format", "mesh").exit_code == 0
+    assert (copy.parent / "labels-mesh" / "drive" / "mesh.glb").is_file()
 
 
-def test_a_folder_that_holds_no_labels_is_refused(tmp_path: Path) -> None:
-    found = refusal(run(tmp_path, "--format", "mesh", "--json"))
-    assert found["code"] == "not_labels"
-    assert "stone label" in found["message"]
+@pytest.mark.parametrize(
+    ("folder", "form", "gone", "code"),
+    [
+        ("nothing", "mesh", "", "not_labels"),
+        ("labels", "waymo", "", "unknown_format"),
+        ("labels", "mesh", "source.json", "recording_gone"),
+    ],
+)
+def test_what_cannot_be_exported_is_refused(
+    copy: Path, tmp_path: Path, folder: str, form: str, gone: str, code: str
+) -> None:
+    (tmp_path / "nothing").mkdir()
+    if gone:
+        (copy / gone).unlink()
+    assert refusal(run(tmp_path / folder, "--format", form, "--json"))["code"] == code
 
 
-def test_a_format_nobody_knows_is_refused(copy: Path) -> None:
-    found = refusal(run(copy, "--format", "waymo", "--json"))
-    assert found["code"] == "unknown_format"
-    assert "nuscenes, inputs, kitti, mesh, mcap, rrd, previews" in found["message"]
+@pytest.mark.parametrize(
+    ("name", "content"),
+    [
+        ("report.json", b"{"),
+        ("report.json", b"[1]"),
+        ("report.json", b"\xff\xfe"),
+        ("sequence.npz", b"PK\3\4 not a zip"),
+        ("sequence.npz", b""),
+        ("source.json", b"{"),
+        ("source.json", b"[1]"),
+    ],
+)
+def test_damaged_labels_are_refused(copy: Path, name: str, content: bytes) -> None:
+    (copy / name).write_bytes(content)
+    assert refusal(run(copy, "--format", "mesh", "--json"))["code"] == "damaged_labels"
 
 
 def test_a_recording_that_is_gone_is_refused_and_found_again(copy: Path, drive: Labelled, tmp_path: Path) -> None:
@@ -69,11 +86,6 @@ def test_a_recording_that_is_gone_is_refused_and_found_again(copy: Path, drive: 
     assert run(copy, "--format", "mesh", "--bag", drive.bag).exit_code == 0
 
 
-def test_labels_that_name_no_recording_are_refused(copy: Path) -> None:
-    (copy / "source.json").unlink()
-    assert refusal(run(copy, "--format", "mesh", "--json"))["code"] == "recording_gone"
-
-
 def test_a_recording_that_is_another_is_refused(copy: Path, drive: Labelled, tmp_path: Path) -> None:
     content = bytearray(drive.bag.read_bytes())
     content[len(content) // 2] ^= 1
@@ -81,13 +93,6 @@ def test_a_recording_that_is_another_is_refused(copy: Path, drive: Labelled, tmp
     found = refusal(run(copy, "--format", "mesh", "--bag", tmp_path / "drive.mcap", "--json"))
     assert found["code"] == "recording_changed"
     assert not (tmp_path / "labels-mesh").exists()
-
-
-@pytest.mark.parametrize("name", ["report.json", "sequence.npz", "source.json"])
-@pytest.mark.parametrize("content", [b"", b"{", b"PK\3\4 not a zip", b"[1]", b"\xff\xfe"])
-def test_damaged_labels_are_refused(copy: Path, name: str, content: bytes) -> None:
-    (copy / name).write_bytes(content)
-    assert refusal(run(copy, "--format", "mesh", "--json"))["code"] == "damaged_labels"
 
 
 def test_a_damaged_frame_is_refused_and_leaves_no_folder(copy: Path) -> None:

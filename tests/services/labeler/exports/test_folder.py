@@ -46,26 +46,18 @@ def table(out: Path, name: str) -> Any:
     return json.loads((out / "v1.0-trainval" / f"{name}.json").read_text())
 
 
-def test_an_unchanged_sequence_is_not_even_opened(drive: Labelled, tmp_path: Path) -> None:
+def test_an_unchanged_sequence_is_not_even_opened_and_other_parameters_replace_it(
+    drive: Labelled, tmp_path: Path
+) -> None:
     assert exported(drive, tmp_path / "out", format_name="mesh").status == "written"
     before = {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")}
-    again = export(ExportRequest("mesh", tmp_path / "out", drive.report), never, unheard)
-    assert again.status == "unchanged"
-    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
-
-
-def test_seconds_that_labelling_took_change_nothing(drive: Labelled, tmp_path: Path) -> None:
-    exported(drive, tmp_path / "out", format_name="mesh")
     slower = {**drive.report, "cpu_s": 1e6, "stages_wall_s": {}}
-    assert export(ExportRequest("mesh", tmp_path / "out", slower), never, unheard).status == "unchanged"
-
-
-def test_other_parameters_replace_the_sequence(drive: Labelled, tmp_path: Path) -> None:
-    exported(drive, tmp_path / "out", format_name="mesh")
+    for report in (drive.report, slower):
+        assert export(ExportRequest("mesh", tmp_path / "out", report), never, unheard).status == "unchanged"
+    assert {path: path.stat().st_mtime_ns for path in (tmp_path / "out").rglob("*")} == before
     other = {**drive.report, "parameters": {"profile": "paper"}}
     again = export(ExportRequest("mesh", tmp_path / "out", other), drive.source, unheard)
-    assert again.status == "replaced"
-    assert again.sequences == ("drive",)
+    assert (again.status, again.sequences) == ("replaced", ("drive",))
 
 
 @pytest.fixture(scope="module")
@@ -131,7 +123,7 @@ def test_one_recording_under_two_names_is_refused_and_nothing_is_lost(drive: Lab
     before = files_of(tmp_path / "out")
     twin = replace(drive.source(), sequence=replace(drive.source().sequence, name="twin"))
     request = ExportRequest("nuscenes", tmp_path / "out", {**drive.report, "sequence": "twin"})
-    with pytest.raises(ExportClashError, match="labelled under two names"):
+    with pytest.raises(ExportClashError):
         export(request, lambda: twin, unheard)
     assert files_of(tmp_path / "out") == before
     assert [path.name for path in tmp_path.iterdir()] == ["out"]
@@ -150,40 +142,43 @@ def test_an_export_that_fails_leaves_nothing(drive: Labelled, tmp_path: Path) ->
 def test_other_peoples_folders_and_formats_are_left_alone(drive: Labelled, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("years")
-    with pytest.raises(OutputExistsError, match="not empty"):
+    with pytest.raises(OutputExistsError):
         exported(drive, tmp_path / "home", format_name="mesh")
     exported(drive, tmp_path / "mesh", format_name="mesh")
-    with pytest.raises(NotAnExportError, match="in format mesh, not kitti"):
+    with pytest.raises(NotAnExportError):
         exported(drive, tmp_path / "mesh", format_name="kitti")
-    with pytest.raises(UnknownFormatError, match="known are nuscenes, inputs, kitti, mesh"):
+    with pytest.raises(UnknownFormatError):
         exported(drive, tmp_path / "new", format_name="waymo")
 
 
+ENTRY = '{"format": "mesh", "sequences": {%s}}'
+
+
 @pytest.mark.parametrize(
-    "manifest", ["", "[]", '{"format": "mesh"}', '{"format": "mesh", "sequences": {"a": {"x": 1}}}']
+    "manifest",
+    [
+        "",
+        "[]",
+        '{"format": "mesh"}',
+        ENTRY % '"a": {"x": 1}',
+        ENTRY % '"../x": {"recipe": "", "frames": 1, "number": 0}',
+        ENTRY % '"x": {"recipe": "", "frames": 1, "number": "/"}',
+    ],
 )
-def test_a_damaged_manifest_is_refused(drive: Labelled, tmp_path: Path, manifest: str) -> None:
+def test_a_manifest_that_is_damaged_or_leads_elsewhere_is_refused(
+    drive: Labelled, tmp_path: Path, manifest: str
+) -> None:
     (tmp_path / "out").mkdir()
     (tmp_path / "out" / "export.json").write_text(manifest)
-    with pytest.raises(NotAnExportError, match="cannot be read"):
-        exported(drive, tmp_path / "out", format_name="mesh")
-
-
-@pytest.mark.parametrize(
-    "entry", ['{"../x": {"recipe": "", "frames": 1, "number": 0}}', '{"x": {"recipe": "", "frames": 1, "number": "/"}}']
-)
-def test_a_manifest_that_leads_elsewhere_is_refused(drive: Labelled, tmp_path: Path, entry: str) -> None:
-    (tmp_path / "out").mkdir()
-    (tmp_path / "out" / "export.json").write_text('{"format": "mesh", "sequences": ' + entry + "}")
-    with pytest.raises(NotAnExportError, match="no plain name or no number"):
+    with pytest.raises(NotAnExportError):
         exported(drive, tmp_path / "out", format_name="mesh")
 
 
 @pytest.mark.parametrize("name", ["../elsewhere", "", None])
 def test_a_report_that_names_no_plain_sequence_is_refused(drive: Labelled, tmp_path: Path, name: object) -> None:
-    with pytest.raises(DamagedLabelsError, match="names no sequence"):
+    with pytest.raises(DamagedLabelsError):
         export(ExportRequest("mesh", tmp_path / "out", {**drive.report, "sequence": name}), drive.source, unheard)
-    with pytest.raises(DamagedLabelsError, match="it is of sequence drive, the report of other"):
+    with pytest.raises(DamagedLabelsError):
         export(ExportRequest("mesh", tmp_path / "out", {**drive.report, "sequence": "other"}), drive.source, unheard)
     assert list(tmp_path.iterdir()) == []
 
@@ -193,7 +188,7 @@ def test_checksums_that_name_other_files_are_refused(drive: Labelled, tmp_path: 
     exported(drive, tmp_path / "out", format_name="mesh")
     (tmp_path / "out" / "checksums" / "drive.sha256").write_text(line)
     (tmp_path / "secret").write_text("key")
-    with pytest.raises(NotAnExportError, match=r"names|is gone"):
+    with pytest.raises(NotAnExportError):
         exported(drive, tmp_path / "out", "later", "mesh")
 
 

@@ -15,9 +15,6 @@ from services.labeler.exports.inputs import write_inputs
 from services.labeler.exports.nuscenes.layout import write_nuscenes
 from services.labeler.exports.source import LabelledSequence
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
-from tests.services.labeler.exports.test_devkit import CAMERAS, devkit, walked
-
-__all__ = ["devkit"]  # a fixture
 
 
 def unlabelled(source: LabelledSequence) -> LabelledSequence:
@@ -87,10 +84,3 @@ def test_the_folder_of_several_sequences_tells_nothing_of_labels_either(drive: L
     for name, report in (("this", drive.report), ("other", other)):
         export(ExportRequest("inputs", tmp_path / name, report), drive.source, unheard)
     assert files_of(tmp_path / "this") == files_of(tmp_path / "other")
-
-
-def test_the_devkit_opens_inputs(devkit: Path, drive: Labelled, out: Path, tmp_path: Path) -> None:
-    found = walked(devkit, out, tmp_path)
-    assert found["rows"]["sample"] == len(tokens(drive))
-    assert len(found["projected"]) == CAMERAS
-    assert found["drawn_map"] == [0.0, 0.0]

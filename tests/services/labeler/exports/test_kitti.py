@@ -10,7 +10,7 @@ import yaml
 from services.labeler.exports.kitti import CONFIG, packed, write_kitti
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from tests.services.labeler.exports.made import Labelled, files_of, unheard
+from tests.services.labeler.exports.made import Labelled, unheard
 
 
 @pytest.fixture(scope="module")
@@ -105,12 +105,6 @@ def test_the_configuration_names_the_classes(out: Path) -> None:
     assert set(config["learning_map"]) == set(config["labels"]) == set(config["color_map"])
     assert config["split"]["train"] == [0]
     assert config["sequences"] == {0: "drive"}
-
-
-def test_exporting_again_gives_the_same_bytes(out: Path, drive: Labelled, tmp_path: Path) -> None:
-    (tmp_path / "again").mkdir()
-    write_kitti(drive.source(), tmp_path / "again", unheard)
-    assert files_of(tmp_path / "again") == files_of(out)
 
 
 def test_the_first_of_eight_voxels_is_the_highest_bit() -> None:

@@ -174,15 +174,3 @@ def test_the_mesh_and_the_track_are_whole_and_hold_for_all_times(written):
     ((_, strips),) = written.rows("/map/track", "LineStrips3D:strips")
     track = vectors(strips.flatten())
     np.testing.assert_allclose(track, written.source.sequence.frames.map_from_ego.translation_m, atol=1e-4)
-
-
-def test_the_same_sequence_gives_the_same_chunks(written, drive, tmp_path):
-    steps: list[tuple[int, int]] = []
-    write_rerun(drive.source(), tmp_path, lambda *done: steps.append(done))
-    again = chunks_of(tmp_path / written.path.name)
-    assert [chunk.id for chunk in again] == [chunk.id for chunk in written.chunks]
-    for ours, theirs in zip(written.chunks, again, strict=True):
-        a, b = ours.to_record_batch(), theirs.to_record_batch()
-        assert set(a.schema.names) == set(b.schema.names)
-        assert all(a.column(name).equals(b.column(name)) for name in a.schema.names)
-    assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]

@@ -1,16 +1,20 @@
-"""A published dataset goes through the queues: whole or absent, done once, nothing left of it when it is over."""
+"""A published dataset goes through the queues: whole or absent, done once, nothing left of it when it is over; one
+that was cut short goes on where it was, or anew where what it had is of no use any more."""
 
 from dataclasses import replace
 from pathlib import Path
 
+import pytest
 from sqlalchemy import select
 
+from services.domain.imports.errors import ExistingSequencesError
 from services.domain.imports.queries import progress_of
-from services.domain.imports.requests import PUBLISH_IMPORT, delete_import
+from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import
 from services.domain.sequences.processing import delete_sequence
 from services.labeler.imports.publish_stage import PROFILE
 from services.runtime.access.storage_quota import balance
 from services.runtime.database.migrate import upgrade
+from services.runtime.jobs.control import cancel, retry
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import (
     Artefact,
@@ -24,6 +28,7 @@ from services.runtime.orm import (
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from services.runtime.store.blobs import collect_garbage
+from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.brought_datasets import FIELD, LABELS, BroughtDataset, an_owner, bring_dataset, counts_of, files_of
@@ -92,7 +97,7 @@ def test_labels_are_those_of_the_dataset_to_the_last_byte(imported: BroughtDatas
             assert files[f"{name}/{token}/labels.npz"] == LABELS[frame % 3]
 
 
-def test_source_and_labels_are_counted_and_the_tar_is_given_back(imported: BroughtDataset, tar: Path) -> None:
+def test_source_and_labels_are_counted_and_the_tar_is_given_back(imported: BroughtDataset) -> None:
     with imported.platform.database.reading() as session:
         sizes = session.execute(select(Artefact.name, Artefact.size_bytes)).all()
         counted = sum(size for name, size in sizes if name.startswith(("labels/", "source/")))
@@ -124,14 +129,6 @@ def test_every_stage_interrupted_once_leaves_the_same(tmp_path: Path, tar: Path,
         lost = session.scalars(select(JobAttempt).where(JobAttempt.outcome == "lost")).all()
     assert len(lost) == 4
     other.database.close()
-
-
-def test_two_imports_at_once_do_not_mix(platform: Platform, tar: Path) -> None:
-    both = [bring_dataset(platform, tar, an_owner(platform)) for _ in range(2)]
-    run_all(platform)
-    first, second = (files_of(platform, one.owner_id) for one in both)
-    assert [one.run().state for one in both] == ["succeeded", "succeeded"]
-    assert first == second != {}
 
 
 def test_a_second_import_of_the_same_names_is_refused_naming_all(imported: BroughtDataset, tar: Path) -> None:
@@ -217,3 +214,100 @@ def test_two_machines_with_s3_and_postgres_make_the_same(
     assert files_of(here, brought.owner_id) == files_of(imported.platform, imported.owner_id)
     for machine in (here, there):
         machine.database.close()
+
+
+FRAMES = 6
+
+
+def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_again(brought: BroughtDataset) -> None:
+    platform, done = brought.platform, list[int]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if attempt.arguments["scene"] == 2 and done.count(2) == 0:
+                done.append(2)
+                raise ExistingSequencesError(["a fault of this scene"])
+            done.append(attempt.arguments["scene"])
+            return handler(attempt)
+
+        return run if kind == SCENE else handler
+
+    run_all(platform, wrap=wrap)
+    assert (brought.run().state, brought.run().failure_code) == ("failed", "sequences_exist")
+    counts = counts_of(platform, brought.owner_id)
+    assert (counts["sequences"], counts["label_sets"], counts["labelled_frames"]) == (0, 0, 0)
+    with platform.database.transaction() as session:
+        retry(session, brought.run().id, 3)
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "succeeded"
+    assert done == [0, 1, 2, 2], "a scene that is done is not done again"
+    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
+
+
+def test_a_cancelled_import_goes_on_where_it_was(brought: BroughtDataset) -> None:
+    platform, done = brought.platform, list[int]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            done.append(attempt.arguments["scene"])
+            if done == [0, 1]:
+                with platform.database.transaction() as session:
+                    cancel(session, attempt.root_id, "")
+            return handler(attempt)
+
+        return run if kind == SCENE else handler
+
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "cancelled"
+    with platform.database.transaction() as session:
+        retry(session, brought.run().id, 3)
+    run_all(platform, wrap=wrap)
+    assert brought.run().state == "succeeded"
+    assert done.count(0) == 1
+
+
+@pytest.mark.parametrize("done", [0, 1, 4])
+def test_a_run_of_another_version_is_begun_again_and_ends_as_any(brought: BroughtDataset, done: int) -> None:
+    """Catches alone a dataset half of which was imported by the code before an upgrade."""
+    platform = brought.platform
+    attempts = list[str]()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if len(attempts) == done:
+                with platform.database.transaction() as session:
+                    row = session.get_one(Job, attempt.root_id)
+                    row.arguments = {**row.arguments, "code_version": "0.1.0"}
+            attempts.append(kind)
+            return handler(attempt)
+
+        return run
+
+    old_id = brought.run().id
+    run_all(platform, wrap=wrap)
+    new = brought.run()
+    with platform.database.reading() as session:
+        old = session.get_one(Job, old_id)
+    assert (old.state, new.state, new.failure) == ("cancelled", "succeeded", "")
+    assert new.id != old_id
+    assert new.id in old.cancel_reason
+    counts = counts_of(platform, brought.owner_id)
+    assert (counts["sequences"], counts["labelled_frames"], counts["imported_files"]) == (3, FRAMES, 0)
+
+
+@pytest.mark.parametrize(("kind", "number"), [(SCENE, 1), (PUBLISH_IMPORT, 0)])
+def test_a_run_whose_files_are_gone_is_begun_again(brought: BroughtDataset, kind: str, number: int) -> None:
+    platform, seen = brought.platform, list[str]()
+
+    def wrap(of: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if seen.count(kind) == number:
+                Workspace(platform.store, platform.settings, attempt.root_id).remove()
+            seen.append(of)
+            return handler(attempt)
+
+        return run if of == kind else handler
+
+    run_all(platform, wrap=wrap)
+    assert (brought.run().state, brought.run().failure) == ("succeeded", "")
+    assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES

@@ -1,4 +1,5 @@
-"""Votes of frames for the classes of map voxels, against counting them one by one."""
+"""Votes of frames for the classes of map voxels, counts of labels, and the faces of voxels: against counting them one
+by one, with numpy, and by looking at the six neighbours of each."""
 
 from collections import Counter
 from pathlib import Path
@@ -10,7 +11,9 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from services.labeler.imports.fused_labels import TILE_VOXELS, FusedLabels
+from services.labeler.imports.label_counts import class_counts, set_count
 from services.labeler.imports.votes import VoteBricks
+from services.labeler.imports.voxel_surface import CORNERS, coarser, exposed_faces, few_faces
 from services.labeler.run import Tile
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
@@ -112,7 +115,7 @@ def test_labels_that_fill_a_tile_without_end_are_refused(tmp_path: Path, monkeyp
     monkeypatch.setattr("services.labeler.imports.fused_labels.MOST_TILE_VOXELS", 50)
     labels = FusedLabels("meadow", tmp_path / "votes")
     labels.add(grid_of(1), SE3.identity())
-    with pytest.raises(MapTooDenseError, match="meadow occupy"):
+    with pytest.raises(MapTooDenseError, match="meadow"):
         list(labels.tiles())
 
 
@@ -132,3 +135,99 @@ def test_votes_of_a_tile_are_put_together_before_its_file_grows(
     assert tile == Tile(0, 0)
     assert np.array_equal(np.sort(keys_from_indices(np.argwhere(grid) - (128, 128, 10))), keys)
     assert (classes == 2).all()
+
+
+def drawn(seed: int, highest: int, share: float) -> Grid:
+    random = np.random.default_rng(seed)
+    grid = random.integers(0, highest + 1, GRID_SHAPE, np.uint8)
+    grid[random.random(GRID_SHAPE) > share] = 0
+    return grid
+
+
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 0.02, 1.0]), st.booleans())
+@settings(max_examples=10, deadline=None)
+def test_voxels_are_counted_by_class_wherever_the_grid_lies_in_memory(
+    seed: int, share: float, is_shifted: bool
+) -> None:
+    grid = drawn(seed, 3, share)
+    if is_shifted:
+        grid = np.frombuffer(b"x" + grid.tobytes(), np.uint8, grid.size, 1).reshape(GRID_SHAPE)
+    assert class_counts(grid) == np.bincount(grid.reshape(-1), minlength=4).tolist()
+
+
+@given(st.integers(0, 2**31), st.sampled_from([0.0, 0.5, 1.0]))
+@settings(max_examples=6, deadline=None)
+def test_voxels_of_a_mask_are_counted(seed: int, share: float) -> None:
+    mask = drawn(seed, 1, share)
+    assert set_count(mask) == int(mask.sum())
+
+
+SIZE_M = 0.5
+Voxels = dict[tuple[int, int, int], int]
+places = st.tuples(st.integers(-3, 3), st.integers(-3, 3), st.integers(-3, 3))
+worlds = st.dictionaries(places, st.integers(1, 3), max_size=40)
+SIDES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1))
+
+
+def arrays_of(voxels: Voxels) -> tuple[np.ndarray, np.ndarray]:
+    ordered = sorted(voxels)
+    keys = keys_from_indices(np.array(ordered, np.int64).reshape(-1, 3))
+    return keys, np.array([voxels[place] for place in ordered], np.uint8)
+
+
+def faces_of(voxels: Voxels) -> set[tuple[tuple[float, ...], tuple[float, ...], int]]:
+    """(middle, normal, class) of every face without a neighbour."""
+    found = set()
+    for place, kind in voxels.items():
+        for side in SIDES:
+            if tuple(np.add(place, side)) not in voxels:
+                middle = (np.array(place) + 0.5 + np.array(side) / 2) * SIZE_M
+                found.add((tuple(middle.tolist()), tuple(map(float, side)), kind))
+    return found
+
+
+@given(worlds)
+@settings(max_examples=80, deadline=None)
+def test_a_face_is_there_where_no_voxel_covers_it_and_shows_its_outside(voxels: Voxels) -> None:
+    mesh = exposed_faces(*arrays_of(voxels), SIZE_M)
+    corners = mesh.vertices_m[mesh.triangles].reshape(-1, 2, 3, 3)
+    kinds = mesh.classes[mesh.triangles].reshape(-1, 6)
+    assert (kinds == kinds[:, :1]).all()
+    normals = np.cross(corners[:, :, 1] - corners[:, :, 0], corners[:, :, 2] - corners[:, :, 0]) / SIZE_M**2
+    assert np.array_equal(normals[:, 0], normals[:, 1])
+    middles = corners.reshape(-1, 6, 3)[:, [0, 1, 2, 5]].mean(axis=1)
+    found = [(tuple(m), tuple(n), int(k)) for m, n, k in zip(middles.tolist(), normals[:, 0].tolist(), kinds[:, 0])]  # noqa: B905
+    assert len(found) == len(set(found))
+    assert set(found) == faces_of(voxels)
+
+
+@given(worlds)
+@settings(max_examples=40, deadline=None)
+def test_vertices_of_one_class_are_shared(voxels: Voxels) -> None:
+    mesh = exposed_faces(*arrays_of(voxels), SIZE_M)
+    named = {(*vertex, kind) for vertex, kind in zip(mesh.vertices_m.tolist(), mesh.classes.tolist(), strict=True)}  # type: ignore[misc]
+    assert len(named) == len(mesh.vertices_m) == len(np.unique(mesh.triangles))
+
+
+@given(worlds)
+@settings(max_examples=40, deadline=None)
+def test_a_coarser_voxel_has_the_highest_class_of_those_in_it(voxels: Voxels) -> None:
+    keys, classes = coarser(*arrays_of(voxels))
+    expected: Voxels = {}
+    for (i, j, k), kind in voxels.items():
+        expected[i >> 1, j >> 1, k >> 1] = max(kind, expected.get((i >> 1, j >> 1, k >> 1), 0))
+    assert dict(zip(map(tuple, indices_of(keys).tolist()), classes.tolist(), strict=True)) == expected
+
+
+def test_few_faces_are_few_and_lie_around_the_voxels() -> None:
+    keys = keys_from_indices(np.argwhere(np.ones((40, 40, 1), np.bool_)).astype(np.int64))
+    mesh = few_faces(keys, np.full(len(keys), 2, np.uint8), SIZE_M, 500)
+    assert 0 < len(mesh.triangles) <= 500
+    assert mesh.vertices_m.min(axis=0).tolist() == [0.0, 0.0, 0.0]
+    assert (mesh.vertices_m.max(axis=0)[:2] == 40 * SIZE_M).all()
+
+
+def test_the_corners_of_a_face_lie_in_one_plane() -> None:
+    for side, corners in zip(SIDES, CORNERS, strict=True):
+        along = corners @ np.array(side)
+        assert (along == along[0]).all()

@@ -1,0 +1,269 @@
+"""What a report tells beside its labels: what the other profile would have said, how the surface was solved for,
+what speaks against the driven ground being one Gaussian; and what may be chosen from outside."""
+
+import json
+from dataclasses import asdict, replace
+from pathlib import Path
+
+import numpy as np
+import pytest
+
+from services.domain.sequences.label_choices import BOUNDS, PROFILES, ChoiceError
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.map.comparison import ProfileComparison
+from services.labeler.map.convergence import convergence_findings, convergence_of
+from services.labeler.map.outliers import alternative_reference, outlier_counts, outlier_findings
+from services.labeler.map.surface import TileSummary
+from services.labeler.parameters import (
+    LabelParameters,
+    SurfaceParameters,
+    chosen_parameters,
+    other_profile,
+    parameters_for,
+)
+from services.labeler.report import reference_findings
+from services.labeler.results import reference_from
+from services.labeler.run import Tile
+from stone.labels.traversability import FeatureSums, Reference, sums_of
+from stone.sensors.calibration import Box, Footprint
+from stone.surface.screened_poisson import MOST_ROUNDS, Descent, PoissonParameters
+from tests.services.labeler.worlds import CALIBRATION, RayCast, World, sequence_of
+
+# A knoll beside the track: profile `local` looks at its sides, `paper` also at how high it is.
+KNOLL = World(
+    grade=(0.06, 0.02),
+    boxes=(Box((1.5, 2.0, -0.5), (3.7, 4.2, 0.5)), Box((-3.0, -3.0, -0.5), (-2.0, -2.0, 1.4))),
+    frames=8,
+    reach_m=6.0,
+)
+
+
+@pytest.fixture(scope="module")
+def reports(tmp_path_factory):
+    made = {}
+    for profile in ("paper", "local"):
+        folder = tmp_path_factory.mktemp(profile) / "out"
+        label(sequence_of(KNOLL), RayCast(KNOLL), folder, LabelOptions(parameters_for(profile)))
+        made[profile] = json.loads((folder / "report.json").read_text())
+    return made
+
+
+def test_both_reports_tell_the_same_of_both_profiles(reports):
+    paper, local = reports["paper"]["profiles"], reports["local"]["profiles"]
+    assert paper == local
+    assert set(paper["class_share"]) == {"paper", "local"}
+    assert paper["voxels"] == reports["paper"]["map"]["voxels"]
+
+
+def test_the_profiles_differ_here_and_their_shares_are_whole(reports):
+    profiles = reports["paper"]["profiles"]
+    assert 0.002 < profiles["differing_share"] < 0.9
+    shares = {name: np.array(list(share.values())) for name, share in profiles["class_share"].items()}
+    for share in shares.values():
+        assert share.sum() == pytest.approx(1, abs=3e-6)
+    assert shares["paper"][0] == shares["local"][0]  # both drove over the same ground
+    assert np.abs(shares["paper"] - shares["local"]).sum() / 2 <= profiles["differing_share"] + 3e-6
+
+
+def test_both_say_that_the_track_does_not_span_the_relief_and_only_paper_warns_of_it(reports):
+    elevation = reports["local"]["profiles"]["elevation"]
+    assert elevation["track_span_m"] == pytest.approx(0.06 * 7 * 0.4, abs=0.01)
+    assert 0 < elevation["paper_band_m"] < 1
+    assert elevation["is_spanned"] is False
+    codes = {name: {finding["code"] for finding in report["findings"]} for name, report in reports.items()}
+    assert "LAB-603" in codes["paper"]
+    assert "LAB-603" not in codes["local"]
+
+
+def test_the_other_of_the_other_profile_is_the_profile_itself():
+    for profile in ("paper", "local"):
+        assert other_profile(other_profile(parameters_for(profile))) == parameters_for(profile)
+    assert other_profile(LabelParameters(footprint_band_m=0.1)).footprint_band_m == 0.1
+
+
+BOX = World(grade=(0.04, -0.02), boxes=(Box((1.0, 1.5, 0.0), (2.0, 2.5, 0.8)),), frames=4, reach_m=4.0)
+SURFACE = SurfaceParameters()
+
+
+def solved_tile(rounds: int, residual_ratio: float) -> TileSummary:
+    sums = FeatureSums(np.zeros(3), 0, np.zeros(3), np.zeros((3, 3)))
+    return TileSummary(Tile(0, 0), np.zeros((0, 3)), sums, sums, 0, 0, 0, 0, 0, Descent(rounds, residual_ratio))
+
+
+def test_a_surface_that_is_solved_is_told_and_nothing_found(reports):
+    solver = reports["local"]["solver"]
+    assert 0 < solver["most_rounds"] < 200
+    assert 0 < solver["worst_residual_ratio"] <= SURFACE.poisson.tolerance_ratio
+    assert solver["unconverged_tiles"] == 0
+    assert "LAB-609" not in str(reports["local"]["findings"])
+
+
+def test_a_surface_that_cannot_be_solved_for_in_the_rounds_is_found(tmp_path: Path) -> None:
+    whole = parameters_for("local")
+    endless = replace(SURFACE, poisson=PoissonParameters(tolerance_ratio=1e-300))
+    report = label(sequence_of(BOX), RayCast(BOX), tmp_path / "out", LabelOptions(replace(whole, surface=endless)))
+    record = report.as_record()
+    solver, findings = record["solver"], record["findings"]
+    assert 200 < solver["most_rounds"] <= MOST_ROUNDS
+    assert solver["unconverged_tiles"] == 1
+    (found,) = [finding for finding in findings if finding["code"] == "LAB-609"]
+    assert found["severity"] == "warning"
+
+
+@pytest.mark.parametrize("residual", [np.nan, np.inf])
+def test_a_residual_that_is_no_number_is_not_converged(residual: float) -> None:
+    found = convergence_of([solved_tile(5, 1e-6), solved_tile(2000, residual)], SURFACE)
+    assert found is not None
+    assert (found.unconverged, found.tiles) == (1, 2)
+    assert found.as_record() == {"most_rounds": 2000, "worst_residual_ratio": None, "unconverged_tiles": 1}
+    assert [finding.code for finding in convergence_findings(found, SURFACE)] == ["LAB-609"]
+
+
+def test_of_open3d_nothing_is_said() -> None:
+    octree = replace(SURFACE, solver="octree")
+    assert convergence_of([solved_tile(0, 0.0)], octree) is None
+    assert convergence_findings(None, octree) == ()
+
+
+PAPER, LOCAL = parameters_for("paper"), parameters_for("local")
+
+
+def reference(slope_sigma_deg):
+    return Reference(np.zeros(3), np.diag([0.1, np.deg2rad(slope_sigma_deg), 1.0]) ** 2, 1000, is_floored=False)
+
+
+def codes(slope_sigma_deg=7.0, driven=1000, unlike=50):
+    found = reference_findings(
+        PAPER, reference(slope_sigma_deg), ProfileComparison(np.zeros((3, 3), np.int64), driven, unlike)
+    )
+    return [finding.code for finding in found]
+
+
+def test_ground_as_it_should_be_is_not_spoken_of():
+    assert codes() == []
+    assert codes(slope_sigma_deg=14.9, unlike=150) == []
+
+
+def test_a_slope_that_no_robot_drives_is_told():
+    assert codes(slope_sigma_deg=43.0) == ["LAB-604"]
+
+
+def test_driven_ground_that_is_mostly_unlike_itself_is_told_where_there_is_enough_of_it():
+    assert codes(unlike=151) == ["LAB-605"]
+    assert codes(driven=499, unlike=400) == []
+
+
+def test_a_footprint_said_to_be_wider_than_the_robot_takes_walls_for_ground_and_is_told(tmp_path):
+    walls = (Box((-3.0, 0.7, -0.2), (3.0, 1.1, 0.6)), Box((-3.0, -1.1, -0.2), (3.0, -0.7, 0.6)))
+    world = World(boxes=walls, frames=16)
+    wide = replace(CALIBRATION, footprint=Footprint(width_m=2.0))
+    options = LabelOptions(replace(PAPER, footprint_band_m=0.6))
+    reports = {
+        name: label(replace(sequence_of(world), calibration=rig), RayCast(world), tmp_path / name, options)
+        for name, rig in (("narrow", CALIBRATION), ("wide", wide))
+    }
+    told = {name: {finding.code for finding in report.findings} for name, report in reports.items()}
+    assert "LAB-604" not in told["narrow"]
+    assert "LAB-604" in told["wide"]
+    sigma = np.rad2deg(np.sqrt(reports["wide"].reference.covariance[1, 1]))
+    assert f"{sigma:.0f}°" in next(one.message for one in reports["wide"].findings if one.code == "LAB-604")
+
+
+def tile(features):
+    sums = sums_of(features, np.zeros(3))
+    return TileSummary(Tile(0, 0), features, sums, sums, *[len(features)] * 5)
+
+
+def ground(far=0, count=1000):
+    rows = np.random.default_rng(4).normal(size=(count, 3)) * [0.01, 0.02, 1.0] + [0.0, 0.03, -11.0]
+    rows[:far] = [0.0, 3.1, -11.0]
+    return rows
+
+
+def told(far, parameters=LOCAL, changed_ratio=0.04):
+    return outlier_findings(outlier_counts([tile(ground(far))], parameters.reference), parameters, changed_ratio)
+
+
+def test_a_few_voxels_that_widen_the_slope_are_counted_and_told_with_what_leaves_them_out():
+    assert told(0) == []
+    (finding,) = told(12)
+    assert finding.code == "LAB-606"
+    for value in ("12 ", "177.6°", "19.2°", "1.2°", "0.25", "4.0%"):
+        assert value in finding.message
+    assert "profile local" in told(12, PAPER)[0].message
+    left_out = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
+    assert told(12, left_out) == []
+
+
+def test_too_few_driven_voxels_are_not_judged():
+    assert outlier_counts([tile(ground(9, count=499))], PAPER.reference) is None
+    assert alternative_reference([tile(ground(9, count=499))], PAPER) is None
+
+
+def test_the_other_estimate_is_the_robust_one_or_the_plain_one():
+    tiles, left_out = [tile(ground(12))], replace(PAPER.reference, outlier_ratio=0.25)
+    robust, plain = alternative_reference(tiles, PAPER), reference_from(tiles, PAPER)
+    other_robust = replace(PAPER, reference=left_out)
+    assert robust is not None
+    np.testing.assert_array_equal(robust.covariance, reference_from(tiles, other_robust).covariance)
+    np.testing.assert_array_equal(plain.covariance, alternative_reference(tiles, other_robust).covariance)
+    assert robust.covariance[1, 1] < 0.01 * plain.covariance[1, 1]
+
+
+@pytest.mark.whole
+def test_slivers_of_wall_in_the_track_are_left_out_where_that_is_chosen(tmp_path):
+    """Catches alone that the choice reaches the labels: P shrinks to what is like the ground."""
+    world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=48, reach_m=5.0)
+    wide = replace(sequence_of(world), calibration=replace(CALIBRATION, footprint=Footprint(width_m=1.2)))
+    robust = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
+    plain, left_out = (
+        label(wide, RayCast(world), tmp_path / name, LabelOptions(parameters)).as_record()
+        for name, parameters in (("plain", LOCAL), ("robust", robust))
+    )
+    outliers, others = plain["reference"]["outliers"], left_out["reference"]["outliers"]
+    assert outliers == others
+    assert outliers["slope"]["far"] > 0
+    assert outliers["reestimated_share"] > 0
+    assert left_out["reference"]["covariance"][1][1] < plain["reference"]["covariance"][1][1]
+    shares = [record["class_share_of_occupied"]["potentially_traversable"] for record in (plain, left_out)]
+    assert shares[1] < shares[0]
+
+
+def leaf(record: object, name: str) -> object:
+    for part in name.split("."):
+        record = record[part]  # type: ignore[index]
+    return record
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+@pytest.mark.parametrize("profile", PROFILES)
+def test_every_choice_is_a_parameter_whose_default_lies_within_its_bounds(profile: str, name: str) -> None:
+    default = leaf(asdict(parameters_for(profile)), name)  # type: ignore[arg-type]
+    low, high = BOUNDS[name]
+    assert type(default) is type(low) is type(high)
+    assert low <= default <= high  # type: ignore[operator]
+
+
+@pytest.mark.parametrize("name", BOUNDS)
+def test_a_choice_changes_that_parameter_and_no_other(name: str) -> None:
+    low, _ = BOUNDS[name]
+    chosen, plain = asdict(chosen_parameters("local", {name: low})), asdict(parameters_for("local"))
+    assert leaf(chosen, name) == low
+    if "." in name:
+        group, part = name.split(".")
+        chosen[group][part] = plain[group][part]
+    else:
+        chosen[name] = plain[name]
+    assert chosen == plain
+
+
+def test_no_choice_is_the_profile_itself() -> None:
+    assert chosen_parameters("paper", {}) == LabelParameters()
+    with pytest.raises(ChoiceError):
+        chosen_parameters("paper", {"tiling.cube_cells": 1})
+
+
+def test_the_paper_leaves_no_driven_voxel_out() -> None:
+    assert chosen_parameters("paper", {"reference.outlier_ratio": 0.0}) == LabelParameters()
+    with pytest.raises(ChoiceError):
+        chosen_parameters("paper", {"reference.outlier_ratio": 0.25})
