@@ -13,10 +13,9 @@ from urllib.parse import urlsplit
 from playwright.sync_api import Browser, BrowserContext, ConsoleMessage, Page, Request
 
 from api.middleware.context import COOKIE
-from services.runtime.access import sessions
-from services.runtime.orm import User
 from services.runtime.platform import Platform
 from testing.api.serving import Person
+from testing.web.signed_in import secret_of
 
 PATIENCE_MS = 300_000
 DESKTOP = {"width": 1280, "height": 860}
@@ -65,7 +64,7 @@ class Site:
         context.set_default_timeout(PATIENCE_MS)
         watch = Watch(self.url, expected=list(expected))
         if who is not None:
-            context.add_cookies([{"name": COOKIE, "value": self._secret(who), "url": self.url}])
+            context.add_cookies([{"name": COOKIE, "value": secret_of(self.platform, who), "url": self.url}])
         page = context.new_page()
         page.on("console", watch.console)
         page.on("pageerror", lambda error: watch.faults.append(f"thrown: {error}"))
@@ -76,6 +75,15 @@ class Site:
         finally:
             context.close()
 
-    def _secret(self, who: Person) -> str:
-        with self.platform.database.transaction() as session:
-            return sessions.open_session(session, session.get_one(User, who.user_id), 3600.0).secret
+
+def decide(page: Page, button: str, reason: str, submit: str = "") -> None:
+    """Press a button that asks why, say why, and wait until the page is loaded again.
+
+    The part of the page that tells the new state may be there before the page is loaded again, and what is clicked in
+    between is lost with the old page.
+    """
+    page.get_by_role("button", name=button).first.click()
+    asking = page.get_by_role("dialog")
+    asking.get_by_label("Reason").fill(reason)
+    with page.expect_navigation():
+        asking.get_by_role("button", name=submit or button).last.click()

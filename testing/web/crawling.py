@@ -29,6 +29,7 @@ class Found:
     source: str
     status: int
     is_page: bool
+    size: int
 
 
 def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") -> Iterator[Found]:
@@ -42,10 +43,10 @@ def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") 
             continue
         with client.stream("GET", path, headers={"Accept": "text/html, */*", **headers}) as answer:
             is_page = answer.headers.get("content-type", "").startswith("text/html")
-            yield Found(path, shape, source, answer.status_code, is_page and answer.status_code == 200)
+            text = "".join(answer.iter_text()) if is_page else ""
+            yield Found(path, shape, source, answer.status_code, is_page and answer.status_code == 200, len(text))
             if not is_page:
                 continue
-            text = "".join(answer.iter_text())
         for link in links(path, text):
             if link not in known:
                 known.add(link)

@@ -2,7 +2,7 @@
 
 import pytest
 
-from benchmarks.rows.claiming.forecast import JobDemand, WorkerFleet, carried, demand_of, pace, transaction_s
+from benchmarks.rows.claiming.forecast import JobDemand, WorkerFleet, carried, pace
 from benchmarks.rows.claiming.server_log import transactions
 
 LOG = """\
@@ -45,35 +45,3 @@ def test_a_database_that_is_used_up_gives_what_it_has() -> None:
     assert paces[1].jobs_per_s == pytest.approx(100.0 / 4.0, rel=0.02)
     assert paces[1].database == pytest.approx(1.0, abs=0.02)
     assert carried(paces) == pytest.approx(25.0 / (1 / (0.5 + 4 / 100.0)), rel=0.03)
-
-
-def test_heartbeats_of_one_keeper_are_one_a_turn_and_so_is_presence() -> None:
-    demand = JobDemand((1e6,), 1.0, 2.0, 0.25)
-    together = pace(demand, WorkerFleet(32, 16, 0.5, 1, 1e-3))
-    apart = pace(demand, WorkerFleet(32, 1, 0.5, 1, 1e-3))
-    assert together.database * 1000 == pytest.approx(2 * 2 + 2 * 0.25, rel=0.1)
-    assert apart.database * 1000 == pytest.approx(32 * 2 + 32 * 0.25, rel=0.1)
-
-
-def test_a_question_whether_a_connection_lives_is_counted_to_what_follows_it() -> None:
-    run = {"liveness of a connection": 10, "claim": 6, "heartbeat": 3, "presence": 1}
-    idle = {"transactions": {"presence": 5, "liveness of a connection": 5}, "lasted_s": 10.0, "processes": 2}
-    cost = {"run": {"transactions": run}, "idle": idle, "job_s": [1.0, 2.0]}
-    assert demand_of(cost, is_shared=True) == JobDemand((1.0, 2.0), 6.0, beats_per_s=2.0, presence_per_s=1.0)
-    assert demand_of(cost, is_shared=False) == JobDemand((1.0, 2.0), 9.0, beats_per_s=0.0, presence_per_s=0.5)
-
-
-def test_a_database_of_two_cores_gives_twice_what_one_gives() -> None:
-    demand = JobDemand((0.5,), 4.0, 0.0, 0.0)
-    found = pace(demand, WorkerFleet(200, 16, 0.5, 2, 0.01))
-    assert found.jobs_per_s == pytest.approx(2 * 100.0 / 4.0, rel=0.02)
-    assert found.database == pytest.approx(1.0, abs=0.02)
-
-
-def test_claims_and_ends_cost_what_they_cost_many_at_once_where_that_is_dearer() -> None:
-    times = {"claim": 50, "end of a job": 10, "work of the job": 40}
-    cost = {"run": {"transactions": times}, "cpu_s_a_job": 0.1, "job_s": [1.0, 1.0, 1.0]}
-    assert transaction_s(cost, {"transactions": 1000, "database_cpu_s": 2.0}) == pytest.approx(0.003)
-    assert transaction_s(cost, {"transactions": 1000, "database_cpu_s": 5.0}) == pytest.approx(
-        0.6 * 0.005 + 0.4 * 0.003
-    )

@@ -8,7 +8,7 @@ from random import Random
 
 import pytest
 
-from benchmarks.rows.bulk_inserts import analyse, insert_rows, prepare
+from benchmarks.rows.bulk_inserts import analyse, prepare
 from benchmarks.rows.kinds import Amounts, fill
 from benchmarks.rows.plans import Statement, StatementPlan, explained, large_tables, taken_down
 from benchmarks.rows.queries import Kit, Question, people_of, questions
@@ -69,11 +69,3 @@ def test_a_statement_without_an_index_is_found_out(kit: Kit) -> None:
     ordered = Statement("SELECT id FROM jobs ORDER BY id", None)
     assert [plan.faults for plan in plans_of(kit.platform, [unindexed])] == [("reads all of jobs",)]
     assert [plan.faults for plan in plans_of(kit.platform, [ordered])] == [("reads all of pk_jobs",)]
-
-
-def test_rows_of_columns_that_do_not_exist_are_refused(kit: Kit) -> None:
-    with (
-        kit.platform.database.engine.connect() as connection,
-        pytest.raises(ValueError, match=r"table teams has no columns \['motto'\]"),
-    ):
-        insert_rows(connection, "teams", "generate_series(1, 2) AS n", {"motto": "'x'"})

@@ -1,5 +1,7 @@
 """A round of each kind with real processes, and a kill that destroys something, which must be seen."""
 
+import re
+import sys
 import time
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass
@@ -9,6 +11,7 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
+from chaos import scoring
 from chaos.inputs import Inputs, simulated
 from chaos.kinds import KINDS, Kind, undisturbed
 from chaos.places import PlatformUnderTest, platform_under_test
@@ -118,3 +121,16 @@ def test_what_is_really_destroyed_is_told_and_its_place_kept(inputs: Inputs, tmp
     row = [next(iter(column.cells)) for column in table_of([series], SEED, 1.0).columns]
     assert row[:3] == ["an artefact is deleted", "1", "1"]
     assert row[3] != "0"
+
+
+@pytest.mark.whole
+def test_no_kill_costs_a_score_or_a_scoring(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """Catches alone a score that a `kill -9` of a real worker loses, doubles or changes."""
+    monkeypatch.setattr(sys, "argv", ["scoring", "--rounds", "3", "--seed", "3", "--folder", str(tmp_path / "place")])
+    code = scoring.main()
+    said = capsys.readouterr().out
+    assert code == 0, said
+    assert re.search(r"\d rounds, 3 hit work", said), said  # a round that hits nothing is played again
+    assert "lost 0, doubled 0, differing 0" in said

@@ -8,10 +8,9 @@ from sqlalchemy import delete, update
 from sqlalchemy.orm import Session
 
 from chaos.scoring_verdict import SubmissionOutcome, came_of, judge, judge_quota
-from services.runtime.orm import Job, JobAttempt, Score, ScorePart, ScoringEntry, SubmissionRow
-from services.runtime.uploads import upload_file
+from services.runtime.orm import Job, JobAttempt, Score, ScoringEntry, SubmissionRow
 from testing.worlds.benchmark_world import World, run_eval
-from testing.worlds.sending import guess, pair_of, row_of, send, standing_world, zipped
+from testing.worlds.sending import guess, row_of, send, standing_world, zipped
 
 
 @pytest.fixture(scope="module")
@@ -84,20 +83,6 @@ def test_another_result_is_told(world: World, undisturbed: SubmissionOutcome) ->
     submission_id = send(world, zipped(world, guess(world, turn=1)))
     run_eval(world.platform)
     assert [found.sort for found in judge(world.platform, submission_id, undisturbed)] == ["differing"]
-
-
-def test_parts_and_uploads_that_are_left_are_told(
-    world: World, submission: SubmissionRow, undisturbed: SubmissionOutcome
-) -> None:
-    truth_id = pair_of(world, "val").truth_id
-    with world.platform.database.transaction() as session:
-        part = ScorePart(submission_id=submission.id, truth_id=truth_id, start=0, stop=1, counts=b"", problems={})
-        session.add(part)
-    upload = upload_file(world.platform.settings, submission.upload_id or "")
-    upload.write_bytes(b"left")
-    told = {found.sentence.split(" ")[1] for found in judge(world.platform, submission.id, undisturbed)}
-    upload.unlink()
-    assert told == {"counted", "upload"}
 
 
 def test_a_quota_that_does_not_fit_what_is_scored_is_told(world: World, content: bytes) -> None:

@@ -3,6 +3,7 @@
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
 from sqlalchemy import Update, delete, select, update
@@ -29,7 +30,7 @@ from services.runtime.store.folder import FolderStore
 from services.runtime.uploads.files import upload_file
 from tests.chaos.played import Played, a_job, play_well
 
-Spoil = Callable[[Session], object]
+Act = Callable[[Session, Played], object]
 
 
 @pytest.fixture
@@ -41,16 +42,19 @@ def judged(played: Played, undisturbed: RunArtefacts | None = None) -> list[Viol
     return judge(played.platform, played.brought, undisturbed or played.made)
 
 
-def sorts_after(played: Played, spoil: Spoil | Update) -> set[str]:
+def sorts_after(played: Played, act: Act | Update | Any) -> set[str]:
     """What the verdict says once the rows have been spoilt."""
     with played.platform.database.transaction() as session:
-        if isinstance(spoil, Update):
-            session.execute(spoil)
+        if callable(act):
+            act(session, played)
         else:
-            spoil(session)
-    found = judged(played)
-    assert all(violation.sentence for violation in found)
-    return {violation.sort for violation in found}
+            session.execute(act)
+    return {violation.sort for violation in judged(played)}
+
+
+def spoil_object(path: Path) -> None:
+    path.chmod(0o600)
+    path.write_bytes(b"x" + path.read_bytes()[1:])
 
 
 def object_of(played: Played, sha256: str) -> Path:
@@ -60,9 +64,90 @@ def object_of(played: Played, sha256: str) -> Path:
     return played.platform.store.root / key
 
 
-def spoil_object(path: Path) -> None:
-    path.chmod(0o600)
-    path.write_bytes(b"x" + path.read_bytes()[1:])
+def try_too_often(session: Session, played: Played) -> None:
+    job = session.scalars(select(Job).where(Job.kind == "labeler.fuse")).one()
+    session.add_all([JobAttempt(job_id=job.id, number=number, worker="", outcome="lost") for number in (3, 4)])
+    job.attempt = 4
+
+
+def fan_out_twice(session: Session, played: Played) -> None:
+    run = session.get_one(Job, played.brought.run_id)
+    a_job(session, session.get_one(SequenceRow, played.brought.sequence_id), "labeler.fuse", ("succeeded",), run)
+
+
+def publish_twice(session: Session, played: Played) -> None:
+    other = session.scalars(select(Job).where(Job.kind == "labeler.publish")).one()
+    made = LabelSet(sequence_id=played.brought.sequence_id, job_id=other.id, recipe="s", parameters={}, frames=0)
+    made.code_version = "1"
+    session.add(made)
+
+
+def register_twice(session: Session, played: Played) -> None:
+    sha256 = played.brought.sha256
+    made = Recording(sequence_id=played.brought.sequence_id, filename="chaos.mcap", size_bytes=1, state="registered")
+    made.sha256 = sha256
+    made.files = [RecordingFile(ordinal=0, filename="chaos.mcap", size_bytes=1, sha256=sha256, blob_sha256=sha256)]
+    session.add(made)
+
+
+def begin_another(content: bytes) -> Act:
+    """An upload that was begun and forgotten, with so much of it on disk."""
+
+    def begin(session: Session, played: Played) -> None:
+        owner_id = played.brought.owner_id
+        made = Upload(owner_id=owner_id, purpose="recording", filename="chaos.mcap", length_bytes=9, state="open")
+        made.id, made.expires_ns = "f" * 32, now_ns()
+        session.add_all([made, QuotaEntry(owner_id=owner_id, kind="bytes", amount=9, subject_id=made.id, reason="")])
+        upload_file(played.platform.settings, made.id).write_bytes(content)
+
+    return begin
+
+
+def counted(amount: int) -> Act:
+    def count(session: Session, played: Played) -> None:
+        owner_id = played.brought.owner_id
+        session.add(QuotaEntry(owner_id=owner_id, kind="bytes", amount=amount, subject_id="x", reason=""))
+
+    return count
+
+
+def fused(**columns: Any) -> Update:
+    return update(Job).where(Job.kind == "labeler.fuse").values(**columns)
+
+
+def outcome(word: str) -> Update:
+    return update(JobAttempt).where(JobAttempt.outcome == "lost").values(outcome=word)
+
+
+REPORT, LAST = Artefact.name == "report.json", LabelledFrameRow.ordinal == 1
+SPOILT: dict[str, tuple[Any, set[str]]] = {
+    **{f"a job that is {state}": (fused(state=state), {"lost"}) for state in ("queued", "running", "failed")},
+    "a job done by two attempts": (update(JobAttempt).values(outcome="succeeded"), {"doubled"}),
+    "a job done by none": (update(JobAttempt).values(outcome="lost"), {"lost"}),
+    **{f"an attempt that ended as {word or 'open'}": (outcome(word), {"lost"}) for word in ("", "failed", "cancelled")},
+    "more attempts than allowed": (try_too_often, {"doubled"}),
+    "an attempt without a trace": (fused(attempt=3), {"lost"}),
+    "a job more than undisturbed": (fan_out_twice, {"doubled"}),
+    "a label set of another run": (publish_twice, {"doubled"}),
+    "no label set": (delete(LabelSet), {"lost"}),
+    "an artefact that is missing": (delete(Artefact).where(REPORT), {"lost"}),
+    "another artefact": (update(Artefact).where(REPORT).values(name="r.json"), {"differing", "lost"}),
+    "a frame of other bytes": (
+        update(LabelledFrameRow).where(LAST).values(offset_bytes=LabelledFrameRow.offset_bytes - 1),
+        {"differing"},
+    ),
+    "a frame that is missing": (delete(LabelledFrameRow).where(LAST), {"lost"}),
+    "two recordings": (register_twice, {"doubled"}),
+    "no recording": (delete(Recording), {"lost"}),
+    "a recording that was not read": (update(Recording).values(state="received"), {"lost"}),
+    "a recording of other bytes": (update(Recording).values(sha256="0" * 64), {"differing"}),
+    "an upload of other bytes": (update(Upload).values(sha256="0" * 64), {"differing"}),
+    "an upload that failed": (update(Upload).values(state="failed"), {"lost"}),
+    "a forgotten upload without bytes": (begin_another(b""), set()),
+    "a forgotten upload with bytes": (begin_another(b"half"), {"doubled"}),
+    "bytes counted twice": (counted(1), {"doubled"}),
+    "bytes not counted": (counted(-1), {"lost"}),
+}
 
 
 def test_a_round_that_went_well_has_no_violation(played: Played) -> None:
@@ -70,180 +155,29 @@ def test_a_round_that_went_well_has_no_violation(played: Played) -> None:
     assert (len(played.made.artefacts), len(played.made.frames), sum(played.made.jobs.values())) == (2, 2, 4)
 
 
-@pytest.mark.parametrize("state", ["queued", "running", "failed", "cancelled"])
-def test_a_job_that_has_not_succeeded_is_lost(played: Played, state: str) -> None:
-    assert sorts_after(played, update(Job).where(Job.kind == "labeler.fuse").values(state=state)) == {"lost"}
+@pytest.mark.parametrize("case", SPOILT)
+def test_what_is_lost_doubled_or_different_is_told(played: Played, case: str) -> None:
+    act, sorts = SPOILT[case]
+    assert sorts_after(played, act) == sorts
 
 
-def test_a_run_that_is_not_there_is_lost(played: Played) -> None:
-    found = judge(played.platform, replace(played.brought, run_id="0" * 32), played.made)
-    assert "there is no run" in found[0].sentence
-
-
-def test_a_job_that_two_attempts_have_done_is_doubled(played: Played) -> None:
-    assert sorts_after(played, update(JobAttempt).values(outcome="succeeded")) == {"doubled"}
-
-
-def test_a_job_that_no_attempt_has_done_is_lost(played: Played) -> None:
-    assert sorts_after(played, update(JobAttempt).values(outcome="lost")) == {"lost"}
-
-
-@pytest.mark.parametrize("outcome", ["", "failed", "cancelled"])
-def test_an_attempt_that_is_open_or_ended_by_anything_but_a_kill_is_told(played: Played, outcome: str) -> None:
-    assert sorts_after(played, update(JobAttempt).where(JobAttempt.outcome == "lost").values(outcome=outcome)) == {
-        "lost"
-    }
-
-
-def test_more_attempts_than_allowed_are_doubled_work(played: Played) -> None:
-    def try_again(session: Session) -> None:
-        job = session.scalars(select(Job).where(Job.kind == "labeler.fuse")).one()
-        session.add_all([JobAttempt(job_id=job.id, number=number, worker="", outcome="lost") for number in (3, 4)])
-        job.attempt = 4
-
-    assert sorts_after(played, try_again) == {"doubled"}
-
-
-def test_an_attempt_that_left_no_trace_is_lost(played: Played) -> None:
-    assert sorts_after(played, update(Job).where(Job.kind == "labeler.fuse").values(attempt=3)) == {"lost"}
-
-
-def test_a_job_more_than_undisturbed_is_doubled(played: Played) -> None:
-    def fan_out_twice(session: Session) -> None:
-        run = session.get_one(Job, played.brought.run_id)
-        a_job(session, session.get_one(SequenceRow, played.brought.sequence_id), "labeler.fuse", ("succeeded",), run)
-
-    assert sorts_after(played, fan_out_twice) == {"doubled"}
-
-
-def test_a_label_set_of_another_run_is_doubled(played: Played) -> None:
-    def publish_twice(session: Session) -> None:
-        other = session.scalars(select(Job).where(Job.kind == "labeler.publish")).one()
-        duplicate = LabelSet(
-            sequence_id=played.brought.sequence_id, job_id=other.id, recipe="s", parameters={}, frames=0
-        )
-        duplicate.code_version = "1"
-        session.add(duplicate)
-
-    assert sorts_after(played, publish_twice) == {"doubled"}
-
-
-def test_no_label_set_is_lost(played: Played) -> None:
-    assert sorts_after(played, lambda session: session.execute(delete(LabelSet))) == {"lost"}
-
-
-def test_an_artefact_that_is_missing_is_lost(played: Played) -> None:
-    report = delete(Artefact).where(Artefact.name == "report.json")
-    assert sorts_after(played, lambda session: session.execute(report)) == {"lost"}
-
-
-def test_an_artefact_of_other_bytes_differs(played: Played) -> None:
-    other = replace(played.made, artefacts={**played.made.artefacts, "report.json": "0" * 64})
-    assert {violation.sort for violation in judged(played, other)} == {"differing"}
-
-
-def test_an_artefact_that_should_not_be_differs(played: Played) -> None:
-    assert sorts_after(played, update(Artefact).where(Artefact.name == "report.json").values(name="r.json")) == {
-        "differing",
-        "lost",
-    }
-
-
-def test_a_frame_of_other_bytes_differs(played: Played) -> None:
-    moved = (
-        update(LabelledFrameRow)
-        .where(LabelledFrameRow.ordinal == 1)
-        .values(offset_bytes=LabelledFrameRow.offset_bytes - 1)
-    )
-    assert sorts_after(played, moved) == {"differing"}
-
-
-def test_a_frame_that_is_missing_is_lost(played: Played) -> None:
-    last = delete(LabelledFrameRow).where(LabelledFrameRow.ordinal == 1)
-    assert sorts_after(played, lambda session: session.execute(last)) == {"lost"}
-
-
-def test_an_object_that_was_changed_in_the_store_differs(played: Played) -> None:
+def test_objects_and_files_that_changed_or_went_are_told(played: Played) -> None:
     with played.platform.database.reading() as session:
         pack = session.scalars(select(Artefact).where(Artefact.name == "labels/000000.pack")).one()
-    spoil_object(object_of(played, pack.blob_sha256))
-    assert {violation.sort for violation in judged(played)} == {"differing"}
-
-
-def test_a_blob_without_its_object_is_lost(played: Played) -> None:
-    object_of(played, played.brought.sha256).unlink()
-    assert [violation.sort for violation in judged(played)] == ["lost"]
-
-
-def test_two_recordings_are_doubled(played: Played) -> None:
-    def register_twice(session: Session) -> None:
-        duplicate = Recording(
-            sequence_id=played.brought.sequence_id, filename="chaos.mcap", size_bytes=1, state="registered"
-        )
-        duplicate.sha256 = sha256 = played.brought.sha256
-        duplicate.files = [
-            RecordingFile(ordinal=0, filename="chaos.mcap", size_bytes=1, sha256=sha256, blob_sha256=sha256)
-        ]
-        session.add(duplicate)
-
-    assert sorts_after(played, register_twice) == {"doubled"}
-
-
-def test_no_recording_is_lost(played: Played) -> None:
-    assert sorts_after(played, lambda session: session.execute(delete(Recording))) == {"lost"}
-
-
-def test_a_recording_that_was_not_read_is_lost(played: Played) -> None:
-    assert sorts_after(played, update(Recording).values(state="received")) == {"lost"}
-
-
-def test_a_recording_of_other_bytes_differs(played: Played) -> None:
-    assert sorts_after(played, update(Recording).values(sha256="0" * 64)) == {"differing"}
-
-
-def test_an_upload_of_other_bytes_differs(played: Played) -> None:
-    assert sorts_after(played, update(Upload).values(sha256="0" * 64)) == {"differing"}
-
-
-def test_an_upload_that_is_something_else_on_disk_differs(played: Played) -> None:
-    with played.platform.database.reading() as session:
         upload_id = session.scalars(select(Upload.id)).one()
     spoil_object(upload_file(played.platform.settings, upload_id))
     assert {violation.sort for violation in judged(played)} == {"differing"}
+    spoil_object(object_of(played, pack.blob_sha256))
+    assert {violation.sort for violation in judged(played)} == {"differing"}
+    object_of(played, played.brought.sha256).unlink()
+    assert {violation.sort for violation in judged(played)} == {"differing", "lost"}
 
 
-@pytest.mark.parametrize("state", ["open", "complete", "failed"])
-def test_an_upload_that_was_not_used_is_lost(played: Played, state: str) -> None:
-    assert "lost" in sorts_after(played, update(Upload).values(state=state))
-
-
-@pytest.mark.parametrize(("content", "sorts"), [(b"", set[str]()), (b"half", {"doubled"})])
-def test_a_forgotten_upload_is_harmless_only_while_nothing_was_sent(
-    played: Played, content: bytes, sorts: set[str]
-) -> None:
-    def begin_another(session: Session) -> None:
-        owner_id = played.brought.owner_id
-        duplicate = Upload(owner_id=owner_id, purpose="recording", filename="chaos.mcap", length_bytes=9, state="open")
-        duplicate.id, duplicate.expires_ns = "f" * 32, now_ns()
-        session.add_all(
-            [duplicate, QuotaEntry(owner_id=owner_id, kind="bytes", amount=9, subject_id=duplicate.id, reason="")]
-        )
-        upload_file(played.platform.settings, duplicate.id).write_bytes(content)
-
-    assert sorts_after(played, begin_another) == sorts
-
-
-@pytest.mark.parametrize(("amount", "sort"), [(1, "doubled"), (-1, "lost")])
-def test_bytes_that_are_counted_wrongly_are_told(played: Played, amount: int, sort: str) -> None:
-    entry = QuotaEntry(owner_id=played.brought.owner_id, kind="bytes", amount=amount, subject_id="x", reason="")
-    assert sorts_after(played, lambda session: session.add(entry)) == {sort}
-
-
-def test_nothing_to_compare_with_proves_nothing(played: Played) -> None:
-    assert any("nothing to compare with" in violation.sentence for violation in judged(played, RunArtefacts()))
-
-
-def test_hashes_are_taken_of_what_lies_in_the_store(played: Played) -> None:
+def test_a_run_is_judged_by_the_hashes_of_an_undisturbed_one(played: Played) -> None:
+    other = replace(played.made, artefacts={**played.made.artefacts, "report.json": "0" * 64})
+    assert {violation.sort for violation in judged(played, other)} == {"differing"}
+    assert judged(played, RunArtefacts()) != [], "nothing to compare with proves nothing"
+    assert judge(played.platform, replace(played.brought, run_id="0" * 32), played.made) != []
     with played.platform.database.transaction() as session:
         session.execute(update(LabelledFrameRow).values(sha256="0" * 64))
     made = made_by(played.platform, played.brought)

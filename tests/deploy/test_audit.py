@@ -2,7 +2,6 @@
 
 import json
 import os
-import shutil
 import subprocess
 import sys
 from pathlib import Path
@@ -66,7 +65,3 @@ def test_what_is_accepted_for_a_reason_is_no_fault(advisory: str, tmp_path: Path
     assert audited(tmp_path, FAULTY, CLEAN_PAGES)[0] == 0
     accepted.write_text(f"{advisory}\n")
     assert "is accepted for no reason" in audited(tmp_path, FAULTY, CLEAN_PAGES)[1]
-
-
-def test_the_programs_that_ask_are_installed_with_the_project() -> None:
-    assert shutil.which("pip-audit", path=str(Path(sys.executable).parent))

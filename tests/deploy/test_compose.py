@@ -45,10 +45,6 @@ def test_the_compose_file_is_one_for_compose_too(tmp_path: Path) -> None:
     assert "stone-labeler:" in outcome.stdout
 
 
-def test_all_that_the_issue_names_is_there() -> None:
-    assert set(SERVICES) == {*ROLES, *OF_OTHERS}
-
-
 @pytest.mark.parametrize("role", ROLES)
 def test_what_a_role_is_told_is_a_setting(role: str) -> None:
     told = SERVICES[role]["environment"]
@@ -74,11 +70,6 @@ def test_an_image_is_one_version_and_starts_again_by_itself(name: str) -> None:
     service = SERVICES[name]
     assert re.search(r":(\$\{STONE_VERSION:-)?\d+\.\d+", service["image"])
     assert service["restart"] == ("no" if name == "prepare" else "unless-stopped")
-
-
-@pytest.mark.parametrize("name", OF_OTHERS)
-def test_what_is_of_others_is_probed_here_and_ours_in_its_image(name: str) -> None:
-    assert SERVICES[name]["healthcheck"]["test"]
 
 
 def test_the_proxy_alone_is_reached_from_outside() -> None:

@@ -131,12 +131,3 @@ def test_what_a_role_imports_is_in_its_lock(role: str) -> None:
 @pytest.mark.parametrize("role", ENTRIES)
 def test_an_image_does_not_carry_the_weight_of_other_roles(role: str) -> None:
     assert not names(IMAGES / f"{role}.lock") & HEAVY[role]
-
-
-def test_the_tools_are_locked_in_the_versions_of_the_main_lock_where_that_has_them() -> None:
-    main = {requirement.partition("==")[0]: requirement for requirement in pinned(ROOT / "requirements.lock")}
-    tools = pinned(IMAGES / "build.lock")
-    assert {"hatchling", "cyclonedx-bom"} <= names(IMAGES / "build.lock")
-    assert all(tools.values())
-    for requirement in tools:
-        assert main.get(requirement.partition("==")[0], requirement) == requirement

@@ -103,18 +103,6 @@ def test_every_alert_is_fired_by_a_test_of_the_rules() -> None:
     assert [rule["alert"] for rule in ALERTS if rule["alert"] not in tested] == []
 
 
-def test_panels_lie_beside_each_other_and_are_numbered_once() -> None:
-    panels = json.loads((FOLDER / "dashboard.json").read_text())["panels"]
-    assert len({panel["id"] for panel in panels}) == len(panels)
-    taken: set[tuple[int, int]] = set()
-    for panel in panels:
-        at = panel["gridPos"]
-        cells = {(x, y) for x in range(at["x"], at["x"] + at["w"]) for y in range(at["y"], at["y"] + at["h"])}
-        assert not cells & taken, panel["title"]
-        assert at["x"] + at["w"] <= 24
-        taken |= cells
-
-
 @pytest.mark.skipif(shutil.which("promtool") is None, reason="promtool is not on PATH: apt-get install prometheus")
 @pytest.mark.parametrize(
     "command",

@@ -129,12 +129,3 @@ def test_what_is_typed_into_a_cluster_names_what_the_chart_makes() -> None:
             assert name in ROLES, (page, name)
         for value in re.findall(r"--set ([a-zA-Z]+)", text_of(page)):
             assert value in known, (page, value)
-
-
-def test_pages_lead_only_to_pages_and_programs_that_exist() -> None:
-    for page in OURS:
-        for target in re.findall(r"\]\(([a-z./-]+\.md)(?:#[a-z-]+)?\)", text_of(page)):
-            assert (PAGES / target).resolve().is_file(), (page, target)
-        for module in re.findall(r"python -m ([a-z_.]+)", text_of(page)):
-            path = ROOT / module.replace(".", "/")
-            assert path.with_suffix(".py").is_file() or (path / "__main__.py").is_file(), (page, module)

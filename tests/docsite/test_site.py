@@ -20,7 +20,7 @@ from tests.web.looking import look
 
 pytestmark = pytest.mark.whole
 
-LOOKED_AT = ("index.html", "method/index.html", "reference/api/sequences.html")
+LOOKED_AT = ("index.html", "reference/api/sequences.html")
 
 
 class Quiet(SimpleHTTPRequestHandler):
@@ -62,16 +62,6 @@ def test_every_link_and_picture_leads_to_a_file_and_to_a_place_in_it(built: Buil
     assert broken == []
 
 
-def test_the_navigation_holds_every_page_once_and_first_what_its_patterns_name_first(built: Built) -> None:
-    lost = next(page for page in built.pages if page.path.name == "404.html")  # its links are from the root
-    pages = {f"/{page.path.relative_to(built.folder).as_posix()}" for page in built.pages} - {"/404.html"}
-    assert sorted(lost.navigation) == sorted(pages)
-    place = lost.navigation.index
-    assert place("/install/compose.html") < place("/install/cluster.html") < place("/install/images.html")
-    assert place("/operations/runbook.html") < place("/operations/backup.html") < place("/scale.html")
-    assert place("/reference/api/index.html") < place("/reference/api/administration.html")
-
-
 def test_nothing_is_loaded_from_another_host(built: Built) -> None:
     outside = re.compile(r"""(?:url\(|@import)\s*["']?(?:https?:)?//""")
     loaded = {(page.path.name, one) for page in built.pages for one in page.loaded}
@@ -110,22 +100,5 @@ def test_the_search_finds_a_word_where_the_site_is_opened_from_a_folder(built: B
         found = page.locator(".md-search-result__item a[href*='reference/configuration.html']")
         expect(found.first).to_be_attached()
         assert {url.partition(":")[0] for url in asked} <= {"file", "data", "blob"}
-    finally:
-        context.close()
-
-
-def test_a_word_of_a_made_page_is_found_without_another_host(url: str, browser: Browser) -> None:
-    context = browser.new_context(base_url=url, viewport=DESKTOP)  # type: ignore[arg-type]
-    context.set_default_timeout(PATIENCE_MS)
-    watch = Watch(url)
-    page = context.new_page()
-    page.on("request", watch.request)
-    try:
-        page.goto("/index.html")
-        # Typed as people type: the site looks at the field when a key goes up, and when it is ready itself.
-        page.locator("[data-md-component='search-query']").press_sequentially("STONE_JOBS__LEASE_S")
-        found = page.locator(".md-search-result__item a[href*='reference/configuration.html']")
-        expect(found.first).to_be_attached()
-        assert watch.unexpected() == []
     finally:
         context.close()

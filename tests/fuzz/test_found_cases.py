@@ -63,11 +63,3 @@ def test_a_refusal_that_no_program_understands_is_noticed(error: StoneError) -> 
 
     with pytest.raises(UncodedError):
         check(refuse, b"")
-
-
-def test_any_other_exception_comes_through() -> None:
-    def fail(content: bytes) -> None:
-        raise IndexError("a fault of ours")
-
-    with pytest.raises(IndexError):
-        check(fail, b"")

@@ -11,9 +11,8 @@ from benchmarks.real.description import Described, Description, LabelledScan, Se
 from benchmarks.real.labelled_map import LabelledMap, disagreement, read_map
 from benchmarks.real.measures import WrittenLabels, facing_down, flat_non_traversable, near_line, t_coverage
 from benchmarks.real.measures import wall_non_traversable as wall_n
-from benchmarks.real.opening import ScanSweeps, ThinnedSweeps, along
+from benchmarks.real.opening import along
 from benchmarks.real.semantic_agreement import agreement, semantic_counts
-from benchmarks.real.variants import rows_of_pass
 from services.domain.viewer.formats import TileVoxels, tile_bytes
 from services.labeler.map.ply import write_mesh
 from stone.geometry.lattice import keys_from_indices
@@ -66,12 +65,6 @@ def test_ground_that_faces_down_is_counted_and_undersides_are_not(tmp_path: Path
     write_squares(tmp_path, level + underside, turned={3, 5, *range(8, 16)})
     assert facing_down(labels_of(tmp_path))["ground_down"] == pytest.approx(2 / 8)
     assert facing_down(labels_of(tmp_path))["flat_down"] is None
-
-
-def test_only_what_is_said_to_be_flat_is_judged_as_flat(tmp_path: Path) -> None:
-    write_squares(tmp_path, [0.0] * 8, turned={3})
-    said = SAID.model_copy(update={"flat_m": (((3.5, -0.1), (4.7, -0.1), (4.7, 1.1), (3.5, 1.1)),)})
-    assert facing_down(labels_of(tmp_path, said))["flat_down"] == 1.0
 
 
 def test_a_track_is_covered_as_far_as_t_lies_under_it(tmp_path: Path) -> None:
@@ -151,33 +144,3 @@ def test_points_of_known_classes_are_counted_by_the_voxel_they_lie_in(tmp_path: 
     scan = run.model_copy(update={"recording": None, "scan": "s.bin"})
     stated = agreement(semantic_counts(labels_of(tmp_path, scan), SEMANTICS), SEMANTICS)
     assert stated["ground_tp"] == stated["T ∪ P of grass"] == pytest.approx(2 / 3)
-
-
-def test_classes_without_any_point_have_no_share(tmp_path: Path) -> None:
-    write_grid(tmp_path, with_scan(tmp_path, [0, 0]))
-    figures = agreement(semantic_counts(labels_of(tmp_path), SEMANTICS), SEMANTICS)
-    assert set(figures.values()) == {None}
-
-
-@pytest.mark.parametrize("frames", [2, 7, 10])
-def test_two_passes_share_no_frame_and_leave_none_out(frames: int) -> None:
-    for kind in SAID.passes:
-        one, other = rows_of_pass(kind, frames)
-        assert sorted([*one, *other]) == list(range(frames))
-        assert 0 < len(one) < frames
-
-
-def test_a_stated_way_begins_where_the_scan_looks_and_turns_at_its_corners() -> None:
-    poses = along(np.array([[0.0, 0.0], [0.0, 3.0], [-1.0, 3.0]])).map_from_ego
-    ahead = (poses @ np.array([1.0, 0.0, 0.0])) - poses.translation_m
-    np.testing.assert_allclose(ahead, [[1, 0, 0], [0, 1, 0], [0, 1, 0], [-1, 0, 0], [-1, 0, 0]], atol=1e-12)
-    np.testing.assert_allclose(poses.translation_m[[0, 2, 4], :2], [[0, 0], [0, 3], [-1, 3]])
-    alone = along(np.array([(0.0, 0.0)])).map_from_ego
-    np.testing.assert_array_equal(alone.wxyz_xyz, SE3.identity((1,)).wxyz_xyz)
-
-
-def test_of_four_rings_one_is_left() -> None:
-    elevation = np.deg2rad(np.arange(-20, 20) + 0.5)
-    rings = np.column_stack([9 * np.cos(elevation), np.zeros(40), 9 * np.sin(elevation)]).astype(np.float32)
-    left = ThinnedSweeps(ScanSweeps(rings), 4, 1.0).sweep(0).points_lidar
-    np.testing.assert_array_equal(left, rings[::4])

@@ -4,7 +4,6 @@ import json
 import os
 import subprocess
 import sys
-import tomllib
 import zipfile
 from pathlib import Path
 
@@ -114,20 +113,3 @@ def test_the_wheel_fixes_the_code_versions_that_it_was_built_with(wheel: Path) -
     assert {kind: one.sha256 for kind, one in fixed.items()} == {kind: one.sha256 for kind, one in here.items()}
     assert {kind: version_of(one) for kind, one in fixed.items()} == {kind: code_version(kind) for kind in here}
     assert not FIXED.exists(), "a build leaves nothing in the checkout"
-
-
-def test_the_wheel_is_told_which_files_of_others_browsers_load() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    artifacts = project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
-    named = {name for name in artifacts if name.startswith("/web/node_modules/")}
-    assert named == {f"/web/node_modules/{place}" for place in LIBRARIES.values()}
-
-
-def test_the_platforms_wheel_brings_the_clients_which_the_images_build_first() -> None:
-    project = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))
-    assert "/api/downloads/*.whl" in project["tool"]["hatch"]["build"]["targets"]["wheel"]["artifacts"]
-    built = (ROOT / "deploy" / "images" / "base.Dockerfile").read_text("utf-8")
-    steps = ("WORKDIR /build/project/deploy/client", "--target-directory=api/downloads", "hatchling build -t wheel")
-    places = [built.rindex(step) for step in steps]
-    assert places == sorted(places)
-    assert "!deploy/client\n" in (ROOT / ".dockerignore").read_text("utf-8")

@@ -92,13 +92,6 @@ def test_a_disk_of_a_pod_holds_twice_the_cache_and_is_within_its_limit(manifests
         assert disks["scratch"] + disks["temporary"] <= limit, role
 
 
-def test_every_image_has_a_version(manifests: Sequence[Manifest]) -> None:
-    for role, container in containers(manifests):
-        tag = container["image"].rpartition("/")[2].partition(":")[2]
-        assert tag, role
-        assert tag != "latest", role
-
-
 def test_every_setting_is_one_that_the_platform_knows(manifests: Sequence[Manifest]) -> None:
     top = {
         name

@@ -12,7 +12,7 @@ import jsonschema
 import kubernetes_validate
 import pytest
 
-from tests.deploy.kubernetes.rendering import CHART, Manifest, of_kind, ran, rendered
+from tests.deploy.kubernetes.rendering import CHART, Manifest, ran
 
 pytestmark = pytest.mark.whole
 
@@ -83,18 +83,6 @@ def test_every_object_of_an_operator_is_as_that_operator_asks(manifests: Sequenc
             jsonschema.validate(manifest["spec"], schema)
 
 
-def test_a_misspelt_field_would_be_found() -> None:
-    [deployment, *_] = of_kind(rendered("small"), "Deployment")
-    misspelt = {**deployment, "spec": {**deployment["spec"], "replica": 1}}
-    with pytest.raises(kubernetes_validate.ValidationError, match="replica"):
-        kubernetes_validate.validate(misspelt, NEWEST, strict=True)
-
-
 def test_helm_finds_nothing_to_say_of_the_chart() -> None:
     outcome = ran("lint", "--strict", str(CHART), "--values", str(CHART.parent / "small.yaml"))
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
-
-
-def test_no_two_objects_have_one_name(manifests: Sequence[Manifest]) -> None:
-    names = [(manifest["kind"], manifest["metadata"]["name"]) for manifest in manifests]
-    assert len(names) == len(set(names))

@@ -2,8 +2,7 @@
 
 import pytest
 
-from tests.deploy.kubernetes.rendering import BACKUPS, rendered, template
-from tests.deploy.kubernetes.test_pods import environment, ours
+from tests.deploy.kubernetes.rendering import BACKUPS, template
 
 REFUSED = {
     "a value that nothing reads": ("api.replica=3", "replica"),
@@ -36,10 +35,3 @@ def test_peers_that_nobody_named_are_asked_for() -> None:
     outcome = template("small", "network.store.to=")
     assert outcome.returncode != 0
     assert "network" in outcome.stderr
-
-
-def test_one_value_reaches_every_process() -> None:
-    manifests = rendered("small", "settings.jobs.lease_s=30", "settings.uploads.max_bytes=1099511627776")
-    for role, container in ours(manifests):
-        assert environment(container)["STONE_JOBS__LEASE_S"] == "30", role
-        assert environment(container)["STONE_UPLOADS__MAX_BYTES"] == str(2**40), role

@@ -30,16 +30,6 @@ def test_every_selector_chooses_the_pods_of_its_own_role_and_no_others(manifests
             assert selects(spread["labelSelector"], pod["metadata"]["labels"]), role
 
 
-def test_selectors_never_name_what_changes_with_a_release(manifests: Sequence[Manifest]) -> None:
-    """A Deployment's selector cannot be changed: a version in it would end upgrades."""
-    for manifest in of_kind(manifests, "Deployment"):
-        assert set(manifest["spec"]["selector"]["matchLabels"]) == {
-            "app.kubernetes.io/name",
-            "app.kubernetes.io/instance",
-            "app.kubernetes.io/component",
-        }
-
-
 def test_every_port_that_is_named_is_one_of_the_container_behind_it(manifests: Sequence[Manifest]) -> None:
     named = {(role, port["name"]) for role, container in containers(manifests) for port in container.get("ports", ())}
     for role, container in containers(manifests):
@@ -54,13 +44,6 @@ def test_every_port_that_is_named_is_one_of_the_container_behind_it(manifests: S
     backend = ingress["spec"]["rules"][0]["http"]["paths"][0]["backend"]["service"]
     [service] = [one for one in of_kind(manifests, "Service") if one["metadata"]["name"] == backend["name"]]
     assert backend["port"]["name"] in {port["name"] for port in service["spec"]["ports"]}
-
-
-def test_every_mount_is_of_a_volume_of_its_pod(manifests: Sequence[Manifest]) -> None:
-    for role, pod in pods(manifests):
-        volumes = {volume["name"] for volume in pod["spec"]["volumes"]}
-        mounted = {mount["name"] for container in pod["spec"]["containers"] for mount in container["volumeMounts"]}
-        assert volumes == mounted, role
 
 
 def test_workers_scale_between_their_bounds_by_what_waits_for_them() -> None:
@@ -87,17 +70,6 @@ def test_what_is_asked_of_prometheus_is_told_by_the_api_also_when_there_is_nothi
         assert asked["ignoreNullValues"] == "false", "an outage is no lack of jobs"
         for state in states.split("|"):
             assert f'{name}{{queue="{queue}",state="{state}"}} 0.0' in told
-
-
-def test_bells_are_counted_with_the_password_of_the_redis_that_is_counted() -> None:
-    manifests = rendered("small", "autoscaling.by=redis")
-    [authentication] = of_kind(manifests, "TriggerAuthentication")
-    [service] = [one for one in of_kind(manifests, "Service") if role_of(one) == "redis"]
-    for one in of_kind(manifests, "ScaledObject"):
-        [trigger] = one["spec"]["triggers"]
-        assert trigger["authenticationRef"]["name"] == authentication["metadata"]["name"]
-        assert trigger["metadata"]["address"] == f"{service['metadata']['name']}:6379"
-    assert authentication["spec"]["secretTargetRef"][0]["key"] == "stone_broker__password"
 
 
 def test_a_stopped_platform_runs_nothing_and_scales_nothing_up() -> None:

@@ -1,11 +1,13 @@
-"""Machines that are namespaces: they reach each other by their link only, and not when it is cut."""
+"""Machines that are namespaces reach each other by their link only; a slow line lets everything through, slowly."""
 
 import socket
+import time
 from collections.abc import Iterator
 
 import pytest
 
 from chaos.spaces import Link, Space, two_machines, why_not
+from chaos.throttle import slow_line
 
 LONG_S = 20.0
 SHORT_S = 0.3
@@ -41,18 +43,30 @@ def test_one_machine_reaches_the_other_unless_the_link_is_cut(link: Link) -> Non
         assert reaches(second, server)
 
 
-def test_a_slow_link_still_carries(link: Link) -> None:
-    first, second = link.ends
-    link.slow(10**6)
-    with listening_on(first) as server:
-        assert reaches(second, server)
-    link.mend()
+SENT = bytes(range(256)) * 1024
 
 
-def test_whoever_left_a_machine_is_where_they_were(link: Link) -> None:
-    first, _ = link.ends
+@pytest.fixture
+def listener() -> Iterator[socket.socket]:
     with socket.create_server(("127.0.0.1", 0)) as server:
-        with first.entered(), socket.socket() as probe:
-            assert probe.connect_ex(server.getsockname()) != 0, "loopback is each machine's own"
-        with socket.socket() as probe:
-            assert probe.connect_ex(server.getsockname()) == 0
+        server.settimeout(10.0)
+        yield server
+
+
+def received(connection: socket.socket, size_bytes: int) -> bytes:
+    pieces = b""
+    while len(pieces) < size_bytes and (piece := connection.recv(65536)):
+        pieces += piece
+    return pieces
+
+
+def test_bytes_arrive_as_they_were_sent_and_no_faster_than_the_rate(listener: socket.socket) -> None:
+    with slow_line(listener.getsockname(), 1e6) as port, socket.create_connection(("127.0.0.1", port)) as near:
+        far, _ = listener.accept()
+        with far:
+            begun_s = time.monotonic()
+            near.sendall(SENT)
+            assert received(far, len(SENT)) == SENT
+            assert time.monotonic() - begun_s >= 0.7 * len(SENT) / 1e6
+            far.sendall(b"answer")
+            assert received(near, 6) == b"answer"
