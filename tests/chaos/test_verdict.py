@@ -142,7 +142,7 @@ SPOILT: dict[str, tuple[Any, set[str]]] = {
     "a recording that was not read": (update(Recording).values(state="received"), {"lost"}),
     "a recording of other bytes": (update(Recording).values(sha256="0" * 64), {"differing"}),
     "an upload of other bytes": (update(Upload).values(sha256="0" * 64), {"differing"}),
-    "an upload that failed": (update(Upload).values(state="failed"), {"lost"}),
+    "an upload that failed": (update(Upload).values(state="failed"), {"lost", "doubled"}),
     "a forgotten upload without bytes": (begin_another(b""), set()),
     "a forgotten upload with bytes": (begin_another(b"half"), {"doubled"}),
     "bytes counted twice": (counted(1), {"doubled"}),

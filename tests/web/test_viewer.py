@@ -1,23 +1,47 @@
-"""The 3D viewer as people use it: by keys, by mouse, on a phone, and where there is nothing to see."""
+"""The 3D viewer as people use it: by keys, by mouse, by its address, and where there is little to see."""
 
 from collections.abc import Iterator
 from typing import Any
+from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
+from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB
 from services.runtime.orm import Artefact, SequenceRow
-from services.runtime.platform import Platform
+from stone.labels.class_colours import CLASS_RGB, PALETTES
 from stone.labels.voxels import VOXEL_M
+from stone.scoring.agreement import DIFFERENCES, SAME, differences
 from testing.api.serving import Person
 from testing.stone_serve import until
 from testing.web.browsing import Site
-from testing.worlds.viewer_world import LIMIT, Run, viewed
-from tests.web.looking import look
+from testing.worlds import made
+from testing.worlds.benchmark_world import labels_npz
+from testing.worlds.viewer_world import Run, viewed
+from tests.web.test_viewer_data import IMPORTS, changed
 
-RUN = Run(frames=6, reach_m=4.5)
+RUN, SHORT = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=3.0)
+VIEWER = "const viewer = (await load('mount')).viewerOf(document.querySelector('[data-viewer]'));"
+VIEW = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.viewpoint; }}"
+TOKEN = f"async () => {{ {IMPORTS} {VIEWER} return viewer.scene.frames.tokens[5]; }}"
+SWEEPS = f"""async () => {{ {IMPORTS} {VIEWER}
+  return viewer.world.cloud.group.children.filter(one => one.visible).length; }}"""
+# The colour of the palette's first entry, which is traversable, or no difference.
+FIRST_COLOUR = f"async () => {{ {IMPORTS} {VIEWER} return [...viewer.world.paint.palette.image.data.slice(4, 7)]; }}"
+# The camera dragged up as far as it goes, and moved over the hills: its height above the ground at every step.
+HEIGHTS = f"""async () => {{ {IMPORTS} {VIEWER}
+  const {{ stage }} = viewer, {{ orbit, camera }} = stage, gaps = [];
+  const look = () => {{
+    orbit.place();
+    gaps.push(camera.position.z - orbit.floor(camera.position.x, camera.position.y),
+              orbit.target.z - orbit.floor(orbit.target.x, orbit.target.y) + 0.5);
+  }};
+  for (let n = 0; n < 40; n++) {{ orbit.turn(0.3, -0.2); look(); }}
+  for (let n = 0; n < 40; n++) {{ orbit.near(0.9); orbit.slide(0, 0.1); look(); }}
+  for (let n = 0; n < 60; n++) {{ orbit.turn(0.2, 0); orbit.slide(0.3, 0.2); look(); }}
+  return gaps; }}"""
 
 
 @pytest.fixture
@@ -39,43 +63,6 @@ def host(page: Page) -> Locator:
 
 def canvas(page: Page) -> Locator:
     return page.get_by_role("application")
-
-
-def test_keys_step_through_the_frames_and_the_address_follows(at_viewer: Page, seen: dict[str, Any]) -> None:
-    tokens = seen["tokens"]
-    expect(host(at_viewer)).to_have_attribute("data-frame", "1")
-    canvas(at_viewer).focus()
-    at_viewer.keyboard.press(".")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "2")
-    expect(at_viewer).to_have_url(f"/sequences/{seen['id']}/view?frame={tokens[2]}")
-    at_viewer.keyboard.press("End")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
-    at_viewer.keyboard.press(",")
-    expect(at_viewer.get_by_text("5 / 6 · 0.4 s")).to_be_visible()
-    slider = at_viewer.get_by_label("Frame", exact=True)
-    slider.press("Home")
-    expect(slider).to_have_attribute("aria-valuetext", "Frame 1 of 6, 0.0 s")
-    canvas(at_viewer).press("Space")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
-    expect(at_viewer.get_by_role("button", name="Play")).to_be_visible()
-    look(at_viewer, "viewer")
-
-
-def test_a_crosshair_picks_by_keys_what_a_click_picks_and_says_what_the_tile_says(at_viewer: Page) -> None:
-    canvas(at_viewer).focus()
-    at_viewer.keyboard.press("c")
-    at_viewer.keyboard.press("Shift+ArrowDown")
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Map position"]))
-    by_keys = readout(at_viewer)
-    at_viewer.keyboard.press("Escape")
-    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
-    box = canvas(at_viewer).bounding_box()
-    assert box is not None
-    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 40)
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    assert readout(at_viewer) == by_keys
-    look(at_viewer, "viewer-picked")
 
 
 def readout(page: Page) -> dict[str, str]:
@@ -102,11 +89,53 @@ def expected(place: str) -> dict[str, str]:
     }
 
 
-def test_colours_layers_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Page) -> None:
-    legend = at_viewer.locator(".viewer-legend")
-    expect(legend).to_contain_text("Non-traversable")
-    at_viewer.get_by_label("Colour by").select_option("d2")
-    expect(legend).to_contain_text(f"{LIMIT:.1f} (limit)")
+def test_keys_step_through_the_frames_and_the_address_follows_but_not_while_they_play(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
+    """Browsers refuse more than a hundred changes of an address in half a minute."""
+    expect(host(at_viewer)).to_have_attribute("data-frame", "1")
+    canvas(at_viewer).focus()
+    at_viewer.keyboard.press(".")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "2")
+    expect(at_viewer).to_have_url(f"/sequences/{seen['id']}/view?frame={seen['tokens'][2]}")
+    at_viewer.keyboard.press("End")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
+    at_viewer.keyboard.press(",")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "4")
+    at_viewer.get_by_label("Frame", exact=True).press("Home")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "0")
+    at_viewer.evaluate(
+        """() => { window.writes = 0; const replace = history.replaceState.bind(history);
+          history.replaceState = (...given) => { window.writes += 1; replace(...given); }; }"""
+    )
+    canvas(at_viewer).press("Space")
+    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
+    expect(at_viewer.get_by_role("button", name="Play")).to_be_visible()
+    token = at_viewer.evaluate(TOKEN)
+    until(lambda: at_viewer.evaluate("location.href").endswith(f"frame={token}"))
+    assert 1 <= at_viewer.evaluate("window.writes") <= 5
+    heights_m = at_viewer.evaluate(HEIGHTS)
+    assert len(heights_m) == 280
+    assert min(heights_m) >= 0.5 - 1e-6
+
+
+def test_a_crosshair_picks_by_keys_what_a_click_picks_and_says_what_the_tile_says(at_viewer: Page) -> None:
+    canvas(at_viewer).focus()
+    at_viewer.keyboard.press("c")
+    at_viewer.keyboard.press("Shift+ArrowDown")
+    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
+    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Map position"]))
+    by_keys = readout(at_viewer)
+    at_viewer.keyboard.press("Escape")
+    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
+    box = canvas(at_viewer).bounding_box()
+    assert box is not None
+    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 40)
+    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
+    assert readout(at_viewer) == by_keys
+
+
+def test_layers_points_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Page) -> None:
     at_viewer.get_by_label("Show", exact=True).select_option("map")
     with at_viewer.expect_response(lambda answer: "/scene/meshes/0_0" in answer.url) as surface:
         at_viewer.get_by_label("Surface").check()
@@ -114,11 +143,36 @@ def test_colours_layers_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Pag
         at_viewer.get_by_label("Point cloud").check()
     assert surface.value.ok
     assert cloud.value.ok
-    at_viewer.locator("summary").click()
-    look(at_viewer, "viewer-heat")
+    at_viewer.get_by_label("Points by").select_option("time")
+    until(lambda: at_viewer.evaluate(SWEEPS) == 1)
+    for shown in (2, 3):
+        canvas(at_viewer).press(".")
+        until(lambda shown=shown: at_viewer.evaluate(SWEEPS) == shown)  # type: ignore[misc]
+    at_viewer.get_by_label("Points by").select_option("intensity")
+    until(lambda: at_viewer.evaluate(SWEEPS) == 1)
+    expect(at_viewer.locator(".viewer-corner")).not_to_be_empty()
 
 
-def test_of_imported_labels_a_voxel_says_its_class_and_that_nothing_explains_it(site: Site, curator: Person) -> None:
+def test_the_page_and_its_viewer_tell_each_other_the_frame_and_a_frame_that_does_not_come_is_said(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
+    told = at_viewer.evaluate(
+        """() => new Promise(tell => {
+            const host = document.querySelector("[data-viewer]");
+            host.addEventListener("frame", ({ detail }) => tell(detail), { once: true });
+            host.dispatchEvent(new CustomEvent("show-frame", { detail: { index: 3 } }));
+        })"""
+    )
+    assert told == {"index": 3, "token": seen["tokens"][3]}
+    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
+    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
+    at_viewer.reload()  # it may have been fetched ahead
+    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
+    at_viewer.get_by_label("Frame", exact=True).press("End")
+    expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6")
+
+
+def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Person) -> None:
     seen = viewed(site.platform, curator, Run(frames=2, reach_m=3.0, is_imported=True))
     with site.visit(curator) as page:
         page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
@@ -126,82 +180,108 @@ def test_of_imported_labels_a_voxel_says_its_class_and_that_nothing_explains_it(
         canvas(page).focus()
         page.keyboard.press("c")
         page.keyboard.press("Shift+ArrowDown")
-        expect(page.locator(".viewer-readout")).to_contain_text("Imported labels have no features")
-        assert set(readout(page)) == {"Map position", "class"}
-        page.locator("summary").click()
-        assert page.get_by_label("Colour by").locator("option").all_inner_texts() == ["Class"]
-        expect(page.get_by_text("D², slope and roughness are not available")).to_be_visible()
-        look(page, "viewer-imported")
+        expect(page.locator(".viewer-readout")).to_be_visible()
+        until(lambda: set(readout(page)) == {"Map position", "class"})
+        values = page.get_by_label("Colour by").locator("option").evaluate_all("all => all.map(one => one.value)")
+        assert values == ["class"]
 
 
-def test_a_visitor_looks_at_what_is_public_and_the_page_and_its_viewer_tell_each_other_the_frame(
-    site: Site, seen: dict[str, Any]
+def test_without_webgl_frames_are_shown_from_above_and_without_a_scene_nothing_is(
+    site: Site, curator: Person, seen: dict[str, Any]
 ) -> None:
-    with site.platform.database.transaction() as session:
-        session.get_one(SequenceRow, seen["id"]).is_public = True
-    with site.visit() as page:
-        page.goto(f"/sequences/{seen['id']}/view")
-        expect(host(page)).to_have_attribute("data-state", "ready")
-        told = page.evaluate(
-            """() => new Promise(tell => {
-                const host = document.querySelector("[data-viewer]");
-                host.addEventListener("frame", ({ detail }) => tell(detail), { once: true });
-                host.dispatchEvent(new CustomEvent("show-frame", { detail: { index: 3 } }));
-            })"""
-        )
-        assert told == {"index": 3, "token": seen["tokens"][3]}
-
-
-def test_a_browser_without_webgl_shows_the_frames_from_above(site: Site, curator: Person, seen: dict[str, Any]) -> None:
-    with site.visit(curator) as page:
+    with site.visit(curator, expected=["404"]) as page:
         page.add_init_script("HTMLCanvasElement.prototype.getContext = () => null")
         page.goto(f"/sequences/{seen['id']}/view")
         expect(host(page)).to_have_attribute("data-state", "picture")
-        expect(page.get_by_text("3D is not available")).to_be_visible()
         page.get_by_role("button", name="Next frame").click()
         expect(page.get_by_role("img", name="frame 2 of 6")).to_be_visible()
-        look(page, "viewer-pictures")
-
-
-def test_a_sequence_without_labels_says_what_to_do(site: Site, curator: Person) -> None:
-    with site.visit(curator) as page:
-        page.goto(f"/sequences/{_bare(site.platform, curator)}/view")
-        expect(page.get_by_role("heading", name="No labels yet")).to_be_visible()
-        expect(page.get_by_role("link", name="Sequence", exact=True)).to_be_visible()
-        look(page, "viewer-empty")
-
-
-def test_labels_made_before_there_was_a_viewer_say_so(site: Site, curator: Person, seen: dict[str, Any]) -> None:
-    with site.platform.database.transaction() as session:
-        session.execute(delete(Artefact).where(Artefact.name == "scene/scene.json"))
-    with site.visit(curator, expected=["404"]) as page:
-        page.goto(f"/sequences/{seen['id']}/view")
+        with site.platform.database.transaction() as session:
+            session.execute(delete(Artefact).where(Artefact.name == "scene/scene.json"))
+        page.reload()
         expect(host(page)).to_have_attribute("data-state", "empty")
-        expect(page.get_by_text("process the sequence again")).to_be_visible()
 
 
-def test_a_frame_that_does_not_come_is_said_in_the_picture(at_viewer: Page, seen: dict[str, Any]) -> None:
-    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
-    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
-    at_viewer.reload()  # it may have been fetched ahead
-    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
-    at_viewer.get_by_label("Frame", exact=True).press("End")
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6 cannot be shown")
+def chosen(page: Page) -> dict[str, Any]:
+    """What the panel says, and where the camera stands."""
+    selects = page.locator(".viewer-panel select").evaluate_all("all => all.map(one => one.value)")
+    checks = page.locator(".viewer-panel input").evaluate_all("all => all.map(one => one.checked)")
+    view, frame = page.evaluate(VIEW), host(page).get_attribute("data-frame")
+    return {"selects": selects, "checks": checks, "view": view, "frame": frame}
 
 
-def test_a_private_sequence_is_shown_in_3d_to_nobody_else(
-    site: Site, participant: Person, seen: dict[str, Any]
+def says_where_it_stands(page: Page) -> bool:
+    """Whether the address, which is written a while after the last change, has come to the camera's view."""
+    said = parse_qs(urlsplit(page.evaluate("location.href")).query).get("at", [""])[0]
+    return bool(said) and [float(value) for value in said.split(",")] == pytest.approx(page.evaluate(VIEW), rel=1e-3)
+
+
+def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
+    site: Site, curator: Person, at_viewer: Page, seen: dict[str, Any]
 ) -> None:
-    for who, status in ((participant, 404), (None, 401)):
-        with site.visit(who, expected=[str(status)]) as page:
-            answer = page.goto(f"/sequences/{seen['id']}/view")
-            assert answer is not None
-            assert answer.status == status
+    """Catches alone what is written into the address and not read, or read and not shown in the panel."""
+    page = at_viewer
+    page.get_by_label("Colour by").select_option("slope")
+    page.get_by_label("Voxels not observed").select_option("hide")
+    page.get_by_label("Non-traversable").uncheck()
+    page.get_by_label("Surface").check()
+    page.get_by_label("Point cloud").check()
+    page.get_by_label("Track").uncheck()
+    page.get_by_label("Points by").select_option("height")
+    canvas(page).focus()
+    for key in ("f", "Shift+ArrowLeft", "ArrowUp", "d", "+", "."):  # the robot leaves the camera behind
+        page.keyboard.press(key)
+    expect(host(page)).to_have_attribute("data-frame", "2")
+    parts = ("colour=slope", "hide=n", "points=height", "follow=off")
+    until(lambda: says_where_it_stands(page) and all(part in page.evaluate("location.href") for part in parts))
+    before, address = chosen(page), page.evaluate("location.href")
+    with site.visit(curator) as other:
+        other.goto(address)
+        expect(host(other)).to_have_attribute("data-state", "ready")
+        expect(host(other)).to_have_attribute("data-frame", "2")
+        after = chosen(other)
+        assert {**after, "view": None} == {**before, "view": None}
+        assert after["view"] == pytest.approx(before["view"], rel=2e-3, abs=2e-3)
+        other.wait_for_timeout(600)
+        assert other.evaluate("location.href") == address
+        nonsense = "colour=mauve&show=everything&hide=x&layers=lasers,grid&cameras=7&at=1,2,x&points=q&camera=CAM_MOON"
+        plain = f"/sequences/{seen['id']}/view?frame={seen['tokens'][0]}"
+        other.goto(f"{plain}&{nonsense}")
+        expect(host(other)).to_have_attribute("data-frame", "0")
+        expect(other).to_have_url(plain)
 
 
-def _bare(platform: Platform, owner: Person) -> str:
-    with platform.database.transaction() as session:
-        row = SequenceRow(owner_id=owner.user_id, name="not-yet", environment="meadow", illumination="day")
-        session.add(row)
-        session.flush()
-        return row.id
+def legend(page: Page) -> list[str]:
+    return [row.locator(".viewer-share").inner_text() for row in page.locator(".viewer-legend li").all()]
+
+
+def test_the_difference_of_two_label_sets_is_shown_with_its_shares_to_who_may_compare(
+    site: Site, curator: Person
+) -> None:
+    facts = viewed(site.platform, curator, SHORT)
+    b, a = SHORT.grids[0], changed(SHORT.grids[0])
+    earlier = made.labels(site.platform, facts, contents=[labels_npz(a)] * 2, seed=b"earlier")
+    comparison_id = made.label_comparison(site.platform, facts["id"], (earlier.id, facts["label_set_id"]))
+    plain = f"/sequences/{facts['id']}/view?frame={facts['tokens'][0]}"
+    with site.platform.database.transaction() as session:
+        session.get_one(SequenceRow, facts["id"]).is_public = True
+    with site.visit(curator) as page:
+        page.goto(f"{plain}&compare={comparison_id}")
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        colour = page.get_by_label("Colour by")
+        expect(colour).to_have_value("difference")
+        codes = differences(a, b)
+        counts = np.bincount(codes[codes > 0], minlength=len(DIFFERENCES))[1:]
+        assert legend(page) == [f"{round(100 * count / counts.sum())} %" for count in counts]
+        assert page.evaluate(FIRST_COLOUR) == list(DIFFERENCE_RGB[SAME])
+        colour.select_option("class")
+        until(lambda: page.evaluate(FIRST_COLOUR) == list(CLASS_RGB[1]))
+        page.get_by_label("Class colours").select_option("paper")
+        until(lambda: page.evaluate(FIRST_COLOUR) == list(PALETTES["paper"][1]))
+        colour.select_option("difference")
+        page.get_by_label("Show", exact=True).select_option("map")
+        expect(colour).to_have_value("class")
+    with site.visit() as page:
+        page.goto(plain)
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        values = page.get_by_label("Colour by").locator("option").evaluate_all("all => all.map(o => o.value)")
+        assert "difference" not in values
