@@ -8,6 +8,7 @@ from functools import cache
 from pathlib import Path
 from tempfile import mkdtemp
 
+import yaml  # type: ignore[import-untyped]
 from playwright.sync_api import Locator, Page
 from sqlalchemy import select
 
@@ -52,3 +53,12 @@ def uploads(platform: Platform) -> list[Upload]:
 def recordings(platform: Platform) -> list[Recording]:
     with platform.database.reading() as session:
         return list(session.scalars(select(Recording).order_by(Recording.id)))
+
+
+def moved(source: Path, target: Path, by_m: float) -> Path:
+    """The calibration with its first sensor that much higher."""
+    said = yaml.safe_load(source.read_text())
+    first = next(iter(said["sensors"].values()))
+    first["lidar_from_sensor"]["translation_m"][2] += by_m
+    target.write_text(yaml.safe_dump(said))
+    return target

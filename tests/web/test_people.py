@@ -1,17 +1,22 @@
-"""People's pages in a browser: one's own tokens, password and browsers; users and their access, for administrators."""
+"""People at their pages: signing in, here or with a provider; tokens, passwords, notifications, users, programs."""
 
 import re
+from collections.abc import Iterator
+from typing import Any
 
 import httpx
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Browser, Page, expect
 
+from services.domain.notifications.email_addresses import new_secret
 from services.runtime.access import passwords, sessions, tokens, users
-from services.runtime.orm import User
+from services.runtime.orm import EmailAddress, NotificationChoice, User
 from services.runtime.platform import Platform
+from testing.api.lab import Lab, served_lab
 from testing.api.serving import Person, person
+from testing.servers.oidc import OidcServer, lab_groups
 from testing.web.browsing import Site
-from tests.web.looking import look
+from web.main import make_site
 
 PASSWORD = "correct horse battery staple"
 
@@ -25,10 +30,8 @@ def with_password(platform: Platform, who: Person) -> None:
 def test_a_token_is_made_shown_once_works_and_is_revoked(site: Site, participant: Person) -> None:
     with site.visit(participant) as page:
         page.goto("/account")
-        look(page, "account")
         page.get_by_role("button", name="New token…").click()
         page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
-        look(page, "account-new-token")
         page.get_by_role("dialog").get_by_role("button", name="Create").click()
         secret = page.locator("[data-secret]")
         expect(secret).to_have_text(re.compile("^stone_"))
@@ -36,7 +39,6 @@ def test_a_token_is_made_shown_once_works_and_is_revoked(site: Site, participant
         me = httpx.get(f"{site.url}/api/v1/me", headers=headers)
         assert (me.status_code, me.json()["scopes"]) == (200, ["read"])
         expect(page.get_by_role("heading", name="training cluster", exact=True)).to_be_visible()
-        look(page, "account-token")
         page.get_by_role("button", name="Done").click()
         expect(secret).to_be_hidden()
         page.get_by_role("button", name="Revoke training cluster…").click()
@@ -70,14 +72,12 @@ def test_a_user_is_added_with_a_password_that_is_shown_once(site: Site, administ
         page.get_by_role("radio", name="curator").check()
         page.get_by_role("button", name="Generate").click()
         page.get_by_label("Reason").fill("joins the field team")
-        look(page, "users-add")
         page.get_by_role("button", name="Add", exact=True).click()
         secret = page.locator("[data-secret]")
         expect(secret).to_have_text(re.compile("^[a-z2-9]{4}(-[a-z2-9]{4}){4}$"))
         body = {"name": "ada", "password": secret.inner_text()}
         assert httpx.post(f"{site.url}/api/v1/sessions", json=body).json()["role"] == "curator"
         expect(page.get_by_role("link", name="ada", exact=True)).to_be_visible()
-        look(page, "users")
         page.get_by_label("Name contains").fill("nobody")
         page.get_by_role("button", name="Filter", exact=True).click()
         expect(page.get_by_role("heading", name="No matching users")).to_be_visible()
@@ -97,7 +97,6 @@ def test_a_users_role_access_and_tokens_are_changed_with_reasons(site: Site, adm
         page.get_by_role("button", name="Change the role…").click()
         page.get_by_role("dialog").get_by_role("radio", name="participant").check()
         page.get_by_role("dialog").get_by_label("Reason").fill("left the field team")
-        look(page, "user-role")
         page.get_by_role("dialog").get_by_role("button", name="Change the role…").click()
         expect(page.locator("h1 + .row .tag")).to_have_text("participant")
         page.get_by_role("button", name="Reset password…").click()
@@ -112,14 +111,163 @@ def test_a_users_role_access_and_tokens_are_changed_with_reasons(site: Site, adm
         expect(page.get_by_text("deactivated", exact=True)).to_be_visible()
         expect(page.get_by_role("button", name="Reactivate…")).to_be_visible()
         expect(page.get_by_text("left the field team").first).to_be_visible()
-        look(page, "user")
     assert httpx.get(f"{site.url}/api/v1/me", headers=ada.headers).status_code == 401
 
 
-@pytest.mark.parametrize("role", ["participant", "curator"])
-def test_nobody_else_finds_a_users_page(site: Site, role: str) -> None:
-    other = person(site.platform, role)
-    with site.visit(other, expected=["403"]) as page:
-        answer = page.goto(f"/admin/users/{other.user_id}")
-        assert answer is not None
-        assert answer.status == 403
+def test_somebody_signs_in_comes_back_to_where_they_were_and_signs_out(site: Site, participant: Person) -> None:
+    with_password(site.platform, participant)
+    with site.visit(expected=["401"]) as page:
+        page.goto("/account")
+        expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+        page.get_by_label("Name").fill(participant.name)
+        page.get_by_label("Password").fill("a wrong one")
+        page.get_by_role("button", name="Sign in").click()
+        expect(page.get_by_role("alert")).to_contain_text("password")
+        page.get_by_label("Password").fill(PASSWORD)
+        page.keyboard.press("Enter")
+        expect(page.get_by_role("heading", name=participant.name)).to_be_visible()
+        page.get_by_role("button", name="Sign out").click()
+        expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
+
+
+def test_events_are_chosen_and_a_webhook_is_set_whose_secret_is_shown_once(site: Site, participant: Person) -> None:
+    with site.visit(participant, expected=["422"]) as page:
+        page.goto("/account#notifications")
+        page.get_by_label("One of my runs failed: by webhook").check()
+        page.locator("#choices").get_by_role("button", name="Save").click()
+        expect(page.locator("#choices .said, #toasts").first).not_to_be_empty()
+        url = page.get_by_label(re.compile("^URL"))
+        url.fill("https://127.0.0.1/hooks/abc")
+        page.locator("#webhook").get_by_role("button", name="Save").click()
+        expect(page.locator("#webhook .said")).not_to_be_empty()
+        url.fill("https://chat.example.org/hooks/abc")
+        page.locator("#webhook").get_by_role("button", name="Save").click()
+        expect(page.locator("[data-secret]")).to_have_text(re.compile("^whsec_"))
+        expect(page.locator("#webhook code")).to_have_text("https://chat.example.org/hooks/abc")
+    with site.platform.database.reading() as session:
+        chosen = session.query(NotificationChoice).all()
+    assert [(row.user_id, row.kind, row.channel) for row in chosen] == [(participant.user_id, "run.failed", "webhook")]
+
+
+def test_the_mailed_link_leads_to_a_button_that_verifies_the_address(site: Site, participant: Person) -> None:
+    with site.platform.database.transaction() as session:
+        row = EmailAddress(user_id=participant.user_id, address="ada@example.org")
+        session.add(row)
+        session.flush()
+        secret = new_secret(session, row)
+    with site.visit(participant) as page:
+        page.goto(f"/account?email_secret={secret}#notifications")
+        expect(page.locator("#email").get_by_text("not verified")).to_be_visible()
+        page.get_by_role("button", name="Confirm address").click()
+        expect(page.locator("#email").get_by_text("verified", exact=True)).to_be_visible()
+        expect(page.get_by_role("button", name="Confirm address")).to_have_count(0)
+
+
+ELSEWHERE = ["asked another host: http://127.0.0.1", "cdn.jsdelivr.net", "favicon.ico"]
+"""The provider's own page, to which the browser goes, and what that asks for."""
+
+
+@pytest.fixture
+def lab(platform: Platform, oidc_server: OidcServer) -> Iterator[Lab]:
+    with served_lab(platform, oidc_server.settings(**lab_groups()), make_site) as made:
+        yield made
+
+
+@pytest.fixture
+def lab_site(lab: Lab, browser: Browser) -> Site:
+    return Site(lab.url, lab.platform, browser)
+
+
+def sign_in_at_the_provider(page: Page, subject: str) -> None:
+    """From our sign-in page to the provider's form and back."""
+    page.get_by_role("link", name="Sign in with Field Robotics Lab").click()
+    page.get_by_placeholder("sub").fill(subject)
+    page.get_by_role("button", name="Authorize").click()
+
+
+def test_somebody_signs_in_with_the_provider_comes_back_and_signs_out(lab_site: Site, oidc_server: OidcServer) -> None:
+    oidc_server.know("s-ada", preferred_username="Ada", groups=["field-team"])
+    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
+        page.goto("/account")
+        expect(page.get_by_role("heading", name="Sign in", exact=True)).to_be_visible()
+        sign_in_at_the_provider(page, "s-ada")
+        expect(page).to_have_url(f"{lab_site.url}/account")
+        expect(page.get_by_role("heading", name="ada", exact=True)).to_be_visible()
+        expect(page.get_by_text("Curator.")).to_be_visible()
+        page.get_by_role("button", name="Sign out").click()
+        expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
+        page.goto("/account")
+        expect(page.get_by_role("heading", name="Sign in", exact=True)).to_be_visible()
+
+
+def test_a_session_that_ends_is_taken_up_again_with_the_provider_in_another_tab(
+    lab_site: Site, oidc_server: OidcServer
+) -> None:
+    oidc_server.know("s-ada", preferred_username="Ada", groups=["field-team"])
+    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
+        page.goto("/account")
+        sign_in_at_the_provider(page, "s-ada")
+        expect(page.get_by_role("heading", name="ada", exact=True)).to_be_visible()
+        page.get_by_role("button", name="New token").click()
+        page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
+        page.context.clear_cookies()
+        page.get_by_role("dialog").get_by_role("button", name="Create").click()
+        asking = page.get_by_role("dialog", name="Your session has ended")
+        asking.get_by_role("button", name="I have signed in").click()
+        expect(asking.get_by_role("alert")).to_have_text("You are not signed in yet. Sign in first.")
+        with page.context.expect_page() as opened:
+            asking.get_by_role("link", name="Sign in with Field Robotics Lab").click()
+        opened.value.get_by_placeholder("sub").fill("s-ada")
+        opened.value.get_by_role("button", name="Authorize").click()
+        expect(opened.value.get_by_role("link", name="ada")).to_be_visible()
+        asking.get_by_role("button", name="I have signed in").click()
+        expect(page.locator("[data-secret]")).to_have_text(re.compile("^stone_"))
+
+
+def test_with_passwords_off_the_page_asks_for_none(platform: Platform, oidc_server: OidcServer) -> None:
+    with served_lab(platform, oidc_server.settings(**lab_groups()), make_site, passwords=False) as lab:
+        page = httpx.get(f"{lab.url}/sign-in").text
+        assert 'type="password"' not in page
+        assert "Sign in with" in page
+
+
+def begun(page: Page, **changed: Any) -> dict[str, Any]:
+    body = {"name": "stone on laptop", "scopes": ["read", "submit", "upload"], **changed}
+    answer = page.request.post("/api/v1/device-grants", data=body)
+    assert answer.status == 201, answer.text()
+    codes: dict[str, Any] = answer.json()
+    return codes
+
+
+def test_a_program_is_approved_after_signing_in_with_the_provider(lab_site: Site, oidc_server: OidcServer) -> None:
+    oidc_server.know("s-ada", preferred_username="ada", groups=["students"])
+    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
+        codes = begun(page)
+        page.goto(codes["url_with_code"])
+        sign_in_at_the_provider(page, "s-ada")
+        expect(page.get_by_role("heading", name="Approve this program?")).to_be_visible()
+        expect(page.get_by_text(codes["user_code"])).to_be_visible()
+        expect(page.get_by_role("heading", name="stone on laptop")).to_be_visible()
+        expect(page.get_by_role("listitem").filter(has_text=re.compile("^submit"))).to_be_visible()
+        expect(page.get_by_role("listitem").filter(has_text=re.compile("^upload"))).to_have_count(0)
+        page.get_by_role("button", name="Approve").click()
+        expect(page.get_by_role("heading", name="Approved")).to_be_visible()
+        taken = page.request.post("/api/v1/device-grants/token", data={"device_code": codes["device_code"]})
+        assert (taken.status, taken.json()["scopes"]) == (201, ["read", "submit"])
+
+
+def test_a_code_is_typed_and_denied(lab_site: Site, oidc_server: OidcServer) -> None:
+    oidc_server.know("s-eve", preferred_username="eve", groups=["students"])
+    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
+        page.goto("/device")
+        sign_in_at_the_provider(page, "s-eve")
+        page.get_by_label("The code").fill("bcdf ghjk")
+        page.get_by_role("button", name="Continue").click()
+        expect(page.get_by_role("alert")).to_contain_text("No program is waiting with the code bcdf ghjk")
+        codes = begun(page)
+        page.get_by_label("The code").fill(codes["user_code"].lower())
+        page.keyboard.press("Enter")
+        page.get_by_role("button", name="Deny").click()
+        expect(page.get_by_role("heading", name="Denied")).to_be_visible()
+        taken = page.request.post("/api/v1/device-grants/token", data={"device_code": codes["device_code"]})
+        assert taken.json()["code"] == "access_denied"

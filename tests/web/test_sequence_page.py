@@ -1,17 +1,31 @@
-"""A sequence's page as its owner uses it: looking, moving along the drive, changing what is said of it."""
+"""A sequence's page as its owner uses it: along the drive, live during a run, changed, processed again."""
 
+import re
+from pathlib import Path
 from typing import Any
 
+import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Page, Route, expect
+from sqlalchemy import select
 
+from services.domain.sequences.label_choices import BOUNDS
+from services.domain.sequences.processing import PROCESS
+from services.runtime.orm import CalibrationRow, Job, LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
+from stone.labels.class_colours import CLASS_RGB, PALETTES, hex_of
+from stone_recordings.topics.roles import POSE_ROLES, POSITIONS
 from testing.api.serving import Person
-from testing.web.browsing import PATIENCE_MS, Site
-from tests.web.looking import look
+from testing.web.browsing import Site, decide
+from testing.web.reading import Reading
+from testing.worlds import made
+from testing.worlds.benchmark_world import run_eval
 from tests.web.sequence_world import CAMERAS, FRAMES, playback, whole_sequence
+from tests.web.test_pages import STAGES, fail_at_the_surface, new_sequence
+from web.sequence.topic_choices import ODOMETRY_ROLES, POSITION_TYPES, TopicChoices, choices_in
 
-RIG = ["front left", "front", "front right", "back left", "back", "back right"]
+CALIBRATION = Path(__file__).parents[2] / "examples" / "kitti0005.calibration.yaml"
+BEV = "img[data-bev]"
 
 
 @pytest.fixture
@@ -25,35 +39,9 @@ def to(page: Page, shown: dict[str, Any], section: str = "") -> None:
     assert answer.status == 200
 
 
-def test_the_overview_says_what_came_of_it_in_pictures_and_figures(
-    site: Site, curator: Person, shown: dict[str, Any]
-) -> None:
-    with site.visit(curator) as page:
-        to(page, shown)
-        expect(page.get_by_role("heading", level=1)).to_have_text("rolling-meadow")
-        expect(page.locator(".figure").first).to_contain_text(str(FRAMES))
-        expect(page.get_by_text("LAB-603")).to_be_visible()
-        expect(page.locator("[data-viewer]")).to_have_attribute("data-state", "ready", timeout=PATIENCE_MS)
-        expect(page.get_by_role("link", name="frames.parquet")).to_be_visible()
-        look(page, "sequence")
-
-
-def test_findings_are_graded_by_harm_and_each_leads_to_the_page_of_its_code(
-    site: Site, curator: Person, shown: dict[str, Any]
-) -> None:
-    with site.visit(curator) as page:
-        to(page, shown)
-        harmful, harmless = page.locator(".finding", has_text="LAB-603"), page.locator(".finding", has_text="TIM-201")
-        expect(harmful).to_contain_text("labels may be wrong")
-        expect(harmless).not_to_be_visible()
-        page.get_by_text("1 without effect on the labels").click()
-        expect(harmless).to_contain_text("labels unaffected")
-        colour = "one => getComputedStyle(one).borderLeftColor"
-        assert harmful.evaluate(colour) != harmless.evaluate(colour)
-        look(page, "sequence-findings")
-        harmful.get_by_role("link", name="LAB-603").click()
-        expect(page).to_have_url(f"{site.url}/codes/LAB-603")
-        expect(page.get_by_role("heading", level=1)).to_have_text("LAB-603")
+def token_of(page: Page, name: str) -> str:
+    found: str = page.evaluate("name => getComputedStyle(document.documentElement).getPropertyValue(name)", name)
+    return found.strip()
 
 
 def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
@@ -63,7 +51,6 @@ def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
     tokens = shown["tokens"]
     with site.visit(curator) as page:
         to(page, shown, f"/frames?frame={tokens[3]}")
-        assert page.locator(".frame-cameras figcaption").all_inner_texts() == RIG
         slider = page.get_by_role("slider", name="Frame")
         expect(slider).to_have_value("3")
         slider.press("ArrowRight")
@@ -71,7 +58,7 @@ def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
             expect(page.locator(f"[data-camera={channel}]")).to_have_attribute(
                 "src", f"/api/v1/frames/{tokens[4]}/camera/{channel}.jpg?v={shown['label_set_id']}"
             )
-        expect(page.locator("[data-bev]")).to_have_js_property("naturalWidth", 512)
+        expect(page.locator(BEV)).to_have_js_property("naturalWidth", 512)
         slider.press("End")
         expect(page).to_have_url(f"{site.url}/sequences/{shown['id']}/frames?frame={tokens[-1]}")
         expect(page.get_by_role("link", name="This frame in 3D")).to_have_attribute(
@@ -80,26 +67,31 @@ def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
         slider.press("PageDown")
         expect(slider).to_have_value(str(FRAMES - 11))
         slider.press("Space")
-        expect(page.get_by_role("button", name="Pause")).to_be_visible()
         expect(slider).to_have_value(str(FRAMES - 1))
         expect(page.get_by_role("button", name="Play")).to_be_visible()
-        look(page, "sequence-frames")
 
 
-def test_without_pictures_the_owner_has_them_made_and_they_are_asked_for_once(
+def test_the_papers_colours_are_chosen_once_and_kept(site: Site, curator: Person, shown: dict[str, Any]) -> None:
+    with site.visit(curator) as page:
+        to(page, shown, "/frames")
+        assert token_of(page, "--t") == hex_of(CLASS_RGB[1])
+        page.get_by_label("Class colours").select_option("paper")
+        expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
+        assert token_of(page, "--t") == hex_of(PALETTES["paper"][1])
+        page.get_by_label("Next frame").click()
+        expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
+        page.reload()
+        expect(page.get_by_label("Class colours")).to_have_value("paper")
+        assert token_of(page, "--n") == hex_of(PALETTES["paper"][3])
+        page.get_by_label("Class colours").select_option("default")
+        expect(page.locator("html")).not_to_have_attribute("data-colours", re.compile(".*"))
+
+
+def test_the_track_tells_where_the_robot_was_at_every_moment(
     site: Site, curator: Person, shown: dict[str, Any]
 ) -> None:
     with site.visit(curator) as page:
-        to(page, shown, "/frames")
-        page.get_by_role("button", name="Extract images").click()
-        expect(page.get_by_text("images are being prepared")).to_be_visible()
-        look(page, "sequence-frames-making")
-
-
-def test_the_track_tells_where_and_how_fast_at_every_moment(site: Site, curator: Person, shown: dict[str, Any]) -> None:
-    with site.visit(curator) as page:
         to(page, shown, "/track")
-        expect(page.get_by_text("north is up")).to_be_visible()
         slider = page.get_by_role("slider", name="Position along the track")
         slider.focus()
         slider.press("ArrowRight")
@@ -108,66 +100,246 @@ def test_the_track_tells_where_and_how_fast_at_every_moment(site: Site, curator:
         expect(page.get_by_role("link", name="Open frame")).to_have_attribute(
             "href", f"/sequences/{shown['id']}/frames?frame={shown['tokens'][1]}"
         )
-        look(page, "sequence-track")
-        page.get_by_text("2 excluded sweeps").click()
-        expect(page.get_by_role("cell", name="SYN-504", exact=True)).to_be_visible()
 
 
-def test_a_recording_shows_its_gaps_its_clocks_and_how_good_it_is(
+def test_the_owner_has_pictures_and_an_export_made_edits_shares_and_deletes_it(
     site: Site, curator: Person, shown: dict[str, Any]
 ) -> None:
     with site.visit(curator) as page:
-        to(page, shown, "/recordings")
-        expect(page.get_by_role("img", name="Quality 78 of 100")).to_be_visible()
-        radar = page.get_by_role("row", name="/radar").filter(has_text="TAI-UTC")
-        expect(radar).to_contain_text("−37 s")
-        expect(radar.locator(".clock-dot").first).to_have_attribute("data-tone", "bad")
-        expect(page.locator(".spoke-gap")).to_have_count(1)
-        shifted = page.get_by_role("row", name="cameras.mcap")
-        expect(shifted).to_contain_text("-0.080000 s")
-        expect(shifted).to_contain_text("0.41 ms")
-        expect(shifted).to_contain_text("camera motion")
-        look(page, "sequence-recordings")
-
-
-def test_calibration_and_processing_and_exports_are_whole_pages(
-    site: Site, curator: Person, shown: dict[str, Any]
-) -> None:
-    with site.visit(curator) as page:
-        to(page, shown, "/calibration")
-        assert page.locator(".overlays figcaption").all_inner_texts() == RIG
-        look(page, "sequence-calibration")
-        to(page, shown, "/processing")
-        expect(page.get_by_role("heading", name="Labelling")).to_be_visible()
-        look(page, "sequence-processing")
+        to(page, shown, "/frames")
+        page.get_by_role("button", name="Extract images").click()
+        expect(page.get_by_role("button", name="Extract images")).to_have_count(0)
         to(page, shown, "/exports")
         page.get_by_role("button", name="Create Mesh").click()
         expect(page.locator(".export-list")).to_contain_text("queued")
-        look(page, "sequence-exports")
-
-
-def test_the_owner_edits_shares_and_deletes_it(site: Site, curator: Person, shown: dict[str, Any]) -> None:
-    with site.visit(curator) as page:
         to(page, shown)
         page.get_by_role("button", name="Edit").click()
-        expect(page.get_by_role("textbox", name="Name fixed")).to_be_disabled()
         page.get_by_label("Environment").select_option("lake")
         page.get_by_role("button", name="Save").click()
         expect(page.locator(".sequence-head")).to_contain_text("lake")
         page.get_by_role("button", name="Make public").click()
-        dialog = page.get_by_role("dialog", name="Make it public")
-        dialog.get_by_role("button", name="Make public").click()
+        page.get_by_role("dialog", name="Make it public").get_by_role("button", name="Make public").click()
         expect(page.locator(".sequence-head")).to_contain_text("public")
         with site.visit() as visitor:
-            to(visitor, shown)
             to(visitor, shown, "/frames")
-            assert visitor.locator(".tabs a").all_inner_texts() == [
-                "Overview",
-                "Frames",
-                "Track",
-                "Calibration",
-                "Exports",
-            ]
         page.get_by_role("button", name="Delete").click()
         page.get_by_role("dialog").get_by_role("button", name="Delete").click()
         expect(page).to_have_url(f"{site.url}/sequences")
+
+
+def advance(platform: Platform, run_id: str, kind: str, state: str) -> None:
+    """As a worker would write it down."""
+    with platform.database.transaction() as session:
+        for row in session.scalars(select(Job).where(Job.root_id == run_id, Job.kind.in_([kind, "sequence.process"]))):
+            row.state = state if row.kind == kind else "running"
+            row.revision += 1
+
+
+def test_stages_move_on_without_loading_the_page_again_also_after_a_busy_answer_and_the_run_is_cancelled(
+    site: Site, curator: Person
+) -> None:
+    """A browser gives a stream up for good when the answer to it is none; the page would stand still without a word."""
+    shown = new_sequence(site.platform, curator)
+    run_id = made.run(site.platform, curator, "ingest.synchronise", "labeler.parts", sequence_id=shown["id"])
+    refused: list[str] = []
+
+    def refuse_once(route: Route) -> None:
+        refused.append(route.request.url)
+        if len(refused) == 1:
+            route.fulfill(status=503, content_type="application/problem+json", body="{}")
+        else:
+            route.continue_()
+
+    with site.visit(curator, expected=["503"]) as page:
+        page.route("**/events", refuse_once)
+        to(page, shown, "/processing")
+        synchronising = page.locator(".run-steps li", has_text="Synchronise sensors")
+        expect(synchronising).to_have_attribute("data-state", "waiting")
+        page.evaluate("window.isSame = true")
+        advance(site.platform, run_id, "ingest.synchronise", "running")
+        expect(synchronising).to_have_attribute("data-state", "running")
+        advance(site.platform, run_id, "ingest.synchronise", "succeeded")
+        expect(synchronising).to_have_attribute("data-state", "succeeded")
+        assert page.evaluate("window.isSame")
+        page.get_by_role("button", name="Cancel this run").click()
+        page.get_by_label("Reason").fill("the wrong calibration")
+        page.get_by_role("dialog").get_by_role("button", name="Cancel this run").click()
+        expect(page.locator("#runs .state").first).to_have_attribute("data-state", "cancelled")
+    assert len(refused) >= 2
+
+
+def test_a_run_that_starts_while_the_page_is_open_is_followed_until_its_labels_count(
+    site: Site, curator: Person
+) -> None:
+    shown = new_sequence(site.platform, curator)
+    before = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+    advance(site.platform, before, "ingest.synchronise", "failed")
+    with site.platform.database.transaction() as session:
+        session.get_one(Job, before).state = "failed"
+    with site.visit(curator) as page:
+        to(page, shown, "/processing")
+        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{before}/logs")
+        expect(page.get_by_role("button", name="Cancel this run")).to_have_count(0)
+        now = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{now}/logs")
+        expect(page.get_by_role("button", name="Cancel this run")).to_be_visible()
+        to(page, shown)
+        expect(page.locator(".run-dashes")).to_be_visible()
+        made.labels(site.platform, shown, contents=[made.frame_labels()] * 3)
+        advance(site.platform, now, "ingest.synchronise", "succeeded")
+        expect(page.get_by_role("heading", name="Summary")).to_be_visible()
+
+
+def test_a_run_that_fails_is_said_without_loading_the_page_again_and_its_log_is_read(
+    site: Site, curator: Person, shown: dict[str, Any]
+) -> None:
+    run_id = made.run(site.platform, curator, *STAGES, sequence_id=shown["id"])
+    with site.visit(curator) as page:
+        to(page, shown, "/track")
+        expect(page.locator("#word")).to_have_text("queued")
+        page.evaluate("window.isSame = true")
+        fail_at_the_surface(site.platform, run_id)
+        expect(page.locator("#word")).to_contain_text("re-run failed")
+        expect(page.locator("#standing")).to_contain_text("surface_empty")
+        assert page.evaluate("window.isSame"), "the page was loaded again"
+        to(page, shown, "/processing")
+        expect(page.get_by_role("log", name="Lines of the log")).to_contain_text("the tile has no surface")
+
+
+def test_an_owner_reads_why_an_administrator_cancelled(
+    site: Site, reading: Reading, curator: Person, administrator: Person, shown: dict[str, Any]
+) -> None:
+    run_id = made.run(site.platform, curator, *STAGES, sequence_id=shown["id"])
+    with site.visit(administrator) as page:
+        page.goto(f"/admin/jobs/{run_id}")
+        decide(page, "Cancel", "disk maintenance at noon")
+        expect(page.locator("#job")).to_have_attribute("data-state", "cancelled")
+    for part in ("", "/processing"):
+        assert "disk maintenance at noon" in reading.html(f"/sequences/{shown['id']}{part}", curator), part
+
+
+TOPICS = (
+    ("/novatel/oem7/inspvax", "novatel_oem7_msgs/msg/INSPVAX", "ins", 500),
+    ("/novatel/oem7/odom", "nav_msgs/msg/Odometry", "odometry", 500),
+    ("/points", "sensor_msgs/msg/PointCloud2", "lidar", 100),
+    ("/imu", "sensor_msgs/msg/Imu", "imu", 1000),
+    ("/a name\u200b/no request may say", "nav_msgs/msg/Odometry", "odometry", 1),
+)
+INSPECTION: dict[str, Any] = {
+    "topics": [dict(zip(("name", "type", "role", "count"), one, strict=True)) for one in TOPICS],
+    "channels": {"lidar": "/points", "pose": "/novatel/oem7/inspvax"},
+}
+
+
+def calibrated(site: Site, owner: Person, sequence_id: str) -> None:
+    """The sequence pins the one calibration of its owner."""
+    with httpx.Client(base_url=site.url, headers=owner.headers) as api:
+        api.post("/api/v1/calibrations", files={"file": ("rig.yaml", CALIBRATION.read_bytes())})
+    with site.platform.database.transaction() as session:
+        session.get_one(SequenceRow, sequence_id).calibration_id = session.scalars(select(CalibrationRow.id)).one()
+
+
+def newest_run(platform: Platform, sequence_id: str) -> Job:
+    with platform.database.reading() as session:
+        runs = select(Job).where(Job.sequence_id == sequence_id, Job.kind == PROCESS).order_by(Job.id.desc())
+        return session.scalars(runs).first() or pytest.fail("no run")
+
+
+def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Person) -> None:
+    made_id = new_sequence(site.platform, curator)["id"]
+    calibrated(site, curator, made_id)
+    with site.platform.database.transaction() as session:
+        row = Recording(sequence_id=made_id, filename="run.mcap", size_bytes=3, sha256="0" * 64)
+        row.state, row.inspection = "registered", INSPECTION
+        session.add(row)
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{made_id}")
+        form = page.locator("form[data-process]")
+        form.get_by_text("Topics and parameters").click()
+        fields = form.locator("[data-parameter]")
+        bounds = fields.evaluate_all("all => all.map(one => [one.dataset.parameter, [+one.min, +one.max]])")
+        assert {name: tuple(of) for name, of in bounds} == dict(BOUNDS)
+        form.get_by_role("radio", name="local").check()
+        form.get_by_label("Significance").fill("0.7")
+        form.get_by_role("button", name="Start processing").click()
+        assert form.get_by_label("Significance").evaluate("field => field.validity.rangeOverflow")
+        form.get_by_label("Significance").fill("0.1")
+        form.get_by_label("Odometry topic").select_option("/novatel/oem7/odom")
+        values = form.locator("select option").evaluate_all("all => all.map(one => one.value)")
+        assert values == ["", "/novatel/oem7/inspvax", "/novatel/oem7/odom", "kiss-icp", "", "/points"]
+        form.get_by_role("button", name="Start processing").click()
+        expect(form.get_by_role("button", name="Start processing")).to_be_disabled()
+        expect(page.locator("#run-log, .run-dashes").first).to_be_visible()
+    run = newest_run(site.platform, made_id)
+    assert {key: run.arguments[key] for key in ("profile", "parameters", "odometry_topic", "stages")} == {
+        "profile": "local",
+        "parameters": {"reference.alpha": 0.1},
+        "odometry_topic": "/novatel/oem7/odom",
+        "stages": ["synchronise", "label"],
+    }
+
+
+ASKED: dict[str, Any] = {
+    "profile": "paper",
+    "parameters": {"reference.alpha": 0.1},
+    "odometry_topic": "kiss-icp",
+    "lidar_topic": "/lidar",
+    "ground": "auto",
+    "names_recordings": True,
+    "clock_offsets_ns": {"cameras.mcap": -80_000_000},
+    "stages": ["synchronise", "label"],
+}
+
+
+def test_an_owner_processes_again_with_profile_local_and_keeps_what_the_run_was_asked_for(
+    site: Site, curator: Person, shown: dict[str, Any]
+) -> None:
+    calibrated(site, curator, shown["id"])
+    with site.platform.database.transaction() as session:
+        row = Recording(sequence_id=shown["id"], filename="cameras.mcap", size_bytes=3, sha256="0" * 64)
+        row.state = "registered"
+        session.add(row)
+        session.flush()
+        both = sorted(session.scalars(select(Recording.id).where(Recording.sequence_id == shown["id"])))
+        run = session.get_one(Job, session.get_one(LabelSet, shown["label_set_id"]).job_id)
+        run.arguments = {**run.arguments, **ASKED, "recording_ids": both}
+        run_id = run.id
+    with site.visit(curator) as page:
+        to(page, shown)
+        page.get_by_role("link", name="Process again with profile local").click()
+        form = page.locator("form[data-process]")
+        expect(form.get_by_role("radio", name="local")).to_be_checked()
+        expect(form.get_by_label("Odometry topic")).to_have_value("kiss-icp")
+        form.get_by_role("button", name="Start processing").click()
+        expect(page).to_have_url(f"{site.url}/sequences/{shown['id']}")
+    run = newest_run(site.platform, shown["id"])
+    assert run.id != run_id
+    assert {key: run.arguments[key] for key in ASKED} == {**ASKED, "profile": "local"}
+    assert sorted(run.arguments["recording_ids"]) == both
+
+
+def test_the_owner_compares_two_label_sets(
+    site: Site, reading: Reading, platform: Platform, curator: Person, shown: dict[str, Any]
+) -> None:
+    for seed, kind in ((b"one", 3), (b"other", 2)):
+        made.labels(platform, shown, contents=[made.frame_labels(kind)] * 2, seed=seed)
+    with site.visit(curator) as page:
+        to(page, shown, "/label-sets")
+        page.get_by_role("button", name="Compare").click()
+        expect(page.get_by_role("region", name="A and B compared")).to_contain_text("queued")
+    run_eval(platform)
+    html = reading.html(f"/sequences/{shown['id']}/label-sets", curator)
+    assert 'aria-label="Confusion' in html
+    (picture, *_) = re.findall(r'<img[^>]* src="(/api/v1/[^"]+)"', html.partition("A and B compared")[2])
+    answer = reading.client.get(picture.replace("&amp;", "&"), headers=curator.headers)
+    assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
+
+
+def test_the_topics_of_several_recordings_are_offered_once() -> None:
+    again = {"topics": [INSPECTION["topics"][2]], "channels": {"lidar": "/points"}}
+    found = choices_in([INSPECTION, again, None])
+    assert (found.is_read, found.automatic_lidar) == (True, "/points")
+    assert [(one.name, one.messages) for one in found.lidar] == [("/points", 200)]
+    assert choices_in([INSPECTION, {"channels": {"lidar": "/other"}}]).automatic_lidar == ""
+    assert choices_in([]) == TopicChoices()
+    assert (ODOMETRY_ROLES, POSITION_TYPES) == (POSE_ROLES, (POSITIONS,))

@@ -1,18 +1,18 @@
-"""The split editor in a browser: moved by keys, by dragging and by selects, judged live, saved once."""
-
-import re
+"""The split editor: moved by keys, by dragging and by selects, judged live, saved once; a version of the dataset."""
 
 import httpx
 import pytest
 from playwright.sync_api import Dialog, Locator, Page, expect
 
 from services.domain.datasets.splits import current_splits
+from services.domain.datasets.statistics import Record
 from services.runtime.platform import Platform
 from stone.splits.splits import Split
-from testing.api.serving import Person, person
+from testing.api.serving import Person
 from testing.web.browsing import Site
-from tests.web.dataset_world import Driven, campaign, driven, put, put_apart
-from tests.web.looking import look
+from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put, put_apart
+from tests.web.looking import serious_findings
+from web.pages.dataset_figure import LARGEST_PX, figure_of
 
 URL = "/dataset/splits"
 
@@ -41,7 +41,6 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
         page.goto(URL)
         verdict = page.locator("[data-verdict]")
         expect(verdict).to_have_text("All rules satisfied")
-        look(page, "splits")
         page.get_by_role("button", name="farmland-03").press("3")
         expect(verdict).to_have_text("One rule is violated")
         expect(page.get_by_role("status").first).to_have_text("farmland-03 is in test now.")
@@ -49,13 +48,11 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
         expect(column(page, "Test").filter(has_text="farmland-03")).to_have_count(1)
         expect(page.get_by_role("button", name="Save…")).to_be_disabled()
         page.get_by_role("button", name="Test and train regions disjoint").click()
-        look(page, "splits-broken")
         page.get_by_role("button", name="farmland-03").press("0")
         expect(verdict).to_have_text("All rules satisfied")
         page.get_by_role("button", name="Save…").click()
         expect(page.get_by_role("dialog")).to_contain_text("farmland-03: train → unassigned")
         page.get_by_label("Reason").fill("the lake was dry")
-        look(page, "splits-save")
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
         expect(page.locator("[data-changes]")).to_have_text("Revision 2")
     assert plot.id not in {one for ids in standing(site.platform).parts.values() for one in ids}
@@ -130,11 +127,10 @@ def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
         page.get_by_role("button", name="Propose…").click()
         for part, size in (("Train", "5"), ("Val", "4"), ("Test", "4")):
             page.get_by_role("spinbutton", name=part).fill(size)
-        look(page, "splits-propose")
+        assert serious_findings(page) == []
         page.get_by_role("button", name="Propose", exact=True).click()
         expect(page.get_by_role("button", name="Adopt")).to_be_focused(timeout=300_000)
         expect(page.get_by_role("heading", name="A proposal that satisfies every rule")).to_be_visible()
-        look(page, "splits-proposal")
         page.get_by_role("button", name="Adopt").click()
         for part, wanted in (("Train", 5), ("Val", 4), ("Test", 4)):
             expect(column(page, part)).to_have_count(wanted)
@@ -159,7 +155,6 @@ def test_who_saves_second_is_told_by_whom_and_decides(
         notice = page.get_by_role("alert").filter(has_text="saved the splits while you worked")
         expect(notice).to_contain_text(administrator.name)
         expect(notice).to_contain_text("farmland-03 (unassigned here, train there)")
-        look(page, "splits-theirs")
         notice.get_by_role("button", name="Keep mine").click()
         page.get_by_role("button", name="Save…").click()
         page.get_by_label("Reason").fill("the lake was dry")
@@ -184,31 +179,39 @@ def test_leaving_with_moves_that_are_not_saved_asks_first(
         assert asked == ["beforeunload"]
 
 
-def test_a_curator_sees_where_their_own_are_and_moves_nothing(
-    site: Site, curator: Person, sequences: tuple[Driven, ...]
+def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
+    site: Site, administrator: Person, sequences: tuple[Driven, ...]
 ) -> None:
-    put_apart(site.platform, sequences)
-    with site.visit(curator) as page:
-        page.goto(URL)
-        expect(page.get_by_role("region", name="Test", exact=True).get_by_role("link")).to_have_count(4)
-        expect(page.get_by_role("button", name=re.compile("Save|Propose"))).to_have_count(0)
-        look(page, "splits-curator")
-
-
-def test_a_curator_reads_of_their_own_sequences_what_is_true_of_them(
-    site: Site, platform: Platform, curator: Person, sequences: tuple[Driven, ...]
-) -> None:
-    other = person(platform, "curator")
-    own = driven(platform, other, 0)
-    put(platform, Split(train=(own.id, sequences[0].id, sequences[1].id), val=(sequences[2].id,), test=()))
-    with site.visit(other) as page:
-        page.goto(URL)
-        expect(page.locator(".lead")).to_contain_text("Of your sequences, 1 is in train, 0 in val, 0 in test.")
-        expect(page.locator(".lead")).to_contain_text("All together: 3 sequences in train, 1 in val, 0 in test.")
-
-
-def test_without_labels_the_page_says_what_to_do(site: Site, administrator: Person) -> None:
     with site.visit(administrator) as page:
-        page.goto(URL)
-        expect(page.get_by_role("heading", name="No sequence has labels yet")).to_be_visible()
-        look(page, "splits-empty")
+        page.goto("/dataset/new")
+        expect(page.get_by_role("button", name="Publish", exact=True)).to_have_count(0)
+        put_apart(site.platform, sequences)
+        page.reload()
+        page.get_by_label("Version").fill("stone-1.0")
+        page.get_by_label("Licence").fill("CC-BY-4.0")
+        page.get_by_label("Reason").fill("first release")
+        page.get_by_role("button", name="Publish", exact=True).click()
+        expect(page.get_by_role("heading", name="stone-1.0", exact=True)).to_be_visible(timeout=300_000)
+        expect(page.locator(".lead")).to_contain_text("CC-BY-4.0")
+
+
+def record(frames: int, environment: str = "lake") -> Record:
+    ratios = {"traversable": 0.25, "potentially_traversable": 0.25, "non_traversable": 0.5}
+    sums = {"sequences": 1, "frames": frames, "distance_m": 100.0, "class_ratios": ratios}
+    cells = [{"environment": environment, "illumination": "night", **sums}]
+    cells.append({"environment": environment, "illumination": "day", **sums, "frames": 400, "class_ratios": None})
+    return {"cells": cells, "environments": [{"key": environment, **sums}]}
+
+
+def test_areas_are_frames_and_stripes_are_classes() -> None:
+    figure = figure_of(record(100))
+    (line,) = [line for line in figure.lines if line.squares]
+    day, night = line.squares
+    assert (day.side_px, night.side_px) == (LARGEST_PX, LARGEST_PX / 2)
+    assert [stripe.height_px / night.side_px for stripe in night.stripes] == [0.25, 0.25, 0.5]
+    assert [stripe.kind for stripe in day.stripes] == ["unseen"]
+
+
+def test_a_place_that_nobody_drove_in_has_a_line_of_its_own() -> None:
+    assert len(figure_of(record(100, "")).lines) == len({place for place, _, _ in CAMPAIGN}) + 1
+    assert [line.squares for line in figure_of({"cells": [], "environments": []}).lines] == [()] * 4

@@ -1,6 +1,8 @@
-"""The participant's journeys: from the form to the board, and a refusal told file by file."""
+"""The participant's journeys: from the team to the form and the board; a refusal told file by file, in its words."""
 
 import io
+import re
+import shlex
 import zipfile
 from collections.abc import Mapping
 from pathlib import Path
@@ -8,14 +10,29 @@ from typing import Any
 
 import numpy as np
 import pytest
+import typer
 from playwright.sync_api import Page, expect
 from sqlalchemy import select
 
-from services.runtime.orm import SubmissionRow
+from api.schemas.submissions import FileProblem
+from services.domain.benchmarks.starter import starter_code
+from services.domain.benchmarks.submissions import scoring_quota
+from services.domain.benchmarks.teams.teams import enter
+from services.runtime.orm import Phase, SubmissionRow
 from services.runtime.platform import Platform
+from stone_client.main import app
+from stone_submissions import errors
+from stone_submissions.errors import SubmissionError
+from testing.api.serving import Person, person
 from testing.web.browsing import Site
+from testing.web.reading import Reading
 from testing.worlds.benchmark_world import World, benchmark_world, predicted, run_eval, submission_zip
-from tests.web.looking import look
+from tests.services.domain.benchmarks import laid
+from tests.web.looking import serious_findings
+from web.boards.submission_steps import StepsPlace, submission_steps
+from web.problem_words import ADVICE, UNKNOWN, grouped
+
+ROOT = Path(__file__).resolve().parents[2]
 
 FLOATS = np.zeros((4, 4))
 
@@ -56,24 +73,18 @@ def test_a_team_sends_predictions_and_finds_them_on_the_board(site: Site, world:
     archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
     with site.visit(world.captains[0]) as page:
         page.goto("/submissions")
-        look(page, "submissions-empty")
         page.goto(form_of(world))
-        look(page, "submit")
         fill(page, archive)
         expect(page.get_by_text("All 8 frames are present.")).to_be_visible()
         page.get_by_label("Description").fill("Trained on train only.\nTwo cameras fewer.")
-        look(page, "submit-ready")
         page.get_by_role("button", name="Submit for scoring").dblclick()
         expect(page.get_by_text("Next in the queue")).to_be_visible()
-        look(page, "submission-queued")
         run_eval(site.platform)
         expect(page.get_by_text("Scored, and on the leaderboard.")).to_be_visible()
         expect(page.locator("#submission")).not_to_have_attribute("data-refresh", "4s")
         expect(page.get_by_text("mIoU")).to_be_visible()
-        look(page, "submission-scored")
         page.goto("/submissions")
         expect(page.get_by_role("listitem").filter(has_text="OccFormer-T")).to_contain_text("scored")
-        look(page, "submissions")
         page.get_by_role("link", name="OccFormer-T").click()
         page.get_by_role("link", name="View results").click()
         expect(page.get_by_role("heading", name="OccFormer-T")).to_be_visible()
@@ -99,8 +110,7 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         page.get_by_text("3 missing frames").click()
         expect(page.locator(".found-list code")).to_have_count(4)
         expect(page.get_by_role("button", name="Submit for scoring")).to_be_disabled()
-        expect(page.get_by_text("Fix the zip first")).to_be_visible()
-        look(page, "submit-incomplete")
+        assert serious_findings(page) == []
         (tmp_path / "no.zip").write_bytes(b"this is no zip" * 100)
         page.locator("#file").set_input_files(tmp_path / "no.zip")
         expect(page.get_by_text("This cannot be read as a submission.")).to_be_visible()
@@ -109,7 +119,6 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         )
         expect(page.get_by_text("All 8 frames are present.")).to_be_visible()
         expect(page.get_by_text("The first frame was looked into: bad dtype")).to_contain_text("'<f8'")
-        look(page, "submit-warned")
         turned = zipped(tmp_path / "turned.zip", dict.fromkeys(world.truth("val"), np.zeros((32, 256, 256), np.uint8)))
         page.locator("#file").set_input_files(turned)
         expect(page.get_by_text("The first frame was looked into: bad shape")).to_contain_text("transpose(1, 2, 0)")
@@ -117,7 +126,6 @@ def test_a_zip_that_lacks_frames_is_refused_before_a_byte_is_sent(site: Site, wo
         half.write_bytes(archive.read_bytes()[: archive.stat().st_size // 2])
         page.locator("#file").set_input_files(half)
         expect(page.get_by_text("The zip was cut short or damaged")).to_be_visible()
-        look(page, "submit-cut-short")
     assert sent(world) == []
 
 
@@ -144,7 +152,6 @@ def test_what_is_wrong_inside_of_files_is_told_file_by_file(site: Site, world: W
             expect(table.get_by_role("row").last).to_contain_text(f"run/{token}.npz")
         expect(page.get_by_role("region", name="label out of range")).to_contain_text("255")
         expect(page.get_by_text("grid.transpose(1, 2, 0) if its axes are z, x, y")).to_be_visible()
-        look(page, "submission-refused")
         assert page.get_by_text("does not count towards the quota").is_visible()
     [row] = sent(world)
     assert (row.state, row.kind) == ("invalid", "validation")
@@ -184,7 +191,6 @@ def test_a_page_that_was_left_while_sending_goes_on_where_it_was(site: Site, wor
         page.unroute("**/uploads/*")
         page.reload()
         expect(page.get_by_role("heading", name="Unfinished: Half sent")).to_be_visible()
-        look(page, "submit-unfinished")
         page.locator("#file").set_input_files(archive)
         expect(page.get_by_label("Method name")).to_have_value("Half sent")
         expect(page.get_by_label("Cameras")).to_be_checked()
@@ -193,18 +199,111 @@ def test_a_page_that_was_left_while_sending_goes_on_where_it_was(site: Site, wor
     assert [(row.state, row.method) for row in sent(world)] == [("queued", "Half sent")]
 
 
-def test_a_submission_of_others_has_no_page(site: Site, world: World, tmp_path: Path) -> None:
-    archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
-    with site.visit(world.captains[0]) as page:
-        page.goto(form_of(world))
-        fill(page, archive)
-        page.get_by_role("button", name="Submit for scoring").click()
-        page.wait_for_url("**/submissions/*")
+def limited(world: World, part: str, a_window: int) -> None:
+    """The first team takes part in the phase; one of a window's scorings is used, another under way."""
+    phase_id, team_id, captain_id = world.phase(part), world.teams[0], world.captains[0].user_id
+    one, other = (laid.entry(world.platform, phase_id, team_id, captain_id) for _ in range(2))
+    with world.platform.database.transaction() as session:
+        phase = session.get_one(Phase, phase_id)
+        phase.scorings_per_window, phase.scorings_total = a_window, 20
+        enter(session, phase, team_id)
+        scoring_quota.reserve(session, phase, team_id, one)
+        scoring_quota.consume(session, one)
+        scoring_quota.reserve(session, phase, team_id, other)
+
+
+def test_a_team_reads_what_it_may_still_have_scored_and_where_it_may_submit(reading: Reading, world: World) -> None:
+    limited(world, "test", 3)
+    captain, participant = world.captains[0], person(world.platform, "participant")
+    with world.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.test)
+        scoring_quota.grant(session, phase, world.teams[0], 1, "a day was lost")
+    team = reading.html(f"/teams/{world.teams[0]}", captain)
+    assert "2 of 4 submissions left" in " ".join(team.split())
+    assert 'aria-label="1 used, 1 in progress, 2 left"' in team
+    assert 'id="submit"' in reading.html(form_of(world, "test"), captain)
+    assert 'id="submit"' not in reading.html(form_of(world, "test"), participant)
+    with world.platform.database.transaction() as session:
+        phase = session.get_one(Phase, world.test)
+        phase.opens_ns, phase.closes_ns = 1, 2
+    assert 'id="submit"' not in reading.html(form_of(world, "test"), captain)
+
+
+def test_a_team_is_founded_entered_by_invitation_and_handed_over(site: Site, participant: Person) -> None:
+    guest = person(site.platform, "participant")
+    with site.visit(participant) as page:
+        page.goto("/teams")
+        page.get_by_label("Name").fill("Terrain Gang")
+        page.get_by_role("button", name="Create team").click()
+        expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
         where = page.url
-    with site.visit(world.captains[1], expected=["404"]) as page:
-        answer = page.goto(where)
-        assert answer is not None
-        assert answer.status == 404
-    with site.visit(world.member) as page:
+        page.get_by_role("button", name="Create invitation").click()
+        expect(page.get_by_label("Invitation", exact=True)).to_have_value(re.compile("invite_"))
+        secret = page.get_by_label("Invitation", exact=True).input_value()
+        expect(page.locator("#invitations li")).to_have_count(1)
+    assert re.fullmatch(r"invite_[A-Za-z0-9_-]{43}", secret)
+    with site.visit(guest) as page:
+        page.goto(f"/teams#{secret}")
+        expect(page.get_by_label("Invitation")).to_have_value(secret)
+        assert secret not in page.url
+        page.get_by_role("button", name="Join").click()
+        expect(page.get_by_role("heading", name="Terrain Gang")).to_be_visible()
+        expect(page.get_by_role("button", name="Create invitation")).to_have_count(0)
+    with site.visit(participant) as page:
         page.goto(where)
-        expect(page.get_by_role("button", name="Cancel")).to_be_visible()
+        page.get_by_role("button", name="Make captain").click()
+        page.get_by_role("dialog").get_by_role("button", name="Make captain").click()
+        expect(page.get_by_text(f"captain {guest.name}")).to_be_visible()
+        page.get_by_role("button", name="Leave", exact=True).click()
+        page.locator("dialog[open]").get_by_role("button", name="Leave").click()
+        expect(page.locator("main").get_by_text("Terrain Gang")).to_have_count(0)
+
+
+def problem(code: str, file: str) -> FileProblem:
+    return FileProblem(code=code, file=file, frame=None, expected="a", actual="b")
+
+
+def test_every_refusal_of_a_file_has_words_and_no_words_are_left_over() -> None:
+    leaves = {kind for kind in vars(errors).values() if isinstance(kind, type) and issubclass(kind, SubmissionError)}
+    assert {leaf.code for leaf in leaves - {SubmissionError}} == set(ADVICE)
+
+
+def test_problems_stand_in_groups_the_largest_first_each_as_it_was_found() -> None:
+    found = [problem("bad_shape", "1"), problem("bad_dtype", "2"), problem("news", "3"), problem("bad_dtype", "4")]
+    groups = grouped(found)
+    assert [(group.code, [one.file for one in group.problems]) for group in groups] == [
+        ("bad_dtype", ["2", "4"]),
+        ("bad_shape", ["1"]),
+        ("news", ["3"]),
+    ]
+    assert groups[2].advice == UNKNOWN
+    assert grouped([]) == []
+
+
+@pytest.mark.parametrize("team", ["My team", "Terrain 'Gang' & Co", 'a "b" $HOME; rm'])
+def test_every_line_is_a_command_with_options_that_exist(
+    team: str, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.chdir(tmp_path)
+    for written in ("val.json", "run.zip"):  # by the steps before
+        (tmp_path / written).touch()
+    lines = [step.line for step in submission_steps(StepsPlace("https://stone.test", None, "stone", "val", team))]
+    ours = [shlex.split(line) for line in lines if line.startswith("stone ")]
+    assert len(ours) == 6
+    assert [team in words for words in ours] == [False, True, False, False, False, True]
+    for words in ours:
+        parsed(typer.main.get_command(app), words[1:])
+
+
+def parsed(command: Any, words: list[str]) -> None:
+    """Parse the words as the command would, below its groups; nothing is run. Raises what the command's parser does."""
+    while hasattr(command, "commands"):
+        command, words = command.commands[words[0]], words[1:]
+    command.make_context(command.name, list(words))
+
+
+def test_the_starter_code_is_what_the_docs_print() -> None:
+    docs = (ROOT / "docs" / "participant.md").read_text("utf-8")
+    block = re.search(r"```python\n(# predict\.py:.*?)```", docs, re.DOTALL)
+    assert block is not None
+    assert starter_code().decode() == block[1]

@@ -18,7 +18,6 @@ from testing.api.serving import Person
 from testing.web.browsing import Site
 from testing.worlds.made import sequence
 from tests.web.bringing import BULKY, bag, choose, recordings, row_of, slow_down, uploads
-from tests.web.looking import keep, look
 from tests.working import working
 
 SLOW = 8e5
@@ -98,12 +97,10 @@ def test_the_api_is_killed_in_the_middle_and_the_page_goes_on(
         hold_at(page, platform, ENOUGH)
         expect(row.locator("[data-phase]")).to_have_text("uploading")
         expect(row.locator(".transfer-line")).to_contain_text("left")
-        keep(page, "upload-sending")
         process.kill()
         on_disk, taken = bytes_here(platform), pieces_taken(page)
         if isinstance(process, Machine):
             expect(row.locator("[data-phase]")).to_have_text("waiting for the platform", timeout=300_000)
-            keep(page, "upload-away")
         slow_down(page, -1)
         process.start()
         expect(row.locator("[data-phase]")).to_have_text("registered", timeout=300_000)
@@ -123,7 +120,6 @@ def test_the_page_is_loaded_again_and_the_same_file_goes_on(site: Site, curator:
         page.reload()
         unfinished = page.get_by_role("region", name="Unfinished uploads")
         expect(unfinished).to_contain_text("long-run.mcap for long-run")
-        look(page, "upload-unfinished")
         slow_down(page, -1)
         taken = pieces_taken(page)
         choose(page, path)
@@ -144,7 +140,6 @@ def test_a_pause_holds_still_and_what_is_there_can_be_given_up(site: Site, curat
         hold_at(page, site.platform, ENOUGH)
         row.get_by_role("button", name="Pause").click()
         expect(row.locator("[data-phase]")).to_have_text("paused")
-        look(page, "upload-paused")
         row.get_by_role("button", name="Remove").click()
         page.reload()
         page.get_by_role("button", name="Discard long-run.mcap").click()
