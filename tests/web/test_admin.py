@@ -5,23 +5,15 @@ from datetime import UTC, datetime
 
 import pytest
 from playwright.sync_api import Page, expect
-from sqlalchemy import select
 
 from benchmarks.dashboard.rows import fill
-from services.domain.benchmarks.alarms.alarms import raise_alarms
 from services.domain.benchmarks.phases.reported_results import reported_in
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import (
     Activation,
-    Alarm,
-    AuditEntry,
     Benchmark,
     JobLine,
     Phase,
-    Score,
-    ScoringEntry,
-    SubmissionRow,
-    Team,
 )
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -84,23 +76,6 @@ def test_many_are_selected_and_steered_with_what_came_of_each(
         expect(page.locator("[data-picked]")).to_be_hidden()
     assert [row_of(platform, one).state for one in failed] == ["queued"] * 3
     assert row_of(platform, fine).state == "succeeded"
-
-
-def test_a_queue_is_paused_and_resumed_with_a_reason(site: Site, platform: Platform, administrator: Person) -> None:
-    with site.visit(administrator) as page:
-        page.goto("/admin/queues")
-        labeler = page.get_by_role("region", name="labeler")
-        labeler.get_by_role("button", name="Pause").click()
-        reason(page, "worker-3 is being replaced")
-        page.keyboard.press("Enter")
-        expect(labeler.locator(".state")).to_have_text("paused")
-        labeler.get_by_role("button", name="Resume").click()
-        reason(page, "it is back")
-        page.keyboard.press("Enter")
-        expect(labeler.locator(".state")).to_have_text("open")
-    with platform.database.reading() as session:
-        acts = [line.act for line in session.query(AuditEntry).all()]
-    assert acts[-2:] == ["queue.pause", "queue.resume"]
 
 
 def test_a_run_is_cancelled_and_queued_again(
@@ -208,36 +183,6 @@ def test_a_re_score_is_started_read_as_a_difference_and_activated(
         assert session.query(Activation).filter_by(phase_id=place.phase.id).count() == 2
 
 
-def test_an_alarm_is_dismissed_and_a_team_granted_scorings(
-    site: Site, platform: Platform, administrator: Person, place: Place
-) -> None:
-    first, second = (scored_entry(place, team(place, name), 0.4, method=f"{name}Net") for name in TEAMS[:2])
-    with platform.database.transaction() as session:
-        scores = {row.submission_id: row for row in session.scalars(select(Score))}
-        scores[second].content_sha256 = scores[first].content_sha256
-        raise_alarms(session, scores[second])
-        lake = session.get_one(SubmissionRow, second).team_id
-        session.add(ScoringEntry(phase_id=place.phase.id, team_id=lake, amount=0, reason="granted"))
-    with site.visit(administrator) as page:
-        page.goto(address(place))
-        alarms = page.get_by_role("region", name="Alarms")
-        expect(alarms).to_contain_text("equal content")
-        alarms.get_by_role("button", name="Dismiss").click()
-        give_reason(page, "both wrapped the same baseline", "Dismiss")
-        expect(alarms).to_contain_text("No open alarms")
-        page.get_by_role("row", name=re.compile("Lake")).get_by_role("button", name="Grant").click()
-        page.get_by_label("Additional submissions").fill("3")
-        give_reason(page, "the platform was away", "Grant")
-        expect(page.get_by_role("dialog")).to_have_count(0)
-        expect(page.get_by_role("heading", name="Teams and quotas")).to_be_visible()
-        page.wait_for_load_state()
-    with platform.database.reading() as session:
-        assert session.scalars(select(Alarm)).one().dismissed_ns is not None
-        amounts = session.scalars(select(ScoringEntry.amount).where(ScoringEntry.team_id == lake))
-        assert sorted(amounts) == [-3, 0]
-        assert session.get_one(Team, lake).name == "Lake"
-
-
 def test_reported_rows_are_edited_and_put_back_at_once(
     site: Site, platform: Platform, administrator: Person, place: Place
 ) -> None:
@@ -265,31 +210,6 @@ def test_reported_rows_are_edited_and_put_back_at_once(
         rows = reported_in(session, place.phase.id)
     assert [(row.method, row.modality, row.miou, row.iou_t) for row in rows] == [("Paper 0", "C+L", 0.342, None)]
     assert [(row.note, row.percent_digits) for row in rows] == [("of another split", 1)]
-
-
-def test_rules_that_are_refused_say_why_and_the_benchmark_is_made_public(
-    site: Site, platform: Platform, administrator: Person, place: Place
-) -> None:
-    with site.visit(administrator, expected=["409", "422"]) as page:
-        page.goto(address(place))
-        page.get_by_role("button", name="Edit rules").click()
-        asking = page.get_by_role("dialog")
-        asking.get_by_label("Closes").fill("1900-10-01T00:00")
-        give_reason(page, "a slip of the keys", "Save")
-        expect(asking.get_by_role("alert")).to_contain_text("closes_at")
-        asking.get_by_label("Closes").fill("2199-10-01T00:00")
-        asking.get_by_label("Submissions per window").fill("")
-        asking.get_by_label("Submissions in total").fill("40")
-        give_reason(page, "one month more", "Save")
-        expect(asking.get_by_role("alert")).not_to_contain_text("closes_at")
-        page.keyboard.press("Escape")
-        expect(page.get_by_role("dialog")).to_have_count(0)
-        page.goto(address(place).rpartition("/")[0])
-        page.get_by_role("button", name="Make public").click()
-        give_reason(page, "the season begins", "Make public")
-        expect(page.get_by_role("button", name="Hide from visitors")).to_be_visible()
-    with platform.database.reading() as session:
-        assert session.scalars(select(Benchmark)).one().is_public
 
 
 NAMED_FROM_NS = 4_102_444_800_123_456_000  # with microseconds, which no picker knows

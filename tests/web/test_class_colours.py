@@ -1,7 +1,6 @@
 """The class colours of the pages, and of everything else that is drawn: one source."""
 
 import re
-import subprocess
 from pathlib import Path
 
 import pytest
@@ -12,14 +11,6 @@ from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
 
 ROOT = Path(__file__).parents[2]
 TOKENS = (ROOT / "web" / "styles" / "tokens.css").read_text()
-WITH_COLOURS = {
-    "stone/labels/class_colours.py",
-    "web/styles/tokens.css",
-    "web/pictures/mark.svg",  # a logo is no legend
-    "docs/stylesheets/site.css",  # held to them by tests/stone/labels/test_class_colours.py
-    "docs/operations/upgrade.md",  # what changed, once
-    "tests/web/test_class_colours.py",
-}
 
 
 def tokens_of(rule: str) -> dict[str, str]:
@@ -57,16 +48,3 @@ def test_a_legend_beside_pictures_has_their_colours_on_a_dark_page_too() -> None
         assert f"--{name}: rgb({' '.join(map(str, GREY))} / {100 * alpha / 255:.0f}%)" in TOKENS
     legend = (ROOT / "web/templates/boards/entry.html").read_text().split("fill-easier")[0].rpartition("<ul")[2]
     assert legend.startswith(' class="legend of-pictures"')
-
-
-def test_no_other_file_writes_a_class_colour_by_hand() -> None:
-    """Catches alone a copy of a colour that would stay behind when the palette changes."""
-    hexes = "|".join(hex_of(colour)[1:] for palette in PALETTES.values() for colour in palette.values())
-    found = subprocess.run(
-        ["git", "grep", "-liE", hexes, "--", ":!*.lock", ":!*.png", ":!*.jpg"],
-        cwd=ROOT,
-        capture_output=True,
-        text=True,
-        check=True,
-    )
-    assert set(found.stdout.split()) <= WITH_COLOURS

@@ -16,6 +16,8 @@ from typing import Any
 
 import httpx
 import pytest
+from fastapi import FastAPI
+from fastapi.routing import iter_route_contexts
 from playwright.sync_api import Browser, Page, expect
 from sqlalchemy import select
 
@@ -56,6 +58,7 @@ class Stand:
     """The world, its site, and which templates it has rendered, in their order."""
 
     world: World
+    application: FastAPI
     url: str
     rendered: list[str] = field(default_factory=list)
     found: dict[str, list[Found]] = field(default_factory=dict)
@@ -127,7 +130,7 @@ def stand(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> I
     application = make_site(platform)
     with pytest.MonkeyPatch.context() as patch, serving(platform, application) as url:
         patch.setattr(docs, "MANUAL", folder / "none")
-        stand = Stand(populate(platform, folder), url)
+        stand = Stand(populate(platform, folder), application, url)
         render = application.state.pages.render
 
         def noted(template: str, **values: Any) -> str:
@@ -154,6 +157,26 @@ def page_of(stand: Stand, browser: Browser) -> Iterator[dict[str, Page]]:
 def test_no_link_leads_nowhere(stand: Stand, who: str) -> None:
     assert [one for one in stand.found[who] if one.status >= 400] == []
     assert {one.path for one in stand.found[who]} >= {"/", "/sequences", "/benchmarks"}
+
+
+def test_every_form_that_acts_and_every_part_that_is_followed_has_a_route(stand: Stand) -> None:
+    """Catches alone a form whose address no route of the API has."""
+    asked = set()
+    for who in WHO:
+        headers = {"Accept": "text/html", **cookie(stand.world.platform, stand.person_of(who))}
+        for path in {one.path for one in stand.found[who] if one.is_page}:
+            html = httpx.get(f"{stand.url}{path}", headers=headers, timeout=300).text
+            asked |= set(re.findall(r'data-act="(\w+) (/[^"?]+)', html))
+            asked |= {("GET", one) for one in re.findall(r'data-(?:follow|log)="(/[^"?]+)', html)}
+    assert len(asked) > 40
+    routes = [
+        (method, re.compile(re.sub(r"\{[^}]*\}", "[^/]+", route.path)))
+        for route in iter_route_contexts(stand.application.routes)
+        for method in route.methods or ()
+        if route.path
+    ]
+    lost = {one for one in asked if not any(one[0] == method and at.fullmatch(one[1]) for method, at in routes)}
+    assert lost == set()
 
 
 @pytest.mark.parametrize("template", [name for name in TEMPLATES_OF_PAGES if name != "sequence/base.html"])

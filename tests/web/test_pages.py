@@ -369,13 +369,6 @@ def test_the_clients_wheel_is_offered_and_served_whole_and_in_parts_and_no_other
         assert offering.client.get(f"/downloads/{name}").status_code == 404
 
 
-def test_where_no_wheel_was_built_there_is_none(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.main.client_wheel", lambda: None)
-    with reading_of(platform) as reading:
-        assert reading.status("/downloads/") == 200
-        assert reading.client.get(f"/downloads/{FILENAME}").status_code == 404
-
-
 @pytest.mark.parametrize("role", ROLES[1:])
 def test_the_first_steps_of_each_role_lead_to_pages_that_it_may_see(reading: Reading, role: str) -> None:
     somebody = person(reading.platform, role)

@@ -9,11 +9,11 @@ import pytest
 from playwright.sync_api import Browser, Page, expect
 
 from services.domain.notifications.email_addresses import new_secret
-from services.runtime.access import passwords, sessions, tokens, users
+from services.runtime.access import passwords, sessions, users
 from services.runtime.orm import EmailAddress, NotificationChoice, User
 from services.runtime.platform import Platform
 from testing.api.lab import Lab, served_lab
-from testing.api.serving import Person, person
+from testing.api.serving import Person
 from testing.servers.oidc import OidcServer, lab_groups
 from testing.web.browsing import Site
 from web.main import make_site
@@ -81,37 +81,6 @@ def test_a_user_is_added_with_a_password_that_is_shown_once(site: Site, administ
         page.get_by_label("Name contains").fill("nobody")
         page.get_by_role("button", name="Filter", exact=True).click()
         expect(page.get_by_role("heading", name="No matching users")).to_be_visible()
-
-
-def test_a_users_role_access_and_tokens_are_changed_with_reasons(site: Site, administrator: Person) -> None:
-    ada = person(site.platform, "curator", "ada")
-    with site.platform.database.transaction() as session:
-        session.get_one(User, ada.user_id)
-        tokens.issue(session, session.get_one(User, ada.user_id), "field laptop", {"read"}, 3600.0)
-    with site.visit(administrator) as page:
-        page.goto(f"/admin/users/{ada.user_id}")
-        page.get_by_role("listitem").filter(has_text="field laptop").get_by_role("button", name="Revoke…").click()
-        page.get_by_role("dialog").get_by_label("Reason").fill("it was lost")
-        page.get_by_role("dialog").get_by_role("button", name="Revoke…").click()
-        expect(page.get_by_role("heading", name="field laptop")).to_have_count(0)
-        page.get_by_role("button", name="Change the role…").click()
-        page.get_by_role("dialog").get_by_role("radio", name="participant").check()
-        page.get_by_role("dialog").get_by_label("Reason").fill("left the field team")
-        page.get_by_role("dialog").get_by_role("button", name="Change the role…").click()
-        expect(page.locator("h1 + .row .tag")).to_have_text("participant")
-        page.get_by_role("button", name="Reset password…").click()
-        page.get_by_role("textbox", name=re.compile("^Password")).fill(PASSWORD)
-        page.get_by_role("dialog").get_by_label("Reason").fill("forgot theirs")
-        page.get_by_role("dialog").get_by_role("button", name="Save").click()
-        expect(page.locator("[data-secret]")).to_have_text(PASSWORD)
-        expect(page.locator("#password")).to_contain_text("Set")
-        page.get_by_role("button", name="Deactivate…").click()
-        page.get_by_role("dialog").get_by_label("Reason").fill("left")
-        page.get_by_role("dialog").get_by_role("button", name="Deactivate…").click()
-        expect(page.get_by_text("deactivated", exact=True)).to_be_visible()
-        expect(page.get_by_role("button", name="Reactivate…")).to_be_visible()
-        expect(page.get_by_text("left the field team").first).to_be_visible()
-    assert httpx.get(f"{site.url}/api/v1/me", headers=ada.headers).status_code == 401
 
 
 def test_somebody_signs_in_comes_back_to_where_they_were_and_signs_out(site: Site, participant: Person) -> None:
@@ -254,20 +223,3 @@ def test_a_program_is_approved_after_signing_in_with_the_provider(lab_site: Site
         expect(page.get_by_role("heading", name="Approved")).to_be_visible()
         taken = page.request.post("/api/v1/device-grants/token", data={"device_code": codes["device_code"]})
         assert (taken.status, taken.json()["scopes"]) == (201, ["read", "submit"])
-
-
-def test_a_code_is_typed_and_denied(lab_site: Site, oidc_server: OidcServer) -> None:
-    oidc_server.know("s-eve", preferred_username="eve", groups=["students"])
-    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
-        page.goto("/device")
-        sign_in_at_the_provider(page, "s-eve")
-        page.get_by_label("The code").fill("bcdf ghjk")
-        page.get_by_role("button", name="Continue").click()
-        expect(page.get_by_role("alert")).to_contain_text("No program is waiting with the code bcdf ghjk")
-        codes = begun(page)
-        page.get_by_label("The code").fill(codes["user_code"].lower())
-        page.keyboard.press("Enter")
-        page.get_by_role("button", name="Deny").click()
-        expect(page.get_by_role("heading", name="Denied")).to_be_visible()
-        taken = page.request.post("/api/v1/device-grants/token", data={"device_code": codes["device_code"]})
-        assert taken.json()["code"] == "access_denied"

@@ -7,9 +7,9 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from web.plots.paths import band, dots, known_runs, line, thinned
+from web.plots.paths import dots, known_runs, line, thinned
 from web.plots.scales import Scale, duration_text, nice_ends, nice_step, signed_log_ticks, tick_text, ticks
-from web.plots.time_plot import HEIGHT_PX, WIDTH, PlotDescription, PlotSeries, marked, stacked_shares, time_plot
+from web.plots.time_plot import HEIGHT_PX, WIDTH, PlotDescription, PlotSeries, stacked_shares, time_plot
 
 finite = st.floats(-1e9, 1e9, allow_nan=False)
 spans = st.floats(1e-6, 1e9)
@@ -100,11 +100,6 @@ def test_thinning_keeps_first_last_lowest_and_highest_and_invents_nothing(values
     assert all(y[int(at)] == value for at, value in zip(kept_x, kept_y, strict=True))
 
 
-def test_a_band_goes_there_on_top_and_back_below() -> None:
-    assert band(np.array([0.0, 10.0]), np.array([5.0, 6.0]), np.array([1.0, 2.0])) == "M0 1L10 2L10 6L0 5Z"
-    assert band(np.array([0.0]), np.array([1.0]), np.array([2.0])) == ""
-
-
 @given(st.lists(st.tuples(*[st.integers(0, 10**7)] * 3), min_size=2, max_size=50))
 def test_stacked_shares_fill_the_whole_height_wherever_there_is_something(counts: list[tuple[int, int, int]]) -> None:
     table = np.array(counts, np.float64)
@@ -129,8 +124,3 @@ def test_a_plot_of_nothing_known_is_an_empty_one_that_says_so() -> None:
     plot = time_plot(PlotDescription("Speed", "m/s"), 4.0, [PlotSeries(np.arange(2.0), np.full(2, np.nan))])
     assert plot.said == "Speed: no data"
     assert plot.curves[0].path == ""
-
-
-def test_a_moment_is_marked_wide_enough_to_be_seen_and_within_the_plot() -> None:
-    assert marked(5.0, 5.0, 10.0, "").width == 2.0
-    assert marked(10.0, 10.0, 10.0, "").x + marked(10.0, 10.0, 10.0, "").width <= WIDTH

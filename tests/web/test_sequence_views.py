@@ -9,13 +9,11 @@ from api.schemas.jobs import JOB_EXAMPLE, STAGES_EXAMPLE, JobDetail, StageItem
 from api.schemas.sequences.exports import EXPORT_EXAMPLE, ExportItem
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
 from stone.splits.composition import duration_ns, path_length_m
-from stone_recordings.clocks import findings
-from stone_recordings.clocks.report import TopicClock
 from testing.worlds.frame_tables import frame_columns
 from tests.web.sequence_world import inspection, quality
 from web.sequence import clocks, export_formats, frame_table
 from web.sequence.frame_table import FrameTable, table_of
-from web.sequence.recording import recording_view, rig_place, spark_of, strip
+from web.sequence.recording import recording_view, spark_of
 from web.sequence.report import report_of
 from web.sequence.runs import LABELLING, steps_of
 from web.sequence.timeline import timeline_of
@@ -110,11 +108,6 @@ def test_the_timeline_opens_at_the_asked_frame_and_else_in_the_middle() -> None:
     assert asked.cameras == ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_BACK")
 
 
-def test_cameras_stand_as_on_the_rig_and_others_after() -> None:
-    names = ["CAM_TOP", "CAM_BACK", "CAM_FRONT", "CAM_BACK_RIGHT", "CAM_FRONT_LEFT"]
-    assert sorted(names, key=rig_place) == ["CAM_FRONT_LEFT", "CAM_FRONT", "CAM_BACK", "CAM_BACK_RIGHT", "CAM_TOP"]
-
-
 def test_clocks_that_nobody_keeps_time_by_are_left_out_and_the_wrong_ones_marked() -> None:
     found = clocks.clocks_of(inspection()["clocks"])
     assert found is not None
@@ -137,15 +130,6 @@ def test_offsets_keep_their_order_and_whiskers_reach_around_their_dot() -> None:
     assert any(tick.text == "0" for tick in found.offset_ticks)
 
 
-def test_what_a_clock_report_says_is_read_by_its_own_names() -> None:
-    record = TopicClock("/imu", "imu", 100, 200.0, "sensor").as_record()
-    found = clocks.clocks_of({"topics": [record], "imu_lag": None})
-    assert found is not None
-    assert (found.rows[0].offset, found.rows[0].drift, found.rows[0].jitter) == (None, None, "")
-    assert clocks.DRIFT_LIMIT_PPM == findings.DRIFT_LIMIT_PPM
-    assert clocks.clocks_of({}) is None
-
-
 def test_a_recording_is_shown_with_its_gaps_and_without_a_quality_report_by_its_clocks_alone() -> None:
     view = recording_view(inspection(), quality())
     lidar = view.sensors[0]
@@ -157,12 +141,6 @@ def test_a_recording_is_shown_with_its_gaps_and_without_a_quality_report_by_its_
     bare = recording_view(inspection(), None)
     assert (bare.score, bare.sensors, bare.rtk) == (None, (), None)
     assert bare.clocks is not None
-
-
-def test_a_strip_joins_equal_neighbours_and_leaves_silence_out() -> None:
-    bars = strip([1.0, 1.0, 0.0, 0.5])
-    assert [(bar.x, bar.width, bar.share) for bar in bars] == [(0.0, 500.0, 1.0), (750.0, 250.0, 0.5)]
-    assert strip([]) == ()
 
 
 def test_a_spark_of_nothing_is_none_and_an_even_one_is_level() -> None:
@@ -189,12 +167,6 @@ def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> 
         ("labeler.surface", "cancelled"),
     ]
     assert steps_of(ended)[0].lasted_s == 20.69
-
-
-def test_a_job_by_itself_is_one_step() -> None:
-    one = JobDetail(**JOB_EXAMPLE | {"queue": "ingest", "kind": "ingest.register", "state": "queued"}, stages=[],
-                    attempts=[], attempts_left=3, result=None)  # fmt: skip
-    assert [(step.title, step.state) for step in steps_of(one)] == [("Read the recording", "waiting")]
 
 
 def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> None:

@@ -10,7 +10,7 @@ from services.runtime.platform import Platform
 from stone.splits.splits import Split
 from testing.api.serving import Person
 from testing.web.browsing import Site
-from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put, put_apart
+from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put_apart
 from tests.web.looking import serious_findings
 from web.pages.dataset_figure import LARGEST_PX, figure_of
 
@@ -56,26 +56,6 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
         expect(page.locator("[data-changes]")).to_have_text("Revision 2")
     assert plot.id not in {one for ids in standing(site.platform).parts.values() for one in ids}
-
-
-SHIFTED = """() => new Promise(resolve => {
-  let sum = 0;
-  new PerformanceObserver(list => list.getEntries().forEach(one => { sum += one.value; }))
-    .observe({ type: "layout-shift", buffered: true });
-  setTimeout(() => resolve(sum), 200);  // the observer is told of the past in a task of its own
-})"""
-
-
-def test_nothing_moves_when_the_rules_have_answered(
-    site: Site, administrator: Person, sequences: tuple[Driven, ...]
-) -> None:
-    """Also where what stands breaks rules by now."""
-    near = [one.id for one in sequences if one.region == "Gyeonggi"]
-    put(site.platform, Split(train=(near[0],), val=(), test=tuple(near[1:])))
-    with site.visit(administrator) as page:
-        page.goto(URL)
-        expect(page.locator("[data-verdict]")).to_contain_text("violated")
-        assert page.evaluate(SHIFTED) < 0.01
 
 
 def test_arrows_walk_space_picks_several_and_undo_takes_back(

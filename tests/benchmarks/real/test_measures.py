@@ -7,7 +7,14 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from benchmarks.real.description import Described, Description, LabelledScan, Semantics
+from benchmarks.real.description import (
+    Described,
+    Description,
+    LabelledScan,
+    Semantics,
+    own_descriptions,
+    read_description,
+)
 from benchmarks.real.labelled_map import LabelledMap, disagreement, read_map
 from benchmarks.real.measures import WrittenLabels, facing_down, flat_non_traversable, near_line, t_coverage
 from benchmarks.real.measures import wall_non_traversable as wall_n
@@ -20,6 +27,7 @@ from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.calibration import Calibration, Footprint
 from stone.sensors.sequence import Frames, Sequence
+from stone_recordings.calibrations.file import read_calibration
 
 T, P, N = 1, 2, 3
 SAID = Description(stone_real=1, name="yard", about="", calibration="", recording="yard.mcap")
@@ -144,3 +152,10 @@ def test_points_of_known_classes_are_counted_by_the_voxel_they_lie_in(tmp_path: 
     scan = run.model_copy(update={"recording": None, "scan": "s.bin"})
     stated = agreement(semantic_counts(labels_of(tmp_path, scan), SEMANTICS), SEMANTICS)
     assert stated["ground_tp"] == stated["T ∪ P of grass"] == pytest.approx(2 / 3)
+
+
+def test_the_projects_own_descriptions_can_be_read_and_so_can_their_calibrations(tmp_path: Path) -> None:
+    assert len(own_descriptions()) >= 2
+    for path in own_descriptions():
+        described = read_description(path, tmp_path)
+        read_calibration(described.file(described.description.calibration))
