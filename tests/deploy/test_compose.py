@@ -91,16 +91,6 @@ def test_no_secret_is_in_the_file_or_in_an_environment() -> None:
         assert words <= {"POSTGRES_PASSWORD_FILE"}
 
 
-def test_what_comes_in_is_where_those_who_take_it_in_find_it() -> None:
-    shared = [name for name, service in SERVICES.items() if "uploads:/data/uploads" in service.get("volumes", [])]
-    assert shared == ["api", "ingest", "eval", "beat"]
-
-
-def test_every_role_waits_until_the_release_is_prepared() -> None:
-    for role in ROLES[:-1]:
-        assert SERVICES[role]["depends_on"]["prepare"] == {"condition": "service_completed_successfully"}
-
-
 def test_a_stop_lasts_longer_than_a_drain() -> None:
     for worker in ("ingest", "labeler", "eval"):
         assert float(SERVICES[worker]["stop_grace_period"].rstrip("s")) > Settings().jobs.drain_s

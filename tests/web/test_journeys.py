@@ -19,9 +19,8 @@ from services.runtime.embedded.supervisor import running_platform
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from testing.stone_serve import until
-from testing.web.browsing import Site
+from testing.web.browsing import Site, decide
 from testing.worlds.demo import demo_settings, made_demo
-from tests.web.looking import keep
 
 PASSWORD = "correct horse battery staple"
 SHORT = SimulateOptions(seconds=3.0, seed=5, channels=16, columns=180, camera_width_px=160)
@@ -74,7 +73,6 @@ def test_whoever_looks_is_shown_the_demo_without_an_account(stage: Stage) -> Non
         expect(page.get_by_role("link", name="demo", exact=True)).to_be_visible()
         expect(page.locator("[data-viewer][data-state=ready] .viewer-canvas")).to_be_visible()
         expect(page.locator("table").get_by_text("single sweep, no training")).to_be_visible()
-        keep(page, "journey-first-page")
 
 
 @pytest.mark.everyday
@@ -93,13 +91,11 @@ def test_an_engineer_brings_a_recording_and_looks_at_its_labels(browser: Browser
         expect(page.get_by_role("link", name="Open in 3D")).to_be_visible(timeout=LABELLING_MS)
         page.get_by_role("link", name="Open in 3D").click()
         expect(page.locator("[data-viewer][data-state=ready] .viewer-canvas")).to_be_visible()
-        keep(page, "journey-labels")
         scene = f"/api/v1/sequences/{page.url.split('/')[4]}/scene"
         until(lambda: page.request.get(scene).json()["playback"]["state"] == "ready", LABELLING_MS / 1000)
         page.reload()
         expect(page.locator(".viewer-cameras")).to_have_attribute("data-frame", "0")
         assert page.locator(".viewer-camera-row canvas").evaluate_all(PAINTED) == [True] * 6
-        keep(page, "journey-cameras")
 
 
 def test_an_administrator_stops_a_run_and_has_it_done_again(stage: Stage, tmp_path: Path) -> None:
@@ -114,16 +110,12 @@ def test_an_administrator_stops_a_run_and_has_it_done_again(stage: Stage, tmp_pa
             page.get_by_role("button", name="Start processing").click()
         page.goto("/admin/jobs")
         run_id = started.value.headers["location"].rpartition("/")[2]
-        page.locator(f"a[href='/admin/jobs/{run_id}']").click()
-        page.get_by_role("button", name="Cancel").first.click()
-        page.get_by_label("Reason").locator("visible=true").fill("wrong profile")
-        page.get_by_role("dialog").get_by_role("button", name="Cancel").click()
+        with page.expect_navigation():
+            page.locator(f"a[href='/admin/jobs/{run_id}']").click()
+        decide(page, "Cancel", "wrong profile")
         expect(page.locator("#job")).to_have_attribute("data-state", "cancelled", timeout=LABELLING_MS)
-        page.get_by_role("button", name="Retry").click()
-        page.get_by_label("Reason").locator("visible=true").fill("it was right after all")
-        page.get_by_role("dialog").get_by_role("button", name="Retry").click()
+        decide(page, "Retry", "it was right after all")
         expect(page.locator("#job")).to_have_attribute("data-state", "succeeded", timeout=LABELLING_MS)
-        keep(page, "journey-run")
         page.goto("/admin/audit")
         expect(page.locator(".audit-why", has_text="wrong profile")).to_be_visible()
 
@@ -141,7 +133,6 @@ def test_a_participant_submits_and_stands_on_the_board(stage: Stage) -> None:
         page.get_by_label("LiDAR").check()
         page.get_by_role("button", name="Submit for scoring").click()
         page.get_by_role("link", name="View results").click(timeout=LABELLING_MS)
-        keep(page, "journey-entry")
         page.goto("/benchmarks/demo/val")
         expect(page.locator("table").get_by_text("Terrain Gang")).to_be_visible()
         answer = page.goto("/admin/jobs")

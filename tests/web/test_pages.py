@@ -267,7 +267,7 @@ def test_what_is_made_of_labels_is_no_state_of_the_sequence(
     listed = reading.client.get(f"/api/v1/sequences/{shown['id']}", headers=curator.headers).json()
     assert listed["job"]["kind"] == "sequence.process"
     page = reading.html(f"/sequences/{shown['id']}/processing", curator)
-    assert re.search(r'id="word"[^>]*>\s*labelled\s*<', page)
+    assert '<span id="word" class="row"><span class="state" data-state="labelled">' in page
     assert "Cancel this run" not in page
 
 
@@ -470,10 +470,10 @@ def test_the_audit_log_is_paged_filtered_and_says_where_it_is_broken(
             body = {"name": f"u{number}", "role": "participant", "reason": "workshop"}
             assert api.post("/api/v1/users", json=body).status_code == 201
     page = reading.html("/admin/audit?act=user.add", administrator)
-    assert page.count('class="audit-line') == 50
+    assert page.count('<details class="audit-line"') == 50
     (older,) = re.findall(r'rel="next" href="([^"]+)"', page)
-    assert reading.html(older.replace("&amp;", "&"), administrator).count('class="audit-line') == 1
-    assert 'class="audit-line' not in reading.html("/admin/audit?actor=nobody", administrator)
+    assert reading.html(older.replace("&amp;", "&"), administrator).count('<details class="audit-line"') == 1
+    assert '<details class="audit-line"' not in reading.html("/admin/audit?actor=nobody", administrator)
     assert "broken" not in reading.text("/admin/audit", administrator)
     with platform.database.transaction() as session:
         unguarded(session)

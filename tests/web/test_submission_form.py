@@ -10,16 +10,13 @@ import stat
 import struct
 import zipfile
 from base64 import b64encode
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Iterator
 from pathlib import Path
-from typing import Any
 
 import numpy as np
 import pytest
 
 from stone_submissions.archive import open_submission
-from stone_submissions.errors import TO_XYZ, SubmissionError, shape_hint
-from stone_submissions.npz_frame import prediction_grid
 from testing.web.browsing import Site
 
 TOKENS = tuple(f"{number:032x}" for number in (11, 22, 33, 44))
@@ -32,17 +29,6 @@ READ = """async ({at, zips, tokens}) => {
     const bytes = Uint8Array.from(atob(zip), (one) => one.charCodeAt(0));
     const { problems } = await examined(new File([bytes], "run.zip"), manifest);
     said.push(problems.map(({ code, file, frame }) => [code, file, frame]));
-  }
-  return said;
-}"""
-LOOK = """async ({at, zips}) => {
-  const { faultIn } = await import(at);
-  const { readDirectory } = await import(at.replace("first_frame", "zip"));
-  const said = [];
-  for (const zip of zips) {
-    const file = new Blob([Uint8Array.from(atob(zip), (one) => one.charCodeAt(0))]);
-    const [member] = await readDirectory(file, 1);
-    said.push((await faultIn(file, member))?.code ?? null);
   }
   return said;
 }"""
@@ -147,30 +133,6 @@ def frame(save: Callable[..., None], **arrays: object) -> bytes:
     return content.getvalue()
 
 
-def frames() -> Iterator[bytes]:
-    """Frames that are right, or wrong, in the ways that happen."""
-    grid = np.zeros((256, 256, 32), np.uint8)
-    yield from (frame(np.savez, semantics=grid), frame(np.savez, arr_0=grid[:200]))
-    save = np.savez_compressed
-    yield from (frame(save, semantics=grid), frame(save, arr_0=grid), frame(save, labels=grid))
-    yield from (frame(save, semantics=grid, mask=grid), frame(save, semantics=grid[:200]))
-    yield from (frame(save, semantics=np.asfortranarray(grid)), frame(save, semantics=grid.astype(bool)))
-    yield from (frame(save, semantics=grid.astype(np.int16)), frame(save, semantics=np.array([{}], object)))
-    yield frame(save)
-    yield b"PICKLED" * 9
-    sound = frame(save, semantics=grid)
-    yield from (b"", sound[: len(sound) // 2], sound[:-1], sound + b"x")
-    yield packed(["semantics.npy"])
-
-
-def code_by_the_platform(npz: bytes) -> str | None:
-    try:
-        prediction_grid(npz)
-    except SubmissionError as error:
-        return error.code
-    return None
-
-
 def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     path = folder / "run.zip"
     said: list[Found] = []
@@ -181,19 +143,13 @@ def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     return said
 
 
-def asked(site: Site, script: str, module: str, archives: list[bytes], tokens: Sequence[str] = TOKENS) -> list[Any]:
-    """What the script says of the archives and tokens, by this module of the form."""
+def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
     with site.visit() as page:
         page.goto("/sign-in")
         sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
-        at = f"{sheet.rpartition('/')[0]}/modules/submission/{module}.js"
+        at = f"{sheet.rpartition('/')[0]}/modules/submission/frames.js"
         zips = [b64encode(archive).decode() for archive in archives]
-        said: list[Any] = page.evaluate(script, {"at": at, "zips": zips, "tokens": list(tokens)})
-    return said
-
-
-def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
-    said = asked(site, READ, "frames", archives)
+        said = page.evaluate(READ, {"at": at, "zips": zips, "tokens": list(TOKENS)})
     return [[(code, file, frame) for code, file, frame in problems] for problems in said]
 
 
@@ -208,21 +164,3 @@ def test_the_page_refuses_what_the_platform_refuses_in_the_same_words(site: Site
     assert codes >= {"missing_frame", "unexpected_file", "duplicate_frame", "too_large", "not_zip", "truncated"}
     assert codes >= {"encrypted", "symlink", "unsupported_zip", "overlapping_files"}
     assert sum(not problems for problems in ours) > 20, "some of the mangled ones are still whole"
-
-
-def test_a_look_into_a_frame_finds_what_the_platform_finds(site: Site) -> None:
-    archives, given = [], list(frames())
-    for number, npz in enumerate(given):
-        content = io.BytesIO()
-        with zipfile.ZipFile(content, "w", (zipfile.ZIP_STORED, zipfile.ZIP_DEFLATED)[number % 2]) as archive:
-            archive.writestr(f"{TOKENS[0]}.npz", npz)
-        archives.append(content.getvalue())
-    ours = [code_by_the_platform(npz) for npz in given]
-    assert asked(site, LOOK, "first_frame", archives) == ours
-    assert {None, "bad_dtype", "bad_shape", "missing_array", "extra_array", "not_npz", "truncated"} == set(ours)
-
-
-def test_the_page_gives_the_hints_for_shapes_that_the_platform_gives(site: Site) -> None:
-    script = "async ({at, tokens}) => { const { shapeHint } = await import(at); return tokens.map(shapeHint); }"
-    found = [*TO_XYZ, "(4, 4)"]
-    assert asked(site, script, "first_frame", [], found) == [shape_hint(one) for one in found]
