@@ -49,6 +49,19 @@ REPORT: dict[str, Any] = {
 }
 
 
+ASKED: dict[str, Any] = {
+    "profile": "paper",
+    "parameters": {"reference.alpha": 0.1},
+    "odometry_topic": "kiss-icp",
+    "lidar_topic": "/lidar",
+    "ground": "auto",
+    "names_recordings": True,
+    "clock_offsets_ns": {"cameras.mcap": -80_000_000},
+    "stages": ["synchronise", "label"],
+}
+"""What the run that labelled it may have been asked for."""
+
+
 def whole_sequence(platform: Platform, owner: Person) -> dict[str, Any]:
     """Its id, name and tokens; private, labelled, with a recording and a playback."""
     facts = viewed(platform, owner, Run(frames=FRAMES))

@@ -21,7 +21,7 @@ from fastapi.routing import iter_route_contexts
 from playwright.sync_api import Browser, Page, expect
 from sqlalchemy import select
 
-from services.runtime.orm import Benchmark, SequenceRow
+from services.runtime.orm import Benchmark, Job, LabelSet, SequenceRow, SubmissionRow
 from services.runtime.platform import Platform
 from simulator.pipeline import calibration_path
 from testing.api.serving import Person, serving
@@ -37,7 +37,7 @@ from testing.worlds.sending import guess, pair_of, send, zipped
 from tests.api.inputs_made import made_input
 from tests.web.bringing import bag
 from tests.web.looking import look
-from tests.web.sequence_world import playback, whole_sequence
+from tests.web.sequence_world import ASKED, playback, whole_sequence
 from web.main import make_site
 from web.pages import docs
 from web.rendering import TEMPLATES
@@ -70,11 +70,17 @@ class Stand:
         people = {"participant": world.captains[0], "curator": world.curator, "administrator": world.administrator}
         return people.get(who)
 
+    def comparison(self) -> str:
+        """The page that a form of the board leads to."""
+        with self.world.platform.database.reading() as session:
+            a, b = session.scalars(select(SubmissionRow.id).where(SubmissionRow.kind == "entry")).all()
+        return f"/benchmarks/{self.world.benchmark}/val/compare?a={a}&b={b}"
+
     def crawl(self, who: str) -> None:
         headers = cookie(self.world.platform, self.person_of(who))
         self.found[who] = []
         with httpx.Client(base_url=self.url, timeout=300) as client:
-            for start in ("/", *NOT_LINKED):
+            for start in ("/", *NOT_LINKED, self.comparison()):
                 before = len(self.rendered)
                 for one in crawled(client, headers, start) if start == "/" else [visited(client, headers, start)]:
                     self.found[who] += [one] if start == "/" else []
@@ -91,8 +97,9 @@ def visited(client: httpx.Client, headers: dict[str, str], path: str) -> Found:
 def populate(platform: Platform, folder: Path) -> World:
     """A public benchmark with scored entries and inputs, sequences of all kinds, an import."""
     world = benchmark_world(platform, frames=2)
-    send(world, zipped(world, guess(world)))
-    send(world, zipped(world, guess(world, turn=1)), kind="baseline", team=1)
+    for team in (0, 1):
+        send(world, zipped(world, guess(world, turn=team)), team=team)
+    send(world, zipped(world, guess(world, turn=2)), kind="baseline", team=1)
     run_eval(platform)
     name = next(iter(world.grids["val"]))
     made_input(platform, world.val, name, {"sample.json": b"[]"})
@@ -102,6 +109,8 @@ def populate(platform: Platform, folder: Path) -> World:
     bring_dataset(platform, write_published_tar(folder / "field.tar", SMALL_TAR), world.curator.user_id)
     with platform.database.transaction() as session:
         session.scalars(select(Benchmark)).one().is_public = True
+        run = session.get_one(Job, session.get_one(LabelSet, facts["label_set_id"]).job_id)
+        run.arguments = {**run.arguments, **ASKED, "recording_ids": [facts["recording_id"]]}
         for row in session.scalars(select(SequenceRow).where(SequenceRow.name.in_([name, facts["name"]]))):
             row.is_public = True
     return world
@@ -150,7 +159,10 @@ def page_of(stand: Stand, browser: Browser) -> Iterator[dict[str, Page]]:
     """A page of each role's own browser; what no page may do is checked at the end."""
     site = Site(stand.url, stand.world.platform, browser)
     with ExitStack() as open_pages:
-        yield {who: open_pages.enter_context(site.visit(stand.person_of(who), expected=["401", "404"])) for who in WHO}
+        yield {
+            who: open_pages.enter_context(site.visit(stand.person_of(who), expected=["401", "403", "404"]))
+            for who in WHO
+        }
 
 
 @pytest.mark.parametrize("who", WHO)

@@ -20,7 +20,7 @@ from testing.web.browsing import Site, decide
 from testing.web.reading import Reading
 from testing.worlds import made
 from testing.worlds.benchmark_world import run_eval
-from tests.web.sequence_world import CAMERAS, FRAMES, playback, whole_sequence
+from tests.web.sequence_world import ASKED, CAMERAS, FRAMES, playback, whole_sequence
 from tests.web.test_pages import STAGES, fail_at_the_surface, new_sequence
 from web.sequence.topic_choices import ODOMETRY_ROLES, POSITION_TYPES, TopicChoices, choices_in
 
@@ -277,18 +277,6 @@ def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Per
         "odometry_topic": "/novatel/oem7/odom",
         "stages": ["synchronise", "label"],
     }
-
-
-ASKED: dict[str, Any] = {
-    "profile": "paper",
-    "parameters": {"reference.alpha": 0.1},
-    "odometry_topic": "kiss-icp",
-    "lidar_topic": "/lidar",
-    "ground": "auto",
-    "names_recordings": True,
-    "clock_offsets_ns": {"cameras.mcap": -80_000_000},
-    "stages": ["synchronise", "label"],
-}
 
 
 def test_an_owner_processes_again_with_profile_local_and_keeps_what_the_run_was_asked_for(
