@@ -134,12 +134,18 @@ def observed_of(grid: Grid) -> Grid:
 
 
 def viewed(
-    platform: Platform, owner: Person, run: Run | None = None, *, has_clouds: bool = False, has_cameras: bool = False
+    platform: Platform,
+    owner: Person,
+    run: Run | None = None,
+    *,
+    has_clouds: bool = False,
+    has_cameras: bool = False,
+    name: str = "rolling-meadow",
 ) -> dict[str, Any]:
     """A sequence of the run with labels and a scene as the labeler leaves them: its id, name and tokens."""
     run = run or Run()
     with platform.database.transaction() as session:
-        row = SequenceRow(owner_id=owner.user_id, name="rolling-meadow", environment="meadow", illumination="day")
+        row = SequenceRow(owner_id=owner.user_id, name=name, environment="meadow", illumination="day")
         session.add(row)
         session.flush()
         facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}

@@ -153,9 +153,18 @@ def test_layers_points_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Page
     expect(at_viewer.locator(".viewer-corner")).not_to_be_empty()
 
 
-def test_the_page_and_its_viewer_tell_each_other_the_frame_and_a_frame_that_does_not_come_is_said(
+def test_a_frame_that_does_not_come_is_said_and_the_page_and_its_viewer_tell_each_other_the_frame(
     at_viewer: Page, seen: dict[str, Any]
 ) -> None:
+    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
+    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
+    at_viewer.reload()  # it may have been fetched ahead
+    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
+    at_viewer.get_by_label("Frame", exact=True).press("End")
+    expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6")
+    at_viewer.unroute(last)
+    at_viewer.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
+    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
     told = at_viewer.evaluate(
         """() => new Promise(tell => {
             const host = document.querySelector("[data-viewer]");
@@ -164,12 +173,6 @@ def test_the_page_and_its_viewer_tell_each_other_the_frame_and_a_frame_that_does
         })"""
     )
     assert told == {"index": 3, "token": seen["tokens"][3]}
-    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
-    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
-    at_viewer.reload()  # it may have been fetched ahead
-    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
-    at_viewer.get_by_label("Frame", exact=True).press("End")
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6")
 
 
 def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Person) -> None:

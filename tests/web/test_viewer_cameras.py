@@ -258,7 +258,7 @@ def test_a_playback_that_lacks_a_picture_or_labels_is_shown_as_far_as_it_goes(
     site: Site, curator: Person, platform: Platform
 ) -> None:
     """One picture is missing; pictures of an earlier release have no cameras; and there may be none at all."""
-    lacking, plain, bare = (viewed(platform, curator, RUN) for _ in range(3))
+    lacking, plain, bare = (viewed(platform, curator, RUN, name=name) for name in ("lacking", "plain", "bare"))
     files = camera_files(lacking["tokens"], without=("CAM_BACK", 2))
     played(
         platform, curator, lacking["id"], {**files, INDEX: index_record(PlaybackChannels(tuple(CHANNELS), False, True))}

@@ -36,12 +36,15 @@ const fetched = async path => {
 
 @dataclass(frozen=True)
 class Loaded:
-    """A page that may import the viewer's modules, of the owner of a run that was labelled twice: A before B."""
+    """A page that may import the viewer's modules, of the owner of a run, and of another that was labelled twice.
+
+    `comparison` is where the first frame of that is told as differences of `a` and the run's own labels.
+    """
 
     page: Page
     sequence_id: str
-    comparison_id: str
     tokens: list[str]
+    comparison: str
     a: Grid
 
 
@@ -53,12 +56,13 @@ def loaded(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path, bro
     platform = opened(settings, [])
     curator = person(platform, "curator")
     facts = viewed(platform, curator, RUN)
-    a = changed(RUN.grids[0])
-    earlier = made.labels(platform, facts, contents=[labels_npz(a), labels_npz(a)], seed=b"earlier")
-    comparison_id = made.label_comparison(platform, facts["id"], (earlier.id, facts["label_set_id"]))
+    a, pair = changed(RUN.grids[0]), viewed(platform, curator, RUN, name="labelled-twice")
+    earlier = made.labels(platform, pair, contents=[labels_npz(a), labels_npz(a)], seed=b"earlier")
+    comparison_id = made.label_comparison(platform, pair["id"], (earlier.id, pair["label_set_id"]))
+    comparison = f"/api/v1/sequences/{pair['id']}/label-comparisons/{comparison_id}/frames/{pair['tokens'][0]}/voxels"
     with serving(platform, make_site(platform)) as url, Site(url, platform, browser).visit(curator) as page:
         page.goto("/sign-in", wait_until="domcontentloaded")
-        yield Loaded(page, facts["id"], comparison_id, facts["tokens"], a)
+        yield Loaded(page, facts["id"], facts["tokens"], comparison, a)
     platform.database.close()
 
 
@@ -227,10 +231,9 @@ def test_the_codes_of_a_comparison_decode_to_how_the_voxels_differ(loaded: Loade
     const planes = planesOf(await fetched(given), "STD1");
     return [...coded(planes)].map(index => [index, codeAt(planes, index)]);
     """
-    address = f"/api/v1/sequences/{loaded.sequence_id}/label-comparisons/{loaded.comparison_id}/frames"
     codes = differences(loaded.a, RUN.grids[0]).ravel()
     at = np.flatnonzero(codes)
-    found = run(loaded, script, f"{address}/{loaded.tokens[0]}/voxels")
+    found = run(loaded, script, loaded.comparison)
     np.testing.assert_array_equal(found, np.stack([at, codes[at]], axis=1))
 
 
