@@ -110,7 +110,8 @@ def test_the_owner_has_pictures_and_an_export_made_edits_shares_and_deletes_it(
         page.get_by_role("button", name="Extract images").click()
         expect(page.get_by_role("button", name="Extract images")).to_have_count(0)
         to(page, shown, "/exports")
-        page.get_by_role("button", name="Create Mesh").click()
+        with page.expect_navigation():
+            page.get_by_role("button", name="Create Mesh").click()
         expect(page.locator(".export-list")).to_contain_text("queued")
         to(page, shown)
         page.get_by_role("button", name="Edit").click()
@@ -265,8 +266,11 @@ def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Per
         assert form.get_by_label("Significance").evaluate("field => field.validity.rangeOverflow")
         form.get_by_label("Significance").fill("0.1")
         form.get_by_label("Odometry topic").select_option("/novatel/oem7/odom")
-        values = form.locator("select option").evaluate_all("all => all.map(one => one.value)")
-        assert values == ["", "/novatel/oem7/inspvax", "/novatel/oem7/odom", "kiss-icp", "", "/points"]
+        offered = [
+            form.get_by_label(label).locator("option").evaluate_all("all => all.map(one => one.value)")
+            for label in ("Odometry topic", "LiDAR topic")
+        ]
+        assert offered == [["", "/novatel/oem7/inspvax", "/novatel/oem7/odom", "kiss-icp"], ["", "/points"]]
         form.get_by_role("button", name="Start processing").click()
         expect(form.get_by_role("button", name="Start processing")).to_be_disabled()
         expect(page.locator("#run-log, .run-dashes").first).to_be_visible()

@@ -274,8 +274,8 @@ def test_the_difference_of_two_label_sets_is_shown_with_its_shares_to_who_may_co
         expect(colour).to_have_value("difference")
         codes = differences(a, b)
         counts = np.bincount(codes[codes > 0], minlength=len(DIFFERENCES))[1:]
-        assert legend(page) == [f"{round(100 * count / counts.sum())} %" for count in counts]
-        assert page.evaluate(FIRST_COLOUR) == list(DIFFERENCE_RGB[SAME])
+        until(lambda: legend(page) == [f"{round(100 * count / counts.sum())} %" for count in counts])
+        until(lambda: page.evaluate(FIRST_COLOUR) == list(DIFFERENCE_RGB[SAME]))
         colour.select_option("class")
         until(lambda: page.evaluate(FIRST_COLOUR) == list(CLASS_RGB[1]))
         page.get_by_label("Class colours").select_option("paper")
