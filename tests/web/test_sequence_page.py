@@ -107,7 +107,8 @@ def test_the_owner_has_pictures_and_an_export_made_edits_shares_and_deletes_it(
 ) -> None:
     with site.visit(curator) as page:
         to(page, shown, "/frames")
-        page.get_by_role("button", name="Extract images").click()
+        with page.expect_navigation():
+            page.get_by_role("button", name="Extract images").click()
         expect(page.get_by_role("button", name="Extract images")).to_have_count(0)
         to(page, shown, "/exports")
         with page.expect_navigation():
