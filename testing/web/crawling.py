@@ -13,7 +13,7 @@ from urllib.parse import urljoin, urlsplit
 
 import httpx
 
-LINK = re.compile(r'(?:href|src|hx-get|data-source)="([^"]+)"')
+LINK = re.compile(r'(?:(?:href|src|hx-get)="|data-source="(?=/))([^"]+)"')
 ID = re.compile(r"(?<=/)[0-9a-f]{32}(?=/|$)|(?<=/)[0-9a-f]{16}(?=/)|(?<=^/codes/)[A-Za-z0-9_-]+$")
 ELSEWHERE = "/docs/"  # the manual has tests of its own
 EACH_SHAPE = 3
