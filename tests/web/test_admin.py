@@ -5,23 +5,26 @@ from datetime import UTC, datetime
 
 import pytest
 from playwright.sync_api import Page, expect
+from sqlalchemy import update
 
 from benchmarks.dashboard.rows import fill
 from services.domain.benchmarks.phases.reported_results import reported_in
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import (
     Activation,
+    AuditEntry,
     Benchmark,
     JobLine,
     Phase,
 )
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from testing.api.serving import Person
+from testing.api.serving import Person, client_of
 from testing.web.browsing import Site, decide
 from testing.web.reading import Reading
 from testing.worlds.benchmark_world import World, benchmark_world
 from testing.worlds.made import job, row_of, run
+from tests.api.test_audit import unguarded
 from tests.api.test_jobs import HANDLERS, run_all
 from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows, scored, scored_entry, team
 
@@ -253,3 +256,16 @@ def test_dates_are_chosen_in_a_time_zone_and_the_window_in_days(site: Site, worl
         assert phase.opens_ns == nanoseconds(2026, 1, 2, 3, 4, 5)
         assert phase.named_from_ns == NAMED_FROM_NS
         assert phase.window_ns == 14 * 86400 * 10**9
+
+
+def test_a_line_of_the_audit_log_that_somebody_changed_is_found(site: Site, administrator: Person) -> None:
+    with client_of(site.platform, administrator) as api:
+        for name in ("ada", "ben"):
+            body = {"name": name, "role": "curator", "reason": "joins"}
+            assert api.post("/api/v1/users", json=body).status_code == 201
+    with site.platform.database.transaction() as session:
+        unguarded(session)
+        session.execute(update(AuditEntry).where(AuditEntry.number == 2).values(reason="nothing to see"))
+    with site.visit(administrator) as page:
+        page.goto("/admin/audit")
+        expect(page.get_by_text("broken at line 2")).to_be_visible()

@@ -246,7 +246,8 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
         assert after["view"] == pytest.approx(before["view"], rel=2e-3, abs=2e-3)
         other.wait_for_timeout(600)
         assert other.evaluate("location.href") == address
-        nonsense = "colour=mauve&show=everything&hide=x&layers=lasers,grid&cameras=7&at=1,2,x&points=q&camera=CAM_MOON"
+        layers = "layers=lasers,labels,track,robot,grid"
+        nonsense = f"colour=mauve&show=everything&hide=x&{layers}&cameras=7&at=1,2,x&points=q&camera=CAM_MOON"
         plain = f"/sequences/{seen['id']}/view?frame={seen['tokens'][0]}"
         other.goto(f"{plain}&{nonsense}")
         expect(host(other)).to_have_attribute("data-frame", "0")
