@@ -34,16 +34,23 @@ Sound = tuple[SoundDrive, LabelledDrive]
 
 
 @pytest.fixture(scope="module")
-def drive(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Sound:
-    folder = tmp_path_factory.mktemp("drive")
-    is_simulated = request.param == "simulated"
-    made = sound_drive(tmp_path_factory) if is_simulated else kitti_drive(request.getfixturevalue("field_data"), folder)
-    return made, sound(made, folder / "labels")
+def simulated(tmp_path_factory: pytest.TempPathFactory) -> Sound:
+    drive = sound_drive(tmp_path_factory)
+    return drive, sound(drive, tmp_path_factory.mktemp("simulated") / "labels")
 
 
-@pytest.mark.parametrize(("drive", "name"), LABELLED, indirect=["drive"])
-def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(drive: Sound, tmp_path: Path, name: str) -> None:
-    whole, labelled = drive
+@pytest.fixture(scope="module")
+def kitti(field_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Sound:
+    folder = tmp_path_factory.mktemp("kitti")
+    drive = kitti_drive(field_data, folder)
+    return drive, sound(drive, folder / "labels")
+
+
+@pytest.mark.parametrize(("which", "name"), LABELLED)
+def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(
+    request: pytest.FixtureRequest, tmp_path: Path, which: str, name: str
+) -> None:
+    whole, labelled = request.getfixturevalue(which)
     found = outcome(whole, BY_NAME[name], tmp_path, labelled.grids)
     assert (found.refusal, found.beyond) == ("", 0)
     assert found.driven > 0
@@ -52,9 +59,11 @@ def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(drive: Sound, tmp_p
     assert found.p_share == pytest.approx(shares["potentially_traversable"], abs=0.12)
 
 
-@pytest.mark.parametrize(("drive", "name"), list(REFUSED), indirect=["drive"])
-def test_what_cannot_be_labelled_is_refused_and_was_named(drive: Sound, tmp_path: Path, name: str) -> None:
-    whole, labelled = drive
+@pytest.mark.parametrize(("which", "name"), list(REFUSED))
+def test_what_cannot_be_labelled_is_refused_and_was_named(
+    request: pytest.FixtureRequest, tmp_path: Path, which: str, name: str
+) -> None:
+    whole, labelled = request.getfixturevalue(which)
     found = outcome(whole, BY_NAME[name], tmp_path, labelled.grids)
-    assert found.refusal == REFUSED[whole.name, name]
+    assert found.refusal == REFUSED[which, name]
     assert found.refusal in found.named or "CAL-433" in found.named
