@@ -9,7 +9,7 @@ from api.schemas.jobs import FailureItem
 from api.visible import job_of
 from services.domain.benchmarks.submissions.states import reopen
 from services.runtime.jobs import control
-from services.runtime.notifications.run_events import tell_run_stopped
+from services.runtime.notifications.events import tell_run_stopped
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from stone.errors import StoneError

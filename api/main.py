@@ -69,7 +69,7 @@ from api.routes.sequences import (
     sequences,
 )
 from api.routes.sign_in_ways import device_grants, provider
-from services.runtime.database.connections import request_threads
+from services.runtime.database.transactions import request_threads
 from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
 from services.runtime.sandbox.fork_client import use_fork_server

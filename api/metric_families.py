@@ -12,8 +12,7 @@ from prometheus_client.core import CounterMetricFamily, GaugeMetricFamily, Histo
 from prometheus_client.utils import floatToGoString
 
 from services.runtime.jobs.worker_presence import WorkerPresence
-from services.runtime.telemetry.counters import BETWEEN, Counts, Value
-from services.runtime.telemetry.metric_names import METERS, RENAMED, MetricDefinition
+from services.runtime.telemetry.counters import BETWEEN, METERS, RENAMED, Counts, MetricDefinition, Value
 from services.runtime.telemetry.platform_status import MOST, PlatformStatus
 from services.runtime.telemetry.sweeper_statistics import STORED_BLOBS, STORED_BYTES
 

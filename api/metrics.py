@@ -27,8 +27,15 @@ from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.wakeup import wake_up_counter
 from services.runtime.platform import Platform
 from services.runtime.telemetry.counter_rows import CounterWriter, counters_of_all_processes
-from services.runtime.telemetry.counters import Counts, ProcessCounters, process_counters, summed
-from services.runtime.telemetry.metric_names import REQUEST_BYTES, REQUEST_SECONDS, REQUESTS
+from services.runtime.telemetry.counters import (
+    REQUEST_BYTES,
+    REQUEST_SECONDS,
+    REQUESTS,
+    Counts,
+    ProcessCounters,
+    process_counters,
+    summed,
+)
 from services.runtime.telemetry.platform_status import platform_status
 from services.runtime.telemetry.process_usage import disk
 

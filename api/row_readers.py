@@ -14,7 +14,7 @@ from anyio import CapacityLimiter, to_thread
 from anyio.lowlevel import RunVar
 from starlette.responses import Response
 
-from services.runtime.database.connections import ROW_READERS
+from services.runtime.database.transactions import ROW_READERS
 
 P = ParamSpec("P")
 _limiter = RunVar[CapacityLimiter]("row_readers")

@@ -33,7 +33,7 @@ from services.runtime.jobs import errors as jobs
 from services.runtime.oidc import errors as oidc
 from services.runtime.sandbox import errors as sandbox
 from services.runtime.store import keys as store_keys
-from services.runtime.store import pack_archive
+from services.runtime.store import pack_reading
 from services.runtime.uploads import errors as uploads
 from stone.errors import StoneError
 from stone.scoring import metric
@@ -81,7 +81,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     datasets.HiddenPartError: 404,
     datasets.NoSplitsError: 409,
     datasets.SplitsChangedError: 409,
-    pack_archive.ExportUnfinishedError: 409,
+    pack_reading.ExportUnfinishedError: 409,
     requests.NothingToExportError: 409,
     requests.UnknownExportFormatError: 422,
     files.CalibrationRefusedError: 422,

@@ -35,7 +35,7 @@ from services.runtime.processes.worker import FORKED_FROM
 from services.runtime.sandbox import LIMITS, UNWATCHED, SandboxLimits, SandboxWatch, job_sandbox, sandboxed
 from services.runtime.sandbox.child import ProgressCallback
 from services.runtime.sandbox.fork_client import ForkServer, use_fork_server
-from services.runtime.sandbox.kept_child import CHILDREN
+from services.runtime.sandbox.job_sandbox import CHILDREN
 from services.runtime.settings import Settings, ViewingSettings
 from services.runtime.store.factory import open_store
 from simulator.options import SimulateOptions
@@ -123,7 +123,7 @@ def _use_no_child() -> Used:
             tempfile.tempdir = None  # which goes with the job
 
     job_sandbox.sandboxed_with_progress = here  # type: ignore[attr-defined]  # what it was imported as
-    job_sandbox.sandboxed_in_run = lambda asked: here(asked.work, asked.limits, asked.watch)  # type: ignore[attr-defined]
+    job_sandbox.sandboxed_in_run = lambda asked: here(asked.work, asked.limits, asked.watch)
     ingest_kernels.warm()
     labeler_kernels.warm()
     return _own_s

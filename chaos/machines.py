@@ -27,7 +27,7 @@ from chaos.verdict import Violation, judge
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
 from services.runtime.database.migrate import upgrade
-from services.runtime.embedded.programs import environment_of
+from services.runtime.embedded.supervisor import environment_of
 from services.runtime.orm import Job, JobAttempt
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import (

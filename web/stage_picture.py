@@ -9,7 +9,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 
 from api.views.admin import JobSpan
-from services.runtime.jobs.titles import title_of
+from services.runtime.jobs.queries import title_of
 
 WIDTH = 1000.0
 LANE = 10.0

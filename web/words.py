@@ -8,7 +8,7 @@ from collections.abc import Callable, Iterable, Mapping
 from datetime import datetime, tzinfo
 from typing import Any
 
-from services.runtime.jobs.titles import title_of
+from services.runtime.jobs.queries import title_of
 from stone_base.codes.catalogue import harm_rank
 from stone_base.counts import counted
 from web.colours import coloured

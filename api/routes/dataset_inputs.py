@@ -29,7 +29,7 @@ from services.domain.datasets.exposure import OPEN
 from services.domain.datasets.input_jobs import members_of
 from services.domain.datasets.inputs import MemberInput, inputs_of_members, located_input, start_version_inputs
 from services.runtime.orm import DatasetMember
-from services.runtime.store.pack_archive import stored_files
+from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
 from stone_files.virtual_archive import MEDIA_TYPES
 

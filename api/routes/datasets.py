@@ -37,8 +37,7 @@ from services.domain.datasets.manifest import NewDataset
 from services.domain.datasets.queries import locate_part
 from services.domain.datasets.versions import prepare_dataset, write_dataset
 from services.runtime.orm import Blob, Dataset
-from services.runtime.store.pack_archive import archive_of, stored_files
-from services.runtime.store.pack_reading import archive_pieces
+from services.runtime.store.pack_reading import archive_of, archive_pieces, stored_files
 from stone_files.virtual_archive import MEDIA_TYPES
 
 router = NounRouter(prefix="/datasets", tags=["dataset"])

@@ -37,7 +37,7 @@ from services.domain.benchmarks.submissions.predicted_frames import pictured_zip
 from services.domain.viewer.difference_picture import difference_picture
 from services.domain.viewer.frame_picture import picture_bytes
 from services.domain.viewer.indexed_pictures import recoloured
-from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.pack_reading import ExportLocation
 from services.runtime.store.protocol import Store
 
 router = NounRouter(tags=["benchmarks"])

@@ -25,7 +25,7 @@ from api.views.jobs import job_detail
 from api.visible import phase_of
 from services.domain.benchmarks.phases.inputs import inputs_of, locate_input, start_inputs
 from services.runtime.orm import PhaseInput
-from services.runtime.store.pack_archive import stored_files
+from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
 from stone_files.virtual_archive import MEDIA_TYPES
 

@@ -17,7 +17,7 @@ from fastapi import Request
 from starlette.requests import ClientDisconnect
 
 from api.tus.errors import ReceiveTimeoutError
-from services.runtime.database.connections import UPLOADS
+from services.runtime.database.transactions import UPLOADS
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import bytes_here

@@ -14,12 +14,10 @@ from api.tus.headers import count_of, declared_by, piece_of
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import end, settle_if_whole
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import SUBMISSION, UploadDeclaration, create
 from services.runtime.uploads.errors import DiskFullError
 from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import UploadOwner, find, find_alive
-from services.runtime.uploads.targets import SUBMISSION
 from stone.errors import StoneError
 
 

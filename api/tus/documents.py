@@ -3,7 +3,7 @@
 from typing import Any
 
 from api.answers import Responses, refusals
-from services.runtime.uploads.declaration import PURPOSES
+from services.runtime.uploads.creation import PURPOSES
 
 
 def _headers(**described: str) -> dict[str, Any]:

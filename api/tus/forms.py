@@ -19,8 +19,7 @@ from api.tus.errors import FormError, UnsupportedMediaTypeError
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import end
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.errors import UploadTooLargeError
 from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import UploadOwner

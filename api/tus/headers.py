@@ -15,7 +15,7 @@ from fastapi import Header, Request
 
 from api.tus.errors import VERSION, TusHeaderError, TusVersionError, UnsupportedMediaTypeError
 from services.runtime.orm import Upload
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration
 from services.runtime.uploads.errors import BadMetadataError
 from services.runtime.uploads.reception import ALGORITHMS, Checksum, UploadChunk
 

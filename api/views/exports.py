@@ -12,8 +12,7 @@ from api.schemas.jobs import FailureItem
 from api.schemas.sequences.exports import ArchiveItem, ArchiveKind, ExportItem
 from services.domain.exports.requests import counting_labels
 from services.runtime.orm import Export, Job
-from services.runtime.store.pack_archive import archive_of
-from services.runtime.store.pack_reading import StoredFiles, archive_pieces, file_pieces
+from services.runtime.store.pack_reading import StoredFiles, archive_of, archive_pieces, file_pieces
 from services.runtime.store.protocol import Store
 from stone_files.virtual_archive import MEDIA_TYPES
 

@@ -10,9 +10,8 @@ from sqlalchemy.orm import Session
 from api.schemas.base import instant, instant_or_none
 from api.schemas.jobs import AttemptItem, JobDetail, JobItem, StageItem
 from services.domain.runs.estimates import time_left
-from services.runtime.jobs.queries import Progress, StageProgress, progress_of
+from services.runtime.jobs.queries import Progress, StageProgress, progress_of, title_of
 from services.runtime.jobs.specs import TERMINAL
-from services.runtime.jobs.titles import title_of
 from services.runtime.orm import Job, JobAttempt
 
 SAID = (

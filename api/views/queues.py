@@ -15,8 +15,7 @@ from api.schemas.admin import QueueItem, RunningAttempt, WorkerItem
 from api.schemas.base import instant
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.wakeup import wake_up_counter
-from services.runtime.jobs.worker_list import running_attempts
-from services.runtime.jobs.worker_presence import WorkerPresence, workers_seen
+from services.runtime.jobs.worker_presence import WorkerPresence, running_attempts, workers_seen
 from services.runtime.orm import Job, JobAttempt, Queue
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform

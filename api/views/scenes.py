@@ -28,7 +28,7 @@ from services.domain.viewer.indexed_pictures import recoloured
 from services.domain.viewer.playback import CAMERAS, Playback, playback_of, shown_by
 from services.runtime.orm import Artefact, Blob
 from services.runtime.platform import Platform
-from services.runtime.store.pack_archive import stored_files
+from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
 from stone.labels.class_colours import ColourName
 

@@ -23,9 +23,8 @@ from services.domain.benchmarks.submissions.chores import settle_ended, tidy_sub
 from services.domain.benchmarks.submissions.completion_estimate import expected_s
 from services.domain.runs.estimates import time_left
 from services.runtime.access import roles, storage_quota, tokens
-from services.runtime.jobs.claims import claim
+from services.runtime.jobs.claims import claim, wake_ups_wanted
 from services.runtime.jobs.lease_sweep import Sweeper
-from services.runtime.jobs.readiness import wake_ups_wanted
 from services.runtime.orm import Blob, Job, LooseObject, Phase, SubmissionRow, User
 from services.runtime.platform import Platform
 from services.runtime.uploads import expire

@@ -12,8 +12,7 @@ from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import sandbox_watch_of
 from services.runtime.store.workspace import Workspace
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import FRAMES
+from services.runtime.telemetry.counters import FRAMES, process_counters
 
 
 @dataclass(frozen=True, eq=False)

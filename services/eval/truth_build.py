@@ -28,8 +28,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
-from services.runtime.store.pack_archive import ExportLocation, stored_files
-from services.runtime.store.pack_reading import StoredFiles
+from services.runtime.store.pack_reading import ExportLocation, StoredFiles, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest

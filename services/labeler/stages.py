@@ -25,8 +25,7 @@ from services.labeler.stage import Stage
 from services.labeler.stage_context import LabelStageContext, stage_context_of
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import FRAMES
+from services.runtime.telemetry.counters import FRAMES, process_counters
 
 
 def handlers(platform: Platform) -> Handlers:

@@ -11,8 +11,7 @@ import services.runtime.one_thread  # noqa: F401
 from celery import shared_task
 
 from services.labeler.stages import handlers
-from services.runtime.jobs.draining import takes_jobs
-from services.runtime.jobs.execution import run_row
+from services.runtime.jobs.execution import run_row, takes_jobs
 from services.runtime.platform import platform
 
 

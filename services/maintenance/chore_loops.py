@@ -14,8 +14,7 @@ import structlog
 from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import CHORE_FAILURES
+from services.runtime.telemetry.counters import CHORE_FAILURES, process_counters
 from stone.errors import PlatformFaultError
 
 LONGEST_PAUSE_S = 0.5

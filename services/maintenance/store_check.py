@@ -5,7 +5,7 @@ docs/operations/lost-objects.md.
 when nothing is lost (any more), 1 when something is, or when the store does not answer.
 """
 
-import services.runtime.processes.sound_settings  # noqa: F401
+import services.runtime.processes.startup  # noqa: F401
 
 # isort: split
 

@@ -7,7 +7,7 @@ turn is bounded whatever anybody has sent: what is more is done in the next. SIG
 chores.
 """
 
-import services.runtime.processes.sound_settings  # noqa: F401
+import services.runtime.processes.startup  # noqa: F401
 
 # isort: split
 
@@ -22,21 +22,20 @@ from services.domain.notifications.spread import forget_told, queue_due, spread_
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings
 from services.maintenance.chore_loops import Chore, ChoreLoop, sweep_side_by_side
 from services.maintenance.notifications.delivery import deliver_queued
-from services.runtime.access.audit_retention import cut_audit
-from services.runtime.access.retention import forget_ended
+from services.runtime.access.retention import cut_audit, forget_ended
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, platform
-from services.runtime.processes.heartbeat_file import HeartbeatFile
+from services.runtime.processes.health_check import HeartbeatFile
 from services.runtime.store.garbage_collection import collect_garbage
-from services.runtime.store.gc_cursor import GcCursor
+from services.runtime.store.gc_holds import GcCursor
 from services.runtime.telemetry.counter_rows import fold
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.sweeper_statistics import ChoreLedger, StoreSum
 from services.runtime.telemetry.tracing import close_tracing, setup_tracing
 from services.runtime.uploads import expire
-from services.runtime.uploads.sweep_cursor import UploadCursor
+from services.runtime.uploads.expiry import UploadCursor
 
 MINUTE_S = 60.0
 FOLLOW_S = 5.0

@@ -14,7 +14,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
-from services.runtime.oidc.settings_checks import provider_contradictions
+from services.runtime.oidc.settings import provider_contradictions
 from stone.errors import StoneError
 
 if TYPE_CHECKING:

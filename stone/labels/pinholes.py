@@ -1,7 +1,7 @@
 """Fills pinholes that a turned grid leaves in closed surfaces, whatever the yaw, pitch and roll.
 
-**Conventions.** Positions as in `stone.labels.crops`. Only free voxels are looked at that a labelled one touches, in
-the order of the grid, each back along x, y and z.
+**Conventions.** Positions as in `stone.labels.crops`. Only free voxels are looked at that a labelled one touches,
+in the order of the grid, each back along x, y and z.
 """
 
 import numpy as np

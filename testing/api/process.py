@@ -15,7 +15,7 @@ from pathlib import Path
 
 import httpx
 
-from services.runtime.embedded.programs import environment_of
+from services.runtime.embedded.supervisor import environment_of
 from services.runtime.settings import Settings
 
 STARTS_WITHIN_S = 300.0

@@ -20,8 +20,7 @@ from services.labeler.local_run import LabelOptions, label
 from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Export
 from services.runtime.platform import Platform
-from services.runtime.store.pack_archive import ExportLocation, locate_export, stored_files
-from services.runtime.store.pack_reading import file_pieces
+from services.runtime.store.pack_reading import ExportLocation, file_pieces, locate_export, stored_files
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from testing.once import made_once

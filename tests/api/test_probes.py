@@ -27,8 +27,7 @@ from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings
 from services.runtime.store.protocol import Store
 from services.runtime.telemetry.counter_rows import CounterWriter, fold
-from services.runtime.telemetry.counters import ProcessCounters
-from services.runtime.telemetry.metric_names import RENAMED, WAKE_UPS_RESENT
+from services.runtime.telemetry.counters import RENAMED, WAKE_UPS_RESENT, ProcessCounters
 from services.runtime.telemetry.tracing import close_tracing
 from testing.api.serving import Person, client_of, person
 from testing.servers.collector import Collector, collecting, facts_of

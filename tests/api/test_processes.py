@@ -21,7 +21,7 @@ from api.garbage import COLLECTED_AFTER, keep_what_is_loaded
 from api.main import make_api
 from api.row_readers import by_row_readers
 from api.tus.body_stream import THREADS
-from services.runtime.database.connections import ALONE, ROW_READERS, UPLOADS, request_threads
+from services.runtime.database.transactions import ALONE, ROW_READERS, UPLOADS, request_threads
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import make_settings, opened

@@ -19,7 +19,7 @@ from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.orm import Blob
 from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings
-from services.runtime.telemetry.metric_names import METERS, RENAMED
+from services.runtime.telemetry.counters import METERS, RENAMED
 from testing.api.serving import client_of, person
 
 ROOT = Path(__file__).resolve().parents[2]

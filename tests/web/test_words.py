@@ -20,8 +20,8 @@ from services.eval import stages as scoring
 from services.ingest import stages as ingest
 from services.labeler import stages as labelling
 from services.maintenance.notifications import delivery
-from services.runtime.jobs.titles import TITLES
-from services.runtime.notifications.run_events import TOLD_FAILED
+from services.runtime.jobs.queries import TITLES
+from services.runtime.notifications.events import TOLD_FAILED
 from services.runtime.platform import Platform
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount

@@ -7,7 +7,7 @@ the order of stages is known here. A stage of a run that has ended does not run:
 from dataclasses import dataclass
 
 from api.schemas.jobs import JobDetail, StageItem
-from services.runtime.jobs.titles import TITLES, title_of
+from services.runtime.jobs.queries import TITLES, title_of
 
 OTHERS = ("labeler.export", "labeler.import", "labeler.inputs")
 LABELLING = tuple(kind for kind in TITLES if kind.startswith("labeler.") and not kind.startswith(OTHERS))

@@ -14,7 +14,7 @@ from api.schemas.sequences.calibrations import CalibrationItem
 from api.views.calibrations import calibration_item
 from api.visible import theirs
 from services.domain.sequences.label_sources import SOURCE_INDEX
-from services.runtime.jobs.titles import title_of
+from services.runtime.jobs.queries import title_of
 from services.runtime.orm import CalibrationRow
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page

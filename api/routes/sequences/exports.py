@@ -35,8 +35,7 @@ from api.visible import export_of, exports_shown_to, readable_export, sequence_o
 from services.domain.exports.requests import delete_export, start_export
 from services.runtime.orm import Export, SequenceRow
 from services.runtime.platform import Platform
-from services.runtime.store.pack_archive import locate_export, stored_files
-from services.runtime.store.pack_reading import StoredFiles
+from services.runtime.store.pack_reading import StoredFiles, locate_export, stored_files
 from stone_files.virtual_archive import MOST_NAME, NAME
 
 router = NounRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])

@@ -10,7 +10,7 @@ from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.sequences.calibrations import FindingItem
 from api.schemas.sequences.previews import PREVIEW_EXAMPLE, PreviewItem
 from services.domain.sequences.recordings import NewRecording
-from services.runtime.uploads.declaration import LONGEST_NAME_BYTES, check_filename
+from services.runtime.uploads.creation import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
 from stone_files.bag_files import MOST_FILES
 

@@ -1,4 +1,4 @@
-"""Imports as the API shows them: rows of `services.runtime.orm.dataset_imports` become bodies."""
+"""Imports as the API shows them: rows of `services.runtime.orm.artefacts` become bodies."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

@@ -23,7 +23,7 @@ from services.runtime.access import roles
 from services.runtime.access.tokens import issue
 from services.runtime.access.users import create_user
 from services.runtime.database.migrate import upgrade
-from services.runtime.embedded.programs import environment_of
+from services.runtime.embedded.supervisor import environment_of
 from services.runtime.orm import Job, Worker
 from services.runtime.platform import Platform, open_silent_platform
 from services.runtime.settings import ApiSettings, BrokerSettings, DatabaseSettings, Settings

@@ -29,7 +29,7 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
 from services.runtime.jobs.specs import Attempt, Context
 from services.runtime.orm import Blob, Dataset, DatasetInput, DatasetInputPack, DatasetMember, Job
-from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.pack_reading import ExportLocation
 
 RUN = "dataset.inputs"
 InputState = Literal["ready", "missing", "lost"]

@@ -13,7 +13,7 @@ from services.domain.datasets.errors import HiddenPartError
 from services.domain.datasets.exposure import OPEN
 from services.domain.datasets.manifest import open_entries
 from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart
-from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.pack_reading import ExportLocation
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS
 

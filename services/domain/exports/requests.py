@@ -40,7 +40,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.store.blobs import PreparedBlob, link_all
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.recipes import recipe_of
-from services.runtime.telemetry.trace_links import link_job
+from services.runtime.telemetry.tracing import link_job
 from stone.errors import StoneError
 
 EXPORT = "labeler.export"

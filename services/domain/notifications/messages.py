@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from services.runtime.notifications import events
-from services.runtime.notifications.run_events import STOPPED, TOLD_FAILED
+from services.runtime.notifications.events import STOPPED, TOLD_FAILED
 from services.runtime.orm import Benchmark, Job, NotificationEvent, Phase, SequenceRow, SubmissionRow
 from stone.errors import one_line
 from stone_base.counts import counted

@@ -15,7 +15,7 @@ from sqlalchemy.sql.selectable import CTE
 
 from services.runtime.database.clock import database_ns
 from services.runtime.database.rows import KeptSelect, parameter
-from services.runtime.jobs.readiness import RUNNING, owners_waiting
+from services.runtime.jobs.claims import RUNNING, owners_waiting
 from services.runtime.orm import Job, Queue, Worker
 
 FRESH_NS = 60 * 10**9

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 from services.domain.runs.time_left import LABELLING
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
-from services.runtime.jobs.readiness import QUEUED, RUNNING
+from services.runtime.jobs.claims import QUEUED, RUNNING
 from services.runtime.orm import Job
 
 MOST_OLDER = 50

@@ -18,7 +18,7 @@ from services.domain.runs.queue_facts import queue_facts
 from services.domain.runs.run_rows import AliveRow
 from services.domain.runs.time_left import FUSE, LABELLING, SHARES, SYNCHRONISE, RunningJob, RunWorkload, StageWork
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, places_for
-from services.runtime.jobs.readiness import RUNNING
+from services.runtime.jobs.claims import RUNNING
 from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import CalibrationRow, Job, Recording
 

@@ -9,7 +9,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Artefact, Blob, Recording
-from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.pack_reading import ExportLocation
 
 SOURCE = "source"
 SOURCE_INDEX = f"{SOURCE}/index.npz"

@@ -32,7 +32,7 @@ from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
 from services.runtime.orm import CalibrationRow, Export, Job, LabelSet, Preview, Recording, RecordingFile, SequenceRow
 from services.runtime.orm.base import now_ns
 from services.runtime.store.recipes import recipe_of
-from services.runtime.telemetry.trace_links import link_uploads_of
+from services.runtime.telemetry.tracing import link_uploads_of
 
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"

@@ -19,7 +19,7 @@ from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, Recording, RecordingFile, SequenceRow, Upload
-from services.runtime.telemetry.trace_links import link_uploads_of
+from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
 from stone.errors import StoneError
 from stone_files.bag_files import BadBagFilesError, check_bag_files, whole_sha256

@@ -17,8 +17,7 @@ from sqlalchemy.orm import Session
 
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
-from services.runtime.store.pack_archive import ExportLocation, locate_export, stored_files
-from services.runtime.store.pack_reading import file_pieces
+from services.runtime.store.pack_reading import ExportLocation, file_pieces, locate_export, stored_files
 from services.runtime.store.protocol import Store
 
 PLAYBACK, INDEX, CAMERAS = "playback", "playback.json", "cameras.bin"

@@ -14,9 +14,9 @@ from services.domain.notifications.spread import DELIVER, QUEUE, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
 from services.maintenance.notifications.errors import DeliveryFailedError, NotTakenError, UnknownDeliveryError
 from services.maintenance.notifications.prepared import PreparedDelivery, prepared
+from services.runtime.jobs.claims import wake_ups_wanted
 from services.runtime.jobs.control import give_up
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.readiness import wake_ups_wanted
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.orm import NotificationDelivery
 from services.runtime.orm.base import now_ns

@@ -4,10 +4,6 @@
 something is refused, damaged or lost (sentences on stderr), 2 when it was asked for what there is not.
 """
 
-import services.runtime.processes.sound_settings  # noqa: F401
-
-# isort: split
-
 import argparse
 import sys
 from collections.abc import Iterator
@@ -15,15 +11,18 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-from services.runtime.backup import messages
-from services.runtime.backup.capture import make_backup
+import services.runtime.processes.startup  # noqa: F401
+from services.runtime.backup.capture import BackupResult, make_backup
 from services.runtime.backup.folder import BackupFolder
-from services.runtime.backup.restore import restore
-from services.runtime.backup.retention import prune, verify
-from services.runtime.embedded.folder_lock import hold_folder
+from services.runtime.backup.restore import BackupRestoreResult, restore
+from services.runtime.backup.retention import BackupPruneResult, BackupVerification, prune, verify
+from services.runtime.backup.snapshot import read_snapshot
+from services.runtime.embedded.listen_socket import hold_folder
 from services.runtime.platform import Platform, open_silent_platform
 from services.runtime.settings import Settings
 from stone.errors import StoneError
+
+# isort: split
 
 
 def main(arguments: list[str] | None = None) -> int:
@@ -42,19 +41,19 @@ def _acted(options: argparse.Namespace, folder: BackupFolder) -> tuple[list[str]
     """The command's output lines, and whether all is well."""
     if options.act == "verify":
         verified = verify(folder)
-        return messages.of_verified(verified), not verified.damaged
+        return of_verified(verified), not verified.damaged
     if options.act == "list":
-        return messages.of_list(folder), True
+        return of_list(folder), True
     if options.act == "prune":
-        return messages.of_pruned(prune(folder, options.keep)), True
+        return of_pruned(prune(folder, options.keep)), True
     if options.act == "to":
         with _opened() as platform:
             taken = make_backup(platform, folder)
-        return messages.of_backup(taken), not taken.snapshot.flaws
+        return of_backup(taken), not taken.snapshot.flaws
     with ExitStack() as stack:
         stack.enter_context(hold_folder(Settings().root))  # no embedded platform begins meanwhile
         restored = restore(stack.enter_context(_opened()), folder, options.snapshot)
-        return messages.of_restored(restored), not restored.snapshot.flaws
+        return of_restored(restored), not restored.snapshot.flaws
 
 
 @contextmanager
@@ -98,3 +97,48 @@ def _positive(word: str) -> int:
 
 if __name__ == "__main__":
     sys.exit(main())
+
+
+# Messages of the backup command to the administrator.
+
+
+MIB = 2**20
+
+
+def of_backup(taken: BackupResult) -> list[str]:
+    rows, snapshot = sum(table.rows for table in taken.snapshot.tables), taken.snapshot
+    return [
+        f"backed up {rows} rows and {taken.blobs} blobs, of which {taken.brought} files "
+        f"({taken.brought_bytes / MIB:.1f} MiB) were new: {taken.folder.name}",
+        *(f"DAMAGED on the platform itself: {flaw}" for flaw in snapshot.flaws),
+    ]
+
+
+def of_restored(restored: BackupRestoreResult) -> list[str]:
+    said = [
+        f"restored {restored.rows} rows, {restored.objects - restored.flawed} objects and {restored.uploads} uploads "
+        f"under way; {restored.queued_again} jobs that were running are queued again"
+    ]
+    if restored.flawed:
+        said.append(f"LOST before the backup was taken: {restored.flawed} objects")
+    return [*said, *(f"LOST: {flaw}" for flaw in restored.snapshot.flaws)]
+
+
+def of_verified(verified: BackupVerification) -> list[str]:
+    return [
+        f"read {verified.contents} contents ({verified.size_bytes / MIB:.1f} MiB) of {verified.snapshots} snapshots",
+        *(f"DAMAGED: {sentence}" for sentence in verified.damaged),
+    ]
+
+
+def of_pruned(pruned: BackupPruneResult) -> list[str]:
+    return [f"{pruned.snapshots} snapshots and {pruned.contents} contents ({pruned.size_bytes / MIB:.1f} MiB) are gone"]
+
+
+def of_list(folder: BackupFolder) -> list[str]:
+    said = []
+    for name in folder.snapshots():
+        snapshot, _files = read_snapshot(folder.snapshot(name))
+        rows = sum(table.rows for table in snapshot.tables)
+        said.append(f"{name}  revision {snapshot.revision}  {rows} rows  {len(snapshot.flaws)} flaws")
+    return said

@@ -19,7 +19,7 @@ from services.runtime.backup.tables import checked_tables, dumped_rows, load
 from services.runtime.database.migrate import head_revision, is_known, schema_connection
 from services.runtime.errors import NewerSchemaError
 from services.runtime.jobs.completion import Failure
-from services.runtime.jobs.interruption import give_back_running
+from services.runtime.jobs.lease_sweep import give_back_running
 from services.runtime.orm import Blob, GcHoldRow, Upload, Worker
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import StoredObject

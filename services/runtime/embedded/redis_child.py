@@ -19,9 +19,8 @@ from secrets import randbelow, token_urlsafe
 
 from redis import Redis, RedisError
 
-from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of
+from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of, last_words
 from services.runtime.embedded.errors import RedisMissingError, StartFailedError
-from services.runtime.embedded.logs import last_words
 
 READY_S = 20.0
 PORTS = range(15_000, 32_000)

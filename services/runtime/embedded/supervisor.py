@@ -6,25 +6,28 @@ nothing more is accepted, the worker may finish for a while, what it did not fin
 second start resumes.
 """
 
+import os
+import sys
 import time
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import ExitStack, contextmanager
-from dataclasses import dataclass, replace
+from dataclasses import dataclass, fields, is_dataclass, replace
 from http import HTTPStatus
 from http.client import HTTPConnection, HTTPException
 from pathlib import Path
 from threading import Event, Thread
+from typing import Any
+
+from pydantic import SecretStr
 
 from services.runtime.database.migrate import upgrade
-from services.runtime.embedded.child_process import Child, ReportCallback, fate_of
+from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of, last_words
 from services.runtime.embedded.errors import StartFailedError
 from services.runtime.embedded.first_start import FirstStartKeys, ensure_keys
-from services.runtime.embedded.folder_lock import hold_folder
-from services.runtime.embedded.listen_socket import close, listen, local_host, reached_at
-from services.runtime.embedded.logs import last_words
-from services.runtime.embedded.programs import api_program, sweeper_program, worker_program
+from services.runtime.embedded.listen_socket import close, hold_folder, listen, local_host, reached_at
 from services.runtime.embedded.redis_child import start_redis
-from services.runtime.jobs.interruption import CRASHED, STOPPED, give_back_running
+from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.lease_sweep import CRASHED, STOPPED, give_back_running
 from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import ApiSettings, Settings
@@ -208,3 +211,59 @@ class _SupervisedChildren:
             child.revive()
         except OSError as error:  # no process, no memory or no disk just now: the next look tries again
             self._told(f"{child.program.name} could not be started: {error}")
+
+
+# Command lines, environments and stop timeouts of the child processes.
+#
+# **Conventions.** Every process reads its settings from the environment, as in a cluster; nothing is passed otherwise
+# but the API's listening socket. A worker has one thread per library: its parallelism is over jobs. It stands back
+# where processors are short: whoever waits for a page waits for a second of it, whoever waits for labels for minutes.
+
+
+DRAIN_S = 15.0
+WORKER_NICENESS = 5  # a third of the share of others
+REPLIES_S = 5
+ONE_THREAD = {
+    name: "1"
+    for name in ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "MKL_NUM_THREADS", "NUMBA_NUM_THREADS", "OMP_THREAD_LIMIT")
+}
+
+
+def environment_of(settings: Settings) -> dict[str, str]:
+    """This process's environment with `settings` in place of whatever `STONE_*` it had."""
+    inherited = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
+    named: dict[str, str] = {}
+    for name in type(settings).model_fields:
+        named |= _named(f"STONE_{name.upper()}", getattr(settings, name))
+    return {**inherited, **named, "STONE_DATA_FOLDER": str(settings.root), "PYTHONUNBUFFERED": "1"}
+
+
+def api_program(settings: Settings, descriptor: int) -> Program:
+    """uvicorn on a socket that is listening already."""
+    argv = _python("services.runtime.embedded.api_process", str(descriptor), str(REPLIES_S))
+    return Program("api", argv, environment_of(settings), settings.root, REPLIES_S + 3.0, (descriptor,))
+
+
+def worker_program(settings: Settings) -> Program:
+    """One Celery worker for all queues; it forks `settings.concurrency` processes."""
+    argv = _python("services.runtime.processes.worker", *QUEUES)
+    environment = environment_of(settings) | ONE_THREAD
+    return Program("worker", argv, environment, settings.root, DRAIN_S, niceness=WORKER_NICENESS)
+
+
+def sweeper_program(settings: Settings) -> Program:
+    argv = _python("services.maintenance.sweeper")
+    return Program("sweeper", argv, environment_of(settings), settings.root, 5.0)
+
+
+def _python(module: str, *arguments: str) -> tuple[str, ...]:
+    return (sys.executable, "-P", "-m", module, *arguments)
+
+
+def _named(name: str, value: Any) -> Mapping[str, str]:
+    if is_dataclass(value) and not isinstance(value, type):
+        parts = [_named(f"{name}__{part.name.upper()}", getattr(value, part.name)) for part in fields(value)]
+        return {key: text for part in parts for key, text in part.items()}
+    if isinstance(value, SecretStr):
+        return {name: value.get_secret_value()}
+    return {name: str(value)}

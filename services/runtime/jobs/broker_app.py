@@ -19,7 +19,7 @@ QUEUES = ("ingest", "labeler", "eval")
 class WakeUpTask(Task):  # type: ignore[misc]
     """A task whose messages set nothing: neither its limits nor anything else."""
 
-    Request = "services.runtime.jobs.wakeup_request:WakeUpRequest"
+    Request = "services.runtime.jobs.celery_app:WakeUpRequest"
 
 
 def make_app(settings: Settings) -> Celery:

@@ -8,13 +8,15 @@ parallelism is over jobs. `worker_cancel_long_running_tasks_on_connection_loss` 
 """
 
 import os
+from typing import Any
 
 from celery import current_app
 from celery.signals import setup_logging, worker_init, worker_process_init, worker_process_shutdown
+from celery.worker.request import Request
+from kombu.transport import redis, virtual
 from sqlalchemy.orm import configure_mappers
 
 from services.runtime.jobs.broker_app import make_app
-from services.runtime.jobs.broker_credit import free_room_in_any_case
 from services.runtime.jobs.lease_keeper import start_keeper
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.platform import platform
@@ -22,6 +24,31 @@ from services.runtime.processes.parent_death import die_with
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.tracing import close_tracing, setup_tracing
+
+# A worker's room for a further wake-up is free again whether or not the broker heard that one was taken.
+#
+# **Conventions.** A worker has room for as many wake-ups as it has processes, and does not listen to the broker while
+# it has none left. kombu 5.7 frees the room of a message once Redis has answered to its acknowledgement. If Redis ends
+# in that moment, the room is never free again; the worker, not listening, does not learn that the connection is gone
+# either, and takes no job any more. A wake-up that is delivered twice finds nothing to do, so nothing is lost by
+# freeing its room in any case.
+
+
+class WakeUpQoS(redis.QoS):
+    """What a channel holds that was delivered and not acknowledged yet."""
+
+    def ack(self, delivery_tag: str) -> None:
+        """Raises what the connection raises."""
+        try:
+            super().ack(delivery_tag)  # type: ignore[no-untyped-call]
+        finally:
+            virtual.QoS.ack(self, delivery_tag)  # type: ignore[no-untyped-call]
+
+
+def free_room_in_any_case() -> None:
+    """Have channels of this process hold wake-ups so."""
+    redis.Channel.QoS = WakeUpQoS
+
 
 free_room_in_any_case()
 app = make_app(Settings())
@@ -62,3 +89,21 @@ def _prepare_pool(**_: object) -> None:
 def _speak(**_: object) -> None:
     """Celery's lines and ours in one shape, instead of a format of its own."""
     speak_json()
+
+
+# How a worker reads a wake-up: the time limit is the application's, whatever the message says.
+#
+# **Conventions.** A header `timelimit` is anybody's who can write to the broker; with it each wake-up would kill the
+# process that works for it, and with three of them the job.
+
+
+class WakeUpRequest(Request):  # type: ignore[misc]
+    """A message as a worker holds it, without limits of its own."""
+
+    @property
+    def time_limits(self) -> tuple[None, None]:
+        return None, None
+
+    @time_limits.setter
+    def time_limits(self, _said: Any) -> None:
+        """Celery sets what the message says; it is not kept."""

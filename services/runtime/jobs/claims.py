@@ -3,14 +3,17 @@
 import os
 import socket
 from dataclasses import dataclass
+from functools import lru_cache
 from typing import Any
 
-from sqlalchemy import update
-from sqlalchemy.orm import Session
+from sqlalchemy import ColumnElement, Select, and_, bindparam, exists, func, literal_column, select, update
+from sqlalchemy.orm import Session, aliased
+from sqlalchemy.sql.dml import ReturningUpdate
+from sqlalchemy.sql.selectable import CTE
 
+from services.runtime.database.rows import KeptSelect
 from services.runtime.jobs.changes import rows_changed
-from services.runtime.jobs.readiness import take_next
-from services.runtime.orm import Job, JobAttempt
+from services.runtime.orm import Job, JobAttempt, Queue
 from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.process_usage import used_cpu_s
 
@@ -71,3 +74,132 @@ def start_run(session: Session, taken: Claim) -> None:
     """
     waiting = update(Job).where(Job.id == taken.root_id, Job.queue == "", Job.state == "queued")
     rows_changed(session, waiting.values(state="running", started_ns=now_ns(), revision=Job.revision + 1))
+
+
+# Finds and takes the next ready job of a queue by index, however many jobs wait.
+#
+# **Conventions.** First the owners who have a ready job, hopped to one after another, each with the urgency of its
+# most urgent job and how many of its jobs run; then the oldest job of the first of them that nobody else is just
+# taking (`SKIP LOCKED` on PostgreSQL; SQLite has one writer at a time). Of equal urgency the job of the older run goes
+# first, so that runs are finished before others are begun. Predicates of partial indexes are literals (`orm/jobs.py`).
+
+
+MOST_WAKE_UPS = 10_000
+"""More wake-ups than this for one queue wake nobody: the sweeper sends others as they are received."""
+MOST_QUEUES = 64
+"""Statements are kept for so many queues: one takes longer to write than to run."""
+QUEUED: ColumnElement[str] = literal_column("'queued'")
+RUNNING: ColumnElement[str] = literal_column("'running'")
+NONE: ColumnElement[int] = literal_column("0")
+ONE: ColumnElement[int] = literal_column("1")
+"""A LIMIT too is a literal: for an unknown one PostgreSQL plans a statement anew at each execution."""
+
+
+def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
+    """The job of `queue` whose turn it is, from now on running, and the state of its run (its own where it is one).
+
+    None where the queue is paused, and where each that is ready is being taken.
+    """
+    session.flush()  # kept statements see what was written, not what is to be
+    now = {"now": now_ns()}
+    if (found := session.execute(_taking_of_first(queue), now).first()) is not None:
+        return found[0], found[1]
+    owners = _owners_served(queue).rows(session, {})
+    for owner_id, priority, _running, _oldest in owners:
+        found = session.execute(_taking_of_owner(queue), {"owner": owner_id, "urgency": priority, **now}).first()
+        if found is not None:
+            return found[0], found[1]
+    found = session.execute(_taking(queue), now).first() if owners else None
+    return None if found is None else (found[0], found[1])
+
+
+def wake_ups_wanted(session: Session, queue: str) -> int:
+    """The number of ready jobs of `queue`, at most `MOST_WAKE_UPS`."""
+    some = select(literal_column("1")).select_from(Job).where(_is_ready(Job, queue)).limit(MOST_WAKE_UPS).subquery()
+    return session.scalar(select(func.count()).select_from(some)) or 0
+
+
+def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:
+    return and_(job.queue == queue, job.state == QUEUED, job.needs_left == NONE)
+
+
+@lru_cache(MOST_QUEUES)
+def _taking_of_first(queue: str) -> ReturningUpdate[Job, str]:
+    """As `_taking_of_owner`, of the owner whose turn it is: as a rule one of their jobs is free."""
+    turn = _served(queue).limit(ONE).cte("turn")
+    owner, urgency = (select(column).scalar_subquery() for column in (turn.c.owner_id, turn.c.priority))
+    return _taken(_untaken(queue, Job.owner_id == owner, Job.priority == urgency).order_by(Job.root_id, Job.id))
+
+
+@lru_cache(MOST_QUEUES)
+def _taking_of_owner(queue: str) -> ReturningUpdate[Job, str]:
+    """Take the oldest run's of the jobs of `owner` with `urgency`."""
+    of_owner = (Job.owner_id == bindparam("owner"), Job.priority == bindparam("urgency"))
+    return _taken(_untaken(queue, *of_owner).order_by(Job.root_id, Job.id))
+
+
+@lru_cache(MOST_QUEUES)
+def _taking(queue: str) -> ReturningUpdate[Job, str]:
+    return _taken(_untaken(queue))
+
+
+def _untaken(queue: str, *claims: ColumnElement[bool]) -> Select[str]:
+    free = select(Job.id).where(_is_ready(Job, queue), *claims).limit(ONE)
+    return free.with_for_update(skip_locked=True, key_share=True)
+
+
+def _taken(free: Select[str]) -> ReturningUpdate[Job, str]:
+    """Take the one that is found, at `now`; its row, and the state of its run."""
+    run = aliased(Job)
+    state_of_run = select(run.state).where(run.id == Job.root_id).correlate(Job).scalar_subquery()
+    taken = update(Job).where(Job.id == free.correlate(None).scalar_subquery(), Job.state == QUEUED)
+    values = {"state": "running", "attempt": Job.attempt + 1, "attempts_left": Job.attempts_left - 1}
+    clean = {"started_ns": bindparam("now"), "stage": "", "done": 0, "total": 0, "heartbeats": 0}
+    found = taken.values(**values, **clean, revision=Job.revision + 1).returning(Job, state_of_run)
+    return found.execution_options(populate_existing=True, synchronize_session=False)
+
+
+@lru_cache(MOST_QUEUES)
+def owners_waiting(queue: str) -> KeptSelect:
+    """Of (owner, urgency, running jobs, oldest run) of every owner with a ready job: whose turn it is comes first."""
+    return KeptSelect(_owners(queue))
+
+
+@lru_cache(MOST_QUEUES)
+def _owners_served(queue: str) -> KeptSelect:
+    return KeptSelect(_served(queue))
+
+
+def _served(queue: str) -> Select[str, int, int, str]:
+    """As `_owners`; none where the queue is paused."""
+    return _owners(queue).where(~exists().where(Queue.name == queue, Queue.mode == "paused"))
+
+
+def _owners(queue: str) -> Select[str, int, int, str]:
+    heads, busy = _heads(queue).c, aliased(Job)
+    at_work = select(func.count()).where(busy.queue == queue, busy.state == RUNNING, busy.owner_id == heads.owner_id)
+    running = at_work.scalar_subquery().label("running")
+    found = select(heads.owner_id, heads.priority, running, heads.root_id)
+    return found.order_by(heads.priority.desc(), running, heads.root_id)
+
+
+def _heads(queue: str) -> CTE:
+    """The first ready job of every owner, its most urgent and of these the oldest run's; one step down the index each.
+
+    The order names every column of that index: by the smallest run alone, PostgreSQL walks all runs that ever were.
+    """
+    first, following = aliased(Job), aliased(Job)
+    begin = select(first.owner_id, first.priority, first.root_id).where(first.id == _head(queue).scalar_subquery())
+    heads = begin.cte(recursive=True)
+    after = _head(queue, heads).correlate(heads).scalar_subquery()
+    of_next = select(following.owner_id, following.priority, following.root_id)
+    return heads.union_all(of_next.join_from(heads, following, following.id == after))
+
+
+def _head(queue: str, after: CTE | None = None) -> Select[str]:
+    """The id of the first ready job of the owner who follows those of `after`."""
+    job = aliased(Job)
+    ready = select(job.id).where(_is_ready(job, queue))
+    if after is not None:
+        ready = ready.where(job.owner_id > after.c.owner_id)
+    return ready.order_by(job.owner_id, job.priority.desc(), job.root_id, job.id).limit(ONE)

@@ -12,14 +12,12 @@ from sqlalchemy import Update, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
-from services.runtime.jobs.attempt_lines import write_lines_beside
-from services.runtime.jobs.attempt_words import AttemptWords
+from services.runtime.jobs.attempt_lines import AttemptWords, write_lines_beside
 from services.runtime.jobs.changes import lock_run, revise_run, rows_changed
-from services.runtime.jobs.claims import Claim
+from services.runtime.jobs.claims import ONE, QUEUED, RUNNING, Claim
 from services.runtime.jobs.enqueue import add_jobs
-from services.runtime.jobs.readiness import ONE, QUEUED, RUNNING
 from services.runtime.jobs.specs import TERMINAL, Outcome
-from services.runtime.notifications.run_events import tell_run_failed, tell_run_succeeded
+from services.runtime.notifications.events import tell_run_failed, tell_run_succeeded
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s

@@ -9,9 +9,9 @@ from sqlalchemy.orm import Session
 
 from services.runtime.database.transactions import wake_up_after_commit
 from services.runtime.jobs.changes import lock_run, rows_changed
+from services.runtime.jobs.claims import wake_ups_wanted
 from services.runtime.jobs.completion import cancel_queued, settle
 from services.runtime.jobs.errors import JobStateError
-from services.runtime.jobs.readiness import wake_ups_wanted
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, JobAttempt, JobNeed, Queue
 from services.runtime.orm.base import now_ns

@@ -18,8 +18,13 @@ from structlog.contextvars import bound_contextvars
 from services.runtime.jobs.claims import Claim
 from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import Job
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import JOB_CPU_SECONDS, JOB_SECONDS, JOB_WAIT_SECONDS, LEASES_EXPIRED
+from services.runtime.telemetry.counters import (
+    JOB_CPU_SECONDS,
+    JOB_SECONDS,
+    JOB_WAIT_SECONDS,
+    LEASES_EXPIRED,
+    process_counters,
+)
 from services.runtime.telemetry.origins import context_of
 from services.runtime.telemetry.process_usage import used_cpu_s
 from services.runtime.telemetry.tracing import mark_failed, span

@@ -9,6 +9,7 @@ keeper is forked before the pool, hears no signal that is meant for the worker, 
 address is an abstract socket (unix(7)), which needs no file; who is not of its own user is not heard.
 """
 
+import json
 import os
 import selectors
 import signal
@@ -16,23 +17,130 @@ import socket
 import struct
 import time
 from collections.abc import Callable, Sequence
+from contextlib import suppress
 from dataclasses import asdict, dataclass, field
 from secrets import token_hex
 from typing import Any
 
 import structlog
+from sqlalchemy import case
+from sqlalchemy.dialects import postgresql, sqlite
 from sqlalchemy.orm import Session
 
+from services.runtime.database.clock import database_ns
 from services.runtime.database.transactions import Database
-from services.runtime.jobs.attempt_words import AttemptWords
-from services.runtime.jobs.lease_messages import MessageStream, words_of
-from services.runtime.jobs.leases import renew
-from services.runtime.jobs.presence_rows import ProcessPresence, write_presence
+from services.runtime.jobs.attempt_lines import AttemptLine, AttemptWords, JobProgress
+from services.runtime.jobs.leases import LeaseAnswer, renew
+from services.runtime.orm import Worker
 from services.runtime.processes.parent_death import die_with
 from services.runtime.settings import Settings
 from services.runtime.telemetry.counter_rows import CounterWriter
 from services.runtime.telemetry.counters import Counts, ProcessCounters
 from services.runtime.telemetry.log_lines import speak_json
+from stone.errors import PlatformFaultError
+
+# Rows of worker processes: what each tells of itself, of any number of processes in one statement.
+
+
+@dataclass(frozen=True)
+class ProcessPresence:
+    """A process and what it and its machine hold, as in the row of that name."""
+
+    name: str
+    queues: str
+    started_ns: int
+    held_bytes: int | None
+    memory_free_bytes: int | None
+    memory_bytes: int | None
+    disk_free_bytes: int | None
+    disk_bytes: int | None
+
+
+def write_presence(session: Session, present: Sequence[ProcessPresence]) -> None:
+    """Insert or update their rows; a row of another process, whose pid came round again, begins anew."""
+    ordered = sorted(present, key=lambda one: one.name)  # one order, in which no two sessions wait for each other
+    rows = [{**asdict(one), "beat_ns": database_ns(), "beats": 1} for one in ordered]
+    dialect = sqlite if session.get_bind().dialect.name == "sqlite" else postgresql
+    inserted = dialect.insert(Worker).values(rows)
+    told = {name: inserted.excluded[name] for name in rows[0] if name not in ("name", "beats")}
+    beats = case((Worker.started_ns == inserted.excluded.started_ns, Worker.beats + 1), else_=1)
+    session.execute(inserted.on_conflict_do_update(index_elements=[Worker.name], set_={**told, "beats": beats}))
+
+
+# Messages between the processes of a worker and its lease keeper: JSON, its length before it.
+#
+# **Conventions.** Both ends are processes of one worker and of one user. JSON keeps what a database may refuse (lone
+# surrogates, NaN), so that it is refused there and said so.
+
+
+LENGTH = struct.Struct(">I")
+LONGEST_BYTES = 64 * 2**20
+
+
+class MessageStream:
+    """Whole messages of a socket; each end's partial one is kept between two calls."""
+
+    def __init__(self, connected: socket.socket) -> None:
+        self.socket = connected
+        self._held = bytearray()
+
+    def send(self, message: Any) -> None:
+        """Raises `OSError`; `TypeError` and `ValueError` for what is no JSON."""
+        content = json.dumps(message).encode("ascii")
+        self.socket.sendall(LENGTH.pack(len(content)) + content)
+
+    def receive(self) -> list[Any]:
+        """What has come, after one read; empty where no message is whole yet.
+
+        Raises `EOFError` at the end, `OSError`, `ValueError` for what is no message.
+        """
+        if not (more := self.socket.recv(2**16)):
+            raise EOFError
+        self._held += more
+        found = []
+        while (whole := self._taken()) is not None:
+            found.append(json.loads(whole))
+        return found
+
+    def first(self) -> Any:
+        """The next message, waited for. Raises as `receive`."""
+        while not (found := self.receive()):
+            pass
+        return found[0]
+
+    def _taken(self) -> bytes | None:
+        if len(self._held) < LENGTH.size:
+            return None
+        (length,) = LENGTH.unpack_from(self._held)
+        if length > LONGEST_BYTES:
+            raise ValueError(f"a message of {length} bytes; at most {LONGEST_BYTES} are taken")
+        end = LENGTH.size + length
+        if len(self._held) < end:
+            return None
+        whole = bytes(self._held[LENGTH.size : end])
+        del self._held[:end]
+        return whole
+
+
+def message_of(words: AttemptWords) -> dict[str, Any]:
+    return asdict(words)
+
+
+def words_of(message: dict[str, Any]) -> AttemptWords:
+    """Raises `TypeError` and `KeyError` for what `message_of` did not make."""
+    progress = message["progress"]
+    lines = tuple(AttemptLine(**line) for line in message["lines"])
+    told = None if progress is None else JobProgress(**progress)
+    return AttemptWords(message["job_id"], message["attempt"], told, lines)
+
+
+def presence_message(present: ProcessPresence, counts: Counts) -> dict[str, Any]:
+    return {"present": asdict(present), "counts": counts}
+
+
+def answer_of(message: dict[str, Any]) -> LeaseAnswer:
+    return LeaseAnswer(**message)
+
 
 _CREDENTIALS = struct.Struct("3i")
 
@@ -205,3 +313,111 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
         log.exception("the lease keeper ends; each process beats for itself")
     finally:
         os._exit(1)
+
+
+# How a worker's process speaks to its lease keeper: what its attempt says, and that it is there.
+#
+# **Conventions.** Where no keeper answers, the process writes to the database itself.
+
+
+class LeaseNotRenewedError(PlatformFaultError):
+    """The keeper could not write; it is asked again in the next turn."""
+
+    code = "lease_not_renewed"
+
+    def __init__(self, reason: str) -> None:
+        super().__init__(f"the lease keeper wrote nothing: {reason}")
+
+
+class LeaseLine:
+    """`renew(words)` and `close()` by one thread; another may `interrupt()` it."""
+
+    def __init__(self, database: Database, patience_s: float) -> None:
+        self._database, self._patience_s = database, patience_s
+        self._address = keeper_address()
+        self._stream: MessageStream | None = None
+        self._is_interrupted = False
+
+    def renew(self, words: AttemptWords) -> LeaseAnswer:
+        """Raises `LeaseNotRenewedError`, what the database raises, `EOFError` once it is interrupted."""
+        if self._address is not None:
+            try:
+                return self._asked(words)
+            except (OSError, EOFError, ValueError, TypeError) as error:
+                self.close()
+                if self._is_interrupted:
+                    raise EOFError from error
+                log.warning("the lease keeper does not answer", reason=f"{type(error).__name__}: {error}"[:500])
+                self._address = None  # for this attempt
+        (answer,) = renew(self._database, [words])
+        return answer
+
+    def interrupt(self) -> None:
+        """Whoever waits for an answer waits no more."""
+        self._is_interrupted = True
+        if (stream := self._stream) is not None:
+            with suppress(OSError):
+                stream.socket.shutdown(socket.SHUT_RDWR)
+
+    def close(self) -> None:
+        stream, self._stream = self._stream, None
+        if stream is not None:
+            stream.socket.close()
+
+    def _asked(self, words: AttemptWords) -> LeaseAnswer:
+        if self._stream is None:
+            self._stream = opened(self._address or "", self._patience_s)
+        if self._is_interrupted:
+            raise EOFError
+        self._stream.send(message_of(words))
+        answer = self._stream.first()
+        if "error" in answer:
+            raise LeaseNotRenewedError(answer["error"])
+        return answer_of(answer)
+
+
+class PresenceLine:
+    """`tell(present, counts)`: whether the keeper has it and will write it. Used by one thread."""
+
+    def __init__(self, patience_s: float) -> None:
+        self._patience_s = patience_s
+        self._stream: MessageStream | None = None
+
+    def tell(self, present: ProcessPresence, counts: Counts) -> bool:
+        return self._is_heard(presence_message(present, counts))
+
+    def leave(self, name: str) -> None:
+        """The keeper writes the row of this process no more."""
+        self._is_heard({"gone": name})
+        self.close()
+
+    def _is_heard(self, message: Any) -> bool:
+        if (address := keeper_address()) is None:
+            return False
+        try:
+            if self._stream is None:
+                self._stream = opened(address, self._patience_s)
+            self._stream.send(message)
+            self._stream.first()
+        except (OSError, EOFError, ValueError) as error:
+            log.warning("the lease keeper does not answer", reason=f"{type(error).__name__}: {error}"[:500])
+            self.close()
+            return False
+        return True
+
+    def close(self) -> None:
+        if self._stream is not None:
+            self._stream.socket.close()
+        self._stream = None
+
+
+def opened(address: str, patience_s: float) -> MessageStream:
+    """A stream to who listens there. Raises `OSError`."""
+    connecting = socket.socket(socket.AF_UNIX, socket.SOCK_STREAM)
+    connecting.settimeout(patience_s)
+    try:
+        connecting.connect(address)
+    except OSError:
+        connecting.close()
+        raise
+    return MessageStream(connecting)

@@ -14,8 +14,7 @@ from sqlalchemy import ColumnElement, case, select, tuple_, update
 from sqlalchemy.orm import Session, aliased
 
 from services.runtime.database.transactions import Database
-from services.runtime.jobs.attempt_lines import OUTAGES, write_lines, write_lines_singly
-from services.runtime.jobs.attempt_words import AttemptKey, AttemptWords
+from services.runtime.jobs.attempt_lines import OUTAGES, AttemptKey, AttemptWords, write_lines, write_lines_singly
 from services.runtime.jobs.specs import nothing
 from services.runtime.orm import Job
 

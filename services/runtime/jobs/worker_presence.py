@@ -18,12 +18,11 @@ from sqlalchemy.orm import Session
 
 from services.runtime.database.clock import database_ns
 from services.runtime.jobs.claims import worker_name
-from services.runtime.jobs.lease_line import PresenceLine
-from services.runtime.jobs.presence_rows import ProcessPresence, write_presence
-from services.runtime.orm import Worker
+from services.runtime.jobs.lease_keeper import PresenceLine, ProcessPresence, write_presence
+from services.runtime.orm import Job, JobAttempt, Worker
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.processes.heartbeat_file import HeartbeatFile
+from services.runtime.processes.health_check import HeartbeatFile
 from services.runtime.telemetry.counter_rows import CounterWriter
 from services.runtime.telemetry.counters import process_counters
 from services.runtime.telemetry.process_usage import disk, held_bytes, memory
@@ -114,3 +113,18 @@ def forget_silent(platform: Platform, older_than_s: float = FORGOTTEN_S) -> int:
     with platform.database.transaction() as session:
         gone = delete(Worker).where(Worker.beat_ns < database_ns() - int(older_than_s * 1e9))
         return session.execute(gone).rowcount  # type: ignore[attr-defined,no-any-return]
+
+
+# Running attempts, by the database.
+
+
+def running_attempts(session: Session, limit: int) -> list[tuple[Job, JobAttempt]]:
+    """Jobs that a worker holds, the oldest attempt first."""
+    running = (
+        select(Job, JobAttempt)
+        .join(JobAttempt, (JobAttempt.job_id == Job.id) & (JobAttempt.number == Job.attempt))
+        .where(Job.state == "running", Job.queue != "")
+        .order_by(JobAttempt.started_ns, Job.id)
+        .limit(limit)
+    )
+    return [(job, attempt) for job, attempt in session.execute(running)]

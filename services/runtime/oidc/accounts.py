@@ -18,9 +18,8 @@ from sqlalchemy.orm import Session
 from services.runtime.access.roles import Role
 from services.runtime.access.users import NAME, change_user, create_user, find_user
 from services.runtime.oidc.errors import NotAdmittedError, ShutOutError
-from services.runtime.oidc.id_tokens import VerifiedIdentity
-from services.runtime.oidc.settings import OidcSettings
-from services.runtime.oidc.settings_checks import groups_in
+from services.runtime.oidc.provider import VerifiedIdentity
+from services.runtime.oidc.settings import OidcSettings, groups_in
 from services.runtime.orm import ExternalIdentity, User
 from services.runtime.orm.base import now_ns
 

@@ -1,6 +1,17 @@
 """The ORM models, one module per noun; `Base.metadata` knows them all."""
 
-from services.runtime.orm.artefacts import Artefact, Blob, LabelledFrameRow, LabelSet, LooseObject
+from services.runtime.orm.artefacts import (
+    Artefact,
+    Blob,
+    DatasetImport,
+    Export,
+    ExportPack,
+    ImportedFile,
+    LabelComparison,
+    LabelledFrameRow,
+    LabelSet,
+    LooseObject,
+)
 from services.runtime.orm.base import Base, new_id
 from services.runtime.orm.benchmarks import (
     Activation,
@@ -12,7 +23,6 @@ from services.runtime.orm.benchmarks import (
     Reported,
     Rescore,
 )
-from services.runtime.orm.dataset_imports import DatasetImport, ImportedFile
 from services.runtime.orm.datasets import (
     Dataset,
     DatasetInput,
@@ -23,11 +33,17 @@ from services.runtime.orm.datasets import (
     SplitMember,
     Splits,
 )
-from services.runtime.orm.exports import Export, ExportPack
-from services.runtime.orm.gc_holds import GcHoldRow
 from services.runtime.orm.jobs import Job, JobAttempt, JobLine, JobNeed, Queue, Worker
-from services.runtime.orm.label_comparisons import LabelComparison
-from services.runtime.orm.ledgers import AuditAnchor, AuditEntry, IdempotentReply, QuotaEntry
+from services.runtime.orm.ledgers import (
+    AuditAnchor,
+    AuditEntry,
+    ChoreRow,
+    CounterRow,
+    FigureRow,
+    GcHoldRow,
+    IdempotentReply,
+    QuotaEntry,
+)
 from services.runtime.orm.notifications import (
     EmailAddress,
     NotificationChoice,
@@ -36,6 +52,8 @@ from services.runtime.orm.notifications import (
     Webhook,
 )
 from services.runtime.orm.people import (
+    DeviceGrant,
+    ExternalIdentity,
     FailedSignInRow,
     SignInAddress,
     Team,
@@ -45,12 +63,17 @@ from services.runtime.orm.people import (
     User,
     WebSession,
 )
-from services.runtime.orm.recordings import Preview, Recording, RecordingFile
-from services.runtime.orm.sequences import CalibrationRow, ProfileRow, SequenceRow, Upload
-from services.runtime.orm.sign_in import DeviceGrant, ExternalIdentity
+from services.runtime.orm.sequences import (
+    CalibrationRow,
+    Preview,
+    ProfileRow,
+    Recording,
+    RecordingFile,
+    SequenceRow,
+    Upload,
+    UploadPartRow,
+)
 from services.runtime.orm.submissions import Alarm, PhaseTeam, Score, ScorePart, ScoringEntry, SubmissionRow
-from services.runtime.orm.telemetry import ChoreRow, CounterRow, FigureRow
-from services.runtime.orm.upload_parts import UploadPartRow
 
 __all__ = [
     "Activation",

@@ -1,6 +1,8 @@
 """ORM models of products: blobs, artefacts, label sets and their frames."""
 
-from sqlalchemy import ForeignKey, Index, String
+from typing import Any
+
+from sqlalchemy import JSON, ForeignKey, Index, String, false
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
@@ -86,3 +88,113 @@ class LabelledFrameRow(Base):
     offset_bytes: Mapped[Bytes]
     length_bytes: Mapped[Bytes]
     sha256: Mapped[str] = mapped_column(String(64))
+
+
+# ORM models of exports and their packs.
+
+
+class Export(Base):
+    """One label set in one format, since it was asked for; `job_id` makes it, or has made it.
+
+    What is below `finished_ns` is set with it, in the transaction of the job's success. `recipe` is that of the label
+    set, the format and the code version: what was exported once is not exported again.
+    """
+
+    __tablename__ = "exports"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"))
+    label_set_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"), index=True)
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id"))
+    format: Mapped[str] = mapped_column(String(16))
+    recipe: Mapped[str] = mapped_column(String(64))
+    code_version: Mapped[str] = mapped_column(String(64))
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    finished_ns: Mapped[Ns | None]
+    index_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    files: Mapped[int] = mapped_column(default=0)
+    size_bytes: Mapped[Bytes] = mapped_column(default=0)
+    tar_bytes: Mapped[Bytes] = mapped_column(default=0)
+    tar_sha256: Mapped[str] = mapped_column(String(64), default="")
+    zip_bytes: Mapped[Bytes] = mapped_column(default=0)
+    zip_sha256: Mapped[str] = mapped_column(String(64), default="")
+
+    __table_args__ = (Index("uq_exports_sequence_recipe", "sequence_id", "recipe", unique=True),)
+
+
+class ExportPack(Base):
+    """Files of an export one after another, as one blob; the export's index says where each lies in which pack."""
+
+    __tablename__ = "export_packs"
+    export_id: Mapped[Id] = mapped_column(ForeignKey("exports.id", ondelete="CASCADE"), primary_key=True)
+    ordinal: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    size_bytes: Mapped[Bytes]
+
+
+# ORM model of comparisons of two label sets.
+
+
+class LabelComparison(Base):
+    """Label sets A and B of a sequence held against each other, since it was asked for; `job_id` counts, or has.
+
+    `record` is set with `finished_ns`, in the transaction of the job's success. Label sets never change, so one
+    comparison of a pair by one code version is enough.
+    """
+
+    __tablename__ = "label_comparisons"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    sequence_id: Mapped[Id] = mapped_column(ForeignKey("sequences.id", ondelete="CASCADE"), index=True)
+    a_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"))
+    b_id: Mapped[Id] = mapped_column(ForeignKey("label_sets.id", ondelete="CASCADE"), index=True)
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id"))
+    code_version: Mapped[str] = mapped_column(String(64))
+    record: Mapped[dict[str, Any] | None] = mapped_column(JSON)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    finished_ns: Mapped[Ns | None]
+
+    __table_args__ = (Index("uq_label_comparisons_pair", "a_id", "b_id", "code_version", unique=True),)
+
+
+# ORM models of imports of published datasets, and the files that their scenes were made into.
+
+
+class DatasetImport(Base):
+    """A dataset that came as one tar, since its import was asked for; `job_id` is the run that imports it, or has.
+
+    `blob_sha256` is the tar while it is needed, from when it was kept until the import has ended well. `classes` is
+    the stated class map, null where labels are numbered as ours; `scenes` (name, frames, splits, region; at the end
+    the sequence and the label set of each) is what the index found, null before. `existing` says what becomes of a
+    scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is new.
+    `finished_ns` is set in the transaction that writes all its sequences.
+    """
+
+    __tablename__ = "dataset_imports"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
+    job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id"), index=True)
+    upload_id: Mapped[Id] = mapped_column(ForeignKey("uploads.id"), unique=True)
+    name: Mapped[str] = mapped_column(String(100))
+    sha256: Mapped[str] = mapped_column(String(64))
+    size_bytes: Mapped[Bytes]
+    blob_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    classes: Mapped[dict[str, Any] | None] = mapped_column(JSON)
+    existing: Mapped[str] = mapped_column(String(8))
+    sets_splits: Mapped[bool] = mapped_column(default=False, server_default=false())
+    facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
+    scenes: Mapped[list[Any] | None] = mapped_column(JSON)
+    created_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    finished_ns: Mapped[Ns | None]
+
+    __table_args__ = (Index("ix_dataset_imports_owner", "owner_id", "id"),)
+
+
+class ImportedFile(Base):
+    """An artefact of a scene that is done, until all are; then it belongs to the label set."""
+
+    __tablename__ = "imported_files"
+    import_id: Mapped[Id] = mapped_column(ForeignKey("dataset_imports.id", ondelete="CASCADE"), primary_key=True)
+    scene: Mapped[int] = mapped_column(primary_key=True, autoincrement=False)
+    name: Mapped[str] = mapped_column(String(128), primary_key=True)
+    media_type: Mapped[str] = mapped_column(String(64))
+    blob_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
+    size_bytes: Mapped[Bytes]

@@ -1,5 +1,7 @@
 """ORM models of append-only ledgers: quotas, the audit log; and stored idempotent replies."""
 
+from typing import Any
+
 from sqlalchemy import JSON, BigInteger, ForeignKey, Index, Integer, LargeBinary, String
 from sqlalchemy.orm import Mapped, mapped_column
 
@@ -67,3 +69,47 @@ class IdempotentReply(Base):
     created_ns: Mapped[Ns] = mapped_column(default=now_ns, index=True)
 
     __table_args__ = (Index("uq_idempotent_replies_user_route_key", "user_id", "route", "key", unique=True),)
+
+
+# ORM model of garbage collection holds.
+
+
+class GcHoldRow(Base):
+    """While `until_ns`, by the database's clock, is to come, no object of the store is deleted.
+
+    Whoever holds puts it off again and again; a holder that died is forgotten by itself.
+    """
+
+    __tablename__ = "gc_holds"
+    id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
+    reason: Mapped[str] = mapped_column(String(128))
+    until_ns: Mapped[Ns] = mapped_column(index=True)
+
+
+# ORM models of telemetry: process counters, chore times, measured figures.
+
+
+class CounterRow(Base):
+    """The counters of one process, `told_ns` by the database's clock; one row is the sum of those folded."""
+
+    __tablename__ = "process_counters"
+    id: Mapped[Id] = mapped_column(primary_key=True)
+    counts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
+    told_ns: Mapped[Ns] = mapped_column(index=True)
+
+
+class ChoreRow(Base):
+    """When a chore of the sweeper was last done, by the database's clock, whichever sweeper did it."""
+
+    __tablename__ = "chores"
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    done_ns: Mapped[Ns]
+
+
+class FigureRow(Base):
+    """A number that takes long to find out, and when it was found out."""
+
+    __tablename__ = "figures"
+    name: Mapped[str] = mapped_column(String(64), primary_key=True)
+    value: Mapped[int] = mapped_column(BigInteger)
+    measured_ns: Mapped[Ns]

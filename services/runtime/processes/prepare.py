@@ -6,7 +6,7 @@ The bucket where there is none, the database brought to the newest schema, the f
 `database.awaited_s` each.
 """
 
-import services.runtime.processes.sound_settings  # noqa: F401
+import services.runtime.processes.startup  # noqa: F401
 
 # isort: split
 
@@ -29,7 +29,7 @@ log = structlog.get_logger(__name__)
 def prepare(settings: Settings) -> None:
     """All three. Raises what `insist`, `upgrade`, `ensure_bucket` and `create_user` raise."""
     if settings.store.s3_bucket:
-        from services.runtime.store.bucket import ensure_bucket
+        from services.runtime.store.s3 import ensure_bucket
 
         is_new = insist(lambda: ensure_bucket(settings.store), settings.database.awaited_s)
         log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)

@@ -3,6 +3,7 @@
 **Conventions.** Waiting is for outages only; what is refused (a newer schema, a wrong password) ends it at once.
 """
 
+import sys
 import time
 from collections.abc import Callable
 from typing import TypeVar
@@ -14,7 +15,8 @@ from services.runtime.database.migrate import current_revision, head_revision, i
 from services.runtime.database.transactions import Database
 from services.runtime.errors import NewerSchemaError
 from services.runtime.settings import Settings
-from stone.errors import PlatformFaultError
+from services.runtime.telemetry.log_lines import speak_json
+from stone.errors import PlatformFaultError, StoneError
 
 PAUSE_S = 1.0
 OUTAGES: tuple[type[Exception], ...] = (OperationalError, PlatformFaultError)
@@ -69,3 +71,17 @@ def _refuse_other_schema(database: Database) -> None:
     if stands and not is_known(stands):
         raise NewerSchemaError(stands, wanted)
     raise SchemaMissingError(stands, wanted)
+
+
+# Importing this ends the process whose settings are refused: one line that says why, exit code 1.
+#
+# **Conventions.** For entry points, before whatever makes something of the settings: Celery's application does when it
+# is loaded.
+
+
+try:
+    Settings()
+except StoneError as refusal:
+    speak_json()
+    structlog.get_logger(__name__).error("not started", code=refusal.code, reason=str(refusal))
+    sys.exit(1)

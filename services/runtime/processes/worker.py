@@ -6,7 +6,7 @@ killed and their jobs queued again, without costing them an attempt. A second SI
 """
 
 import services.runtime.one_thread
-import services.runtime.processes.sound_settings  # noqa: F401
+import services.runtime.processes.startup  # noqa: F401
 
 # isort: split
 
@@ -26,8 +26,8 @@ from celery.signals import worker_shutting_down
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.celery_app import app
 from services.runtime.jobs.claims import worker_name
-from services.runtime.jobs.draining import tell_to_stop
-from services.runtime.jobs.interruption import WORKER_STOPPED, give_back_of
+from services.runtime.jobs.execution import tell_to_stop
+from services.runtime.jobs.lease_sweep import WORKER_STOPPED, give_back_of
 from services.runtime.platform import platform
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings

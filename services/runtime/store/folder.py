@@ -23,8 +23,7 @@ from services.runtime.store.keys import (
     is_key,
 )
 from services.runtime.store.protocol import StoredObject
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import STORE_BYTES
+from services.runtime.telemetry.counters import STORE_BYTES, process_counters
 from stone_files.atomic import flush
 
 PIECE_BYTES = 2**20

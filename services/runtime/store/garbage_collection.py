@@ -20,8 +20,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Base, Blob, Job, LooseObject, UploadPartRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.store.gc_cursor import GcCursor, whole_cursor
-from services.runtime.store.gc_holds import is_gc_held
+from services.runtime.store.gc_holds import GcCursor, is_gc_held, whole_cursor
 from services.runtime.store.protocol import StoredObject
 from services.runtime.store.workspace import Workspace
 

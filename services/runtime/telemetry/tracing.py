@@ -11,11 +11,16 @@ import atexit
 import os
 from collections.abc import Callable, Iterator, Mapping
 from contextlib import contextmanager
-from threading import Thread
+from threading import Lock, Thread
 
-from opentelemetry.context import Context
-from opentelemetry.trace import NoOpTracer, Span, SpanKind, StatusCode, Tracer
+from opentelemetry.context import Context, get_current
+from opentelemetry.trace import INVALID_SPAN, NoOpTracer, Span, SpanKind, StatusCode, Tracer, get_current_span
 from opentelemetry.util.types import AttributeValue
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Job, RecordingFile, Upload
+from services.runtime.telemetry.origins import link_to
 
 ENDPOINTS = ("OTEL_EXPORTER_OTLP_ENDPOINT", "OTEL_EXPORTER_OTLP_TRACES_ENDPOINT")
 CLOSED_WITHIN_S = 3.0
@@ -85,3 +90,47 @@ def mark_failed(span: Span, code: str) -> None:
     """It ended badly, with this code."""
     span.set_attribute("error.type", code)
     span.set_status(StatusCode.ERROR)
+
+
+# Links between traces of consecutive user actions, which may be hours apart.
+#
+#     upload ← recording (register) ← processing (synchronise, label) ← export;  upload ← submission (open, part, join)
+#
+# **Conventions.** A trace is one act of a person with all the jobs it caused; a link goes back to the act before it.
+# Nothing is looked up unless the span is sent.
+
+
+def link_uploads_of(session: Session, recording_id: str) -> None:
+    """What is done now is done to the files of this recording."""
+    if get_current_span().is_recording():
+        of_recording = RecordingFile.recording_id == recording_id
+        sent = select(Upload.traceparent).join(RecordingFile, RecordingFile.upload_id == Upload.id)
+        for traceparent in session.scalars(sent.where(of_recording)):
+            link_to(traceparent)
+
+
+def link_job(session: Session, job_id: str) -> None:
+    """What is done now is done to what this job, or run, has made."""
+    if get_current_span().is_recording():
+        link_to(session.scalar(select(Job.traceparent).where(Job.id == job_id)) or "")
+
+
+# The stages of an attempt as spans within the attempt's, each ended by the next.
+
+
+class StageSpans:
+    """Of the span that is current when this is made; any thread may enter a stage."""
+
+    def __init__(self) -> None:
+        self._within = get_current()
+        self._name, self._lock = "", Lock()
+        self._span: Span = INVALID_SPAN
+
+    def enter(self, name: str) -> None:
+        """From now on it is at `name`, until another is entered; empty: at none."""
+        if name == self._name or not get_current_span(self._within).is_recording():
+            return
+        with self._lock:
+            self._span.end()
+            self._span = tracer().start_span(name, self._within) if name else INVALID_SPAN
+            self._name = name

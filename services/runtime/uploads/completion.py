@@ -7,8 +7,7 @@ bytes; the next look at it, or the sweeper, settles it.
 
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
-from services.runtime.uploads.backend import LockedUpload
-from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.backends import LockedUpload, backend_of
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, UploadStateError
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find, leave, move
 

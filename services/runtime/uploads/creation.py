@@ -5,16 +5,72 @@ the owner has already is not sent again: the new upload is given the same bytes 
 have is never looked at, so nothing can be learnt about it.
 """
 
+import re
+import unicodedata
+from dataclasses import dataclass
+
+from sqlalchemy import ColumnElement, func, literal_column, select
+from sqlalchemy.orm import Session
+
 from services.runtime.access.storage_quota import reserve
-from services.runtime.orm import Upload, new_id
+from services.runtime.orm import SequenceRow, SubmissionRow, TeamMember, Upload, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.settings import Settings
 from services.runtime.uploads.backends import backend_of
-from services.runtime.uploads.declaration import UploadDeclaration
-from services.runtime.uploads.errors import UploadTooLargeError
-from services.runtime.uploads.rows import UploadOwner, expiry_ns
-from services.runtime.uploads.targets import refuse_foreign_target
-from services.runtime.uploads.waiting import hold_draft, refuse_too_many
+from services.runtime.uploads.errors import (
+    BadMetadataError,
+    TooManyUploadsError,
+    TooManyUploadsOfDraftError,
+    UndeclaredUploadError,
+    UploadTargetMissingError,
+    UploadTooLargeError,
+)
+from services.runtime.uploads.rows import UploadOwner, expiry_ns, is_waiting
+
+# The client's declaration of a file to upload, validated.
+#
+# **Conventions.** Everything here comes from outside. Nothing is repaired: a name that needs cleaning is refused, so
+# that what the platform shows is what the owner called it.
+
+
+PURPOSES = ("recording", "calibration", "submission", "ground_truth", "dataset")
+LONGEST_NAME_BYTES = 255
+SHA256 = re.compile(r"[0-9a-f]{64}")
+TARGET = re.compile(r"[A-Za-z0-9_-]{0,64}")
+UNSEEN = ("Cc", "Cf", "Cs", "Co", "Cn", "Zl", "Zp")
+
+
+@dataclass(frozen=True)
+class UploadDeclaration:
+    """A file to come. `sha256` and `target_id` may be empty. Raises `BadMetadataError`."""
+
+    filename: str
+    purpose: str
+    length_bytes: int
+    target_id: str = ""
+    sha256: str = ""
+
+    def __post_init__(self) -> None:
+        check_filename(self.filename)
+        if self.purpose not in PURPOSES:
+            raise BadMetadataError("purpose", self.purpose, f"one of {', '.join(PURPOSES)}")
+        if not TARGET.fullmatch(self.target_id):
+            raise BadMetadataError("target_id", self.target_id, "an id of at most 64 letters, digits, _ and -")
+        if self.sha256 and not SHA256.fullmatch(self.sha256):
+            raise BadMetadataError("sha256", self.sha256, "64 lowercase hex digits")
+
+
+def check_filename(name: str) -> None:
+    """Raises `BadMetadataError` unless it is a plain last component of a path, printable, at most 255 bytes."""
+    if not name.strip() or name in (".", ".."):
+        raise BadMetadataError("filename", name, "the name of a file")
+    if len(name.encode("utf-8", "surrogatepass")) > LONGEST_NAME_BYTES:
+        raise BadMetadataError("filename", name, f"at most {LONGEST_NAME_BYTES} bytes of UTF-8")
+    if "/" in name or "\\" in name:
+        raise BadMetadataError("filename", name, "a name without folders")
+    if any(unicodedata.category(character) in UNSEEN for character in name):
+        raise BadMetadataError("filename", name, "no control, formatting or unassigned characters")
 
 
 def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
@@ -68,3 +124,77 @@ def _row(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) ->
         created_ns=now_ns(),
         expires_ns=expiry_ns(platform),
     )
+
+
+# Checks that an upload's target exists and belongs to its owner.
+#
+# **Conventions.** A recording may name its sequence. A submission names its draft, which announced the very file: so
+# what a phase's frames bound is known before anything comes, and what comes can only be that.
+
+
+SUBMISSION = "submission"
+
+
+def refuse_foreign_target(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
+    """Raises `UploadTargetMissingError`, `UndeclaredUploadError`."""
+    if declared.purpose == SUBMISSION:
+        _refuse_foreign_draft(platform, owner, declared)
+    elif declared.purpose == "recording" and declared.target_id:
+        _refuse_foreign_sequence(platform, owner, declared)
+
+
+def _refuse_foreign_sequence(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
+    """A recording for a sequence that is not there would be found out only after hours of sending."""
+    with platform.database.reading() as session:
+        sequence = session.get(SequenceRow, declared.target_id)
+    is_theirs = sequence is not None and (owner.is_administrator or sequence.owner_id == owner.user_id)
+    if sequence is None or not is_theirs or sequence.deleted_ns is not None:
+        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+
+
+def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
+    """Only for a draft of a team that the owner belongs to, and only the file that it announces."""
+    with platform.database.reading() as session:
+        draft = session.get(SubmissionRow, declared.target_id)
+        is_member = draft is not None and session.get(TeamMember, (draft.team_id, owner.user_id)) is not None
+    if draft is None or not is_member or draft.state != "draft":
+        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+    if declared.length_bytes != draft.size_bytes:
+        raise UndeclaredUploadError("length", declared.length_bytes, draft.size_bytes)
+    if declared.sha256 != draft.declared_sha256:
+        raise UndeclaredUploadError("sha256", declared.sha256, draft.declared_sha256)
+
+
+# Limits on how many uploads may wait: of one owner, and for one draft of a submission.
+#
+# **Conventions.** An upload waits from its creation until it is used or ends, whether its bytes have come or not. It
+# is counted in the transaction that makes it, under the locks of its draft and of its owner, in this order, so that of
+# two at once only one takes the last place. What is overdue counts until it is swept, as its bytes do.
+
+
+def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration) -> None:
+    """Lock the draft that a submission is for, for which one more may wait.
+
+    Raises `UploadTargetMissingError` for one that went or was finalised meanwhile, `TooManyUploadsOfDraftError`.
+    """
+    if declared.purpose != SUBMISSION:
+        return
+    draft = select(SubmissionRow.state).where(SubmissionRow.id == declared.target_id).with_for_update(key_share=True)
+    if session.scalar(draft) != "draft":
+        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+    limit = settings.submissions.draft_waiting
+    if _waiting(session, Upload.target_id == declared.target_id, limit) >= limit:
+        raise TooManyUploadsOfDraftError(declared.target_id, limit)
+
+
+def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) -> None:
+    """The owner, whose row the caller has locked, may have one more. Raises `TooManyUploadsError`."""
+    limit = settings.submissions.participant_waiting if owner.is_participant else settings.uploads.owner_waiting
+    if _waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
+        raise TooManyUploadsError(limit)
+
+
+def _waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
+    """How many of these wait, none counted beyond `most`."""
+    some = select(literal_column("1")).select_from(Upload).where(among, is_waiting()).limit(most).subquery()
+    return session.scalar(select(func.count()).select_from(some)) or 0

@@ -17,9 +17,8 @@ from services.runtime.database.inserts import insert_new
 from services.runtime.orm import Blob, LooseObject, Upload, UploadPartRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.uploads.duplicates import MOST, kept_blob, uploads_like
 from services.runtime.uploads.errors import OffsetMismatchError
-from services.runtime.uploads.rows import WHOLE, expiry_ns, refuse_gone
+from services.runtime.uploads.rows import MOST, WHOLE, expiry_ns, kept_blob, refuse_gone, uploads_like
 
 SLOW_BYTES_PER_S = 2**20
 BATCH = 500

@@ -14,8 +14,7 @@ from dataclasses import dataclass
 from services.runtime.orm import Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.uploads.backend import LockedUpload
-from services.runtime.uploads.backends import backend_of
+from services.runtime.uploads.backends import LockedUpload, backend_of
 from services.runtime.uploads.completion import settle
 from services.runtime.uploads.errors import (
     ChecksumMismatchError,
@@ -24,8 +23,8 @@ from services.runtime.uploads.errors import (
     OverLengthError,
     UploadGoneError,
 )
+from services.runtime.uploads.files import ROLLING
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find_alive, move, refuse_gone
-from services.runtime.uploads.running_hash import ROLLING
 
 ALGORITHMS = ("sha1", "sha256")
 

@@ -29,7 +29,7 @@ from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, CodeChangedError, RestartedTooOftenError
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.runtime.access.storage_quota import QuotaExceededError, balance
-from services.runtime.backup.references import backup_references
+from services.runtime.backup.capture import backup_references
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError

@@ -15,8 +15,8 @@ from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Blob, GroundTruthRow, Job, Upload, UploadPartRow
 from services.runtime.settings import Settings, StoreSettings
+from services.runtime.uploads.backends import StoreUploadBackend
 from services.runtime.uploads.files import remove_file, upload_file
-from services.runtime.uploads.store_backend import StoreUploadBackend
 from stone.scoring.metric import RATIOS
 from testing.servers.fixtures import opened
 from testing.worlds.benchmark_world import World, benchmark_world, run_eval

@@ -12,8 +12,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.uploads import expire
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.rows import UploadOwner
 from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, bring, run_all

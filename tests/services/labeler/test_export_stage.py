@@ -27,7 +27,7 @@ from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.interruption import CRASHED, give_back_running
+from services.runtime.jobs.lease_sweep import CRASHED, give_back_running
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Blob, Export, ExportPack, Job, Recording
 from services.runtime.platform import Platform

@@ -31,9 +31,9 @@ from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Job, JobAttempt, JobLine, JobNeed, LabelledFrameRow, LabelSet
 from services.runtime.platform import Platform
 from services.runtime.processes.worker import FORKED_FROM
-from services.runtime.sandbox import SandboxLimits, fork_client, kept_child
+from services.runtime.sandbox import SandboxLimits, fork_client, job_sandbox
 from services.runtime.sandbox.fork_client import ForkServer
-from services.runtime.sandbox.kept_child import CHILDREN
+from services.runtime.sandbox.job_sandbox import CHILDREN
 from services.runtime.sandbox.parent import SandboxProcess
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from simulator.pipeline import calibration_path
@@ -361,18 +361,18 @@ def test_jobs_that_share_a_child_leave_what_the_command_makes(
     """Catches alone labels that depend on what an earlier job left in the memory of its child, and a child that is kept
     for jobs that read sweeps and was not given the recording when it was begun."""
     begun, given = list[SandboxProcess](), list[SandboxLimits]()
-    begin, begin_kept = SandboxProcess.__init__, kept_child.begun_child
+    begin, begin_kept = SandboxProcess.__init__, job_sandbox.begun_child
 
     def noted(self: SandboxProcess, *of: object) -> None:
         begun.append(self)
         begin(self, *of)  # type: ignore[arg-type]
 
-    def noted_kept(server: ForkServer, run_id: str, limits: SandboxLimits) -> kept_child.RunChild:
+    def noted_kept(server: ForkServer, run_id: str, limits: SandboxLimits) -> job_sandbox.RunChild:
         given.append(limits)
         return begin_kept(server, run_id, limits)
 
     monkeypatch.setattr(SandboxProcess, "__init__", noted)
-    monkeypatch.setattr(kept_child, "begun_child", noted_kept)
+    monkeypatch.setattr(job_sandbox, "begun_child", noted_kept)
     monkeypatch.setattr(fork_client, "_SERVERS", [server])
     settings = make_settings(tmp_path)
     upgrade(settings)

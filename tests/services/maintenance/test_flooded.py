@@ -10,13 +10,13 @@ from services.domain.notifications import spread
 from services.domain.sequences import later_recordings
 from services.maintenance import sweeper
 from services.maintenance.notifications import delivery
-from services.runtime.access import audit_retention, retention
+from services.runtime.access import retention
 from services.runtime.orm import Base
 from services.runtime.platform import Platform
 from services.runtime.settings import RetentionSettings
 from services.runtime.store import garbage_collection
-from services.runtime.store.gc_cursor import GcCursor
-from services.runtime.uploads.sweep_cursor import UploadCursor
+from services.runtime.store.gc_holds import GcCursor
+from services.runtime.uploads.expiry import UploadCursor
 from tests.services.maintenance.flood import NOT_STRANGERS, PARTICULAR, cost_of, flood
 
 SOME, MORE = 250, 750
@@ -42,9 +42,9 @@ CHORES = (
 @pytest.fixture
 def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
     """A platform whose chores take small slices, so that `SOME` rows are many already."""
-    for module in (submission_chores, audit_retention, retention, spread, delivery, later_recordings):
+    for module in (submission_chores, retention, retention, spread, delivery, later_recordings):
         monkeypatch.setattr(module, "AT_A_TIME", SMALL)
-    for module in (audit_retention, retention):
+    for module in (retention, retention):
         monkeypatch.setattr(module, "MOST_TIMES", 2)
     monkeypatch.setattr(garbage_collection, "BATCH", SMALL)
     uploads = partial(UploadCursor, slice_rows=SMALL, slice_files=SMALL)

@@ -16,10 +16,10 @@ from sqlalchemy.exc import OperationalError
 from services.maintenance import sweeper
 from services.maintenance.chore_loops import Chore, ChoreLoop, sweep, sweep_side_by_side
 from services.maintenance.sweeper import beating, loops_of, recorded
-from services.runtime.embedded.programs import environment_of
+from services.runtime.embedded.supervisor import environment_of
 from services.runtime.jobs.claims import claim
 from services.runtime.platform import Platform
-from services.runtime.processes.heartbeat_file import HeartbeatFile, live_processes
+from services.runtime.processes.health_check import HeartbeatFile, live_processes
 from services.runtime.settings import JobSettings
 from testing.stone_serve import until
 from tests.services.runtime.jobs.steps import a_job, an_owner, job

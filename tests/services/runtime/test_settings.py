@@ -14,8 +14,7 @@ from pydantic import SecretStr
 from structlog.testing import capture_logs
 
 from services.runtime.database.transactions import Database
-from services.runtime.oidc.settings import OidcSettings
-from services.runtime.oidc.settings_checks import groups_in
+from services.runtime.oidc.settings import OidcSettings, groups_in
 from services.runtime.platform import open_platform
 from services.runtime.settings import (
     SECRETS_VARIABLE,

@@ -23,7 +23,7 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Context
 from services.runtime.orm import Blob, Job, Phase, PhaseInput, PhaseInputPack
-from services.runtime.store.pack_archive import ExportLocation
+from services.runtime.store.pack_reading import ExportLocation
 
 RUN = "phase.inputs"
 

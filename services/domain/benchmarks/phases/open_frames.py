@@ -24,8 +24,7 @@ from services.domain.datasets.queries import locate_part, open_parts
 from services.domain.viewer.frame_grids import SHOWN_GRIDS, read_grids
 from services.runtime.orm import Dataset, DatasetMember, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
-from services.runtime.store.pack_archive import ExportLocation, stored_files
-from services.runtime.store.pack_reading import file_pieces
+from services.runtime.store.pack_reading import ExportLocation, file_pieces, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
 

@@ -31,8 +31,7 @@ from services.runtime.settings import StoreSettings, SubmissionSettings
 from services.runtime.store import blobs
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.uploads import expire, upload_file
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
 from services.runtime.uploads.rows import UploadOwner
 from stone.errors import StoneError

@@ -20,7 +20,7 @@ from services.ingest import stages as ingest
 from services.labeler import stages as labeler
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.interruption import CRASHED, give_back_running
+from services.runtime.jobs.lease_sweep import CRASHED, give_back_running
 from services.runtime.orm import JobAttempt
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings

@@ -22,7 +22,7 @@ from services.domain.notifications.spread import MOST_TRIES, pause_ns
 from services.maintenance.notifications import checked_connection
 from services.maintenance.notifications.checked_connection import WITHIN_S, judged_addresses
 from services.maintenance.notifications.errors import NotTakenError
-from services.runtime.embedded.programs import environment_of
+from services.runtime.embedded.supervisor import environment_of
 from services.runtime.jobs.control import retry
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.orm import Job, NotificationEvent, Webhook

@@ -6,8 +6,8 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access import login_throttle
 from services.runtime.access.errors import GuessablePasswordError
+from services.runtime.access.passwords import refuse_guessable
 from services.runtime.access.users import change_password, create_user, find_user
-from services.runtime.access.weak_passwords import refuse_guessable
 from services.runtime.orm import FailedSignInRow, SignInAddress
 from services.runtime.platform import Platform
 from testing.threads import at_once

@@ -7,7 +7,7 @@ from sqlalchemy import func, select, text, update
 from sqlalchemy.exc import DatabaseError
 
 from api import audit
-from services.runtime.access import audit_retention, login_throttle, retention, sessions, tokens, users
+from services.runtime.access import login_throttle, retention, sessions, tokens, users
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.errors import LastAdministratorError
 from services.runtime.access.retention import forget_ended
@@ -119,12 +119,12 @@ def subjects(platform: Platform) -> list[str]:
 def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(audit_retention, "AT_A_TIME", 2)
+    monkeypatch.setattr(retention, "AT_A_TIME", 2)
     log(platform, [500, 450, 420, 300, 5])
-    assert audit_retention.cut_audit(keeping(platform, 0)) == 0
-    assert audit_retention.cut_audit(keeping(platform, 400)) == 3
+    assert retention.cut_audit(keeping(platform, 0)) == 0
+    assert retention.cut_audit(keeping(platform, 400)) == 3
     assert subjects(platform) == ["300", "5"]
-    assert audit_retention.cut_audit(keeping(platform, 1)) == 1, "nothing younger than 90 days goes"
+    assert retention.cut_audit(keeping(platform, 1)) == 1, "nothing younger than 90 days goes"
     log(platform, [0])
     assert subjects(platform) == ["5", "0"]
     with platform.database.reading() as session:
@@ -132,16 +132,16 @@ def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
 
 
 def test_a_long_log_is_cut_some_lines_a_turn(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audit_retention, "AT_A_TIME", 1)
-    monkeypatch.setattr(audit_retention, "MOST_TIMES", 2)
+    monkeypatch.setattr(retention, "AT_A_TIME", 1)
+    monkeypatch.setattr(retention, "MOST_TIMES", 2)
     log(platform, [500, 450, 420, 5])
-    assert [audit_retention.cut_audit(keeping(platform, 400)) for _ in range(3)] == [2, 1, 0]
+    assert [retention.cut_audit(keeping(platform, 400)) for _ in range(3)] == [2, 1, 0]
     assert subjects(platform) == ["5"]
 
 
 def test_a_log_that_is_all_old_goes_on_from_its_anchor(platform: Platform) -> None:
     log(platform, [500, 400])
-    assert audit_retention.cut_audit(keeping(platform, 100)) == 2
+    assert retention.cut_audit(keeping(platform, 100)) == 2
     assert subjects(platform) == []
     log(platform, [0])
     assert subjects(platform) == ["0"]
@@ -158,7 +158,7 @@ def test_a_log_that_is_all_old_goes_on_from_its_anchor(platform: Platform) -> No
 )
 def test_the_database_lets_no_line_go_beyond_an_anchor(platform_on: Platform, act: str) -> None:
     log(platform_on, [500, 5])
-    audit_retention.cut_audit(keeping(platform_on, 400))
+    retention.cut_audit(keeping(platform_on, 400))
     with pytest.raises(DatabaseError, match="append-only"), platform_on.database.transaction() as session:
         session.execute(text(act))
     assert subjects(platform_on) == ["5"]

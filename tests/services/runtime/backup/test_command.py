@@ -9,8 +9,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from services.runtime.backup.__main__ import main
-from services.runtime.backup.copy_text import Kind, kind_of, line_of, lines_of, row_of
-from services.runtime.embedded.folder_lock import hold_folder
+from services.runtime.backup.tables import Kind, kind_of, line_of, lines_of, row_of
+from services.runtime.embedded.listen_socket import hold_folder
 from services.runtime.orm import Base
 from services.runtime.platform import Platform
 from tests.services.runtime.backup.laid import Laid, lay, objects_of

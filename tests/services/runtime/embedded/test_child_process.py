@@ -14,11 +14,9 @@ import psutil
 import pytest
 from redis import AuthenticationError, Redis
 
-from services.runtime.embedded.child_process import Child, Program
+from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large, last_words
 from services.runtime.embedded.errors import AlreadyServingError, PortTakenError
-from services.runtime.embedded.folder_lock import LOCK, hold_folder
-from services.runtime.embedded.listen_socket import listen, local_url, reached_at
-from services.runtime.embedded.logs import KEPT, cut_if_large, last_words
+from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
 from services.runtime.embedded.redis_child import Broker, start_redis
 from services.runtime.settings import ApiSettings
 from testing.process_states import is_running

@@ -12,7 +12,7 @@ from kombu.utils.imports import symbol_by_name
 from redis import Redis
 from redis.exceptions import ConnectionError as RedisConnectionError
 
-from services.runtime.jobs import broker_credit
+from services.runtime.jobs import celery_app
 from services.runtime.jobs.broker_app import make_app
 from services.runtime.jobs.celery_app import app
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
@@ -48,7 +48,7 @@ def channel(redis_url: str) -> Iterator[redis.Channel]:
 
 def full(channel: redis.Channel) -> redis.QoS:
     """With room for one wake-up, and one in it."""
-    held = broker_credit.WakeUpQoS(channel, 1)
+    held = celery_app.WakeUpQoS(channel, 1)
     held.restore_at_shutdown = False
     held.append(Mock(delivery_info={"exchange": "", "routing_key": "ingest"}, _raw={}), "tag")
     assert not held.can_consume()
@@ -79,7 +79,7 @@ def test_an_acknowledgement_that_is_heard_frees_room_once(channel: redis.Channel
 
 def test_workers_hold_wake_ups_so() -> None:
     assert app.tasks is not None
-    assert redis.Channel.QoS is broker_credit.WakeUpQoS
+    assert redis.Channel.QoS is celery_app.WakeUpQoS
 
 
 def test_whoever_takes_a_job_without_a_wake_up_takes_one_back(redis_url: str, tmp_path: Path) -> None:

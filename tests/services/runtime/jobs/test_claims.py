@@ -16,10 +16,9 @@ from sqlalchemy.orm import Session
 
 from benchmarks.rows.plans import explained, taken_down
 from services.runtime.jobs import execution
-from services.runtime.jobs.claims import claim
+from services.runtime.jobs.claims import claim, owners_waiting
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.execution import run_next, run_row
-from services.runtime.jobs.readiness import owners_waiting
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import Job, User
 from services.runtime.orm.base import new_id

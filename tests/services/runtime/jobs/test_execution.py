@@ -12,7 +12,7 @@ from services.runtime.jobs import completion
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.control import cancel, retry, terminate
 from services.runtime.jobs.errors import JobStateError
-from services.runtime.jobs.reporter import Reporter
+from services.runtime.jobs.execution import Reporter
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import JobAttempt, JobLine, User
 from services.runtime.platform import Platform

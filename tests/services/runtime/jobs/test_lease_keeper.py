@@ -13,20 +13,25 @@ import pytest
 from sqlalchemy import select
 
 from services.runtime.jobs import lease_keeper
-from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, progress_now
+from services.runtime.jobs.attempt_lines import AttemptLine, AttemptWords, progress_now
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel
-from services.runtime.jobs.lease_keeper import LeaseKeeper, start_keeper
-from services.runtime.jobs.lease_line import LeaseLine, LeaseNotRenewedError, PresenceLine, opened
-from services.runtime.jobs.lease_messages import message_of
+from services.runtime.jobs.lease_keeper import (
+    LeaseKeeper,
+    LeaseLine,
+    LeaseNotRenewedError,
+    PresenceLine,
+    ProcessPresence,
+    message_of,
+    opened,
+    start_keeper,
+)
 from services.runtime.jobs.leases import LeaseAnswer
-from services.runtime.jobs.presence_rows import ProcessPresence
 from services.runtime.jobs.worker_presence import WorkerHeartbeat
 from services.runtime.orm import CounterRow, Worker
 from services.runtime.platform import Platform
 from services.runtime.telemetry.counter_rows import counters_of_all_processes
-from services.runtime.telemetry.counters import process_counters
-from services.runtime.telemetry.metric_names import LEASES_EXPIRED
+from services.runtime.telemetry.counters import LEASES_EXPIRED, process_counters
 from testing.process_states import is_running
 from tests.services.runtime.jobs.outages import GONE, Away
 from tests.services.runtime.jobs.steps import a_job, an_owner, job

@@ -9,8 +9,7 @@ from services.runtime.database.transactions import Database
 from services.runtime.jobs import claims
 from services.runtime.jobs.control import cancel, set_mode
 from services.runtime.jobs.enqueue import enqueue
-from services.runtime.jobs.interruption import CRASHED, STOPPED, give_back_running
-from services.runtime.jobs.lease_sweep import Sweeper, lose_silent
+from services.runtime.jobs.lease_sweep import CRASHED, STOPPED, Sweeper, give_back_running, lose_silent
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Job, JobAttempt, base
 from services.runtime.platform import Platform

@@ -10,12 +10,12 @@ from sqlalchemy import event, select
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from sqlalchemy.orm import Session
 
-from services.runtime.jobs.attempt_words import AttemptLine, AttemptWords, progress_now
+from services.runtime.jobs.attempt_lines import AttemptLine, AttemptWords, progress_now
 from services.runtime.jobs.claims import Claim, claim
 from services.runtime.jobs.completion import Failure, lose
 from services.runtime.jobs.control import cancel
+from services.runtime.jobs.execution import Reporter
 from services.runtime.jobs.leases import LeaseAnswer, renew
-from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import Job, JobLine
 from services.runtime.platform import Platform

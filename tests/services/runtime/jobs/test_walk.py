@@ -10,7 +10,7 @@ from dataclasses import dataclass
 import pytest
 
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
-from services.runtime.jobs.reporter import Reporter
+from services.runtime.jobs.execution import Reporter
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
 from services.runtime.orm import User
 from services.runtime.platform import Platform
@@ -57,7 +57,7 @@ def prepared(settings: Settings, monkeypatch: pytest.MonkeyPatch) -> Callable[[s
                 enqueue(session, JobSpec("ingest.ok"), Context(owner.id), MOST_ATTEMPTS)
         walked = Walk(Memory(platform), LostAnswers(platform, monkeypatch), then)
         monkeypatch.setattr(Reporter, "_end_process", lambda reporter, reason: walked.ended.append(reason))
-        monkeypatch.setattr("services.runtime.jobs.reporter.log.warning", lambda *_, **__: None)
+        monkeypatch.setattr("services.runtime.jobs.execution.log.warning", lambda *_, **__: None)
         return Prepared(walked)
 
     return prepare

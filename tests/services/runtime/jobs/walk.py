@@ -22,8 +22,8 @@ from services.runtime.jobs import completion, control
 from services.runtime.jobs.claims import Claim, claim, start_run
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.execution import Reporter
 from services.runtime.jobs.lease_sweep import lose_silent
-from services.runtime.jobs.reporter import Reporter
 from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.orm import Base, FigureRow, Job, JobAttempt, JobLine
 from services.runtime.orm.base import now_ns

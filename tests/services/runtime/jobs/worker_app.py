@@ -5,8 +5,7 @@ from pathlib import Path
 
 import services.runtime.processes.worker  # noqa: F401  # it drains as a deployed one does
 from services.runtime.jobs.broker_app import make_app
-from services.runtime.jobs.draining import takes_jobs
-from services.runtime.jobs.execution import run_row
+from services.runtime.jobs.execution import run_row, takes_jobs
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.platform import platform
 from services.runtime.settings import Settings

@@ -10,7 +10,7 @@ from services.runtime.access.erasure import erase_user
 from services.runtime.access.errors import LastAdministratorError
 from services.runtime.oidc.accounts import AdmittedUser, admit, role_of
 from services.runtime.oidc.errors import NotAdmittedError, ShutOutError
-from services.runtime.oidc.id_tokens import VerifiedIdentity
+from services.runtime.oidc.provider import VerifiedIdentity
 from services.runtime.oidc.settings import OidcSettings
 from services.runtime.orm import ExternalIdentity, User
 from services.runtime.platform import Platform

@@ -13,7 +13,7 @@ from joserfc import jwt
 from joserfc.jwk import ECKey, KeySet, RSAKey
 
 from services.runtime.oidc.errors import IdTokenRefusedError
-from services.runtime.oidc.id_tokens import TokenExpectation, VerifiedIdentity, verified
+from services.runtime.oidc.provider import TokenExpectation, VerifiedIdentity, verified
 
 ISSUER, CLIENT, NONCE, NOW_S = "https://id.lab.example", "stone", "n-1", 1_800_000_000.0
 RSA = RSAKey.generate_key(2048, {"kid": "rsa"})

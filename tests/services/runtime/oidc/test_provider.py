@@ -13,7 +13,6 @@ import pytest
 from pydantic import SecretStr
 
 from services.runtime.oidc import metadata
-from services.runtime.oidc.bounded_http import LONGEST_BYTES
 from services.runtime.oidc.errors import (
     IdTokenRefusedError,
     NoProviderError,
@@ -22,6 +21,7 @@ from services.runtime.oidc.errors import (
     ProviderRefusedError,
     SignInStateError,
 )
+from services.runtime.oidc.metadata import LONGEST_BYTES
 from services.runtime.oidc.provider import AT_ONCE, CodeAnswer, CodeRequest, Provider
 from services.runtime.oidc.settings import OidcSettings
 from testing.servers.forging_provider import Answer, ForgingProvider, as_json, forging_provider, signing_key

@@ -9,12 +9,11 @@ from pathlib import Path
 import pytest
 
 from services.runtime.platform import Platform
-from services.runtime.processes.health_check import refusal, silence
-from services.runtime.processes.heartbeat_file import FOLDER, HeartbeatFile, live_processes
+from services.runtime.processes.health_check import FOLDER, HeartbeatFile, live_processes, refusal, silence
 from testing.api.serving import serving
 
 HOUR_S = 3600.0
-BEATING = "import sys; from pathlib import Path; from services.runtime.processes.heartbeat_file import HeartbeatFile; "
+BEATING = "import sys; from pathlib import Path; from services.runtime.processes.health_check import HeartbeatFile; "
 BEATING += "HeartbeatFile(Path(sys.argv[1])).beat(); print('beat', flush=True); sys.stdin.read()"
 
 

@@ -26,9 +26,8 @@ from services.runtime.processes.startup import SchemaMissingError, await_schema,
 from services.runtime.processes.worker import FORKED_FROM
 from services.runtime.settings import ApiSettings, DatabaseSettings, Settings
 from services.runtime.store import s3
-from services.runtime.store.bucket import ensure_bucket
 from services.runtime.store.keys import StoreAwayError
-from services.runtime.store.s3 import client_of
+from services.runtime.store.s3 import client_of, ensure_bucket
 from stone.errors import PlatformFaultError
 from testing.servers.fixtures import make_settings
 from testing.servers.postgres import PostgresServer

@@ -13,10 +13,10 @@ from pathlib import Path
 import pytest
 import structlog
 
-from services.runtime.sandbox import SandboxLimits, landlock, parent, sandboxed, seccomp
+from services.runtime.sandbox import SandboxLimits, fences, parent, sandboxed, seccomp
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fences import enter_sandbox
-from services.runtime.sandbox.syscalls import NUMBERS
+from services.runtime.sandbox.seccomp import NUMBERS
 
 Attack = Callable[[Path], object]
 LIBC = ctypes.CDLL(None, use_errno=True)
@@ -28,7 +28,7 @@ def has_seccomp() -> bool:
 
 
 needs_seccomp = pytest.mark.skipif(not has_seccomp(), reason="this kernel or its container takes no seccomp filter")
-needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+needs_landlock = pytest.mark.skipif(fences.version() == 0, reason="this kernel has no Landlock")
 
 
 def system_call(name: str, *arguments: int) -> int:

@@ -12,7 +12,7 @@ from secrets import token_hex
 
 import pytest
 
-from services.runtime.sandbox import SandboxLimits, fork_client, landlock, sandboxed
+from services.runtime.sandbox import SandboxLimits, fences, fork_client, sandboxed
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fork_client import ForkServer, harmless
 from services.runtime.telemetry.process_usage import used_cpu_s
@@ -33,7 +33,7 @@ told = Path(sys.argv[1])
 use_fork_server([spies.__name__])
 sandboxed(partial(spies.sleep, told), SandboxLimits(folder=told.parent, file_bytes=100))
 """
-needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+needs_landlock = pytest.mark.skipif(fences.version() == 0, reason="this kernel has no Landlock")
 
 
 @pytest.fixture(scope="module")

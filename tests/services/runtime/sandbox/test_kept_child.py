@@ -12,11 +12,10 @@ from pathlib import Path
 import pytest
 
 from services.runtime.orm import Job
-from services.runtime.sandbox import SandboxLimits, SandboxWatch, fork_client, kept_child, landlock
+from services.runtime.sandbox import SandboxLimits, SandboxWatch, fences, fork_client, job_sandbox
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fork_client import ForkServer
-from services.runtime.sandbox.job_sandbox import JobSandbox
-from services.runtime.sandbox.kept_child import CHILDREN, RunWork, sandboxed_in_run
+from services.runtime.sandbox.job_sandbox import CHILDREN, JobSandbox, RunWork, sandboxed_in_run
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.errors import StoneError
 from stone_submissions.errors import CorruptError
@@ -35,7 +34,7 @@ from services.runtime.orm import Job
 from services.runtime.sandbox import SandboxLimits, UNWATCHED
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.sandbox.job_sandbox import JobSandbox
-from services.runtime.sandbox.kept_child import RunWork, sandboxed_in_run
+from services.runtime.sandbox.job_sandbox import RunWork, sandboxed_in_run
 from testing.threads import at_once
 from testing.worlds.runs import Said
 from tests.services.runtime.sandbox import spies
@@ -44,7 +43,7 @@ work = partial(spies.without_progress, spies.pid)
 print(sandboxed_in_run(RunWork("1" * 32, work, SandboxLimits(), UNWATCHED)).decode(), flush=True)
 sys.stdin.readline()
 """
-needs_landlock = pytest.mark.skipif(landlock.version() == 0, reason="this kernel has no Landlock")
+needs_landlock = pytest.mark.skipif(fences.version() == 0, reason="this kernel has no Landlock")
 
 
 @pytest.fixture(scope="module")
@@ -161,7 +160,7 @@ def test_a_later_job_has_the_wall_time_of_any_and_no_more(tmp_path: Path) -> Non
 
 def test_a_later_job_has_the_processor_time_of_any_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches alone a kept child whose jobs take from each other's processor time, or have no limit of their own."""
-    monkeypatch.setattr(kept_child, "MOST_USED_S", 1)
+    monkeypatch.setattr(job_sandbox, "MOST_USED_S", 1)
     limits = SandboxLimits(cpu_s=1)
     first = asked(partial(spies.spin, 0.5), limits=limits)
     assert asked(partial(spies.spin, 0.7), limits=limits) == first
@@ -179,14 +178,14 @@ def test_a_later_job_has_the_memory_of_any_and_no_more() -> None:
 
 
 def test_a_child_that_holds_much_is_not_kept(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_child, "MOST_HELD_BYTES", 0)
+    monkeypatch.setattr(job_sandbox, "MOST_HELD_BYTES", 0)
     first = asked(spies.pid)
     assert not is_running(int(first))
     assert asked(spies.pid) != first
 
 
 def test_an_idle_child_is_ended(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(kept_child, "IDLE_S", 0.01)
+    monkeypatch.setattr(job_sandbox, "IDLE_S", 0.01)
     first = asked(spies.pid)
     until(lambda: not is_running(int(first)))
     assert asked(spies.pid) != first
@@ -239,7 +238,7 @@ def test_a_job_that_shares_no_child_waits_for_none_beside_it(tmp_path: Path) -> 
 
 def test_work_of_many_bytes_has_a_child_of_its_own() -> None:
     first = asked(spies.pid)
-    assert asked(partial(spies.answer_of, b"x" * 2 * kept_child.LONGEST_BYTES)) != first
+    assert asked(partial(spies.answer_of, b"x" * 2 * job_sandbox.LONGEST_BYTES)) != first
     assert asked(spies.pid) == first
 
 

@@ -10,8 +10,7 @@ from services.runtime.platform import Platform
 from services.runtime.store import garbage_collection
 from services.runtime.store.blobs import keep
 from services.runtime.store.garbage_collection import BLOBS, UPLOADS, collect_garbage
-from services.runtime.store.gc_cursor import SHARDS, GcCursor
-from services.runtime.store.gc_holds import GcHoldLostError, gc_hold, is_gc_held
+from services.runtime.store.gc_holds import SHARDS, GcCursor, GcHoldLostError, gc_hold, is_gc_held
 from services.runtime.store.workspace import Workspace
 from tests.services.runtime.store.test_blobs import keys_of
 

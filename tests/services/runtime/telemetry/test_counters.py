@@ -8,8 +8,7 @@ from sqlalchemy import func, select
 from services.runtime.orm import CounterRow
 from services.runtime.platform import Platform
 from services.runtime.telemetry.counter_rows import CounterWriter, counters_of_all_processes, fold
-from services.runtime.telemetry.counters import Counts, ProcessCounters, less, summed
-from services.runtime.telemetry.metric_names import FRAMES, JOB_SECONDS
+from services.runtime.telemetry.counters import FRAMES, JOB_SECONDS, Counts, ProcessCounters, less, summed
 from testing.threads import at_once
 
 counts = st.dictionaries(

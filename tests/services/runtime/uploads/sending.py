@@ -6,8 +6,7 @@ from pathlib import Path
 from services.runtime.orm import Upload, User
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.files import offset_of
 from services.runtime.uploads.part_rows import upload_parts_of
 from services.runtime.uploads.reception import Checksum, UploadChunk, UploadReceiver, receive

@@ -21,9 +21,9 @@ from services.runtime.uploads.errors import (
     UploadTargetMissingError,
     UploadTooLargeError,
 )
+from services.runtime.uploads.expiry import UploadCursor
 from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import find
-from services.runtime.uploads.sweep_cursor import UploadCursor
 from testing.servers.fixtures import having
 from testing.threads import granted
 from testing.worlds.rows import recording_of

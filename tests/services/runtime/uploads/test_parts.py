@@ -18,7 +18,7 @@ from services.runtime.store.factory import open_store
 from services.runtime.store.folder import FolderStore
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.store.keys import StoreFullError
-from services.runtime.uploads import expire, part_writer, running_hash
+from services.runtime.uploads import expire, files, part_writer
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.completion import bytes_here, terminate
 from services.runtime.uploads.errors import DiskFullError, OffsetMismatchError, TooManyUploadPartsError, UploadGoneError
@@ -289,9 +289,7 @@ def test_on_s3_an_upload_comes_in_is_hashed_read_and_given_up(
     worker = another_machine(on_s3, tmp_path / "worker")
     upload = made(on_s3, make_owner(on_s3), CONTENT, sha256=sha256_of(CONTENT))
     send(on_s3, upload, 0, CONTENT[:4500])
-    monkeypatch.setattr(
-        "services.runtime.uploads.reception.ROLLING", running_hash.RollingHashes()
-    )  # another replica's turn
+    monkeypatch.setattr("services.runtime.uploads.reception.ROLLING", files.RollingHashes())  # another replica's turn
     assert send(on_s3, upload, 4500, CONTENT[4500:]).sha256 == sha256_of(CONTENT)
     assert len(all_objects(on_s3)) == 5 + 6
     with backend_of(worker, upload).local(upload) as path:

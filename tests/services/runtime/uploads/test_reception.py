@@ -11,9 +11,9 @@ import pytest
 from services.runtime.access.storage_quota import balance
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
-from services.runtime.uploads import expire, running_hash, upload_file
+from services.runtime.uploads import expire, files, upload_file
 from services.runtime.uploads.completion import bytes_here, settle_if_whole, terminate
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration
 from services.runtime.uploads.errors import (
     BadMetadataError,
     ChecksumMismatchError,
@@ -149,12 +149,12 @@ def test_the_hash_of_the_whole_does_not_depend_on_the_pieces(placed: Platform, p
 def test_another_process_finishes_what_the_first_began(placed: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     upload = made(placed, make_owner(placed), CONTENT, sha256=sha256_of(CONTENT))
     send(placed, upload, 0, CONTENT[:100])
-    monkeypatch.setattr("services.runtime.uploads.reception.ROLLING", running_hash.RollingHashes())
+    monkeypatch.setattr("services.runtime.uploads.reception.ROLLING", files.RollingHashes())
     assert send(placed, upload, 100, CONTENT[100:]).state == "complete"
 
 
 def test_a_hash_state_of_another_offset_is_not_used() -> None:
-    rolling = running_hash.RollingHashes(capacity=1)
+    rolling = files.RollingHashes(capacity=1)
     rolling.keep("a", 10, hashlib.sha256(b"0123456789"))
     assert rolling.take("a", 11) is None
     rolling.keep("a", 10, hashlib.sha256(b"0123456789"))

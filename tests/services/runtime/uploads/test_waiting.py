@@ -17,8 +17,7 @@ from services.runtime.settings import SubmissionSettings, UploadSettings
 from services.runtime.store import blobs
 from services.runtime.uploads import consume, upload_file
 from services.runtime.uploads.completion import terminate
-from services.runtime.uploads.creation import create
-from services.runtime.uploads.declaration import UploadDeclaration
+from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.errors import (
     TooManyUploadsError,
     TooManyUploadsOfDraftError,
