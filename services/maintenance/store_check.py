@@ -5,20 +5,165 @@ docs/operations/lost-objects.md.
 when nothing is lost (any more), 1 when something is, or when the store does not answer.
 """
 
-import services.runtime.processes.startup  # noqa: F401
-
-# isort: split
-
 import argparse
+import hashlib
 import json
+import os
 import sys
-from dataclasses import asdict
+from collections.abc import Iterator, Sequence
+from concurrent.futures import ThreadPoolExecutor
+from dataclasses import asdict, dataclass
 from pathlib import Path
 
-from services.maintenance.store_repair import DamagedBlob, damaged_blobs, forget_derived, restore_objects
+from sqlalchemy import Select, delete, exists, select
+from sqlalchemy.orm import Session
+
+import services.runtime.processes.startup  # noqa: F401
+from services.domain.sequences.processing import lock_sequence
+from services.runtime.access import storage_quota
+from services.runtime.orm import Artefact, Base, Blob, Export, ExportPack, LabelSet
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.store.protocol import Store
 from stone.errors import StoneError
+
+# Repair of the store: finds damaged or missing objects, restores them from files, or drops what named them.
+# what was made of them forgotten so that it is made again.
+#
+# **Conventions.** A row's word counts: `sha256` and `size_bytes` of a blob say what its object has to be. Finding
+# changes nothing and may run beside everything. What is put back is known by its content, never by a name. What is
+# made again of a recording is the same bit for bit, so versions and scores that name its content are repaired with it.
+
+
+AT_A_TIME = 500
+ASKED_AT_ONCE = 8
+
+
+@dataclass(frozen=True)
+class DamagedBlob:
+    """A blob whose object is `missing`, has another `size` or other `bytes`; `named_by` are tables that need it."""
+
+    sha256: str
+    object_key: str
+    size_bytes: int
+    fault: str
+    named_by: tuple[str, ...]
+
+
+def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[DamagedBlob]:
+    """Every blob whose object is not as its row says; with `is_read` all bytes are read and compared."""
+    after = ""
+    with ThreadPoolExecutor(ASKED_AT_ONCE) as pool:
+        while blobs := _blobs_after(platform, after):
+            after = blobs[-1].sha256
+            faults = pool.map(lambda blob: fault_of(platform.store, blob, is_read=is_read), blobs)
+            for blob, fault in zip(blobs, list(faults), strict=True):
+                if fault:
+                    yield from _still_named(platform, blob, fault)
+
+
+def fault_of(store: Store, blob: Blob, *, is_read: bool = False) -> str:
+    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing. Raises `StoreAwayError`."""
+    try:
+        if store.size_bytes(blob.object_key) != blob.size_bytes:
+            return "size"
+        if not is_read:
+            return ""
+        found = hashlib.sha256()
+        for piece in store.read(blob.object_key):
+            found.update(piece)
+        return "" if found.hexdigest() == blob.sha256 else "bytes"
+    except ObjectMissingError:
+        return "missing"
+
+
+def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Path) -> list[DamagedBlob]:
+    """Store again what a file below `folder` has the content of; what was put back. Raises `StoreFullError`."""
+    missing = {one.sha256: one for one in lost}
+    back = []
+    for path in _files(folder, {one.size_bytes for one in lost}):
+        with path.open("rb") as file:
+            one = missing.pop(hashlib.file_digest(file, "sha256").hexdigest(), None)
+        if one is not None:
+            platform.store.write(one.object_key, path)
+            back.append(one)
+    return back
+
+
+def forget_derived(platform: Platform, lost: Sequence[DamagedBlob]) -> int:
+    """Forget label sets and exports that have lost something; how many. Asked for again, they are made again.
+
+    With a label set its exports go. Recordings stay, and what versions, phases and submissions hold by content.
+    """
+    gone = {one.sha256 for one in lost}
+    forgotten = 0
+    for sequence_id in _sequences_with(platform, gone):
+        with platform.database.transaction() as session:
+            forgotten += _forget(session, lock_sequence(session, sequence_id).id, gone)
+    return forgotten
+
+
+def _forget(session: Session, sequence_id: str, gone: set[str]) -> int:
+    label_sets = set(session.scalars(_labels_with(gone).where(LabelSet.sequence_id == sequence_id)))
+    packed = select(ExportPack.export_id).where(ExportPack.blob_sha256.in_(gone))
+    doomed = (Export.label_set_id.in_(label_sets)) | Export.index_sha256.in_(gone) | Export.id.in_(packed)
+    exports = session.scalars(select(Export.id).where(Export.sequence_id == sequence_id, doomed)).all()
+    for export_id in exports:
+        storage_quota.release(session, export_id, "its bytes were lost")
+    session.execute(delete(Export).where(Export.id.in_(exports)))
+    session.execute(delete(LabelSet).where(LabelSet.id.in_(label_sets)))
+    return len(exports) + len(label_sets)
+
+
+def _labels_with(gone: set[str]) -> Select[str]:
+    return select(LabelSet.id).where(
+        exists().where(Artefact.label_set_id == LabelSet.id, Artefact.blob_sha256.in_(gone))
+    )
+
+
+def _sequences_with(platform: Platform, gone: set[str]) -> list[str]:
+    """Sequences that have lost something that was made."""
+    with platform.database.reading() as session:
+        labelled = select(LabelSet.sequence_id).where(LabelSet.id.in_(_labels_with(gone)))
+        packed = select(ExportPack.export_id).where(ExportPack.blob_sha256.in_(gone))
+        exported = select(Export.sequence_id).where(Export.index_sha256.in_(gone) | Export.id.in_(packed))
+        return sorted({*session.scalars(labelled), *session.scalars(exported)})
+
+
+def _blobs_after(platform: Platform, after: str) -> Sequence[Blob]:
+    with platform.database.reading() as session:
+        some = select(Blob).where(Blob.sha256 > after).order_by(Blob.sha256).limit(AT_A_TIME)
+        return session.scalars(some).all()
+
+
+def _still_named(platform: Platform, blob: Blob, fault: str) -> Iterator[DamagedBlob]:
+    """Unless garbage collection took it meanwhile."""
+    with platform.database.reading() as session:
+        if session.scalar(select(Blob.object_key).where(Blob.sha256 == blob.sha256)) != blob.object_key:
+            return
+        yield DamagedBlob(blob.sha256, blob.object_key, blob.size_bytes, fault, tuple(_named_by(session, blob.sha256)))
+
+
+def _named_by(session: Session, sha256: str) -> Iterator[str]:
+    for table in Base.metadata.sorted_tables:
+        keys = [
+            column for column in table.columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)
+        ]
+        if any(session.scalar(select(exists().where(column == sha256))) for column in keys):
+            yield table.name
+
+
+def _files(folder: Path, sizes: set[int]) -> Iterator[Path]:
+    """Regular files of one of these sizes, links not followed."""
+    for above, _, names in os.walk(folder):
+        for name in sorted(names):
+            path = Path(above) / name
+            if not path.is_symlink() and path.is_file() and path.stat().st_size in sizes:
+                yield path
+
+
+# isort: split
 
 
 def main(arguments: list[str] | None = None) -> int:

@@ -3,7 +3,7 @@
 import httpx
 
 from services.domain.notifications.email_addresses import new_secret
-from services.maintenance.notifications.errors import UnknownDeliveryError
+from services.maintenance.notifications.channels import UnknownDeliveryError
 from services.runtime.jobs.control import retry
 from services.runtime.orm import EmailAddress, Job, NotificationDelivery
 from services.runtime.platform import Platform

@@ -1,7 +1,7 @@
 """Which URLs and which Internet addresses webhooks are sent to.
 
 **Conventions.** A URL is anybody's who has an account. What it resolves to is judged when it is connected to, and the
-judged address is what is connected to (`services/maintenance/notifications/checked_connection.py`): a name that
+judged address is what is connected to (`services/maintenance/notifications/channels.py`): a name that
 resolves otherwise a moment later leads nowhere else. Allowed are globally reachable unicast addresses (IANA special
 purpose registries, RFC 6890), but none that carries an IPv4 address within IPv6; and those of networks that the
 administrator names.

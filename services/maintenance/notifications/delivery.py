@@ -6,21 +6,105 @@ is a job that succeeded in saying so, and the delivery waits for the next one; o
 failed job, the dashboard's dead letter. Its retry is one more try.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+from datetime import UTC, datetime
 from functools import partial
 
 from sqlalchemy.orm import Session
 
+from services.domain.notifications.audience import is_to_be_told
+from services.domain.notifications.email_addresses import new_secret
+from services.domain.notifications.messages import EventWords, message_of
 from services.domain.notifications.spread import DELIVER, QUEUE, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
-from services.maintenance.notifications.errors import DeliveryFailedError, NotTakenError, UnknownDeliveryError
-from services.maintenance.notifications.prepared import PreparedDelivery, prepared
+from services.maintenance.notifications.channels import (
+    DeliveryFailedError,
+    Letter,
+    NotTakenError,
+    UnknownDeliveryError,
+    WebhookTarget,
+    send_email,
+    send_webhook,
+)
 from services.runtime.jobs.claims import wake_ups_wanted
 from services.runtime.jobs.control import give_up
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
-from services.runtime.orm import NotificationDelivery
+from services.runtime.notifications.events import EMAIL_VERIFICATION
+from services.runtime.orm import EmailAddress, NotificationDelivery, NotificationEvent, Webhook
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.settings import Settings
+
+# A delivery made ready to be sent: judged and worded by the database as it is now.
+#
+# **Conventions.** Part of the caller's transaction; what is sent is sent after it.
+
+
+SETTINGS_PATH = "/account#notifications"
+
+
+@dataclass(frozen=True)
+class PreparedDelivery:
+    """`send` sends it and says how it was answered, or raises `NotTakenError`; `webhook_url` is empty for e-mail."""
+
+    send: Callable[[], str]
+    webhook_url: str = ""
+
+
+def prepared(session: Session, row: NotificationDelivery, settings: Settings) -> PreparedDelivery | str:
+    """The delivery ready to be sent, or why it is not to be sent at all."""
+    event = session.get_one(NotificationEvent, row.event_id)
+    if not is_to_be_told(session, event, row.user_id, row.channel):
+        return "not sent: preferences changed, account deactivated, or no longer in the team"
+    message = message_of(session, event)
+    if message is None:
+        return "what it tells of is gone"
+    if row.channel == "webhook":
+        return _by_webhook(session, row, _letter(row, event, message, settings), settings)
+    return _by_email(session, row, event, message, settings)
+
+
+def _by_webhook(
+    session: Session, row: NotificationDelivery, letter: Letter, settings: Settings
+) -> PreparedDelivery | str:
+    webhook = session.get(Webhook, row.user_id)
+    if webhook is None or webhook.disabled_ns is not None:
+        return "there is no webhook, or it is switched off"
+    target = WebhookTarget(webhook.url, webhook.secret)
+    return PreparedDelivery(lambda: send_webhook(target, letter, settings.notifications), webhook.url)
+
+
+def _by_email(
+    session: Session, row: NotificationDelivery, event: NotificationEvent, message: EventWords, settings: Settings
+) -> PreparedDelivery | str:
+    email, is_verification = session.get(EmailAddress, row.user_id), event.kind == EMAIL_VERIFICATION
+    if email is None or (email.verified_ns is None and not is_verification):
+        return "there is no verified e-mail address"
+    if is_verification:
+        if email.verified_ns is not None:
+            return "the address is verified already"
+        path = f"/account?email_secret={new_secret(session, email)}#notifications"
+        message = EventWords(message.text, path)
+    address, letter = email.address, _letter(row, event, message, settings)
+    return PreparedDelivery(lambda: send_email(letter, address, settings.notifications))
+
+
+def _letter(row: NotificationDelivery, event: NotificationEvent, message: EventWords, settings: Settings) -> Letter:
+    base = settings.api.url.rstrip("/")
+    happened = datetime.fromtimestamp(event.created_ns // 10**9, UTC)
+    return Letter(
+        message_id=f"msg_{row.id}",
+        event_id=event.id,
+        kind=event.kind,
+        happened_at=happened.strftime("%Y-%m-%dT%H:%M:%SZ"),
+        text=message.text,
+        url=base + message.path,
+        settings_url=base + SETTINGS_PATH,
+        data=message.data,
+    )
+
 
 AT_A_TIME = 50
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 
 from services.maintenance import store_check
-from services.maintenance.store_repair import DamagedBlob, damaged_blobs, forget_derived, restore_objects
+from services.maintenance.store_check import DamagedBlob, damaged_blobs, forget_derived, restore_objects
 from services.runtime.access.users import create_user
 from services.runtime.orm import Artefact, Blob, CalibrationRow, Export, Job, LabelSet, SequenceRow
 from services.runtime.orm.base import new_id

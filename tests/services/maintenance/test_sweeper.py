@@ -14,8 +14,7 @@ from redis import ConnectionError as RedisConnectionError
 from sqlalchemy.exc import OperationalError
 
 from services.maintenance import sweeper
-from services.maintenance.chore_loops import Chore, ChoreLoop, sweep, sweep_side_by_side
-from services.maintenance.sweeper import beating, loops_of, recorded
+from services.maintenance.sweeper import Chore, ChoreLoop, beating, loops_of, recorded, sweep, sweep_side_by_side
 from services.runtime.embedded.supervisor import environment_of
 from services.runtime.jobs.claims import claim
 from services.runtime.platform import Platform

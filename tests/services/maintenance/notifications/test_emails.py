@@ -22,8 +22,7 @@ from services.domain.notifications.errors import (
     NoEmailError,
     TooManyVerificationsError,
 )
-from services.maintenance.notifications.email_message import email_of
-from services.maintenance.notifications.letter import Letter
+from services.maintenance.notifications.channels import Letter, email_of
 from services.runtime.orm import EmailAddress, Job, User
 from services.runtime.platform import Platform
 from testing.servers.certificates import self_signed

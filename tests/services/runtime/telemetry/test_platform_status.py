@@ -4,8 +4,7 @@ import pytest
 from sqlalchemy import update
 
 from benchmarks.rows.plans import explained, taken_down
-from services.maintenance.chore_loops import Chore, ChoreLoop
-from services.maintenance.sweeper import recorded
+from services.maintenance.sweeper import Chore, ChoreLoop, recorded
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.specs import JobSpec

@@ -1,0 +1,279 @@
+"""A delivery by webhook: JSON, signed as Standard Webhooks 1.0 says, in the form that chat servers show.
+
+    {"type": "run.failed", "timestamp": "2026-05-03T09:12:44Z", "data": {…}, "text": "Processing of … <https://…>"}
+
+**Conventions.** `webhook-id` is the delivery's, equal in every try; `webhook-timestamp` is that of the try;
+`webhook-signature` is `v1,` and the base64 of HMAC-SHA256, by the secret behind `whsec_`, of `id.timestamp.body`. Any
+2xx is success; 410 Gone asks for no more; a redirect is not followed, so it is none. Of the answer `READ_BYTES` are
+read and nothing is kept but its status. `text` is what Slack and Mattermost show.
+"""
+
+import hmac
+import http.client
+import json
+import smtplib
+import socket
+import ssl
+import time
+from base64 import b64decode, b64encode
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager, suppress
+from dataclasses import dataclass, field
+from email.message import EmailMessage
+from email.policy import SMTP
+from hashlib import sha256
+from ipaddress import ip_address
+from threading import Timer
+from typing import Any
+
+from services.domain.notifications.errors import BadWebhookUrlError
+from services.domain.notifications.webhook_urls import checked_url, is_allowed
+from services.domain.notifications.webhooks import PREFIX
+from services.runtime.notification_settings import NotificationSettings
+from services.runtime.notifications.events import EMAIL_VERIFICATION
+from stone.errors import StoneError
+
+# An HTTP connection to a host whose address was judged first, bounded in time whatever the other side does.
+#
+# **Conventions.** A name is resolved once, every address of it is judged, and one of those judged is connected to; if
+# any may not be sent to, none is: a name that resolves to a public and a private address is an attack or a mistake.
+# TLS is of the name, not of the address. After `WITHIN_S` the socket is shut down under whoever reads or writes it. No
+# proxy of the environment is asked: it would resolve the name anew. What a name resolved to is not told: it may be
+# known inside only.
+
+
+ANSWER_WITHIN_S = 10.0
+Resolve = Callable[[str, int], list[str]]
+
+
+def resolved(host: str, port: int) -> list[str]:
+    """The addresses of a host, in the order the system prefers. Raises `OSError`."""
+    found = socket.getaddrinfo(host, port, type=socket.SOCK_STREAM)
+    return list(dict.fromkeys(str(entry[4][0]) for entry in found))
+
+
+def judged_addresses(host: str, port: int, settings: NotificationSettings, resolve: Resolve = resolved) -> list[str]:
+    """The addresses of the host, all of which may be sent to. Raises `NotTakenError`, `OSError`."""
+    found = resolve(host, port)
+    for address in found:
+        if not is_allowed(ip_address(address.partition("%")[0]), settings):
+            raise NotTakenError(f"{host} is at an address that is private, of this machine or reserved")
+    return found
+
+
+@contextmanager
+def connection_to(
+    host: str, port: int, addresses: list[str], context: ssl.SSLContext | None
+) -> Iterator[http.client.HTTPConnection]:
+    """A connection to the first of `addresses` that answers, by TLS where there is a `context`. Raises `OSError`."""
+    open_socket = _connected(addresses, port)
+    timer = Timer(ANSWER_WITHIN_S, _shut, (open_socket,))
+    timer.daemon = True
+    timer.start()
+    try:
+        if context is not None:
+            open_socket = context.wrap_socket(open_socket, server_hostname=host)
+        connection = http.client.HTTPConnection(host, port)
+        connection.sock = open_socket
+        yield connection
+    finally:
+        timer.cancel()
+        open_socket.close()
+
+
+def _connected(addresses: list[str], port: int) -> socket.socket:
+    error = OSError("it has no address")
+    for address in addresses[:2]:
+        try:
+            return socket.create_connection((address, port), timeout=ANSWER_WITHIN_S / 2)
+        except OSError as refusal:
+            error = refusal
+    raise error
+
+
+def _shut(open_socket: socket.socket) -> None:
+    with suppress(OSError):
+        open_socket.shutdown(socket.SHUT_RDWR)
+
+
+# A delivery in the words that its reader gets, whatever the channel.
+
+
+@dataclass(frozen=True)
+class Letter:
+    """`message_id` is equal in every try of one delivery, `event_id` in every delivery of one event; `url` is the page
+    that says more, `settings_url` that on which one chooses otherwise."""
+
+    message_id: str
+    event_id: str
+    kind: str
+    happened_at: str
+    text: str
+    url: str
+    settings_url: str
+    data: Mapping[str, Any] = field(default_factory=dict)
+
+
+READ_BYTES = 16 * 1024
+GONE = 410
+TAKEN = range(200, 300)
+
+
+@dataclass(frozen=True)
+class WebhookTarget:
+    """Where a user's webhook is, and by what it is signed."""
+
+    url: str
+    secret: str
+
+
+def body_of(letter: Letter) -> bytes:
+    """The body of the request."""
+    record = {
+        "type": letter.kind,
+        "timestamp": letter.happened_at,
+        "data": {**letter.data, "id": letter.event_id, "url": letter.url},
+        "text": f"{letter.text} {letter.url}",
+    }
+    return json.dumps(record, ensure_ascii=False, separators=(",", ":")).encode()
+
+
+def signature_of(secret: str, message_id: str, timestamp: int, body: bytes) -> str:
+    """The value of `webhook-signature`."""
+    key = b64decode(secret.removeprefix(PREFIX))
+    signed = f"{message_id}.{timestamp}.".encode() + body
+    return f"v1,{b64encode(hmac.new(key, signed, sha256).digest()).decode('ascii')}"
+
+
+def send_webhook(target: WebhookTarget, letter: Letter, settings: NotificationSettings) -> str:
+    """Send it; how the receiver answered. Raises `NotTakenError`."""
+    try:
+        status = _answer(target, letter, settings)
+    except BadWebhookUrlError as error:  # allowed when it was set
+        raise NotTakenError(str(error)) from None
+    except (OSError, http.client.HTTPException) as error:  # TLS and names that resolve to nothing are OSError
+        raise NotTakenError(f"{type(error).__name__}: {error}") from None
+    if status in TAKEN:
+        return f"answered {status}"
+    raise NotTakenError(f"answered {status}", is_final=status == GONE, is_gone=status == GONE)
+
+
+def _answer(target: WebhookTarget, letter: Letter, settings: NotificationSettings) -> int:
+    parts = checked_url(target.url, settings)
+    host, is_tls = str(parts.hostname), parts.scheme == "https"
+    port = parts.port or (443 if is_tls else 80)
+    addresses = judged_addresses(host, port, settings)
+    body, now_s = body_of(letter), int(time.time())
+    headers = {
+        "Content-Type": "application/json",
+        "User-Agent": "stone-platform",
+        "webhook-id": letter.message_id,
+        "webhook-timestamp": str(now_s),
+        "webhook-signature": signature_of(target.secret, letter.message_id, now_s, body),
+        "Connection": "close",
+    }
+    path = (parts.path or "/") + (f"?{parts.query}" if parts.query else "")
+    # of the machine's own certificate authorities; SSL_CERT_FILE names others
+    with connection_to(host, port, addresses, ssl.create_default_context() if is_tls else None) as connection:
+        connection.request("POST", path, body, headers)
+        answer = connection.getresponse()
+        answer.read(READ_BYTES)
+        return answer.status
+
+
+# A delivery by e-mail: plain text, by the administrator's SMTP server (RFC 5321, RFC 8314).
+#
+# **Conventions.** Headers are made of checked parts alone: an address that `EMAIL` matches, a subject that is one
+# line; `email.policy.SMTP` refuses line ends in headers besides. `Message-ID` is of the delivery, equal in every try,
+# so that mail programs show a second one once. With `starttls` or `tls` the server's certificate is checked, and
+# nothing is sent to one that does not offer it. What a server refuses for good (5xx to the recipient) is not tried
+# again.
+
+
+EMAIL_WITHIN_S = 15.0
+LONGEST_SUBJECT = 150
+REFUSED_FOR_GOOD = 500
+
+
+def email_of(letter: Letter, address: str, sender: str) -> EmailMessage:
+    """The message."""
+    message = EmailMessage(policy=SMTP)
+    message["From"], message["To"] = sender, address
+    message["Subject"] = f"[STONE] {letter.text}"[:LONGEST_SUBJECT]
+    message["Message-ID"] = f"<{letter.message_id}@{sender.rpartition('@')[2]}>"
+    message["Auto-Submitted"] = "auto-generated"
+    message.set_content(f"{letter.text}\n\n{letter.url}\n\n-- \n{_hint(letter)}\n")
+    return message
+
+
+def send_email(letter: Letter, address: str, settings: NotificationSettings) -> str:
+    """Send it; how the server answered. Raises `NotTakenError`."""
+    if not settings.smtp_host:
+        raise NotTakenError("this platform sends no e-mail: STONE_NOTIFICATIONS__SMTP_HOST is not set")
+    message = email_of(letter, address, settings.sender)
+    try:
+        with _server(settings) as server:
+            if settings.smtp_user:
+                server.login(settings.smtp_user, settings.smtp_password.get_secret_value())
+            server.send_message(message)
+    except smtplib.SMTPRecipientsRefused as error:
+        code, said = error.recipients[address]
+        words = said.decode(errors="replace")
+        raise NotTakenError(f"answered {code} {words}", is_final=code >= REFUSED_FOR_GOOD) from None
+    except (OSError, smtplib.SMTPException) as error:
+        raise NotTakenError(f"{type(error).__name__}: {error}") from None
+    return "taken by the mail server"
+
+
+def _server(settings: NotificationSettings) -> smtplib.SMTP:
+    """The server, by TLS where that is set. Raises `OSError`, `SMTPException`."""
+    place = (settings.smtp_host, settings.smtp_port)
+    if settings.smtp_security == "tls":
+        return smtplib.SMTP_SSL(*place, timeout=EMAIL_WITHIN_S, context=ssl.create_default_context())
+    server = smtplib.SMTP(*place, timeout=EMAIL_WITHIN_S)
+    if settings.smtp_security == "starttls":
+        try:
+            server.starttls(context=ssl.create_default_context())
+        except BaseException:
+            server.close()
+            raise
+    return server
+
+
+def _hint(letter: Letter) -> str:
+    if letter.kind == EMAIL_VERIFICATION:
+        return "If you did not ask for this, ignore it: no further mail is sent."
+    return f"You enabled this notification. To disable it: {letter.settings_url}"
+
+
+# Why a delivery did not get through.
+
+
+class NotTakenError(StoneError):
+    """The receiver did not take it, this time; `is_final`: nor will it later."""
+
+    code = "not_taken"
+
+    def __init__(self, why: str, is_final: bool = False, is_gone: bool = False) -> None:
+        self.is_final, self.is_gone = is_final, is_gone
+        super().__init__(why[:300])
+
+
+class DeliveryFailedError(StoneError):
+    """A delivery was given up: the dead letter of the job dashboard."""
+
+    code = "delivery_failed"
+
+    def __init__(self, channel: str, tries: int, answer: str) -> None:
+        super().__init__(
+            f"the {channel} did not accept it in {tries} attempts; the last: {answer}; retry the job to try again"
+        )
+
+
+class UnknownDeliveryError(StoneError):
+    """The delivery of a job is not there any more."""
+
+    code = "unknown_delivery"
+
+    def __init__(self, delivery_id: str) -> None:
+        super().__init__(f"delivery {delivery_id[:40]} no longer exists: it expired, or its user was removed")
