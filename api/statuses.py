@@ -22,8 +22,8 @@ from services.domain.datasets import input_jobs as inputs
 from services.domain.exports import requests
 from services.domain.imports import errors as imports
 from services.domain.notifications import errors as notifications
-from services.domain.sequences import label_choices as choices
 from services.domain.sequences import label_comparisons as comparisons
+from services.domain.sequences import processing as choices
 from services.domain.sequences import processing_errors as processing
 from services.domain.sequences import recordings
 from services.domain.viewer import errors as views

@@ -15,7 +15,7 @@ from api.deps import Caller
 from api.errors import NotFoundError
 from services.domain.benchmarks.phases.phases import HIDDEN_PART, phase_named
 from services.domain.benchmarks.teams.teams import is_member
-from services.domain.datasets.exposure import hidden_truths
+from services.domain.datasets.catalogue import hidden_truths
 from services.domain.datasets.queries import dataset_named
 from services.domain.exports.requests import counting_labels
 from services.domain.viewer.playback import PLAYBACK

@@ -11,7 +11,7 @@ import numpy as np
 from rich.console import Console
 from rich.table import Table
 
-from services.domain.viewer.indexed_pictures import LIGHTS
+from services.domain.viewer.frame_picture import LIGHTS
 from services.labeler.previews.render_kernels import SHADE, SIDE_LIGHT
 from stone.labels.class_colours import INK, PALETTES, PAPER, TRACK, UNSEEN, Rgb
 from testing.colour_vision import VISIONS, difference, least_difference, least_of_pairs

@@ -26,10 +26,8 @@ from rich.console import Console
 from rich.table import Table
 from sqlalchemy import select
 
-from services.domain.runs.paces import pace_of
-from services.domain.runs.run_rows import alive_rows
+from services.domain.runs.estimates import alive_rows, alive_runs, pace_of
 from services.domain.runs.time_left import Pace, RunningJob, RunWorkload, StageWork, rounded_s, seconds_left
-from services.domain.runs.work import alive_runs
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.orm import Job
 from services.runtime.orm.base import now_ns

@@ -25,9 +25,14 @@ from api.schemas.jobs import JobDetail
 from api.views.exports import served_archive
 from api.views.jobs import job_detail
 from api.visible import dataset_of
-from services.domain.datasets.exposure import OPEN
-from services.domain.datasets.input_jobs import members_of
-from services.domain.datasets.inputs import MemberInput, inputs_of_members, located_input, start_version_inputs
+from services.domain.datasets.catalogue import OPEN
+from services.domain.datasets.input_jobs import (
+    MemberInput,
+    inputs_of_members,
+    located_input,
+    members_of,
+    start_version_inputs,
+)
 from services.runtime.orm import DatasetMember
 from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME

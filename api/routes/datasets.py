@@ -32,10 +32,9 @@ from api.schemas.datasets import (
 from api.views.datasets import dataset_detail, dataset_item
 from api.views.splits import rule_items
 from api.visible import dataset_of
-from services.domain.datasets.inputs import follow_publication
-from services.domain.datasets.manifest import NewDataset
+from services.domain.datasets.input_jobs import follow_publication
 from services.domain.datasets.queries import locate_part
-from services.domain.datasets.versions import prepare_dataset, write_dataset
+from services.domain.datasets.versions import NewDataset, prepare_dataset, write_dataset
 from services.runtime.orm import Blob, Dataset
 from services.runtime.store.pack_reading import archive_of, archive_pieces, stored_files
 from stone_files.virtual_archive import MEDIA_TYPES

@@ -34,9 +34,7 @@ from services.domain.benchmarks.phases.open_frames import (
     truth_grids,
 )
 from services.domain.benchmarks.submissions.predicted_frames import pictured_zip, predicted_grid
-from services.domain.viewer.difference_picture import difference_picture
-from services.domain.viewer.frame_picture import picture_bytes
-from services.domain.viewer.indexed_pictures import recoloured
+from services.domain.viewer.frame_picture import difference_picture, picture_bytes, recoloured
 from services.runtime.store.pack_reading import ExportLocation
 from services.runtime.store.protocol import Store
 

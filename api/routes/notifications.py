@@ -25,7 +25,7 @@ from api.schemas.notifications import (
 )
 from api.views.notifications import deliveries_page, email_item, issued_webhook, notifications_item
 from services.domain.notifications import email_addresses, webhooks
-from services.domain.notifications.choices import choose
+from services.domain.notifications.spread import choose
 from services.runtime.orm import Webhook
 
 router = NounRouter(prefix="/notifications", tags=["people"])

@@ -5,7 +5,7 @@ from typing import Any
 
 from api.schemas.base import SHA256_EXAMPLE, Answer, example
 from api.schemas.datasets import OpenPart
-from services.domain.datasets.inputs import InputState
+from services.domain.datasets.input_jobs import InputState
 
 DATASET_INPUT_EXAMPLE: dict[str, Any] = {
     "name": "n-forest-07",

@@ -24,7 +24,7 @@ from api.views.columns import shown_columns
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.phases import phase_status
-from services.domain.benchmarks.policy_words import policy_sentences
+from services.domain.benchmarks.visibility import policy_sentences
 from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from stone.scoring.metric import METRICS, Metric

@@ -11,13 +11,12 @@ from sqlalchemy.orm import Session
 from api.schemas.base import instant
 from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem, OpenPart
 from api.schemas.splits import Sizes
-from services.domain.datasets.exposure import OPEN
+from services.domain.datasets.catalogue import OPEN
 from services.domain.datasets.files import files_of
-from services.domain.datasets.manifest import told_statistics
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
-from services.domain.datasets.versions import members_now
+from services.domain.datasets.versions import members_now, told_statistics
 from services.runtime.orm import Dataset, DatasetMember, DatasetPart
 from stone.errors import StoneError
 from stone.splits.splits import RuleFinding

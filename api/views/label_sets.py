@@ -11,10 +11,9 @@ from api.schemas.jobs import FailureItem
 from api.schemas.sequences.label_sets import AgreementRecord, LabelComparisonItem, LabelSetItem
 from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
-from services.domain.viewer.difference_picture import SeenGrid, comparison_picture
 from services.domain.viewer.formats import difference_bytes
 from services.domain.viewer.frame_grids import stored_grids
-from services.domain.viewer.indexed_pictures import recoloured
+from services.domain.viewer.frame_picture import SeenGrid, comparison_picture, recoloured
 from services.runtime.orm import Job, LabelComparison, LabelSet
 from services.runtime.store.protocol import Store
 from stone.labels.class_colours import ColourName

@@ -13,7 +13,7 @@ from api.schemas.notifications import (
     NotificationsItem,
     WebhookItem,
 )
-from services.domain.notifications.choices import choices_of
+from services.domain.notifications.spread import choices_of
 from services.runtime.notifications.events import EVENTS
 from services.runtime.orm import EmailAddress, NotificationDelivery, NotificationEvent, Webhook
 from services.runtime.settings import Settings

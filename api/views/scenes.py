@@ -23,8 +23,7 @@ from api.visible import frame_of, newest_label_set, shown_sequence
 from services.domain.viewer.errors import NoPlaybackError, NoSceneError
 from services.domain.viewer.formats import MEDIA_TYPES, voxels_bytes
 from services.domain.viewer.frame_grids import stored_grids
-from services.domain.viewer.frame_picture import Grid, picture_bytes
-from services.domain.viewer.indexed_pictures import recoloured
+from services.domain.viewer.frame_picture import Grid, picture_bytes, recoloured
 from services.domain.viewer.playback import CAMERAS, Playback, playback_of, shown_by
 from services.runtime.orm import Artefact, Blob
 from services.runtime.platform import Platform

@@ -15,7 +15,7 @@ from pathlib import Path
 
 import numpy as np
 
-from services.domain.benchmarks.submissions.scoring_ranges import Span
+from services.domain.benchmarks.submissions.scoring_jobs import Span
 from services.eval.kernel_warmup import warm
 from services.eval.ranges import Counts, ExaminedRange, examined
 from services.eval.scoring_errors import TruthDamagedError

@@ -15,7 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
-from services.domain.benchmarks.submissions.scoring_ranges import Span
+from services.domain.benchmarks.submissions.scoring_jobs import Span
 from services.eval.cases import Case
 from services.eval.examination import unpacked
 from services.eval.ranges import Counts, ExaminedRange, joined

@@ -3,7 +3,7 @@
     open → part (each range of frames) → join → score
 
 The archive's directory is checked when it is opened; a range
-(`services/domain/benchmarks/submissions/scoring_ranges.py`) is `examined`, counted or only checked; all ranges are
+(`services/domain/benchmarks/submissions/scoring_jobs.py`) is `examined`, counted or only checked; all ranges are
 `joined` (both `services/eval/ranges.py`). Here one range follows the other, its frames on a few threads; the queue
 examines each range in a sandbox, in a job of its own where there are several (`services/eval/stages.py`).
 
@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
+from services.domain.benchmarks.submissions.scoring_jobs import ranges_of
 from services.eval.counting import TruthOf
 from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
 from services.eval.ranges import Counts, ExaminedRange, examined, joined

@@ -4,8 +4,7 @@
 sweeper removes the file where this could not. Nobody opens the tar here: its bytes are hashed and stored.
 """
 
-from services.domain.imports.requests import INDEX
-from services.domain.imports.runs import import_of_attempt, kept_import
+from services.domain.imports.requests import INDEX, import_of_attempt, kept_import
 from services.ingest.errors import RecordingChangedError, RecordingFileMissingError
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import DatasetImport, Upload

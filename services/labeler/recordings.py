@@ -6,7 +6,7 @@ from pathlib import Path
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.recording_sources import kept_recording, locate, locate_joined
+from services.domain.sequences.recordings import kept_recording, locate, locate_joined
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from stone.errors import StoneError

@@ -10,8 +10,13 @@ from functools import partial
 from pathlib import Path
 
 from services.domain.benchmarks.phases.inputs import phase_of_attempt, write_input
-from services.domain.datasets.input_jobs import InputResult, joined_key, sequence_key
-from services.domain.datasets.inputs import version_of_attempt, write_version_input
+from services.domain.datasets.input_jobs import (
+    InputResult,
+    joined_key,
+    sequence_key,
+    version_of_attempt,
+    write_version_input,
+)
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.export_stage import (
     INPUTS,

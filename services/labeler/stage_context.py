@@ -4,7 +4,7 @@ from dataclasses import dataclass, replace
 from typing import Any, TypeVar
 
 from services.domain.sequences.chosen_recordings import recording_ids_of
-from services.domain.sequences.recording_sources import kept_recording, locate_run
+from services.domain.sequences.recordings import kept_recording, locate_run
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
 from services.labeler.kernel_warmup import warm

@@ -4,9 +4,8 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.domain.datasets.catalogue import CatalogueSequence, labelled_sequences
-from services.domain.datasets.manifest import NewDataset
 from services.domain.datasets.splits import current_splits
-from services.domain.datasets.versions import assembled, write_dataset
+from services.domain.datasets.versions import NewDataset, assembled, write_dataset
 from services.runtime.orm import SequenceRow, new_id
 from services.runtime.platform import Platform
 from stone.splits.splits import PARTS

@@ -8,8 +8,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.inputs import write_input
-from services.domain.datasets.input_jobs import InputResult
-from services.domain.datasets.inputs import write_version_input
+from services.domain.datasets.input_jobs import InputResult, write_version_input
 from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform

@@ -12,7 +12,7 @@ import pytest
 from PIL import Image
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
-from services.domain.viewer.indexed_pictures import of_class, png_of
+from services.domain.viewer.frame_picture import of_class, png_of
 from services.runtime.orm import Artefact, LabelSet, SequenceRow, new_id
 from services.runtime.platform import Platform
 from services.runtime.store import blobs

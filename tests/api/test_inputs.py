@@ -15,7 +15,7 @@ from sqlalchemy.exc import DatabaseError
 
 from services.domain.benchmarks.phases import inputs as of_phase
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.domain.datasets import inputs as of_version
+from services.domain.datasets import input_jobs as of_version
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.runtime.orm import AuditEntry, Job, SequenceRow, Upload

@@ -17,8 +17,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.domain.viewer.difference_picture import difference_picture
-from services.domain.viewer.frame_picture import picture_bytes
+from services.domain.viewer.frame_picture import difference_picture, picture_bytes
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, Phase, SubmissionRow, Team, TeamMember
 from testing.api.serving import Person, client_of
 from testing.servers.fixtures import Bells, make_settings, opened

@@ -16,7 +16,7 @@ from structlog.testing import capture_logs
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.inputs import start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.domain.datasets.inputs import start_version_inputs
+from services.domain.datasets.input_jobs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.eval.stages import handlers as eval_handlers
 from services.ingest import stages as ingest

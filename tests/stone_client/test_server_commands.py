@@ -8,7 +8,7 @@ from typing import Any
 import pytest
 from typer.testing import Result
 
-from services.domain.notifications.choices import choices_of
+from services.domain.notifications.spread import choices_of
 from services.eval.stages import handlers
 from services.runtime.access.passwords import hash_password
 from services.runtime.jobs.enqueue import enqueue

@@ -6,8 +6,7 @@ import httpx
 import numpy as np
 from PIL import Image
 
-from services.domain.viewer.frame_picture import plan_indices
-from services.domain.viewer.indexed_pictures import png_of
+from services.domain.viewer.frame_picture import plan_indices, png_of
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import SplitMember
 from services.runtime.platform import Platform

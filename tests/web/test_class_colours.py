@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB, GREY, GREY_ALPHA, SAME_ALPHA
+from services.domain.viewer.frame_picture import DIFFERENCE_RGB, GREY, GREY_ALPHA, SAME_ALPHA
 from stone.labels.class_colours import PALETTES, ColourName, hex_of
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
 

@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
-from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB
+from services.domain.viewer.frame_picture import DIFFERENCE_RGB
 from services.runtime.orm import Artefact, SequenceRow
 from stone.labels.class_colours import CLASS_RGB, PALETTES
 from stone.labels.voxels import VOXEL_M

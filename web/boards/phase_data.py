@@ -14,8 +14,7 @@ from api.schemas.datasets import DatasetPartItem
 from api.views.datasets import dataset_detail
 from services.domain.benchmarks.phases.inputs import inputs_of
 from services.domain.benchmarks.visibility import is_on_board, secrecy_of
-from services.domain.datasets.input_jobs import members_of
-from services.domain.datasets.inputs import inputs_of_members
+from services.domain.datasets.input_jobs import inputs_of_members, members_of
 from services.runtime.orm import (
     Blob,
     Dataset,

@@ -22,8 +22,7 @@ from api.views.rescores import activation_item, diff_answer, rescore_item
 from api.visible import phase_of
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force
 from services.domain.benchmarks.phases.phases import lock_phase
-from services.domain.benchmarks.rescores.diff import rescore_diff
-from services.domain.benchmarks.rescores.page import rescore_page
+from services.domain.benchmarks.rescores.diff import rescore_diff, rescore_page
 from services.domain.benchmarks.rescores.progress import rescore_progress
 from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, activate, start_rescore
 from services.runtime.orm import Phase, Rescore

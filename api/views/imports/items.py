@@ -10,8 +10,7 @@ from api.schemas.base import instant, instant_or_none
 from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, ImportedSceneItem
 from api.schemas.jobs import JobItem
 from api.views.jobs import job_items
-from services.domain.imports.queries import SceneProgress, progress_of
-from services.domain.imports.requests import SCENE
+from services.domain.imports.requests import SCENE, SceneProgress, progress_of
 from services.runtime.orm import DatasetImport, Job
 
 

@@ -8,10 +8,9 @@ from collections.abc import Mapping
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.datasets.catalogue import voxels_of
+from services.domain.datasets.catalogue import OPEN, voxels_of
 from services.domain.datasets.errors import HiddenPartError
-from services.domain.datasets.exposure import OPEN
-from services.domain.datasets.manifest import open_entries
+from services.domain.datasets.versions import open_entries
 from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart
 from services.runtime.store.pack_reading import ExportLocation
 from stone.splits.composition import CatalogueEntry

@@ -10,20 +10,21 @@ from contextlib import suppress
 from dataclasses import asdict, dataclass
 from typing import Any, Literal
 
-from sqlalchemy import delete
+from sqlalchemy import Select, delete, select
 from sqlalchemy.orm import Session
 
 from services.domain.imports.errors import SplitsForbiddenError
-from services.domain.sequences.restart import RESTARTS
+from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, CodeChangedError, RestartedTooOftenError
 from services.runtime.access import storage_quota
 from services.runtime.access.roles import allows
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import cancel, terminate
 from services.runtime.jobs.enqueue import enqueue_run
-from services.runtime.jobs.errors import JobStateError
-from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
-from services.runtime.orm import DatasetImport, ImportedFile, Job, User, new_id
+from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
+from services.runtime.jobs.specs import TERMINAL, Attempt, Context, JobSpec
+from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow, User, new_id
+from services.runtime.platform import Platform
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
 
@@ -135,3 +136,124 @@ def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:
     run.arguments = {"import_id": imported.id, "code_version": code_version("imports"), RESTARTS: restarts}
     imported.job_id = run.id
     return run
+
+
+# How far an import is, scene by scene.
+
+
+@dataclass(frozen=True)
+class SceneProgress:
+    """A scene and the job that imports it.
+
+    `state` is the job's; `sequence_id` is the sequence with its labels once the whole import has ended well, unless
+    that was deleted since.
+    """
+
+    ordinal: int
+    name: str
+    frames: int
+    splits: tuple[str, ...]
+    state: str
+    sequence_id: str | None
+
+
+@dataclass(frozen=True)
+class ImportProgress:
+    """An import, its run, and its scenes: none before the index was made."""
+
+    imported: DatasetImport
+    run: Job
+    scenes: tuple[SceneProgress, ...]
+
+    @property
+    def done(self) -> int:
+        """The number of scenes that are done."""
+        return sum(scene.state == "succeeded" for scene in self.scenes)
+
+
+def progress_of(session: Session, imported: DatasetImport) -> ImportProgress:
+    """How far it is."""
+    run, records = session.get_one(Job, imported.job_id), imported.scenes or []
+    states = _states(session, run.id)
+    ids = [record["sequence_id"] for record in records if "sequence_id" in record]
+    alive = set(
+        session.scalars(select(SequenceRow.id).where(SequenceRow.id.in_(ids), SequenceRow.deleted_ns.is_(None)))
+    )
+    scenes = (
+        SceneProgress(
+            ordinal,
+            record["name"],
+            record["frames"],
+            tuple(record["splits"]),
+            states.get(ordinal, "queued"),
+            record.get("sequence_id") if record.get("sequence_id") in alive else None,
+        )
+        for ordinal, record in enumerate(records)
+    )
+    return ImportProgress(imported, run, tuple(scenes))
+
+
+def _states(session: Session, root_id: str) -> Mapping[int, str]:
+    jobs = select(Job.arguments, Job.state).where(Job.root_id == root_id, Job.kind == SCENE)
+    return {arguments["scene"]: state for arguments, state in session.execute(jobs)}
+
+
+# The run of an import as its stages see it: which import an attempt works for, and when its run is begun anew.
+#
+# **Conventions.** As `services/domain/sequences/restart.py`: one import is made by one version of the code, so a run
+# that another began ends, and one of the same request takes its place; so does one whose files were removed meanwhile.
+
+
+REMEDY = "Try it again later"
+GONE = "its import was deleted, or is made by another run"
+
+
+def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
+    """The import that the attempt's run makes, which this version of the code began.
+
+    Raises `JobCancelledError` where it was deleted, or another version began it, once it is begun again;
+    `CodeChangedError` where that is not possible now.
+    """
+    with platform.database.reading() as session:
+        begun = session.get_one(Job, attempt.root_id).arguments["code_version"]
+        imported = _found(session, _made_by(attempt))
+    if begun == code_version("imports"):
+        return imported
+    try:
+        begin_run_again(platform, attempt, f"the platform was upgraded to code version {code_version('labels')}")
+    except (QueueDrainingError, RestartedTooOftenError) as error:
+        raise CodeChangedError((begun, code_version("imports")), error, REMEDY) from error
+    raise JobCancelledError(f"its run was begun by version {begun}; the dataset is imported by another run")
+
+
+def begin_run_again(platform: Platform, attempt: Attempt, reason: str) -> None:
+    """Have another run take the place of the attempt's, unless that has ended, is to stop, or its import was deleted.
+
+    So of jobs that ask at once, one begins a run. Raises `QueueDrainingError`, `RestartedTooOftenError`.
+    """
+    with platform.database.transaction() as session:
+        old = lock_run(session, attempt.root_id)
+        imported = session.scalars(_made_by(attempt).with_for_update(key_share=True)).one_or_none()
+        if imported is None or old.state in TERMINAL or old.cancel_reason:
+            return
+        restarts = old.arguments.get(RESTARTS, 0) + 1
+        if restarts > MOST_RESTARTS:
+            raise RestartedTooOftenError(MOST_RESTARTS)
+        new = begin_import_again(session, imported, reason, restarts)
+        old.cancel_reason = f"{reason}; the dataset is imported by job {new.id} instead"
+
+
+def kept_import(session: Session, attempt: Attempt) -> DatasetImport:
+    """The import, locked until the end of the transaction. Raises `JobCancelledError`."""
+    return _found(session, _made_by(attempt).with_for_update(key_share=True))
+
+
+def _found(session: Session, statement: Select[DatasetImport]) -> DatasetImport:
+    imported = session.scalars(statement.execution_options(populate_existing=True)).one_or_none()
+    if imported is None:
+        raise JobCancelledError(GONE)
+    return imported
+
+
+def _made_by(attempt: Attempt) -> Select[DatasetImport]:
+    return select(DatasetImport).where(DatasetImport.job_id == attempt.root_id)

@@ -7,14 +7,32 @@ it) is found here. Pauses grow as Standard Webhooks recommends: with `retry_s` o
 5 h, 10 h, 14 h, 20 h, 24 h.
 """
 
-from sqlalchemy import delete, select, update
+from collections.abc import Collection, Iterator, Mapping
+
+from sqlalchemy import Select, delete, select, update
 from sqlalchemy.orm import Session
 
-from services.domain.notifications.audience import audience_of
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
-from services.runtime.orm import Job, NotificationDelivery, NotificationEvent
+from services.runtime.notifications.events import (
+    CHANNELS,
+    EVENTS,
+    PHASE_CLOSED,
+    PHASE_OPENED,
+    UNASKED,
+    NewEvent,
+    record,
+)
+from services.runtime.orm import (
+    Job,
+    NotificationChoice,
+    NotificationDelivery,
+    NotificationEvent,
+    Phase,
+    TeamMember,
+    User,
+)
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
@@ -118,3 +136,91 @@ def missed(row: NotificationDelivery, answer: str, retry_s: float) -> None:
         row.state, row.due_ns = "waiting", now_ns() + pause_ns(row.tries, retry_s)
     else:
         row.state, row.ended_ns = "dead", now_ns()
+
+
+# Who is told of an event: asked when deliveries are made of it, and again when each is sent.
+#
+# **Conventions.** An event of a user is told to them, one of a team to whoever is in it then, any other to everybody
+# with an account. Somebody who was shut out, has left the team or does not want it any more is told nothing, whenever
+# the event was. What the event is about may be gone meanwhile: then there are no words for it (`messages`).
+
+
+def audience_of(session: Session, event: NotificationEvent) -> Iterator[tuple[str, str]]:
+    """(user, channel) of whoever is to be told now."""
+    if event.kind in UNASKED:
+        if event.user_id is not None:
+            yield event.user_id, "email"
+        return
+    for row in session.execute(_chosen(event).order_by(NotificationChoice.user_id)):
+        yield row.user_id, row.channel
+
+
+def is_to_be_told(session: Session, event: NotificationEvent, user_id: str, channel: str) -> bool:
+    """Whether the user is still in the audience of the event by this channel."""
+    if event.kind in UNASKED:
+        is_active = select(User.is_active).where(User.id == user_id)
+        return event.user_id == user_id and bool(session.scalar(is_active))
+    is_theirs = (NotificationChoice.user_id == user_id, NotificationChoice.channel == channel)
+    return session.execute(_chosen(event).where(*is_theirs)).first() is not None
+
+
+def _chosen(event: NotificationEvent) -> Select[str, str]:
+    chosen = select(NotificationChoice.user_id, NotificationChoice.channel)
+    chosen = chosen.join(User, User.id == NotificationChoice.user_id)
+    chosen = chosen.where(NotificationChoice.kind == event.kind, User.is_active)
+    if event.user_id is not None:
+        return chosen.where(NotificationChoice.user_id == event.user_id)
+    if event.team_id is not None:
+        members = select(TeamMember.user_id).where(TeamMember.team_id == event.team_id)
+        return chosen.where(NotificationChoice.user_id.in_(members))
+    return chosen
+
+
+# What a user wants to be told of, and by which channel: nothing, until they say so.
+
+
+Choices = Mapping[str, Collection[str]]
+"""Kinds of events by channel."""
+
+
+def choices_of(session: Session, user_id: str) -> dict[str, list[str]]:
+    """The kinds that the user chose by channel, in the order of `EVENTS`."""
+    rows = session.scalars(select(NotificationChoice).where(NotificationChoice.user_id == user_id))
+    chosen = {(row.channel, row.kind) for row in rows}
+    return {channel: [kind for kind in EVENTS if (channel, kind) in chosen] for channel in CHANNELS}
+
+
+def choose(session: Session, user_id: str, choices: Choices) -> None:
+    """Put these choices in place of the user's before."""
+    session.execute(delete(NotificationChoice).where(NotificationChoice.user_id == user_id))
+    rows = [(kind, channel) for channel, kinds in choices.items() for kind in sorted(set(kinds))]
+    session.add_all(NotificationChoice(user_id=user_id, kind=kind, channel=channel) for kind, channel in rows)
+    session.flush()
+
+
+# Phases that open and close: found by the clock, each moment one event.
+#
+# **Conventions.** An event's key names phase and moment, so however many sweepers look, however often, there is one. A
+# moment that was moved, and comes, is another one. A phase without a date opens as it is made, of which nobody is
+# told. Moments more than `LATEST_NS` ago are told to nobody: a platform that slept for weeks does not wake everybody
+# up.
+
+
+LATEST_NS = 2 * 86_400 * 10**9
+
+
+def tell_phases(platform: Platform) -> int:
+    """Record what opened and closed lately; how many moments were new."""
+    now = now_ns()
+    moments: list[tuple[str, str, int]] = []
+    with platform.database.reading() as session:
+        for kind, moment in ((PHASE_OPENED, Phase.opens_ns), (PHASE_CLOSED, Phase.closes_ns)):
+            passed = select(Phase.id, moment).where(moment <= now, moment > now - LATEST_NS)
+            moments += [(kind, phase_id, at_ns) for phase_id, at_ns in session.execute(passed) if at_ns is not None]
+        keys = {f"{kind}:{phase_id}:{at_ns}": (kind, phase_id) for kind, phase_id, at_ns in moments}
+        known = set(session.scalars(select(NotificationEvent.key).where(NotificationEvent.key.in_(keys))))
+    new = [(key, *of) for key, of in keys.items() if key not in known]
+    if not new:
+        return 0
+    with platform.database.transaction() as session:
+        return sum(record(session, NewEvent(kind, phase_id, key=key)) for key, kind, phase_id in new)

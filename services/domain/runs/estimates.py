@@ -1,18 +1,350 @@
 """The one estimate of the seconds that runs have left, of which every page, list, event and command shows the same."""
 
+import json
 from collections import defaultdict
-from collections.abc import Mapping, Sequence
+from collections.abc import Iterable, Mapping, Sequence, Set
+from dataclasses import dataclass
+from functools import cache, lru_cache
+from typing import Any, NamedTuple
 
-from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy import (
+    BigInteger,
+    ColumnElement,
+    Integer,
+    Row,
+    ScalarSelect,
+    Select,
+    String,
+    and_,
+    case,
+    cast,
+    exists,
+    func,
+    literal_column,
+    select,
+)
+from sqlalchemy.orm import Session, aliased
+from sqlalchemy.sql.selectable import CTE
 
 from services.domain.benchmarks.submissions.completion_estimate import expected_of
-from services.domain.runs.paces import pace_of
-from services.domain.runs.run_rows import AliveRow, alive_rows, older_of_the_same
-from services.domain.runs.time_left import rounded_s, seconds_left
-from services.domain.runs.work import AliveRun, alive_runs
-from services.runtime.orm import SubmissionRow
+from services.domain.runs.time_left import (
+    FUSE,
+    LABELLING,
+    SHARES,
+    SURFACE,
+    SYNCHRONISE,
+    Pace,
+    RunningJob,
+    RunWorkload,
+    StageWork,
+    rounded_s,
+    seconds_left,
+)
+from services.domain.sequences.chosen_recordings import recording_ids_of
+from services.runtime.database.clock import database_ns
+from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
+from services.runtime.jobs.claims import QUEUED, RUNNING, owners_waiting
+from services.runtime.jobs.specs import queue_of
+from services.runtime.orm import CalibrationRow, Job, LabelSet, Queue, Recording, SubmissionRow, Worker
 from services.runtime.orm.base import now_ns
+
+# How the queues stand in which runs wait: who works there, who else waits, and which of them are paused.
+#
+# **Conventions.** Statements are kept; their number grows with that of the queues and urgencies only. Owners at work
+# are hopped to one after another down the index, each looked at until one of their jobs is urgent enough: they may
+# have hundreds of jobs at work.
+
+
+FRESH_NS = 60 * 10**9
+
+
+@dataclass(frozen=True)
+class QueueFacts:
+    """Of each queue the number of worker processes, and with each urgency the owners who are no less urgent there."""
+
+    workers: Mapping[str, int]
+    rivals: Mapping[tuple[str, int], Set[str]]
+    paused: frozenset[str]
+
+    def share(self, queue: str, owner_id: str, priority: int) -> float:
+        """The workers that a run of this owner can have: the queue's are shared with who is no less urgent."""
+        others = self.rivals[queue, priority] - {owner_id}
+        return max(1, self.workers[queue]) / (1 + len(others))
+
+
+def queue_facts(session: Session, asked: Iterable[tuple[str, int]]) -> QueueFacts:
+    """Of these queues, with these urgencies; of paused ones all."""
+    wanted = sorted(set(asked))
+    queues = sorted({queue for queue, _ in wanted})
+    paused = frozenset(row.name for row in _paused().rows(session, {}))
+    return QueueFacts(_workers(session, queues), _rivals(session, wanted, queues), paused)
+
+
+def _workers(session: Session, queues: list[str]) -> dict[str, int]:
+    """The worker processes that were heard of late and listen to each queue."""
+    heard = [row.queues.split(",") for row in _heard().rows(session, {})]
+    return {queue: sum(queue in listened for listened in heard) for queue in queues}
+
+
+def _rivals(session: Session, wanted: list[tuple[str, int]], queues: list[str]) -> dict[tuple[str, int], Set[str]]:
+    """By queue and urgency, the owners with a job there that is no less urgent, and runs or may run."""
+    waiting = {queue: owners_waiting(queue).rows(session, {}) for queue in queues}
+    rivals = dict[tuple[str, int], Set[str]]()
+    for queue, priority in wanted:
+        at_work = _owners_at_work().rows(session, {"queue": queue, "urgency": priority})
+        rivals[queue, priority] = {owner for (owner,) in at_work} | {
+            owner for owner, urgency, *_ in waiting[queue] if urgency >= priority
+        }
+    return rivals
+
+
+@cache
+def _heard() -> KeptSelect:
+    return KeptSelect(select(Worker.queues).where(Worker.beat_ns > database_ns() - FRESH_NS))
+
+
+@cache
+def _paused() -> KeptSelect:
+    return KeptSelect(select(Queue.name).where(Queue.mode == "paused"))
+
+
+@cache
+def _owners_at_work() -> KeptSelect:
+    """The owners with a job that runs in the queue and is no less urgent."""
+    owners = select(_next_owner().label("owner_id")).cte("owners", recursive=True)
+    owners = owners.union_all(select(_next_owner(owners)).where(owners.c.owner_id.is_not(None)))
+    job = aliased(Job)
+    of_owner = (*_runs_there(job), job.owner_id == owners.c.owner_id, job.priority >= parameter("urgency", Integer))
+    return KeptSelect(select(owners.c.owner_id).where(exists().where(*of_owner)))
+
+
+def _next_owner(after: CTE | None = None) -> ScalarSelect[str]:
+    """The first owner with a job that runs in the queue, or the first who follows."""
+    job = aliased(Job)
+    found = select(job.owner_id).where(*_runs_there(job)).order_by(job.owner_id).limit(literal_column("1"))
+    if after is not None:
+        found = found.where(job.owner_id > after.c.owner_id).correlate(after)
+    return found.scalar_subquery()
+
+
+def _runs_there(job: type[Job]) -> tuple[ColumnElement[bool], ...]:
+    return job.queue == parameter("queue"), job.state == RUNNING
+
+
+# Runs that have not ended as rows: what their estimates read of them.
+#
+# **Conventions.** Statements are kept: a list of fifty runs asks each of them once.
+
+
+MOST_OLDER = 50
+MOST_READ = 1000  # arguments that are kept as read
+COLUMNS = (Job.id, Job.owner_id, Job.kind, Job.queue, Job.priority, cast(Job.arguments, String))
+IS_ALIVE_RUN = (Job.id == Job.root_id, Job.state.in_([QUEUED, RUNNING]))
+
+
+class RunInputs(NamedTuple):
+    """What a labelling is of: its recordings, its calibration, and whether it ends with labels."""
+
+    recording_ids: tuple[str, ...]
+    calibration_id: str | None
+    makes_labels: bool
+
+
+class AliveRow(NamedTuple):
+    """A run that has not ended; `inputs` of a labelling alone."""
+
+    id: str
+    owner_id: str
+    kind: str
+    queue: str
+    priority: int
+    inputs: RunInputs | None
+
+
+def alive_rows(session: Session, job_ids: Sequence[str]) -> list[AliveRow]:
+    """Those of the jobs that are runs and have not ended."""
+    session.flush()  # kept statements see what was written, not what is to be
+    rows = _of_ids(places_for(len(job_ids))).rows(session, numbered(job_ids)) if job_ids else ()
+    return [_alive_row(row) for row in rows]
+
+
+def older_of_the_same(session: Session, runs: Iterable[AliveRow]) -> list[AliveRow]:
+    """Alive labellings that the same owners asked for before the newest of these, which are done first."""
+    owners = sorted({run.owner_id for run in runs})
+    if not owners:
+        return []
+    newest = max(run.id for run in runs)
+    older = _older(places_for(len(owners))).rows(session, {**numbered(owners), "newest": newest})
+    return [_alive_row(row) for row in older]
+
+
+@cache
+def _of_ids(places: int) -> KeptSelect:
+    return KeptSelect(_alive().where(Job.id.in_(numbered_parameters(places))))
+
+
+@cache
+def _older(places: int) -> KeptSelect:
+    mine = (Job.owner_id.in_(numbered_parameters(places)), Job.kind == LABELLING, Job.id < parameter("newest"))
+    return KeptSelect(_alive().where(*mine).order_by(Job.id.desc()).limit(literal_column(str(MOST_OLDER))))
+
+
+def _alive() -> Select[*tuple[Any, ...]]:
+    return select(*COLUMNS).where(*IS_ALIVE_RUN)
+
+
+def _alive_row(row: Row[*tuple[Any, ...]]) -> AliveRow:
+    id, owner_id, kind, queue, priority, arguments = row
+    return AliveRow(id, owner_id, kind, queue, priority, _inputs(arguments) if kind == LABELLING else None)
+
+
+@lru_cache(MOST_READ)
+def _inputs(arguments: str) -> RunInputs:
+    read = json.loads(arguments)
+    return RunInputs(recording_ids_of(read), read.get("calibration_id"), "label" in read.get("stages", ["label"]))
+
+
+# What alive runs have to do, and how many workers they can have: read for many at once.
+#
+# **Conventions.** The number of statements does not grow with the number of runs, only with that of their queues.
+# Times of jobs are those of their last attempt. A job that is its own run is a run of one stage.
+
+
+class AliveRun(NamedTuple):
+    """A run, its work and the queue in which it waits most; `is_paused` where no job of it may start."""
+
+    run: AliveRow
+    work: RunWorkload
+    queue: str
+    is_paused: bool
+
+
+class RunStages(NamedTuple):
+    """The stages of a run in the order in which their first jobs were made, and the frames that it found, if it did."""
+
+    stages: tuple[StageWork, ...] = ()
+    frames: int | None = None
+
+
+NOT_BEGUN = RunStages()
+
+
+def alive_runs(session: Session, runs: Sequence[AliveRow], at_ns: int) -> list[AliveRun]:
+    """The runs as they stand at `at_ns`."""
+    found = stages_of(session, [run.id for run in runs], at_ns)
+    queues = {run.id: _queue_of(run, found.get(run.id, NOT_BEGUN).stages) for run in runs}
+    facts = queue_facts(session, [(queues[run.id], run.priority) for run in runs])
+    share = cache(facts.share)  # which many runs of a list have in common
+    workers = {run.id: share(queues[run.id], run.owner_id, run.priority) for run in runs}
+    works = _workloads(session, runs, found, workers)
+    return [
+        AliveRun(run, work, queue, _waits_for(work, queue, facts.paused))
+        for run, work, queue in zip(runs, works, queues.values(), strict=True)
+    ]
+
+
+def _waits_for(work: RunWorkload, queue: str, paused: Set[str]) -> bool:
+    """Whether one of these queues is among those in which it has jobs left."""
+    return bool(paused) and bool(paused & ({queue_of(stage.kind) for stage in work.stages if stage.left} or {queue}))
+
+
+def stages_of(session: Session, root_ids: Sequence[str], at_ns: int) -> Mapping[str, RunStages]:
+    """The stages of each run that has jobs."""
+    rows = _counts(places_for(len(root_ids))).rows(session, numbered(root_ids))
+    running = _running_jobs(session, list(dict.fromkeys(row[0] for row in rows if row[2])), at_ns)
+    stages, frames = defaultdict[str, list[StageWork]](list), dict[str, int]()
+    for root_id, kind, _, queued, done, busy_ns, told in rows:
+        at_it = tuple(running.get((root_id, kind), ()))
+        stages[root_id].append(StageWork(kind, int(queued), at_it, int(done), int(busy_ns or 0) / 1e9))
+        if told:
+            frames[root_id] = int(float(told))
+    return {root_id: RunStages(tuple(found), frames.get(root_id)) for root_id, found in stages.items()}
+
+
+def _running_jobs(session: Session, root_ids: Sequence[str], at_ns: int) -> dict[tuple[str, str], list[RunningJob]]:
+    """By run and kind, of the runs that have some."""
+    running = defaultdict[tuple[str, str], list[RunningJob]](list)
+    rows = _at_work(places_for(len(root_ids))).rows(session, numbered(root_ids)) if root_ids else ()
+    for root_id, kind, started_ns, done, total in rows:
+        elapsed_s = max(0, at_ns - (started_ns or at_ns)) / 1e9
+        running[root_id, kind].append(RunningJob(elapsed_s, done / total if kind in SHARES and total else None))
+    return running
+
+
+@cache
+def _counts(places: int) -> KeptSelect:
+    """Of runs by their ids: jobs by kind, counted, with the frames that synchronisation found."""
+
+    def counted(state: str) -> ColumnElement[int]:
+        return func.sum(case((Job.state == state, 1), else_=0))
+
+    busy = cast(func.sum(case((Job.state == "succeeded", BUSY), else_=0)), BigInteger)
+    found = and_(Job.kind == SYNCHRONISE, Job.state == "succeeded")
+    frames = func.max(case((found, Job.result["frames"].as_string())))
+    columns = (*(counted(state) for state in ("running", "queued", "succeeded")), busy, frames)
+    of_runs = (Job.root_id.in_(numbered_parameters(places)), Job.queue != "")
+    grouped = select(Job.root_id, Job.kind, *columns).where(*of_runs).group_by(Job.root_id, Job.kind)
+    return KeptSelect(grouped.order_by(func.min(Job.id)))
+
+
+@cache
+def _at_work(places: int) -> KeptSelect:
+    """Of runs by their ids: the jobs that run."""
+    at_work = select(Job.root_id, Job.kind, Job.started_ns, Job.done, Job.total).where(Job.state == RUNNING)
+    return KeptSelect(at_work.where(Job.root_id.in_(numbered_parameters(places)), Job.queue != ""))
+
+
+def _workloads(
+    session: Session, runs: Sequence[AliveRow], found: Mapping[str, RunStages], workers: Mapping[str, float]
+) -> list[RunWorkload]:
+    """What each has to do."""
+    inputs = [run.inputs for run in runs if run.inputs]
+    lengths = _recorded_s(session, sorted({one for made_of in inputs for one in made_of.recording_ids}))
+    cameras = _cameras(session, sorted({one.calibration_id for one in inputs if one.calibration_id}))
+
+    def workload(run: AliveRow) -> RunWorkload:
+        stages, frames = found.get(run.id, NOT_BEGUN)
+        if run.inputs is None:
+            return RunWorkload(run.kind, stages, workers=workers[run.id])
+        recording_ids, calibration_id, makes_labels = run.inputs
+        recorded_s = sum(lengths.get(one, 0.0) for one in recording_ids) or None
+        seen_by = cameras.get(calibration_id or "", 0)
+        return RunWorkload(run.kind, stages, recorded_s, frames, seen_by, makes_labels, workers[run.id])
+
+    return [workload(run) for run in runs]
+
+
+def _recorded_s(session: Session, recording_ids: Sequence[str]) -> dict[str, float]:
+    rows = _lengths(places_for(len(recording_ids))).rows(session, numbered(recording_ids)) if recording_ids else ()
+    return {recording_id: float(lasted_ns) / 1e9 for recording_id, lasted_ns in rows if lasted_ns}
+
+
+@cache
+def _lengths(places: int) -> KeptSelect:
+    told = select(Recording.id, Recording.inspection["duration_ns"].as_string())
+    return KeptSelect(told.where(Recording.id.in_(numbered_parameters(places))))
+
+
+def _cameras(session: Session, calibration_ids: Sequence[str]) -> dict[str, int]:
+    rows = (
+        _sensors(places_for(len(calibration_ids))).rows(session, numbered(calibration_ids)) if calibration_ids else ()
+    )
+    return {one: sum(sensor.get("kind") == "camera" for sensor in json.loads(sensors)) for one, sensors in rows}
+
+
+@cache
+def _sensors(places: int) -> KeptSelect:
+    told = select(CalibrationRow.id, cast(CalibrationRow.sensors, String))
+    return KeptSelect(told.where(CalibrationRow.id.in_(numbered_parameters(places))))
+
+
+def _queue_of(run: AliveRow, stages: Sequence[StageWork]) -> str:
+    """The queue whose workers decide how long it takes: of a labelling the labeler's."""
+    if run.queue or run.kind == LABELLING:
+        return run.queue or queue_of(FUSE)
+    left = [stage for stage in stages if stage.left]
+    return queue_of(left[-1].kind) if left else ""
+
 
 SCORE = "score"
 IMPORT, SCENE = "dataset.import", "labeler.import_scene"
@@ -65,3 +397,67 @@ def _of_scores(session: Session, runs: list[AliveRow]) -> dict[str, int]:
         return {}
     scored = select(SubmissionRow).where(SubmissionRow.job_id.in_([run.id for run in runs]))
     return expected_of(session, session.scalars(scored).all())
+
+
+# What the jobs of a kind of run took in the last of them that succeeded.
+#
+# **Conventions.** Times of jobs are those of their last attempt. Statements are kept.
+
+
+RECENT_RUNS = 3
+LOOKED_AT = 20
+BUSY = func.coalesce(Job.finished_ns - Job.started_ns, 0)
+
+
+def pace_of(session: Session, kind: str) -> Pace:
+    """What jobs took in the last runs of this kind that succeeded."""
+    root_ids = [row.id for row in _newest().rows(session, {"kind": kind})]
+    found = _took().rows(session, numbered(root_ids)) if root_ids else ()
+    rows = [row for row in found if row[2]]
+    counts, busy_s = defaultdict[str, int](int), defaultdict[str, float](float)
+    for _, stage, count, busy_ns in rows:
+        counts[stage] += int(count)
+        busy_s[stage] += int(busy_ns) / 1e9
+    seconds = {stage: busy_s[stage] / counts[stage] for stage in counts}
+    if kind == LABELLING:
+        per_run_s = {root_id: int(busy_ns) / 1e9 for root_id, stage, _, busy_ns in rows if stage == SYNCHRONISE}
+        seconds = {stage: took_s for stage, took_s in seconds.items() if stage != SYNCHRONISE}
+        seconds |= _pace_of_synchronisation(session, per_run_s)
+    tiles = counts[SURFACE] / counts[FUSE] if counts[FUSE] else None
+    return Pace(seconds, tiles)
+
+
+def _pace_of_synchronisation(session: Session, busy_s: Mapping[str, float]) -> dict[str, float]:
+    """Seconds per recorded second, of the runs whose labels tell how long they were recorded."""
+    rows = _lasted().rows(session, numbered(list(busy_s))) if busy_s else ()
+    lasted_s = {row.job_id: row.duration_ns / 1e9 for row in rows if row.duration_ns}
+    if not lasted_s:
+        return {}
+    return {SYNCHRONISE: sum(busy_s[job_id] for job_id in lasted_s) / sum(lasted_s.values())}
+
+
+@cache
+def _newest() -> KeptSelect:
+    """The last runs of a kind that succeeded, of those that were begun last."""
+    newest = select(Job.id, Job.state).where(Job.id == Job.root_id, Job.kind == parameter("kind"))
+    looked_at = newest.order_by(Job.id.desc()).limit(literal_column(str(LOOKED_AT))).subquery()
+    ended = select(looked_at.c.id).where(looked_at.c.state == "succeeded").order_by(looked_at.c.id.desc())
+    return KeptSelect(ended.limit(literal_column(str(RECENT_RUNS))))
+
+
+@cache
+def _took() -> KeptSelect:
+    """By run and kind, how many jobs succeeded and what they took.
+
+    The state is no condition: SQLite would read all jobs that ever succeeded for it.
+    """
+    ended = and_(Job.state == "succeeded", Job.finished_ns.is_not(None))
+    counted = (func.sum(case((ended, 1), else_=0)), cast(func.sum(case((ended, BUSY), else_=0)), BigInteger))
+    of_runs = (Job.root_id.in_(numbered_parameters(RECENT_RUNS)), Job.queue != "")
+    return KeptSelect(select(Job.root_id, Job.kind, *counted).where(*of_runs).group_by(Job.root_id, Job.kind))
+
+
+@cache
+def _lasted() -> KeptSelect:
+    of_runs = LabelSet.job_id.in_(numbered_parameters(RECENT_RUNS))
+    return KeptSelect(select(LabelSet.job_id, LabelSet.duration_ns).where(of_runs))

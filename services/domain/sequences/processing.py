@@ -14,7 +14,6 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.chosen_recordings import chosen_recordings, offsets_by_name
-from services.domain.sequences.label_choices import check_choices
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     NoCalibrationError,
@@ -33,6 +32,7 @@ from services.runtime.orm import CalibrationRow, Export, Job, LabelSet, Preview,
 from services.runtime.orm.base import now_ns
 from services.runtime.store.recipes import recipe_of
 from services.runtime.telemetry.tracing import link_uploads_of
+from stone.errors import StoneError
 
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
@@ -229,3 +229,59 @@ def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job |
             raise AlreadyProcessingError(sequence.id, run.id)
         return run
     return None
+
+
+# Allowed label settings and their bounds: the profile, and parameters by dotted name.
+#
+# **Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only what decides quality
+# is here; what decides cost without end (a cell of a millimetre) or the lattice that neighbouring tiles share is not.
+# A whole number's bounds are integers. The labeler applies the choices; that names and bounds agree with it is a test.
+
+
+PROFILES = ("paper", "local")
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    "selection.min_range_m": (0.5, 5.0),
+    "surface.min_frames": (1, 20),
+    "surface.normal_neighbours": (8, 64),
+    "surface.trim_m": (0.05, 1.0),
+    "dynamic.every_frame": (1, 50),
+    "dynamic.margin_m": (0.05, 2.0),
+    "carve.every_frame": (1, 50),
+    "terrain.neighbours": (8, 64),
+    "terrain.roughness_floor_m2": (1e-12, 1e-2),
+    "reference.alpha": (1e-4, 0.5),
+    "reference.outlier_ratio": (0.0, 0.5),
+    "footprint_band_m": (0.05, 1.0),
+    "local_ground_radius_m": (0.2, 5.0),
+}
+
+
+class ChoiceError(StoneError):
+    """A profile or parameter that cannot be chosen, or not with this value."""
+
+    code = "bad_parameter"
+
+    def __init__(self, name: str, value: object, allowed: str) -> None:
+        super().__init__(f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; {allowed}")
+
+
+def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
+    """Raises `ChoiceError` for the first choice that is unknown, of the wrong kind or out of bounds."""
+    if profile not in PROFILES:
+        raise ChoiceError("profile", profile, f"a profile is one of {', '.join(PROFILES)}")
+    for name, value in parameters.items():
+        if name not in BOUNDS:
+            raise ChoiceError(name, value, f"the parameters that can be chosen are {', '.join(BOUNDS)}")
+        _check_value(name, value)
+    left_out = parameters.get("reference.outlier_ratio", 0.0)
+    if profile == "paper" and left_out:
+        raise ChoiceError("reference.outlier_ratio", left_out, "profile paper leaves none out; profile local can")
+
+
+def _check_value(name: str, value: object) -> None:
+    low, high = BOUNDS[name]
+    is_whole = isinstance(low, int)
+    if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
+        raise ChoiceError(name, value, f"it takes a {'whole ' if is_whole else ''}number from {low:g} to {high:g}")
+    if not low <= value <= high:  # false for NaN too
+        raise ChoiceError(name, value, f"it lies between {low:g} and {high:g}")

@@ -6,7 +6,7 @@ from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.domain.viewer.difference_picture import comparison_picture
+from services.domain.viewer.frame_picture import comparison_picture
 from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pairs, label_grids
 from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.record import ComparedFrames, comparison_record

@@ -22,7 +22,7 @@ from services.domain.sequences.label_comparisons import (
     stored_pairs,
     write_comparison,
 )
-from services.domain.sequences.stage_checks import require_sequence
+from services.domain.sequences.run_files import require_sequence
 from services.eval.comparison.counting import (
     Counted,
     FrameGrids,

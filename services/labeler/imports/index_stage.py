@@ -13,8 +13,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.imports.errors import UnlabelledScenesError
 from services.domain.imports.publication import refuse_existing
-from services.domain.imports.requests import PUBLISH_IMPORT, SCENE
-from services.domain.imports.runs import kept_import
+from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, kept_import
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.openings import SCENES, DatasetOpening, scene_folder

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import follow_labels
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
-from services.domain.imports.runs import begin_run_again, kept_import
+from services.domain.imports.requests import begin_run_again, kept_import
 from services.domain.viewer.playback import PLAYBACK
 from services.labeler.imports.scene_stage import TOLD, told_path
 from services.labeler.imports.stage_context import ImportStageContext

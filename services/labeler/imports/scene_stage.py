@@ -13,7 +13,7 @@ from pathlib import Path
 
 from sqlalchemy.orm import Session
 
-from services.domain.imports.runs import begin_run_again, kept_import
+from services.domain.imports.requests import begin_run_again, kept_import
 from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.exports.source import MESH, REPORT, TABLE

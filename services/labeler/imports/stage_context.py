@@ -12,7 +12,7 @@ from typing import TypeVar
 
 from sqlalchemy import select
 
-from services.domain.imports.runs import import_of_attempt
+from services.domain.imports.requests import import_of_attempt
 from services.labeler.imports.kernel_warmup import warm_imports
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt

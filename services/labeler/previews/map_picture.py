@@ -1,7 +1,7 @@
 """`bev.png`: the labelled map from above, coloured by class, shaded by relief, with the robot's track.
 
 **Conventions.** x to the right, y up; per column the highest labelled voxel shows. Pictures are those of
-`services/domain/viewer/indexed_pictures.py`: their ground is transparent.
+`services/domain/viewer/frame_picture.py`: their ground is transparent.
 """
 
 from dataclasses import dataclass
@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
-from services.domain.viewer.indexed_pictures import (
+from services.domain.viewer.frame_picture import (
     CASING_INDEX,
     GROUND_INDEX,
     OPAQUE_INDEX,

@@ -10,7 +10,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image, ImageDraw
 
-from services.domain.viewer.indexed_pictures import CASING_INDEX, GROUND_INDEX, TRACK_INDEX, Indices, png_of
+from services.domain.viewer.frame_picture import CASING_INDEX, GROUND_INDEX, TRACK_INDEX, Indices, png_of
 from services.labeler.previews.map_picture import ShadedMap, TopView, draw_line
 from stone.geometry.se3 import SE3
 

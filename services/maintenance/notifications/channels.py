@@ -27,8 +27,7 @@ from threading import Timer
 from typing import Any
 
 from services.domain.notifications.errors import BadWebhookUrlError
-from services.domain.notifications.webhook_urls import checked_url, is_allowed
-from services.domain.notifications.webhooks import PREFIX
+from services.domain.notifications.webhooks import PREFIX, checked_url, is_allowed
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.notifications.events import EMAIL_VERIFICATION
 from stone.errors import StoneError

@@ -13,10 +13,9 @@ from functools import partial
 
 from sqlalchemy.orm import Session
 
-from services.domain.notifications.audience import is_to_be_told
 from services.domain.notifications.email_addresses import new_secret
 from services.domain.notifications.messages import EventWords, message_of
-from services.domain.notifications.spread import DELIVER, QUEUE, missed
+from services.domain.notifications.spread import DELIVER, QUEUE, is_to_be_told, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
 from services.maintenance.notifications.channels import (
     DeliveryFailedError,

@@ -12,7 +12,6 @@ from sqlalchemy.orm import Session
 from services.domain.datasets.splits import current_splits
 from services.domain.imports.errors import SplitsForbiddenError
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
-from services.domain.imports.queries import progress_of
 from services.domain.imports.requests import (
     IMPORT,
     KEEP_DATASET,
@@ -21,10 +20,12 @@ from services.domain.imports.requests import (
     NewImport,
     StatedClasses,
     begin_import_again,
+    begin_run_again,
     delete_import,
+    import_of_attempt,
+    progress_of,
     start_import,
 )
-from services.domain.imports.runs import begin_run_again, import_of_attempt
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, CodeChangedError, RestartedTooOftenError
 from services.labeler.imports.answers import DatasetIndexAnswer

@@ -9,8 +9,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.domain.viewer.difference_picture import difference_picture
-from services.domain.viewer.indexed_pictures import DIFFERENCE_RGB, GREY, SAME_ALPHA
+from services.domain.viewer.frame_picture import DIFFERENCE_RGB, GREY, SAME_ALPHA, difference_picture
 from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME

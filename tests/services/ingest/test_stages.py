@@ -10,7 +10,7 @@ import pytest
 from sqlalchemy import func, select
 
 from services.domain.sequences.processing import delete_sequence
-from services.domain.sequences.recording_sources import locate
+from services.domain.sequences.recordings import locate
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
 from services.runtime.jobs.specs import Attempt, Handler, Outcome

@@ -15,8 +15,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.inputs import RUN, inputs_of, locate_input, start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.domain.datasets.input_jobs import InputsImpossibleError, InputsStandError
-from services.domain.datasets.inputs import start_version_inputs
+from services.domain.datasets.input_jobs import InputsImpossibleError, InputsStandError, start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recordings import remove_recording

@@ -14,8 +14,7 @@ import pytest
 from sqlalchemy import select
 
 from services.domain.sequences.processing import SYNCHRONISE
-from services.domain.sequences.recording_sources import kept_recording, locate_run
-from services.domain.sequences.recordings import remove_recording
+from services.domain.sequences.recordings import kept_recording, locate_run, remove_recording
 from services.ingest.sandboxed_synchronisation import StoredBags, SynchronisationResult, with_description
 from services.labeler.recordings import RecordingDeletedError, located_members
 from services.runtime.database.migrate import upgrade

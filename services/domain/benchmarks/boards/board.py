@@ -8,15 +8,19 @@ each time: it is made again when anything has changed of what it is made of, and
 """
 
 from collections.abc import Hashable, Iterable, Mapping, Sequence
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, replace
+from functools import cache
+from hashlib import sha256
 from threading import Lock
 from typing import Any
 
-from cachetools import LRUCache
+import numpy as np
+from cachetools import LRUCache, cached
 from sqlalchemy import select
-from sqlalchemy.orm import Session
+from sqlalchemy.orm import Session, aliased
 
-from services.domain.benchmarks.boards.board_revision import board_revision
+from services.domain.benchmarks.boards.comparison import read_spectra
 from services.domain.benchmarks.boards.entries import (
     BoardEntry,
     BoardOrder,
@@ -24,15 +28,170 @@ from services.domain.benchmarks.boards.entries import (
     EntryStatus,
     board_order_of,
     entries_on_board,
+    was_on_board_at,
 )
-from services.domain.benchmarks.boards.rank_confidence import RankConfidence, RankedScore, rank_confidence_of
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
 from services.domain.benchmarks.visibility import PERCENT_DIGITS, Secrecy, Viewer, policy_of, secrecy_of
-from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase, Reported, Score
+from services.runtime.database.rows import KeptSelect, parameter
+from services.runtime.orm import (
+    Activation,
+    Benchmark,
+    Blob,
+    GroundTruthRow,
+    Phase,
+    Reported,
+    Score,
+    SubmissionRow,
+    Team,
+)
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.store.protocol import Store
+from stone.scoring.intervals import RatioSpectra
 from stone.scoring.metric import RATIOS
-from stone.scoring.silences import Silence
+from stone.scoring.pairs import board_spectra, surely_above
+from stone.scoring.ranking import rank_intervals, tie_groups
+from stone.scoring.silences import WITHDRAWN, Silence
+
+# The revision of a board: a digest of every row that it is made of, by three statements that are kept.
+#
+# **Conventions.** Equal revisions, equal boards. A score, a ground truth that is ready and an activation never change,
+# so their ids stand for them; whatever else a board tells is in the digest as it was read, and with it whether its
+# phase is over, whether teams are named by now, and which of the teams on it are the viewer's. Boards of the past have
+# none: those that ask for a time ask for another one each.
+
+
+@dataclass(frozen=True)
+class BoardRevision:
+    """The digest of a board, and the teams on it that are the viewer's, who sees what others with them see."""
+
+    digest: str
+    teams: tuple[str, ...]
+
+
+def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: Viewer, now_ns: int) -> BoardRevision:
+    """Of the board as this viewer sees it now. Raises `ValueError` for a board of the past."""
+    if query.as_of_ns is not None:
+        raise ValueError("boards of the past have no revision")
+    (phase,) = _phase().rows(session, {"phase": phase_id})
+    is_on_track = query.track != "all"
+    at = {"phase": phase_id, **({"track": query.track} if is_on_track else {})}
+    entries = _entries(is_on_track).rows(session, {**at, "truth": phase.truth_id, "metric": phase.metric})
+    reported = _reported_of_board_revision(is_on_track).rows(session, at)
+    teams = tuple(sorted({row.team_id for row in entries} & viewer.team_ids))
+    times = [at_ns is not None and at_ns <= now_ns for at_ns in (phase.closes_ns, phase.named_from_ns)]
+    read = [[tuple(row) for row in rows] for rows in ([phase], entries, reported)]
+    whole = repr((query, viewer.is_administrator, teams, times, read))
+    return BoardRevision(sha256(whole.encode()).hexdigest(), teams)
+
+
+@cache
+def _phase() -> KeptSelect:
+    """What the phase says, and the evaluation version that is in force."""
+    other = aliased(Activation)
+    newest = select(other.id).where(other.phase_id == Phase.id).order_by(other.activated_ns.desc(), other.id.desc())
+    said = (Phase.id, Phase.name, Phase.is_hidden, Phase.closes_ns, Phase.named_from_ns, Benchmark.name)
+    in_force = (Activation.id, Activation.truth_id, Activation.metric)
+    phases = select(*said, *in_force).join(Benchmark, Benchmark.id == Phase.benchmark_id)
+    joined = phases.join(Activation, Activation.id == newest.limit(1).scalar_subquery(), isouter=True)
+    return KeptSelect(joined.where(Phase.id == parameter("phase")))
+
+
+@cache
+def _entries(is_on_track: bool) -> KeptSelect:
+    """The scores that stand on the board, with what may change of their submissions and teams."""
+    may_change = (SubmissionRow.kind, SubmissionRow.method, SubmissionRow.modality, SubmissionRow.finalized_ns)
+    of_version = (Score.truth_id == parameter("truth"), Score.metric == parameter("metric"))
+    found = (
+        select(Score.id, SubmissionRow.team_id, *may_change, Team.name)
+        .join(SubmissionRow, SubmissionRow.id == Score.submission_id)
+        .join(Team, Team.id == SubmissionRow.team_id)
+        .where(SubmissionRow.phase_id == parameter("phase"), *of_version, was_on_board_at(None))
+        .order_by(Score.id)
+    )
+    return KeptSelect(found.where(SubmissionRow.modality == parameter("track")) if is_on_track else found)
+
+
+@cache
+def _reported_of_board_revision(is_on_track: bool) -> KeptSelect:
+    found = select(*Reported.__table__.columns).where(Reported.phase_id == parameter("phase")).order_by(Reported.id)
+    return KeptSelect(found.where(Reported.modality == parameter("track")) if is_on_track else found)
+
+
+# Rank confidence of leaderboard entries, from the spectra kept of their scores.
+#
+# **Conventions.** Files are read from the store outside transactions, once: what the ranked ratio needs of one is kept
+# in memory by the sha256 of its blob, which never changes, and the outcome for a list of entries by theirs. Both are
+# bounded, so that a process holds at most some 16 MiB. The best `MOST_COMPARED` entries are compared; of those below
+# them, and where of no pair anything can be said, nothing is claimed.
+
+
+RANKED_BY = RATIOS.index("miou")
+READERS = 8
+MOST_COMPARED = 500
+MOST_KEPT = 3000
+MOST_OUTCOMES = 64
+
+
+@dataclass(frozen=True)
+class RankConfidence:
+    """The rank interval and tie group of each ranked entry; null where nothing is said, `silence` of all of them."""
+
+    rank_intervals: tuple[tuple[int, int] | None, ...]
+    tie_groups: tuple[int | None, ...]
+    silence: Silence | None = None
+
+
+@dataclass(frozen=True)
+class RankedScore:
+    """An entry in the order of the board: its ranked ratio, and the sha256 of the spectra kept of it."""
+
+    value: float
+    spectra_sha256: str
+
+
+_SPECTRA: LRUCache[str, RatioSpectra | None] = LRUCache(MOST_KEPT)
+_OUTCOMES: LRUCache[tuple[RankedScore, ...], RankConfidence] = LRUCache(MOST_OUTCOMES)
+
+
+@cached(_OUTCOMES, key=lambda store, ranked, key_of: tuple(ranked), lock=Lock())
+def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapping[str, str]) -> RankConfidence:
+    """Of entries in the order of the board; `key_of` tells each blob's key. Raises `StoreAwayError`."""
+    compared = ranked[:MOST_COMPARED]
+    with ThreadPoolExecutor(READERS) as readers:
+        found = list(readers.map(lambda one: _spectra(store, one.spectra_sha256, key_of[one.spectra_sha256]), compared))
+    known = [one for one in found if one is not None]
+    if len(known) < len(compared):
+        return _silent(ranked, WITHDRAWN)
+    if len(ranked) < 2:
+        return _silent(ranked, None)
+    claims = surely_above(np.array([one.value for one in compared]), board_spectra(known, 0))
+    if claims is None:
+        return _silent(ranked, "few_frames")
+    beneath = (None,) * (len(ranked) - len(compared))
+    intervals = ((low, high + len(beneath)) for low, high in rank_intervals(claims).tolist())
+    return RankConfidence((*intervals, *beneath), (*tie_groups(claims).tolist(), *beneath))
+
+
+def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfidence:
+    nothing = (None,) * len(ranked)
+    return RankConfidence(nothing, nothing, silence)
+
+
+@cached(_SPECTRA, key=lambda store, sha256, object_key: sha256, lock=Lock())
+def _spectra(store: Store, sha256: str, object_key: str) -> RatioSpectra | None:
+    """Of the ranked ratio alone."""
+    found = read_spectra(store, object_key)
+    if found is None:
+        return None
+    column = slice(RANKED_BY, RANKED_BY + 1)
+    return RatioSpectra(
+        found.layout,
+        np.ascontiguousarray(found.coefficients[:, column]),
+        np.ascontiguousarray(found.sequence_weight[:, column]),
+        found.spread[column].copy(),
+    )
+
 
 MOST_ROWS = 2000
 CHUNK = 500  # ids in one statement

@@ -6,13 +6,13 @@ it an exact test over the few sequences there are; where nothing can be said, th
 phase hides its truth only the difference of rounded totals is told.
 """
 
+import io
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 
 import numpy as np
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.boards.score_spectra import read_spectra
 from services.domain.benchmarks.phases.evaluation_versions import active
 from services.domain.benchmarks.submissions.result_errors import NotComparableError, NotScoredError
 from services.domain.benchmarks.submissions.results import ScoreView, seen_score
@@ -20,10 +20,11 @@ from services.domain.benchmarks.visibility import Viewer, rounded
 from services.runtime.orm import Blob, Phase, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
-from stone.scoring.intervals import Estimate, estimates
+from stone.scoring.intervals import Estimate, RatioSpectra, estimates
 from stone.scoring.metric import RATIOS
 from stone.scoring.ranking import SignFlip, sign_flip
 from stone.scoring.silences import SCOPES, WITHDRAWN, Scope, Silence
+from stone.scoring.spectra import layout_of
 
 Found = Mapping[Scope, tuple[Estimate | Silence, ...]]
 
@@ -130,3 +131,22 @@ def _difference(a: float | None, b: float | None, is_exact: bool) -> float | Non
     if a is None or b is None:
         return None
     return a - b if is_exact else rounded(a - b)
+
+
+# Reads the spectra that are kept of a score.
+#
+# **Conventions.** The file is ours (`services/eval/score_intervals.py` writes it), so what it holds is believed.
+# Scores whose metric's intervals are withdrawn may have another file, from which nothing is read.
+
+
+def read_spectra(store: Store, object_key: str) -> RatioSpectra | None:
+    """The spectra of a score; None where bootstrap replicates were kept. Raises `StoreAwayError`."""
+    with np.load(io.BytesIO(b"".join(store.read(object_key))), allow_pickle=False) as arrays:
+        if "coefficients" not in arrays:
+            return None
+        return RatioSpectra(
+            layout_of(arrays["frames_of_sequence"].tolist()),
+            arrays["coefficients"],
+            arrays["sequence_weight"],
+            arrays["spread"],
+        )

@@ -18,7 +18,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import active
 from services.domain.benchmarks.visibility import secrecy_of
-from services.domain.datasets.exposure import hidden_truths
+from services.domain.datasets.catalogue import hidden_truths
 from services.domain.datasets.input_jobs import members_of
 from services.domain.datasets.queries import locate_part, open_parts
 from services.domain.viewer.frame_grids import SHOWN_GRIDS, read_grids

@@ -6,9 +6,8 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board
+from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board, rank_confidence_of
 from services.domain.benchmarks.boards.entries import BoardQuery
-from services.domain.benchmarks.boards.rank_confidence import rank_confidence_of
 from services.domain.benchmarks.boards.tables import notes
 from services.domain.benchmarks.visibility import ANYBODY, Viewer
 from services.runtime.orm import Reported
@@ -243,7 +242,7 @@ def test_entries_below_those_that_are_compared_claim_nothing(
     at = scene(platform)
     for error in (0.2, 0.3, 0.4):
         at.enter(at.team(), Made(error))
-    monkeypatch.setattr("services.domain.benchmarks.boards.rank_confidence.MOST_COMPARED", 2)
+    monkeypatch.setattr("services.domain.benchmarks.boards.board.MOST_COMPARED", 2)
     monkeypatch.setattr(
         "services.domain.benchmarks.boards.board.rank_confidence_of", unwrap(rank_confidence_of)
     )  # nothing is remembered

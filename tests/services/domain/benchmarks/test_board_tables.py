@@ -14,8 +14,15 @@ from markdown_it import MarkdownIt
 
 from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, LeaderboardRow
 from services.domain.benchmarks.boards.entries import BoardQuery
-from services.domain.benchmarks.boards.plain_text import csv_text, latex_text, markdown_text
-from services.domain.benchmarks.boards.tables import Form, columns, notes, table_bytes
+from services.domain.benchmarks.boards.tables import (
+    Form,
+    columns,
+    csv_text,
+    latex_text,
+    markdown_text,
+    notes,
+    table_bytes,
+)
 from stone.errors import one_line
 
 HOSTILE = (

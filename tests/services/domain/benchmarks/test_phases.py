@@ -31,8 +31,7 @@ from services.domain.benchmarks.phases.reported_results import (
     put_reported,
     reported_in,
 )
-from services.domain.benchmarks.policy_words import WORDS, policy_sentences
-from services.domain.benchmarks.visibility import TABLE
+from services.domain.benchmarks.visibility import TABLE, WORDS, policy_sentences
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, Job, Phase, Reported
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform

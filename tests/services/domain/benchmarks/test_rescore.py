@@ -10,8 +10,14 @@ from hypothesis import given
 from hypothesis import strategies as st
 from sqlalchemy import select
 
-from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms, raise_alarms
-from services.domain.benchmarks.alarms.similarity import DAY_NS, AlarmLimits, differing_ratio
+from services.domain.benchmarks.alarms.alarms import (
+    DAY_NS,
+    AlarmLimits,
+    differing_ratio,
+    dismiss,
+    open_alarms,
+    raise_alarms,
+)
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force, versions_to_score
 from services.domain.benchmarks.rescores.diff import RescoreDiff, RescoreMove, RescoreSide
 from services.domain.benchmarks.rescores.errors import (

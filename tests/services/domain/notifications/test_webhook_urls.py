@@ -5,8 +5,7 @@ from ipaddress import ip_address
 import pytest
 
 from services.domain.notifications.errors import BadWebhookUrlError, NoWebhookError
-from services.domain.notifications.webhook_urls import LONGEST_URL, checked_url, is_allowed
-from services.domain.notifications.webhooks import rotate_secret, set_webhook
+from services.domain.notifications.webhooks import LONGEST_URL, checked_url, is_allowed, rotate_secret, set_webhook
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.platform import Platform
 from tests.services.runtime.jobs.steps import an_owner

@@ -5,11 +5,8 @@ from typing import Any
 import pytest
 from sqlalchemy.orm import Session
 
-from services.domain.runs.paces import pace_of
-from services.domain.runs.queue_facts import queue_facts
-from services.domain.runs.run_rows import alive_rows, older_of_the_same
+from services.domain.runs.estimates import alive_rows, alive_runs, older_of_the_same, pace_of, queue_facts
 from services.domain.runs.time_left import LABELLING, Pace, RunningJob, RunWorkload, StageWork
-from services.domain.runs.work import alive_runs
 from services.runtime.orm import Blob, CalibrationRow, Job, LabelSet, Recording, SequenceRow, new_id
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person

@@ -9,9 +9,9 @@ from sqlalchemy import func, select
 
 from api.visible import newest_label_set
 from services.domain.sequences.chosen_recordings import recording_ids_of
-from services.domain.sequences.label_choices import ChoiceError
 from services.domain.sequences.processing import (
     PROCESS,
+    ChoiceError,
     ProcessRequest,
     delete_sequence,
     register,

@@ -9,8 +9,7 @@ import pytest
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.label_choices import ChoiceError
-from services.domain.sequences.processing import PROCESS, delete_sequence
+from services.domain.sequences.processing import PROCESS, ChoiceError, delete_sequence
 from services.domain.sequences.restart import (
     MOST_RESTARTS,
     RESTARTS,

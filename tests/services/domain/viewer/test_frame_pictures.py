@@ -8,13 +8,14 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from services.domain.viewer.frame_grids import GridUnreadableError, read_grids
-from services.domain.viewer.frame_picture import picture_bytes, plan
-from services.domain.viewer.indexed_pictures import (
+from services.domain.viewer.frame_picture import (
     GROUND_INDEX,
     LIGHTS,
     UNSEEN_INDEX,
     lit,
     of_class,
+    picture_bytes,
+    plan,
     png_of,
     recoloured,
     rgb_on_paper,

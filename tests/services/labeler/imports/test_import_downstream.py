@@ -13,7 +13,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.domain.datasets.inputs import located_input, start_version_inputs
+from services.domain.datasets.input_jobs import located_input, start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.domain.exports.requests import NothingToExportError, start_export
 from services.domain.sequences.label_comparisons import start_comparison

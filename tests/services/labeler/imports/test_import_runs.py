@@ -8,8 +8,7 @@ import pytest
 from sqlalchemy import select
 
 from services.domain.imports.errors import ExistingSequencesError
-from services.domain.imports.queries import progress_of
-from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import
+from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import, progress_of
 from services.domain.sequences.processing import delete_sequence
 from services.labeler.imports.publish_stage import PROFILE
 from services.runtime.access.storage_quota import balance

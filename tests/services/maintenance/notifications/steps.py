@@ -3,9 +3,7 @@
 from dataclasses import replace
 from typing import Any
 
-from services.domain.notifications.choices import choose
-from services.domain.notifications.phase_clock import tell_phases
-from services.domain.notifications.spread import queue_due, spread_events, take_back_lost
+from services.domain.notifications.spread import choose, queue_due, spread_events, take_back_lost, tell_phases
 from services.domain.notifications.webhooks import set_webhook
 from services.maintenance.notifications.delivery import deliver_queued
 from services.runtime.notification_settings import NotificationSettings

@@ -6,9 +6,7 @@ from pathlib import Path
 import pytest
 
 from services.domain.benchmarks.submissions.states import settle
-from services.domain.notifications.choices import choose
-from services.domain.notifications.phase_clock import LATEST_NS, tell_phases
-from services.domain.notifications.spread import forget_told, spread_events
+from services.domain.notifications.spread import LATEST_NS, choose, forget_told, spread_events, tell_phases
 from services.domain.notifications.webhooks import set_webhook
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.runtime.access import storage_quota
