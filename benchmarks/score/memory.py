@@ -4,7 +4,7 @@ import re
 import sys
 from pathlib import Path
 
-from services.eval.counting import count_range
+from services.eval.examination import count_range
 from services.eval.truth_pack import TruthPack
 from stone_submissions.archive import open_submission
 

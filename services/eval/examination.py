@@ -8,16 +8,16 @@ of the range, little-endian int32 [frame, 3, 4, 4] and [frame, 3, 3].
 import json
 import struct
 import zlib
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterable, Sequence
+from dataclasses import dataclass, field, replace
 from functools import partial
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 
 from services.domain.benchmarks.submissions.scoring_jobs import Span
 from services.eval.kernel_warmup import warm
-from services.eval.ranges import Counts, ExaminedRange, examined
 from services.eval.scoring_errors import TruthDamagedError
 from services.eval.truth_pack import TruthPack, TruthPackError
 from services.runtime.sandbox import (
@@ -29,12 +29,139 @@ from services.runtime.sandbox import (
     sandboxed_with_progress,
 )
 from services.runtime.sandbox.fork_client import warm_unless_served
-from stone.scoring.bitplanes import RINGS
+from stone.scoring.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
-from stone_submissions.errors import ScoringCrashedError, ScoringInterruptedError, UnreadableInputError
-from stone_submissions.verdict import Validation, verdict
+from stone_submissions.errors import (
+    LabelOutOfRangeError,
+    ScoringCrashedError,
+    ScoringInterruptedError,
+    UnreadableInputError,
+)
+from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
+from stone_submissions.verdict import Validation, ValidationProblem, verdict
 from stone_submissions.verdict_record import merged, validation_of
+
+# Frames of a submission, a thread each block: read, checked, counted; whatever is wrong is collected.
+#
+# **Conventions.** Counts are in the order of the tokens asked for. A frame that is missing or refused counts zero and
+# has its problem; nothing stops at the first. `deflate` and the numba kernels release the interpreter, so threads
+# share cores. Progress is called from the calling thread only. At any time each thread holds one frame.
+
+
+TruthOf = Callable[[str], TruthPlanes]
+
+
+@dataclass(frozen=True, eq=False)
+class CountedFrames:
+    """Of F frames: `confusions` [F, ring, truth, prediction] and `bev` [F, ring, 3] int32, and what was refused."""
+
+    confusions: Confusion
+    bev: Drivable
+    problems: tuple[ValidationProblem, ...]
+
+
+def count_range(
+    submission: SubmissionZip,
+    tokens: Sequence[str],
+    truth_of: TruthOf,
+    *,
+    threads: int = THREADS,
+    progress: Progress = silent,
+) -> CountedFrames:
+    """The counts of these frames, every check on. What is wrong with the archive as a whole is not told again.
+
+    Raises what `truth_of` raises.
+    """
+    counted = CountedFrames(
+        np.zeros((len(tokens), RINGS, CLASSES, CLASSES), np.int32), np.zeros((len(tokens), RINGS, 3), np.int32), ()
+    )
+
+    def one(index: int) -> ValidationProblem | None:
+        if tokens[index] not in submission.frames:
+            return None
+        truth = truth_of(tokens[index])
+        problem = count_frame(submission, tokens[index], truth, (counted.confusions[index], counted.bev[index]))
+        if problem is not None:
+            counted.confusions[index], counted.bev[index] = 0, 0
+        return problem
+
+    found = in_threads(one, len(tokens), threads, progress=progress, stage="score")
+    return replace(counted, problems=tuple(problem for problem in found if problem is not None))
+
+
+def count_frame(
+    submission: SubmissionZip, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable]
+) -> ValidationProblem | None:
+    """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, or say why it is refused."""
+
+    def count() -> None:
+        try:
+            count_by_ring(frame_grid(submission, token), truth, *outs)
+        except LabelRangeError as error:
+            raise LabelOutOfRangeError("labels 0 to 3", str(error.value)) from error
+
+    return refusal_of(submission, token, count)
+
+
+# A range of a submission's frames looked at, and the join of all ranges: what every scoring is made of.
+#
+# **Conventions.** What is wrong with the archive as a whole is known when it is opened and not told again by a range.
+
+
+@dataclass(frozen=True, eq=False)
+class Counts:
+    """Of F frames: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3], int32."""
+
+    confusions: NDArray[np.int32]
+    bev: NDArray[np.int32]
+
+    def packed(self) -> bytes:
+        """For a row, until the join."""
+        return zlib.compress(self.raw(), 1)
+
+    def raw(self) -> bytes:
+        return self.confusions.astype("<i4").tobytes() + self.bev.astype("<i4").tobytes()
+
+
+@dataclass(frozen=True, eq=False)
+class ExaminedRange:
+    """What is wrong with a range, and, where nothing is and it was to be counted, its counts."""
+
+    validation: Validation
+    counts: Counts | None = field(default=None)
+
+
+def examined(
+    submission: SubmissionZip,
+    tokens: Sequence[str],
+    truth_of: TruthOf | None = None,
+    *,
+    threads: int = THREADS,
+    progress: Progress = silent,
+) -> ExaminedRange:
+    """These frames of a submission, counted against their truth or, without it, only checked.
+
+    Raises what `truth_of` raises.
+    """
+    if truth_of is None:
+        return ExaminedRange(verdict(check_range(submission, tokens, threads=threads, progress=progress)))
+    counted = count_range(submission, tokens, truth_of, threads=threads, progress=progress)
+    validation = verdict(counted.problems)
+    return ExaminedRange(validation, Counts(counted.confusions, counted.bev) if validation.ok else None)
+
+
+def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
+    """Ranges, in their order, as one; it has counts where each of them has."""
+    given = list(ranges)
+    counts = [one.counts for one in given if one.counts is not None]
+    validation = merged(one.validation for one in given)
+    return ExaminedRange(validation, _concatenated(counts) if counts and len(counts) == len(given) else None)
+
+
+def _concatenated(counts: Sequence[Counts]) -> Counts:
+    return Counts(*(np.concatenate([getattr(one, name) for one in counts]) for name in ("confusions", "bev")))
+
 
 HEAD = struct.Struct("<I")
 CONFUSION_SHAPE, BEV_SHAPE = (RINGS, CLASSES, CLASSES), (RINGS, 3)

@@ -6,25 +6,38 @@ things come first; rows, what follows for the submission and the job's success a
 tells nothing but where the submission stands.
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from functools import partial
+from hashlib import sha256
 from pathlib import Path
+from secrets import token_hex
 
 import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
-from services.domain.benchmarks.submissions.scoring_jobs import Span
-from services.eval.cases import Case
-from services.eval.examination import unpacked
-from services.eval.ranges import Counts, ExaminedRange, joined
-from services.eval.scoring import made_score
-from services.eval.settlement import refuse, write, write_verdict
+from services.domain.benchmarks.alarms.alarms import raise_alarms
+from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, versions_to_score
+from services.domain.benchmarks.submissions.scores import NewScore, drop_parts, write_score
+from services.domain.benchmarks.submissions.scoring_jobs import Span, rescore_specs
+from services.domain.benchmarks.submissions.submissions import settle
+from services.eval.cases import Case, ReadyTruth, live_submission
+from services.eval.examination import Counts, ExaminedRange, joined, unpacked
+from services.eval.scores import SequenceFacts, SubmissionCounts, record_of, spectra_npz
 from services.eval.stage_context import EvalStageContext
 from services.runtime.code_version import code_version
+from services.runtime.jobs.changes import lock_run
+from services.runtime.jobs.completion import Failure
+from services.runtime.jobs.enqueue import add_jobs
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.jobs.execution import is_refusal
 from services.runtime.jobs.specs import Outcome
-from services.runtime.orm import Score, ScorePart
+from services.runtime.orm import Phase, Score, ScorePart
+from services.runtime.store.blobs import PreparedBlob, prepare
+from stone.errors import StoneError
+from stone.scoring.signature import Signature
+from stone_files.npz import npz_bytes
+from stone_submissions.verdict import Validation
 from stone_submissions.verdict_record import merged, validation_of
 
 
@@ -91,3 +104,110 @@ def _of_part(part: ScorePart) -> ExaminedRange:
 def _kept_counts(path: Path) -> Counts:
     with np.load(path, allow_pickle=False) as arrays:
         return Counts(arrays["confusions"], arrays["bev"])
+
+
+# Scores from counts: the record, the intervals and the two stored files of a score.
+
+
+def made_score(
+    context: EvalStageContext, case: Case, evaluation_version: EvaluationVersion, counts: Counts
+) -> NewScore:
+    """The score of these counts, its files stored; it bears the version of the code that counted.
+
+    Raises `UnknownMetricError`, and what the store raises.
+    """
+    counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
+    spectra = counts_of_frames.spectra(evaluation_version.metric)
+    return NewScore(
+        submission_id=case.submission_id,
+        evaluation_version=evaluation_version,
+        signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric)),
+        record={
+            "code_version": case.kept.code_version if case.kept else code_version("scores"),
+            **record_of(counts_of_frames, spectra, evaluation_version.metric),
+        },
+        confusions=_stored(context, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
+        spectra=_stored(context, spectra_npz(spectra)),
+        content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
+    )
+
+
+def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
+    """The sequences of a ground truth in the order of its frames."""
+    return tuple(
+        SequenceFacts(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None)
+        for one in truth.facts["sequences"]
+    )
+
+
+def _stored(context: EvalStageContext, content: bytes) -> PreparedBlob:
+    """Each attempt writes a file of its own: what is stored may share its bytes, so none is written twice."""
+    path = context.folder / f"{token_hex(8)}.npz"
+    path.write_bytes(content)
+    return prepare(context.platform.store, context.platform.database, path, adopt=True)
+
+
+# Final states of submissions, written in the transaction in which their last job succeeds.
+#
+# **Conventions.** The first join settles it, by the evaluation version in force when it began; after that it lacks the
+# score of every evaluation version that is pending or came into force meanwhile, so jobs for these are added to its
+# run in the same transaction. The phase's row is held while that is decided: a re-score that begins at the same time
+# either sees the submission scored or is seen. Locks are taken in the order run, submission, team, phase.
+
+
+Stage = Callable[[EvalStageContext], Outcome]
+
+
+def settling(stage: Stage, context: EvalStageContext) -> Outcome:
+    """What the stage answers; a refusal ends the submission, not the job, and a fault of the platform goes on."""
+    try:
+        return stage(context)
+    except JobCancelledError:
+        raise
+    except StoneError as error:
+        if not is_refusal(error):
+            raise
+        context.attempt.log("not scored", "warning", code=error.code)
+        return Outcome({"refused": error.code}, commit=partial(_fail, context.submission_id, error))
+
+
+def refuse(context: EvalStageContext, case: Case, found: Validation) -> Outcome:
+    """The submission is not valid; one that has a score stays scored, without one by another evaluation version."""
+    if not case.is_under_way:
+        return Outcome({"state": "unscorable"}, commit=partial(_give_up, case))
+    context.attempt.log("not valid", errors=found.errors_total, first=found.errors[0].code)
+    return Outcome({"state": "invalid"}, commit=partial(write_verdict, case, "invalid", found))
+
+
+def write_verdict(case: Case, state: str, found: Validation | None, session: Session) -> None:
+    """End a submission without a score. Raises `JobCancelledError` where it ended otherwise meanwhile."""
+    settle(session, case.submission_id, state, problems=found.as_record() if found else None)
+
+
+def write(context: EvalStageContext, case: Case, new: NewScore, session: Session) -> None:
+    """Write the score and, the first time, end the submission. Raises as `write_verdict` does."""
+    score = write_score(session, new)
+    if settle(session, case.submission_id, "scored"):
+        raise_alarms(session, score)
+        _score_by_the_others(context, case, session)
+
+
+def _score_by_the_others(context: EvalStageContext, case: Case, session: Session) -> None:
+    """Have the run score it by every version that it lacks by now; a run that is being stopped takes nothing new."""
+    session.execute(select(Phase.id).where(Phase.id == case.phase_id).with_for_update(read=True))
+    run = lock_run(session, context.attempt.root_id)
+    if run.cancel_reason:
+        return
+    for evaluation_version in versions_to_score(session, case.phase_id):
+        specs = rescore_specs(session, (case.submission_id,), evaluation_version)
+        add_jobs(session, run, specs, context.platform.settings.jobs.max_attempts)
+
+
+def _give_up(case: Case, session: Session) -> None:
+    drop_parts(session, case.submission_id, case.truth.id)
+
+
+def _fail(submission_id: str, error: StoneError, session: Session) -> None:
+    """A scored submission stays scored."""
+    if live_submission(session, submission_id).state != "scored":
+        settle(session, submission_id, "failed", failure=Failure(error.code, str(error)))

@@ -4,7 +4,7 @@
 
 The archive's directory is checked when it is opened; a range
 (`services/domain/benchmarks/submissions/scoring_jobs.py`) is `examined`, counted or only checked; all ranges are
-`joined` (both `services/eval/ranges.py`). Here one range follows the other, its frames on a few threads; the queue
+`joined` (both `services/eval/examination.py`). Here one range follows the other, its frames on a few threads; the queue
 examines each range in a sandbox, in a job of its own where there are several (`services/eval/stages.py`).
 
 **Conventions.** Nothing here starts a process or keeps state, so it runs as it is in a child with memory and time
@@ -16,9 +16,8 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_jobs import ranges_of
-from services.eval.counting import TruthOf
+from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined
 from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
-from services.eval.ranges import Counts, ExaminedRange, examined, joined
 from services.eval.scores import Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.signature import Signature

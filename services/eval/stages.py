@@ -7,8 +7,11 @@ the transaction of its success. A submission that is refused is no failed job: t
 ended. Neither result nor log line nor failure tells anything of a ground truth.
 """
 
+from contextlib import ExitStack, suppress
 from functools import partial
+from pathlib import Path
 
+from sqlalchemy import update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import active
@@ -18,15 +21,17 @@ from services.domain.benchmarks.submissions.submissions import mark_scoring
 from services.domain.sequences.label_comparisons import COMPARE
 from services.eval.cases import live_submission
 from services.eval.comparison.stage import compare_label_sets
-from services.eval.file_keeping import keep_file
-from services.eval.join import concluded, join
-from services.eval.scoring_errors import TruthUnreadyError
-from services.eval.settlement import Stage, refuse, settling
+from services.eval.join import Stage, concluded, join, refuse, settling
+from services.eval.scoring_errors import TruthUnreadyError, UploadDamagedError
 from services.eval.stage_context import EvalStageContext
 from services.eval.truth_build import build_truth
 from services.runtime.code_version import code_version
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
+from services.runtime.orm import SubmissionRow, Upload
 from services.runtime.platform import Platform
+from services.runtime.store.blobs import PreparedBlob, link, prepare
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.uploads.backends import backend_of, remove_bytes
 
 
 def handlers(platform: Platform) -> Handlers:
@@ -87,3 +92,50 @@ def count_part(context: EvalStageContext) -> Outcome:
 
 def _with_context(platform: Platform, stage: Stage, attempt: Attempt) -> Outcome:
     return stage(EvalStageContext(platform, attempt))
+
+
+# Moves the file of a submission from its upload to the object store.
+#
+# **Conventions.** It is kept under its own transaction, not with the job's success: the file that came in can then go,
+# and an attempt that is killed afterwards finds it kept.
+
+
+def keep_file(platform: Platform, submission: SubmissionRow) -> None:
+    """Have the file as a blob, and the submission in scoring; nothing happens where that is so.
+
+    Raises `UploadDamagedError`, `JobCancelledError` where it ended meanwhile, and what the store raises.
+    """
+    if submission.blob_sha256 is None:
+        _keep(platform, submission)
+    elif submission.state == "queued":  # an administrator has it tried again
+        with platform.database.transaction() as session:
+            mark_scoring(session, submission.id)
+    if submission.upload_id:
+        remove_bytes(platform, [submission.upload_id])
+
+
+def _keep(platform: Platform, submission: SubmissionRow) -> None:
+    declared = submission.declared_sha256
+    with ExitStack() as copies:
+        prepared = prepare(platform.store, platform.database, _received(platform, submission, copies), adopt=True)
+        if prepared.sha256 != declared:
+            raise UploadDamagedError(prepared.sha256, declared)
+        with platform.database.transaction() as session:
+            _write(session, submission.id, prepared)
+
+
+def _received(platform: Platform, submission: SubmissionRow, copies: ExitStack) -> Path:
+    """The file on this machine. Raises `UploadDamagedError` when it is gone."""
+    with platform.database.reading() as session:
+        upload = session.get(Upload, submission.upload_id or "")
+    if upload is not None:
+        with suppress(FileNotFoundError, ObjectMissingError):
+            return copies.enter_context(backend_of(platform, upload).local(upload))
+    raise UploadDamagedError("", submission.declared_sha256)
+
+
+def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None:
+    mark_scoring(session, submission_id)
+    blob = link(session, prepared)
+    unkept = update(SubmissionRow).where(SubmissionRow.id == submission_id, SubmissionRow.blob_sha256.is_(None))
+    session.execute(unkept.values(blob_sha256=blob.sha256), execution_options={"synchronize_session": False})

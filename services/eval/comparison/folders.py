@@ -8,8 +8,8 @@ from typing import Any
 
 from services.domain.viewer.frame_picture import comparison_picture
 from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pairs, label_grids
-from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.record import ComparedFrames, comparison_record
+from services.eval.comparison.stage import NothingInCommonError
 from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
 from stone_files.atomic import atomic_file
 from stone_submissions.bounded_file import read_bounded

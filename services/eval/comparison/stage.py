@@ -32,16 +32,16 @@ from services.eval.comparison.counting import (
     counted_pairs,
     label_grids,
 )
-from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.kernel_warmup import warm
-from services.eval.packed_label_file import PackedLabelFile
 from services.eval.stage_context import EvalStageContext
+from services.eval.truth_build import PackedLabelFile
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import LabelSet
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox
+from stone.errors import StoneError
 from stone.scoring.bitplanes import RINGS, VOXELS
 from stone.scoring.metric import CLASSES
 
@@ -151,3 +151,18 @@ def _packed(context: EvalStageContext, pairs: list[StoredPair]) -> PackedPairs:
 
 def _by_ring(cells: list[int]) -> Counted:
     return np.array(cells, np.int64).reshape(RINGS, CLASSES, CLASSES)
+
+
+# Why two label sets cannot be compared.
+
+
+class NothingInCommonError(StoneError):
+    """The two label sets share no frame."""
+
+    code = "nothing_in_common"
+
+    def __init__(self, a: str, b: str, frames: tuple[int, int]) -> None:
+        super().__init__(
+            f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token; tokens are made of the"
+            " sequence's name and the stamp, so are these labels of one run, labelled under one name?"
+        )

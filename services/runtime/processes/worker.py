@@ -51,7 +51,7 @@ FORKED_FROM = {
         "services.labeler.imports.scene_import",
         "pyarrow.compute",  # which tables load when they are written
     ),
-    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
+    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.truth_build"),
 }
 
 log = structlog.get_logger(__name__)

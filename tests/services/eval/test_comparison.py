@@ -10,8 +10,8 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from services.domain.viewer.frame_picture import DIFFERENCE_RGB, GREY, SAME_ALPHA, difference_picture
-from services.eval.comparison.errors import NothingInCommonError
 from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
+from services.eval.comparison.stage import NothingInCommonError
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import GroundTruthError, UnreadableInputError

@@ -12,7 +12,7 @@ import pyarrow.parquet as pq
 import pytest
 
 from services.domain.benchmarks.submissions import scoring_jobs
-from services.eval.counting import count_range
+from services.eval.examination import count_range
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
 from stone.labels.grid import GRID_SHAPE

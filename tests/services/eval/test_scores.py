@@ -9,8 +9,15 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.eval.score_intervals import interval_record, spectra_npz, spectra_of
-from services.eval.scores import RING_NAMES, SequenceFacts, SubmissionCounts, record_of
+from services.eval.scores import (
+    RING_NAMES,
+    SequenceFacts,
+    SubmissionCounts,
+    interval_record,
+    record_of,
+    spectra_npz,
+    spectra_of,
+)
 from stone.errors import ShapeError
 from stone.scoring.confusion import extras, named_ratios
 from stone.scoring.intervals import Estimate, estimates

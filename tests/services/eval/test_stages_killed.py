@@ -12,7 +12,7 @@ from contextlib import contextmanager
 import pytest
 
 from services.domain.benchmarks.submissions import scoring_jobs
-from services.eval import ranges
+from services.eval import examination
 from services.eval.stages import handlers
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.execution import run_next
@@ -82,7 +82,7 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
     if kind == "eval.part":
         run_next(world.platform, "eval", handlers(world.platform))
     with monkeypatch.context() as slowly:
-        slowly.setattr(ranges, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
+        slowly.setattr(examination, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
         with working(world.platform) as worker:
             until(lambda: bool(children_of(worker)), "the worker confines its reader")
             (reader,) = children_of(worker)

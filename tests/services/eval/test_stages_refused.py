@@ -12,7 +12,7 @@ from services.domain.benchmarks.submissions import scoring_jobs
 from services.domain.benchmarks.submissions.chores import settle_ended
 from services.domain.benchmarks.submissions.states import reopen
 from services.domain.benchmarks.submissions.submissions import cancel
-from services.eval import examination, ranges
+from services.eval import examination
 from services.eval.stages import handlers
 from services.runtime.jobs.claims import Claim, claim
 from services.runtime.jobs.completion import Failure, lose, succeed
@@ -103,7 +103,7 @@ def test_a_file_that_breaks_its_reader_is_not_read_again(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
-    monkeypatch.setattr(ranges, "count_range", lambda *given, **named: os._exit(3))
+    monkeypatch.setattr(examination, "count_range", lambda *given, **named: os._exit(3))
     row = ended(world, send(world, zipped(world, guess(world, turn=15))))
     assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
     assert {job.attempt for job in jobs_of(world.platform, row.id)} == {1}

@@ -11,7 +11,7 @@ from services.domain.benchmarks.phases.evaluation_versions import EvaluationVers
 from services.domain.benchmarks.rescores.rescore import NewRescore, start_rescore
 from services.domain.benchmarks.submissions import scoring_jobs
 from services.eval import examination, join
-from services.eval.ranges import Counts
+from services.eval.examination import Counts
 from services.eval.stages import handlers
 from services.runtime import code_version
 from services.runtime.jobs.execution import run_next

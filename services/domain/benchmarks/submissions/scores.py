@@ -34,7 +34,7 @@ class NewScore:
 
 @dataclass(frozen=True)
 class CountedPart:
-    """Frames [start, stop) of a submission against a truth; `counts` as `services/eval/ranges.py` packs them."""
+    """Frames [start, stop) of a submission against a truth; `counts` as `services/eval/examination.py` packs them."""
 
     submission_id: str
     truth_id: str
