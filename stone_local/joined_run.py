@@ -42,8 +42,7 @@ def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
     if len(recordings.paths) == 1 and not given_ns:
         yield OpenRun(recordings.paths[0], recordings.paths[0].stem)
         return
-    from services.ingest.joining.joining import join_recordings
-    from services.ingest.joining.request import JoinRequest
+    from services.ingest.joining.clocks import JoinRequest, join_recordings
     from stone_recordings.bags.private_folder import PrivateFolder
     from stone_recordings.joining.joined_recording import write_joined
 

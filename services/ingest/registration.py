@@ -18,8 +18,7 @@ from services.domain.sequences.previews import PreparedPreview, PreviewSubject, 
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError
 from services.ingest.kernel_warmup import warm
-from services.ingest.received_files import ReceivedBag, received
-from services.ingest.sandboxed_inspection import RECOVERED, STEPS, RecordingSurvey, seen
+from services.ingest.sandboxed_inspection import RECOVERED, STEPS, ReceivedBag, RecordingSurvey, received, seen
 from services.runtime.access import storage_quota
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome

@@ -7,27 +7,235 @@ parent takes records for what they are, JSON of a bounded size, and a recovered 
 """
 
 import json
-from collections.abc import Mapping
-from contextlib import ExitStack
+from collections.abc import Iterator, Mapping
+from contextlib import ExitStack, contextmanager, suppress
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
 from typing import Any
 
-from services.ingest.cut_files import RecoveredFile, recovered_files
-from services.ingest.outlook import inspected_in
-from services.ingest.received_files import ReceivedBag
+from sqlalchemy.orm import Session
+
+from services.domain.sequences.profiles import topics_of
+from services.ingest.errors import RecordingFileMissingError, RecordingRefusedError
+from services.ingest.pipeline import SynchroniseOptions, synchronise_in, unjoined_sequence
+from services.runtime.jobs.errors import JobCancelledError
+from services.runtime.orm import Blob, Recording, RecordingFile, SequenceRow, Upload
+from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.store.named_objects import NAMES_FOLDER, named, named_folder
+from services.runtime.uploads.backends import backend_of
+from stone.errors import PlatformFaultError, StoneError
+from stone.findings import Finding
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, Mount
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.errors import CutBagError
-from stone_recordings.report.inspection import Inspection
+from stone_recordings.bags.errors import CutBagError, IngestError
+from stone_recordings.bags.recovery.recovery import recover
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.report.inspection import Inspection, inspect_in, scanned
 from stone_recordings.report.inspection_record import inspection_record
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.page import quality_page
 from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
+from stone_recordings.report.scan import Scan
+from stone_recordings.topics.profiles import TopicProfile
+
+# The outlook of a recording: what labelling would refuse or leave out, said by the code that will do so.
+#
+#     inspection → the same synchronisation that labels are made from → its findings beside those of the inspection
+#
+# **Conventions.** With a calibration everything is looked at that comes before labelling. Without one, a rig whose
+# parts all sit in one place stands in for it, and what is found about mounts is not said.
+
+
+NAME = "outlook"
+STAND_IN = Calibration(name="none", ego_from_lidar=SE3.identity(), mounts=(Mount("INS", "ins", SE3.identity()),))
+OF_MOUNTS = "CAL-"
+
+
+def inspected_in(
+    bag: Bag,
+    profile: TopicProfile | None = None,
+    calibration: Path | None = None,
+    options: SynchroniseOptions | None = None,
+    *,
+    scan: Scan | None = None,
+) -> Inspection:
+    """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
+
+    `scan` spares another where the caller has one. A recording is read once for both.
+
+    Raises as `inspect_in` and `read_calibration` do.
+    """
+    asked = replace(options or SynchroniseOptions(), topics=profile.topics if profile else {}, is_hashed=False)
+    scan = scan or scanned(bag, asked.asked_topics)
+    inspection = inspect_in(bag, profile, scan)
+    if asked.poses is not None:
+        told = tuple(finding for finding in inspection.findings if finding.code != "TOP-103")
+        inspection = replace(inspection, findings=told)
+    options = replace(asked, recorded=scan.recorded)
+    if calibration is None:
+        said = outlook(bag, None, options)
+    else:
+        rig, noticed = read_calibration(calibration, bag)
+        said = (*noticed, *outlook(bag, rig, options))
+    return replace(inspection, findings=with_new(inspection.findings, said))
+
+
+def outlook(bag: Bag, calibration: Calibration | None, options: SynchroniseOptions) -> tuple[Finding, ...]:
+    """What synchronisation finds; its refusal as an error, as a warning where a calibration may yet avert it."""
+    try:
+        if calibration is not None:
+            return synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)[0].findings
+        found = unjoined_sequence(bag, STAND_IN, options, NAME)[0].findings
+    except StoneError as refusal:
+        return (Finding(refusal.code, "warning" if calibration is None else "error", "", str(refusal)),)
+    return tuple(finding for finding in found if not finding.code.startswith(OF_MOUNTS))
+
+
+def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:
+    """Both, without what is said twice: the same code of the same topic, or of none in particular."""
+    codes, named = {finding.code for finding in known}, {(finding.code, finding.topic) for finding in known}
+    new = [one for one in said if (one.code, one.topic) not in named and (one.topic or one.code not in codes)]
+    return (*known, *new)
+
+
+# The files of an uploaded recording on this machine, opened as one bag.
+
+
+@dataclass(frozen=True)
+class ReceivedFile:
+    """What a row says of one file; `path` is where its bytes lie now."""
+
+    row_id: str
+    upload_id: str
+    filename: str
+    sha256: str
+    path: Path
+
+
+@dataclass(frozen=True)
+class ReceivedBag:
+    """A recording as it was received; `folder` is where names of files are kept on this machine.
+
+    `profile` is what its owner chose for the robot.
+    """
+
+    recording_id: str
+    sequence_id: str
+    name: str
+    files: tuple[ReceivedFile, ...]
+    folder: Path
+    profile: TopicProfile
+
+    def bag(self, instead: Mapping[str, Path] | None = None) -> Path:
+        """The bag as its owner named it: a file, or a folder with the files.
+
+        `instead` says, by `row_id`, what is read in the place of a file.
+        """
+        read = [((instead or {}).get(file.row_id, file.path), file.filename) for file in self.files]
+        return named(self.folder, *read[0]) if len(read) == 1 else named_folder(self.folder, read, self.name)
+
+
+@dataclass(frozen=True)
+class _StoredFile:
+    """Where rows say that the bytes of a file are: in a blob, or else in an upload."""
+
+    row: RecordingFile
+    blob: Blob | None
+    upload: Upload | None
+
+
+@contextmanager
+def received(platform: Platform, recording_id: str) -> Iterator[ReceivedBag]:
+    """The recording with its files on this machine; copies that were made for it go with the block.
+
+    Raises `JobCancelledError` (deleted), `RecordingRefusedError`, `RecordingFileMissingError`, what the store raises.
+    """
+    with platform.database.reading() as session:
+        recording = session.get(Recording, recording_id)
+        if recording is None:
+            raise JobCancelledError("its recording was deleted")
+        kept = [_kept(session, row) for row in recording.files]
+        sequence = session.get_one(SequenceRow, recording.sequence_id)
+        profile = TopicProfile(topics_of(session, sequence), sequence.platform)
+    folder = platform.settings.root / NAMES_FOLDER
+    with ExitStack() as copies:
+        files = tuple(_file(recording, file.row, _path(platform, file, copies)) for file in kept)
+        yield ReceivedBag(recording_id, sequence.id, recording.filename, files, folder, profile)
+
+
+def _kept(session: Session, row: RecordingFile) -> _StoredFile:
+    blob = session.get(Blob, row.blob_sha256) if row.blob_sha256 else None
+    return _StoredFile(row, blob, session.get(Upload, row.upload_id) if row.upload_id else None)
+
+
+def _path(platform: Platform, kept: _StoredFile, copies: ExitStack) -> Path | None:
+    """Where the bytes are; nothing when they are gone."""
+    with suppress(FileNotFoundError, ObjectMissingError):
+        if kept.blob is not None:
+            return platform.store.local(kept.blob.object_key)
+        if kept.upload is not None:
+            return copies.enter_context(backend_of(platform, kept.upload).local(kept.upload))
+    return None
+
+
+def _file(recording: Recording, row: RecordingFile, path: Path | None) -> ReceivedFile:
+    if path is not None:
+        return ReceivedFile(row.id, row.upload_id or "", row.filename, row.sha256, path)
+    if recording.state == "refused":  # by an attempt that was killed before it could say so
+        raise RecordingRefusedError(recording.filename, recording.findings[0]["message"])
+    raise RecordingFileMissingError(row.filename, row.upload_id or "")
+
+
+# Recovery of truncated recording files: what is whole is written to a new file, the original stays as it is.
+#
+# **Conventions.** A recovery has the same bytes whenever it is made of the same file
+# (`stone_recordings/bags/recovery/recovery.py`), so an attempt that is repeated makes the same one.
+
+
+@dataclass(frozen=True)
+class RecoveredFile:
+    """An MCAP file that is read in the place of the one that was cut off, and what is said of that."""
+
+    path: Path
+    finding: Finding
+
+
+def recovered_files(received: ReceivedBag, folder: Path) -> dict[str, RecoveredFile]:
+    """By the `row_id` of each file that was cut off; written into `folder`.
+
+    Raises the refusal of a file of which nothing could be read.
+    """
+    folder.mkdir(parents=True, exist_ok=True)
+    cut = [file for file in received.files if _is_cut(received, file)]
+    return {file.row_id: _recovered(received.folder, file, folder) for file in cut}
+
+
+def _is_cut(received: ReceivedBag, file: ReceivedFile) -> bool:
+    try:
+        open_bag(named(received.folder, file.path, file.filename)).close()
+    except CutBagError:
+        return True
+    except PlatformFaultError:
+        raise
+    except IngestError:  # alone it may be no bag: a metadata.yaml, a database without its log
+        return False
+    return False
+
+
+def _recovered(names: Path, file: ReceivedFile, folder: Path) -> RecoveredFile:
+    path, out = named(names, file.path, file.filename), folder / f"{file.row_id}.mcap"
+    recovery = recover(path, out)
+    if recovery.messages == 0:
+        raise CutBagError(file.filename, recovery.read_bytes)
+    return RecoveredFile(out, recovery.finding)
+
 
 QUALITY_RECORD, QUALITY_PAGE = "quality.json", "quality.html"
 RECOVERED, NAMES = "recovered", "names"

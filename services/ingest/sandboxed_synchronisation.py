@@ -14,22 +14,22 @@ from hashlib import sha256
 from pathlib import Path
 from typing import Any
 
-from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
-from services.ingest.joining.joining import join_recordings
-from services.ingest.joining.request import JoinRequest
-from services.ingest.pipeline import SynchroniseOptions
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE
+from services.ingest.joining.clocks import JoinRequest, join_recordings
+from services.ingest.pipeline import SynchroniseOptions, late_findings
 from services.ingest.sequence import sequence_in
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
-from services.runtime.sandbox.result_files import SandboxResult, packed, unpacked
+from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone.findings import Finding
 from stone_files.bag_files import whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.joining.joined_recording import write_joined
-from stone_recordings.sync.sequence_file import sequence_bytes
+from stone_recordings.report.overlay import overlays_of
+from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording
-from stone_recordings.sync.sweep_file import sweeps_bytes
+from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
 from stone_recordings.sync.validity import validity_findings
 
 SYNCHRONISED = "synchronise"
@@ -145,3 +145,64 @@ def short_records(findings: Iterable[Finding]) -> list[dict[str, Any]]:
     """The first of them, each short enough for a row."""
     short = (replace(finding, message=finding.message[:300], topic=finding.topic[:300]) for finding in findings)
     return [finding.as_record() for finding, _ in zip(short, range(MOST_FINDINGS), strict=False)]
+
+
+# The late checks in a sandboxed process: what pictures and registered sweeps tell of a synchronised sequence.
+#
+# **Conventions.** They change nothing but what is said of the sequence, so it is labelled meanwhile. The child reads
+# what synchronisation left, writes the sequence with all of its findings into its folder, and answers with these
+# findings and a picture per camera; the parent moves the file and never opens it.
+
+
+CHECKED = "check"
+
+
+@dataclass(frozen=True)
+class CheckRequest:
+    """What is checked: the folder that holds what synchronisation left, the bag on this machine (of several recordings
+    the joined one), and when the calibration is valid."""
+
+    left: Path
+    bag: Path
+    valid_ns: tuple[int | None, int | None]
+
+    @property
+    def files(self) -> tuple[Path, Path]:
+        """The sequence and the description of its sweeps."""
+        return self.left / SEQUENCE_FILE, self.left / SWEEPS_FILE
+
+
+@dataclass(frozen=True)
+class CheckResult:
+    """`result` is the job's; `file` is to be moved to where its name says."""
+
+    result: dict[str, Any]
+    file: Path
+    overlays: tuple[File, ...]
+
+
+def checked(asked: CheckRequest, apart: JobSandbox) -> CheckResult:
+    """Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
+    `JobCancelledError`."""
+    return _believed_of_sandboxed_check(
+        unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE
+    )
+
+
+def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
+    """The child's part. What is said of the calibration's time stays last."""
+    sequence, sweeps = (path.read_bytes() for path in asked.files)
+    found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)
+    with open_bag(asked.bag) as bag:
+        late = late_findings(bag, found, source)
+        overlays = list(overlays_of(bag, found, source))
+    findings = (*found.findings, *late, *validity_findings(found, *asked.valid_ns))
+    (folder / CHECKED_FILE).write_bytes(sequence_bytes(replace(found, findings=findings)))
+    return packed({"findings": short_records(findings), "is_checked": True}, overlays)
+
+
+def _believed_of_sandboxed_check(parcel: SandboxResult, path: Path) -> CheckResult:
+    match parcel.record:
+        case {"findings": list(), "is_checked": True} if path.is_file() and not path.is_symlink():
+            return CheckResult(parcel.record, path, parcel.files)
+    raise SandboxCrashedError("answered something else than what it found")

@@ -13,7 +13,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.domain.imports.requests import KEEP_DATASET
+from services.domain.imports.requests import INDEX, KEEP_DATASET, import_of_attempt, kept_import
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.processing import CHECK, LABEL, REGISTER, SYNCHRONISE
@@ -21,19 +21,27 @@ from services.domain.sequences.recordings import kept_recording, locate, locate_
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left, require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
-from services.ingest.dataset_keeping import keep_dataset
+from services.ingest.errors import RecordingChangedError, RecordingFileMissingError
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
-from services.ingest.sandboxed_check import CHECKED, CheckRequest, checked
-from services.ingest.sandboxed_synchronisation import SYNCHRONISED, StoredBags, SynchronisationRequest, synchronised
+from services.ingest.sandboxed_synchronisation import (
+    CHECKED,
+    SYNCHRONISED,
+    CheckRequest,
+    StoredBags,
+    SynchronisationRequest,
+    checked,
+    synchronised,
+)
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
-from services.runtime.orm import Blob, CalibrationRow, Recording
+from services.runtime.orm import Blob, CalibrationRow, DatasetImport, Recording, Upload
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
-from services.runtime.store.blobs import link_all
+from services.runtime.store.blobs import PreparedBlob, link, link_all, prepare
 from services.runtime.store.workspace import Workspace
+from services.runtime.uploads.backends import backend_of, remove_bytes
 from stone_files.atomic import flush
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED
@@ -147,3 +155,40 @@ def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) 
         rig = session.get_one(Blob, calibration.blob_sha256)
         valid_ns = (calibration.valid_from_ns, calibration.valid_to_ns)
     return _Inputs(sequence.name, kept, sha256s, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns)
+
+
+# The stage that keeps the uploaded tar of a dataset as a blob, where workers of the labeler find it.
+#
+# **Conventions.** The upload's file stays until the blob's row is written, so an attempt killed anywhere is repeated;
+# the sweeper removes the file where this could not. Nobody opens the tar here: its bytes are hashed and stored.
+
+
+def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
+    """Keep the tar. Raises `JobCancelledError`, `RecordingFileMissingError`, `RecordingChangedError`, what the store
+    raises."""
+    imported = import_of_attempt(platform, attempt)
+    if imported.blob_sha256 is None:
+        attempt.progress("keep", 0, 1)
+        _keep(platform, attempt, imported)
+        attempt.log("kept", filename=imported.name, size_bytes=imported.size_bytes)
+    return Outcome({"size_bytes": imported.size_bytes}, then=(JobSpec(INDEX),))
+
+
+def _keep(platform: Platform, attempt: Attempt, imported: DatasetImport) -> None:
+    with platform.database.reading() as session:
+        upload = session.get_one(Upload, imported.upload_id)
+    try:
+        with backend_of(platform, upload).local(upload) as path:
+            prepared = prepare(platform.store, platform.database, path, adopt=True)
+            _write(platform, attempt, imported, prepared)
+    except FileNotFoundError as error:
+        raise RecordingFileMissingError(upload.filename, upload.id) from error
+    remove_bytes(platform, [upload.id])
+
+
+def _write(platform: Platform, attempt: Attempt, imported: DatasetImport, prepared: PreparedBlob) -> None:
+    """Raises `RecordingChangedError`, `JobCancelledError`."""
+    if prepared.sha256 != imported.sha256:
+        raise RecordingChangedError(imported.name, prepared.sha256, imported.sha256)
+    with platform.database.transaction() as session:
+        kept_import(session, attempt).blob_sha256 = link(session, prepared).sha256

@@ -22,7 +22,7 @@ ENTRIES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
     {
         "labels": (
             "services.ingest.sandboxed_synchronisation:synchronise_bags",
-            "services.ingest.sandboxed_check:check_left",
+            "services.ingest.sandboxed_synchronisation:check_left",
             "services.labeler.sandboxed_run:planned",
             "services.labeler.sandboxed_run:worked",
             "services.labeler.sandboxed_run:described",

@@ -67,7 +67,7 @@ def inspect(
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
         asked_topics = AskedTopics.of_roles(profile.topics, has_pose_file=poses is not None)
         with scanning(opened, asked_topics) as scan:  # which inflates while these are loaded
-            from services.ingest.outlook import inspected_in
+            from services.ingest.sandboxed_inspection import inspected_in
             from stone.kernels.loading import load_compiler
 
             load_compiler()

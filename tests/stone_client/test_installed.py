@@ -69,7 +69,7 @@ def test_a_command_loads_no_other() -> None:
 
 
 def test_what_inspects_a_recording_loads_nothing_of_scipy_but_its_name() -> None:
-    program = "import sys, services.ingest.outlook; print('scipy.sparse' in sys.modules)"
+    program = "import sys, services.ingest.sandboxed_inspection; print('scipy.sparse' in sys.modules)"
     outcome = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)
     assert outcome.stdout == "False\n", "a third of a second of each `stone inspect`"
 

@@ -4,20 +4,279 @@
 known of one is known of all. `held[0]` is the reference.
 """
 
-from collections.abc import Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, contextmanager
+from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, field, replace
+from pathlib import Path
 
-from services.ingest.joining.measurement import measured_offset, reference_of
-from services.ingest.joining.pose_recordings import bears_gps_time, best_poses, has_poses, pose_offset
-from services.ingest.joining.request import JoinRequest
-from stone_files.joined_file import GIVEN, REFERENCE, SWEEPS, JoinedMember
+import numpy as np
+
+from services.ingest.pipeline import SynchroniseOptions, unjoined_sequence
+from stone.sensors.association import trigger_phase_ns, typical_period_ns
+from stone.sensors.lag_fit import LagEvidence, LagFit, fitted_lag
+from stone.sensors.sequence import Sequence as RunSequence
+from stone.sensors.sweep_lag import SweepLag
+from stone.sensors.triggers import LidarRotation, triggers_of
+from stone_files.joined_file import (
+    CAMERAS,
+    GIVEN,
+    GYRO,
+    MOST_MEMBERS,
+    RADARS,
+    REFERENCE,
+    SWEEPS,
+    TRIGGERS,
+    JoinedMember,
+    is_joined,
+    is_member_name,
+)
 from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.joined.joined_store import check_types
 from stone_recordings.bags.private_folder import PrivateFolder
+from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.clocks.triggers import bearing_rad, lidar_look
 from stone_recordings.joining.clock_links import ClockOffset, linked
-from stone_recordings.joining.errors import NoCommonTimeError, UnmeasuredOffsetError
-from stone_recordings.joining.held_messages import HeldMessages
+from stone_recordings.joining.errors import (
+    ContradictoryOffsetsError,
+    NoCommonTimeError,
+    NotJoinedError,
+    UnmeasuredOffsetError,
+)
+from stone_recordings.joining.held_messages import HeldMessages, held_by
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.joining.overlaps import left_out
+from stone_recordings.joining.sensor_evidence import RobotMotion, camera_turns, gyro_turns, radar_speeds, stamps_of
+from stone_recordings.report.inspection import frame_id_of
+from stone_recordings.sync.association import mount_of
+from stone_recordings.sync.errors import NoLidarError
+from stone_recordings.sync.lag_check import MOST_SIGMA_NS, measured_lag
+from stone_recordings.sync.sweeps import SweepsOfOpenBag
+from stone_recordings.topics.profiles import Candidate
+from stone_recordings.topics.roles import POSE_ROLES, Role, holds_other_packets
+from stone_recordings.topics.sources import KISS_ICP, candidate_of
+
+# The offset of the recording that has the poses, where that is not the one with the LiDAR.
+#
+# **Conventions.** Turns between sweeps, registered, are compared with those of the poses until they agree
+# (`stone_recordings.sync.lag_check`). Poses that bear GPS time are on no recorder's clock, so that nothing needs to be
+# moved for them; the recording's own clock is then measured like any other's, against them.
+
+
+ROUNDS = 4
+OpenAt = Callable[[ClockOffset], AbstractContextManager[Bag]]
+
+
+def has_poses(held: Iterable[HeldMessages], options: SynchroniseOptions) -> bool:
+    """Whether these, or what is asked for, say where the robot was."""
+    asked = options.odometry_topic or options.topics.get("pose")
+    return options.poses is not None or asked == KISS_ICP or any(one.of_role(*POSE_ROLES) for one in held)
+
+
+def best_poses(held: Iterable[HeldMessages]) -> HeldMessages | None:
+    """The recording whose poses would be taken; None where none has any."""
+    ranked = {role: rank for rank, role in enumerate(POSE_ROLES)}
+    found = [(min(ranked[topic.role] for topic in topics), one) for one in held if (topics := one.of_role(*POSE_ROLES))]
+    return min(found, key=lambda ranks: ranks[0])[1] if found else None
+
+
+def bears_gps_time(held: HeldMessages) -> bool:
+    """Whether the poses that would be taken of it do."""
+    return bool(held.of_role("ins"))
+
+
+def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: SynchroniseOptions) -> ClockOffset:
+    """Of the recording `name`; `open_at` opens the run with it at an offset.
+
+    Raises: UnmeasuredOffsetError (SYN-523), and what synchronising raises.
+    """
+    offset_ns, sigma_ns = 0, 0
+    for _ in range(ROUNDS):
+        with open_at(ClockOffset(offset_ns, None, (SWEEPS,))) as bag:
+            lag = _lag(bag, calibration, options)
+        if lag is None or lag.sigma_ns > MOST_SIGMA_NS:
+            raise UnmeasuredOffsetError([name], ["its poses and the sweeps turn too little to be compared"])
+        offset_ns, sigma_ns = offset_ns - lag.lag_ns, lag.sigma_ns
+        if 2 * abs(lag.lag_ns) < lag.sigma_ns:
+            break
+    return ClockOffset(offset_ns, sigma_ns, (SWEEPS,))
+
+
+def _lag(bag: Bag, calibration: Path, options: SynchroniseOptions) -> SweepLag | None:
+    rig, _ = read_calibration(calibration, bag)
+    sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
+    return measured_lag(sequence, SweepsOfOpenBag(sweeps, bag))
+
+
+# The offset of a recording's clock, measured by what its sensors saw of the robot's motion.
+#
+#     cameras: turns of pictures, then the phase of their triggers   radars: Doppler   gyros: turns
+#     every kind against the track of the reference → one offset, weighed by the errors, where they agree
+#
+# **Conventions.** An offset is added to the recording's times. A camera that fires when the LiDAR looks its way tells
+# the offset within a sweep to a fraction of a millisecond, and its pictures which sweep that was. Kinds that
+# contradict each other by more than their errors explain are refused, not averaged.
+
+
+Read = Callable[[Bag, Candidate, RobotMotion], LagEvidence | None]
+KINDS: tuple[tuple[str, Role, Read], ...] = (
+    (CAMERAS, "camera", camera_turns),
+    (RADARS, "radar", radar_speeds),
+    (GYRO, "imu", gyro_turns),
+)
+SEARCHED_S = 10.0
+# Of a standard error more is no measurement, and of a sweep's period too much to tell which sweep it was.
+MOST_SIGMA_S, MOST_SIGMA_PERIODS = 0.02, 0.1
+SIGMAS, EXPOSURE_S = 5.0, 0.005
+# Mounts say where a camera looks to about a degree, which is what a LiDAR turns through in this part of its period.
+LEAST_TRIGGER_SIGMA_PERIODS = 1 / 360
+
+
+@dataclass(frozen=True, eq=False)
+class RunReference:
+    """What offsets are measured against: the run as the reference alone tells it, and where its LiDAR looks when."""
+
+    name: str
+    sequence: RunSequence
+    robot: RobotMotion
+    look: LidarRotation | None
+
+
+def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> RunReference:
+    """Raises: UnmeasuredOffsetError, and what `read_calibration` and `unjoined_sequence` raise."""
+    rig, _ = read_calibration(calibration, bag)
+    sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
+    if sequence.track is None or len(sequence.frames) < 2:
+        raise UnmeasuredOffsetError([bag.path.name], ["it has too few sweeps with a pose to compare others with"])
+    look = lidar_look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
+    return RunReference(bag.path.name, sequence, RobotMotion(sequence.track, rig, sequence.max_pose_gap_ns), look)
+
+
+def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset:
+    """Of the recording `name`, or of several of one clock with it.
+
+    Raises: UnmeasuredOffsetError (SYN-523), ContradictoryOffsetsError (SYN-524), and what decoding raises.
+    """
+    topics = [candidate_of(bag, topic) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
+    found, reasons = dict[str, LagFit](), list[str]()
+    for kind, role, read in KINDS:
+        own = [topic for topic in topics if topic.role == role]
+        fit = _fit(bag, own, (read, reference.robot))
+        if fit is not None:
+            found[kind] = fit
+        elif own:
+            reasons.append(f"{len(own)} topics of its {role}s tell no time: the robot turned and sped up too little")
+    if not found:
+        raise UnmeasuredOffsetError([name], reasons)
+    offset = _weighed(name, found)
+    return _triggered(bag, [topic for topic in topics if topic.role == "camera"], reference, offset) or offset
+
+
+def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -> LagFit | None:
+    read, robot = how
+    every = (read(bag, topic, robot) for topic in topics)
+    evidence = [one for one in every if one is not None]
+    fit = fitted_lag(evidence, (-SEARCHED_S, SEARCHED_S)) if evidence else None
+    return fit if fit is not None and fit.sigma_s <= MOST_SIGMA_S else None
+
+
+def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
+    """The mean by inverse variance. Raises: ContradictoryOffsetsError."""
+    fits = list(found.values())
+    offsets, sigmas = (np.array(column) for column in zip(*((fit.offset_s, fit.sigma_s) for fit in fits), strict=True))
+    weights = 1 / sigmas**2
+    mean_s = float(np.sum(weights * offsets) / weights.sum())
+    if (np.abs(offsets - mean_s) > SIGMAS * sigmas + EXPOSURE_S).any():
+        told = [f"{fit.offset_s:+.4f} ± {fit.sigma_s:.4f} s by {kind}" for kind, fit in found.items()]
+        raise ContradictoryOffsetsError(name, told)
+    return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(found))
+
+
+def _triggered(
+    bag: Bag, cameras: Sequence[Candidate], reference: RunReference, offset: ClockOffset
+) -> ClockOffset | None:
+    """By the phase of cameras that fire when the LiDAR looks their way; None where they do not, or where nothing tells
+    in which sweep they did."""
+    look, sigma_ns = reference.look, offset.sigma_ns or 0
+    if look is None or sigma_ns > MOST_SIGMA_PERIODS * look.period_ns:
+        return None
+    fired, looks = list[int](), list[int]()
+    for topic in cameras:
+        recorded = next(one for one in bag.topics if one.name == topic.name)
+        mount = mount_of(topic.name, frame_id_of(bag, recorded), "camera", reference.robot.calibration)
+        if mount is not None:
+            stamps_ns = stamps_of(bag, topic) + offset.offset_ns
+            fired.append(trigger_phase_ns(reference.sequence.frames.stamps_ns, stamps_ns, look.period_ns))
+            looks.append(look.time_ns(bearing_rad(mount)))
+    triggers = triggers_of(np.array(fired, np.int64), np.array(looks, np.int64), look.period_ns)
+    if triggers is None or abs(triggers.shared_ns) > SIGMAS * sigma_ns + EXPOSURE_S * 1e9:
+        return None
+    scatter_ns = float(np.std(triggers.late_ns, ddof=1)) / np.sqrt(len(fired))
+    sigma_ns = round(max(scatter_ns, LEAST_TRIGGER_SIGMA_PERIODS * look.period_ns))
+    return ClockOffset(offset.offset_ns - triggers.shared_ns, sigma_ns, (*offset.known_by, TRIGGERS))
+
+
+# What is asked for when recordings are joined, and whether it can be.
+
+
+@dataclass(frozen=True)
+class JoinRequest:
+    """The recordings of one run: files, or folders of split bags, each of another name.
+
+    `given_ns` are offsets by name of recording that are taken as they are. Without a calibration, file or folder, only
+    what needs no mounts is measured. `options` choose topics as for synchronising.
+    """
+
+    paths: tuple[Path, ...]
+    calibration: Path | None = None
+    given_ns: Mapping[str, int] = field(default_factory=dict)
+    options: SynchroniseOptions = field(default_factory=SynchroniseOptions)
+
+    @property
+    def path_of(self) -> Mapping[str, Path]:
+        return {path.name: path for path in self.paths}
+
+
+def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
+    """In order of their names, so that it does not matter in which they were named. Raises: NotJoinedError."""
+    names = sorted(path.name for path in asked.paths)
+    if not 2 <= len(names) <= MOST_MEMBERS:
+        raise NotJoinedError(f"these are {len(names)} recordings, 2 to {MOST_MEMBERS} are joined")
+    if len({name.casefold() for name in names}) < len(names):
+        raise NotJoinedError(f"two of the recordings have one name: {', '.join(names)}")
+    for path in asked.paths:
+        if not is_member_name(path.name) or is_joined(path):
+            raise NotJoinedError(f"{path.name!r} is joined of others already, or has no name that a file can have")
+    if unknown := sorted(set(asked.given_ns) - set(names)):
+        raise NotJoinedError(f"an offset is given for {unknown[0]!r}, which is none of {', '.join(names)}")
+    return tuple(sorted(asked.paths, key=lambda path: path.name))
+
+
+def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[HeldMessages, ...]:
+    """The recording with the LiDAR (or the topic that is named) in front, of several the one that begins first.
+
+    Raises: NoLidarError.
+    """
+    counts: dict[str, int] = {}
+    for recording in held:
+        for topic in recording.of_role("lidar"):
+            counts[topic.name] = counts.get(topic.name, 0) + topic.count
+    name = lidar or max(counts, key=lambda one: (counts[one], one), default="")
+    having = [one for one in held if any(topic.name == name for topic in one.topics)]
+    if not having:
+        packets = [topic for one in held for topic in one.topics if holds_other_packets(topic)]
+        raise NoLidarError([(topic.name, topic.type) for topic in packets])
+    reference = min(having, key=lambda one: (one.start_ns, one.name))
+    return (reference, *(one for one in held if one is not reference))
+
+
+def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
+    """Raises: NotJoinedError for an offset of what has the LiDAR, whose points bear times of their own."""
+    lidars = {topic.name for topic in held[0].of_role("lidar")}
+    for number, one in enumerate(held):
+        has_lidar = not number or any(topic.name in lidars for topic in one.topics)
+        if has_lidar and asked.given_ns.get(one.name):
+            raise NotJoinedError(f"{one.name} has the LiDAR, whose clock is the run's: its offset is 0")
+
 
 Held = Sequence[HeldMessages]
 
@@ -120,3 +379,25 @@ def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
         apart_ns = max(start_ns - last_ns, 0) or min(end_ns - first_ns, 0)
         if apart_ns:
             raise NoCommonTimeError(held[number].name, apart_ns / 1e9, held[0].name)
+
+
+# Joins several recordings of one run: whose clock is off by how much, and which messages two of them hold.
+#
+#     recordings → who has the LiDAR → shared messages, topics that go on → offsets measured by sensors → joined.json
+#
+# **Conventions.** The reference is the recording with the LiDAR, of a run that was cut its first part; its clock is
+# the run's. An offset is added to a recording's times. What was asked for is taken, what can be measured is measured,
+# and nothing is guessed. Equal recordings give equal descriptions, in whatever order they are named.
+
+
+def join_recordings(asked: JoinRequest) -> JoinedRecording:
+    """Raises: NotJoinedError (SYN-526), NoLidarError, JoinedTopicError (BAG-041), UnmeasuredOffsetError (SYN-523),
+    ContradictoryOffsetsError (SYN-524), NoCommonTimeError (SYN-525), and what opening and decoding raise."""
+    asked = replace(asked, paths=checked_paths(asked))
+    with ExitStack() as opened:
+        held = held_by({path.name: opened.enter_context(open_bag(path)) for path in asked.paths})
+    check_types((topic.name, topic.type) for one in held for topic in one.topics)
+    held = reference_first(held, asked.options.lidar_topic or asked.options.topics.get("lidar"))
+    check_given(asked, held)
+    members = members_of_run(held, clock_offsets(asked, held))
+    return JoinedRecording(tuple(asked.path_of[member.name] for member in members), members)

@@ -40,7 +40,7 @@ FORKED_FROM = {
         "services.ingest.kernel_warmup:warm",
         "services.ingest.sandboxed_inspection",
         "services.ingest.sandboxed_synchronisation",
-        "services.ingest.sandboxed_check",
+        "services.ingest.sandboxed_synchronisation",
     ),
     "labeler": (
         "services.labeler.imports.kernel_warmup:warm_imports",

@@ -13,8 +13,8 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.ingest.outlook import outlook, with_new
 from services.ingest.pipeline import SynchroniseOptions, synchronise
+from services.ingest.sandboxed_inspection import outlook, with_new
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.report import LabelReport
 from stone.errors import StoneError

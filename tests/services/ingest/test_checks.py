@@ -9,7 +9,7 @@ from PIL import Image
 from sqlalchemy import select
 
 from services.domain.sequences.processing import CHECK, SYNCHRONISE, delete_sequence
-from services.ingest import sandboxed_check
+from services.ingest import sandboxed_synchronisation
 from services.ingest.stages import handlers
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
@@ -56,7 +56,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture
 def brought(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Brought:
     """A sequence whose calibration was valid long ago, and of whose pictures one finding tells."""
-    monkeypatch.setattr(sandboxed_check, "late_findings", lambda *_: (SEEN,))
+    monkeypatch.setattr(sandboxed_synchronisation, "late_findings", lambda *_: (SEEN,))
     brought = bring(platform)
     brought.calibrate(calibration_path(bag))
     brought.add(bag)
@@ -114,7 +114,7 @@ def test_what_the_checks_refuse_fails_the_run_and_a_retry_takes_up_the_checks_al
 
     root_id = brought.process(stages=("synchronise",))
     with monkeypatch.context() as broken:
-        broken.setattr(sandboxed_check, "late_findings", refuse)
+        broken.setattr(sandboxed_synchronisation, "late_findings", refuse)
         run_all(brought.platform)
     assert (brought.job(root_id).state, brought.job(root_id).failure_code) == ("failed", "unreadable")
     with brought.platform.database.transaction() as session:

@@ -7,8 +7,8 @@ from pathlib import Path
 
 import pytest
 
-from services.ingest.outlook import inspected_in, outlook, with_new
 from services.ingest.pipeline import SynchroniseOptions, synchronise
+from services.ingest.sandboxed_inspection import inspected_in, outlook, with_new
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from stone.errors import StoneError

@@ -18,7 +18,7 @@ from services.runtime.sandbox.fork_server import load_first
 load_first(FORKED_FROM["ingest"])
 loaded = set(sys.modules)
 
-from services.ingest.outlook import inspected_in
+from services.ingest.sandboxed_inspection import inspected_in
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
 from stone_recordings.bags.bag import open_bag

@@ -21,8 +21,13 @@ from services.eval.comparison.folders import open_folders
 from services.eval.comparison.record import comparison_record
 from services.eval.pipeline import score
 from services.ingest.pipeline import SynchroniseOptions
-from services.ingest.sandboxed_check import CheckRequest, check_left
-from services.ingest.sandboxed_synchronisation import StoredBags, SynchronisationRequest, synchronise_bags
+from services.ingest.sandboxed_synchronisation import (
+    CheckRequest,
+    StoredBags,
+    SynchronisationRequest,
+    check_left,
+    synchronise_bags,
+)
 from services.labeler.exports.registry import EXPORTERS
 from services.labeler.exports.sandboxed_export import ExportInputs, LabelRange, PackedLabels, write_format
 from services.labeler.imports.indexing import index_dataset

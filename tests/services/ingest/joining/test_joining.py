@@ -9,8 +9,7 @@ from pathlib import Path
 
 import pytest
 
-from services.ingest.joining.joining import join_recordings
-from services.ingest.joining.request import JoinRequest
+from services.ingest.joining.clocks import JoinRequest, join_recordings
 from services.ingest.pipeline import SynchroniseOptions
 from simulator.pipeline import calibration_path
 from stone_files.joined_file import GIVEN, GYRO, RADARS, REFERENCE, SAME_MESSAGES, SAME_TOPICS, JoinedMember

@@ -2,8 +2,7 @@
 
 from pathlib import Path
 
-from services.ingest.joining.joining import join_recordings
-from services.ingest.joining.request import JoinRequest
+from services.ingest.joining.clocks import JoinRequest, join_recordings
 from stone_files.joined_file import SAME_MESSAGES
 
 FILES = ("kitti0005_lidar_odom.mcap", "kitti0005_fullres_1s.mcap")
