@@ -12,7 +12,7 @@ from rich.console import Console
 from rich.table import Table
 
 from services.domain.viewer.frame_picture import LIGHTS
-from services.labeler.previews.render_kernels import SHADE, SIDE_LIGHT
+from services.labeler.previews.render import SHADE, SIDE_LIGHT
 from stone.labels.class_colours import INK, PALETTES, PAPER, TRACK, UNSEEN, Rgb
 from testing.colour_vision import VISIONS, difference, least_difference, least_of_pairs
 

@@ -5,6 +5,7 @@ go from the folder into packs one by one, so the export lies on the disk once. B
 the job's success are one transaction, in which an export that was deleted meanwhile gets none.
 """
 
+from collections.abc import Collection, Iterable, Mapping
 from contextlib import AbstractContextManager
 from dataclasses import dataclass, replace
 from functools import partial
@@ -13,8 +14,17 @@ from pathlib import Path
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.domain.benchmarks.phases.inputs import phase_of_attempt, write_input
+from services.domain.datasets.input_jobs import (
+    InputResult,
+    joined_key,
+    sequence_key,
+    version_of_attempt,
+    write_version_input,
+)
 from services.domain.exports.requests import ExportResult, begin_export, write_export
 from services.domain.sequences.label_sources import located_source
+from services.domain.sequences.recordings import kept_recording, locate, locate_joined
 from services.domain.sequences.run_files import SEQUENCE_FILE, require_sequence
 from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.registry import Exporter, exporter_of
@@ -26,20 +36,22 @@ from services.labeler.exports.sandboxed_export import (
     SourceAnswer,
     source_of,
     write_format,
+    write_phase_input,
 )
 from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.kernel_warmup import warm
-from services.labeler.recordings import located_members, located_recording
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow
+from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, Recording
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, prepare_all
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace, fresh_folder
+from stone.errors import StoneError
 from stone_files.bag_fingerprint import bag_paths
-from stone_files.joined_file import JOINED
+from stone_files.joined_file import JOINED, JoinedMember, read_joined
+from stone_recordings.sync.stored_recording import StoredRecording
 
 INDEX = "index.npz"
 INPUTS = "inputs"
@@ -180,3 +192,98 @@ def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles
     zipped = archive_sha256(files, "zip", read, partial(attempt.progress, "zip"))
     index, *packs = stored_packs(platform, attempt, folder, files)
     return ExportResult(files, index, packs, tar, zipped)
+
+
+# The recordings that labels are made of, located for exports.
+
+
+class RecordingDeletedError(StoneError):
+    """The recording that labels were made of is no longer kept."""
+
+    code = "recording_deleted"
+
+    def __init__(self, recording: str) -> None:
+        super().__init__(f"recording {recording} was deleted, so what it holds cannot be exported any more")
+
+
+def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[str]) -> Path:
+    """The bag of the sequence with one of these hashes, on this machine; it may have been deleted and sent again.
+
+    Raises `RecordingDeletedError`.
+    """
+    with platform.database.reading() as session:
+        kept = _kept(session, sequence_id, sha256s)
+    if kept is None:
+        raise RecordingDeletedError(", ".join(sorted(sha256s)))
+    return locate(platform, kept)
+
+
+def located_members(platform: Platform, sequence_id: str, described: Path) -> Path:
+    """The recordings that the `joined.json` in the folder `described` names, joined on this machine as it says.
+
+    Raises `RecordingDeletedError`, `JoinedFileError` (BAG-040).
+    """
+    members = read_joined(described)
+    with platform.database.reading() as session:
+        found = {member.name: _kept(session, sequence_id, (member.sha256,)) for member in members}
+    kept = {name: recording for name, recording in found.items() if recording is not None}
+    if len(kept) < len(found):
+        raise RecordingDeletedError(_names(member for member in members if member.name not in kept))
+    return locate_joined(platform, kept, described)
+
+
+def _kept(session: Session, sequence_id: str, sha256s: Collection[str]) -> StoredRecording | None:
+    registered = (Recording.sequence_id == sequence_id, Recording.state == "registered")
+    same = select(Recording).where(*registered, Recording.sha256.in_(sha256s)).order_by(Recording.id).limit(1)
+    recording = session.scalar(same)
+    return None if recording is None else kept_recording(session, recording)
+
+
+def _names(members: Iterable[JoinedMember]) -> str:
+    return ", ".join(member.name for member in members)
+
+
+# The stage that makes an input of a phase or of a dataset version: a synchronised sequence and what was measured →
+# files → packs in the store.
+#
+# **Conventions.** As `services/labeler/export_stage.py`, but that labels, mesh and report are not even located: what
+# is not opened cannot get into what participants are given. Log lines and results say no more than names, files and
+# bytes.
+
+
+def make_input(platform: Platform, attempt: Attempt) -> Outcome:
+    """Write the input that the job is for.
+
+    Raises `JobCancelledError` when its phase or version was deleted, `InputsImpossibleError`, `RecordingDeletedError`,
+    and what the exporter raises.
+    """
+    is_of_version = "dataset_id" in attempt.arguments
+    with platform.database.transaction() as session:
+        version_of_attempt(session, attempt) if is_of_version else phase_of_attempt(session, attempt)
+        keys = {SEQUENCE_FILE: sequence_key(session, attempt), JOINED: joined_key(session, attempt)}
+    with attempt_folder(platform, attempt) as folder:
+        made = _made_of_sensor_inputs(platform, attempt, keys, folder)
+    attempt.log("made", name=made.name, files=len(made.files), tar_bytes=made.tar[0])
+    result = {"name": made.name, "files": len(made.files), "tar_bytes": made.tar[0]}
+    write = write_version_input if is_of_version else write_input
+    return Outcome(result, commit=lambda session: write(session, attempt, made))
+
+
+def _made_of_sensor_inputs(
+    platform: Platform, attempt: Attempt, keys: Mapping[str, str | None], folder: Path
+) -> InputResult:
+    """The files of the sequence, in the store; what it is made of lies under these keys, by name."""
+    name = str(attempt.arguments["name"])
+    (folder / INPUTS).mkdir()
+    for called, key in keys.items():
+        if key is not None:
+            (folder / INPUTS / called).symlink_to(platform.store.local(key))
+    sandbox, inputs = ExportSandbox(platform, attempt, folder), ExportInputs(folder / INPUTS, PackedLabels({}, ()))
+    labels = ExportedLabels(str(attempt.arguments["label_set_id"]), str(attempt.arguments["sequence_id"]))
+    inputs = with_samples(sandbox, inputs, labels)
+    (folder / FILES).mkdir()
+    sandbox.run(partial(write_phase_input, inputs), inputs)
+    files = pack_files(attempt, folder)
+    tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
+    index, *packs = stored_packs(platform, attempt, folder, files)
+    return InputResult(name, files, index, packs, tar)

@@ -18,7 +18,6 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
-from services.labeler.costs import CostMeter
 from services.labeler.errors import NoUsableFramesError
 from services.labeler.exports.source import SOURCE
 from services.labeler.map.map_files import map_folder
@@ -28,12 +27,41 @@ from services.labeler.pipeline import STAGES, label_graph
 from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
-from services.labeler.workers import Task, Workers
+from services.labeler.workers import Task, TaskResult, Workers
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_files.atomic import atomic_directory
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sequence_file import sequence_bytes
+
+# The cost of a label set: seconds by stage, processor time and memory.
+
+
+@dataclass
+class CostMeter:
+    """Takes down every task that is done; stages overlap, so each is given the time its tasks took, added up."""
+
+    busy_s: dict[str, float] = field(default_factory=dict)
+    cpu_s: dict[int, float] = field(default_factory=dict)
+    peak_bytes: dict[int, int] = field(default_factory=dict)
+
+    def note(self, stage: str, done: TaskResult[Any]) -> None:
+        """Seconds are not given for a stage called ""."""
+        if stage:
+            self.busy_s[stage] = self.busy_s.get(stage, 0.0) + done.busy_s
+        self.cpu_s[done.pid] = max(done.cpu_s, self.cpu_s.get(done.pid, 0.0))
+        self.peak_bytes[done.pid] = max(done.peak_bytes, self.peak_bytes.get(done.pid, 0))
+
+    def as_record(self) -> dict[str, Any]:
+        return {
+            "stages_busy_s": {stage: round(busy, 3) for stage, busy in self.busy_s.items()},
+            "cpu_s": round(sum(self.cpu_s.values()), 3),
+            "peak_bytes": {
+                "largest_process": max(self.peak_bytes.values()),
+                "all_processes": sum(self.peak_bytes.values()),
+            },
+        }
+
 
 Progress = Callable[[str, int, int], None]
 Key = tuple[object, ...]

@@ -19,10 +19,17 @@ from typing import Any
 import numpy as np
 
 from services.labeler.frames import FrameVoxelCounts
-from services.labeler.map.comparison import ProfileComparison, Relief, load_comparison, other_reference, relief_of
+from services.labeler.map.comparison import (
+    ProfileComparison,
+    Relief,
+    load_comparison,
+    other_reference,
+    outlier_counts,
+    outlier_findings,
+    relief_of,
+)
 from services.labeler.map.convergence import Convergence, convergence_findings, convergence_of
 from services.labeler.map.far_points import FarPoints, far_point_findings, load_far_points
-from services.labeler.map.outliers import outlier_counts, outlier_findings
 from services.labeler.map.surface import TileSummary
 from services.labeler.map.track_coverage import coverage_findings, load_coverage
 from services.labeler.parameters import LabelParameters

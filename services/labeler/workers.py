@@ -7,6 +7,7 @@ threads, because half of a stage is numpy and Python under the interpreter's loc
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
+import ctypes
 import gc
 import os
 import time
@@ -18,7 +19,6 @@ from multiprocessing.context import ForkServerContext
 from threading import Thread
 from typing import Any, Generic, TypeVar
 
-from services.labeler.freed_memory import keep_freed_memory
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 T = TypeVar("T")
@@ -126,3 +126,23 @@ def _end_with(sentinel: int) -> None:
     """Exit when the other end goes away, however it went: a killed command leaves no worker behind."""
     connection.wait([sentinel])
     os._exit(1)
+
+
+# Keeps freed memory for what is allocated next, instead of giving it back to the system after every array.
+#
+# **Conventions.** glibc (mallopt(3)) gives the end of its heap back as soon as a few arrays there are given up, so
+# that a sweep's temporaries are mapped and zeroed anew, page by page, every time. Other C libraries are left as they
+# are.
+
+
+M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # malloc.h
+KEPT_BYTES = 64 * 2**20
+LARGEST_BYTES = 32 * 2**20  # the most that glibc takes; larger ones, as the table of fusing, are given back at once
+
+
+def keep_freed_memory() -> bool:
+    """From now on, in this process and those that it forks; whether the C library knows how."""
+    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
+    if mallopt is None:
+        return False
+    return bool(mallopt(M_MMAP_THRESHOLD, LARGEST_BYTES) and mallopt(M_TRIM_THRESHOLD, KEPT_BYTES))

@@ -34,8 +34,8 @@ ENTRIES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
         ),
         "exports": (
             "services.labeler.exports.sandboxed_export:write_format",
-            "services.labeler.exports.join:join",
-            "services.labeler.exports.join:rearrange",
+            "services.labeler.exports.folder:join",
+            "services.labeler.exports.folder:rearrange",
         ),
         "scores": (
             "services.eval.pipeline:score",

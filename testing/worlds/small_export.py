@@ -16,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.labeler.exports.nuscenes.clouds import lidar_bytes, radar_bytes
+from services.labeler.exports.nuscenes.samples import lidar_bytes, radar_bytes
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M

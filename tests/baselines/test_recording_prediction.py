@@ -35,7 +35,7 @@ from baselines.row_config import RowConfig, row_of
 from baselines.run_folder import say_row
 from baselines.train import TrainingPlan
 from services.ingest.sequence import open_sequence
-from services.labeler.exports.inputs import write_sensed
+from services.labeler.exports.sandboxed_export import write_sensed
 from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample
 from stone.sensors.sequence import Sequence

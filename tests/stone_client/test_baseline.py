@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 
 from services.ingest.sequence import open_sequence
 from services.labeler.exports.folder import ExportRequest, export
-from services.labeler.exports.inputs import write_inputs
+from services.labeler.exports.sandboxed_export import write_inputs
 from stone.labels.baseline import predict_from_sweep
 from stone_client.sdk import Stone
 from stone_submissions.manifest import Manifest, write_manifest

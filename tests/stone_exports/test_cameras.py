@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.labeler.exports.nuscenes.clouds import RADAR_RECORD, radar_bytes
+from services.labeler.exports.nuscenes.samples import RADAR_RECORD, radar_bytes
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.projection import project

@@ -20,24 +20,41 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+import numpy as np
 from foxglove import Context, channels, open_mcap
 from foxglove.mcap import MCAPWriteOptions
-from foxglove.messages import FoxgloveMessage
-
-from services.labeler.exports.foxglove_messages import (
-    LIDAR,
-    camera_calibration,
-    image,
-    lidar_cloud,
-    mesh_update,
-    radar_cloud,
-    track,
-    transforms,
-    voxel_grid,
+from foxglove.messages import (
+    CameraCalibration,
+    Color,
+    CompressedImage,
+    FoxgloveMessage,
+    FrameTransform,
+    FrameTransforms,
+    PackedElementField,
+    PackedElementFieldNumericType,
+    Point3,
+    PointCloud,
+    Pose,
+    PosesInFrame,
+    Quaternion,
+    SceneEntity,
+    SceneUpdate,
+    Timestamp,
+    TriangleListPrimitive,
+    Vector3,
+    VoxelGrid,
 )
-from services.labeler.exports.mesh_parts import mesh_parts
+from numpy.typing import NDArray
+
+from services.labeler.exports.meshes import MeshPart, mesh_parts
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step, silent
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_RGB
+from stone.labels.grid import GRID_MIN_M, Grid
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.calibration import Calibration, CameraIntrinsics
+from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 
 CHUNK_BYTES = 4 << 20
 
@@ -99,3 +116,155 @@ def _frame(source: LabelledSequence, index: int) -> Iterator[Logged]:
             if mount.intrinsics is not None:
                 message = camera_calibration(mount.name, mount.intrinsics, picture.stamp_ns)
                 yield picture.stamp_ns, f"/{mount.name}/calibration", message
+
+
+# Our values as foxglove messages.
+#
+# **Conventions.** Quaternions are xyzw there. A grid's rows run along y and its columns along x, in the order z, y, x;
+# free voxels have alpha 0. Bytes are little-endian.
+
+
+MAP, EGO, LIDAR = "map", "ego", "LIDAR"
+LIDAR_POINT = np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2")])
+RADAR_POINT = np.dtype([(name, "<f4") for name in ("x", "y", "z", "range_rate", "ground_rate", "rcs")])
+CELL = np.dtype([(name, "u1") for name in ("red", "green", "blue", "alpha", "class")])
+CELLS = np.array([(0, 0, 0, 0, 0), *((*CLASS_RGB[kind], 255, kind) for kind in (1, 2, 3))], CELL)
+NUMERIC = {
+    np.dtype("u1"): PackedElementFieldNumericType.Uint8,
+    np.dtype("<u2"): PackedElementFieldNumericType.Uint16,
+    np.dtype("<f4"): PackedElementFieldNumericType.Float32,
+}
+# Ours to theirs; a lens without distortion is the first one with zeros.
+LENS = {"pinhole": "plumb_bob", "plumb_bob": "plumb_bob", "rational_polynomial": "rational_polynomial"}
+LENS |= {"equidistant": "kannala_brandt"}
+NO_DISTORTION = (0.0,) * 5
+
+
+def timestamp(stamp_ns: int) -> Timestamp:
+    return Timestamp(stamp_ns // 10**9, stamp_ns % 10**9)
+
+
+def pose(transform: SE3) -> Pose:
+    """One transform as the place of its source in its destination."""
+    return Pose(position=_vector(transform), orientation=_quaternion(transform))
+
+
+def transforms(calibration: Calibration, map_from_ego: SE3, stamp_ns: int) -> FrameTransforms:
+    """The whole tree at one stamp, so that any message of it is enough."""
+    tree = [(MAP, EGO, map_from_ego), (EGO, LIDAR, calibration.ego_from_lidar)]
+    tree += [(LIDAR, mount.name, mount.lidar_from_sensor) for mount in calibration.mounts if mount.name != LIDAR]
+    return FrameTransforms(
+        transforms=[
+            FrameTransform(
+                timestamp=timestamp(stamp_ns),
+                parent_frame_id=parent,
+                child_frame_id=child,
+                translation=_vector(parent_from_child),
+                rotation=_quaternion(parent_from_child),
+            )
+            for parent, child, parent_from_child in tree
+        ]
+    )
+
+
+def voxel_grid(semantics: Grid, stamp_ns: int) -> VoxelGrid:
+    """The classes (X, Y, Z) of a frame."""
+    columns, rows, _ = semantics.shape
+    corner = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array(GRID_MIN_M))
+    return VoxelGrid(
+        timestamp=timestamp(stamp_ns),
+        frame_id=EGO,
+        pose=pose(corner),
+        row_count=rows,
+        column_count=columns,
+        cell_size=Vector3(x=VOXEL_M, y=VOXEL_M, z=VOXEL_M),
+        slice_stride=rows * columns * CELL.itemsize,
+        row_stride=columns * CELL.itemsize,
+        cell_stride=CELL.itemsize,
+        fields=_fields(CELL),
+        data=CELLS[np.ascontiguousarray(semantics.transpose(2, 1, 0))].tobytes(),
+    )
+
+
+def lidar_cloud(sample: LidarSample, stamp_ns: int) -> PointCloud:
+    points = np.empty(len(sample.points_lidar), LIDAR_POINT)
+    points["x"], points["y"], points["z"] = sample.points_lidar.T
+    points["intensity"], points["ring"] = sample.intensity, sample.ring
+    return _cloud(LIDAR, points, stamp_ns)
+
+
+def radar_cloud(channel: str, sample: RadarSample) -> PointCloud:
+    points = np.empty(len(sample.points_radar), RADAR_POINT)
+    points["x"], points["y"], points["z"] = sample.points_radar.T
+    points["range_rate"], points["ground_rate"] = sample.range_rate_m_s, sample.ground_rate_m_s
+    points["rcs"] = sample.rcs_db
+    return _cloud(channel, points, sample.stamp_ns)
+
+
+def image(channel: str, sample: CameraSample) -> CompressedImage:
+    return CompressedImage(timestamp=timestamp(sample.stamp_ns), frame_id=channel, data=sample.content, format="jpeg")
+
+
+def camera_calibration(channel: str, lens: CameraIntrinsics, stamp_ns: int) -> CameraCalibration:
+    """Of the picture as recorded; the rectified one would keep focal lengths and centre."""
+    k = [lens.fx_px, 0.0, lens.cx_px, 0.0, lens.fy_px, lens.cy_px, 0.0, 0.0, 1.0]
+    return CameraCalibration(
+        timestamp=timestamp(stamp_ns),
+        frame_id=channel,
+        width=lens.width_px,
+        height=lens.height_px,
+        distortion_model=LENS[lens.model],
+        D=list(lens.distortion or NO_DISTORTION),
+        K=k,
+        R=[1.0, 0.0, 0.0, 0.0, 1.0, 0.0, 0.0, 0.0, 1.0],
+        P=[*k[:3], 0.0, *k[3:6], 0.0, *k[6:], 0.0],
+    )
+
+
+def track(map_from_ego: SE3, stamp_ns: int) -> PosesInFrame:
+    """All poses (P,)."""
+    poses = [pose(map_from_ego[index]) for index in range(len(map_from_ego))]
+    return PosesInFrame(timestamp=timestamp(stamp_ns), frame_id=MAP, poses=poses)
+
+
+def mesh_update(part: MeshPart, number: int, stamp_ns: int) -> SceneUpdate:
+    """One entity that stays; its colours are those of the classes."""
+    colours = [Color(r=r, g=g, b=b, a=1.0) for r, g, b in (part.rgb / 255.0).tolist()]
+    triangles = TriangleListPrimitive(
+        pose=pose(SE3.identity()),
+        points=[Point3(x=x, y=y, z=z) for x, y, z in part.vertices_map.tolist()],
+        colors=colours,
+        indices=part.triangles.reshape(-1).tolist(),
+    )
+    entity = SceneEntity(
+        timestamp=timestamp(stamp_ns), frame_id=MAP, id=f"mesh {number}", frame_locked=True, triangles=[triangles]
+    )
+    return SceneUpdate(entities=[entity])
+
+
+def _cloud(frame_id: str, points: NDArray[np.void], stamp_ns: int) -> PointCloud:
+    return PointCloud(
+        timestamp=timestamp(stamp_ns),
+        frame_id=frame_id,
+        pose=pose(SE3.identity()),
+        point_stride=points.dtype.itemsize,
+        fields=_fields(points.dtype),
+        data=points.tobytes(),
+    )
+
+
+def _fields(record: np.dtype[np.void]) -> list[PackedElementField]:
+    return [
+        PackedElementField(name=name, offset=place[1], type=NUMERIC[place[0]])
+        for name, place in (record.fields or {}).items()
+    ]
+
+
+def _vector(transform: SE3) -> Vector3:
+    x, y, z = transform.translation_m.tolist()
+    return Vector3(x=x, y=y, z=z)
+
+
+def _quaternion(transform: SE3) -> Quaternion:
+    w, x, y, z = transform.wxyz.tolist()
+    return Quaternion(x=x, y=y, z=z, w=w)

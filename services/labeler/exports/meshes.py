@@ -11,17 +11,106 @@ import json
 import shutil
 import struct
 from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 from typing import IO, Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.exports.errors import MeshTooLargeError
-from services.labeler.exports.ply_file import MeshFile, open_mesh
+from services.labeler.exports.errors import DamagedLabelsError, MeshTooLargeError
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.map.ply import VERTEX_RGB
+from services.labeler.map.ply import FACE, VERTEX, VERTEX_RGB, header_of
 from services.labeler.run import Step
+from stone.labels.class_colours import PALETTES
+
+# The map's mesh in parts of bounded size, so that no format has to hold it whole.
+
+
+MOST_TRIANGLES = 1 << 17
+
+
+@dataclass(frozen=True, eq=False)
+class MeshPart:
+    """`vertices_map` (V, 3), each in some triangle, `rgb` (V, 3) of their classes, and `triangles` (T, 3) of them."""
+
+    vertices_map: NDArray[np.float32]
+    rgb: NDArray[np.uint8]
+    triangles: NDArray[np.uint32]
+
+
+def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[MeshPart]:
+    """The mesh in the file's order; nothing for an empty one. Raises `DamagedLabelsError`."""
+    mesh = open_mesh(path)
+    for begin in range(0, len(mesh.faces), most_triangles):
+        corners = mesh.faces["indices"][begin : begin + most_triangles]
+        rows, triangles = np.unique(corners, return_inverse=True)
+        vertices = mesh.vertices[rows]
+        yield MeshPart(
+            np.ascontiguousarray(vertices["xyz"]),
+            VERTEX_RGB[mesh.classes(rows)],
+            triangles.reshape(-1, 3).astype(np.uint32),
+        )
+
+
+# The map's `mesh.ply` read back as arrays that stay on disk until they are looked at.
+#
+# **Conventions.** As `services/labeler/map/ply.py` writes it: vertices with colours of their class, triangles. Meshes
+# of earlier label sets have the colours of an earlier palette and another comment in their header: they are read
+# alike.
+
+
+MOST_HEADER_BYTES = 4096
+END = b"end_header\n"
+
+
+@dataclass(frozen=True, eq=False)
+class MeshFile:
+    """`vertices` (V,) records xyz, rgb; `faces` (F,) records n = 3 and indices."""
+
+    vertices: NDArray[np.void]
+    faces: NDArray[np.void]
+
+    def classes(self, rows: slice | NDArray[np.int64]) -> NDArray[np.uint8]:
+        """The class of each of these vertices, 0 where it has none."""
+        rgb = self.vertices["rgb"][rows]
+        classes = np.zeros(len(rgb), np.uint8)
+        for palette in PALETTES.values():
+            for kind, colour in palette.items():
+                classes[(rgb == np.array(colour, np.uint8)).all(axis=1)] = kind
+        return classes
+
+
+def open_mesh(path: Path) -> MeshFile:
+    """Raises `DamagedLabelsError` where the file is not one of ours."""
+    try:
+        with path.open("rb") as file:
+            written = file.read(MOST_HEADER_BYTES).partition(END)[0]
+        head = written.decode("ascii", "replace")
+        counts = [int(line.split()[2]) for line in head.splitlines() if line.startswith("element ")]
+        header = header_of(counts[0], counts[1])
+    except (OSError, ValueError, IndexError) as error:
+        raise DamagedLabelsError(path, str(error) or "it is no mesh of ours") from error
+    start = len(written) + len(END)
+    expected = start + counts[0] * VERTEX.itemsize + counts[1] * FACE.itemsize
+    if _facts(head) != _facts(header.removesuffix(END).decode()) or path.stat().st_size != expected:
+        raise DamagedLabelsError(path, f"its header promises {expected} bytes")
+    return MeshFile(
+        _mapped(path, VERTEX, start, counts[0]),
+        _mapped(path, FACE, start + counts[0] * VERTEX.itemsize, counts[1]),
+    )
+
+
+def _facts(head: str) -> list[str]:
+    """The lines of a header that say how the file is laid out."""
+    return [line for line in head.split("\n") if not line.startswith("comment ")]
+
+
+def _mapped(path: Path, record: np.dtype[np.void], offset: int, count: int) -> NDArray[np.void]:
+    if count == 0:
+        return np.zeros(0, record)
+    return np.memmap(path, record, "r", offset, (count,))
+
 
 ROWS_AT_ONCE = 1 << 20
 MAGIC, VERSION, JSON_CHUNK, BINARY_CHUNK = 0x46546C67, 2, 0x4E4F534A, 0x004E4942

@@ -36,7 +36,7 @@ class Exporter:
 
 EXPORTERS: Mapping[str, Exporter] = {
     "nuscenes": Exporter("services.labeler.exports.nuscenes.layout:write_nuscenes"),
-    "inputs": Exporter("services.labeler.exports.inputs:write_inputs", reads_labels=False),
+    "inputs": Exporter("services.labeler.exports.sandboxed_export:write_inputs", reads_labels=False),
     "kitti": Exporter("services.labeler.exports.kitti:write_kitti"),
     "mesh": Exporter("services.labeler.exports.meshes:write_meshes", reads_labels=False, reads_samples=False),
     "mcap": Exporter("services.labeler.exports.foxglove:write_foxglove"),

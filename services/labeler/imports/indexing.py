@@ -10,8 +10,7 @@ from pathlib import Path
 import numpy as np
 
 from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
-from services.labeler.imports.openings import DatasetOpening, scene_folder
-from services.labeler.imports.scene_parts import TABLES, write_scene_parts
+from services.labeler.imports.scene_parts import TABLES, DatasetOpening, scene_folder, write_scene_parts
 from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence

@@ -12,7 +12,7 @@ import numpy as np
 
 from services.labeler.imports.fused_labels import FusedLabels
 from services.labeler.imports.label_counts import class_counts
-from services.labeler.imports.voxel_surface import exposed_faces
+from services.labeler.imports.map_products import exposed_faces
 from services.labeler.kernel_warmup import warm, warmup_sequence
 from stone.labels.grid import GRID_SHAPE
 from stone.labels.voxels import VOXEL_M

@@ -6,24 +6,169 @@
 lies in a folder beside, which is removed.
 """
 
+import json
 import shutil
-from collections.abc import Mapping
+from collections import Counter
+from collections.abc import Callable, Iterator, Mapping
+from dataclasses import dataclass, field
+from hashlib import sha256
 from pathlib import Path
+from typing import Any
 
+import numpy as np
+
+from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
 from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.exports.nuscenes.tables import VERSION
 from services.labeler.exports.source import REPORT, TABLE
-from services.labeler.frames import FrameVoxelCounts
+from services.labeler.frames import GRIDS, FrameVoxelCounts
 from services.labeler.imports.fused_labels import FusedLabels
-from services.labeler.imports.import_report import report_text
-from services.labeler.imports.label_files import ImportedLabels, copied_labels
-from services.labeler.imports.map_products import write_map_products
-from services.labeler.imports.openings import OUT, SceneOpening, scene_folder
-from services.labeler.imports.scene_parts import SceneParts, read_scene_parts
-from services.labeler.imports.source_files import write_source
-from services.labeler.run_answers import PublicationAnswer, TotalsAnswer
+from services.labeler.imports.label_counts import class_counts, set_count
+from services.labeler.imports.map_products import PROFILE, MapFacts, write_map_products
+from services.labeler.imports.scene_parts import (
+    OUT,
+    TABLES,
+    SceneDamagedError,
+    SceneOpening,
+    SceneParts,
+    read_scene_parts,
+    scene_folder,
+)
+from services.labeler.report import CLASS_NAMES
+from services.labeler.run_answers import PackAnswer, PublicationAnswer, Range, TotalsAnswer
 from services.labeler.tables import CLASS_COLUMNS, write_frames
+from services.runtime.code_version import code_version
 from services.runtime.sandbox import ProgressCallback
+from services.runtime.store.packs import PackWriter, index_bytes, pieces_of
+from stone.findings import Finding
+from stone.labels.grid import GRID_SHAPE, Grid
+from stone.sensors.sequence import Sequence
 from stone.splits.composition import duration_ns, path_length_m
+from stone_datasets.classes import MEANINGS, OWN_CLASSES, ClassMap
+from stone_datasets.faults import DatasetPlace
+from stone_datasets.index import label_folder
+from stone_datasets.labels import FrameLabels, read_labels
+from stone_datasets.samples import check_sample
+from stone_exports.files import ExportFileSpan
+from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_files.dataset_layout import ANNOTATIONS
+from stone_files.npz import npz_bytes
+from stone_files.virtual_archive import check_names
+
+# The source of an imported label set: the files of its scene in the release's layout, without labels, in packs.
+#
+#     source/index.npz   source/000000.pack …
+#
+# **Conventions.** A `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`, `v1.0-trainval/splits.json`,
+# `samples/…`, `sweeps/…`, `maps/…`. Bytes are those of the dataset; files of sensors are checked before they are
+# copied.
+
+
+Told = Callable[[int, int], None]
+
+
+def write_source(parts: SceneParts, out: Path, told: Told) -> None:
+    """The index and the packs below `out`. Raises a `DatasetFaultError`, `BadMemberError`, `StoreFullError`."""
+    tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
+    places = {name: number for number, name in enumerate(parts.spans.names)}
+    names = sorted({*tables, *places})
+    check_names(names)
+    sensors, packed = sensors_of(parts), PackWriter(out / SOURCE)
+    for done, name in enumerate(names):
+        told(done, len(names))
+        if name in tables:
+            packed.add(name, pieces_of(tables[name]))
+        else:
+            packed.add(name, _checked(parts, places[name], sensors).pieces())
+    (out / SOURCE_INDEX).write_bytes(index_bytes(packed.files()))
+
+
+def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
+    """The sensors of the scene by channel, as its files are checked against them."""
+    calibration = parts.sequence.calibration
+    lidar = ExportedSensor(LIDAR_CHANNEL, "lidar", calibration.ego_from_lidar, None)
+    return {LIDAR_CHANNEL: lidar} | {
+        mount.name: ExportedSensor(mount.name, mount.kind, mount.lidar_from_sensor, mount.intrinsics)
+        for mount in calibration.mounts
+    }
+
+
+def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor]) -> ExportFileSpan:
+    """The span of a file, which is what its sensor gives; of a map nothing is asked."""
+    spans = parts.spans
+    span = ExportFileSpan(parts.tar, spans.names[number], *spans.places[number].tolist())
+    channel, row = spans.channels[number], int(spans.rows[number])
+    if not channel:
+        return span
+    if channel not in sensors:
+        raise SceneDamagedError(f"{span.name} is of {channel!r}, which the rig does not have")
+    table = ANNOTATIONS if row < 0 else f"{parts.version}/sample_data.json"
+    check_sample(span, sensors[channel], DatasetPlace(table, None if row < 0 else row + 1))
+    return span
+
+
+# The labels of a scene's frames: each read and checked, counted, put into packs, and shown to who makes the map.
+#
+# **Conventions.** Bytes are the dataset's where they are labels of this platform already; else they are written as the
+# labeler writes its own. A mask that the dataset has not is 1 everywhere: nothing says of a voxel that it was not
+# seen.
+
+
+LABELS, PACKS = "labels", "packs"
+FRAMES_A_PACK = 4096
+
+
+@dataclass(eq=False)
+class ImportedLabels:
+    """What was written, frame after frame: ranges of packs, voxels by class (n, 4), observed (n, 2), and how many
+    files were written anew, or had not which mask (`notes`)."""
+
+    ranges: list[Range] = field(default_factory=list)
+    classes: list[list[int]] = field(default_factory=list)
+    observed: list[list[int]] = field(default_factory=list)
+    notes: Counter[str] = field(default_factory=Counter)
+
+    def counts(self) -> FrameVoxelCounts:
+        return FrameVoxelCounts(np.array(self.classes, np.int64), np.array(self.observed, np.int64))
+
+    def packs(self) -> list[PackAnswer]:
+        """Named by their first frames."""
+        firsts = range(0, len(self.ranges), FRAMES_A_PACK)
+        return [
+            PackAnswer(name=f"{PACKS}/{first:06d}.pack", first=first, ranges=self.ranges[first : first + FRAMES_A_PACK])
+            for first in firsts
+        ]
+
+
+def copied_labels(parts: SceneParts, classes: ClassMap, out: Path, into: ImportedLabels) -> Iterator[Grid]:
+    """The classes of each frame, once its labels are in the packs of the folder `out`.
+
+    Raises a `DatasetFaultError`.
+    """
+    (out / LABELS).mkdir(parents=True)
+    classes = OWN_CLASSES if np.array_equal(classes.meaning, OWN_CLASSES.meaning) else classes
+    tokens, folder = parts.sequence.frames.tokens, label_folder(parts.sequence.name)
+    for frame, (offset, size) in enumerate(parts.spans.labels.tolist()):
+        labels = read_labels(ExportFileSpan(parts.tar, f"{folder}/{tokens[frame]}/labels.npz", offset, size), classes)
+        path = out / LABELS / f"{frame // FRAMES_A_PACK * FRAMES_A_PACK:06d}.pack"
+        _add(labels, path, into)
+        yield labels.classes
+
+
+def _add(labels: FrameLabels, path: Path, into: ImportedLabels) -> None:
+    masks = {"mask_lidar": labels.mask_lidar, "mask_camera": labels.mask_camera}
+    grids = [np.ones(GRID_SHAPE, np.uint8) if mask is None else mask for mask in masks.values()]
+    payload = labels.content
+    if payload is None:
+        payload = npz_bytes(dict(zip(GRIDS, (labels.classes, *grids), strict=True)))
+        into.notes["rewritten"] += 1
+    into.notes.update(name for name, mask in masks.items() if mask is None)
+    with path.open("ab") as pack:
+        into.ranges.append((pack.tell(), len(payload), sha256(payload).hexdigest()))
+        pack.write(payload)
+    into.classes.append(class_counts(labels.classes))
+    into.observed.append([set_count(grid) for grid in grids])
+
 
 SCRATCH = "scratch"
 
@@ -76,3 +221,77 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
 def voxel_totals(counts: FrameVoxelCounts) -> Mapping[str, int]:
     """Voxels of all frames by class, by the names of columns."""
     return dict(zip(CLASS_COLUMNS, counts.classes.sum(axis=0).tolist(), strict=True))
+
+
+# `report.json` of an imported label set: from what it was taken, what its classes mean, and what it has not.
+#
+# **Conventions.** The keys that it shares with the labeler's own report (`services/labeler/report.py`) mean the same;
+# what only a labelling knows is null.
+
+
+NO_MASK = {
+    "mask_lidar": "which voxels a ray reached is unknown: free voxels may never have been observed",
+    "mask_camera": "which voxels a camera sees is unknown: scores within the cameras' view count all",
+}
+
+
+def report_text(sequence: Sequence, classes: ClassMap, labels: ImportedLabels, mapped: MapFacts) -> str:
+    """The file."""
+    counts = labels.counts()
+    record = {
+        "sequence": sequence.name,
+        "code_version": code_version("imports"),
+        "frames": len(sequence.frames),
+        "excluded": [],
+        "pose_source": sequence.pose_source,
+        "map_origin_deg_m": None,
+        "inputs": dict(sequence.inputs),
+        "parameters": {"profile": PROFILE, "classes": class_record(classes)},
+        "class_share_of_occupied": _shares(counts),
+        "observed_ratio": _observed_ratio(counts, labels),
+        "rewritten_frames": labels.notes["rewritten"],
+        "profiles": None,
+        "refinement": None,
+        "ground": None,
+        "height_drift": None,
+        "track": None,
+        "reference": None,
+        "map": {
+            "voxels": mapped.voxels,
+            "tiles": mapped.tiles,
+            "vertices": mapped.vertices,
+            "triangles": mapped.triangles,
+        },
+        "solver": None,
+        "findings": [finding.as_record() for finding in findings_of(labels)],
+    }
+    return json.dumps(record, indent=1) + "\n"
+
+
+def class_record(classes: ClassMap) -> dict[str, Any]:
+    """As a file of `--classes` says it."""
+    words = {number: word for word, number in MEANINGS.items()}
+    meant = {str(number): words[meaning] for number, meaning in enumerate(classes.meaning.tolist()) if meaning in words}
+    return {"name": classes.name, "classes": meant}
+
+
+def findings_of(labels: ImportedLabels) -> tuple[Finding, ...]:
+    """What the dataset does not say, as somebody who uses its labels should know."""
+    frames, found = len(labels.ranges), []
+    for code, (name, why) in zip(("IMP-601", "IMP-602"), NO_MASK.items(), strict=True):
+        if labels.notes[name]:
+            found.append(Finding(code, "warning", "", f"{labels.notes[name]} of {frames} frames have no {name}: {why}"))
+    return tuple(found)
+
+
+def _shares(counts: FrameVoxelCounts) -> Mapping[str, float]:
+    total = counts.classes.sum(axis=0)
+    occupied = max(int(total[1:].sum()), 1)
+    return {name: round(float(n) / occupied, 6) for name, n in zip(CLASS_NAMES[1:], total[1:], strict=True)}
+
+
+def _observed_ratio(counts: FrameVoxelCounts, labels: ImportedLabels) -> Mapping[str, float | None]:
+    """Null where not every frame says."""
+    ratios = counts.observed.sum(axis=0) / np.maximum(counts.classes.sum(), 1)
+    pairs = zip((("lidar", "mask_lidar"), ("camera", "mask_camera")), ratios.tolist(), strict=True)
+    return {name: None if labels.notes[mask] else round(ratio, 6) for (name, mask), ratio in pairs}

@@ -12,14 +12,15 @@ import io
 import json
 import zipfile
 from dataclasses import dataclass
-from pathlib import Path
+from pathlib import Path, PurePosixPath
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
-from services.labeler.imports.errors import SceneDamagedError
+from stone.errors import StoneError
 from stone.sensors.sequence import Sequence
+from stone_datasets.classes import ClassMap
 from stone_datasets.scene_spans import SceneSpans
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -82,3 +83,52 @@ def _parted(joined: NDArray[np.uint8]) -> tuple[str, ...]:
     if int(count) != len(words):
         raise ValueError("a list of names is cut off")
     return tuple(words)
+
+
+# What the sandboxed children of an import are given: the tar of a dataset, and what is to be made of it.
+#
+# **Conventions.** Values that can be pickled. A child works in the folder `dataset` of the run's workspace: the one
+# that indexes leaves the tables of a scene, and where its files lie in the tar, in `scenes/<ordinal in six digits>/`;
+# the one that imports that scene reads them there and leaves its artefacts, by their names, in the folder `out`
+# beside.
+
+
+SCENES, OUT = "scenes", "out"
+
+
+@dataclass(frozen=True)
+class DatasetOpening:
+    """A whole dataset: its tar, what its owner calls it, the tar's sha256, and what the numbers of its labels mean."""
+
+    dataset: Path
+    name: str
+    sha256: str
+    classes: ClassMap
+
+
+@dataclass(frozen=True)
+class SceneOpening:
+    """One scene of a dataset that was indexed: as `DatasetOpening`, and the scene's place in the dataset."""
+
+    dataset: Path
+    ordinal: int
+    name: str
+    sha256: str
+    classes: ClassMap
+
+
+def scene_folder(ordinal: int) -> PurePosixPath:
+    """Where the files of a scene lie below the child's folder."""
+    return PurePosixPath(SCENES, f"{ordinal:06d}")
+
+
+# What is refused of what an index left of a scene.
+
+
+class SceneDamagedError(StoneError):
+    """What the index of a dataset left of a scene, or the tar that it is of, is not what it was."""
+
+    code = "scene_damaged"
+
+    def __init__(self, what: str) -> None:
+        super().__init__(f"{what[:200]}: was the dataset, or what its index left, changed? import it again")

@@ -6,16 +6,128 @@
 dataset comes from a stranger, so it is opened in a sandboxed child alone, and a scene that is done is never done again.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
+from dataclasses import dataclass
 from functools import partial
+from itertools import groupby
+from typing import Any
 
-from services.domain.imports.requests import INDEX, PUBLISH_IMPORT, SCENE
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.domain.exports.requests import follow_labels
+from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
+from services.domain.imports.requests import INDEX, PUBLISH_IMPORT, SCENE, begin_run_again, kept_import
+from services.domain.viewer.playback import PLAYBACK
 from services.labeler.imports.index_stage import index_tar
-from services.labeler.imports.publish_stage import publish_scenes
-from services.labeler.imports.scene_stage import import_one_scene
+from services.labeler.imports.scene_stage import TOLD, import_one_scene, told_path
 from services.labeler.imports.stage_context import ImportStageContext, import_context_of
+from services.labeler.label_rows import (
+    LABELS,
+    NewArtefact,
+    NewLabelSet,
+    standing_label_set,
+    write_artefact,
+    write_label_set,
+)
+from services.labeler.run_answers import PublicationAnswer
+from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
+from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow
 from services.runtime.platform import Platform
+from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.store.recipes import recipe_of
+
+# The stage that publishes a dataset: all sequences, label sets and frames of all its scenes, in one transaction.
+#
+# **Conventions.** Every byte is in the store already, held by rows of the import; nothing is read here but what the
+# children of the scenes told, and that is believed anew.
+
+
+PROFILE = "imported"
+COUNTED = (LABELS, "source/")
+
+
+@dataclass(frozen=True)
+class _SceneRows:
+    """What a scene becomes: its files, and what was told of its labels."""
+
+    told: PublicationAnswer
+    files: tuple[NewArtefact, ...]
+
+    @property
+    def size_bytes(self) -> int:
+        """The bytes that are counted against the owner: of the labels and of what the dataset brought."""
+        return sum(file.size_bytes for file in self.files if file.name.startswith(COUNTED))
+
+
+def publish_scenes(context: ImportStageContext) -> Outcome:
+    """Publish the dataset.
+
+    Raises `ExistingSequencesError` and `QuotaExceededError` as it commits, `SandboxCrashedError`, and
+    `JobCancelledError` where what scenes left is gone, once the run is begun again.
+    """
+    context.workspace.pull(f"{TOLD}/")
+    with context.platform.database.reading() as session:
+        files = _files(session, context.imported)
+    scenes = [_scene(context, ordinal, files.get(ordinal, [])) for ordinal in range(len(context.imported.scenes or []))]
+    frames = sum(len(scene.told.tokens) for scene in scenes)
+    context.attempt.log("published", scenes=len(scenes), frames=frames)
+    return Outcome({"scenes": len(scenes), "frames": frames}, commit=partial(_write, context, scenes))
+
+
+def _files(session: Session, imported: DatasetImport) -> dict[int, list[ImportedFile]]:
+    held = select(ImportedFile).where(ImportedFile.import_id == imported.id).order_by(ImportedFile.scene)
+    return {scene: list(files) for scene, files in groupby(session.scalars(held), key=lambda file: file.scene)}
+
+
+def _scene(context: ImportStageContext, ordinal: int, files: Sequence[ImportedFile]) -> _SceneRows:
+    """Raises `JobCancelledError`, `SandboxCrashedError`."""
+    path = context.workspace.folder / told_path(ordinal)
+    if not path.exists():
+        gone = "what its scenes left was removed"
+        begin_run_again(context.platform, context.attempt, gone)
+        raise JobCancelledError(gone)
+    told = PublicationAnswer.believed(path.read_bytes())
+    packs = {f"{LABELS}{pack.name.rpartition('/')[2]}": pack for pack in told.packs}
+    artefacts = tuple(
+        NewArtefact(file.name, file.media_type, file.blob_sha256, file.size_bytes, packs.pop(file.name, None))
+        for file in files
+    )
+    if packs or any(file.pack is not None and file.pack.size_bytes != file.size_bytes for file in artefacts):
+        raise SandboxCrashedError(f"told of other packs of scene {ordinal} than were kept")
+    return _SceneRows(told, artefacts)
+
+
+def _write(context: ImportStageContext, scenes: Sequence[_SceneRows], session: Session) -> None:
+    imported = kept_import(session, context.attempt)
+    sequences = sequences_of_scenes(session, imported)
+    made = [_write_scene(context, session, sequence, scene) for sequence, scene in zip(sequences, scenes, strict=True)]
+    end_import(session, imported, made, context.platform.settings.uploads.owner_bytes)
+    result: dict[str, Any] = {"import_id": imported.id, "sequences": len(made)}
+    if imported.sets_splits:
+        result["splits_refused"] = list(follow_splits(session, imported))
+    session.get_one(Job, context.attempt.root_id).result = result
+
+
+def _write_scene(
+    context: ImportStageContext, session: Session, sequence: SequenceRow, scene: _SceneRows
+) -> PublishedScene:
+    imported = context.imported
+    recipe = recipe_of("imports", {"dataset": imported.sha256, "scene": sequence.name, "classes": imported.classes})
+    standing = standing_label_set(session, sequence.id, recipe)
+    if standing is not None:
+        return PublishedScene(sequence.id, standing.id, 0)
+    parameters = {"profile": PROFILE, "dataset": imported.name, "sha256": imported.sha256, "classes": imported.classes}
+    labels = write_label_set(
+        session, NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports"), scene.told
+    )
+    for file in scene.files:
+        write_artefact(session, labels.id, file, scene.told)
+    if context.platform.settings.viewing.makes_playback:
+        follow_labels(session, sequence, labels, PLAYBACK)
+    return PublishedScene(sequence.id, labels.id, scene.size_bytes)
+
 
 STAGES = {INDEX: index_tar, SCENE: import_one_scene, PUBLISH_IMPORT: publish_scenes}
 

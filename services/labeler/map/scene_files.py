@@ -4,20 +4,26 @@
 rounded to far below what they mean, which halves the file.
 """
 
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
-from services.domain.viewer.formats import TileMesh, TileVoxels
+from services.domain.viewer.formats import TileMesh, TileVoxels, mesh_bytes, tile_bytes
 from services.labeler.map.ply import class_at
-from services.labeler.map.scene_writer import SceneDescription, SceneWriter
-from services.labeler.map.thinning import thinned
 from services.labeler.run import LabelRun, Tile
-from services.labeler.scratch import Arrays, tile_name
+from services.labeler.scratch import Arrays, tile_name, whole
+from stone.geometry.corners import corners_of
 from stone.geometry.lattice import indices_of
+from stone.geometry.se3 import SE3
+from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.traversability import Reference, distance_squared, threshold
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.sequence import Sequence
 
 FEATURES = ("elevation_m", "slope_rad", "roughness")
 STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # of a metre, a radian, a log m²
@@ -61,3 +67,145 @@ def _surface(arrays: Arrays, classes: NDArray[np.uint8]) -> TileMesh:
     vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
     kinds = class_at(vertices, arrays["keys"], classes)  # type: ignore[arg-type]
     return TileMesh(vertices, kinds, arrays["triangles"])  # type: ignore[arg-type]
+
+
+# Writes a scene for the viewer: its voxels and surface tile by tile, and `scene.json`, which says what there is.
+#
+#     scene/scene.json   scene/tile_<i>_<j>.bin   scene/mesh_<i>_<j>.bin
+#
+# **Conventions.** The binary formats are those of `services/domain/viewer/formats.py`; a tile without surface has no
+# files. Stamps are strings, since a browser's numbers lose nanoseconds; poses are (tx, ty, tz, qw, qx, qy, qz), to
+# 0.1 mm.
+
+
+FOLDER, INDEX = "scene", "scene.json"
+VERTEX_STEP_M = 2.0**-10
+POSE_DIGITS = 4, 8  # metres, quaternion
+
+
+@dataclass(frozen=True, eq=False)
+class SceneDescription:
+    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features."""
+
+    sequence: Sequence
+    profile: str
+    reference: Mapping[str, Any] | None
+
+
+@dataclass
+class SceneWriter:
+    """Writes the files of one tile after another below `out`, then the index of them."""
+
+    about: SceneDescription
+    out: Path
+    tiles: list[dict[str, Any]] = field(default_factory=list)
+    meshes: list[dict[str, Any]] = field(default_factory=list)
+
+    def add(self, name: str, voxels: TileVoxels, mesh: TileMesh, corner_m: NDArray[np.float64]) -> None:
+        """A tile; its mesh in metres of the map. `corner_m` (3,) is where one without voxels lies."""
+        low, high = corner_m, corner_m
+        if len(voxels.indices):
+            first, last = corners_of(voxels.indices)
+            low, high = first * VOXEL_M, (last + 1) * VOXEL_M
+        facts = {"name": name, "min_m": _rounded(low), "max_m": _rounded(high), "voxels": len(voxels.indices)}
+        self.tiles.append(facts | {"bytes": self._write(f"tile_{name}.bin", tile_bytes(voxels))})
+        moved = replace(mesh, vertices_m=np.round((mesh.vertices_m - low) / VERTEX_STEP_M) * VERTEX_STEP_M)
+        size_bytes = self._write(f"mesh_{name}.bin", mesh_bytes(moved))
+        self.meshes.append({"name": name, "triangles": len(mesh.triangles), "bytes": size_bytes})
+
+    def finish(self) -> None:
+        """Write `scene.json`."""
+        self._write(INDEX, json.dumps(self._record(), separators=(",", ":")).encode())
+
+    def _record(self) -> dict[str, Any]:
+        sequence = self.about.sequence
+        footprint, frames = sequence.calibration.footprint, sequence.frames
+        return {
+            "name": sequence.name,
+            "profile": self.about.profile,
+            "grid": {"shape": list(GRID_SHAPE), "min_m": list(GRID_MIN_M), "voxel_m": VOXEL_M},
+            "footprint_m": [footprint.length_m, footprint.width_m],
+            "reference": self.about.reference,
+            "frames": {
+                "tokens": list(frames.tokens),
+                "stamps_ns": [str(stamp) for stamp in frames.stamps_ns.tolist()],
+                "map_from_ego": _poses(frames.map_from_ego),
+            },
+            "tiles": self.tiles,
+            "meshes": self.meshes,
+        }
+
+    def _write(self, name: str, content: bytes) -> int:
+        with whole(self.out / FOLDER / name) as staging:
+            staging.write_bytes(content)
+        return len(content)
+
+
+def _poses(poses: SE3) -> list[list[float]]:
+    metres, digits = POSE_DIGITS
+    return np.hstack([poses.translation_m.round(metres), poses.wxyz.round(digits)]).tolist()  # type: ignore[no-any-return]
+
+
+def _rounded(corner: NDArray[np.float64]) -> list[float]:
+    return [round(float(value), POSE_DIGITS[0]) for value in corner]
+
+
+# A surface with fewer triangles: vertices that share a cell become their mean (Rossignac and Borrel, 1993).
+#
+# **Conventions.** The cell grows by √2 until there are few enough triangles. A cell has the class that most of its
+# vertices have, class 0 (in no voxel) only where all have it. Triangles keep the side they show. Equal inputs give
+# equal outputs.
+
+
+FIRST_CELL_M = 0.25
+GROWTH = 2.0**0.5
+CLASSES = 4
+MOST_PACKED = 2**21  # numbers of which three fit one of 64 bits
+
+
+def thinned(mesh: TileMesh, most_triangles: int) -> TileMesh:
+    """At most so many triangles (> 0); the mesh as it is where it has no more already."""
+    found, cell_m = mesh, FIRST_CELL_M
+    while len(found.triangles) > most_triangles:
+        found = _clustered(mesh, cell_m)
+        cell_m *= GROWTH
+    return found
+
+
+def _clustered(mesh: TileMesh, cell_m: float) -> TileMesh:
+    """One vertex for each cell of this size that is still a corner of a triangle."""
+    vertices = mesh.vertices_m.astype(np.float64)
+    rows = _cells(np.floor((vertices - corners_of(vertices)[0]) / cell_m).astype(np.int64))
+    corners = rows[mesh.triangles]
+    a, b, c = corners.T
+    is_flat = (a == b) | (b == c) | (c == a)
+    used, renamed = np.unique(_each_once(corners[~is_flat]), return_inverse=True)
+    counts = np.bincount(rows)
+    means = np.stack([np.bincount(rows, vertices[:, axis]) / counts for axis in range(3)], axis=1)
+    return TileMesh(means[used], _most_frequent(rows, mesh.classes)[used], renamed.reshape(-1, 3).astype(np.int32))
+
+
+def _cells(indices: NDArray[np.int64]) -> NDArray[np.int64]:
+    """A number from 0 on for the cell of each vertex."""
+    sides = corners_of(indices)[1] + 1
+    keys = (indices[:, 0] * sides[1] + indices[:, 1]) * sides[2] + indices[:, 2]
+    return np.unique(keys, return_inverse=True)[1].reshape(-1)
+
+
+def _each_once(corners: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The triangles without repeats, each turned so that its smallest corner comes first, sorted."""
+    first = corners.argmin(axis=1)
+    turned = np.take_along_axis(corners, (first[:, None] + np.arange(3)) % 3, axis=1)
+    side = int(corners.max(initial=0)) + 1
+    if side > MOST_PACKED:
+        return np.unique(turned, axis=0)
+    keys = np.sort((turned[:, 0] * side + turned[:, 1]) * side + turned[:, 2])  # a tenth of the time of sorting rows
+    keys = keys[np.append(True, keys[1:] != keys[:-1])[: len(keys)]]
+    return np.stack([keys // side**2, keys // side % side, keys % side], axis=1)
+
+
+def _most_frequent(rows: NDArray[np.int64], classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Of each cell the class 1 to 3 that occurs most often in it, of two the lower; 0 where none does."""
+    votes = np.stack([np.bincount(rows, classes == kind) for kind in range(CLASSES)], axis=1)
+    votes[:, 0] = 0.5
+    return np.asarray(votes.argmax(axis=1), dtype=np.uint8)

@@ -3,20 +3,27 @@
 The arrangement of the paper's Fig. 6. A camera without a picture leaves a blank that says so.
 """
 
-from collections.abc import Iterable
-from dataclasses import dataclass
+import io
+from collections.abc import Iterable, Mapping
+from dataclasses import dataclass, field
 from datetime import UTC, datetime
+from functools import lru_cache
+from pathlib import Path
 
-from PIL import Image, ImageDraw, ImageOps
+import matplotlib as mpl
+import numpy as np
+from numpy.typing import NDArray
+from PIL import Image, ImageDraw, ImageFont, ImageOps
 
+from services.domain.viewer.frame_picture import plan
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.previews.bev import bev
-from services.labeler.previews.lettering import chip, font, legend
-from services.labeler.previews.oblique import oblique
-from services.labeler.previews.picture_opening import opened
-from services.labeler.previews.surroundings import surroundings_of
-from stone.labels.class_colours import INK, PAPER
+from services.labeler.previews.render import Boxes, Camera, Canvas, Colour, beads, solid_boxes, voxel_boxes
+from stone.geometry.se3 import SE3
+from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK, UNSEEN
+from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, Grid
+from stone.sensors.calibration import Box, Footprint
 from stone.sensors.samples import CameraSample
+from stone.sensors.sequence import Sequence
 
 ABOVE = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT")
 BELOW = ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
@@ -123,3 +130,198 @@ def _fitted(name: str, room_px: float, pen: ImageDraw.ImageDraw) -> str:
     while name and pen.textlength(name, font(BAR_TEXT_PX)) > room_px:
         name = name[:-2].rstrip("…") + "…" if len(name) > 2 else ""
     return name
+
+
+# Text on preview images: typeface, captions and the class legend.
+
+
+CHIP_ALPHA = 210
+SWATCH_GAP_RATIO, ENTRY_GAP_RATIO = 0.45, 1.1
+
+
+@lru_cache(maxsize=16)
+def font(size_px: int) -> ImageFont.FreeTypeFont:
+    """The one that matplotlib brings along, so that letters are the same everywhere."""
+    file = Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
+    return ImageFont.truetype(file, size_px, layout_engine=ImageFont.Layout.BASIC)
+
+
+def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -> None:
+    """Dark words on a light plate; `corner` is the plate's lower left."""
+    pen = ImageDraw.Draw(image, "RGBA")
+    pad = size_px // 3
+    at = (corner[0] + pad, corner[1] - pad)
+    left, _, right, _ = pen.textbbox(at, text, font(size_px), anchor="ld")
+    top = corner[1] - 2 * pad - round(1.1 * size_px)
+    pen.rounded_rectangle((left - pad, top, right + pad, corner[1]), pad, (*PAPER, CHIP_ALPHA))
+    pen.text((at[0], (top + corner[1]) / 2), text, INK, font(size_px), anchor="lm")
+
+
+def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
+    """The classes, the track and the unseen from `place` (x, y of the middle line) to the right."""
+    pen = ImageDraw.Draw(image)
+    x, y = place
+    half = size_px * 0.45
+    for kind, name in CLASS_NAME.items():
+        pen.rectangle((x, y - half, x + 2 * half, y + half), fill=CLASS_RGB[kind])
+        x = _word(pen, (x + 2 * half, y), name, size_px)
+    pen.line((x, y, x + 2 * half, y), fill=TRACK, width=max(2, size_px // 4))
+    x = _word(pen, (x + 2 * half, y), "track", size_px)
+    if with_unseen:
+        pen.rectangle((x, y - half, x + 2 * half, y + half), fill=UNSEEN)
+        _word(pen, (x + 2 * half, y), "never seen", size_px)
+
+
+def _word(pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size_px: int) -> float:
+    x = place[0] + SWATCH_GAP_RATIO * size_px
+    pen.text((x, place[1]), text, INK, font(size_px), anchor="lm")
+    return x + pen.textlength(text, font(size_px)) + ENTRY_GAP_RATIO * size_px
+
+
+# The robot's outline and track, drawn on preview images.
+
+
+def _nowhere() -> NDArray[np.float64]:
+    return np.zeros((0, 3))
+
+
+@dataclass(frozen=True, eq=False)
+class Surroundings:
+    """`track_ego` (P, 3): the whole run's poses in this frame's axes, in their order; most lie outside the grid."""
+
+    track_ego: NDArray[np.float64] = field(default_factory=_nowhere)
+    footprint: Footprint = field(default_factory=Footprint)
+
+
+ALONE = Surroundings()
+
+
+def surroundings_of(sequence: Sequence, index: int) -> Surroundings:
+    """Of frame `index`."""
+    poses = sequence.frames.map_from_ego
+    ego_from_map: SE3 = poses[index].inverse()
+    return Surroundings(ego_from_map @ poses.translation_m, sequence.calibration.footprint)
+
+
+def runs_inside(track_ego: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+    """The pieces (P', 3) of a track that lie in the grid in plan."""
+    low, high = np.array(GRID_MIN_M[:2]), np.array(GRID_MAX_M[:2])
+    inside = ((track_ego[:, :2] >= low) & (track_ego[:, :2] < high)).all(axis=1)
+    cuts = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
+    pieces = np.split(track_ego, cuts)
+    return [piece for piece in pieces if len(piece) and _is_inside(piece[0], low, high)]
+
+
+def _is_inside(point: NDArray[np.float64], low: NDArray[np.float64], high: NDArray[np.float64]) -> bool:
+    return bool(((point[:2] >= low) & (point[:2] < high)).all())
+
+
+# The label grid of one frame from above: forward is up, left is left.
+#
+# **Conventions.** Per column the highest labelled voxel shows, lit by the relief; grey is what no ray reached, white
+# what was seen to be free all the way. Rings are 10 and 20 m from the robot.
+
+
+SIDE_PX = 800
+RING = (120, 124, 130)
+RINGS_M = (10, 20)
+FINER = 2
+
+
+def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = SIDE_PX) -> Image.Image:
+    """A square picture of `semantics`; with `mask_lidar` what was never seen is grey."""
+    fine_px = side_px * FINER
+    image = Image.fromarray(plan(grids["semantics"], grids.get("mask_lidar"))).resize(
+        (fine_px, fine_px), Image.Resampling.NEAREST
+    )
+    pen = ImageDraw.Draw(image)
+    for radius_m in RINGS_M:
+        _ring(pen, radius_m, fine_px)
+    for run in runs_inside(around.track_ego):
+        width_px = max(2, round(fine_px / 220))
+        for colour, wider_px in ((PAPER, 2 * FINER), (TRACK, 0)):
+            pen.line(_pixels(run, fine_px), fill=colour, width=width_px + wider_px, joint="curve")
+    x, y = around.footprint.length_m / 2, around.footprint.width_m / 2
+    outline = np.array([(x, y), (x, -y), (-x, -y), (-x, y)])
+    pen.polygon(_pixels(outline, fine_px), fill=INK)
+    pen.polygon(_pixels(np.array([(x, 0.0), (0.1, -0.6 * y), (0.1, 0.6 * y)]), fine_px), fill=(245, 245, 245))
+    return image.reduce(FINER)
+
+
+def _ring(pen: ImageDraw.ImageDraw, radius_m: int, side_px: int) -> None:
+    x, y = _pixels(np.zeros((1, 2)), side_px)[0]
+    radius = radius_m * side_px / (GRID_MAX_M[0] - GRID_MIN_M[0])
+    pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=RING, width=max(2, side_px // 500))
+    size, aside = max(20, side_px // 36), radius * 0.7071
+    halo = {"stroke_width": size // 7, "stroke_fill": PAPER}
+    pen.text((x + aside, y - aside), f"{radius_m} m", INK, font(size), anchor="mm", **halo)  # type: ignore[arg-type]
+
+
+def _pixels(points_ego: NDArray[np.float64], side_px: int) -> list[tuple[float, float]]:
+    """Where points (P, 2 or 3) are in the picture."""
+    scale = side_px / (GRID_MAX_M[0] - GRID_MIN_M[0])
+    across, down = (GRID_MAX_M[1] - points_ego[:, 1]) * scale, (GRID_MAX_M[0] - points_ego[:, 0]) * scale
+    return list(zip(across.tolist(), down.tolist(), strict=True))
+
+
+# The label grid of one frame from behind and above, in perspective.
+
+
+OBLIQUE_WIDTH_PX, HEIGHT_PX = 800, 480
+CAMERA = Camera(np.array([-38.0, 12.0, 25.0]), np.array([-2.0, -0.6, -3.0]), np.deg2rad(60.0))
+ROBOT: Colour = (52, 58, 68)
+BEAD_M, BEADS_APART_M, BEAD_FOOT_M, BEAD_TOP_M = 0.14, 0.1, -0.1, 0.32
+
+
+def oblique(
+    grids: Mapping[str, NDArray[np.uint8]],
+    around: Surroundings = ALONE,
+    size_px: tuple[int, int] = (OBLIQUE_WIDTH_PX, HEIGHT_PX),
+) -> Image.Image:
+    """The picture of `grids["semantics"]` with the robot and its track; what is not labelled is not drawn."""
+    canvas = Canvas(CAMERA, *size_px)
+    canvas.add(voxel_boxes(np.ascontiguousarray(grids["semantics"]), np.array(GRID_MIN_M)))
+    for run in runs_inside(around.track_ego):
+        canvas.add(track_boxes(run))
+    for boxes in robot_boxes(around.footprint):
+        canvas.add(boxes)
+    return canvas.image()
+
+
+def track_boxes(track: NDArray[np.float64]) -> Boxes:
+    """Beads along the track (P, 3), close enough to be a line, standing out of the voxels they lie in."""
+    steps_m = np.linalg.norm(np.diff(track[:, :2], axis=0), axis=1)
+    along_m = np.concatenate([[0.0], np.cumsum(steps_m)])
+    at_m = np.arange(0.0, along_m[-1] + BEADS_APART_M, BEADS_APART_M)
+    centre = np.stack([np.interp(at_m, along_m, track[:, axis]) for axis in range(3)], axis=1)
+    half = np.array([BEAD_M / 2, BEAD_M / 2, 0.0])
+    low, high = centre - half + (0, 0, BEAD_FOOT_M), centre + half + (0, 0, BEAD_TOP_M)
+    return beads(np.concatenate([low, high], axis=1).astype(np.float32), TRACK)
+
+
+def robot_boxes(footprint: Footprint) -> list[Boxes]:
+    """A body on the footprint, a mast, and a head at its front, so that one sees which way it looks."""
+    x, y = footprint.length_m / 2, footprint.width_m / 2
+    body = solid_boxes([Box((-x, -y, 0.15), (x, y, 0.6)), Box((-0.08, -0.08, 0.6), (0.08, 0.08, 1.1))], ROBOT)
+    nose = solid_boxes([Box((x - 0.25, -y, 0.6), (x, y, 0.75))], (245, 245, 245))
+    return [body, nose, solid_boxes([Box((-0.16, -0.16, 1.1), (0.16, 0.16, 1.35))], INK)]
+
+
+# Safe decoding of camera images of unknown origin.
+
+
+MOST_PIXELS = 1 << 26
+
+
+def opened(sample: CameraSample | None, size_px: tuple[int, int]) -> Image.Image | str:
+    """The picture, no smaller than `size_px` where it is larger, else why there is none."""
+    if sample is None:
+        return "no picture"
+    if sample.width_px * sample.height_px > MOST_PIXELS:
+        return "picture too large"
+    try:
+        picture = Image.open(io.BytesIO(sample.content), formats=["JPEG"])
+        picture.draft("RGB", size_px)
+        return picture.convert("RGB")
+    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning):
+        return "picture cannot be read"

@@ -19,9 +19,8 @@ from sqlalchemy.orm import Session
 from services.domain.exports.requests import EXPORT, FORMATS, delete_export, start_export
 from services.domain.sequences.recordings import RecordingInUseError, remove_recording
 from services.domain.viewer.playback import playback_of, shown_by
-from services.labeler.export_stage import located_inputs
+from services.labeler.export_stage import located_inputs, located_recording
 from services.labeler.exports.registry import EXPORTERS, exporter_of
-from services.labeler.recordings import located_recording
 from services.labeler.stages import handlers
 from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version

@@ -10,9 +10,8 @@ import pytest
 
 from services.domain.sequences.processing import BOUNDS, PROFILES, ChoiceError
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.map.comparison import ProfileComparison
+from services.labeler.map.comparison import ProfileComparison, alternative_reference, outlier_counts, outlier_findings
 from services.labeler.map.convergence import convergence_findings, convergence_of
-from services.labeler.map.outliers import alternative_reference, outlier_counts, outlier_findings
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import (
     LabelParameters,

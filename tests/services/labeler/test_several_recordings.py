@@ -16,7 +16,7 @@ from sqlalchemy import select
 from services.domain.sequences.processing import SYNCHRONISE
 from services.domain.sequences.recordings import kept_recording, locate_run, remove_recording
 from services.ingest.sandboxed_synchronisation import StoredBags, SynchronisationResult, with_description
-from services.labeler.recordings import RecordingDeletedError, located_members
+from services.labeler.export_stage import RecordingDeletedError, located_members
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Blob, Job, Recording

@@ -5,7 +5,7 @@ import pytest
 from numpy.typing import NDArray
 
 from services.domain.viewer.formats import TileMesh
-from services.labeler.map.thinning import MOST_PACKED, _each_once, thinned
+from services.labeler.map.scene_files import MOST_PACKED, _each_once, thinned
 
 
 def sheet(side: int, cell_m: float = 0.2) -> TileMesh:

@@ -18,12 +18,11 @@ import pytest
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
 from services.labeler.errors import NoUsableFramesError
 from services.labeler.frames import _sight_of, compute_sight_lines
-from services.labeler.freed_memory import keep_freed_memory
 from services.labeler.kernel_warmup import warmup_sequence
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun
 from services.labeler.sandboxed_run import RunOpening
-from services.labeler.workers import Task, Workers
+from services.labeler.workers import Task, Workers, keep_freed_memory
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_SHAPE
 from stone.labels.sight_batches import SightBatch

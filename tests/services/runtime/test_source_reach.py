@@ -31,8 +31,8 @@ from services.ingest.sandboxed_synchronisation import (
 from services.labeler.exports.registry import EXPORTERS
 from services.labeler.exports.sandboxed_export import ExportInputs, LabelRange, PackedLabels, write_format
 from services.labeler.imports.indexing import index_dataset
-from services.labeler.imports.openings import DatasetOpening, SceneOpening
 from services.labeler.imports.scene_import import import_scene
+from services.labeler.imports.scene_parts import DatasetOpening, SceneOpening
 from services.labeler.kernel_warmup import warm
 from services.labeler.map.map_files import MAP
 from services.labeler.pipeline import label_graph

@@ -8,15 +8,22 @@ it has positive coordinates, and the mask of it says where one could drive. What
 published: its own tables, samples and maps, byte for byte.
 """
 
+import struct
+import zlib
 from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 
-from services.labeler.exports.nuscenes.map_mask import mask_of, write_mask
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.exports.errors import MapTooLargeError
+from services.labeler.exports.meshes import MeshFile, open_mesh
 from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
 from services.labeler.exports.nuscenes.samples import write_samples
-from services.labeler.exports.ply_file import open_mesh
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
+from stone.labels.voxels import VOXEL_M
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
@@ -48,3 +55,77 @@ def _write_recorded(source: LabelledSequence, out: Path, label: Callable[[int], 
     (out / "maps").mkdir()
     write_mask(out / plan.mask_filename, mask)
     write_samples(source.samples, plan, out, label)
+
+
+# The map of a sequence as nuScenes draws its maps: white where the robot could drive, black elsewhere, 0.1 m a pixel.
+#
+# **Conventions.** The devkit puts the lower left corner of a mask at the origin of its global frame, so that frame is
+# the map shifted by whole metres until all of the map has positive coordinates. A column is white where any surface in
+# it is traversable or potentially so. Source: `MapMask` of nuscenes-devkit 1.2.
+
+
+PIXELS_A_VOXEL = 2
+VERTICES_AT_ONCE = 1 << 20
+MARGIN_M = 1
+# The devkit draws 40 m around the robot at any yaw, and cuts that out of the mask without looking for its border.
+VIEW_M = 60
+MOST_SIDE_M = 6000
+
+
+@dataclass(frozen=True, eq=False)
+class Mask:
+    """`is_drivable` (X, Y) by voxel column from `low_m` (2,), whole metres in the map frame."""
+
+    low_m: tuple[int, int]
+    is_drivable: NDArray[np.bool_]
+
+
+def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
+    """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `MapTooLargeError`."""
+    corners = list(places_m)
+    for rows in _parts(mesh):
+        xy = mesh.vertices["xyz"][rows, :2]
+        corners += [xy.min(axis=0), xy.max(axis=0)]
+    mask = _blank(places_m, np.array(corners))
+    for rows in _parts(mesh):
+        xy = mesh.vertices["xyz"][rows, :2][np.isin(mesh.classes(rows), (1, 2))]
+        x, y = np.floor((xy.astype(np.float64) - mask.low_m) / VOXEL_M).astype(np.int64).T
+        mask.is_drivable[x, y] = True
+    return mask
+
+
+def blank_mask(places_m: NDArray[np.float64]) -> Mask:
+    """A mask that says of nothing seen from `places_m` (N, 2) whether one can drive. Raises `MapTooLargeError`."""
+    return _blank(places_m, places_m)
+
+
+def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mask:
+    """All black, as large as what is seen from `places_m` (N, 2) and what lies between `corners_m` (M, 2)."""
+    low_m = np.minimum(places_m.min(axis=0) - VIEW_M, corners_m.min(axis=0))
+    high_m = np.maximum(places_m.max(axis=0) + VIEW_M, corners_m.max(axis=0))
+    low, high = np.floor(low_m).astype(np.int64) - MARGIN_M, np.ceil(high_m).astype(np.int64) + MARGIN_M
+    if (high - low > MOST_SIDE_M).any():
+        raise MapTooLargeError(float(high[0] - low[0]), float(high[1] - low[1]), MOST_SIDE_M)
+    size = np.round((high - low) / VOXEL_M).astype(np.int64)
+    return Mask((int(low[0]), int(low[1])), np.zeros((int(size[0]), int(size[1])), np.bool_))
+
+
+def write_mask(path: Path, mask: Mask) -> None:
+    """An eight-bit grey PNG, row after row from the north (PNG 1.2: IHDR, IDAT, IEND)."""
+    width, height = (side * PIXELS_A_VOXEL for side in mask.is_drivable.shape)
+    deflate = zlib.compressobj(6)
+    with path.open("wb") as file:
+        file.write(b"\x89PNG\r\n\x1a\n" + _chunk(b"IHDR", struct.pack(">2I5B", width, height, 8, 0, 0, 0, 0)))
+        for column in mask.is_drivable.T[::-1]:
+            row = b"\0" + np.repeat(column.astype(np.uint8) * 255, PIXELS_A_VOXEL).tobytes()
+            if packed := deflate.compress(row * PIXELS_A_VOXEL):
+                file.write(_chunk(b"IDAT", packed))
+        file.write(_chunk(b"IDAT", deflate.flush()) + _chunk(b"IEND", b""))
+
+
+def _parts(mesh: MeshFile) -> list[slice]:
+    return [slice(begin, begin + VERTICES_AT_ONCE) for begin in range(0, len(mesh.vertices), VERTICES_AT_ONCE)]
+
+
+def _chunk(kind: bytes, content: bytes) -> bytes:
+    return struct.pack(">I", len(content)) + kind + content + struct.pack(">I", zlib.crc32(kind + content))

@@ -1,7 +1,7 @@
 """The plan of a sequence in nuScenes: its channels, the frames of each, times and poses, and all names.
 
 **Conventions.** A scene is a sequence, a sample a frame, and its token the frame's. `global` is the map shifted by
-whole metres (`services/labeler/exports/nuscenes/map_mask.py`). The ego pose of a datum is the robot's when it was
+whole metres (`services/labeler/exports/nuscenes/layout.py`). The ego pose of a datum is the robot's when it was
 measured, and
 has the datum's token. A camera or radar without a message near a frame, or without a pose then, has no datum there.
 """

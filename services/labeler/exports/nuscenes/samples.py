@@ -12,12 +12,22 @@ one frame.
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
-from services.labeler.exports.nuscenes.clouds import lidar_bytes, radar_bytes
+import numpy as np
+from numpy.typing import NDArray
+
 from services.labeler.exports.nuscenes.plan import NS_PER_US, NuscenesChannel, NuscenesPlan
-from services.labeler.exports.nuscenes.rows import add_fixed_rows, add_rig_rows, pose_row
-from services.labeler.exports.nuscenes.tables import SPLITS, VERSION, NuscenesTableWriter, write_splits, written_tables
+from services.labeler.exports.nuscenes.tables import (
+    SPLITS,
+    VERSION,
+    NuscenesTableWriter,
+    Row,
+    token_of,
+    write_splits,
+    written_tables,
+)
 from stone.errors import StoneError
-from stone.sensors.samples import SampleSource
+from stone.sensors.calibration import CameraIntrinsics
+from stone.sensors.samples import LidarSample, RadarSample, SampleSource
 
 
 class SampleGoneError(StoneError):
@@ -106,4 +116,182 @@ def _datum_row(
         "filename": plan.filename(channel, place),
         "prev": plan.datum_token(channel, place - 1),
         "next": plan.datum_token(channel, place + 1),
+    }
+
+
+# Point clouds as nuScenes keeps them: LiDAR returns as bare floats, radar detections as binary PCD.
+#
+# **Conventions.** Points are in the sensor's own axes: a sweep's at the frame's stamp, a radar's when it measured.
+# Only finite rows are written. Source: `LidarPointCloud.from_file` and `RadarPointCloud.from_file` of nuscenes-devkit
+# 1.2.
+
+
+RADAR_RECORD = np.dtype(
+    [
+        ("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("dyn_prop", "i1"), ("id", "<i2"), ("rcs", "<f4"), ("vx", "<f4"),
+        ("vy", "<f4"), ("vx_comp", "<f4"), ("vy_comp", "<f4"), ("is_quality_valid", "i1"), ("ambig_state", "i1"),
+        ("x_rms", "i1"), ("y_rms", "i1"), ("invalid_state", "i1"), ("pdh0", "i1"), ("vx_rms", "i1"), ("vy_rms", "i1"),
+    ]
+)  # fmt: skip
+# What these detections do not say, in the words of the schema: motion unknown, Doppler unambiguous, valid.
+UNKNOWN_MOTION, UNAMBIGUOUS, VALID, QUALITY_VALID = 4, 3, 0, 1
+LAST_ID = 32767
+
+
+def lidar_bytes(sample: LidarSample) -> bytes:
+    """`.pcd.bin`: x y z intensity ring, five float32 a return."""
+    rows = np.empty((len(sample.points_lidar), 5), "<f4")
+    rows[:, :3], rows[:, 3], rows[:, 4] = sample.points_lidar, sample.intensity, sample.ring
+    return rows[np.isfinite(rows).all(axis=1)].tobytes()
+
+
+def radar_bytes(sample: RadarSample) -> bytes:
+    """`.pcd`: the 18 fields of nuScenes; velocities are the measured rate along the ray, in plan.
+
+    A scan without a finite detection holds one row of NaN, which the devkit reads as none.
+    """
+    records = _records(sample)
+    if not len(records):
+        records = np.zeros(1, RADAR_RECORD)
+        for name in ("x", "y", "z", "rcs", "vx", "vy", "vx_comp", "vy_comp"):
+            records[name] = np.nan
+    # The devkit's reader wants one byte more than the last record.
+    return _header(len(records)) + records.tobytes() + b"\n"
+
+
+def _records(sample: RadarSample) -> NDArray[np.void]:
+    is_finite = np.isfinite(sample.points_radar).all(axis=1) & (sample.points_radar != 0).any(axis=1)
+    for measured in (sample.range_rate_m_s, sample.ground_rate_m_s, sample.rcs_db):
+        is_finite &= np.isfinite(measured)
+    points = sample.points_radar[is_finite]
+    towards = points[:, :2] / np.linalg.norm(points, axis=1)[:, None]
+    records = np.zeros(len(points), RADAR_RECORD)
+    records["x"], records["y"], records["z"] = points.T
+    records["vx"], records["vy"] = (towards * sample.range_rate_m_s[is_finite, None]).T
+    records["vx_comp"], records["vy_comp"] = (towards * sample.ground_rate_m_s[is_finite, None]).T
+    records["rcs"], records["id"] = sample.rcs_db[is_finite], np.minimum(np.arange(len(points)), LAST_ID)
+    records["dyn_prop"], records["ambig_state"] = UNKNOWN_MOTION, UNAMBIGUOUS
+    records["invalid_state"], records["is_quality_valid"] = VALID, QUALITY_VALID
+    return records
+
+
+def _header(count: int) -> bytes:
+    names = RADAR_RECORD.names or ()
+    kinds = [RADAR_RECORD[name] for name in names]
+    lines = [
+        "# .PCD v0.7 - Point Cloud Data file format",
+        "VERSION 0.7",
+        "FIELDS " + " ".join(names),
+        "SIZE " + " ".join(str(kind.itemsize) for kind in kinds),
+        "TYPE " + " ".join("F" if kind.kind == "f" else "I" for kind in kinds),
+        "COUNT " + " ".join("1" for _ in names),
+        f"WIDTH {count}",
+        "HEIGHT 1",
+        "VIEWPOINT 0 0 0 1 0 0 0",
+        f"POINTS {count}",
+        "DATA binary",
+    ]
+    return ("\n".join(lines) + "\n").encode()
+
+
+# The rows of nuScenes tables that do not grow with the number of data: classes, rig, log, map, scene.
+#
+# **Conventions.** Keys that the schema does not have are added where it has no place for a fact; the devkit ignores
+# them. Rotations are quaternions wxyz, as everywhere. Source: nuScenes schema.
+
+
+CLASSES = (
+    ("free", "a voxel without surface; mask_lidar says whether it was observed"),
+    ("traversable", "the robot's footprint swept this surface"),
+    ("potentially_traversable", "surface that is like the traversable one within the confidence of the reference"),
+    ("non_traversable", "all other surface"),
+)
+VISIBILITIES = ("v0-40", "v40-60", "v60-80", "v80-100")
+
+
+def add_fixed_rows(tables: Mapping[str, NuscenesTableWriter]) -> None:
+    """What is the same in every export."""
+    for index, (name, description) in enumerate(CLASSES):
+        token = token_of("category", name)
+        tables["category"].add({"token": token, "name": name, "description": description, "index": index})
+    for number, level in enumerate(VISIBILITIES, 1):
+        tables["visibility"].add({"token": str(number), "level": level, "description": f"visibility {level} %"})
+
+
+def add_rig_rows(tables: Mapping[str, NuscenesTableWriter], plan: NuscenesPlan) -> None:
+    """Sensors, their calibration, and the one log, map and scene of the sequence."""
+    for channel in plan.channels:
+        sensor_token = token_of("sensor", channel.name)
+        tables["sensor"].add({"token": sensor_token, "channel": channel.name, "modality": channel.modality})
+        tables["calibrated_sensor"].add(_calibrated_row(plan, channel, sensor_token))
+    tables["log"].add(_log_row(plan))
+    map_row = {
+        "category": "semantic_prior",
+        "token": token_of("map", plan.sequence.name),
+        "filename": plan.mask_filename,
+        "log_tokens": [plan.log_token],
+    }
+    tables["map"].add(map_row)
+    tables["scene"].add(_scene_row(plan))
+
+
+def pose_row(plan: NuscenesPlan, channel: NuscenesChannel, place: int) -> Row:
+    """Where the robot was when a datum was measured: `global_from_ego`."""
+    pose = channel.map_from_ego[place]
+    x, y, z = pose.translation_m.tolist()
+    return {
+        "token": plan.datum_token(channel, place),
+        "timestamp": int(channel.stamps_ns[place]) // NS_PER_US,
+        "rotation": pose.wxyz.tolist(),
+        "translation": [x - plan.low_m[0], y - plan.low_m[1], z],
+    }
+
+
+def _calibrated_row(plan: NuscenesPlan, channel: NuscenesChannel, sensor_token: str) -> Row:
+    ego_from_sensor = plan.sequence.calibration.ego_from_lidar @ channel.mount.lidar_from_sensor
+    intrinsics = channel.mount.intrinsics
+    row: dict[str, object] = {
+        "token": plan.calibrated_token(channel),
+        "sensor_token": sensor_token,
+        "translation": ego_from_sensor.translation_m.tolist(),
+        "rotation": ego_from_sensor.wxyz.tolist(),
+        "camera_intrinsic": [] if intrinsics is None else _matrix(intrinsics),
+    }
+    if intrinsics is not None:
+        row |= {"camera_model": intrinsics.model, "camera_distortion": list(intrinsics.distortion)}
+    return row
+
+
+def _matrix(intrinsics: CameraIntrinsics) -> list[list[float]]:
+    return [
+        [intrinsics.fx_px, 0.0, intrinsics.cx_px],
+        [0.0, intrinsics.fy_px, intrinsics.cy_px],
+        [0.0, 0.0, 1.0],
+    ]
+
+
+def _log_row(plan: NuscenesPlan) -> Row:
+    origin = plan.sequence.map_origin_deg_m
+    return {
+        "token": plan.log_token,
+        "logfile": plan.logfile,
+        "vehicle": plan.sequence.calibration.name,
+        "date_captured": plan.logfile[5:15],
+        "location": "unknown" if origin is None else f"{origin[0]:.4f},{origin[1]:.4f}",
+        "map_origin_deg_m": origin,
+        "global_from_map_m": [-plan.low_m[0], -plan.low_m[1], 0],
+        "pose_source": plan.sequence.pose_source,
+    }
+
+
+def _scene_row(plan: NuscenesPlan) -> Row:
+    frames = plan.sequence.frames
+    return {
+        "token": plan.scene_token,
+        "log_token": plan.log_token,
+        "nbr_samples": len(frames),
+        "first_sample_token": frames.tokens[0],
+        "last_sample_token": frames.tokens[-1],
+        "name": plan.sequence.name,
+        "description": f"{len(frames)} frames of {', '.join(sorted(plan.sequence.inputs))}",
     }

@@ -8,8 +8,8 @@ from hypothesis import example, given
 from hypothesis import strategies as st
 from hypothesis.extra.numpy import arrays
 
-from services.labeler.exports.dataset_samples import lidar_sample, radar_sample
-from services.labeler.exports.nuscenes.clouds import RADAR_RECORD, lidar_bytes, radar_bytes
+from services.labeler.exports.nuscenes.samples import RADAR_RECORD, lidar_bytes, radar_bytes
+from services.labeler.exports.sandboxed_export import lidar_sample, radar_sample
 from stone.geometry.se3 import SE3
 from stone.sensors.radar_motion import RadarMotion
 from stone.sensors.samples import LidarSample, RadarSample

@@ -9,7 +9,7 @@ import pytest
 from mcap.reader import make_reader
 
 from services.labeler.exports.foxglove import write_foxglove
-from services.labeler.exports.ply_file import open_mesh
+from services.labeler.exports.meshes import open_mesh
 from services.labeler.exports.source import LabelledSequence
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB

@@ -14,13 +14,12 @@ import numpy as np
 import pytest
 from PIL import Image
 
-from services.labeler.exports.dataset_samples import DatasetSamples
 from services.labeler.exports.dataset_source import DatasetSource
-from services.labeler.exports.inputs import write_inputs
 from services.labeler.exports.kitti import write_kitti
 from services.labeler.exports.nuscenes.layout import write_nuscenes
 from services.labeler.exports.playback import write_playback
 from services.labeler.exports.registry import EXPORTERS, Write
+from services.labeler.exports.sandboxed_export import DatasetSamples, write_inputs
 from services.labeler.exports.source import LabelledSequence
 from services.runtime.store.packs import index_bytes, pack_folder
 from stone_exports.files import DamagedExportError

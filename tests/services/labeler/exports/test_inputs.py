@@ -11,8 +11,8 @@ import pytest
 from PIL import Image
 
 from services.labeler.exports.folder import ExportRequest, export
-from services.labeler.exports.inputs import write_inputs
 from services.labeler.exports.nuscenes.layout import write_nuscenes
+from services.labeler.exports.sandboxed_export import write_inputs
 from services.labeler.exports.source import LabelledSequence
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 

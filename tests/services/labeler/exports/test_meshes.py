@@ -13,10 +13,8 @@ import trimesh
 
 from services.labeler.exports import meshes
 from services.labeler.exports.errors import DamagedLabelsError, MeshTooLargeError
-from services.labeler.exports.mesh_parts import mesh_parts
-from services.labeler.exports.meshes import write_glb, write_meshes
-from services.labeler.exports.nuscenes.map_mask import mask_of
-from services.labeler.exports.ply_file import MeshFile, open_mesh
+from services.labeler.exports.meshes import MeshFile, mesh_parts, open_mesh, write_glb, write_meshes
+from services.labeler.exports.nuscenes.layout import mask_of
 from services.labeler.map.ply import FACE, VERTEX, write_mesh
 from tests.services.labeler.exports.made import Labelled, unheard
 

@@ -11,8 +11,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from services.labeler.exports.nuscenes.clouds import RADAR_RECORD, lidar_bytes, radar_bytes
 from services.labeler.exports.nuscenes.layout import write_nuscenes
+from services.labeler.exports.nuscenes.samples import RADAR_RECORD, lidar_bytes, radar_bytes
 from services.labeler.exports.nuscenes.tables import token_of
 from stone.sensors.samples import LidarSample, RadarSample
 from tests.services.labeler.exports.made import Labelled, files_of, unheard

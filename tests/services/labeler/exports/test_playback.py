@@ -12,8 +12,16 @@ import pytest
 from PIL import Image
 
 from services.labeler.exports.nuscenes.plan import channels_of
-from services.labeler.exports.playback import drawn, small_cloud, small_picture, write_playback
-from services.labeler.exports.playback_cameras import COLUMNS, ROWS, playback_cameras, shutter_poses
+from services.labeler.exports.playback import (
+    COLUMNS,
+    ROWS,
+    drawn,
+    playback_cameras,
+    shutter_poses,
+    small_cloud,
+    small_picture,
+    write_playback,
+)
 from stone.geometry.se3 import SE3
 from stone.sensors.projection import project
 from stone.sensors.samples import CameraSample, LidarSample

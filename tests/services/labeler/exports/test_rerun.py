@@ -9,7 +9,7 @@ import pyarrow as pa
 import pytest
 from rerun.chunk import Chunk, RrdReader
 
-from services.labeler.exports.ply_file import open_mesh
+from services.labeler.exports.meshes import open_mesh
 from services.labeler.exports.rerun import write_rerun
 from services.labeler.exports.source import LabelledSequence
 from stone.labels.class_colours import CLASS_NAME, CLASS_RGB

@@ -10,7 +10,7 @@ from PIL import Image
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
-from services.labeler.exports.ply_file import open_mesh
+from services.labeler.exports.meshes import open_mesh
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB, TRACK
 from stone.labels.voxels import VOXEL_M

@@ -10,10 +10,8 @@ import numpy as np
 import pytest
 
 from services.labeler.imports.answers import IndexedSceneAnswer
-from services.labeler.imports.errors import SceneDamagedError
 from services.labeler.imports.indexing import index_dataset, region_of
-from services.labeler.imports.openings import DatasetOpening
-from services.labeler.imports.scene_parts import read_scene_parts, write_scene_parts
+from services.labeler.imports.scene_parts import DatasetOpening, SceneDamagedError, read_scene_parts, write_scene_parts
 from stone_datasets.classes import OWN_CLASSES
 from stone_datasets.faults import DatasetFaultError
 from testing.worlds.imported import tar_of, write_import, write_index, write_scene

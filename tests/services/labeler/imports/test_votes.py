@@ -10,10 +10,9 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.labeler.imports.fused_labels import TILE_VOXELS, FusedLabels
+from services.labeler.imports.fused_labels import TILE_VOXELS, FusedLabels, VoteBricks
 from services.labeler.imports.label_counts import class_counts, set_count
-from services.labeler.imports.votes import VoteBricks
-from services.labeler.imports.voxel_surface import CORNERS, coarser, exposed_faces, few_faces
+from services.labeler.imports.map_products import CORNERS, coarser, exposed_faces, few_faces
 from services.labeler.run import Tile
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3

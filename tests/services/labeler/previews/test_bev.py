@@ -2,8 +2,7 @@
 
 import numpy as np
 
-from services.labeler.previews.bev import bev
-from services.labeler.previews.surroundings import Surroundings, runs_inside
+from services.labeler.previews.sheet import Surroundings, bev, runs_inside
 from stone.labels.class_colours import INK, TRACK
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.calibration import Footprint

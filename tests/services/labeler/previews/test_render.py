@@ -7,10 +7,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from services.labeler.previews.oblique import oblique
-from services.labeler.previews.render import Boxes, Camera, Canvas, beads, voxel_boxes
-from services.labeler.previews.render_kernels import SHADE, SIDE_LIGHT, draw
-from services.labeler.previews.surroundings import surroundings_of
+from services.labeler.previews.render import SHADE, SIDE_LIGHT, Boxes, Camera, Canvas, beads, draw, voxel_boxes
+from services.labeler.previews.sheet import oblique, surroundings_of
 from stone.labels.class_colours import CLASS_RGB, PAPER
 from testing.colour_vision import least_of_pairs
 from tests.services.labeler.previews.sources import source_of
