@@ -7,12 +7,16 @@ unsafe method by session must repeat the session's CSRF token. Who is calling is
 """
 
 import inspect
+import time
 from collections.abc import Awaitable, Callable
 from dataclasses import dataclass
+from hashlib import sha256
 from hmac import compare_digest
-from typing import Annotated, Any, TypeVar
+from threading import Lock
+from typing import Annotated, Any, Generic, TypeVar
 
 import structlog
+from cachetools import LRUCache
 from fastapi import Depends, Request, Security
 from fastapi.security import APIKeyCookie, HTTPAuthorizationCredentials, HTTPBearer
 from sqlalchemy.exc import OperationalError
@@ -20,11 +24,59 @@ from sqlalchemy.orm import Session
 from starlette.concurrency import run_in_threadpool
 
 from api.errors import CsrfError, ForbiddenError, UnauthenticatedError
-from api.known_credentials import KnownCredentials
 from api.middleware.context import COOKIE
 from services.runtime.access import roles, sessions, tokens
 from services.runtime.access.credential_changes import credentials_generation
+from services.runtime.access.roles import ACCOUNT, SCOPES
+from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+
+# Callers remembered by their credential, so that not every request reads the database for who is asking.
+#
+# **Conventions.** For `KEPT_S`, under the sha256 of the secret, never the secret. A change of a user, a token or a
+# session by this process is noticed with its commit, one by another process after `KEPT_S` at the latest. What ends by
+# the clock is not remembered beyond its end. What is not valid is not remembered: it is looked up each time.
+
+
+KEPT_S = 1.0
+MOST = 10_000
+
+C = TypeVar("C")
+
+
+@dataclass(frozen=True)
+class _KnownCaller(Generic[C]):
+    caller: C
+    generation: int
+    expires_ns: int
+    until_s: float
+
+
+class KnownCredentials(Generic[C]):
+    """`find(secret)`, and `learn(secret, …)` where that gave None."""
+
+    def __init__(self, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._now_s, self._lock = monotonic_s, Lock()
+        self._known: LRUCache[bytes, _KnownCaller[C]] = LRUCache(MOST)
+
+    def find(self, secret: str) -> C | None:
+        """The caller with this credential; None where it must be looked up."""
+        with self._lock:
+            known = self._known.get(_key(secret))
+        if known is None or known.generation != credentials_generation():
+            return None
+        return known.caller if known.until_s > self._now_s() and known.expires_ns > now_ns() else None
+
+    def learn(self, secret: str, caller: C, *, expires_ns: int, generation: int) -> None:
+        """Remember what was read of the database since `generation` was `credentials_generation()`."""
+        known = _KnownCaller(caller, generation, expires_ns, self._now_s() + KEPT_S)
+        with self._lock:
+            self._known[_key(secret)] = known
+
+
+def _key(secret: str) -> bytes:
+    return sha256(secret.encode()).digest()
+
 
 T = TypeVar("T")
 VISITING = "visitor"
@@ -226,3 +278,19 @@ def _check_csrf(request: Request, caller: Caller) -> None:
     offered = request.headers.get("x-csrf-token", "")
     if not compare_digest(offered.encode(), caller.csrf_token.encode()):
         raise CsrfError()
+
+
+# Dependency types that name who may call a route: reader, submitter, curator, administrator.
+#
+# **Conventions.** Whatever makes or ends a credential of one's own is an `AccountHolder`'s: a browser's session, or a
+# token with the scope for it. `Anybody` has some scope, and may end what they ask with
+# (`tests/api/test_credentials.py`).
+
+
+Looker = Annotated[Caller, Depends(look)]
+Reader = Annotated[Caller, Depends(require("read"))]
+Anybody = Annotated[Caller, Depends(require_one(SCOPES))]
+AccountHolder = Annotated[Caller, Depends(require(ACCOUNT))]
+Submitter = Annotated[Caller, Depends(require("submit"))]
+Curator = Annotated[Caller, Depends(require("upload", "curator"))]
+Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]

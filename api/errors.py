@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from stone.errors import StoneError
+from stone.splits.splits import RuleFinding
 
 
 class ApiError(StoneError):
@@ -273,3 +274,61 @@ class ReplyNotKeptError(ApiError):
     def __init__(self) -> None:
         sentence = "the first request with this Idempotency-Key took effect, but its answer held a secret or was lost"
         super().__init__(f"{sentence}; look for what it made in the list")
+
+
+# Errors of file downloads and file uploads.
+
+
+class RangeError(ApiError):
+    """The range begins behind the end of the file."""
+
+    code = "range_not_satisfiable"
+
+    def __init__(self, size_bytes: int) -> None:
+        self.size_bytes = size_bytes
+        super().__init__(f"the file has {size_bytes} bytes and the range begins behind them")
+
+    @property
+    def headers(self) -> dict[str, str]:
+        return {"Content-Range": f"bytes */{self.size_bytes}", "Accept-Ranges": "bytes"}
+
+
+class CalibrationRefusedError(ApiError):
+    """The calibration is refused; `errors` has the code of the check."""
+
+    code = "calibration_refused"
+
+    def __init__(self, filename: str, reason: StoneError) -> None:
+        self._filename, self._reason = filename, reason
+        super().__init__(str(reason))
+
+    @property
+    def findings(self) -> tuple[Mapping[str, Any], ...]:
+        return ({"code": self._reason.code, "where": "file", "file": self._filename, "expected": str(self._reason)},)
+
+
+# Why splits are refused: an error for each rule that is broken.
+
+
+NAMED = 8
+
+
+class SplitRefusedError(ApiError):
+    """The splits break a rule that the data allow."""
+
+    code = "split_refused"
+
+    def __init__(self, errors: tuple[RuleFinding, ...], names: Mapping[str, str]) -> None:
+        super().__init__(f"{len(errors)} rule(s) are broken; see errors, or have splits proposed (/splits/proposal)")
+        self._errors, self._names = errors, names
+
+    @property
+    def findings(self) -> tuple[Mapping[str, Any], ...]:
+        return tuple(
+            {"code": error.code, "where": self._where(error), "expected": error.message} for error in self._errors
+        )
+
+    def _where(self, error: RuleFinding) -> str:
+        named = [self._names.get(one, one) for one in error.sequences]
+        more = f" and {len(named) - NAMED} more" if len(named) > NAMED else ""
+        return ", ".join(named[:NAMED]) + more

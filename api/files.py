@@ -19,8 +19,8 @@ from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 from api.answers import Responses, refusals
+from api.errors import RangeError
 from api.etags import etag, is_unchanged
-from api.file_errors import RangeError
 from services.runtime.store.protocol import Store
 
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")

@@ -7,8 +7,8 @@ ours: 500, with the sentence in the log only. A module that brings refusals brin
 from http import HTTPStatus
 
 from api import errors as api
-from api import file_errors as files
-from api import split_errors as splits
+from api import errors as files
+from api import errors as splits
 from api.tus import errors as tus
 from services.domain.benchmarks.phases import errors as phases
 from services.domain.benchmarks.phases import reported_results

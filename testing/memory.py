@@ -13,7 +13,7 @@ from collections.abc import Iterator
 
 import pytest
 
-from api.garbage import keep_what_is_loaded
+from api.main import keep_what_is_loaded
 
 _LIBC = ctypes.CDLL(None)
 

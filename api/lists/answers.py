@@ -6,18 +6,25 @@ bytes). The ETag is of the very bytes.
 
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any, TypeVar
+from functools import lru_cache
+from typing import Annotated, Any, Literal, TypeVar
 
-from fastapi import Request, Response
+from fastapi import Query, Request, Response
 from pydantic import BaseModel
 from pydantic_core import to_json
-from sqlalchemy import Integer, Row, Select, literal_column
-from sqlalchemy.orm import InstrumentedAttribute
+from sqlalchemy import BindParameter, Integer, Row, Select, func, literal_column, select
+from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from api.answers import Responses, refusals
 from api.compression import tagged_response
+from api.deps import Caller
 from api.paging import PageQuery, cursor_after, last_of
-from services.runtime.database.rows import Values, parameter
+from api.schemas.base import PLAIN, IdQuery, LineQuery
+from api.views.jobs import with_counts
+from api.views.sequences import with_glances
+from api.visible import sequences_shown
+from services.runtime.database.rows import KeptSelect, Values, parameter
+from services.runtime.orm import Job, SequenceRow
 
 JSON_TYPE = "application/json"
 MOST_FORMS = 500  # of a list's statement that are kept
@@ -71,3 +78,114 @@ def list_response(request: Request, items: Sequence[Item], following: str | None
 def model_response(request: Request, page: BaseModel) -> Response:
     """A page of models, written once: whatever a route returns as a model is checked and written by another thread."""
     return tagged_response(request, page.model_dump_json().encode(), JSON_TYPE)
+
+
+# The page of jobs that a caller asks for, by a statement that is kept for each form of the question.
+#
+# **Conventions.** Everybody lists their own; what is said of one is `api/views/jobs.py`'s.
+
+
+State = Literal["queued", "running", "succeeded", "failed", "cancelled"]
+Kind = Annotated[str | None, Query(pattern=r"^[a-z][a-z_]*(\.[a-z][a-z_]*)*$", max_length=64)]
+
+
+@dataclass(frozen=True)
+class JobFilters:
+    """Which jobs a list shows; without `root_id` runs and single jobs, with it the jobs of that run."""
+
+    state: State | None = None
+    kind: Kind = None
+    sequence_id: IdQuery = None
+    root_id: IdQuery = None
+
+    def wanted(self, keys: tuple[str, ...] = ("state", "kind", "sequence_id", "root_id")) -> dict[str, str]:
+        """Those of the filters that are given."""
+        return {key: value for key in keys if (value := getattr(self, key)) is not None}
+
+    def equal(self, statement: Select[Job], keys: tuple[str, ...]) -> Select[Job]:
+        """Rows whose columns equal the filters that are given."""
+        return statement.filter_by(**self.wanted(keys))
+
+    def one_level(self, statement: Select[Job]) -> Select[Job]:
+        return one_level(statement, is_within=self.root_id is not None)
+
+
+def one_level(statement: Select[Job], *, is_within: bool) -> Select[Job]:
+    """Runs and single jobs, or the jobs within runs."""
+    return statement.where((Job.id != Job.root_id) if is_within else (Job.id == Job.root_id))
+
+
+def job_rows(
+    session: Session, owner_id: str, filters: JobFilters, query: PageQuery
+) -> tuple[Sequence[Row[Any]], str | None]:
+    """Rows of `with_counts`, and the cursor of the next page. Raises `BadCursorError`."""
+    wanted = filters.wanted()
+    given = {"owner": owner_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
+    kept = _kept(tuple(wanted), form_of(query))
+    return page_of(kept.rows(session, {**given, **page_values(query)}), query)
+
+
+@lru_cache(MOST_FORMS)
+def _kept(wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
+    """The statement of a page in this form of the question: with which filters."""
+    mine = select(Job).where(Job.owner_id == parameter("owner"))
+    narrowed = mine.filter_by(**{key: parameter(f"wanted_{key}") for key in wanted})
+    page = newest_page(one_level(narrowed, is_within="root_id" in wanted), Job.id, form)
+    return KeptSelect(with_counts(page))
+
+
+# The page of sequences that a caller asks for, by a statement that is kept for each form of the question.
+#
+# **Conventions.** Who may see which sequence is `api/visible.py`'s, what is said of one `api/views/sequences.py`'s.
+
+
+Prefix = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
+Wanted = Mapping[str, str | BindParameter[str]]
+
+
+@dataclass(frozen=True)
+class SequenceFilters:
+    """Which sequences a list shows: equal values, and names that begin with `name`."""
+
+    environment: LineQuery = None
+    illumination: LineQuery = None
+    region: LineQuery = None
+    platform: LineQuery = None
+    name: Prefix = None
+    owner_id: IdQuery = None
+
+    @property
+    def wanted(self) -> dict[str, str]:
+        """Those that are given."""
+        return {name: value for name, value in vars(self).items() if value is not None}
+
+    def narrowed(self, statement: Select[SequenceRow]) -> Select[SequenceRow]:
+        return narrowed_by(statement, self.wanted)
+
+
+def narrowed_by(statement: Select[SequenceRow], wanted: Wanted) -> Select[SequenceRow]:
+    """The sequences with these values, or with those that the parameters will have."""
+    for key, value in wanted.items():
+        is_equal = getattr(SequenceRow, key) == value
+        begins = func.substr(SequenceRow.name, 1, func.length(value)) == value
+        statement = statement.where(begins if key == "name" else is_equal)
+    return statement
+
+
+def sequence_rows(
+    session: Session, caller: Caller, filters: SequenceFilters, query: PageQuery
+) -> tuple[Sequence[Row[Any]], str | None]:
+    """Rows of `with_glances`, and the cursor of the next page. Raises `BadCursorError`."""
+    wanted = filters.wanted
+    kept = _kept_of_sequences(caller.is_administrator, tuple(wanted), form_of(query))
+    given = {"caller": caller.user_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
+    return page_of(kept.rows(session, {**given, **page_values(query)}), query)
+
+
+@lru_cache(MOST_FORMS)
+def _kept_of_sequences(is_administrator: bool, wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
+    """The statement of a page in this form of the question: by whom, and with which filters."""
+    caller = None if is_administrator else parameter("caller")
+    named = {key: parameter(f"wanted_{key}") for key in wanted}
+    page = newest_page(narrowed_by(sequences_shown(caller), named), SequenceRow.id, form)
+    return KeptSelect(with_glances(page, caller))

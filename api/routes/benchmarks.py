@@ -12,8 +12,7 @@ from fastapi import Depends, Query, Request, Response
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
-from api.callers import Looker, Reader
-from api.deps import PlatformDep, at_once
+from api.deps import Looker, PlatformDep, Reader, at_once
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.noun_router import NounRouter

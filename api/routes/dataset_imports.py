@@ -11,8 +11,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, Curator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page

@@ -11,16 +11,14 @@ from fastapi import Path, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator, Reader
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.files import answer_bytes, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import instant
-from api.schemas.dataset_inputs import DatasetInputItem
-from api.schemas.datasets import VERSION_PATTERN, OpenPart
+from api.schemas.datasets import VERSION_PATTERN, DatasetInputItem, OpenPart
 from api.schemas.jobs import JobDetail
 from api.views.exports import served_archive
 from api.views.jobs import job_detail

@@ -13,22 +13,14 @@ from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator, Reader
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep, Reader
 from api.etags import etag
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.row_readers import by_row_readers
-from api.schemas.datasets import (
-    VERSION_PATTERN,
-    DatasetDetail,
-    DatasetItem,
-    NewDatasetBody,
-    OpenPart,
-    PublishedDataset,
-)
+from api.schemas.datasets import VERSION_PATTERN, DatasetDetail, DatasetItem, NewDatasetBody, OpenPart, PublishedDataset
 from api.views.datasets import dataset_detail, dataset_item
 from api.views.splits import rule_items
 from api.visible import dataset_of

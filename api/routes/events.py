@@ -20,8 +20,7 @@ from sqlalchemy.orm import Session
 from starlette.types import Receive, Scope, Send
 
 from api.answers import Responses, refusals
-from api.callers import Reader
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, PlatformDep, Reader
 from api.event_streams import Follower, StreamSnapshot, StreamSubject
 from api.noun_router import NounRouter
 from api.schemas.base import IdPath

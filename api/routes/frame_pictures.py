@@ -13,8 +13,7 @@ from fastapi import Query, Request, Response
 from numpy.typing import NDArray
 
 from api.answers import refusals
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
 from api.noun_router import NounRouter

@@ -6,19 +6,16 @@ from fastapi import Depends, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import PlatformDep, at_once
+from api.deps import Curator, PlatformDep, Reader, at_once
 from api.job_acts import control_run
-from api.lists.answers import list_response, listed
-from api.lists.jobs import JobFilters, job_rows
+from api.lists.answers import JobFilters, job_rows, list_response, listed
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.row_readers import by_row_readers
 from api.schemas.admin import CancelBody
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail, JobItem, LogPage
-from api.views.jobs import facts_of_rows, job_detail
-from api.views.log_pages import LogQuery, log_page
+from api.views.jobs import LogQuery, facts_of_rows, job_detail, log_page
 from api.visible import job_of
 
 router = NounRouter(prefix="/jobs", tags=["jobs"])

@@ -10,8 +10,7 @@ from typing import Annotated
 from fastapi import Depends, Request, Response
 
 from api.answers import Responses, refusals
-from api.callers import Looker
-from api.deps import PlatformDep, at_once
+from api.deps import Looker, PlatformDep, at_once
 from api.noun_router import NounRouter
 from api.routes.benchmarks import AT, AtPhase
 from api.schemas.leaderboard import (

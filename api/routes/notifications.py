@@ -9,8 +9,7 @@ from fastapi import Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import AccountHolder, Reader, Submitter
-from api.deps import PlatformDep
+from api.deps import AccountHolder, PlatformDep, Reader, Submitter
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.notifications import (

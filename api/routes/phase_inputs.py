@@ -10,8 +10,7 @@ from fastapi import Path, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator, Reader
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.files import answer_bytes, file_responses
 from api.noun_router import NounRouter
@@ -19,7 +18,7 @@ from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath, instant
 from api.schemas.jobs import JobDetail
-from api.schemas.phase_inputs import PhaseInputItem
+from api.schemas.phase_bodies import PhaseInputItem
 from api.views.exports import served_archive
 from api.views.jobs import job_detail
 from api.visible import phase_of

@@ -8,8 +8,7 @@ is the score by the pair in force; older ones stay readable by their ids.
 from fastapi import Request, Response
 
 from api.answers import refusals
-from api.callers import Looker, Reader
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep, Reader
 from api.files import StoredFile, answer_file, file_responses
 from api.noun_router import NounRouter
 from api.schemas.base import IdPath

@@ -13,8 +13,7 @@ from fastapi import Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import AccountHolder, Anybody, Reader
-from api.deps import Caller, PlatformDep
+from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
 from api.errors import ConflictError, TooManyFailedSignInsError, WrongPasswordError
 from api.middleware.context import COOKIE
 from api.middleware.limits import address_of

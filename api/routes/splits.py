@@ -9,8 +9,8 @@ from fastapi import Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator, Reader
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep, Reader
+from api.errors import SplitRefusedError
 from api.etags import etag, require_match
 from api.noun_router import NounRouter
 from api.schemas.splits import (
@@ -21,7 +21,6 @@ from api.schemas.splits import (
     SplitsToJudge,
     VerdictsAnswer,
 )
-from api.split_errors import SplitRefusedError
 from api.views.splits import proposal_answer, rule_items, splits_answer
 from api.visible import sequences_of
 from services.domain.datasets.catalogue import entries_of, labelled_sequences

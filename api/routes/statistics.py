@@ -10,8 +10,7 @@ from typing import Annotated
 from fastapi import Query, Request, Response
 
 from api.answers import refusals
-from api.callers import Reader
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, PlatformDep, Reader
 from api.etags import etag, is_unchanged
 from api.noun_router import NounRouter
 from api.schemas.datasets import VERSION_PATTERN

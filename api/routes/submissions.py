@@ -13,8 +13,7 @@ from sqlalchemy import Select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator, Reader, Submitter
-from api.deps import Caller, PlatformDep, at_once
+from api.deps import Administrator, Caller, PlatformDep, Reader, Submitter, at_once
 from api.errors import ForbiddenError
 from api.etags import etag, require_match
 from api.lists.answers import listed, model_response

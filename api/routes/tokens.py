@@ -10,8 +10,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import AccountHolder, Anybody, Reader
-from api.deps import Caller, PlatformDep
+from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
 from api.errors import ConflictError, ForbiddenError, NotFoundError, UnauthenticatedError
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep

@@ -16,12 +16,25 @@ from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, LineQuery
 from api.schemas.uploads import UploadItem, upload_item
 from api.tus.body_stream import in_thread, receive_body
-from api.tus.creation import accept_creation, find_own
-from api.tus.documents import CREATED, FORM, FORMED, GOT, HEAD_SAYS, OPTIONS_SAY, PATCHED, STREAM, TERMINATED
+from api.tus.creation import accept_creation, accept_form, find_own
 from api.tus.errors import VERSION, TusHeaderError
-from api.tus.forms import accept_form
-from api.tus.headers import EXTENSIONS, count_of, piece_of, speak_tus, upload_headers
-from api.tus.route import TusRoute
+from api.tus.headers import (
+    CREATED,
+    EXTENSIONS,
+    FORM,
+    FORMED,
+    GOT,
+    HEAD_SAYS,
+    OPTIONS_SAY,
+    PATCHED,
+    STREAM,
+    TERMINATED,
+    TusRoute,
+    count_of,
+    piece_of,
+    speak_tus,
+    upload_headers,
+)
 from services.runtime.orm import Upload
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads.completion import bytes_here, settle_if_whole, terminate

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import Path
 from pydantic import AfterValidator, AwareDatetime, Field, StringConstraints
 
-from api.schemas.base import EPOCH, PLAIN, PROSE, Body, Reason, example
+from api.schemas.base import EPOCH, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, Reason, example
 from api.schemas.datasets import VERSION_PATTERN
 from services.domain.benchmarks.phases.phases import (
     LONGEST_WINDOW_NS,
@@ -146,3 +146,29 @@ def ns_of(moment: datetime) -> int:
     """Exactly: a float would lose what is below a microsecond of the sum."""
     passed = moment - EPOCH
     return ((passed.days * 86_400 + passed.seconds) * 10**6 + passed.microseconds) * 1000
+
+
+# Inputs of a phase over the wire: the sensor data that participants predict from.
+
+
+INPUT_EXAMPLE: dict[str, Any] = {
+    "name": "n-forest-07",
+    "files": 13216,
+    "size_bytes": 41003421,
+    "tar_bytes": 48210432,
+    "tar_sha256": SHA256_EXAMPLE,
+    "created_at": "2026-05-03T10:33:40Z",
+}
+
+
+class PhaseInputItem(Answer):
+    """The inputs of one sequence; its tar is at `inputs/{name}.tar`."""
+
+    model_config = example(**INPUT_EXAMPLE)
+
+    name: str
+    files: int
+    size_bytes: int
+    tar_bytes: int
+    tar_sha256: str
+    created_at: datetime

@@ -9,13 +9,17 @@ import re
 from base64 import b64decode
 from binascii import Error as Base64Error
 from email.utils import formatdate
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Header, Request
+from fastapi.routing import APIRoute
+from starlette.datastructures import MutableHeaders
+from starlette.types import Message, Receive, Scope, Send
 
+from api.answers import Responses, refusals
 from api.tus.errors import VERSION, TusHeaderError, TusVersionError, UnsupportedMediaTypeError
 from services.runtime.orm import Upload
-from services.runtime.uploads.creation import UploadDeclaration
+from services.runtime.uploads.creation import PURPOSES, UploadDeclaration
 from services.runtime.uploads.errors import BadMetadataError
 from services.runtime.uploads.reception import ALGORITHMS, Checksum, UploadChunk
 
@@ -117,3 +121,79 @@ def _text(key: str, value: bytes) -> str:
         return value.decode("utf-8")
     except UnicodeDecodeError as error:
         raise BadMetadataError(key, value.hex(), "UTF-8") from error
+
+
+# A route class that adds the tus version header to every response, refusals included.
+
+
+class TusRoute(APIRoute):
+    """`NounRouter(route_class=TusRoute)`."""
+
+    async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
+        async def say(message: Message) -> None:
+            if message["type"] == "http.response.start":
+                headers = MutableHeaders(scope=message)
+                headers["Tus-Resumable"] = VERSION
+                if scope["method"] == "HEAD":  # an offset is true for a moment only
+                    headers["Cache-Control"] = "no-store"
+            await send(message)
+
+        await super().handle(scope, receive, say)
+
+
+# OpenAPI descriptions of the tus routes: headers, streamed bodies, refusals.
+
+
+def _headers(**described: str) -> dict[str, Any]:
+    text = {"type": "string"}
+    return {name.replace("_", "-"): {"description": words, "schema": text} for name, words in described.items()}
+
+
+_PROGRESS = _headers(
+    Tus_Resumable="1.0.0", Upload_Offset="bytes that are here", Upload_Expires="until when it waits (RFC 9110 date)"
+)
+
+STREAM: dict[str, Any] = {
+    "requestBody": {
+        "required": False,
+        "content": {"application/offset+octet-stream": {"schema": {"type": "string", "format": "binary"}}},
+    }
+}
+FORM: dict[str, Any] = {
+    "requestBody": {
+        "required": True,
+        "content": {
+            "multipart/form-data": {
+                "schema": {
+                    "type": "object",
+                    "required": ["file", "purpose"],
+                    "properties": {
+                        "file": {"type": "string", "format": "binary"},
+                        "purpose": {"type": "string", "enum": list(PURPOSES)},
+                        "target_id": {"type": "string"},
+                        "sha256": {"type": "string"},
+                    },
+                }
+            }
+        },
+    }
+}
+OPTIONS_SAY: Responses = {204: {"description": "what is spoken", "headers": _headers(Tus_Version="1.0.0")}}
+CREATED: Responses = {
+    201: {"description": "created", "headers": {**_headers(Location="the upload"), **_PROGRESS}},
+    **refusals(400, 404, 408, 409, 412, 413, 415, 423, 460, 507),
+}
+HEAD_SAYS: Responses = {
+    200: {"description": "where to resume", "headers": _PROGRESS},
+    **refusals(404, 409, 410, 412, 460, 507),
+}
+PATCHED: Responses = {
+    204: {"description": "appended", "headers": _PROGRESS},
+    **refusals(400, 404, 408, 409, 410, 412, 413, 415, 423, 460, 507),
+}
+TERMINATED: Responses = {204: {"description": "terminated"}, **refusals(404, 409, 410, 412, 423)}
+GOT: Responses = refusals(404)
+FORMED: Responses = {
+    201: {"description": "complete", "headers": _headers(Location="the upload")},
+    **refusals(400, 404, 408, 409, 413, 415, 460, 507),
+}

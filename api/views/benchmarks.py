@@ -4,12 +4,13 @@
 """
 
 from collections.abc import Sequence
+from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.errors import NotFoundError
-from api.schemas.base import instant
+from api.schemas.base import Answer, instant, instant_or_none
 from api.schemas.benchmarks import (
     ActiveItem,
     BenchmarkDetail,
@@ -20,12 +21,11 @@ from api.schemas.benchmarks import (
     PhaseItem,
     SignatureItem,
 )
-from api.views.columns import shown_columns
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.phases import phase_status
 from services.domain.benchmarks.visibility import policy_sentences
-from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase
+from services.runtime.orm import Base, Benchmark, Dataset, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from stone.scoring.metric import METRICS, Metric
 
@@ -107,3 +107,17 @@ def _active(session: Session, phase: Phase) -> ActiveItem | None:
         activated_at=instant(activation.activated_ns),
         signature=SignatureItem(metric=activation.metric, ground_truth=truth.sha256, mask=truth.mask),
     )
+
+
+# Answers filled from a row: fields of the same name are copied, so that a new column is shown by naming it once.
+
+
+def shown_columns(row: Base, answer: type[Answer]) -> dict[str, Any]:
+    """Those fields of the answer that are columns of the row; `<name>_at` is the instant of `<name>_ns`.
+
+    A column that the answer does not name is not shown.
+    """
+    columns = row.__table__.columns.keys()
+    shown = {name: getattr(row, name) for name in answer.model_fields if name in columns}
+    instants = {name: f"{name.removesuffix('_at')}_ns" for name in answer.model_fields if name.endswith("_at")}
+    return shown | {name: instant_or_none(getattr(row, ns)) for name, ns in instants.items() if ns in columns}

@@ -16,8 +16,7 @@ from tempfile import TemporaryDirectory
 from threading import BoundedSemaphore
 from typing import IO
 
-from api.errors import BodyTooLargeError, RateLimitedError
-from api.file_errors import CalibrationRefusedError
+from api.errors import BodyTooLargeError, CalibrationRefusedError, RateLimitedError
 from api.files import safe_name
 from api.schemas.base import EPOCH
 from services.domain.sequences.calibrations import ReadCalibration, Validity

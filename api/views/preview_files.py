@@ -9,7 +9,7 @@ from sqlalchemy.orm import Session, aliased
 
 from api.errors import NotFoundError
 from api.files import StoredFile
-from api.schemas.sequences.previews import PreviewItem
+from api.schemas.sequences.sequences import PreviewItem
 from services.domain.viewer.frame_picture import recoloured
 from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import Blob, LabelSet, Preview, Recording, SequenceRow

@@ -11,13 +11,13 @@ from functools import lru_cache
 from typing import Annotated, Any
 
 from fastapi import Query
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller
 from api.errors import NotFoundError
 from api.files import ServedFile, StoredFile
 from api.schemas.base import ID_PATTERN
-from api.views.artefact_files import artefact_file
 from api.views.exports import served_file
 from api.visible import frame_of, newest_label_set, shown_sequence
 from services.domain.viewer.errors import NoPlaybackError, NoSceneError
@@ -25,7 +25,7 @@ from services.domain.viewer.formats import MEDIA_TYPES, voxels_bytes
 from services.domain.viewer.frame_grids import stored_grids
 from services.domain.viewer.frame_picture import Grid, picture_bytes, recoloured
 from services.domain.viewer.playback import CAMERAS, Playback, playback_of, shown_by
-from services.runtime.orm import Artefact, Blob
+from services.runtime.orm import Artefact, Blob, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
@@ -144,3 +144,19 @@ def _record(store: Store, file: StoredFile) -> dict[str, Any]:
     """An object never changes, so neither does what was read of it."""
     record: dict[str, Any] = json.loads(b"".join(store.read(file.object_key)))
     return record
+
+
+# Downloads of a label set's artefact files.
+
+
+def artefact_file(session: Session, sequence: SequenceRow, labels: LabelSet | None, name: str) -> StoredFile | None:
+    """A file of these labels, called after the sequence; None where there are no labels, or no such file."""
+    if labels is None:
+        return None
+    named = select(Artefact, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)
+    row = session.execute(named.where(Artefact.label_set_id == labels.id, Artefact.name == name)).one_or_none()
+    if row is None:
+        return None
+    artefact, blob = row
+    filename = f"{sequence.name}-{name.replace('/', '-')}"
+    return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, artefact.media_type, filename)

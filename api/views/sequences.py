@@ -14,12 +14,7 @@ from sqlalchemy.orm import Session
 from api.deps import VISITOR, Caller
 from api.errors import NotFoundError
 from api.schemas.base import instant
-from api.schemas.sequences.sequences import (
-    ArtefactItem,
-    LaterRecordingsItem,
-    SequenceDetail,
-    SequenceItem,
-)
+from api.schemas.sequences.sequences import ArtefactItem, LaterRecordingsItem, SequenceDetail, SequenceItem
 from api.views.preview_files import previews_of_sequence
 from api.visible import labels_of, sequences_shown
 from services.domain.sequences.later_recordings import later_recordings

@@ -12,7 +12,7 @@ from random import Random
 import httpx
 from sqlalchemy import select
 
-from api.views.queues import running_items, worker_items
+from api.views.admin import running_items, worker_items
 from benchmarks.rows import boards, kinds
 from benchmarks.rows.bulk_inserts import hex_id
 from services.domain.benchmarks.boards.board import board_order

@@ -16,8 +16,7 @@ from fastapi.routing import iter_route_contexts
 from sqlalchemy import delete, select, text, update
 from sqlalchemy.orm import Session
 
-from api.deps import SAFE
-from api.known_credentials import KEPT_S, KnownCredentials
+from api.deps import KEPT_S, SAFE, KnownCredentials
 from api.main import make_api
 from api.middleware.context import COOKIE
 from services.runtime.access import sessions, tokens, users

@@ -11,8 +11,8 @@ from sqlalchemy.exc import OperationalError
 from structlog.testing import capture_logs
 
 from api.main import make_api
-from api.middleware import kept_replies
-from api.middleware.kept_replies import KEPT_NS, IdempotentRequest, StoredReply
+from api.middleware import idempotency
+from api.middleware.idempotency import KEPT_NS, IdempotentRequest, StoredReply
 from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply, Team
 from services.runtime.platform import Platform
@@ -163,14 +163,14 @@ def test_an_answer_waits_for_a_database_that_is_away_for_a_moment(
 ) -> None:
     client, plan = faulty
     plan.append("answer")
-    outages, keep = [1, 2, 3], kept_replies.keep
+    outages, keep = [1, 2, 3], idempotency.keep
 
     def keep_after_the_outage(database: Database, row_id: str, reply: StoredReply | None) -> None:
         if outages:
             raise OperationalError("UPDATE", {}, RuntimeError(f"the server is away, {outages.pop()}"))
         keep(database, row_id, reply)
 
-    monkeypatch.setattr(kept_replies, "keep", keep_after_the_outage)
+    monkeypatch.setattr(idempotency, "keep", keep_after_the_outage)
     headers = {**lone.headers, "Idempotency-Key": "k"}
     first, second = (client.post("/api/v1/faulty", headers=headers) for _ in range(2))
     assert (first.status_code, second.status_code, outages) == (201, 201, [])
@@ -198,39 +198,39 @@ def test_a_request_whose_process_died_before_its_commit_is_worked_on_again_after
     platform_on: Platform, ada: Person
 ) -> None:
     database = platform_on.database
-    row_id = kept_replies.reserve(database, asked_by(ada))
-    with pytest.raises(kept_replies.RequestInFlightError):
-        kept_replies.reserve(database, asked_by(ada))
-    assert kept_replies.reserve(database, asked_by(ada, lease_ns=0)) == row_id
+    row_id = idempotency.reserve(database, asked_by(ada))
+    with pytest.raises(idempotency.RequestInFlightError):
+        idempotency.reserve(database, asked_by(ada))
+    assert idempotency.reserve(database, asked_by(ada, lease_ns=0)) == row_id
 
 
 def test_a_request_whose_process_died_after_its_commit_is_never_worked_on_again(
     platform_on: Platform, ada: Person
 ) -> None:
     database = platform_on.database
-    row_id = kept_replies.reserve(database, asked_by(ada))
+    row_id = idempotency.reserve(database, asked_by(ada))
     assert isinstance(row_id, str)
-    mark = kept_replies.working_for.set(row_id)
+    mark = idempotency.working_for.set(row_id)
     with database.transaction() as session:
         session.add(Team(name="made"))
-    kept_replies.working_for.reset(mark)
-    with pytest.raises(kept_replies.RequestInFlightError):
-        kept_replies.reserve(database, asked_by(ada))
-    with pytest.raises(kept_replies.ReplyNotKeptError):
-        kept_replies.reserve(database, asked_by(ada, lease_ns=0))
+    idempotency.working_for.reset(mark)
+    with pytest.raises(idempotency.RequestInFlightError):
+        idempotency.reserve(database, asked_by(ada))
+    with pytest.raises(idempotency.ReplyNotKeptError):
+        idempotency.reserve(database, asked_by(ada, lease_ns=0))
 
 
 def test_what_was_rolled_back_is_not_marked_as_done(platform: Platform, lone: Person) -> None:
     database = platform.database
-    row_id = kept_replies.reserve(database, asked_by(lone))
+    row_id = idempotency.reserve(database, asked_by(lone))
     assert isinstance(row_id, str)
-    mark = kept_replies.working_for.set(row_id)
+    mark = idempotency.working_for.set(row_id)
     with database.transaction() as session:
         session.add(Team(name="made"))
         session.flush()
         session.rollback()
-    kept_replies.working_for.reset(mark)
-    assert [row.status for row in rows_in(platform)] == [kept_replies.IN_WORK]
+    idempotency.working_for.reset(mark)
+    assert [row.status for row in rows_in(platform)] == [idempotency.IN_WORK]
 
 
 def test_a_day_later_the_key_is_free(api: httpx.Client, platform: Platform, lone: Person) -> None:

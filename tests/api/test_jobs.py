@@ -9,8 +9,7 @@ import pytest
 from sqlalchemy import event, select, update
 
 from api.routes.admin.admin_jobs import AdminFilters
-from api.views.admin import job_counts
-from api.views.queues import queue_items
+from api.views.admin import job_counts, queue_items
 from benchmarks.dashboard.rows import fill
 from services.domain.notifications.messages import message_of
 from services.runtime.jobs.claims import claim

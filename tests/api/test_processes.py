@@ -17,8 +17,7 @@ from sqlalchemy import text
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from api.garbage import COLLECTED_AFTER, keep_what_is_loaded
-from api.main import make_api
+from api.main import COLLECTED_AFTER, keep_what_is_loaded, make_api
 from api.row_readers import by_row_readers
 from api.tus.body_stream import THREADS
 from services.runtime.database.transactions import ALONE, ROW_READERS, UPLOADS, request_threads

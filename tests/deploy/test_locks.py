@@ -22,7 +22,7 @@ ENTRIES = {
         "services.maintenance.sweeper",
         "services.runtime.backup.__main__",
         "web.main",
-        "api.middleware.heads",
+        "api.middleware.bodies",
     ),
     **{
         role: (*RUNTIME, *(f"services.{service}.tasks" for service in services_of((role,))))

@@ -10,7 +10,7 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.lists import jobs
+from api.lists import answers
 from api.schemas import rescores, submissions, truths
 from api.schemas.sequences import scenes
 from api.views.admin import JobSpan
@@ -75,7 +75,7 @@ def test_a_time_is_written_in_the_readers_zone_and_says_when_it_is_utc() -> None
 
 
 LITERALS: dict[str, Any] = {
-    "jobs": jobs.State,
+    "jobs": answers.State,
     "submissions": submissions.State,
     "phases": phases.PhaseStatus,
     "rescores": rescores.RescoreState,

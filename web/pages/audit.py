@@ -5,8 +5,7 @@ from typing import Annotated
 from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN

@@ -9,8 +9,7 @@ from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as page_of

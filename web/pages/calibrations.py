@@ -10,9 +10,8 @@ from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
-from api.callers import Reader
-from api.deps import PlatformDep
-from api.file_errors import CalibrationRefusedError
+from api.deps import PlatformDep, Reader
+from api.errors import CalibrationRefusedError
 from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged

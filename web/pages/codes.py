@@ -3,7 +3,7 @@
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Looker
+from api.deps import Looker
 from api.errors import NotFoundError
 from api.noun_router import NounRouter
 from stone_base.codes.catalogue import CATALOGUE, PROFILE_CODES, by_family

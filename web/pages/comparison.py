@@ -5,8 +5,7 @@ from typing import Annotated, Any
 from fastapi import Depends, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.base import IdQuery, IdText

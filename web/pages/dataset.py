@@ -11,8 +11,7 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.callers import Administrator, Reader
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep, Reader
 from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as rows_of

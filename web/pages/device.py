@@ -9,8 +9,7 @@ from typing import Annotated
 from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import AccountHolder
-from api.deps import PlatformDep
+from api.deps import AccountHolder, PlatformDep
 from api.noun_router import NounRouter
 from services.runtime.access import device_grants
 from services.runtime.orm.base import now_ns

@@ -15,7 +15,7 @@ from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 from starlette.staticfiles import StaticFiles
 
-from api.callers import Looker
+from api.deps import Looker
 from api.errors import NotFoundError
 from api.noun_router import NounRouter
 from web.rendering import page

@@ -3,9 +3,8 @@
 from fastapi import Request, Response
 from fastapi.responses import HTMLResponse
 
-from api.callers import Looker
 from api.client_wheel import ClientWheel, install_line
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made
 from api.noun_router import NounRouter

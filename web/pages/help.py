@@ -3,8 +3,7 @@
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.noun_router import NounRouter
 from services.runtime.code_version import RELEASE
 from web.first_steps import steps_for

@@ -7,8 +7,7 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.callers import Looker
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.results import viewer_for

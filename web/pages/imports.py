@@ -6,8 +6,7 @@ from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
-from api.callers import Curator
-from api.deps import PlatformDep
+from api.deps import Curator, PlatformDep
 from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged

@@ -5,8 +5,7 @@ from typing import Annotated
 from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.leaderboard import BoardRow

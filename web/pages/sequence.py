@@ -11,13 +11,12 @@ from fastapi import Query
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
-from api.callers import Looker
-from api.deps import Caller
+from api.deps import Caller, Looker
 from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN
-from api.views.artefact_files import artefact_file
 from api.views.exports import export_items
 from api.views.jobs import job_items
+from api.views.scenes import artefact_file
 from api.visible import exports_shown_to, labels_of, shown_sequence
 from services.domain.viewer.playback import Playback, playback_of, shown_by
 from services.runtime.jobs.specs import TERMINAL

@@ -9,12 +9,11 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.callers import Reader
-from api.deps import Caller
+from api.deps import Caller, Reader
 from api.noun_router import NounRouter
-from api.views.artefact_files import artefact_file
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
+from api.views.scenes import artefact_file
 from api.visible import labels_of, sequence_of
 from services.runtime.orm import LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix

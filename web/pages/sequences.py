@@ -11,9 +11,8 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from api.callers import Curator, Looker
-from api.deps import Caller, PlatformDep
-from api.lists.sequences import SequenceFilters
+from api.deps import Caller, Curator, Looker, PlatformDep
+from api.lists.answers import SequenceFilters
 from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Curator
-from api.deps import PlatformDep
+from api.deps import Curator, PlatformDep
 from api.noun_router import NounRouter
 from api.schemas.splits import SplitEntry, SplitsAnswer
 from api.views.splits import splits_answer

@@ -8,9 +8,8 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.callers import Looker
 from api.client_wheel import ClientWheel
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.submissions import SubmissionDetail

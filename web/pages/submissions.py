@@ -6,8 +6,7 @@ from fastapi import Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
-from api.callers import Reader
-from api.deps import Caller, PlatformDep, at_once
+from api.deps import Caller, PlatformDep, Reader, at_once
 from api.etags import etag
 from api.noun_router import NounRouter
 from api.paging import PageDep

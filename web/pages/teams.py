@@ -6,8 +6,7 @@ from fastapi import Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
-from api.callers import Reader
-from api.deps import PlatformDep
+from api.deps import PlatformDep, Reader
 from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as paged

@@ -12,7 +12,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.schemas.sequences.processing import LONGEST_TOPIC, TOPIC_PATTERN
+from api.schemas.sequences.sequences import LONGEST_TOPIC, TOPIC_PATTERN
 from services.runtime.orm import Recording
 
 ODOMETRY_ROLES = ("ins", "odometry", "tf", "pose", "gnss")

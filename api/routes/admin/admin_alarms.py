@@ -4,15 +4,13 @@ from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.errors import NotFoundError
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
-from api.schemas.admin import ReasonBody
-from api.schemas.alarms import AlarmItem, GrantBody, GrantItem
+from api.schemas.admin import AlarmItem, GrantBody, GrantItem, ReasonBody
 from api.schemas.base import IdPath
-from api.views.alarms import alarm_item, grant_item
+from api.views.audit import alarm_item, grant_item
 from api.visible import phase_of
 from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms
 from services.domain.benchmarks.submissions.scoring_quota import grant, scoring_quota

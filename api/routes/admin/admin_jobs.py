@@ -8,11 +8,10 @@ from sqlalchemy import Select, or_, select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator
-from api.deps import PlatformDep, at_once
+from api.deps import Administrator, PlatformDep, at_once
 from api.errors import NotFoundError
 from api.job_acts import act_on_each, control_run
-from api.lists.jobs import JobFilters
+from api.lists.answers import JobFilters
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.routes.jobs import log_query
@@ -29,9 +28,17 @@ from api.schemas.admin import (
 )
 from api.schemas.base import IdPath, IdQuery, LineQuery
 from api.schemas.jobs import LogPage
-from api.views.admin import DEAD, admin_job_detail, admin_job_items, job_counts
-from api.views.log_pages import LogQuery, log_page
-from api.views.queues import pending_wake_ups_of, queue_items, running_items, worker_items
+from api.views.admin import (
+    DEAD,
+    admin_job_detail,
+    admin_job_items,
+    job_counts,
+    pending_wake_ups_of,
+    queue_items,
+    running_items,
+    worker_items,
+)
+from api.views.jobs import LogQuery, log_page
 from api.visible import job_of
 from services.runtime.jobs import control
 from services.runtime.jobs.broker_app import QUEUES

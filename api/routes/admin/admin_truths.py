@@ -11,8 +11,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.etags import etag, require_match
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page

@@ -9,8 +9,7 @@ from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import Curator, PlatformDep, Reader
 from api.etags import etag
 from api.files import StoredFile, answer_file, file_responses
 from api.noun_router import NounRouter

@@ -13,8 +13,7 @@ from fastapi import Depends, Path, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import Caller, PlatformDep, at_once
+from api.deps import Caller, Curator, PlatformDep, Reader, at_once
 from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter

@@ -10,8 +10,7 @@ from typing import Annotated
 
 from fastapi import Path, Request, Response
 
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.routes.sequences.frames import TokenPath

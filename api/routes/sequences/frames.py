@@ -9,12 +9,11 @@ from typing import Annotated
 from fastapi import Path, Request, Response
 
 from api.answers import refusals
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.files import answer_file, file_responses
 from api.noun_router import NounRouter
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
-from api.schemas.sequences.processing import FrameDetail
+from api.schemas.sequences.sequences import FrameDetail
 from api.views.scenes import NPZ, labels_file
 from api.visible import frame_of
 

@@ -12,8 +12,7 @@ from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import Caller, PlatformDep, at_once
+from api.deps import Caller, Curator, PlatformDep, Reader, at_once
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
 from api.noun_router import NounRouter

@@ -10,19 +10,17 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Looker
-from api.deps import Caller, PlatformDep
+from api.deps import Caller, Curator, Looker, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, StoredFile, answer_file, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
-from api.schemas.sequences.processing import FrameItem, ProcessBody
-from api.views.artefact_files import artefact_file
+from api.schemas.sequences.sequences import FrameItem, ProcessBody
 from api.views.jobs import job_detail
 from api.views.preview_files import PICTURE_TYPES, PictureName, picture_in, sequence_preview
-from api.views.scenes import ColoursQuery
+from api.views.scenes import ColoursQuery, artefact_file
 from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
 from services.domain.sequences.processing import start_processing
 from services.runtime.orm import LabelledFrameRow

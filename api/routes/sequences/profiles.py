@@ -12,15 +12,13 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import PlatformDep
+from api.deps import Curator, PlatformDep, Reader
 from api.errors import ConflictError, NotFoundError
 from api.etags import etag, require_match
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath, instant
-from api.schemas.sequences.calibrations import FindingItem
-from api.schemas.sequences.profiles import ProfileBody, ProfileItem, RolesAnswer
+from api.schemas.sequences.calibrations import FindingItem, ProfileBody, ProfileItem, RolesAnswer
 from api.visible import recording_of, sequence_of
 from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
 from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow

@@ -8,8 +8,7 @@ from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Reader
-from api.deps import PlatformDep, at_once
+from api.deps import Curator, PlatformDep, Reader, at_once
 from api.files import answer_file, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page

@@ -10,8 +10,7 @@ from typing import Annotated
 from fastapi import Path, Query, Request, Response
 
 from api.answers import refusals
-from api.callers import Looker
-from api.deps import PlatformDep
+from api.deps import Looker, PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_file, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath

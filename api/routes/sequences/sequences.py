@@ -14,12 +14,10 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
-from api.callers import Curator, Looker
-from api.deps import PlatformDep, at_once
+from api.deps import Curator, Looker, PlatformDep, at_once
 from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match
-from api.lists.answers import list_response, listed
-from api.lists.sequences import SequenceFilters, sequence_rows
+from api.lists.answers import SequenceFilters, list_response, listed, sequence_rows
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.row_readers import by_row_readers

@@ -9,8 +9,7 @@ from fastapi import Request, Response
 
 from api import audit
 from api.answers import refusals
-from api.callers import AccountHolder
-from api.deps import Caller, PlatformDep
+from api.deps import AccountHolder, Caller, PlatformDep
 from api.errors import (
     ConflictError,
     DeviceCodeError,

@@ -8,7 +8,7 @@ from pydantic import AfterValidator, ConfigDict, Field, model_validator
 from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.sequences.calibrations import FindingItem
-from api.schemas.sequences.previews import PREVIEW_EXAMPLE, PreviewItem
+from api.schemas.sequences.sequences import PREVIEW_EXAMPLE, PreviewItem
 from services.domain.sequences.recordings import NewRecording
 from services.runtime.uploads.creation import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError

@@ -17,7 +17,7 @@ from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 
 SITE, API = "web.main:from_environment", "api.main:from_environment"
-PROTOCOL = "api.middleware.heads:BoundedHeads"
+PROTOCOL = "api.middleware.bodies:BoundedHeads"
 REPLIES_S = 20
 
 

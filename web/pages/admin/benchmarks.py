@@ -7,8 +7,7 @@ from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.noun_router import NounRouter
 from api.schemas.phase_bodies import BenchmarkName
 from api.views.benchmarks import benchmark_items, phase_detail, phases_of

@@ -3,8 +3,7 @@
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.views.admin import admin_job_detail, job_spans_of

@@ -7,15 +7,13 @@ from fastapi import Depends, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
-from api.callers import Administrator
-from api.deps import PlatformDep, at_once
+from api.deps import Administrator, PlatformDep, at_once
 from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
 from api.schemas.base import PLAIN
-from api.views.admin import admin_job_items, job_counts, late_kinds
-from api.views.queues import queue_items, worker_items
+from api.views.admin import admin_job_items, job_counts, late_kinds, queue_items, worker_items
 from services.domain.notifications.spread import QUEUE as NOTIFY
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.orm import Job

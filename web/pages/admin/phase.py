@@ -6,14 +6,13 @@ from fastapi import Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.etags import etag
 from api.noun_router import NounRouter
 from api.routes.admin.admin_rescores import board_revision, rescore_of
 from api.schemas.base import IdPath
 from api.schemas.phase_bodies import BenchmarkName, PhaseName
-from api.views.alarms import alarm_item, team_quotas
+from api.views.audit import alarm_item, team_quotas
 from api.views.benchmarks import phase_detail
 from api.views.rescores import diff_answer, rescore_item
 from api.views.truths import reported_item, truth_items

@@ -3,10 +3,9 @@
 from fastapi import Request
 from fastapi.responses import HTMLResponse
 
-from api.callers import Administrator
-from api.deps import PlatformDep
+from api.deps import Administrator, PlatformDep
 from api.noun_router import NounRouter
-from api.views.queues import pending_wake_ups_of, queue_items, worker_items
+from api.views.admin import pending_wake_ups_of, queue_items, worker_items
 from web.boards.sparks import bars
 from web.rendering import page
 
