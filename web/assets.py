@@ -19,7 +19,7 @@ from fastapi import Request, Response
 from api.compression import takes_gzip
 from api.errors import NotFoundError
 from api.noun_router import NounRouter
-from web.errors import PagesNotBuiltError
+from stone.errors import StoneError
 
 router = NounRouter()
 FOLDER = Path(__file__).parent
@@ -129,3 +129,15 @@ def _style_sheet() -> bytes:
     names = {path.stem: path for path in sorted(STYLES.glob("*.css"))}
     ordered = [*STYLE_ORDER, *(name for name in names if name not in STYLE_ORDER)]
     return b"\n".join(names[name].read_bytes() for name in ordered)
+
+
+# Errors of the pages themselves.
+
+
+class PagesNotBuiltError(StoneError):
+    """What browsers load is not there."""
+
+    code = "pages_not_built"
+
+    def __init__(self, missing: Path) -> None:
+        super().__init__(f"{missing} is not there: the pages' modules were not built; run `make install`")

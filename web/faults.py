@@ -12,7 +12,7 @@ from fastapi.responses import Response
 
 from api.deps import platform_of
 from api.views.people import TO_PROVIDER, sign_in_ways
-from web.first_password import first_password_of
+from web.first_steps import first_password_of
 from web.rendering import caller_of, page
 
 NEXT = {

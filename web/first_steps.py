@@ -6,12 +6,17 @@ path answers its role. Each question is one row at most.
 
 from collections.abc import Iterator
 from dataclasses import dataclass
+from ipaddress import ip_address
+from pathlib import Path
+from urllib.parse import urlsplit
 
+from fastapi import Request
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
-from api.deps import Caller
+from api.deps import Caller, platform_of
 from api.visible import benchmarks_of, sequences_of
+from services.runtime.embedded.first_start import ADMINISTRATOR, first_password_file
 from services.runtime.orm import (
     Activation,
     Benchmark,
@@ -89,3 +94,36 @@ def _administrator(session: Session, caller: Caller) -> Iterator[FirstStep]:
 
 def _is_any(session: Session, found: Select[str] | Select[SequenceRow] | Select[Benchmark]) -> bool:
     return session.execute(found.limit(1)).first() is not None
+
+
+# Where the first administrator's password is, for whoever signs in on the machine that serves the platform.
+#
+# **Conventions.** Only the path is told, never the password: a page is read by every process and tunnel of the
+# machine, the file by its owner only.
+
+
+LOCAL_NAME = "localhost"
+
+
+@dataclass(frozen=True)
+class FirstPassword:
+    """The administrator's name and the file that holds the password of the first start."""
+
+    administrator: str
+    file: Path
+
+
+def first_password_of(request: Request) -> FirstPassword | None:
+    """None unless the file exists and the platform, the address asked for and the reader are all on loopback."""
+    settings = platform_of(request).settings
+    file = first_password_file(settings)
+    reader = request.client.host if request.client else ""
+    hosts = (urlsplit(settings.api.url).hostname, request.url.hostname, reader)
+    return FirstPassword(ADMINISTRATOR, file) if file and all(map(_is_loopback, hosts)) else None
+
+
+def _is_loopback(host: str | None) -> bool:
+    try:
+        return ip_address(host or "").is_loopback
+    except ValueError:
+        return host == LOCAL_NAME

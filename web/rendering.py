@@ -22,7 +22,7 @@ from stone_base.codes.catalogue import CATALOGUE, harm_of
 from stone_base.codes.meaning import HARM_WORDS
 from web import words
 from web.assets import Assets
-from web.colours import colours_of
+from web.words import colours_of
 from web.zones import zone_of
 
 TEMPLATES = Path(__file__).parent / "templates"

@@ -5,15 +5,113 @@ powers of 1000 as disks are sold, durations in the two largest units.
 """
 
 from collections.abc import Callable, Iterable, Mapping
+from dataclasses import dataclass
 from datetime import datetime, tzinfo
 from typing import Any
 
+from fastapi import Request
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
 from services.runtime.jobs.queries import title_of
+from services.runtime.orm import Benchmark, Phase, Team
+from stone.labels.class_colours import PALETTES, ColourName
 from stone_base.codes.catalogue import harm_rank
 from stone_base.counts import counted
-from web.colours import coloured
-from web.state_words import state_word
 from web.zones import written
+
+# The word of every state that a page shows: one key, one word, everywhere.
+#
+# **Conventions.** Keys are the values of the API and the database, which never change for a word's sake; `data-state`
+# of an element is the key, its text the word. A key that is missing here is shown as it is written.
+
+
+STATE_WORDS: Mapping[str, str] = {
+    # jobs, runs, attempts, exports, comparisons, imports
+    "queued": "queued",
+    "running": "running",
+    "succeeded": "succeeded",
+    "failed": "failed",
+    "cancelled": "cancelled",
+    "lost": "lost",
+    "waiting": "waiting",
+    # sequences and their recordings
+    "empty": "no recording",
+    "reading": "reading",
+    "recorded": "not labelled",
+    "processing": "processing",
+    "labelled": "labelled",
+    "received": "reading",
+    "registered": "registered",
+    "refused": "refused",
+    # submissions
+    "draft": "draft",
+    "scoring": "scoring",
+    "scored": "scored",
+    "valid": "valid",
+    "invalid": "invalid",
+    "withdrawn": "withdrawn",
+    "hidden": "hidden",
+    # ground truths, inputs, playbacks, re-scores
+    "none": "none",
+    "making": "being made",
+    "ready": "ready",
+    "missing": "missing",
+    "active": "active",
+    "incomplete": "incomplete",
+    "complete": "complete",
+    "activated": "activated",
+    "abandoned": "abandoned",
+    # phases
+    "upcoming": "upcoming",
+    "open": "open",
+    "closed": "closed",
+    # queues and workers
+    "paused": "paused",
+    "draining": "draining",
+    "busy": "busy",
+    "idle": "idle",
+    "silent": "silent",
+    # deliveries of notifications
+    "delivered": "delivered",
+    "dropped": "dropped",
+    "dead": "given up",
+    # users, webhooks, addresses, tokens
+    "deactivated": "deactivated",
+    "disabled": "disabled",
+    "failing": "failing",
+    "verified": "verified",
+    "unverified": "not verified",
+    "expired": "expired",
+}
+
+
+def state_word(state: str) -> str:
+    """The word of the state."""
+    return STATE_WORDS.get(state, state.replace("_", " "))
+
+
+# The reader's class colours, from the switch in the footer of every page.
+#
+# **Conventions.** The cookie holds a palette's name of `stone/labels/class_colours.py`; anything else counts as the
+# default. A cookie, so that the server draws the first picture right; none of an account, since visitors have none.
+
+
+COOKIE = "stone_colours"
+
+
+def colours_of(request: Request) -> ColourName:
+    """The palette that class colours are shown in."""
+    asked = request.cookies.get(COOKIE, "")
+    return next((name for name in PALETTES if name == asked), "default")
+
+
+def coloured(url: str, colours: ColourName) -> str:
+    """The address of a picture of labels in this palette."""
+    if colours == "default":
+        return url
+    return f"{url}{'&' if '?' in url else '?'}colours={colours}"
+
 
 DASH = "–"
 UNITS = ("B", "kB", "MB", "GB", "TB", "PB")
@@ -119,3 +217,38 @@ FILTERS: Mapping[str, Callable[..., Any]] = {
     "counted": counted,
 }
 TESTS: Mapping[str, Callable[..., bool]] = {}
+
+
+# Names of phases and teams that rows mention by id.
+
+
+@dataclass(frozen=True)
+class PhaseName:
+    """The name of a phase, and the URL of its pages."""
+
+    benchmark: str
+    title: str
+    phase: str
+
+    @property
+    def path(self) -> str:
+        return f"/benchmarks/{self.benchmark}/{self.phase}"
+
+    @property
+    def said(self) -> str:
+        return f"{self.title or self.benchmark} · {self.phase}"
+
+
+def phase_names(session: Session, ids: Iterable[str]) -> Mapping[str, PhaseName]:
+    """Phase names by the phase's id; one statement."""
+    joined = select(Phase.id, Benchmark.name, Benchmark.title, Phase.name).join(
+        Benchmark, Benchmark.id == Phase.benchmark_id
+    )
+    found = session.execute(joined.where(Phase.id.in_(set(ids))))
+    return {phase_id: PhaseName(benchmark, title, phase) for phase_id, benchmark, title, phase in found}
+
+
+def team_names(session: Session, ids: Iterable[str]) -> Mapping[str, str]:
+    """Team names by the team's id; one statement."""
+    named = select(Team.id, Team.name).where(Team.id.in_(set(ids)))
+    return {team_id: name for team_id, name in session.execute(named)}

@@ -28,8 +28,7 @@ from services.runtime.settings import ApiSettings, Settings
 from testing.api.serving import Person, serving
 from testing.stone_serve import environment, until
 from testing.web.browsing import Site
-from web.assets import BUNDLED, LIBRARIES, built_assets
-from web.errors import PagesNotBuiltError
+from web.assets import BUNDLED, LIBRARIES, PagesNotBuiltError, built_assets
 from web.main import make_site
 from web.pages import docs
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from api.schemas.leaderboard import PAIR_EXAMPLE, ROW_EXAMPLE, BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
 from stone.scoring.metric import METRICS
-from web.boards.axes import axis_around_zero, axis_from_zero, axis_over
-from web.boards.comparison import Names, compared, verdict
+from web.boards.comparison import Names, axis_around_zero, axis_from_zero, axis_over, compared, verdict
 from web.boards.rows import ShownBoard, board_with_figures
 from web.markdown import html_of
 

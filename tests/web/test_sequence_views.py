@@ -11,11 +11,11 @@ from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
 from stone.splits.composition import duration_ns, path_length_m
 from testing.worlds.frame_tables import frame_columns
 from tests.web.sequence_world import inspection, quality
-from web.sequence import clocks, export_formats, frame_table
+from web.sequence import export_formats, frame_table, recording
 from web.sequence.frame_table import FrameTable, table_of
 from web.sequence.recording import recording_view, spark_of
 from web.sequence.report import report_of
-from web.sequence.runs import LABELLING, steps_of
+from web.sequence.sections import LABELLING, steps_of
 from web.sequence.timeline import timeline_of
 from web.sequence.track import ground_of, is_sure, speeds_m_s, track_of
 
@@ -109,7 +109,7 @@ def test_the_timeline_opens_at_the_asked_frame_and_else_in_the_middle() -> None:
 
 
 def test_clocks_that_nobody_keeps_time_by_are_left_out_and_the_wrong_ones_marked() -> None:
-    found = clocks.clocks_of(inspection()["clocks"])
+    found = recording.clocks_of(inspection()["clocks"])
     assert found is not None
     rows = {row.topic: row for row in found.rows}
     assert set(rows) == {"/lidar", "/front", "/ins", "/radar"}
@@ -121,7 +121,7 @@ def test_clocks_that_nobody_keeps_time_by_are_left_out_and_the_wrong_ones_marked
 
 
 def test_offsets_keep_their_order_and_whiskers_reach_around_their_dot() -> None:
-    found = clocks.clocks_of(inspection()["clocks"])
+    found = recording.clocks_of(inspection()["clocks"])
     assert found is not None
     whiskers = {row.topic: row.offset for row in found.rows}
     places = [whiskers[topic].at for topic in ("/radar", "/ins", "/front", "/lidar")]  # type: ignore[union-attr]

@@ -12,7 +12,7 @@ from testing.api.serving import Person
 from testing.web.browsing import Site
 from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put_apart
 from tests.web.looking import serious_findings
-from web.pages.dataset_figure import LARGEST_PX, figure_of
+from web.pages.dataset import LARGEST_PX, figure_of
 
 URL = "/dataset/splits"
 

@@ -29,7 +29,7 @@ from web import words
 from web.pages.sequences import MOVING
 from web.rig import FARTHEST_M, rig_of
 from web.stage_picture import stage_picture
-from web.state_words import STATE_WORDS, state_word
+from web.words import STATE_WORDS, state_word
 from web.zones import written
 
 

@@ -9,8 +9,7 @@ from dataclasses import dataclass
 
 from api.schemas.results import BreakdownAnswer, PartItem, ResultsAnswer
 from stone.scoring.silences import SILENCES
-from web.boards.axes import Axis, axis_from_zero, axis_over
-from web.boards.comparison import TITLES
+from web.boards.comparison import TITLES, Axis, axis_from_zero, axis_over
 
 CLASS_NAMES = ("free", "T", "P", "N")
 DOTS = ("miou", "iou_t", "iou_p", "iou_n")

@@ -7,17 +7,18 @@ elsewhere a group is not together. The bests are those of the ranked rows.
 
 from collections.abc import Callable, Iterable, Mapping, Sequence
 from dataclasses import dataclass
-from itertools import groupby
+from datetime import datetime
+from itertools import groupby, pairwise
 from typing import Literal
 from urllib.parse import urlencode
 
-from api.schemas.leaderboard import BoardRow, LeaderboardAnswer
+from api.schemas.leaderboard import BoardRow, ChangeItem, LeaderboardAnswer
 from api.views.boards import board_answer
 from services.domain.benchmarks.boards.board import board
 from services.domain.benchmarks.boards.entries import BoardQuery, EntryStatus
 from services.domain.benchmarks.visibility import Viewer
 from services.runtime.platform import Platform
-from web.boards.axes import Axis, axis_over
+from web.boards.comparison import Axis, axis_over
 
 Sort = Literal["rank", "miou", "iou_occ", "iou_t", "iou_p", "iou_n", "submitted", "method"]
 RATIO_COLUMNS = (("iou_occ", "occupied"), ("iou_t", "T"), ("iou_p", "P"), ("iou_n", "N"))
@@ -225,3 +226,82 @@ def _best_in(row: BoardRow, bests: Mapping[str, float]) -> frozenset[str]:
     if row.standing != "ranked":
         return frozenset()
     return frozenset(name for name, best in bests.items() if _ratio(row, name) == best)
+
+
+# The history of a leaderboard: slider stops, and a curve of the best mIoU.
+#
+# **Conventions.** Stops are evenly apart, whatever time passed between them, so that each can be reached; the last is
+# the board of now. Places are per cent of the width and of the height.
+
+
+@dataclass(frozen=True)
+class TimelineStop:
+    """A change, the page of the board since then, and where on the curve it lies; `y` is null without an entry."""
+
+    link: str
+    change: ChangeItem
+    x: str
+    y: str | None
+
+
+@dataclass(frozen=True)
+class CurveStep:
+    """A straight piece of the curve."""
+
+    x1: str
+    y1: str
+    x2: str
+    y2: str
+
+
+@dataclass(frozen=True)
+class BoardTimeline:
+    """`chosen` is the stop that the shown board is of."""
+
+    stops: tuple[TimelineStop, ...]
+    steps: tuple[CurveStep, ...]
+    chosen: int
+
+    @property
+    def is_worth_showing(self) -> bool:
+        return len(self.stops) > 1
+
+
+def timeline(shown: ShownBoard, changes: Sequence[ChangeItem]) -> BoardTimeline:
+    axis = axis_over(change.best_miou for change in changes)
+    last = len(changes) - 1
+    stops = tuple(
+        TimelineStop(
+            shown.link(as_of=None if place == last else _spelled(change.at)),
+            change,
+            f"{100 * place / max(last, 1):.2f}%",
+            _height(change.best_miou, axis),
+        )
+        for place, change in enumerate(changes)
+    )
+    return BoardTimeline(stops, _steps(stops), _chosen(stops, shown.answer.as_of))
+
+
+def _steps(stops: Sequence[TimelineStop]) -> tuple[CurveStep, ...]:
+    """Level until the next stop, then up or down to it."""
+    steps: list[CurveStep] = []
+    for one, following in pairwise(stops):
+        if one.y is not None:
+            steps.append(CurveStep(one.x, one.y, following.x, one.y))
+        if one.y is not None and following.y is not None and one.y != following.y:
+            steps.append(CurveStep(following.x, one.y, following.x, following.y))
+    return tuple(steps)
+
+
+def _height(best: float | None, axis: Axis) -> str | None:
+    return None if best is None else f"{100 - axis.place(best):.2f}%"
+
+
+def _chosen(stops: Sequence[TimelineStop], as_of: datetime | None) -> int:
+    if as_of is None:
+        return len(stops) - 1
+    return max(sum(stop.change.at <= as_of for stop in stops) - 1, 0)
+
+
+def _spelled(moment: datetime) -> str:
+    return moment.isoformat().replace("+00:00", "Z")

@@ -16,8 +16,7 @@ from api.views.results import viewer_for
 from services.domain.benchmarks.boards.entries import TRACKS, BoardQuery
 from services.domain.benchmarks.boards.history import tracks_with_rows
 from services.runtime.orm import Benchmark
-from web.boards.rows import Sort, shown_board
-from web.boards.timeline import timeline
+from web.boards.rows import Sort, shown_board, timeline
 from web.rendering import page
 
 router = NounRouter()

@@ -9,7 +9,7 @@ from api.deps import Looker, PlatformDep
 from api.noun_router import NounRouter
 from api.own_pages import LONGEST, own_page
 from api.views.people import sign_in_ways
-from web.first_password import first_password_of
+from web.first_steps import first_password_of
 from web.rendering import page
 
 router = NounRouter()

@@ -23,9 +23,9 @@ from services.domain.benchmarks.submissions.results import results
 from services.domain.benchmarks.submissions.states import ENDED, LIVE, OPEN
 from services.domain.benchmarks.teams.teams import is_member
 from services.runtime.orm import SubmissionRow
-from web.display_names import phase_names, team_names
 from web.problem_words import grouped
 from web.rendering import page
+from web.words import phase_names, team_names
 
 router = NounRouter()
 STATES = ("draft", *LIVE, *ENDED)

@@ -16,8 +16,8 @@ from api.views.teams import invitation_item, team_items
 from api.visible import team_of, teams_of
 from services.domain.benchmarks.teams.teams import open_invitations
 from services.runtime.orm import Phase, SubmissionRow, Team
-from web.display_names import phase_names
 from web.rendering import page
+from web.words import phase_names
 
 router = NounRouter()
 

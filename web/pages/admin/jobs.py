@@ -12,13 +12,27 @@ from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
-from api.schemas.base import PLAIN
-from api.views.admin import admin_job_items, job_counts, late_kinds, queue_items, worker_items
+from api.schemas.base import PLAIN, IdPath
+from api.views.admin import (
+    admin_job_detail,
+    admin_job_items,
+    job_counts,
+    job_spans_of,
+    late_kinds,
+    pending_wake_ups_of,
+    queue_items,
+    worker_items,
+)
+from api.views.jobs import job_items
+from api.visible import job_of
 from services.domain.notifications.spread import QUEUE as NOTIFY
 from services.runtime.jobs.broker_app import QUEUES
+from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
-from web.boards.sparks import bars
+from services.runtime.orm.base import now_ns
+from web.boards.slopes import bars
 from web.rendering import page
+from web.stage_picture import stage_picture
 
 router = NounRouter()
 SHOWN = 50
@@ -91,3 +105,48 @@ def jobs(
 
 def _count(counts: dict[str, int], word: str) -> int:
     return counts[word] if word else sum(counts.values()) - counts["dead"]
+
+
+# A job or run as its administrator sees it, at `/admin/jobs/{id}`: stages along time, attempts, log lines.
+
+
+@router.get("/admin/jobs/{job_id}")
+def job(job_id: IdPath, request: Request, caller: Administrator, platform: PlatformDep) -> HTMLResponse:
+    with platform.database.reading() as session:
+        row = job_of(session, caller, job_id)
+        detail = admin_job_detail(session, row)
+        spans = job_spans_of(session, row) if row.id == row.root_id else []
+        root = session.get_one(Job, row.root_id)
+        (run,) = job_items(session, [root])
+    return page(
+        request,
+        caller,
+        "admin/job.html",
+        job=detail,
+        root=root,
+        run=run,
+        picture=stage_picture(spans, now_ns()),
+        is_over=row.state in TERMINAL,
+        is_root_over=root.state in TERMINAL,
+    )
+
+
+# The queues with their switches, and the processes that work, at `/admin/queues`.
+
+
+FIGURE = (600.0, 72.0)
+
+
+@router.get("/admin/queues")
+def queues(request: Request, caller: Administrator, platform: PlatformDep) -> HTMLResponse:
+    wake_ups = pending_wake_ups_of(platform)
+    with platform.database.reading() as session:
+        items, workers = queue_items(session, wake_ups), worker_items(session, platform.settings)
+    return page(
+        request,
+        caller,
+        "admin/queues.html",
+        queues=[(queue, bars(queue.per_minute, *FIGURE, gap=3.0)) for queue in items],
+        workers=workers,
+        is_broker_reachable=all(count is not None for count in wake_ups.values()),
+    )
