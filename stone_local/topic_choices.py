@@ -3,13 +3,18 @@
 **Conventions.** A choice reads PART=TOPIC (`--topic CAM_FRONT=/camera/front/image_raw`), as the findings print it.
 """
 
+import re
+from collections.abc import Sequence
+from decimal import Decimal
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated
 
 import typer
 
 if TYPE_CHECKING:
+    from stone_recordings.poses.file_poses import PoseFile
     from stone_recordings.topics.profiles import TopicProfile
+
 
 TopicsOption = Annotated[
     Path | None,
@@ -43,3 +48,68 @@ def _choice(text: str) -> tuple[str, str]:
     if not sign or not part or not topic:
         raise typer.BadParameter(f"{text!r} is not PART=TOPIC, such as lidar=/lidar_points", param_hint="--topic")
     return part, topic
+
+
+# The options `--poses FILE --poses-frame FRAME`: poses from a file beside the recording.
+
+
+PosesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--poses", metavar="FILE", exists=True, dir_okay=False, help="The poses: TUM (stamped), or KITTI (one a sweep)."
+    ),
+]
+PosesFrameOption = Annotated[
+    str,
+    typer.Option(
+        "--poses-frame",
+        metavar="FRAME",
+        help="Robot frame of the poses: base_link or a sensor's; default: the robot's base.",
+    ),
+]
+
+
+def chosen_poses(poses: Path | None, frame: str, odometry: str | None = None) -> "PoseFile | None":
+    """The file, None without. Raises `typer.BadParameter` where a topic is asked for as well."""
+    from stone_recordings.poses.file_poses import PoseFile
+
+    if poses is not None and odometry is not None:
+        raise typer.BadParameter(
+            f"poses come from {poses.name} or from {odometry}; leave one out", param_hint="--poses"
+        )
+    return None if poses is None else PoseFile(poses, frame)
+
+
+# The option `--time-offset lidar=-18s`: how much is added to the stamps of the LiDAR, or of the pose source.
+
+
+PARTS = ("lidar", "pose")
+UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
+MOST_NS = 10**12
+CHOICE = re.compile(r"(?P<part>[a-z]+)=(?P<number>[+-]?\d{1,13}(\.\d{1,9})?)(?P<unit>ns|us|ms|s)")
+
+TimeOffsetOption = Annotated[
+    list[str],
+    typer.Option(
+        "--time-offset",
+        metavar="PART=TIME",
+        help="Add to the stamps of lidar or pose, as in lidar=-18s or pose=12.5ms; repeatable.",
+    ),
+]
+
+
+def chosen_offsets(choices: Sequence[str]) -> dict[str, int]:
+    """Nanoseconds by part. Raises `typer.BadParameter`."""
+    chosen: dict[str, int] = {}
+    for choice in choices:
+        found = CHOICE.fullmatch(choice)
+        if found is None or found["part"] not in PARTS:
+            raise typer.BadParameter(
+                f"{choice[:80]!r} is not a time offset; write lidar=-18s or pose=12.5ms (parts: {', '.join(PARTS)}; "
+                f"units: {', '.join(UNITS_NS)})"
+            )
+        offset_ns = int(Decimal(found["number"]) * UNITS_NS[found["unit"]])
+        if abs(offset_ns) > MOST_NS:
+            raise typer.BadParameter(f"{choice[:80]!r} is more than {MOST_NS / 1e9:g} s; is the unit right?")
+        chosen[found["part"]] = offset_ns
+    return chosen

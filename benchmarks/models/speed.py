@@ -34,7 +34,7 @@ from baselines.row_config import read_row
 from baselines.run_folder import say_row
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
-from stone_local.models.recorded_frames import RecordedStore
+from stone_local.models.recording_prediction import RecordedStore
 from stone_recordings.sync.samples import BagSamples
 
 PARTS = ("read", "whole", "geometry", "network", "onnx")

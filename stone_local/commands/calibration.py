@@ -13,8 +13,14 @@ from stone.findings import Finding
 from stone_client.options import LidarOption, OdometryOption
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_findings, echo_json
-from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
-from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
+from stone_local.topic_choices import (
+    PosesFrameOption,
+    PosesOption,
+    TopicOption,
+    TopicsOption,
+    chosen_poses,
+    chosen_topics,
+)
 
 calibration = typer.Typer(help="Check a calibration before labelling, and draw the rig.", no_args_is_help=True)
 

@@ -15,9 +15,16 @@ from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_explainer, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, recording_table, show
 from stone_local.joined_run import RunRecordings, run_of
-from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
 from stone_local.quality_file import HtmlOption, deduction_table, write_quality_page
-from stone_local.topic_choices import SaveTopicsOption, TopicOption, TopicsOption, chosen_topics
+from stone_local.topic_choices import (
+    PosesFrameOption,
+    PosesOption,
+    SaveTopicsOption,
+    TopicOption,
+    TopicsOption,
+    chosen_poses,
+    chosen_topics,
+)
 
 if TYPE_CHECKING:
     from services.ingest.pipeline import SynchroniseOptions

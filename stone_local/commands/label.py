@@ -26,9 +26,16 @@ from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_explainer, echo_findings, echo_json
 from stone_client.tables import class_table, show
 from stone_local.joined_run import RunRecordings, run_of
-from stone_local.pose_files import PosesFrameOption, PosesOption, chosen_poses
-from stone_local.time_offsets import TimeOffsetOption, chosen_offsets
-from stone_local.topic_choices import TopicOption, TopicsOption, chosen_topics
+from stone_local.topic_choices import (
+    PosesFrameOption,
+    PosesOption,
+    TimeOffsetOption,
+    TopicOption,
+    TopicsOption,
+    chosen_offsets,
+    chosen_poses,
+    chosen_topics,
+)
 
 OutputOption = Annotated[
     Path,

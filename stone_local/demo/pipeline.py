@@ -6,18 +6,25 @@ appears whole or not at all; `demo.json` marks it as ours, so that the next demo
 
 import json
 import shutil
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from concurrent.futures import ProcessPoolExecutor
+from contextlib import AbstractContextManager, ExitStack, contextmanager
+from dataclasses import dataclass, replace
 from itertools import count
+from multiprocessing import get_context
 from pathlib import Path
 from typing import Any
 
 from services.eval.ground_truth import find_ground_truth
 from services.eval.pipeline import score
+from services.runtime.embedded.first_start import first_password_file
 from services.runtime.embedded.supervisor import RunningPlatform
 from simulator.options import SimulateOptions
+from simulator.pipeline import calibration_path, simulate
+from stone.splits.splits import SHORTEST_S
 from stone_client.api import Api
 from stone_client.credentials import Server
+from stone_client.errors import ServerRefusedError
 from stone_client.files.bags import LocalBag, hashed_bag
 from stone_client.files.label_download import download_labels
 from stone_client.progress import Report
@@ -32,14 +39,147 @@ from stone_client.server.sequences import (
     pin_calibration,
     start_run,
 )
-from stone_local.demo.benchmark import DemoPhase, benchmark_on_server, fetch_inputs, submit_entries
-from stone_local.demo.entries import BASELINE, ENTRIES, write_entry
-from stone_local.demo.runs import DemoRecording, DemoRun, demo_runs, recorded_runs
-from stone_local.demo.server import DemoServer, demo_server_of
+from stone_client.sign_in import administering
+from stone_local.demo.benchmark import (
+    BASELINE,
+    ENTRIES,
+    DemoPhase,
+    benchmark_on_server,
+    fetch_inputs,
+    submit_entries,
+    write_entry,
+)
 from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.manifest import write_manifest
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
+
+# The demo's runs: what each robot is, under which conditions it drove, and its recording.
+#
+# **Conventions.** The first run is the one to look at: cameras, 10 sweeps a second; it is train. The other two are val
+# and cheap: LiDAR only, 2 sweeps a second, at 4 m/s. Neighbouring frames see the same ground, so an interval needs
+# metres: 480 of them give that of the mIoU; the 30 of the first run, at 10 sweeps a second, give none.
+
+
+SEQUENCE = "demo"
+TRAIN, VAL = "train", "val"
+SPARSE = SimulateOptions(
+    seconds=60.0, channels=32, columns=450, cameras=False, lidar_hz=2, speed_m_s=4.0, world_width_m=80.0
+)
+
+
+@dataclass(frozen=True)
+class DemoRun:
+    """A run: the name of its sequence, its split, its robot, and the recording conditions."""
+
+    name: str
+    part: str
+    simulation: SimulateOptions
+    conditions: Mapping[str, str]
+
+
+@dataclass(frozen=True)
+class DemoRecording:
+    """A recorded run and the folder that everything about it goes to."""
+
+    run: DemoRun
+    folder: Path
+
+    @property
+    def bag(self) -> Path:
+        return self.folder / "run.mcap"
+
+    @property
+    def calibration(self) -> Path:
+        return calibration_path(self.bag)
+
+    @property
+    def labels(self) -> Path:
+        return self.folder / "labels"
+
+
+def demo_runs(shown: SimulateOptions) -> tuple[DemoRun, ...]:
+    """The runs of a demo that shows this robot; of one that is too short for a split, that run only."""
+    day = DemoRun(SEQUENCE, TRAIN, shown, _conditions("mountain", "day", "north"))
+    if shown.seconds < SHORTEST_S:
+        return (day,)
+    dusk, night = (replace(SPARSE, seed=seed, illumination=light) for seed, light in ((31, "dusk"), (32, "night")))
+    return (
+        day,
+        DemoRun(f"{SEQUENCE}-dusk", VAL, dusk, _conditions("mountain", "dusk", "south")),
+        DemoRun(f"{SEQUENCE}-night", VAL, night, _conditions("mountain", "night", "east")),
+    )
+
+
+def recorded_runs(folder: Path, runs: tuple[DemoRun, ...], progress: Report) -> Sequence[DemoRecording]:
+    """The recordings in `folder`, in the order of the runs: the first is made here, the others beside it."""
+    first, *others = (DemoRecording(run, folder / run.name.removeprefix(SEQUENCE).lstrip("-")) for run in runs)
+    with ProcessPoolExecutor(max(1, len(others)), get_context("spawn")) as pool:
+        for one in others:
+            one.folder.mkdir()
+        made = [pool.submit(simulate, one.bag, one.run.simulation) for one in others]
+        simulate(first.bag, first.run.simulation, folder / "truth", progress)
+        for is_made in made:
+            is_made.result()
+    return first, *others
+
+
+def _conditions(environment: str, illumination: str, region: str) -> Mapping[str, str]:
+    return {"environment": environment, "illumination": illumination, "region": region, "platform": "simulated"}
+
+
+# The server that the demo uses: one started for it on this machine, or a remote one.
+#
+# **Conventions.** The benchmark's part needs an administrator. Here that is the first one, while the password that was
+# written down at the first start is still theirs; elsewhere whoever the token speaks for, if it may administrate.
+
+
+UNKNOWN_PASSWORD = 401
+Administering = Callable[[], AbstractContextManager[Api | None]]
+
+
+@dataclass(frozen=True)
+class DemoServer:
+    """A platform that answers; `administering()` opens its API to an administrator, or yields None."""
+
+    server: Server
+    administering: Administering
+
+
+def demo_server_of(platform: RunningPlatform | Server) -> DemoServer:
+    """The platform, once it answers. Raises `StartFailedError`."""
+    if isinstance(platform, Server):
+        return DemoServer(platform, lambda: _by_token(platform))
+    platform.wait_until_ready()
+    return DemoServer(Server(platform.url, platform.keys.token), lambda: _by_first_password(platform))
+
+
+@contextmanager
+def _by_token(server: Server) -> Iterator[Api | None]:
+    with Api(server) as api:
+        yield api if "admin" in api.read("/me")["scopes"] else None
+
+
+@contextmanager
+def _by_first_password(running: RunningPlatform) -> Iterator[Api | None]:
+    path = first_password_file(running.platform.settings)
+    with ExitStack() as stack:
+        api = None
+        if path:
+            signed_in = administering(running.url, running.keys.name, path.read_text("utf-8").strip())
+            with _unless_the_password_is_another():
+                api = stack.enter_context(signed_in)
+        yield api
+
+
+@contextmanager
+def _unless_the_password_is_another() -> Iterator[None]:
+    try:
+        yield
+    except ServerRefusedError as error:
+        if error.status != UNKNOWN_PASSWORD:
+            raise
+
 
 MARK = "demo.json"
 EXPORTED = "nuscenes"

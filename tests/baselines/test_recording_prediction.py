@@ -43,9 +43,14 @@ from stone_client.main import app
 from stone_exports.errors import FramesMissingError
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
-from stone_local.models.prediction_pace import PredictionPace
-from stone_local.models.recorded_frames import DamagedSampleError, RecordedStore
-from stone_local.models.recording_prediction import PREDICTION, RecordingPlan, predict_recording
+from stone_local.models.recording_prediction import (
+    PREDICTION,
+    DamagedSampleError,
+    PredictionPace,
+    RecordedStore,
+    RecordingPlan,
+    predict_recording,
+)
 from stone_recordings.sync.samples import BagSamples
 from stone_submissions.archive import open_submission
 from stone_submissions.manifest import Manifest, write_manifest

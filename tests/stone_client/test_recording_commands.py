@@ -19,7 +19,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone_client.main import app
 from stone_client.tables import clock_table
-from stone_local.time_offsets import chosen_offsets
+from stone_local.topic_choices import chosen_offsets
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
 from stone_recordings.sync.errors import NoPosedFramesError

@@ -25,9 +25,8 @@ from stone_client.api import Api
 from stone_client.credentials import Server
 from stone_client.server.label_sets import NoLabelSetError, compare_label_sets, label_sets_of
 from stone_client.server.newest import place_from_newest
-from stone_local.demo.entries import write_flat_ground
-from stone_local.demo.runs import TRAIN, VAL, demo_runs
-from stone_local.demo.server import demo_server_of
+from stone_local.demo.benchmark import write_flat_ground
+from stone_local.demo.pipeline import TRAIN, VAL, demo_runs, demo_server_of
 from stone_submissions.manifest import Manifest, write_manifest
 from stone_submissions.validation import validate
 from testing.api.serving import Person, client_of, person, serving
