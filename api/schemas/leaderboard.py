@@ -9,7 +9,7 @@ from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, exa
 from api.schemas.phase_bodies import Moment
 from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
 from services.domain.benchmarks.visibility import Secrecy
-from stone.scoring.silences import Scope, Silence
+from stone.scoring.intervals import Scope, Silence
 
 SIGNATURE_EXAMPLE = "metric:stone-iou-2|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
 RATIOS_EXAMPLE = {"miou": 0.2431, "iou_occ": 0.4119, "iou_t": 0.3120, "iou_p": 0.1980, "iou_n": 0.2193}

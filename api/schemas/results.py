@@ -17,7 +17,7 @@ from api.schemas.leaderboard import (
 )
 from services.domain.benchmarks.submissions.results import By
 from services.domain.benchmarks.visibility import Secrecy
-from stone.scoring.silences import Silence
+from stone.scoring.intervals import Silence
 
 SUPPORT_EXAMPLE = {"free": 2000000, "T": 40000, "P": 30000, "N": 27152}
 EXTRAS_EXAMPLE = {"n_predicted_t_ratio": 0.031, "t_predicted_n_ratio": 0.058, "bev_drivable_iou": 0.61}

@@ -18,11 +18,10 @@ from rich.table import Table
 from scipy.stats import binom
 
 from stone.scoring.confusion import ratios
-from stone.scoring.intervals import LEVEL, Estimate, estimates, ratio_spectra
+from stone.scoring.intervals import LEVEL, SCOPES, Estimate, Scope, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import board_spectra, surely_above
 from stone.scoring.ranking import tie_groups
-from stone.scoring.silences import SCOPES, Scope
 from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
 
 MIOU = RATIOS.index("miou")

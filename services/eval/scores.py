@@ -15,10 +15,18 @@ from numpy.typing import NDArray
 from services.runtime.code_version import code_version
 from stone.scoring.bitplanes import RING_EDGES_M, Confusion, Drivable
 from stone.scoring.confusion import Counts, extras, named_ratios, supports
-from stone.scoring.intervals import Estimate, RatioSpectra, estimates, ratio_spectra
+from stone.scoring.intervals import (
+    SCOPES,
+    UNKNOWN_ORDER,
+    WITHDRAWN,
+    Estimate,
+    RatioSpectra,
+    Silence,
+    estimates,
+    ratio_spectra,
+)
 from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, RATIOS, Metric, metric_of
 from stone.scoring.signature import Signature
-from stone.scoring.silences import SCOPES, UNKNOWN_ORDER, WITHDRAWN, Silence
 from stone_files.npz import npz_bytes
 
 Record = dict[str, Any]
@@ -139,7 +147,7 @@ def _part(confusion: NDArray[np.int64], frames: int, metric: str) -> Record:
 # Intervals of a score as its record has them, and the file by which it is compared with others.
 #
 # **Conventions.** By scope (`these_places`, `new_place`) and ratio: `intervals` has [low, high] or None, `silences`
-# the code of why there is none (`stone.scoring.silences`), or None. The file holds the `RatioSpectra` of the score; of
+# the code of why there is none (`stone.scoring.intervals`), or None. The file holds the `RatioSpectra` of the score; of
 # two scores by one ground truth they say how surely the two differ.
 
 

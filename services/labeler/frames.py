@@ -16,8 +16,7 @@ from services.labeler.scratch import Arrays, load, save, sight_path, surface_pat
 from stone.geometry.se3 import SE3
 from stone.labels.column_deflate import deflated_columns
 from stone.labels.columns import Columns, reconcile, spread_out
-from stone.labels.confidence import MapDistances, cut_with_distances, map_distances
-from stone.labels.crops import cut_batch
+from stone.labels.confidence import MapDistances, cut_batch, cut_with_distances, map_distances
 from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import Observed, union
 from stone.labels.sight_batches import LANES, SightBatch

@@ -7,12 +7,158 @@ own; as matches have one distance alone, its code takes a bit. Words are filled 
 Source: RFC 1951, 3.2.
 """
 
+from typing import Any
+
 import numpy as np
-from numba import njit
+from llvmlite import ir  # type: ignore[import-untyped]
+from numba import njit, types
+from numba.extending import intrinsic
 from numpy.typing import NDArray
 
-from stone.labels.column_tokens import END, FEWEST, LITERALS, MATCH, MOST, TOKENS, tokens_of
+from stone.kernels.lanes import I8, I32, I64, pointer, popcount, splat
 from stone.labels.columns import NOTHING, Words
+
+# A label grid as literals and matches, from the words of its columns.
+#
+# **Conventions.** The grid is a run of columns of 32 bytes (`stone.labels.columns`). A byte that differs from that of
+# the column before is a literal, stretches of others are matches `BACK` bytes back, or literals where they are shorter
+# than `FEWEST`. Which bits of a word are set is not foreseeable, so that a branch would be guessed wrong at every
+# other byte: so columns that differ are gathered first, then their bytes that do, eight at a time; then each is said.
+
+
+BACK, FEWEST, MOST = 32, 3, 258  # bytes: how far back matches are, and how long
+LITERALS, END, MATCH = 4, 4, 5  # tokens: a literal is its value, a match of n bytes is `MATCH` + n
+TOKENS = MATCH + MOST + 1
+EIGHT, BEFORE = 8, 2  # bytes looked at at once, and how many before a literal are noted with it
+# The numbers of the bits that are set in each byte, from the lowest on, then zeros.
+BITS = np.array([[*(n for n in range(8) if byte >> n & 1), *[0] * 8][:8] for byte in range(256)], np.int32)
+
+
+def tokens_of(ones: Words, twos: Words) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+    """The tokens of the grid, `END` the last, and how often each comes (`TOKENS`,)."""
+    one, two, size = ones.reshape(-1), twos.reshape(-1), BACK * ones.size
+    columns = np.empty(ones.size + 1, np.int64)
+    places, codes = np.empty(size + EIGHT, np.int32), np.empty(size + EIGHT, np.uint8)
+    literals = _find_literals(one, two, columns[: _find_columns(one, two, columns)], places, codes)
+    tokens, counts = np.empty(size + 2, np.uint16), np.zeros(TOKENS, np.int64)
+    last = one[-1] >> np.uint32(BACK - BEFORE), two[-1] >> np.uint32(BACK - BEFORE)
+    filled = _say((places[:literals], codes), (size, *last), tokens)
+    _count(tokens[:filled], counts)
+    return tokens[:filled], counts
+
+
+def _note_eight_of(typing_context: Any, bits: Any, byte: Any, first: Any, near: Any, out: Any, at: Any) -> Any:
+    """The places of the bits that are set in a byte to out[0] from `at` on, the first bit being place `first`, and to
+    out[1] what is there: three bits of near[0] from the place's on, then three of near[1]. Eight are written in all."""
+
+    def emit(context: Any, builder: Any, signature: Any, arguments: Any) -> Any:
+        bits, byte, first, near, out, at = arguments
+        lanes, bytes_ = ir.VectorType(I32, EIGHT), ir.VectorType(I8, EIGHT)
+        row = builder.mul(byte, ir.Constant(I64, EIGHT))
+        bit = builder.load(pointer(context, builder, (signature.args[0], bits), row, lanes, EIGHT), align=4)
+        place = builder.add(splat(builder, builder.trunc(first, I32), lanes), bit)
+        places, codes = ((signature.args[4][n], builder.extract_value(out, n)) for n in range(2))
+        builder.store(place, pointer(context, builder, places, at, lanes, EIGHT), 4)
+        three = ir.Constant(lanes, [7] * EIGHT)
+        one, two = (
+            builder.and_(builder.lshr(splat(builder, builder.extract_value(near, n), lanes), bit), three)
+            for n in range(2)
+        )
+        code = builder.trunc(builder.or_(one, builder.shl(two, ir.Constant(lanes, [3] * EIGHT))), bytes_)
+        builder.store(code, pointer(context, builder, codes, at, bytes_, EIGHT), 1)
+        return context.get_dummy_value()
+
+    return types.void(bits, types.int64, types.int64, near, out, types.int64), emit
+
+
+note_eight: Any = intrinsic(_note_eight_of)
+
+
+@njit(cache=True, nogil=True)
+def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
+    """The first column, and those that differ from the one before; how many they are."""
+    columns[0], found = 0, 1
+    for column in range(1, ones.size):
+        columns[found] = column
+        found += ((ones[column] ^ ones[column - 1]) | (twos[column] ^ twos[column - 1])) != 0
+    return found
+
+
+@njit(cache=True, nogil=True)
+def _find_literals(ones, twos, columns, places, codes):  # type: ignore[no-untyped-def]
+    """The places of the bytes that differ, all of the first column; with each, `BEFORE` bytes before it and itself."""
+    found = np.int64(0)
+    for n in range(columns.size):
+        column = columns[n]
+        one, two = ones[column], twos[column]
+        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~one, two)
+        differs = np.uint64((one ^ one_before) | (two ^ two_before))
+        near_one = np.uint64(one) << np.uint64(BEFORE) | np.uint64(one_before >> np.uint32(BACK - BEFORE))
+        near_two = np.uint64(two) << np.uint64(BEFORE) | np.uint64(two_before >> np.uint32(BACK - BEFORE))
+        for byte in range(BACK // EIGHT):
+            shift = np.uint64(EIGHT * byte)
+            at = found + np.int64(popcount(differs & ((np.uint64(1) << shift) - np.uint64(1))))
+            near = np.uint32(near_one >> shift), np.uint32(near_two >> shift)
+            set_bits = np.int64((differs >> shift) & np.uint64(255))
+            note_eight(BITS, set_bits, BACK * column + EIGHT * byte, near, (places, codes), at)
+        found += np.int64(popcount(differs))
+    return found
+
+
+@njit(inline="always")
+def _value(code, back):  # type: ignore[no-untyped-def]
+    """The byte that lies so far before a literal, by its code; the literal itself for 0."""
+    return (code >> (BEFORE - back) & 1) | (code >> (BEFORE - back + 3) & 1) << 1
+
+
+@njit(cache=True, nogil=True)
+def _say(literals, end, tokens):  # type: ignore[no-untyped-def]
+    """The literals and what lies between them; `end` is the size of the grid and the last bits of its words. How many
+    tokens there are."""
+    (places, codes), (size, one, two) = literals, end
+    filled, after = 0, 0
+    for n in range(places.size):
+        place, code = int(places[n]), int(codes[n])
+        same, after = place - after, place + 1
+        if same > MOST:
+            filled = _put_matches(same, tokens, filled)
+            same = 0
+        is_few = same < FEWEST
+        few = _value(code, 2) if same == 2 else _value(code, 1)
+        tokens[filled] = few if is_few else MATCH + same
+        tokens[filled + 1] = _value(code, 1)
+        filled += same if is_few else 1
+        tokens[filled] = _value(code, 0)
+        filled += 1
+    same = size - after
+    if same >= FEWEST:
+        filled = _put_matches(same, tokens, filled)
+    else:
+        for back in range(same, 0, -1):
+            tokens[filled] = (one >> np.uint32(BEFORE - back) & 1) | (two >> np.uint32(BEFORE - back) & 1) << 1
+            filled += 1
+    tokens[filled] = END
+    return filled + 1
+
+
+@njit(cache=True, nogil=True)
+def _put_matches(length, tokens, filled):  # type: ignore[no-untyped-def]
+    """`FEWEST` bytes or more that are those of a column back."""
+    while length > 0:
+        piece = min(length, MOST)
+        if 0 < length - piece < FEWEST:
+            piece = length - FEWEST
+        tokens[filled] = MATCH + piece
+        filled += 1
+        length -= piece
+    return filled
+
+
+@njit(cache=True, nogil=True)
+def _count(tokens, counts):  # type: ignore[no-untyped-def]
+    for at in range(tokens.size):
+        counts[tokens[at]] += 1
+
 
 LONGEST_CODE, SHARE = 15, 2000  # no symbol counts for less than this share: so no code is longer, see `_code_lengths`
 END_OF_BLOCK, SYMBOLS, DISTANCES, DISTANCE_SYMBOL = 256, 286, 10, 9

@@ -1,7 +1,7 @@
 """Intervals of scores and of differences of scores, or the reason why nothing is said.
 
 Two questions: *these places*, whether it was luck of the moment on the ground that was driven, from how the influence
-of frames wanders inside the sequences (`sampling_variance.py`); and *a new place*, from how whole sequences differ:
+of frames wanders inside the sequences (`spectra.py`); and *a new place*, from how whole sequences differ:
 
     V = Σ_s z_s² / (1 − 2 w_s + Σ w²),   z_s the influence of sequence s, w_s its share of what is counted
 
@@ -14,19 +14,106 @@ is all that is needed, of two the difference of theirs: the ground that is hard 
 Source: Student (1908); small-sample variance and degrees of freedom of clusters, Bell and McCaffrey (2002).
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Literal, get_args
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.scoring.confusion import Counts
-from stone.scoring.influence import CLASS_COLUMNS, MEAN, frame_influences
-from stone.scoring.metric import METRIC_VERSION
-from stone.scoring.sampling_variance import FEWEST_DEGREES, Floats, sampling_variances
-from stone.scoring.silences import FEWEST_SEQUENCES, Scope, Silence
-from stone.scoring.spectra import Coefficients, SpectrumLayout, coefficients, layout_of, sums_of_sequences
+from stone.scoring.confusion import Counts, unions_and_hits
+from stone.scoring.metric import METRIC_VERSION, RATIOS
+from stone.scoring.spectra import (
+    FEWEST_DEGREES,
+    Coefficients,
+    Floats,
+    SpectrumLayout,
+    coefficients,
+    layout_of,
+    sampling_variances,
+    sums_of_sequences,
+)
+
+# Influence of each frame on a ratio of sums: what its counts move the ratio by, to first order.
+#
+#     r = g(C), C = Σ_f c_f;   z_f = ∇g(C) · c_f,   Σ_f z_f = 0
+#
+# for a ratio does not change when all counts grow alike. The wander of the z along a sequence is the ratio's
+# uncertainty.
+#
+# **Conventions.** Confusions are (F, 4, 4) counts by frame; influences (F, 5) float64, columns
+# `stone.scoring.metric.RATIOS`, NaN where the ratio is undefined. Of a − b they are z_a − z_b.
+#
+# Source: the influence function, Hampel (1974); as the linearisation of a ratio estimator, Woodruff (1971).
+
+
+OCCUPIED, MEAN = RATIOS.index("iou_occ"), RATIOS.index("miou")
+CLASS_COLUMNS = tuple(RATIOS.index(name) for name in ("iou_t", "iou_p", "iou_n"))
+
+Influences = NDArray[np.float64]
+
+
+@dataclass(frozen=True, eq=False)
+class FrameInfluences:
+    """`of_frame` (F, 5) the influences; `weight` (F, 5) ≥ 0 the share of the ratio's union that a frame holds."""
+
+    of_frame: Influences
+    weight: Influences
+
+
+def frame_influences(confusions: Counts, metric: str = METRIC_VERSION) -> FrameInfluences:
+    """Of confusions (F, 4, 4). Raises `ShapeError` for other shapes or no frame, and `UnknownMetricError`."""
+    if confusions.ndim != 3 or not len(confusions):
+        raise ShapeError("confusions", confusions.shape, "(F, 4, 4) with at least one frame")
+    unions, hits = (counts.astype(np.float64) for counts in unions_and_hits(confusions, metric))
+    union, hit = unions.sum(axis=0), hits.sum(axis=0)
+    whole = np.where(union > 0, union, np.nan)
+    of_frame, weight = (hits - unions * (hit / whole)) / whole, unions / whole
+    return FrameInfluences(_with_mean(of_frame), _with_mean(weight))
+
+
+def _with_mean(of_parts: Influences) -> Influences:
+    """(F, 5) of occupancy and the three classes (F, 4): the mean has the mean influence of its classes."""
+    columns = np.empty((len(of_parts), len(RATIOS)))
+    columns[:, [OCCUPIED, *CLASS_COLUMNS]] = of_parts
+    columns[:, MEAN] = of_parts[:, 1:].mean(axis=1)
+    return columns
+
+
+# Why no interval is told of a score, or of a difference of scores.
+#
+# **Conventions.** A silence is a code; its sentence goes on after "Nothing is said of it:". This module loads nothing,
+# so that every process may.
+
+
+Scope = Literal["these_places", "new_place"]
+Silence = Literal[
+    "undefined",
+    "no_wander",
+    "few_frames",
+    "concentrated",
+    "few_sequences",
+    "uneven_sequences",
+    "unknown_order",
+    "withdrawn",
+]
+
+SCOPES: tuple[Scope, ...] = get_args(Scope)
+FEWEST_SEQUENCES = 5
+UNKNOWN_ORDER: Silence = "unknown_order"
+WITHDRAWN: Silence = "withdrawn"
+SILENCES: Mapping[Silence, str] = {
+    "undefined": "it is undefined",
+    "no_wander": "it does not vary between frames, so its uncertainty cannot be estimated",
+    "few_frames": "too few independent frames (neighbouring frames are correlated)",
+    "concentrated": "most of the voxels counted lie in a few frames",
+    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences are needed",
+    "uneven_sequences": "a few sequences hold most of the voxels counted",
+    "unknown_order": "the order of the frames in time is not known, and with it how alike neighbouring frames are",
+    "withdrawn": "the intervals of this metric version were too narrow and have been withdrawn",
+}
+
 
 LEVEL = 0.95
 LEAST_SPREAD = 0.5

@@ -19,8 +19,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.scoring.intervals import LEAST_SPREAD, LEVEL, RatioSpectra
-from stone.scoring.sampling_variance import Floats, sampling_variances
-from stone.scoring.spectra import Coefficients, SpectrumLayout
+from stone.scoring.spectra import Coefficients, Floats, SpectrumLayout, sampling_variances
 
 PAIRS_AT_ONCE = 4096
 Claims = NDArray[np.bool_]

@@ -12,8 +12,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import VoxelTable, check_reach, find, keys_of, pack, table_of
-from stone.surface.neighbour_search import SEARCHED, fit
+from stone.geometry.lattice import BIAS, MASK, VoxelTable, check_reach, find, keys_of, pack, table_of
 
 AROUND = 27  # a cell and those around it
 
@@ -129,3 +128,208 @@ def _near(queries, points, start, table, radius_m, near):  # type: ignore[no-unt
         near[q] = _has_near(points, spans, _collect(cell, 0, start, table, spans, 0), at, square)
         if not near[q]:
             near[q] = _has_near(points, spans, _collect(cell, 1, start, table, spans, 0), at, square)
+
+
+# The search for the k nearest points around places, cell by cell, and the plane through them.
+#
+# **Conventions.** Cells come in the order of their keys; points of a cell follow each other. What is found is sorted
+# by distance, of equals the first in the order of the search: the nine columns of cells around, then those two cells
+# away. All that is near is gathered and put into bins by its squared distance, so that only what is in the bins of the
+# k nearest is sorted.
+
+
+FEWEST = 4  # three points always lie on a plane and say nothing
+BINS, WIDEST_CELLS = 64, 2.0  # bins of equal squared distance up to so many cells; the last holds all beyond
+SLACK = 1.0 + 1e-6  # beyond the rounding of a squared distance
+SEARCHED = 125  # cells up to two away
+
+
+@njit(inline="always")
+def smallest_eigenvalue(a00, a01, a02, a11, a12, a22):  # type: ignore[no-untyped-def]
+    """Of a symmetric 3 × 3 matrix, in closed form (Smith, 1961)."""
+    off = a01 * a01 + a02 * a02 + a12 * a12
+    q = (a00 + a11 + a22) / 3.0
+    p = math.sqrt(((a00 - q) ** 2 + (a11 - q) ** 2 + (a22 - q) ** 2 + 2.0 * off) / 6.0)
+    if p < 1e-150:
+        return q
+    b00, b11, b22 = (a00 - q) / p, (a11 - q) / p, (a22 - q) / p
+    b01, b02, b12 = a01 / p, a02 / p, a12 / p
+    r = 0.5 * (b00 * (b11 * b22 - b12 * b12) - b01 * (b01 * b22 - b12 * b02) + b02 * (b01 * b12 - b11 * b02))
+    angle = math.acos(min(1.0, max(-1.0, r))) / 3.0
+    return q + 2.0 * p * math.cos(angle + 2.0943951023931953)
+
+
+@njit(inline="always")
+def eigenvector(a00, a01, a02, a11, a12, a22, value):  # type: ignore[no-untyped-def]
+    """Unit eigenvector of a symmetric 3 × 3 matrix: the longest cross product of two rows of A − λ."""
+    x, y, z = a00 - value, a11 - value, a22 - value
+    u0, u1, u2 = a01 * a12 - a02 * y, a02 * a01 - x * a12, x * y - a01 * a01
+    v0, v1, v2 = a01 * z - a02 * a12, a02 * a02 - x * z, x * a12 - a01 * a02
+    w0, w1, w2 = y * z - a12 * a12, a12 * a02 - a01 * z, a01 * a12 - a02 * y
+    nu, nv, nw = u0 * u0 + u1 * u1 + u2 * u2, v0 * v0 + v1 * v1 + v2 * v2, w0 * w0 + w1 * w1 + w2 * w2
+    if nv > nu and nv >= nw:
+        u0, u1, u2, nu = v0, v1, v2, nv
+    elif nw > nu:
+        u0, u1, u2, nu = w0, w1, w2, nw
+    s = 1.0 / math.sqrt(nu + 1e-300)
+    return u0 * s, u1 * s, u2 * s
+
+
+@njit(cache=True, nogil=True)
+def _plane(points, at, best, count):  # type: ignore[no-untyped-def]
+    """(mean square distance, normal) of the first `count` neighbours."""
+    s0 = s1 = s2 = c00 = c01 = c02 = c11 = c12 = c22 = 0.0
+    for t in range(count):
+        b = best[1][t]
+        x, y, z = points[b, 0] - at[0], points[b, 1] - at[1], points[b, 2] - at[2]
+        s0, s1, s2 = s0 + x, s1 + y, s2 + z
+        c00, c01, c02 = c00 + x * x, c01 + x * y, c02 + x * z
+        c11, c12, c22 = c11 + y * y, c12 + y * z, c22 + z * z
+    w = 1.0 / count
+    s0, s1, s2 = s0 * w, s1 * w, s2 * w
+    a00, a01, a02 = c00 * w - s0 * s0, c01 * w - s0 * s1, c02 * w - s0 * s2
+    a11, a12, a22 = c11 * w - s1 * s1, c12 * w - s1 * s2, c22 * w - s2 * s2
+    value = smallest_eigenvalue(a00, a01, a02, a11, a12, a22)
+    n0, n1, n2 = eigenvector(a00, a01, a02, a11, a12, a22, value)
+    return max(value, 0.0), n0, n1, n2
+
+
+@njit(inline="always")
+def _advance(keys, target, row):  # type: ignore[no-untyped-def]
+    """The first row from `row` on whose key is not below `target`."""
+    while row < keys.size and keys[row] < target:
+        row += 1
+    return row
+
+
+@njit(cache=True, nogil=True)
+def _open_columns(keys, key, reach, columns):  # type: ignore[no-untyped-def]
+    """Move the row ranges of the square of columns around a cell, each `reach` cells up and down, on to this cell.
+
+    Cells come in the order of their keys and neighbours are a fixed step away, so every range only ever moves forward.
+    """
+    at = 0
+    for di in range(-reach, reach + 1):
+        for dj in range(-reach, reach + 1):
+            target = key + (np.int64(di) << 42) + (np.int64(dj) << 21)
+            columns[at, 0] = _advance(keys, target - reach, columns[at, 0])
+            columns[at, 1] = _advance(keys, target + reach + 1, max(columns[at, 0], columns[at, 1]))
+            at += 1
+
+
+@njit(cache=True, nogil=True)
+def _gather(points, rows, at, found, count):  # type: ignore[no-untyped-def]
+    """Append the points of a range with their squared distances; the new number."""
+    distances, numbers = found
+    for b in range(rows[0], rows[1]):
+        distances[count] = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
+        numbers[count] = b
+        count += 1
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _gather_nearer(points, rows, at, found, count, limit):  # type: ignore[no-untyped-def]
+    """The same, but only what is nearer than `limit` (squared)."""
+    distances, numbers = found
+    for b in range(rows[0], rows[1]):
+        d = (points[b, 0] - at[0]) ** 2 + (points[b, 1] - at[1]) ** 2 + (points[b, 2] - at[2]) ** 2
+        distances[count], numbers[count] = d, b
+        count += d < limit
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _gather_ring(points, start, columns, place, found, count, limit):  # type: ignore[no-untyped-def]
+    """Append what lies two cells away and nearer than `limit`: of the outer columns all, of those that were searched
+    before the ends. A column whose side is farther than that holds nothing."""
+    (near, wide), (at, sides) = columns, place
+    for column in range(25):
+        i, j = column // 5 - 1, column % 5 - 1
+        first, end = wide[column, 0], wide[column, 1]
+        if 0 <= i < 3 and 0 <= j < 3:
+            inner = near[3 * i + j]
+            count = _gather_nearer(points, (start[first], start[inner[0]]), at, found, count, limit)
+            count = _gather_nearer(points, (start[inner[1]], start[end]), at, found, count, limit)
+            continue
+        x_m = sides[0] if i < 0 else sides[1] if i > 2 else 0.0
+        y_m = sides[2] if j < 0 else sides[3] if j > 2 else 0.0
+        if x_m * x_m + y_m * y_m <= limit * SLACK:
+            count = _gather_nearer(points, (start[first], start[end]), at, found, count, limit)
+    return count
+
+
+@njit(cache=True, nogil=True)
+def _keep_nearest(found, count, k, size_m, best):  # type: ignore[no-untyped-def]
+    """The nearest k of what was found, sorted; how many they are."""
+    (distances, numbers), (kept, rows, bins) = found, best
+    scale = BINS / (WIDEST_CELLS * size_m) ** 2
+    for b in range(BINS):
+        bins[b] = 0
+    for t in range(count):
+        bins[int(min(distances[t] * scale, BINS - 1.0))] += 1
+    total, last = 0, BINS - 1
+    for b in range(BINS):
+        bins[b], total = total, total + bins[b]
+        if total >= k:
+            last = b
+            break
+    for t in range(count):
+        own = int(min(distances[t] * scale, BINS - 1.0))
+        if own <= last:
+            kept[bins[own]], rows[bins[own]] = distances[t], numbers[t]
+            bins[own] += 1
+    for t in range(1, total):
+        d, row, slot = kept[t], rows[t], t
+        while slot > 0 and kept[slot - 1] > d:
+            kept[slot], rows[slot] = kept[slot - 1], rows[slot - 1]
+            slot -= 1
+        kept[slot], rows[slot] = d, row
+    return min(total, k)
+
+
+@njit(cache=True, nogil=True)
+def _sides(key, size_m, at):  # type: ignore[no-untyped-def]
+    """How far the cells two away begin, below and above along x and y; and the nearest of all, along z too."""
+    x_m = at[0] - ((key >> 42) - BIAS) * size_m
+    y_m = at[1] - (((key >> 21) & MASK) - BIAS) * size_m
+    z_m = at[2] - ((key & MASK) - BIAS) * size_m
+    border = size_m * 2.0
+    for inside in (x_m, y_m, z_m):
+        border = min(border, size_m + min(inside, size_m - inside))
+    return (size_m + x_m, 2.0 * size_m - x_m, size_m + y_m, 2.0 * size_m - y_m), border
+
+
+@njit(cache=True, nogil=True)
+def fit(asked, cells, k, room, out):  # type: ignore[no-untyped-def]
+    """Fill mean squares and normals of the planes through the k points nearest to each place that is asked for; there
+    is `room` for so many points as any search can find, and k more."""
+    points, places, first = asked
+    keys, start, size_m = cells
+    mean_square, normals = out
+    near, wide = np.zeros((9, 2), np.int64), np.zeros((25, 2), np.int64)
+    found = (np.empty(room), np.empty(room, np.int64))
+    best = (np.empty(room), np.empty(room, np.int64), np.empty(BINS, np.int64))
+    for c in range(keys.size):
+        _open_columns(keys, keys[c], 1, near)
+        is_wide_open = False
+        for a in range(first[c], first[c + 1]):
+            at = (places[a, 0], places[a, 1], places[a, 2])
+            count = 0
+            for column in range(9):
+                count = _gather(points, (start[near[column, 0]], start[near[column, 1]]), at, found, count)
+            count = _keep_nearest(found, count, k, size_m, best)
+            sides, border = _sides(keys[c], size_m, at)
+            limit = best[0][k - 1] if count == k else np.inf
+            if limit > border * border:
+                if not is_wide_open:
+                    _open_columns(keys, keys[c], 2, wide)
+                    is_wide_open = True
+                for t in range(count):
+                    found[0][t], found[1][t] = best[0][t], best[1][t]
+                count = _gather_ring(points, start, (near, wide), (at, sides), found, count, limit)
+                count = _keep_nearest(found, count, k, size_m, best)
+            if count < FEWEST:
+                mean_square[a] = np.nan
+                continue
+            mean_square[a], normals[a, 0], normals[a, 1], normals[a, 2] = _plane(points, at, best, count)

@@ -4,28 +4,20 @@
 adding sweeps in any order, in any grouping, on any number of workers gives the same bits. Rows are sorted by key.
 """
 
+import math
 from collections.abc import Sequence
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import Keys, centres_of, check_reach
+from stone.geometry.lattice import Keys, centres_of, check_reach, pack, scatter
 from stone.geometry.se3 import SE3
+from stone.kernels.lanes import prefetch
 from stone.sensors.calibration import Box
 from stone.sensors.reach import FARTHEST_POINT_M
-from stone.surface.moments import (
-    FREE,
-    MOST_FRAMES,
-    MOST_POINTS,
-    QUANTUM_M,
-    add_points,
-    free_rows,
-    move_rows,
-    unpack_rows,
-    workspace,
-)
 
 COUNT, FRAMES, OFFSET, VIEW = 0, 1, slice(2, 5), slice(5, 8)
 LOAD_RATIO = 0.55
@@ -165,3 +157,169 @@ class PointMapBuilder:
     def finish(self) -> PointMap:
         """What was inserted so far, as a frozen value."""
         return merge([*self._full, self._finished()]) if self._full else self._finished()
+
+
+# The hot loops of the point map: points of a sweep into the rows of an open-addressing table.
+#
+# **Conventions.** A row is one cache line of eight int64: the voxel's key (0: the row is free, no voxel on the lattice
+# has it), a counter, Σ offset from the centre and Σ unit view, in units of `QUANTUM_M`. The counter packs, lowest bit
+# first: points (32 bits), frames (16), and 1 + the frame that was counted last (16). Points go through in blocks: what
+# the compiler makes vector code of comes first, then their rows are asked for, and while these are on their way the
+# block before is added to its own.
+
+
+QUANTUM_M = 2.0**-20
+BLOCK = 256
+ROW_BYTES, ROW_WORDS, AHEAD_ROWS = 64, 8, 24
+FREE = 0
+POINT_BITS, FRAME_BITS = 32, 16
+# What the counter can hold; whoever fills a table begins another one before.
+MOST_POINTS, MOST_FRAMES = 2**31, 2**16 - 1
+LAST_AT = POINT_BITS + FRAME_BITS
+
+Rows = NDArray[np.int64]
+
+
+def free_rows(slots: int) -> Rows:
+    """A table (slots, 8) of free rows, each a cache line of its own; `slots` is a power of two."""
+    raw = np.zeros(slots * 8 + 8, np.int64)
+    first = (-raw.ctypes.data % ROW_BYTES) // 8
+    return raw[first : first + slots * 8].reshape(slots, 8)
+
+
+def workspace() -> tuple[Any, ...]:
+    """Of one block: coordinates and what is inside; of two in turn: keys, slots, and six sums a point."""
+    return (
+        (np.zeros((3, BLOCK), np.float32), np.zeros(BLOCK, np.int64)),
+        (np.zeros((2, BLOCK), np.int64), np.zeros((2, BLOCK), np.int64), np.zeros((2, 6, BLOCK), np.int64)),
+    )
+
+
+@njit(cache=True, nogil=True)
+def add_points(points, view, rows, state, work):  # type: ignore[no-untyped-def]
+    """Add points (N, 3) from `state[0]` on, until all are in or the table could get fuller than `state[3]`.
+
+    `view` is (box (2, 3), pose (4, 4), sensor (3,), voxel_m, frame); `state` counts points done, rows used, points
+    inside the box, and holds the limit of rows.
+    """
+    box, pose, sensor, voxel_m, frame = view
+    (xyz, inside), (keys, slots, sums) = work
+    mark = np.int64(frame + 1) << LAST_AT
+    waiting, turn = 0, 0  # points of the block before, and which of the two it is not
+    while state[0] < points.shape[0] and state[1] + 2 * BLOCK <= state[3]:
+        block = points[state[0] : state[0] + BLOCK]
+        state[2] += _sift(block, box, xyz, inside)
+        _prepare(xyz, inside, (pose, sensor, voxel_m), keys[turn], sums[turn])
+        _locate(keys[turn], block.shape[0], rows, slots[turn])
+        state[1] += _accumulate(keys[1 - turn, :waiting], slots[1 - turn], sums[1 - turn], rows, mark)
+        waiting, turn = block.shape[0], 1 - turn
+        state[0] += block.shape[0]
+    state[1] += _accumulate(keys[1 - turn, :waiting], slots[1 - turn], sums[1 - turn], rows, mark)
+
+
+@njit(cache=True, nogil=True)
+def _sift(block, box, xyz, inside):  # type: ignore[no-untyped-def]
+    """Take the coordinates apart; 1 for each point inside of the box, else 0, and how many are."""
+    low0, low1, low2 = box[0]
+    high0, high1, high2 = box[1]
+    count = 0
+    for p in range(block.shape[0]):
+        x, y, z = block[p, 0], block[p, 1], block[p, 2]
+        is_in = (low0 <= x) & (x < high0) & (low1 <= y) & (y < high1) & (low2 <= z) & (z < high2)
+        xyz[0, p], xyz[1, p], xyz[2, p] = x, y, z
+        inside[p] = is_in
+        count += is_in
+    return count
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _prepare(xyz, inside, view, keys, sums):  # type: ignore[no-untyped-def]
+    """Key (`FREE` outside of the box) and rounded sums of each point.
+
+    Everything is read into names before the loop: for all the compiler knows, an output may lie over an input.
+    """
+    pose, sensor, voxel_m = view
+    m00, m01, m02, m03 = pose[0]
+    m10, m11, m12, m13 = pose[1]
+    m20, m21, m22, m23 = pose[2]
+    s0, s1, s2 = sensor
+    inverse, unit = 1.0 / voxel_m, 1.0 / QUANTUM_M
+    for p in range(BLOCK):
+        x, y, z = np.float64(xyz[0, p]), np.float64(xyz[1, p]), np.float64(xyz[2, p])
+        mx = m00 * x + m01 * y + m02 * z + m03
+        my = m10 * x + m11 * y + m12 * z + m13
+        mz = m20 * x + m21 * y + m22 * z + m23
+        i, j, k = np.floor(mx * inverse), np.floor(my * inverse), np.floor(mz * inverse)
+        keys[p] = pack(int(i), int(j), int(k)) * inside[p]
+        vx, vy, vz = s0 - mx, s1 - my, s2 - mz
+        scale = unit / math.sqrt(vx * vx + vy * vy + vz * vz + 1e-12)
+        sums[0, p] = np.int64(np.rint((mx - (i + 0.5) * voxel_m) * unit))
+        sums[1, p] = np.int64(np.rint((my - (j + 0.5) * voxel_m) * unit))
+        sums[2, p] = np.int64(np.rint((mz - (k + 0.5) * voxel_m) * unit))
+        sums[3, p] = np.int64(np.rint(vx * scale))
+        sums[4, p] = np.int64(np.rint(vy * scale))
+        sums[5, p] = np.int64(np.rint(vz * scale))
+
+
+@njit(cache=True, nogil=True)
+def _locate(keys, count, rows, slots):  # type: ignore[no-untyped-def]
+    """Where each key would stand first; those rows are asked for, many at a time."""
+    mask = np.uint64(rows.shape[0] - 1)
+    for p in range(count):
+        slots[p] = np.int64(scatter(keys[p]) & mask)
+    for p in range(count):
+        prefetch(rows, slots[p] * ROW_WORDS)
+
+
+@njit(cache=True, nogil=True)
+def _accumulate(keys, slots, sums, rows, mark):  # type: ignore[no-untyped-def]
+    """Add the prepared points to their rows; how many rows were free before."""
+    claimed = 0
+    for p in range(keys.shape[0]):
+        key = keys[p]
+        if key == FREE:
+            continue
+        slot = _slot_from(rows, slots[p], key)
+        row = rows[slot]
+        if row[0] == FREE:
+            row[0] = key
+            claimed += 1
+        counter = row[1] + 1
+        is_new_frame = np.int64((counter ^ mark) >> LAST_AT != 0)
+        row[1] = (counter & ((1 << LAST_AT) - 1)) + (is_new_frame << POINT_BITS) | mark
+        row[2] += sums[0, p]
+        row[3] += sums[1, p]
+        row[4] += sums[2, p]
+        row[5] += sums[3, p]
+        row[6] += sums[4, p]
+        row[7] += sums[5, p]
+    return claimed
+
+
+@njit(inline="always")
+def _slot_from(rows, slot, key):  # type: ignore[no-untyped-def]
+    """The key's row, or the free one where it would stand; probing begins at `slot`."""
+    while rows[slot, 0] != key and rows[slot, 0] != FREE:
+        slot = (slot + 1) & (rows.shape[0] - 1)
+    return slot
+
+
+@njit(cache=True, nogil=True)
+def move_rows(old, new):  # type: ignore[no-untyped-def]
+    """Put every used row into a larger table."""
+    mask = np.uint64(new.shape[0] - 1)
+    for at in range(old.shape[0]):
+        if old[at, 0] != FREE:
+            new[_slot_from(new, np.int64(scatter(old[at, 0]) & mask), old[at, 0])] = old[at]
+
+
+@njit(cache=True, nogil=True)
+def unpack_rows(rows, order, moments):  # type: ignore[no-untyped-def]
+    """Fill `moments` (M, 8): points, frames and the six sums of `rows[order]`."""
+    for at in range(order.shape[0]):
+        if at + AHEAD_ROWS < order.shape[0]:
+            prefetch(rows, order[at + AHEAD_ROWS] * ROW_WORDS)
+        row, out = rows[order[at]], moments[at]
+        out[0] = row[1] & ((1 << POINT_BITS) - 1)
+        out[1] = (row[1] >> POINT_BITS) & ((1 << FRAME_BITS) - 1)
+        out[2], out[3], out[4], out[5], out[6], out[7] = row[2], row[3], row[4], row[5], row[6], row[7]

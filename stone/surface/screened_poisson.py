@@ -22,7 +22,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.lattice import BIAS, MASK, find, pack
-from stone.surface.band import ABOVE, BELOW, Band
+from stone.surface.contour import ABOVE, BELOW, Band
 from stone.surface.patches import Patches
 
 FULL_POINTS = 4  # a cell through which a sheet runs holds about so many of the map's 0.1 m voxels

@@ -14,9 +14,8 @@ import numpy as np
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
-from stone.sensors.calibration_checks import Findings, check_translation, warning
+from stone.sensors.calibration_checks import Findings, check_intrinsics, check_translation, warning
 from stone.sensors.calibration_errors import DisconnectedSensorError
-from stone.sensors.camera_checks import check_intrinsics
 from stone_recordings.calibrations.document import RigDocument, RigSensor
 from stone_recordings.calibrations.draft import RigDraft
 from stone_recordings.calibrations.errors import AmbiguousRigError, CalibrationKeyError, HalfRigError

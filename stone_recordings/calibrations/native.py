@@ -10,13 +10,13 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, SensorKind
 from stone.sensors.calibration_checks import (
     Findings,
+    check_intrinsics,
     check_translation,
     checked_norm,
     checked_transform,
     quaternion_and_translation,
     rotation_and_translation,
 )
-from stone.sensors.camera_checks import check_intrinsics
 from stone_recordings.calibrations.document import (
     BoxDocument,
     CalibrationDocument,

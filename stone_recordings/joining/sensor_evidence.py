@@ -15,7 +15,7 @@ from stone.errors import StoneError
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
-from stone.sensors.lag_evidence import DopplerEvidence, TurnEvidence
+from stone.sensors.lag_fit import DopplerEvidence, TurnEvidence
 from stone.sensors.picture_shift import Picture, brightness_of, picture_shift
 from stone.sensors.sensor_motion import SensorMotion, sensor_motion
 from stone_recordings.bags.bag import Bag

@@ -8,9 +8,8 @@ from collections.abc import Iterator
 
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
-from stone.sensors.calibration_checks import require_mounts
+from stone.sensors.calibration_checks import check_image_size, require_mounts
 from stone.sensors.calibration_errors import ImageSizeError, MissingSensorError
-from stone.sensors.camera_checks import check_image_size
 from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import IngestError

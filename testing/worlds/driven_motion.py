@@ -10,7 +10,7 @@ from scipy.ndimage import gaussian_filter1d
 
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
-from stone.sensors.lag_evidence import DopplerEvidence, TurnEvidence
+from stone.sensors.lag_fit import DopplerEvidence, TurnEvidence
 from stone.sensors.sensor_motion import SensorMotion, sensor_motion
 
 SECONDS, STEP_NS = 20.0, 10_000_000

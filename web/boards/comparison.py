@@ -10,7 +10,7 @@ from dataclasses import dataclass
 from math import ceil, floor, log10
 
 from api.schemas.leaderboard import ComparisonAnswer, DifferenceItem, RatioDifferenceItem
-from stone.scoring.silences import SILENCES, Scope
+from stone.scoring.intervals import SILENCES, Scope
 
 # One common axis for figures whose rows stand below each other: round ticks, and where on it a value lies.
 #

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from api.schemas.results import BreakdownAnswer, PartItem, ResultsAnswer
-from stone.scoring.silences import SILENCES
+from stone.scoring.intervals import SILENCES
 from web.boards.comparison import TITLES, Axis, axis_from_zero, axis_over
 
 CLASS_NAMES = ("free", "T", "P", "N")

@@ -21,8 +21,7 @@ from stone.labels.observed_voxels import Observed
 from stone.labels.traversability import FeatureSums, sums_of
 from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
 from stone.sensors.ego_path import datum_m, ego_path
-from stone.surface.band import band_of
-from stone.surface.contour import zero_surface
+from stone.surface.contour import band_of, zero_surface
 from stone.surface.dynamic import MotionVotes, carried_along, fewest_misses, is_moving
 from stone.surface.mesh import Mesh, vertex_normals
 from stone.surface.neighbours import is_near

@@ -20,9 +20,8 @@ from services.eval.scores import (
 )
 from stone.errors import ShapeError
 from stone.scoring.confusion import extras, named_ratios
-from stone.scoring.intervals import Estimate, estimates
+from stone.scoring.intervals import SCOPES, Estimate, estimates
 from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
-from stone.scoring.silences import SCOPES
 
 SEQUENCES = (
     SequenceFacts("hill", 4, "forest", "day"),

@@ -8,8 +8,7 @@ import pytest
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.map.octree import reconstruct
 from services.labeler.parameters import parameters_for
-from stone.surface.band import band_of
-from stone.surface.contour import zero_surface
+from stone.surface.contour import band_of, zero_surface
 from stone.surface.patches import patches_of
 from stone.surface.screened_poisson import PoissonParameters, solve_field
 from tests.services.labeler.worlds import RayCast, World, sequence_of

@@ -12,8 +12,7 @@ from scipy import ndimage
 from stone.geometry.lattice import keys_from_indices
 from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, gathered, reconcile, spread_out
-from stone.labels.confidence import MOST, NO_SURFACE, cut_with_distances, map_distances
-from stone.labels.crops import cut, cut_batch, placing_of
+from stone.labels.confidence import MOST, NO_SURFACE, cut, cut_batch, cut_with_distances, map_distances, placing_of
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.pinholes import FRACTION_BITS

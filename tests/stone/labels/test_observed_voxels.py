@@ -11,8 +11,21 @@ from numba import njit
 
 from stone.geometry.lattice import OffLatticeError, centres_of, indices_of
 from stone.geometry.se3 import SE3
-from stone.labels.observed_voxels import BLOCK, CarveParameters, Carver, union
-from stone.labels.ray_lanes import AXIS_BITS, CELLS, END, LANES, TIMES, axis_mask, follow, share_of, step_of
+from stone.labels.observed_voxels import (
+    AXIS_BITS,
+    BLOCK,
+    CELLS,
+    END,
+    LANES,
+    TIMES,
+    CarveParameters,
+    Carver,
+    axis_mask,
+    follow,
+    share_of,
+    step_of,
+    union,
+)
 from stone.labels.voxels import VOXEL_M
 from tests.observed_voxels import voxel_keys
 

@@ -9,12 +9,19 @@ from scipy import stats
 
 from stone.errors import ShapeError
 from stone.scoring.confusion import ratios
-from stone.scoring.influence import frame_influences
-from stone.scoring.intervals import Estimate, RatioSpectra, estimates, ratio_spectra
+from stone.scoring.intervals import (
+    FEWEST_SEQUENCES,
+    SCOPES,
+    Estimate,
+    RatioSpectra,
+    Scope,
+    estimates,
+    frame_influences,
+    ratio_spectra,
+)
 from stone.scoring.metric import METRICS, RATIOS
 from stone.scoring.pairs import BoardSpectra, range_quantile, surely_above
 from stone.scoring.ranking import tie_groups
-from stone.scoring.silences import FEWEST_SEQUENCES, SCOPES, Scope
 from stone.scoring.spectra import coefficients, layout_of
 from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
 

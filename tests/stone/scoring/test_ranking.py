@@ -19,13 +19,16 @@ from stone.scoring.ranking import (
     sign_flip,
     tie_groups,
 )
-from stone.scoring.sampling_variance import FEWEST_DEGREES, FEWEST_USED, SamplingVariances, sampling_variances
 from stone.scoring.spectra import (
+    FEWEST_DEGREES,
+    FEWEST_USED,
     FRAMES_PER_PERIOD,
     MOST_USED,
     OCTAVES_ABOVE,
+    SamplingVariances,
     coefficients,
     layout_of,
+    sampling_variances,
     sums_of_sequences,
 )
 

@@ -13,6 +13,8 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
 from stone.sensors.calibration_checks import (
     check_calibration,
+    check_image_size,
+    check_intrinsics,
     check_translation,
     checked_norm,
     checked_rotation,
@@ -35,7 +37,6 @@ from stone.sensors.calibration_errors import (
     RepeatedSensorError,
     TranslationError,
 )
-from stone.sensors.camera_checks import check_image_size, check_intrinsics
 
 seeds = st.integers(0, 2**32)
 CAMERA = CameraIntrinsics("plumb_bob", 1920, 1200, 1000.0, 1000.0, 960.0, 600.0, (0.0,) * 5)

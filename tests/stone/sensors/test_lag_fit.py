@@ -8,8 +8,7 @@ from scipy.spatial.transform import Rotation
 
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
-from stone.sensors.lag_evidence import TurnEvidence
-from stone.sensors.lag_fit import LagEvidence, fitted_lag
+from stone.sensors.lag_fit import LagEvidence, TurnEvidence, fitted_lag
 from stone.sensors.sensor_motion import SensorMotion
 from stone.sensors.sweep_lag import FEWEST_TURNS, SweepTurns, sweep_lag
 from testing.worlds.driven_motion import driven_track, motion_of, speeds_seen, standing_track, turns_seen

@@ -5,8 +5,7 @@ import pytest
 
 from stone.geometry.lattice import MASK
 from stone.geometry.se3 import SE3
-from stone.surface.band import band_of
-from stone.surface.contour import zero_surface
+from stone.surface.contour import band_of, zero_surface
 from stone.surface.mesh import vertex_normals
 from stone.surface.neighbours import is_near
 from stone.surface.patches import patches_of

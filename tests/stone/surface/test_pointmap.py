@@ -11,7 +11,7 @@ from hypothesis import strategies as st
 from stone.geometry.lattice import OffLatticeError, indices_of, keys_of
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box
-from stone.surface import moments
+from stone.surface import pointmap
 from stone.surface.pointmap import QUANTUM_M, PointMapBuilder, merge
 
 VOXEL_M = 0.1
@@ -129,18 +129,18 @@ def test_a_table_whose_tallies_are_full_is_followed_by_another(monkeypatch, limi
 
 
 def test_tallies_count_until_their_last_bit():
-    rows, pose, reach = moments.free_rows(4096), SE3.identity(), np.array([[-1.0] * 3, [1.0] * 3])
+    rows, pose, reach = pointmap.free_rows(4096), SE3.identity(), np.array([[-1.0] * 3, [1.0] * 3])
     point = np.zeros((1, 3), np.float32)
     state = np.array([0, 0, 0, 2000])
     view = (reach, pose.as_matrix(), SENSOR_EGO, VOXEL_M)
-    for frame in (0, 2**15 - 1, 2**15, moments.MOST_FRAMES - 1):
-        moments.add_points(point, (*view, frame), rows, state, moments.workspace())
+    for frame in (0, 2**15 - 1, 2**15, pointmap.MOST_FRAMES - 1):
+        pointmap.add_points(point, (*view, frame), rows, state, pointmap.workspace())
         state[0] = 0
     used = np.flatnonzero(rows[:, 0])
-    rows[used, 1] += (moments.MOST_FRAMES - 4 << moments.POINT_BITS) + moments.MOST_POINTS - 4
+    rows[used, 1] += (pointmap.MOST_FRAMES - 4 << pointmap.POINT_BITS) + pointmap.MOST_POINTS - 4
     unpacked = np.empty((1, 8), np.int64)
-    moments.unpack_rows(rows, used, unpacked)
-    assert unpacked[0, :2].tolist() == [moments.MOST_POINTS, moments.MOST_FRAMES]
+    pointmap.unpack_rows(rows, used, unpacked)
+    assert unpacked[0, :2].tolist() == [pointmap.MOST_POINTS, pointmap.MOST_FRAMES]
 
 
 def test_two_passes_of_one_place_meet_in_the_same_voxels():

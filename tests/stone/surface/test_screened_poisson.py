@@ -9,8 +9,7 @@ from hypothesis import example, given, settings
 from hypothesis import strategies as st
 
 from stone.geometry.lattice import centres_of, indices_of, keys_from_indices, keys_of
-from stone.surface.band import ABOVE, BELOW, band_of
-from stone.surface.contour import CORNERS, EDGES, TRIANGLES, zero_surface
+from stone.surface.contour import ABOVE, BELOW, CORNERS, EDGES, TRIANGLES, band_of, zero_surface
 from stone.surface.mesh import vertex_normals
 from stone.surface.neighbours import is_near
 from stone.surface.patches import patches_of

@@ -11,8 +11,7 @@ from numba import njit
 from stone.geometry.lattice import OffLatticeError
 from stone.geometry.se3 import SE3
 from stone.surface.mesh import Mesh, vertex_normals
-from stone.surface.neighbour_search import FEWEST, eigenvector, smallest_eigenvalue
-from stone.surface.neighbours import cells_of, is_near, plane_fits
+from stone.surface.neighbours import FEWEST, cells_of, eigenvector, is_near, plane_fits, smallest_eigenvalue
 from stone.surface.terrain import ELEVATION, ROUGHNESS, SLOPE, TerrainParameters, roughness, terrain_features
 
 SEEDS = st.integers(0, 2**32)

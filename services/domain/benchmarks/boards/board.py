@@ -47,11 +47,10 @@ from services.runtime.orm import (
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
-from stone.scoring.intervals import RatioSpectra
+from stone.scoring.intervals import WITHDRAWN, RatioSpectra, Silence
 from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import board_spectra, surely_above
 from stone.scoring.ranking import rank_intervals, tie_groups
-from stone.scoring.silences import WITHDRAWN, Silence
 
 # The revision of a board: a digest of every row that it is made of, by three statements that are kept.
 #

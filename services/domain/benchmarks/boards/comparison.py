@@ -20,10 +20,9 @@ from services.domain.benchmarks.visibility import Viewer, rounded
 from services.runtime.orm import Blob, Phase, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
-from stone.scoring.intervals import Estimate, RatioSpectra, estimates
+from stone.scoring.intervals import SCOPES, WITHDRAWN, Estimate, RatioSpectra, Scope, Silence, estimates
 from stone.scoring.metric import RATIOS
 from stone.scoring.ranking import SignFlip, sign_flip
-from stone.scoring.silences import SCOPES, WITHDRAWN, Scope, Silence
 from stone.scoring.spectra import layout_of
 
 Found = Mapping[Scope, tuple[Estimate | Silence, ...]]

@@ -14,7 +14,7 @@ from typing import Any, Literal
 
 from services.domain.benchmarks.boards.board import Board, LeaderboardRow
 from stone.errors import one_line
-from stone.scoring.silences import FEWEST_SEQUENCES, SILENCES
+from stone.scoring.intervals import FEWEST_SEQUENCES, SILENCES
 
 Form = Literal["csv", "parquet", "md", "tex"]
 MEDIA_TYPES: Mapping[Form, str] = {

@@ -17,8 +17,8 @@ from services.domain.benchmarks.submissions.result_errors import NotScoredError,
 from services.domain.benchmarks.visibility import Field, Policy, Viewer, policy_of, submissions_seen
 from services.runtime.orm import Activation, Benchmark, Blob, GroundTruthRow, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import now_ns
+from stone.scoring.intervals import SCOPES, WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
-from stone.scoring.silences import SCOPES, WITHDRAWN, Scope, Silence
 
 By = Literal["sequence", "environment", "illumination", "distance"]
 Record = Mapping[str, Any]

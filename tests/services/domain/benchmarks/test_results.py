@@ -21,9 +21,8 @@ from services.runtime.orm import SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from stone.scoring.confusion import ratios
-from stone.scoring.intervals import estimates, ratio_spectra
+from stone.scoring.intervals import SCOPES, Scope, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
-from stone.scoring.silences import SCOPES, Scope
 from tests.services.domain.benchmarks.boards import ADMINISTRATOR, FRAMES, SEQUENCES, Made, Scene, counts, scene
 
 LENGTHS = [one.frames for one in SEQUENCES]
