@@ -4,22 +4,147 @@
 stage begins where those before found nothing wrong, since one fault would be told again by each that builds on it.
 """
 
+from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from pathlib import Path
-from typing import Literal
+from typing import Any, Literal
+
+import numpy as np
 
 from stone_datasets.annotations import compare_annotations, read_annotations
 from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
-from stone_datasets.contents import DatasetContents
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
-from stone_datasets.file_check import Progress, check_files
+from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
 from stone_datasets.files import DatasetFiles, open_dataset
-from stone_datasets.index import DatasetIndex, DatasetSequence, label_folder
+from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
+from stone_datasets.labels import FrameLabels, read_labels
+from stone_datasets.samples import check_sample
 from stone_datasets.splits import check_splits, read_splits, splits_of
 from stone_datasets.tables import DatasetTables, read_tables
 from stone_exports.frames import LIDAR_CHANNEL
 from stone_files.dataset_layout import ANNOTATIONS, NotADatasetError
+
+# What a dataset holds, counted while its files are checked.
+
+
+CLASS_NAMES = ("free", "T", "P", "N")
+NS_PER_S = 1e9
+
+
+@dataclass
+class DatasetContents:
+    """Counts of files by channel, of voxels by class, of bytes."""
+
+    index: DatasetIndex
+    class_map: str
+    files_of: Counter[str] = field(default_factory=Counter)
+    voxels: Counter[str] = field(default_factory=Counter)
+    masks: Counter[str] = field(default_factory=Counter)
+    labelled: int = 0
+    size_bytes: int = 0
+
+    def add_labels(self, labels: FrameLabels) -> None:
+        occupied = [int(np.count_nonzero(labels.classes == number)) for number in (1, 2, 3)]
+        counts = dict(zip(CLASS_NAMES, (labels.classes.size - sum(occupied), *occupied), strict=True))
+        self.voxels.update(counts)
+        self.labelled += 1
+        for name, mask in (("mask_lidar", labels.mask_lidar), ("mask_camera", labels.mask_camera)):
+            if mask is not None:
+                self.masks[name] += 1
+                self.voxels[name] += int(np.count_nonzero(mask))
+
+    def as_record(self) -> dict[str, Any]:
+        """As `--json` prints it. Shares are of the occupied voxels; null where there are none."""
+        occupied = sum(self.voxels[name] for name in CLASS_NAMES[1:])
+        index = self.index
+        return {
+            "layout": index.layout,
+            "version": index.files.version,
+            "sequences": [_sequence_record(one) for one in index.sequences],
+            "frames": sum(map(len, index.sequences)),
+            "labelled_frames": self.labelled,
+            "masks": {name: self.masks[name] for name in ("mask_lidar", "mask_camera")},
+            "classes": self.class_map,
+            "class_share_of_occupied": {
+                name: self.voxels[name] / occupied if occupied else None for name in CLASS_NAMES[1:]
+            },
+            "voxels": {name: self.voxels[name] for name in CLASS_NAMES},
+            "sensors": {name: self.files_of[name] for name in sorted(self.files_of)},
+            "splits": {name: list(scenes) for name, scenes in index.splits.items()},
+            "size_bytes": self.size_bytes,
+        }
+
+
+def _sequence_record(sequence: DatasetSequence) -> dict[str, Any]:
+    seconds = float(sequence.stamps_ns[-1] - sequence.stamps_ns[0]) / NS_PER_S if len(sequence) else 0.0
+    return {
+        "name": sequence.name,
+        "frames": len(sequence),
+        "seconds": seconds,
+        "is_labelled": sequence.is_labelled,
+        "sensors": sorted(sequence.channels),
+        "splits": list(sequence.splits),
+    }
+
+
+# Every file of a dataset read and checked: samples of all sensors, labels of all frames.
+
+
+Progress = Callable[[int, int], None]
+
+
+def check_files(index: DatasetIndex, classes: ClassMap, faults: DatasetFaults, progress: Progress) -> DatasetContents:
+    """What the files hold; `progress` is told frames done and all."""
+    contents, total, done = DatasetContents(index, classes.name), sum(map(len, index.sequences)), 0
+    for sequence in index.sequences:
+        for channel in sequence.channels.values():
+            _check_channel(channel, contents, faults)
+        for frame in range(len(sequence) if sequence.is_labelled else 0):
+            _check_labels((sequence, frame), classes, contents, faults)
+            progress(done + frame, total)
+        done += len(sequence)
+        progress(done, total)
+    return contents
+
+
+def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: DatasetFaults) -> None:
+    index = contents.index
+    for place, row in enumerate(channel.rows.tolist()):
+        at = _place(index, channel, row)
+        try:
+            span = index.file(channel, place)
+            if span is None:
+                raise SampleMissingError(at, f"{channel.filename(place)} is missing")
+            check_sample(span, channel.sensor, at)
+        except DatasetFaultError as fault:
+            faults.add(fault)
+            continue
+        contents.files_of[channel.sensor.channel] += 1
+        contents.size_bytes += span.size_bytes
+
+
+def _place(index: DatasetIndex, channel: DatasetChannel, row: int) -> DatasetPlace:
+    if index.layout == "release":
+        return DatasetPlace(f"{index.files.version}/sample_data.json", row + 1)
+    return DatasetPlace(ANNOTATIONS)
+
+
+def _check_labels(
+    of: tuple[DatasetSequence, int], classes: ClassMap, contents: DatasetContents, faults: DatasetFaults
+) -> None:
+    sequence, frame = of
+    try:
+        span = contents.index.labels(sequence, frame)
+        if span is None:
+            raise LabelsMissingError(DatasetPlace(sequence.label_name(frame)), "it is missing")
+        contents.add_labels(read_labels(span, classes))
+    except DatasetFaultError as fault:
+        faults.add(fault)
+        return
+    contents.size_bytes += span.size_bytes
+
 
 Stage = Literal["rows", "links", "files"]
 

@@ -12,7 +12,7 @@ from itertools import chain
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_datasets.annotated_tables import picture_names
+from stone_datasets.annotations import picture_names
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace, quoted
 from stone_datasets.file_faults import LabelsMissingError, SampleMissingError

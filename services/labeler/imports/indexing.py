@@ -15,7 +15,7 @@ from services.labeler.imports.sequences import annotated_data, placed_data, sequ
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence
 from stone.splits.surroundings import REGION, UNSAID
-from stone_datasets.annotated_tables import write_annotated_tables
+from stone_datasets.annotations import write_annotated_tables
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.files import DatasetTar
