@@ -14,7 +14,7 @@ EXPORTED = (
     "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
 )  # fmt: skip
 OF_FILES = (
-    "stone_files.bag_files", "stone_files.bag_fingerprint", "stone_files.calibration_bundle", "stone_files.joined_file",
+    "stone_files.bag_fingerprint", "stone_files.calibration_bundle", "stone_files.joined_file",
 )  # fmt: skip
 
 with atheris.instrument_imports(

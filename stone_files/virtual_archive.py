@@ -9,16 +9,177 @@ Source: POSIX.1-2017 pax §"ustar Interchange Format" and §"pax Interchange For
 """
 
 import re
+import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
-from typing import Literal
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone_base.errors import StoneError
-from stone_files.tar_headers import END_BYTES, RECORD_BYTES, padding_bytes, tar_head, tar_head_bytes
-from stone_files.zip_headers import ZipEntry, central_bytes, end_bytes, local_bytes, zip_central, zip_end, zip_local
+
+# Tar headers: one ustar block per file, preceded by a pax record for long names and large sizes.
+#
+# **Conventions.** Names are ASCII. Every file is 0644, of user and group 0, of 1980-01-01.
+#
+# Source: POSIX.1-2017 pax, "ustar Interchange Format", "pax Extended Header".
+
+
+BLOCK_BYTES = 512
+RECORD_BYTES = 20 * BLOCK_BYTES
+END_BYTES = 2 * BLOCK_BYTES
+MOST_USTAR_BYTES = 8**11 - 1
+MODIFIED_S = 315_532_800  # 1980-01-01, as in a zip; tar warns of the implausible 1970
+NAME_BYTES, PREFIX_BYTES = 100, 155
+FORM = struct.Struct("<100s8s8s8s12s12s8sc100s6s2s32s32s8s8s155s12s")
+CHECKSUM_AT = 148
+Sizes = TypeVar("Sizes", np.int64, NDArray[np.int64])
+
+
+def padding_bytes(sizes_bytes: Sizes) -> Sizes:
+    """How many zeros follow contents of these sizes."""
+    return -sizes_bytes % BLOCK_BYTES
+
+
+def tar_head_bytes(name: str, size_bytes: int) -> int:
+    """The length of `tar_head(name, size_bytes)`."""
+    if size_bytes <= MOST_USTAR_BYTES and (len(name) <= NAME_BYTES or _split(name)):
+        return BLOCK_BYTES
+    record = len(_pax(name, size_bytes))
+    return 2 * BLOCK_BYTES + record + -record % BLOCK_BYTES
+
+
+def tar_head(name: str, size_bytes: int) -> bytes:
+    """What stands before the content of a file."""
+    place = ("", name) if len(name) <= NAME_BYTES else _split(name)
+    if place and size_bytes <= MOST_USTAR_BYTES:
+        return _block(place, size_bytes, b"0")
+    record = _pax(name, size_bytes)
+    padded = record + bytes(-len(record) % BLOCK_BYTES)
+    shown = ("", name[-NAME_BYTES:].lstrip("/"))
+    ustar_bytes = size_bytes if size_bytes <= MOST_USTAR_BYTES else 0  # readers take it from the record
+    return _block(("", "PaxHeader"), len(record), b"x") + padded + _block(shown, ustar_bytes, b"0")
+
+
+def _split(name: str) -> tuple[str, str] | None:
+    """Prefix and name at the last slash that leaves room for both; None where there is none."""
+    at = name.rfind("/", 0, PREFIX_BYTES + 1)
+    if at <= 0 or len(name) - at - 1 > NAME_BYTES:
+        return None
+    return name[:at], name[at + 1 :]
+
+
+def _pax(name: str, size_bytes: int) -> bytes:
+    """`path` and `size` as records `<length> <key>=<value>` and a newline, the length counting itself."""
+    return _record("path", name) + _record("size", str(size_bytes))
+
+
+def _record(key: str, value: str) -> bytes:
+    rest = f" {key}={value}\n"
+    length = len(rest)
+    while len(str(length)) + len(rest) != length:
+        length = len(str(length)) + len(rest)
+    return f"{length}{rest}".encode("ascii")
+
+
+def _block(place: tuple[str, str], size_bytes: int, kind: bytes) -> bytes:
+    prefix, name = (part.encode("ascii") for part in place)
+    numbers = (b"0000644\0", b"0000000\0", b"0000000\0", b"%011o\0" % size_bytes, b"%011o\0" % MODIFIED_S)
+    owner = (b"ustar\0", b"00", b"", b"", b"0000000\0", b"0000000\0")
+    block = FORM.pack(name, *numbers, b" " * 8, kind, b"", *owner, prefix, b"")
+    return block[:CHECKSUM_AT] + b"%06o\0 " % sum(block) + block[CHECKSUM_AT + 8 :]
+
+
+# Zip headers for stored entries, with zip64 fields only where needed.
+#
+# **Conventions.** CRC and sizes are known beforehand, so no data descriptors; names are ASCII; every file is 0644, of
+# 1980-01-01. An entry's `offset_bytes` is where its local header begins.
+#
+# Source: PKWARE APPNOTE 6.3.10 §4.3.7 (local), §4.3.12 (central), §4.3.14 to 16 (end), §4.5.3 (zip64 extra).
+
+
+FULL32, FULL16 = 0xFFFFFFFF, 0xFFFF
+PLAIN, WITH_64 = 20, 45
+UNIX, REGULAR_0644 = 3 << 8, 0o100644 << 16
+DOS_1980_01_01 = 0x0021
+LOCAL, CENTRAL = struct.Struct("<4s5H3I2H"), struct.Struct("<4s6H3I5H2I")
+END, END_64, LOCATOR = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), struct.Struct("<4sIQI")
+
+
+@dataclass(frozen=True)
+class ZipEntry:
+    """A stored file."""
+
+    name: str
+    size_bytes: int
+    crc32: int
+    offset_bytes: int = 0
+
+
+def local_bytes(names: NDArray[np.int64], sizes_bytes: NDArray[np.int64]) -> NDArray[np.int64]:
+    """The lengths of local headers, for names of these lengths."""
+    return np.asarray(LOCAL.size + names + 20 * (sizes_bytes >= FULL32), np.int64)
+
+
+def central_bytes(
+    names: NDArray[np.int64], sizes_bytes: NDArray[np.int64], offsets: NDArray[np.int64]
+) -> NDArray[np.int64]:
+    """The lengths of entries of the central directory."""
+    is_large, is_far = sizes_bytes >= FULL32, offsets >= FULL32
+    return np.asarray(CENTRAL.size + names + 4 * (is_large | is_far) + 16 * is_large + 8 * is_far, np.int64)
+
+
+def end_bytes(count: int, begin: int, length: int) -> int:
+    """The length of `zip_end(count, begin, length)`."""
+    return END.size + (END_64.size + LOCATOR.size if _needs_64(count, begin, length) else 0)
+
+
+def zip_local(entry: ZipEntry) -> bytes:
+    """What stands before the content."""
+    extra = _extra(entry.size_bytes, entry.size_bytes) if entry.size_bytes >= FULL32 else b""
+    return LOCAL.pack(b"PK\3\4", *_described(entry, extra)) + entry.name.encode("ascii") + extra
+
+
+def zip_central(entry: ZipEntry) -> bytes:
+    """The entry of the central directory."""
+    sizes = (entry.size_bytes, entry.size_bytes) if entry.size_bytes >= FULL32 else ()
+    far = (entry.offset_bytes,) if entry.offset_bytes >= FULL32 else ()
+    extra = _extra(*sizes, *far) if sizes or far else b""
+    place = (0, 0, 0, REGULAR_0644, min(entry.offset_bytes, FULL32))
+    version = _version(extra)
+    head = CENTRAL.pack(b"PK\1\2", UNIX | version, *_described(entry, extra), *place)
+    return head + entry.name.encode("ascii") + extra
+
+
+def zip_end(count: int, begin: int, length: int) -> bytes:
+    """What stands behind the central directory, which begins at `begin` and has `length` bytes."""
+    plain = (min(count, FULL16), min(count, FULL16), min(length, FULL32), min(begin, FULL32))
+    end = END.pack(b"PK\5\6", 0, 0, *plain, 0)
+    if not _needs_64(count, begin, length):
+        return end
+    whole = END_64.pack(b"PK\6\6", END_64.size - 12, UNIX | WITH_64, WITH_64, 0, 0, count, count, length, begin)
+    return whole + LOCATOR.pack(b"PK\6\7", 0, begin + length, 1) + end
+
+
+def _described(entry: ZipEntry, extra: bytes) -> tuple[int, ...]:
+    """What local header and central entry say alike."""
+    size = min(entry.size_bytes, FULL32)
+    stamp = (0, DOS_1980_01_01)
+    return (_version(extra), 0, 0, *stamp, entry.crc32, size, size, len(entry.name), len(extra))
+
+
+def _extra(*values: int) -> bytes:
+    return struct.pack(f"<2H{len(values)}Q", 1, 8 * len(values), *values)
+
+
+def _version(extra: bytes) -> int:
+    return WITH_64 if extra else PLAIN
+
+
+def _needs_64(count: int, begin: int, length: int) -> bool:
+    return count >= FULL16 or begin >= FULL32 or length >= FULL32
+
 
 Kind = Literal["tar", "zip"]
 KINDS: tuple[Kind, ...] = ("tar", "zip")

@@ -22,7 +22,7 @@ from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
 from stone.findings import Finding
-from stone_files.bag_files import whole_sha256
+from stone_files.bag_fingerprint import whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.joining.joined_recording import write_joined

@@ -19,7 +19,7 @@ from services.labeler.run import LabelRun, Part, Tile, parts_of
 from stone.labels.observed_voxels import Observed, union
 from stone.surface.pointmap import PointMap
 from stone.surface.range_image import RangeImage, view_of
-from stone_files.mapped_npz import mapped_npz, write_stored_npz
+from stone_files.npz import mapped_npz, write_stored_npz
 
 Arrays = dict[str, NDArray[np.generic]]
 

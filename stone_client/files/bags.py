@@ -3,7 +3,7 @@
 **Conventions.** A bag of several files is called after its folder; of files that were named one by one, those whose
 names count on (`run_0.mcap run_1.mcap`) are one bag, `run`, as the browser has it, and any others are recordings of
 their own. What lies beside a bag and is no part of it is not sent. `sha256` of the whole is the one that the server
-says (`stone_files/bag_files.py`).
+says (`stone_files/bag_fingerprint.py`).
 """
 
 import re
@@ -13,8 +13,14 @@ from pathlib import Path
 
 from stone_client.files.tus import LocalFile, hashed
 from stone_client.progress import Report
-from stone_files.bag_files import LEFT_BESIDE, METADATA, BadBagFilesError, check_bag_files, whole_sha256
-from stone_files.bag_fingerprint import bag_parts
+from stone_files.bag_fingerprint import (
+    LEFT_BESIDE,
+    METADATA,
+    BadBagFilesError,
+    bag_parts,
+    check_bag_files,
+    whole_sha256,
+)
 
 NUMBERED = re.compile(r"(?P<stem>.+)_\d+\.(?P<kind>mcap|db3|bag)(\.active|\.zstd)?", re.IGNORECASE)
 

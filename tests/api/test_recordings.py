@@ -15,7 +15,7 @@ from services.runtime.orm import CalibrationRow, Job, LabelSet, Queue, Recording
 from services.runtime.platform import Platform
 from services.runtime.store import blobs
 from services.runtime.store.blobs import keep
-from stone_files.bag_files import MOST_FILES
+from stone_files.bag_fingerprint import MOST_FILES
 from testing.api.serving import Person, at_once, person
 from testing.worlds.made import NOBODY, row_of, sequence, upload
 from testing.worlds.rows import recording_of

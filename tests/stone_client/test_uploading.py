@@ -25,8 +25,7 @@ from stone_client.errors import FileChangedError
 from stone_client.files.bags import bags_among, called, hashed_bag
 from stone_client.files.tus import Purpose, hashed, upload_file
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
-from stone_files.bag_files import BadBagFilesError
-from stone_files.bag_fingerprint import recording_sha256
+from stone_files.bag_fingerprint import BadBagFilesError, recording_sha256
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person
 from testing.stone_serve import until

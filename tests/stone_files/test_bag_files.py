@@ -11,8 +11,16 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from stone_files.bag_files import MOST_FILES, BadBagFilesError, check_bag_files, whole_sha256
-from stone_files.bag_fingerprint import HASH_BLOCK_BYTES, bag_parts, hashed_meanwhile, recording_sha256
+from stone_files.bag_fingerprint import (
+    HASH_BLOCK_BYTES,
+    MOST_FILES,
+    BadBagFilesError,
+    bag_parts,
+    check_bag_files,
+    hashed_meanwhile,
+    recording_sha256,
+    whole_sha256,
+)
 from stone_files.joined_file import (
     JOINED,
     MOST_BYTES,

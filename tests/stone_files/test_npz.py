@@ -13,8 +13,7 @@ from hypothesis import strategies as st
 from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
-from stone_files.mapped_npz import ALIGNED_BYTES, mapped_npz, write_stored_npz
-from stone_files.npz import UnwritableArrayError, npz_bytes
+from stone_files.npz import ALIGNED_BYTES, UnwritableArrayError, mapped_npz, npz_bytes, write_stored_npz
 
 DTYPES = [np.dtype(name) for name in ("u1", "i8", "f4", "?", ">i4", "u8", "f8")]
 ARRAYS: st.SearchStrategy[NDArray[Any]] = st.sampled_from(DTYPES).flatmap(

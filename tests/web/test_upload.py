@@ -12,7 +12,7 @@ from sqlalchemy import select
 from services.ingest.stages import handlers
 from services.runtime.orm import CalibrationRow, SequenceRow
 from simulator.pipeline import calibration_path
-from stone_files.bag_files import BadBagFilesError, check_bag_files, is_bag_part
+from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, is_bag_part
 from stone_recordings.bags.errors import CutBagError, NotABagError
 from stone_recordings.bags.magic import container_of
 from testing.api.serving import Person

@@ -12,7 +12,7 @@ from api.schemas.sequences.sequences import PREVIEW_EXAMPLE, PreviewItem
 from services.domain.sequences.recordings import NewRecording
 from services.runtime.uploads.creation import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
-from stone_files.bag_files import MOST_FILES
+from stone_files.bag_fingerprint import MOST_FILES
 
 FILE_EXAMPLE: dict[str, Any] = {
     "upload_id": ID_EXAMPLE,

@@ -26,7 +26,7 @@ from services.runtime.store.named_objects import NAMES_FOLDER, described_folder,
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
 from stone.errors import StoneError
-from stone_files.bag_files import BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 

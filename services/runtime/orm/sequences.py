@@ -149,7 +149,7 @@ class RecordingFile(Base):
 class Recording(Base):
     """One bag of a sequence: a file, or several that are one bag and were sealed together.
 
-    `filename`, `size_bytes` and `sha256` are those of the whole (`stone_files/bag_files.py`). `state`:
+    `filename`, `size_bytes` and `sha256` are those of the whole (`stone_files/bag_fingerprint.py`). `state`:
     received, registered (read, and every file kept as a blob), refused (see `findings`).
     """
 

@@ -10,7 +10,7 @@ from dataclasses import replace
 from pathlib import Path
 
 from stone.findings import Finding
-from stone_files.bag_files import DEFINITION
+from stone_files.bag_fingerprint import DEFINITION
 from stone_recordings.bags.topic import Topic
 from stone_recordings.messages.errors import DefinitionRefusedError
 from stone_recordings.messages.types.registry import MessageText, registry

@@ -1,6 +1,6 @@
 // Which of the chosen files are one bag: a rosbag2 folder, the parts of a split one (ROS 1's, too), or a file by itself.
 //
-// The rules are the platform's own (`stone_files/bag_files.py`), said here before anything is sent. Several bags in
+// The rules are the platform's own (`stone_files/bag_fingerprint.py`), said here before anything is sent. Several bags in
 // one folder without a metadata.yaml stay several, unless their names count on: run_0.mcap, run_1.mcap.
 
 import { refusalOf } from "./magic.js";

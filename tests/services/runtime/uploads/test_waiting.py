@@ -25,7 +25,7 @@ from services.runtime.uploads.errors import (
     UploadTargetMissingError,
 )
 from services.runtime.uploads.rows import UploadOwner, is_waiting
-from stone_files.bag_files import MOST_FILES
+from stone_files.bag_fingerprint import MOST_FILES
 from testing.api.serving import Person
 from testing.servers.fixtures import having
 from testing.threads import granted
