@@ -29,8 +29,8 @@ from stone.labels.grid import GRID_SHAPE
 from stone_exports.errors import refuse_missing
 from stone_exports.frames import ExportedFrame
 from stone_exports.tables import exports_in
+from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
-from stone_submissions.writer import frame_file, write_files
 
 Progress = Callable[[str, int, int], None]
 

@@ -19,8 +19,8 @@ from stone_client.progress import Report
 from stone_exports.errors import refuse_missing
 from stone_exports.sweeps import SweepFile, sweeps_in
 from stone_exports.tables import exports_in
+from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import Manifest, read_manifest
-from stone_submissions.writer import frame_file, write_files
 
 AHEAD = 3
 T = TypeVar("T")

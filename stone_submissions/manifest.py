@@ -7,14 +7,14 @@ order of tokens carries no meaning. Nothing in it tells a label.
 
 import json
 import re
-from collections.abc import Iterator, Mapping
+from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
+from stone_base.errors import StoneError
 from stone_base.names import NAME
 from stone_files.atomic import atomic_file
-from stone_submissions.bounded_file import read_bounded
-from stone_submissions.errors import ManifestError
+from stone_submissions.errors import ManifestError, UnreadableInputError
 
 VERSION = 1
 TOKEN = re.compile(r"[0-9a-f]{32}")
@@ -79,3 +79,21 @@ def _faults(record: object) -> Iterator[str]:
 def is_token(text: object) -> bool:
     """Whether this is a frame token: 32 lower-case hex digits."""
     return isinstance(text, str) and TOKEN.fullmatch(text) is not None
+
+
+# Reads a small file whole, if it is as small as it must be.
+
+
+def read_bounded(path: Path, limit_bytes: int, refusal: Callable[[Path, str], StoneError]) -> bytes:
+    """The bytes of this file; nothing beyond `limit_bytes` is read.
+
+    Raises `UnreadableInputError` where it cannot be opened, and `refusal(path, fault)` where it is larger.
+    """
+    try:
+        with path.open("rb") as file:
+            content = file.read(limit_bytes + 1)
+    except OSError as error:
+        raise UnreadableInputError(path, error.strerror or "unknown reason") from error
+    if len(content) > limit_bytes:
+        raise refusal(path, f"larger than {limit_bytes} bytes")
+    return content

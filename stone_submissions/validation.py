@@ -17,8 +17,7 @@ from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import LabelOutOfRangeError, SubmissionError
 from stone_submissions.manifest import read_manifest
 from stone_submissions.npz_frame import prediction_grid
-from stone_submissions.verdict import Validation, ValidationProblem, problem_of, verdict
-from stone_submissions.verdict_record import merged
+from stone_submissions.verdict import Validation, ValidationProblem, merged, problem_of, verdict
 
 Progress = Callable[[str, int, int], None]
 Grid = NDArray[np.uint8]

@@ -10,18 +10,120 @@ Source: PKWARE APPNOTE 6.3.10, §4.3.7, 4.3.9, 4.3.12, 4.4.4, D; overlaps: Fifie
 
 import stat
 import struct
+from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from stone_submissions.errors import (
     EncryptedError,
+    NotZipError,
     OverlapError,
     SymlinkError,
     TooLargeError,
     TruncatedError,
     UnsupportedZipError,
 )
-from stone_submissions.zip_end import IN_EXTRA_16, End, ReadAt, read_end
-from stone_submissions.zip_extra import check_other_name, extra_fields, wide_values
+
+# The end record of a zip, narrow or wide: where its directory is and how many files it announces.
+#
+# **Conventions.** Offsets and sizes are bytes from the start of the archive. The end record is the last thing in the
+# file and the directory lies right before it. Frames are archives themselves: where a zip is cut off inside of one
+# that is stored, the last end record is that frame's. Where there is a wide (zip64) record, the narrow one says the
+# same, or 0xFF….
+#
+# Source: PKWARE APPNOTE 6.3.10, §4.3.14–4.3.16, 4.4.1.4.
+
+
+END, END64, LOCATOR64 = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), struct.Struct("<4sIQI")
+MAX_COMMENT_BYTES = 2**16 - 1
+IN_EXTRA_32, IN_EXTRA_16 = 2**32 - 1, 2**16 - 1
+FIRST_FILE = b"PK\3\4"
+BEFORE_ITS_SIZE = 12  # signature and size are not counted in the size of a wide record
+
+ReadAt = Callable[[int, int], bytes]
+
+
+@dataclass(frozen=True)
+class End:
+    """The directory as the archive's end announces it."""
+
+    entries: int
+    directory_bytes: int
+    directory_offset: int
+
+
+def read_end(read_at: ReadAt, size_bytes: int) -> End:
+    """Raises `NotZipError`, `TruncatedError`, `UnsupportedZipError`; reads at most 66 kB."""
+    tail_bytes = min(size_bytes, END.size + MAX_COMMENT_BYTES)
+    tail = read_at(size_bytes - tail_bytes, tail_bytes)
+    at = tail.rfind(b"PK\5\6")
+    if at < 0 or len(tail) - at < END.size:
+        if _begins_as_zip(read_at):
+            raise _cut_short(size_bytes)
+        raise NotZipError("a zip that ends in its directory", "none" if size_bytes else "an empty file")
+    _, disk, start_disk, here, entries, directory_bytes, offset, comment_bytes = END.unpack_from(tail, at)
+    position = size_bytes - tail_bytes + at
+    narrow = End(entries, directory_bytes, offset)
+    if at + END.size + comment_bytes != len(tail):
+        if _begins_as_zip(read_at) and not _may_end_at(narrow, position):
+            raise _cut_short(size_bytes)
+        raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
+    locator = read_at(position - LOCATOR64.size, LOCATOR64.size) if position >= LOCATOR64.size else b""
+    if locator[:4] == b"PK\6\7":
+        return _same(narrow, _read_wide(read_at, locator, position - LOCATOR64.size))
+    return _checked(narrow, (disk, start_disk, here - entries), position)
+
+
+def _begins_as_zip(read_at: ReadAt) -> bool:
+    return read_at(0, len(FIRST_FILE)) == FIRST_FILE
+
+
+def _may_end_at(end: End, position: int) -> bool:
+    """Whether a record at byte `position` can be of this archive: those of archives inside tell of other places."""
+    if IN_EXTRA_32 in (end.directory_bytes, end.directory_offset):
+        return True
+    return position - end.directory_offset - end.directory_bytes in (0, END64.size + LOCATOR64.size)
+
+
+def _cut_short(size_bytes: int) -> TruncatedError:
+    return TruncatedError("the zip's directory at its end", f"none: {size_bytes} bytes, cut off inside a file")
+
+
+def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
+    """The wide end record named by the locator at byte `at`."""
+    _, disk, position, disks = LOCATOR64.unpack(locator)
+    if position + END64.size > at:
+        raise TruncatedError(f"a zip64 end record before byte {at}", f"one at byte {position}")
+    record = read_at(position, END64.size)
+    if record[:4] != b"PK\6\6":
+        raise TruncatedError(f"a zip64 end record at byte {position}", "other bytes")
+    _, size_bytes, _, _, own_disk, start_disk, here, entries, directory_bytes, offset = END64.unpack(record)
+    if size_bytes != at - position - BEFORE_ITS_SIZE:
+        raise TruncatedError(f"a zip64 end record that ends at byte {at}", f"one of {size_bytes} bytes")
+    parts = (disk, own_disk, start_disk, here - entries, max(disks, 1) - 1)
+    return _checked(End(entries, directory_bytes, offset), parts, position)
+
+
+def _checked(end: End, parts: tuple[int, ...], position: int) -> End:
+    """An end whose directory stops at byte `position`; `parts` are zeros where the archive is in one part."""
+    if any(parts):
+        raise UnsupportedZipError("an archive in one part", "one of several")
+    if end.directory_offset + end.directory_bytes != position:
+        stop = end.directory_offset + end.directory_bytes
+        raise TruncatedError(f"the directory to end at byte {position}", f"its end at {stop}")
+    return end
+
+
+def _same(narrow: End, wide: End) -> End:
+    pairs = (
+        (narrow.entries, wide.entries, IN_EXTRA_16),
+        (narrow.directory_bytes, wide.directory_bytes, IN_EXTRA_32),
+        (narrow.directory_offset, wide.directory_offset, IN_EXTRA_32),
+    )
+    for said, meant, elsewhere in pairs:
+        if said not in (meant, elsewhere):
+            raise UnsupportedZipError(f"{meant} in both end records, as in the zip64 one", f"{said}")
+    return wide
+
 
 STORED, DEFLATED = 0, 8
 RECORD, LOCAL = struct.Struct("<4s6H3I5H2I"), struct.Struct("<4s5H3I2H")
@@ -161,3 +263,55 @@ def _without_overlap(members: list[ZipMember], limit: int) -> tuple[ZipMember, .
     if limit:
         raise UnsupportedZipError("the first file at byte 0", f"{limit} bytes before it")
     return tuple(bounded)
+
+
+# The extra fields of a zip's headers: wide sizes, and a second name that must not be another.
+#
+# **Conventions.** Extra fields are (tag, length, value) one after another; up to three zero bytes of padding may
+# follow.
+#
+# Source: PKWARE APPNOTE 6.3.10, §4.5.1, 4.5.3 (zip64), 4.6.9 (Unicode path).
+
+
+ZIP64_TAG, UNICODE_PATH_TAG = 0x0001, 0x7075
+FIELD = struct.Struct("<2H")
+BEFORE_THE_PATH = 5  # a version and the CRC-32 of the name in the header
+
+
+def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
+    """The value of each tag. Raises `TruncatedError`; `UnsupportedZipError` where a tag that we read is there twice."""
+    fields: dict[int, bytes] = {}
+    at = 0
+    while at + FIELD.size <= len(extra):
+        tag, count = FIELD.unpack_from(extra, at)
+        value = extra[at + FIELD.size : at + FIELD.size + count]
+        if len(value) < count:
+            raise TruncatedError(f"an extra field of {count} bytes for {name!r}", f"{len(value)}")
+        if tag in fields and tag in (ZIP64_TAG, UNICODE_PATH_TAG):
+            raise UnsupportedZipError(f"each extra field of {name!r} once", f"field {tag:#06x} again")
+        fields[tag] = value
+        at += FIELD.size + count
+    return fields
+
+
+def wide_values(fields: dict[int, bytes], values: tuple[int, ...], name: str) -> tuple[int, ...]:
+    """`values`, those that are 0xFFFFFFFF replaced, in this order, by the 8-byte ones of the zip64 field.
+
+    Raises `TruncatedError` where there are fewer.
+    """
+    needed = sum(value == IN_EXTRA_32 for value in values)
+    wide = fields.get(ZIP64_TAG, b"")
+    if len(wide) < 8 * needed:
+        raise TruncatedError(f"{needed} zip64 values for {name!r}", f"{len(wide)} bytes")
+    found = iter(struct.unpack_from(f"<{needed}Q", wide))
+    return tuple(next(found) if value == IN_EXTRA_32 else value for value in values)
+
+
+def check_other_name(fields: dict[int, bytes], name: str) -> None:
+    """Raises `UnsupportedZipError` where a Unicode path names another file than the header: readers would differ.
+
+    Folders may differ: Info-ZIP writes them so, since the header has no character for some.
+    """
+    path = fields.get(UNICODE_PATH_TAG)
+    if path is not None and path[BEFORE_THE_PATH:].rpartition(b"/")[2] != name.rpartition("/")[2].encode():
+        raise UnsupportedZipError(f"one name for {name!r}", f"another in field {UNICODE_PATH_TAG:#06x}")

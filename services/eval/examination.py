@@ -39,8 +39,7 @@ from stone_submissions.errors import (
     UnreadableInputError,
 )
 from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
-from stone_submissions.verdict import Validation, ValidationProblem, verdict
-from stone_submissions.verdict_record import merged, validation_of
+from stone_submissions.verdict import Validation, ValidationProblem, merged, validation_of, verdict
 
 # Frames of a submission, a thread each block: read, checked, counted; whatever is wrong is collected.
 #

@@ -17,9 +17,8 @@ import numpy as np
 
 from stone.labels.grid import GRID_SHAPE
 from stone.scoring.bitplanes import LabelRangeError, TruthPlanes, truth_planes
-from stone_submissions.bounded_file import read_bounded
 from stone_submissions.errors import GroundTruthError, SubmissionError, UnreadableInputError
-from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token
+from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, read_bounded
 from stone_submissions.npz_frame import npz_members, read_grid
 
 Mask = Literal["all", "lidar", "camera"]

@@ -37,8 +37,7 @@ from services.runtime.store.blobs import PreparedBlob, prepare
 from stone.errors import StoneError
 from stone.scoring.signature import Signature
 from stone_files.npz import npz_bytes
-from stone_submissions.verdict import Validation
-from stone_submissions.verdict_record import merged, validation_of
+from stone_submissions.verdict import Validation, merged, validation_of
 
 
 def join(context: EvalStageContext) -> Outcome:

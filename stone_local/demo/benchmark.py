@@ -27,8 +27,8 @@ from stone_client.server.sequences import Item
 from stone_client.server.splits import current
 from stone_client.server.submission import SubmissionDescription, settled, submit
 from stone_local.baseline import BaselinePlan, write_baseline
+from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
-from stone_submissions.writer import frame_file, write_files
 
 # The demo's entries: three predictions without training, of the frames of a manifest.
 #

@@ -32,8 +32,8 @@ from stone.sensors.sequence import Sequence
 from stone_exports.frames import ExportedDatum, ExportedFrame, ExportedSensor
 from stone_files.atomic import atomic_directory
 from stone_recordings.sync.samples import BagSamples
+from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
-from stone_submissions.writer import frame_file, write_files
 
 # Frames of a recording as a dataset reads them: what an export of it would hold, made frame by frame.
 #

@@ -3,7 +3,7 @@
 from collections.abc import Iterable
 from pathlib import Path
 
-from stone_submissions.writer import Grid, frame_file, write_files
+from stone_submissions.archive import Grid, frame_file, write_files
 
 
 def write_submission(path: Path, frames: Iterable[tuple[str, Grid]]) -> None:

@@ -12,8 +12,8 @@ from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.comparison.stage import NothingInCommonError
 from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
 from stone_files.atomic import atomic_file
-from stone_submissions.bounded_file import read_bounded
 from stone_submissions.errors import GroundTruthError
+from stone_submissions.manifest import read_bounded
 from stone_submissions.validation import Progress, silent
 
 

@@ -11,8 +11,7 @@ from hypothesis import strategies as st
 
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import BadShapeError, NotZipError, SubmissionError, TooLargeError, TruncatedError
-from stone_submissions.npz_frame import PLAIN_NAMES, prediction_grid
-from stone_submissions.plain_npz import plain_member
+from stone_submissions.npz_frame import PLAIN_NAMES, plain_member, prediction_grid
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 from tests.services.eval.attacks import grid, saved, stored
 

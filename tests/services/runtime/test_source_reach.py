@@ -196,5 +196,5 @@ def test_all_that_scores_and_compares_is_reached(tmp_path: Path) -> None:
     folders = open_folders(tmp_path, tmp_path)
     with traced() as entered:
         comparison_record(folders.frames, counted_pairs(folders.pairs(), len(labels), silent))
-    read_from_folders = ("services.eval.comparison.folders:", "stone_submissions.bounded_file:")
+    read_from_folders = ("services.eval.comparison.folders:", "stone_submissions.manifest:")
     assert {one for one in unreached("comparisons", entered) if not one.startswith(read_from_folders)} == set()
