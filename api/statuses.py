@@ -40,7 +40,7 @@ from stone.scoring import metric
 from stone.splits import splits as splitting
 from stone_datasets import file_faults
 from stone_files import bag_fingerprint, virtual_archive
-from stone_recordings.topics import profile_errors as profiles
+from stone_recordings.topics import profiles as profiles
 
 STATUS_OF: dict[type[StoneError], int] = {
     api.InvalidRequestError: 422,

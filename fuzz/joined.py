@@ -8,8 +8,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from stone_files.joined_file import GIVEN, JOINED, JoinedMember, joined_bytes, read_joined
-from stone_recordings.bags.joined.findings import member_findings
-from stone_recordings.bags.joined.moved_stamps import moved
+from stone_recordings.bags.joined.joined_store import member_findings, moved
 
 STAMPED = b"\0\1\0\0" + (1).to_bytes(4, "little") + bytes(4)
 TRANSFORM = (

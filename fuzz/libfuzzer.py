@@ -5,7 +5,7 @@ import sys
 import atheris
 
 import stone.scoring.bitplanes  # noqa: F401 # likewise
-import stone_recordings.messages.point_kernel  # noqa: F401 # numba compiles bytecode and refuses the instrumented one
+import stone_recordings.messages.lidar  # noqa: F401 # numba compiles bytecode and refuses the instrumented one
 
 # isort: split
 

@@ -8,8 +8,7 @@ from stone_recordings.messages.camera import picture_of
 from stone_recordings.messages.camera_info import decode_camera_info
 from stone_recordings.messages.gnss import NAVSATFIX, decode_gnss
 from stone_recordings.messages.imu import decode_attitude, decode_imu
-from stone_recordings.messages.novatel import decode_bestpos, decode_inspva
-from stone_recordings.messages.novatel_types import decode_novatel
+from stone_recordings.messages.novatel import decode_bestpos, decode_inspva, decode_novatel
 from stone_recordings.messages.odometry import POSE_STAMPED, POSE_WITH_COVARIANCE, decode_odometry
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
 from stone_recordings.messages.radars.radar import decode_radar

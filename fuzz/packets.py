@@ -11,7 +11,7 @@ from tempfile import TemporaryDirectory
 from stone_recordings.messages.lidars.packet_scan import HESAI_FRAME, NEBULA_PACKETS, PANDAR_SCAN, VELODYNE_SCAN
 from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.sweep_clouds import sweep_cloud, sweep_problem
-from stone_recordings.poses.pose_file import read_pose_file
+from stone_recordings.poses.file_poses import read_pose_file
 
 TYPES = (VELODYNE_SCAN, PANDAR_SCAN, NEBULA_PACKETS, HESAI_FRAME)
 HEAD = b"\0\1\0\0" + struct.pack("<iII4s", 1_700_000_000, 0, 4, b"bag\0")

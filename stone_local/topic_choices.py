@@ -34,8 +34,7 @@ SaveTopicsOption = Annotated[
 
 def chosen_topics(saved: Path | None, choices: list[str]) -> "TopicProfile":
     """The saved profile with the single choices in place. Raises what reading it raises, and `BadParameter`."""
-    from stone_recordings.topics.profile_file import read_profile
-    from stone_recordings.topics.profiles import TopicProfile
+    from stone_recordings.topics.profiles import TopicProfile, read_profile
 
     profile = read_profile(saved) if saved is not None else TopicProfile()
     made = dict(_choice(text) for text in choices)

@@ -9,7 +9,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from stone.sensors.calibration import Calibration, Mount
-from stone_recordings.report.rig.places import PlacedSensor, fields_of_view_deg, placed_sensors
+from stone_recordings.report.rig.record import PlacedSensor, fields_of_view_deg, placed_sensors
 
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
 """A point or direction of the ego frame as it is drawn: right and down."""

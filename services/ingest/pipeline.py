@@ -21,11 +21,10 @@ from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.clocks.lidar_clock import lidar_clock
 from stone_recordings.clocks.triggers import trigger_findings
-from stone_recordings.poses.ego_track import PoseInputs, ego_track, recorded_rig
+from stone_recordings.poses.ego_track import PoseInputs, ego_track, motion_findings, recorded_rig
 from stone_recordings.poses.extrinsics import cross_check
 from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
-from stone_recordings.poses.motion_check import motion_findings
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate

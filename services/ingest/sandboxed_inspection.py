@@ -36,8 +36,7 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import CutBagError, IngestError
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.calibrations.file import read_calibration
-from stone_recordings.report.inspection import Inspection, inspect_in, scanned
-from stone_recordings.report.inspection_record import inspection_record
+from stone_recordings.report.inspection import Inspection, inspect_in, inspection_record, scanned
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.page import quality_page
 from stone_recordings.report.quality.report import quality_of

@@ -29,7 +29,7 @@ from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.report.overlay import overlays_of
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording
-from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
+from stone_recordings.sync.sweeps import read_sweeps, sweeps_bytes
 from stone_recordings.sync.validity import validity_findings
 
 SYNCHRONISED = "synchronise"

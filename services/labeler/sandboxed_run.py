@@ -24,7 +24,7 @@ from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence, Sweep, SweepSource
 from stone_recordings.sync.sequence_file import read_sequence
-from stone_recordings.sync.sweep_file import read_sweeps
+from stone_recordings.sync.sweeps import read_sweeps
 
 
 @dataclass

@@ -2,7 +2,7 @@
 
 **Conventions.** A place is metres from the sensor. What is not finite is out of reach: NaN fails every comparison, and
 the square of what is too far for its type is infinite. Points are asked when they are read
-(`stone_recordings.messages.point_kernel`), again when they are put into the ego frame (`stone.sensors.selection`); the
+(`stone_recordings.messages.lidar`), again when they are put into the ego frame (`stone.sensors.selection`); the
 motion that moves them between (`stone.sensors.deskew`) is asked for its translation. So no later kernel is given a
 place that is not finite, whatever a recording holds.
 """

@@ -60,7 +60,7 @@ def inspect(
     Exit code 1 where something in it cannot be used, named by an error line.
     """
     from stone_recordings.bags.bag import open_bag
-    from stone_recordings.topics.profile_file import write_profile
+    from stone_recordings.topics.profiles import write_profile
     from stone_recordings.topics.sources import AskedTopics
 
     profile = chosen_topics(topics, topic)

@@ -20,14 +20,10 @@ from stone.sensors.sequence import RecordingClock
 from stone_files.joined_file import JoinedMember, is_joined, member_path, read_joined
 from stone_recordings.bags.containers import opened_store
 from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
-from stone_recordings.bags.joined.coverage import coverage_findings
-from stone_recordings.bags.joined.findings import member_findings
-from stone_recordings.bags.joined.joined_store import joined_store
-from stone_recordings.bags.joined.moved_bag import MovedBag
+from stone_recordings.bags.joined.joined_store import MovedBag, coverage_findings, joined_store, member_findings
 from stone_recordings.bags.members import members_of
-from stone_recordings.bags.message_store import Messages, MessageStore
+from stone_recordings.bags.message_store import Messages, MessageStore, Topic
 from stone_recordings.bags.split_store import SplitStore
-from stone_recordings.bags.topic import Topic
 from stone_recordings.bags.unpacked_messages import is_packed, unpacked, unpacked_head
 from stone_recordings.messages.types.definitions_beside import described
 

@@ -11,8 +11,7 @@ from stone_recordings.bags.db3.store import SqliteStore
 from stone_recordings.bags.magic import container_of
 from stone_recordings.bags.mcap.store import McapStore
 from stone_recordings.bags.message_store import MessageStore
-from stone_recordings.bags.packed_file import unpacked_file
-from stone_recordings.bags.private_folder import PrivateFolder
+from stone_recordings.bags.private_folder import PrivateFolder, unpacked_file
 from stone_recordings.bags.ros1.store import Ros1Store
 
 STORES: dict[str, Callable[[Path], MessageStore]] = {"mcap": McapStore, "sqlite": SqliteStore, "ros1": Ros1Store}

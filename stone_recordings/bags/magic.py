@@ -7,10 +7,10 @@ commonest broken upload. An MCAP file ends as it begins, so that one whose begin
 from pathlib import Path
 from typing import Literal
 
-from stone_recordings.bags import packed_file
+from stone_recordings.bags import private_folder
 from stone_recordings.bags.errors import CutBagError, NotABagError
+from stone_recordings.bags.mcap.catalogue import sealed_bytes
 from stone_recordings.bags.mcap.records import MAGIC
-from stone_recordings.bags.mcap.sealed_end import sealed_bytes
 from stone_recordings.bags.ros1.records import MAGIC as ROS1_MAGIC
 
 Container = Literal["mcap", "sqlite", "ros1", "zstd"]
@@ -44,7 +44,7 @@ def container_of(path: Path) -> Container:
     container = _container(first)
     if container is not None:
         return container
-    if first.startswith(ZSTD_MAGIC) and _container(packed_file.first_bytes(path, SNIFFED_BYTES)):
+    if first.startswith(ZSTD_MAGIC) and _container(private_folder.first_bytes(path, SNIFFED_BYTES)):
         return "zstd"
     if not first and has_wal(path):
         return "sqlite"  # a recorder in WAL mode that died before it ever wrote the database itself

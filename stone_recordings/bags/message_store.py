@@ -5,6 +5,7 @@
 """
 
 from collections.abc import Collection, Iterator, Mapping, Sequence
+from dataclasses import dataclass
 from types import MappingProxyType
 from typing import Protocol
 
@@ -12,7 +13,21 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_recordings.bags.topic import Topic
+
+# A topic of a recording: its name, its type and how its payloads are written.
+#
+# **Conventions.** `type` is written `package/msg/Name`; `schema` is the ros2msg text embedded in the recording, ""
+# where none is; `encoding` is how payloads are written.
+
+
+@dataclass(frozen=True)
+class Topic:
+    name: str
+    type: str
+    count: int
+    schema: str
+    encoding: str = "cdr"
+
 
 # A scan of headers reads no further into a message than this, so that clouds stay on the disk.
 HEAD_BYTES = 8192

@@ -12,8 +12,7 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone_recordings.bags.errors import MalformedBagError
-from stone_recordings.bags.message_store import NO_MESSAGES, Messages, MessageStore
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import NO_MESSAGES, Messages, MessageStore, Topic
 
 AWAKE = 2
 

@@ -16,11 +16,9 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
 from stone.sensors.calibration_checks import Findings, check_intrinsics, check_translation, warning
 from stone.sensors.calibration_errors import DisconnectedSensorError
-from stone_recordings.calibrations.document import RigDocument, RigSensor
-from stone_recordings.calibrations.draft import RigDraft
+from stone_recordings.calibrations.draft import EGO_FRAMES, RigDraft, channel_of, is_optical, words_of
 from stone_recordings.calibrations.errors import AmbiguousRigError, CalibrationKeyError, HalfRigError
-from stone_recordings.calibrations.native import boxes_of, footprint_of
-from stone_recordings.calibrations.plain_names import EGO_FRAMES, channel_of, is_optical, words_of
+from stone_recordings.calibrations.native import RigDocument, RigSensor, boxes_of, footprint_of
 
 ADD_RIG = "send it in a zip with a rig.yaml (`stone_rig: 1`)"
 # x forward, y left, z up ← z forward, x right, y down (REP 103).

@@ -21,9 +21,8 @@ from stone.sensors.camera_views import name_findings
 from stone_files.calibration_bundle import Bundle, read_bundle
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.assembly import assembled
-from stone_recordings.calibrations.document import RigDocument
 from stone_recordings.calibrations.draft import draft_of
-from stone_recordings.calibrations.native import native
+from stone_recordings.calibrations.native import RigDocument, native
 from stone_recordings.calibrations.part import CalibrationPart, Format
 from stone_recordings.calibrations.recognition import RecognisedBundle, recognised
 from stone_recordings.calibrations.recording_rig import is_recording, recorded_part

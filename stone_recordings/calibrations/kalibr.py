@@ -12,8 +12,7 @@ import numpy as np
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, checked_transform
 from stone_recordings.calibrations.errors import LensModelError
-from stone_recordings.calibrations.lenses import LensText, distortion_of, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, distortion_of, intrinsics
 
 CAMERA = re.compile(r"cam(\d{1,3})")
 IMU = re.compile(r"imu\d{1,3}")

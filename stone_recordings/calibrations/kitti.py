@@ -21,10 +21,9 @@ from numpy.typing import NDArray
 
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, rotation_and_translation
+from stone_recordings.calibrations.draft import words_of
 from stone_recordings.calibrations.errors import HalfRigError
-from stone_recordings.calibrations.lenses import LensText, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
-from stone_recordings.calibrations.plain_names import words_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 REFERENCE, RECTIFIED, LIDAR, IMU, RADAR = "reference", "rectified", "velodyne", "imu", "radar"
 MAIN_CAMERA = "cam2"

@@ -10,10 +10,9 @@ import numpy as np
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, quaternion_and_translation, rotation_and_translation, warning
+from stone_recordings.calibrations.draft import kind_of
 from stone_recordings.calibrations.errors import ConflictingFilesError, HalfRigError
-from stone_recordings.calibrations.lenses import LensText, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
-from stone_recordings.calibrations.plain_names import kind_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 EGO = "ego"
 MODALITIES: dict[str, SensorKind] = {"camera": "camera", "lidar": "lidar", "radar": "radar"}

@@ -7,9 +7,8 @@ contradict themselves (`cols: 4` over five coefficients), so rows and columns ar
 
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, checked_transform, warning
-from stone_recordings.calibrations.lenses import LensText, distortion_of, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
-from stone_recordings.calibrations.plain_names import kind_of
+from stone_recordings.calibrations.draft import kind_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, distortion_of, intrinsics
 
 
 def is_opencalib(content: dict[str, object]) -> bool:

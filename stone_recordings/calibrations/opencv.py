@@ -25,10 +25,9 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, checked_transform, rotation_and_translation, warning
 from stone.sensors.camera_views import UPRIGHT_LEAST
+from stone_recordings.calibrations.draft import kind_of
 from stone_recordings.calibrations.errors import LensModelError
-from stone_recordings.calibrations.lenses import LensText, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
-from stone_recordings.calibrations.plain_names import kind_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 from stone_recordings.calibrations.plain_yaml import OpenCvMatrix
 
 LIDAR, BODY, LEFT, RIGHT = "lidar", "body", "camera_left", "camera_right"

@@ -10,9 +10,8 @@ from pathlib import PurePath
 
 from stone_files.calibration_bundle import Bundle
 from stone_recordings.calibrations import autoware, kalibr, kitti, nuscenes, opencalib, opencv, rellis, rig, ros
-from stone_recordings.calibrations.document import RigDocument
 from stone_recordings.calibrations.errors import CalibrationFormatError, ConflictingFilesError
-from stone_recordings.calibrations.native import is_native
+from stone_recordings.calibrations.native import RigDocument, is_native
 from stone_recordings.calibrations.part import CalibrationPart, Node
 from stone_recordings.calibrations.plain_yaml import parse_documents
 

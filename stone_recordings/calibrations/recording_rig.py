@@ -11,8 +11,7 @@ from stone.sensors.calibration_checks import Findings, check_translation
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.magic import is_container
 from stone_recordings.calibrations.errors import HalfRigError
-from stone_recordings.calibrations.lenses import LensText, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, intrinsics
 from stone_recordings.messages import camera_info, tf
 from stone_recordings.poses.extrinsics import plain
 

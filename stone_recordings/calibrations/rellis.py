@@ -15,10 +15,9 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import SensorKind
 from stone.sensors.calibration_checks import Findings, check_translation, checked_norm
+from stone_recordings.calibrations.draft import kind_of
 from stone_recordings.calibrations.errors import CalibrationKeyError
-from stone_recordings.calibrations.lenses import LensText, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
-from stone_recordings.calibrations.plain_names import kind_of
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 PARENT_CHILD = re.compile(r"(\w+)-(\w+)")
 CLOUDS = re.compile(r"(vel|os1)2(vel|os1)")

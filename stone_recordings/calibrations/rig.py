@@ -18,8 +18,7 @@ from pydantic import ValidationError
 
 from stone.sensors.calibration import SensorKind
 from stone.sensors.calibration_checks import Findings
-from stone_recordings.calibrations.document import RigDocument
-from stone_recordings.calibrations.native import key_error, transform_of
+from stone_recordings.calibrations.native import RigDocument, key_error, transform_of
 from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
 
 

@@ -9,8 +9,7 @@ import numpy as np
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration_checks import Findings, check_translation, checked_norm, checked_transform
-from stone_recordings.calibrations.lenses import LensText, distortion_of, intrinsics
-from stone_recordings.calibrations.part import CalibrationPart, Edge, Node
+from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, distortion_of, intrinsics
 
 MATRIX_PREFIX, BETWEEN = "T_", "__"
 

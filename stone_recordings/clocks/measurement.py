@@ -7,7 +7,7 @@ is called a sensor's.
 """
 
 from collections.abc import Mapping, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from functools import partial
 
 import numpy as np
@@ -16,22 +16,270 @@ from numpy.typing import NDArray
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone.sensors.clocks import ClockLine, clock_line, interval_jitter_ns
+from stone.sensors.gyro_lag import gyro_lag
 from stone_recordings.bags.bag import Bag
-from stone_recordings.bags.topic import Topic
-from stone_recordings.clocks.constants import constant_of
+from stone_recordings.bags.message_store import Topic
+from stone_recordings.clocks.constants import TOLERANCE_NS, constant_of
 from stone_recordings.clocks.host_stamps import HOST_JITTER_NS, StampLateness, lateness
-from stone_recordings.clocks.imu_lag import IMU_BYTES, POSE_BYTES, imu_lag
-from stone_recordings.clocks.recorder_jumps import StampedTimes, without_jumps
-from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, StampSource, TopicClock
-from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, OwnTimes, has_own_time, own_times
+from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, ImuLag, StampSource, TopicClock
 from stone_recordings.clocks.timing import measure
-from stone_recordings.messages.batch import refused_finding
+from stone_recordings.messages.batch import StampedMessage, refused_finding
+from stone_recordings.messages.imu import decode_imu
+from stone_recordings.messages.novatel import decode_inspva, unix_ns
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
 from stone_recordings.messages.odometry import decode_odometry, other_frames_finding
 from stone_recordings.messages.problems import read_readable
+from stone_recordings.messages.types.cdr import Cursor
+from stone_recordings.poses.ins_poses import enu_from_body_wxyz
 from stone_recordings.report.checks import Inspected
 from stone_recordings.report.scan import Scan
-from stone_recordings.topics.roles import ROLE_OF_TYPE
+from stone_recordings.sync.errors import listed
+from stone_recordings.topics.roles import ROLE_OF_TYPE, Role
+
+# The lag of the IMU against the pose source, from the messages that the scan kept of both.
+#
+# **Conventions.** Orientations are the INS's where there is one, at GPS time, else those of odometry at its stamps;
+# the gyro's times are its header stamps. The IMU with the most messages is taken. Source: design §3.
+
+
+IMU_BYTES = 512  # an Imu takes 324 bytes and its frame_id
+POSE_BYTES = 1536  # an Odometry takes 720 bytes and two names
+LAST_ANGLE_DEG = 720.0
+# Below this the two hardly tell of the same turns, and the lag is noise.
+LEAST_CORRELATION = 0.8
+LAST_SIGMA_NS = 5_000_000
+
+Oriented = tuple[NDArray[np.int64], NDArray[np.float64]]
+
+
+def imu_lag(scan: Scan, topics: Sequence[tuple[Topic, Role]]) -> ImuLag | None:
+    """None without an IMU or a pose source, and where the robot turned too little to tell.
+
+    Raises: MessageLayoutError, ByteOrderError, MixedFramesError, PoseValueError.
+    """
+    imu = _fullest(scan, topics, "imu")
+    source = _fullest(scan, topics, "ins") or _fullest(scan, topics, "odometry")
+    if imu is None or source is None:
+        return None
+    samples = decode_imu(scan.kept[imu.name])
+    lag = gyro_lag((samples.stamps_ns, samples.angular_velocity_rad_s), _oriented(source, scan.kept[source.name]))
+    if lag is None or lag.correlation < LEAST_CORRELATION or lag.sigma_ns > LAST_SIGMA_NS:
+        return None
+    return ImuLag(imu.name, source.name, lag.lag_ns, lag.sigma_ns, lag.correlation)
+
+
+def _fullest(scan: Scan, topics: Sequence[tuple[Topic, Role]], wanted: Role) -> Topic | None:
+    """Of the topics of this role that could be read, the one with the most messages."""
+    fitting = [topic for topic, role in topics if role == wanted and scan.kept.get(topic.name)]
+    return max(fitting, key=lambda topic: topic.count, default=None)
+
+
+def _oriented(source: Topic, messages: Sequence[StampedMessage]) -> Oriented:
+    """Stamps and `wxyz` of the source's body; an INS without GPS time is left out."""
+    if not source.type.startswith("novatel_oem7_msgs/"):
+        odometry = decode_odometry(messages)
+        return odometry.stamps_ns, odometry.parent_from_child.wxyz
+    ins = decode_inspva(messages)
+    angles_deg = np.stack([ins.roll_deg, ins.pitch_deg, ins.azimuth_deg])
+    is_told = (ins.gps_stamps_ns > 0) & (np.abs(angles_deg) <= LAST_ANGLE_DEG).all(axis=0)
+    return ins.gps_stamps_ns[is_told], enu_from_body_wxyz(*angles_deg[:, is_told])
+
+
+# The time that a sensor writes into its messages beside the header stamp, which its driver may have made up.
+#
+# **Conventions.** Every NovAtel log begins with header and `Oem7Header`: GPS week and milliseconds, the week 0 while
+# the receiver knows none. An ARS 548 list has seconds and nanoseconds, and the status 1 where they are PTP's. Both
+# stand at the beginning, so `OWN_TIME_BYTES` of a message suffice. Sources: novatel_oem7_msgs, in which humble and
+# master agree up to the milliseconds; ars548_messages, ARS 548 RDI interface.
+
+
+OWN_TIME_BYTES = 512
+SYNC_OK = 1
+_NOVATEL, _ARS548 = "novatel_oem7_msgs/msg/", "ars548_messages/msg/DetectionList"
+_Parsed = tuple[int, int, int]
+
+
+@dataclass(frozen=True, eq=False)
+class OwnTimes:
+    """Of the N messages that tell one: header stamps and the sensor's own times (UTC), both (N,); `total` messages."""
+
+    header_ns: NDArray[np.int64]
+    own_ns: NDArray[np.int64]
+    total: int
+
+    @property
+    def late_ns(self) -> NDArray[np.int64]:
+        """How much later the header stamps are than the sensor's own times."""
+        return self.header_ns - self.own_ns
+
+
+def has_own_time(topic: Topic) -> bool:
+    """Whether messages of the topic's type carry a time of the sensor's."""
+    lines = [line.split("#")[0].split() for line in topic.schema.splitlines()]
+    fields = [words[0].rpartition("/")[2] for words in lines if words]
+    return topic.type == _ARS548 or (topic.type.startswith(_NOVATEL) and fields[1:2] in ([], ["Oem7Header"]))
+
+
+def own_times(topic: Topic, messages: Sequence[StampedMessage]) -> OwnTimes:
+    """The first bytes of messages are enough. Raises: MessageLayoutError, ByteOrderError."""
+    parse = _ars548 if topic.type == _ARS548 else _novatel
+    rows = [parse(Cursor(message.payload, topic.type)) for message in messages]
+    told = np.array([row for row in rows if row is not None], np.int64).reshape(-1, 3)
+    own_ns = _own_ns(topic, told[:, 1], told[:, 2])
+    return OwnTimes(told[:, 0], own_ns, len(messages))
+
+
+def _own_ns(topic: Topic, whole: NDArray[np.int64], rest: NDArray[np.int64]) -> NDArray[np.int64]:
+    return whole * 1_000_000_000 + rest if topic.type == _ARS548 else unix_ns(whole, rest)
+
+
+def _novatel(cursor: Cursor) -> _Parsed | None:
+    """Header stamp, GPS week, milliseconds of the week."""
+    stamp_ns = cursor.stamp_ns()
+    cursor.text()
+    cursor.text()
+    cursor.take(2, 2), cursor.u8(), cursor.u32(), cursor.u8()
+    start = cursor.take(2, 2)
+    week = int.from_bytes(cursor.payload[start : start + 2], "little")
+    milliseconds = cursor.u32()
+    return (stamp_ns, week, milliseconds) if week else None
+
+
+def _ars548(cursor: Cursor) -> _Parsed | None:
+    """Header stamp, the radar's seconds, its nanoseconds."""
+    stamp_ns = cursor.stamp_ns()
+    cursor.text()
+    cursor.take(8, 8), cursor.take(12, 4)
+    nanoseconds, seconds, status = cursor.u32(), cursor.u32(), cursor.u8()
+    return (stamp_ns, seconds, nanoseconds) if status == SYNC_OK else None
+
+
+# Jumps of the recorder's own clock within a recording, as when its host is set by NTP while it records.
+#
+# **Conventions.** The distance of a message is record time − stamp. A jump of the recorder moves the distances of all
+# topics by the same amount at the same time while their stamps go on; one of a sensor moves its own, and it is its
+# stamps that jump. Ahead, it leaves a time at which nothing was recorded; back, one that was recorded twice. What is
+# stamped by the clock of the recorder's host jumps with it, at one distance throughout. Only the comparison of clocks
+# needs a jump taken out; stamps that jumped are named. TIM-212.
+
+# Less is transport, or a host that is busy.
+LEAST_JUMP_NS = 500_000_000
+LEAST_MESSAGES = 4
+# By so much of the time before and after it a step is told: what a busy host delivers late is on time again soon.
+LASTING_NS = 2_000_000_000
+MOST_JUMPS = 8
+# Messages that were published together are recorded within this.
+SPREAD_NS = 1_000_000_000
+
+Times = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class StampedTimes:
+    """Of the N messages of a topic in log order: header stamps and record times, both (N,).
+
+    `is_used` says whether anybody reads the stamps.
+    """
+
+    stamps_ns: Times
+    log_times_ns: Times
+    is_used: bool = True
+
+
+@dataclass(frozen=True, eq=False)
+class _Step:
+    """A step of the distance by `size_ns` between record times `before_ns` and `after_ns`; `is_after` (N,)."""
+
+    size_ns: int
+    before_ns: int
+    after_ns: int
+    is_after: NDArray[np.bool_]
+
+
+def without_jumps(topics: Mapping[str, StampedTimes]) -> tuple[dict[str, StampedTimes], tuple[Finding, ...]]:
+    """The record times as if the recorder's clock had not jumped, in log order again, and a finding for each jump."""
+    times, findings = dict(topics), list[Finding]()
+    for _ in range(MOST_JUMPS):
+        steps = {name: step for name, one in times.items() if (step := _step_of(one)) is not None}
+        if not steps or not _are_one(steps, times):
+            break
+        size_ns = round(float(np.median([step.size_ns for step in steps.values()])))
+        findings.append(_finding(steps, size_ns, _following(steps, size_ns, times)))
+        times |= {name: _corrected(times[name], step, size_ns) for name, step in steps.items()}
+    return times, tuple(findings)
+
+
+def _finding(steps: Mapping[str, _Step], size_ns: int, following: Sequence[str]) -> Finding:
+    at_ns = min(step.before_ns for step in steps.values())
+    against = listed(sorted(steps))
+    message = f"The recorder's clock jumped by {size_ns / 1e9:+.3f} s at {at_ns} ns, against the stamps of {against}. "
+    if following:
+        message += (
+            f"Those of {listed(following)} jump with it: they are stamped by that clock "
+            "and no longer agree with the others. "
+            "Use sensor stamps, or keep the host's clock steady. "
+        )
+    return Finding("TIM-212", "warning", "", f"{message}Clocks are compared without the jump.")
+
+
+def _following(steps: Mapping[str, _Step], size_ns: int, times: Mapping[str, StampedTimes]) -> list[str]:
+    """The topics that were recorded before and after the jump at one distance: their stamps jumped as well."""
+    before_ns = max(step.before_ns for step in steps.values())
+    after_ns = min(step.after_ns for step in steps.values())
+    around = ((before_ns - LASTING_NS, before_ns), (after_ns, after_ns + LASTING_NS))
+    others = {name: one for name, one in times.items() if one.is_used and name not in steps}
+    return sorted(name for name, one in others.items() if _is_level(one, around, abs(size_ns) / 2))
+
+
+def _is_level(times: StampedTimes, around: Sequence[tuple[int, int]], limit_ns: float) -> bool:
+    """Whether the distance is one in both spans of record times."""
+    logs_ns = times.log_times_ns
+    spans = [(logs_ns - times.stamps_ns)[(logs_ns >= start) & (logs_ns <= stop)] for start, stop in around]
+    return all(len(span) for span in spans) and max(map(np.max, spans)) - min(map(np.min, spans)) < limit_ns
+
+
+def _step_of(times: StampedTimes) -> _Step | None:
+    """The largest lasting step of the distance, in the order of the stamps."""
+    if len(times.stamps_ns) < LEAST_MESSAGES:
+        return None
+    order = np.argsort(times.stamps_ns, kind="stable")
+    logs_ns, stamps_ns = times.log_times_ns[order], times.stamps_ns[order]
+    distance_ns = logs_ns - stamps_ns
+    row = int(np.argmax(np.abs(np.diff(distance_ns)))) + 1
+    first, last = np.searchsorted(stamps_ns, (stamps_ns[row - 1] - LASTING_NS, stamps_ns[row] + LASTING_NS + 1))
+    before, after = distance_ns[first:row], distance_ns[row:last]
+    size_ns = round(float(np.median(after - distance_ns[0]) - np.median(before - distance_ns[0])))
+    jump_ns = int(distance_ns[row] - distance_ns[row - 1])
+    if abs(size_ns) < LEAST_JUMP_NS or abs(jump_ns - size_ns) > TOLERANCE_NS:
+        return None
+    beat_ns = float(np.median(np.diff(stamps_ns)))
+    if abs(stamps_ns[row] - stamps_ns[row - 1] - beat_ns) > abs(logs_ns[row] - logs_ns[row - 1] - beat_ns):
+        return None  # it is the stamps that jump
+    is_after = np.zeros(len(order), np.bool_)
+    is_after[order[row:]] = True
+    return _Step(size_ns, int(logs_ns[row - 1]), int(logs_ns[row]), is_after)
+
+
+def _are_one(steps: Mapping[str, _Step], times: Mapping[str, StampedTimes]) -> bool:
+    """Whether the steps are one jump of the recorder: of one size at one time; ahead, nothing is recorded within."""
+    sizes = [step.size_ns for step in steps.values()]
+    size_ns = round(float(np.median(sizes)))
+    first_ns = max(step.before_ns for step in steps.values())
+    last_ns = min(step.after_ns - size_ns for step in steps.values())
+    if max(sizes) - min(sizes) > TOLERANCE_NS or first_ns > last_ns + SPREAD_NS:
+        return False
+    if size_ns < 0:
+        return True
+    gap = (first_ns + SPREAD_NS // 4, last_ns + size_ns - SPREAD_NS // 4)
+    logged = [one.log_times_ns for one in times.values()]
+    return not any(bool(((logs_ns > gap[0]) & (logs_ns < gap[1])).any()) for logs_ns in logged)
+
+
+def _corrected(times: StampedTimes, step: _Step, size_ns: int) -> StampedTimes:
+    logs_ns = times.log_times_ns - np.where(step.is_after, size_ns, 0)
+    order = np.argsort(logs_ns, kind="stable")
+    return replace(times, stamps_ns=times.stamps_ns[order], log_times_ns=logs_ns[order])
+
 
 # From publishing to recording; exposure, transfer and a sweep take longer.
 LAST_PUBLISH_DELAY_NS = 5_000_000

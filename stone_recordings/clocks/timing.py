@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.errors import DefinitionMissingError, MessageLayoutError
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import Topic
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, check_encapsulation
 from stone_recordings.messages.types.registry import message_definition
 

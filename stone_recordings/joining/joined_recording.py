@@ -1,11 +1,12 @@
 """A joined recording as a value, and written as the folder that `stone_recordings.bags.bag.open_bag` opens."""
 
 import os
-from collections.abc import Mapping
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 
 from stone_files.joined_file import JOINED, JoinedMember, joined_bytes
+from stone_recordings.bags.errors import IngestError
 
 
 @dataclass(frozen=True)
@@ -30,3 +31,58 @@ def write_joined(joined: JoinedRecording, folder: Path, sha256s: Mapping[str, st
         os.symlink(path.resolve(), folder / path.name)
     members = [replace(member, sha256=(sha256s or {}).get(member.name, "")) for member in joined.members]
     (folder / JOINED).write_bytes(joined_bytes(members))
+
+
+# Why recordings are not joined.
+#
+# **Conventions.** Each sentence says what was found, and the option that settles it.
+
+
+OPTION = "--clock-offset {name}=SECONDS, what is added to its stamps"
+
+
+class UnmeasuredOffsetError(IngestError):
+    """The clock offset of a recording cannot be determined."""
+
+    code = "SYN-523"
+
+    def __init__(self, names: Sequence[str], reasons: Sequence[str]) -> None:
+        why = "; ".join(dict.fromkeys(reasons)) or "it holds no camera, radar or IMU"
+        super().__init__(
+            f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
+            f"give it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)"
+        )
+
+
+class ContradictoryOffsetsError(IngestError):
+    """The sensors of a recording disagree about its clock offset."""
+
+    code = "SYN-524"
+
+    def __init__(self, name: str, told: Sequence[str]) -> None:
+        super().__init__(
+            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the "
+            f"calibration wrong, or one of them stamped by another clock? Give it: {OPTION.format(name=name)}"
+        )
+
+
+class NoCommonTimeError(IngestError):
+    """A recording does not overlap the others in time."""
+
+    code = "SYN-525"
+
+    def __init__(self, name: str, apart_s: float, reference: str) -> None:
+        when = "after the end" if apart_s > 0 else "before the beginning"
+        super().__init__(
+            f"{name} lies {abs(apart_s):.3f} s {when} of {reference}, on its clock: is it of another run, or is its "
+            f"offset wrong? {OPTION.format(name=name)}"
+        )
+
+
+class NotJoinedError(IngestError):
+    """The named files cannot be the recordings of one run."""
+
+    code = "SYN-526"
+
+    def __init__(self, problem: str) -> None:
+        super().__init__(f"{problem}; name each recording of the run once, one of them with the LiDAR")

@@ -8,14 +8,13 @@ compressed image is, its first bytes say: the `format` text is free text and not
 from collections.abc import Callable
 from dataclasses import dataclass
 from io import BytesIO
+from typing import Literal, NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from stone_recordings.messages.bayer import binned, debayered
 from stone_recordings.messages.errors import PictureError
-from stone_recordings.messages.picture_head import JPEG_MAGIC, PNG_MAGIC, PictureHeader, check_size, head_of
 from stone_recordings.messages.types.cdr import Cursor
 
 IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
@@ -165,3 +164,117 @@ def _eight_bits(image: Image.Image) -> Image.Image:
     if not image.mode.startswith("I"):
         return image
     return Image.fromarray((np.asarray(image).astype(np.uint32) >> 8).clip(0, 255).astype(np.uint8))
+
+
+# Demosaicing: colours of a Bayer image, whose sensor sees one of them per pixel.
+#
+# **Conventions.** A pattern names the colours of the upper left 2 × 2 pixels, row by row, as ROS does ("rggb").
+# Bilinear: a missing colour is the mean of its nearest known neighbours, weighted 1 : 2 : 1 in both directions; at the
+# border those that exist. Source: sensor_msgs image_encodings; Malvar, He, Cutler, ICASSP 2004, section 2 (bilinear).
+
+
+CHANNELS = "rgb"
+
+
+def debayered(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
+    """(H, W, 3) red, green, blue from (H, W)."""
+    picture = np.empty((*mosaic.shape, 3), np.uint8)
+    for channel, colour in enumerate(CHANNELS):
+        known = np.zeros(mosaic.shape, np.uint16)
+        for place, name in enumerate(pattern):
+            known[place // 2 :: 2, place % 2 :: 2] = name == colour
+        weights = _spread(known)
+        sums = _spread(known * mosaic)
+        # A picture of one row or column may lack a colour altogether: it stays 0 there.
+        picture[..., channel] = (sums + weights // 2) // np.maximum(weights, 1)
+    return picture
+
+
+def binned(mosaic: NDArray[np.uint8], pattern: str) -> NDArray[np.uint8]:
+    """(H // 2, W // 2, 3): every 2 × 2 pixels become one, green the mean of its two; for previews."""
+    height, width = (size - size % 2 for size in mosaic.shape)
+    sums = np.zeros((height // 2, width // 2, 3), np.uint16)
+    for place, name in enumerate(pattern):
+        sums[..., CHANNELS.index(name)] += mosaic[place // 2 : height : 2, place % 2 : width : 2]
+    return (sums // np.array([1, 2, 1], np.uint16)).astype(np.uint8)
+
+
+def _spread(values: NDArray[np.uint16]) -> NDArray[np.uint16]:
+    """Sum over 3 × 3 neighbours with weights (1, 2, 1) in both directions, nothing beyond the border."""
+    for axis in (0, 1):
+        lined = np.moveaxis(values, axis, 0)
+        total = lined * np.uint16(2)
+        total[1:] += lined[:-1]
+        total[:-1] += lined[1:]
+        values = np.moveaxis(total, 0, axis)
+    return values
+
+
+# The header of a JPEG or PNG: kind and size, read before any decoding.
+#
+# **Conventions.** Sizes are (width, height) pixels. Source: ITU-T T.81 annex B (markers), PNG specification 1.2,
+# 4.1.1.
+
+# Twice the largest sensor that the camera's driver supports (24 MP): what is larger is no picture but an attack.
+MOST_PIXELS = 48_000_000
+# A progressive JPEG has about ten scans; each costs a walk over the whole picture, however few bytes it takes.
+MOST_SCANS = 100
+JPEG_MAGIC, PNG_MAGIC = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+# Start of frame, without the tables that share its range of markers (DHT, JPG, DAC).
+_FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
+_ALONE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
+_SCAN = 0xDA
+
+
+class PictureHeader(NamedTuple):
+    kind: Literal["JPEG", "PNG"]
+    width_px: int
+    height_px: int
+
+
+def head_of(data: bytes, type_name: str) -> PictureHeader:
+    """Kind and declared size. Raises: PictureError (neither JPEG nor PNG, cut off, no size, larger than the limit)."""
+    if data.startswith(JPEG_MAGIC):
+        head = _jpeg(data, type_name)
+    elif data.startswith(PNG_MAGIC):
+        head = _png(data, type_name)
+    else:
+        raise PictureError(type_name, f"first bytes {data[:8].hex(' ')} are neither JPEG nor PNG")
+    check_size(head.width_px, head.height_px, type_name)
+    return head
+
+
+def check_size(width_px: int, height_px: int, type_name: str) -> None:
+    if width_px < 1 or height_px < 1:
+        raise PictureError(type_name, f"it is {width_px} × {height_px} pixels")
+    if width_px * height_px > MOST_PIXELS:
+        raise PictureError(type_name, f"it declares {width_px} × {height_px} pixels, the limit is {MOST_PIXELS}")
+
+
+def _png(data: bytes, type_name: str) -> PictureHeader:
+    if data[12:16] != b"IHDR" or len(data) < 24:
+        raise PictureError(type_name, "the PNG does not begin with its header")
+    return PictureHeader("PNG", int.from_bytes(data[16:20], "big"), int.from_bytes(data[20:24], "big"))
+
+
+def _jpeg(data: bytes, type_name: str) -> PictureHeader:
+    """Walk the segments up to the frame header; only lengths are believed, and those are checked."""
+    scans = data.count(b"\xff\xda")
+    if scans > MOST_SCANS:
+        raise PictureError(type_name, f"the JPEG has {scans} scans, the limit is {MOST_SCANS}")
+    at = 2
+    while at + 4 <= len(data):
+        if data[at] != 0xFF:
+            raise PictureError(type_name, f"byte {at} of the JPEG is not a marker")
+        marker = data[at + 1]
+        if marker == 0xFF or marker in _ALONE_MARKERS:
+            at += 1 if marker == 0xFF else 2
+            continue
+        if marker in _FRAME_MARKERS and at + 9 <= len(data):
+            return PictureHeader(
+                "JPEG", int.from_bytes(data[at + 7 : at + 9], "big"), int.from_bytes(data[at + 5 : at + 7])
+            )
+        if marker == _SCAN:
+            break
+        at += 2 + max(2, int.from_bytes(data[at + 2 : at + 4], "big"))
+    raise PictureError(type_name, "the JPEG ends before it says its size")

@@ -11,9 +11,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.types.columns import MessageTable
 from stone_recordings.messages.types.registry import resolved
-from stone_recordings.messages.types.table import decode_table
+from stone_recordings.messages.types.table import MessageTable, decode_table
 
 TYPE = "sensor_msgs/msg/CameraInfo"
 

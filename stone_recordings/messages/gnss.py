@@ -13,9 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.types.columns import MessageTable
 from stone_recordings.messages.types.registry import resolved
-from stone_recordings.messages.types.table import STAMP, decode_table
+from stone_recordings.messages.types.table import STAMP, MessageTable, decode_table
 
 NAVSATFIX = "sensor_msgs/msg/NavSatFix"
 GPSFIX_TYPES = frozenset({"gps_msgs/msg/GPSFix", "gps_common/msg/GPSFix"})

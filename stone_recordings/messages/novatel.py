@@ -8,15 +8,101 @@ north, roll right-handed about forward, pitch nose up. The driver's rule for ENU
 
 from collections.abc import Iterable
 from dataclasses import dataclass
+from datetime import UTC, datetime
+from functools import cache
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.errors import MessageLayoutError
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.gps_time import unix_ns
-from stone_recordings.messages.novatel_types import PACKAGE, decode_novatel, fits
-from stone_recordings.messages.types.columns import MessageTable, as_doubles
+from stone_recordings.messages.types.definition import Field
+from stone_recordings.messages.types.registry import Registry, registry, resolved
+from stone_recordings.messages.types.sketch import Sketch, sketched
+from stone_recordings.messages.types.table import MessageTable, as_doubles, decode_table
+
+# The two versions of novatel_oem7_msgs, and which of them wrote a message.
+#
+# **Conventions.** Humble is the driver's branch for ROS 2; older is its ROS 1 line, whose recordings are met
+# converted: `Oem7Header` lacks receiver_status and idle_time, station ids are strings. A recording that embeds its
+# definitions needs no choice. Without, versions are told apart by length and, where lengths agree, by values: a wrong
+# layout lands far outside of what the receiver documents. Source: novatel_oem7_driver, branches humble and master.
+
+
+PACKAGE = "novatel_oem7_msgs/msg/"
+_ADDED_BY_HUMBLE = frozenset({"receiver_status", "idle_time"})
+# Largest values that the receiver documents (OEM7 commands and logs reference, tables of BESTPOS and INSPVA).
+LIMITS = {
+    "sol_status.status": 22, "pos_type.type": 80, "vel_type.type": 80, "status.status": 14, "ins_status.status": 14,
+    "latitude": 90, "longitude": 180, "lat": 90, "lon": 180, "heading": 360, "azimuth": 360, "trk_gnd": 360,
+    "lon_zone_number": 60, "clock_status": 4,
+}  # fmt: skip
+
+
+@cache
+def older() -> Registry:
+    """What is known, with the fields of the driver's ROS 1 line."""
+    known = registry()
+    types = {
+        name: tuple(_older_field(field) for field in fields if field.name not in _ADDED_BY_HUMBLE)
+        for name, fields in known.types.items()
+        if name.startswith(PACKAGE)
+    }
+    return known.with_types(types)
+
+
+def decode_novatel(
+    type_name: str, messages: Iterable[StampedMessage], schema: str = "", only: tuple[str, ...] | None = None
+) -> MessageTable:
+    """Every column of one topic of any novatel_oem7_msgs type, by the definition that its recording embeds if it does.
+
+    Raises: DefinitionMissingError, DefinitionRefusedError, MessageLayoutError, ByteOrderError.
+    """
+    listed = list(messages)
+    if schema:
+        return decode_table(type_name, listed, resolved(type_name, schema).registry, only)
+    return decode_table(type_name, listed, _version_of(type_name, listed), only)
+
+
+def fits(type_name: str, payload: memoryview) -> bool:
+    """Whether some version of the type ends where the message does."""
+    return any(_fitted(payload, known, type_name) for known in (registry(), older()))
+
+
+def _version_of(type_name: str, messages: list[StampedMessage]) -> Registry:
+    """The version that ends where the first message does and makes sense of it, else the one that ends there."""
+    if not messages:
+        return registry()
+    payload = messages[0].payload
+    fitting = [(known, sketch) for known in (registry(), older()) if (sketch := _fitted(payload, known, type_name))]
+    if not fitting:
+        raise MessageLayoutError(type_name, f"{len(payload)} bytes fit no version of the type that is known")
+    return next((known for known, sketch in fitting if _is_plausible(payload, sketch)), fitting[0][0])
+
+
+def _fitted(payload: memoryview, known: Registry, type_name: str) -> Sketch | None:
+    try:
+        return sketched(payload, known.plan(type_name), type_name)
+    except MessageLayoutError:
+        return None
+
+
+def _is_plausible(payload: memoryview, sketch: Sketch) -> bool:
+    checked = (piece for piece in sketch.pieces if piece.node.name in LIMITS)
+    return all(
+        abs(float(_value(payload, piece.offset, getattr(piece.node, "code", None)))) <= LIMITS[piece.node.name]
+        for piece in checked
+    )
+
+
+def _value(payload: memoryview, offset: int, code: Any) -> Any:
+    return np.frombuffer(payload, code, 1, offset)[0]
+
+
+def _older_field(field: Field) -> Field:
+    return Field(field.name, "string") if field.name.endswith("stn_id") else field
+
 
 INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE = 3, 6, 7
 NARROW_INT, INS_RTKFLOAT, INS_RTKFIXED = 50, 55, 56
@@ -126,3 +212,37 @@ def _ins_table(messages: list[StampedMessage], schema: str) -> MessageTable:
 
 def _deviations(table: MessageTable, names: tuple[str, str, str]) -> NDArray[np.float64]:
     return as_doubles(np.stack([table.numbers(f"{name}_stdev") for name in names], axis=1))
+
+
+# GPS week and milliseconds → Unix nanoseconds (UTC).
+#
+# **Conventions.** GPS time runs without leap seconds from 1980-01-06T00:00:00 UTC and was level with UTC then. The
+# offset of a stamp is the one that was valid at that GPS instant. Source: IS-GPS-200, IERS Bulletin C.
+
+
+NS_PER_S = 1_000_000_000
+GPS_EPOCH_UNIX_S = 315_964_800
+SECONDS_PER_WEEK = 604_800
+
+# First UTC day with so many leap seconds since 1980 (no further one is announced up to 2027).
+_LEAPS = (
+    (1981, 7, 1), (1982, 7, 1), (1983, 7, 1), (1985, 7, 1), (1988, 1, 1), (1990, 1, 1), (1991, 1, 1), (1992, 7, 1),
+    (1993, 7, 1), (1994, 7, 1), (1996, 1, 1), (1997, 7, 1), (1999, 1, 1), (2006, 1, 1), (2009, 1, 1), (2012, 7, 1),
+    (2015, 7, 1), (2017, 1, 1),
+)  # fmt: skip
+# The GPS second (in Unix seconds without leaps) at which each day begins: it already counts the new leap.
+_LEAP_GPS_S = np.array(
+    [int(datetime(*day, tzinfo=UTC).timestamp()) + number for number, day in enumerate(_LEAPS, start=1)], np.int64
+)
+
+
+def leap_seconds(gps_unix_s: NDArray[np.int64]) -> NDArray[np.int64]:
+    """GPS − UTC at instants given as GPS seconds since the Unix epoch without leap seconds."""
+    return np.searchsorted(_LEAP_GPS_S, gps_unix_s, side="right").astype(np.int64)
+
+
+def unix_ns(week: NDArray[np.integer], milliseconds: NDArray[np.integer]) -> NDArray[np.int64]:
+    """UTC Unix nanoseconds of GPS weeks (not modulo 1024) and milliseconds of the week."""
+    whole_ms = milliseconds.astype(np.int64)
+    gps_unix_s = GPS_EPOCH_UNIX_S + week.astype(np.int64) * SECONDS_PER_WEEK + whole_ms // 1000
+    return (gps_unix_s - leap_seconds(gps_unix_s)) * NS_PER_S + (whole_ms % 1000) * 1_000_000

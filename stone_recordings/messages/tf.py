@@ -14,8 +14,7 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3
 from stone_recordings.messages.batch import Poses, StampedMessage, poses_in
 from stone_recordings.messages.types.cdr import NS_PER_S
-from stone_recordings.messages.types.columns import MessageTable
-from stone_recordings.messages.types.table import decode_table
+from stone_recordings.messages.types.table import MessageTable, decode_table
 
 TYPE = "tf2_msgs/msg/TFMessage"
 

@@ -1,27 +1,209 @@
 """The ego trajectory by whatever source was chosen: `ins_poses`, `poses` (odometry, TF) or `kiss_odometry`."""
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import islice
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone.sensors.calibration import Calibration
+from stone.geometry.jumps import Jumps, jumps_of, split
+from stone.geometry.se3 import SE3, rotate, shortest_turn_to_z, steps_of
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.calibration import Calibration, Mount
+from stone.sensors.pose_quality import Rtk, SolutionQuality
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.clocks.lidar_clock import LidarClock
+from stone_recordings.messages.imu import ImuSamples, decode_imu
 from stone_recordings.messages.novatel import FixSamples, decode_bestpos
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import plain, static_tree
 from stone_recordings.poses.file_poses import PoseFile, track_from_file
 from stone_recordings.poses.gnss_poses import GnssTopics, first_frame_id, track_from_gnss
-from stone_recordings.poses.gravity_alignment import ImuTopic, imu_topic, levelled
 from stone_recordings.poses.ins_poses import track_from_ins
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_from_sweeps
 from stone_recordings.poses.sources import PoseTrack, RigMounts, track_from_odometry, track_from_tf
-from stone_recordings.poses.track_jumps import split_at_jumps
 from stone_recordings.sync.association import mount_of
 from stone_recordings.sync.clock_offsets import ClockOffsets
-from stone_recordings.sync.recorded_messages import RecordedTopics
+from stone_recordings.sync.errors import NoUsablePoseError, StillPosesError
+from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics
 from stone_recordings.topics.sources import Sources
+
+# Splits a track where its source jumped, with a finding: RTK lost or won moves positions by decimetres at once.
+#
+# **Conventions.** Nothing is interpolated across a split; what is left of the track on either side stays where its
+# source put it, so a map across a split does not fit together.
+
+
+SHOWN = 3
+MOST_STRAYS = 0.1
+
+
+def split_at_jumps(track: PoseTrack) -> PoseTrack:
+    """The track without poses that are alone off it, with a segment for each stretch without a jump."""
+    track = without_strays(track)
+    jumps = _jumps(track)
+    if not len(jumps.steps):
+        return track
+    finding = Finding("GNS-302", "warning", track.topic, _sentence(track, jumps))
+    return replace(track, trajectory=split(track.trajectory, jumps.steps), findings=(*track.findings, finding))
+
+
+def without_strays(track: PoseTrack) -> PoseTrack:
+    """Without single poses that the track jumps to and back from, where their neighbours fit; GNS-305 says so.
+
+    Where they are more than a tenth of all, nothing tells which poses are right, and all stay.
+    """
+    jumps = _jumps(track)
+    alone = jumps.steps[:-1][np.diff(jumps.steps) == 1] + 1
+    if not len(alone) or len(alone) > MOST_STRAYS * len(track.trajectory):
+        return track
+    is_kept = np.ones(len(track.trajectory), np.bool_)
+    is_kept[alone] = False
+    rest = _rows(track, is_kept)
+    still = np.flatnonzero(is_kept)[_jumps(rest).steps]
+    is_kept[[one for one in alone.tolist() if is_kept[:one].any() and np.flatnonzero(is_kept[:one])[-1] in still]] = (
+        True
+    )
+    if is_kept.all():
+        return track
+    excess_m = jumps.excess_m[np.isin(jumps.steps, np.flatnonzero(~is_kept) - 1)]
+    stamp_ns = int(track.trajectory.stamps_ns[np.flatnonzero(~is_kept)[int(np.argmax(excess_m))]])
+    sentence = (
+        f"{int((~is_kept).sum())} single poses lie off the track that their neighbours are on and are left out "
+        f"(worst {excess_m.max():.2f} m at {stamp_ns} ns)"
+    )
+    left = _rows(track, is_kept)
+    return replace(left, findings=(*left.findings, Finding("GNS-305", "warning", track.topic, sentence)))
+
+
+def _rows(track: PoseTrack, is_kept: NDArray[np.bool_]) -> PoseTrack:
+    trajectory, solution = track.trajectory, track.solution
+    return replace(
+        track,
+        trajectory=Trajectory(trajectory.stamps_ns[is_kept], trajectory.map_from_ego[is_kept]),
+        solution=solution and SolutionQuality(solution.rtk[is_kept], solution.stdev_m[is_kept]),
+    )
+
+
+def _jumps(track: PoseTrack) -> Jumps:
+    rtk = track.solution.rtk if track.solution is not None else None
+    return jumps_of(track.trajectory, None if rtk is None else rtk[1:] != rtk[:-1])
+
+
+def _sentence(track: PoseTrack, jumps: Jumps) -> str:
+    worst = np.sort(np.argsort(-jumps.excess_m, kind="stable")[:SHOWN])
+    shown = "; ".join(_one(track, int(jumps.steps[row]), float(jumps.excess_m[row])) for row in worst)
+    count = len(jumps.steps)
+    more = f" (and {count - SHOWN} smaller ones)" if count > SHOWN else ""
+    return f"position jumps by {shown}{more}; the track is split there and never interpolated across"
+
+
+def _one(track: PoseTrack, step: int, excess_m: float) -> str:
+    stamp_ns = int(track.trajectory.stamps_ns[step + 1])
+    return f"{excess_m:.2f} m at {stamp_ns} ns {_status(track.solution, step)}"
+
+
+def _status(solution: SolutionQuality | None, step: int) -> str:
+    if solution is None:
+        return "without a known status"
+    before, after = Rtk(int(solution.rtk[step])).word, Rtk(int(solution.rtk[step + 1])).word
+    return f"while the status changed from {before} to {after}" if before != after else f"while the status was {after}"
+
+
+# Turns a track of LiDAR odometry so that up is against gravity, where the recording has an IMU.
+#
+#     up ∝ mean(map_from_imu(t) · force(t)) − mean acceleration of the robot in the map
+#
+# **Conventions.** An accelerometer at rest measures 1 g upwards. The mean over the run takes out bumps; the track's
+# own speeds at its two ends tell the mean acceleration. The turn is the smallest that brings up to z, so the heading
+# stays. Messages are decoded in batches: memory does not grow with the recording. Source: REP 145.
+
+
+GRAVITY_M_S2, TRUSTED_M_S2 = 9.81, 0.5
+BATCH, LEAST_SAMPLES = 2000, 100
+# Over which the speed at an end of the track is taken.
+END_NS = 500_000_000
+
+
+@dataclass(frozen=True, eq=False)
+class ImuTopic:
+    """An IMU of an open recording, and where it sits."""
+
+    bag: Bag
+    name: str
+    ego_from_imu: SE3
+    time_offset_ns: int
+
+
+def imu_topic(bag: Bag, name: str, mount: Mount, ego_from_lidar: SE3) -> ImuTopic:
+    """Of a calibrated IMU."""
+    return ImuTopic(bag, name, ego_from_lidar @ mount.lidar_from_sensor, mount.time_offset_ns)
+
+
+def levelled(track: PoseTrack, imu: ImuTopic | None) -> PoseTrack:
+    """The track with z up, or as it is where nothing tells where up is; a finding says which.
+
+    Raises what reading and decoding the IMU raise.
+    """
+    up = _up(track.trajectory, imu) if imu is not None else np.full(3, np.nan)
+    if not np.isfinite(up).all():
+        sentence = (
+            "the map's up is the robot's own at its first pose: begun on a slope, level ground is labelled as sloping"
+        )
+        return _said(track, Finding("SYN-506", "warning", track.topic, sentence))
+    turn = shortest_turn_to_z(up)
+    angle_deg = float(np.rad2deg(2 * np.arctan2(np.linalg.norm(turn[1:]), turn[0])))
+    level = SE3.from_parts(turn, np.zeros(3)) @ track.trajectory.map_from_ego
+    name = imu.name if imu is not None else ""
+    sentence = f"the map was turned by {angle_deg:.2f}° so that up is against the gravity that {name} measured"
+    turned = replace(track, trajectory=replace(track.trajectory, map_from_ego=level))
+    return _said(turned, Finding("SYN-506", "info", track.topic, sentence))
+
+
+def _said(track: PoseTrack, finding: Finding) -> PoseTrack:
+    return replace(track, findings=(*track.findings, finding))
+
+
+def _up(trajectory: Trajectory, imu: ImuTopic) -> NDArray[np.float64]:
+    """Unit vector in the map (3,); NaN where too few samples fall on the track, or what they measure is no gravity."""
+    total, count = np.zeros(3), 0
+    acceleration_m_s2, (begin_ns, end_ns) = _gained(trajectory)
+    for samples in _batches(imu):
+        stamps_ns = samples.stamps_ns + imu.time_offset_ns
+        found = trajectory.at(stamps_ns)
+        is_used = found.is_ok & (begin_ns <= stamps_ns) & (stamps_ns <= end_ns)
+        is_used &= np.isfinite(samples.linear_acceleration_m_s2).all(axis=1)
+        map_from_imu = found.map_from_ego[is_used] @ imu.ego_from_imu
+        total += rotate(map_from_imu.wxyz, samples.linear_acceleration_m_s2[is_used]).sum(axis=0)
+        count += int(is_used.sum())
+    if count < LEAST_SAMPLES:
+        return np.full(3, np.nan)
+    gravity = total / count - acceleration_m_s2
+    size = float(np.linalg.norm(gravity))
+    return gravity / size if abs(size - GRAVITY_M_S2) <= TRUSTED_M_S2 else np.full(3, np.nan)
+
+
+def _batches(imu: ImuTopic) -> Iterator[ImuSamples]:
+    messages = imu.bag.messages(imu.name)
+    while batch := list(islice(messages, BATCH)):
+        yield decode_imu(batch)
+
+
+def _gained(trajectory: Trajectory) -> tuple[NDArray[np.float64], tuple[int, int]]:
+    """Mean acceleration (3,), m/s², from the speeds at both ends, and from when to when; 0 for too short a track."""
+    stamps_ns, place_m = trajectory.stamps_ns, trajectory.map_from_ego.translation_m
+    first = int(np.searchsorted(stamps_ns, stamps_ns[0] + END_NS))
+    last = int(np.searchsorted(stamps_ns, stamps_ns[-1] - END_NS, side="right")) - 1
+    if not 0 < first <= last < len(stamps_ns) - 1:
+        return np.zeros(3), (int(stamps_ns[0]), int(stamps_ns[-1]))
+    before_ns, after_ns = int(stamps_ns[first] - stamps_ns[0]), int(stamps_ns[-1] - stamps_ns[last])
+    gained_m_s = (place_m[-1] - place_m[last]) / (after_ns * 1e-9) - (place_m[first] - place_m[0]) / (before_ns * 1e-9)
+    begin_ns, end_ns = int(stamps_ns[0]) + before_ns // 2, int(stamps_ns[-1]) - after_ns // 2
+    return gained_m_s / ((end_ns - begin_ns) * 1e-9), (begin_ns, end_ns)
 
 
 def recorded_rig(
@@ -100,3 +282,53 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
     if sources.pose_role == "tf":
         return track_from_tf(messages, topic, rig)
     return track_from_odometry(messages, topic, rig, sources.pose.type)
+
+
+# The check of a track that never moves: odometry that was never set, or a robot that stood.
+#
+# **Conventions.** Poses that all lie within `STILL_M` and `STILL_RAD` never moved. Whether the robot did, a few of its
+# sweeps tell by odometry of their own (`stone_recordings.poses.kiss_odometry`).
+
+
+STILL_M, STILL_RAD = 0.01, 0.002
+# Sweeps that stand where they stood drift by centimetres.
+MOVED_M = 0.5
+MOST_SWEEPS = 40
+
+
+def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibration) -> tuple[Finding, ...]:
+    """SYN-510 for poses that never change. Raises StillPosesError where the sweeps do."""
+    if track.topic == sweeps.clock.topic or not is_still(track.trajectory):
+        return ()
+    moved_m = moved_by_sweeps_m(sweeps, calibration)
+    if moved_m > MOVED_M:
+        raise StillPosesError(track.source, len(track.trajectory), moved_m)
+    sentence = (
+        f"its {len(track.trajectory)} poses never change, and the sweeps show no motion either: the robot stood still"
+    )
+    return (Finding("SYN-510", "warning", track.topic, sentence),)
+
+
+def is_still(trajectory: Trajectory) -> bool:
+    """Whether all poses are one; a single pose tells nothing."""
+    if len(trajectory) < 2:
+        return False
+    span_m = np.ptp(trajectory.map_from_ego.translation_m, axis=0)
+    return bool(np.linalg.norm(span_m) < STILL_M and steps_of(trajectory.map_from_ego)[1].max() < STILL_RAD)
+
+
+def moved_by_sweeps_m(sweeps: SweepTopic, calibration: Calibration) -> float:
+    """How far the robot came over a part of the run, by its sweeps alone; 0 where these tell nothing."""
+    try:
+        track = track_from_sweeps(SweepTopic(sweeps.bag, _middle(sweeps.clock)), calibration, lambda *_: None)
+    except NoUsablePoseError:
+        return 0.0
+    return float(np.linalg.norm(np.ptp(track.trajectory.map_from_ego.translation_m, axis=0)))
+
+
+def _middle(clock: LidarClock) -> LidarClock:
+    """The sweeps in the middle of the run."""
+    begin = max(0, (len(clock.points) - MOST_SWEEPS) // 2)
+    rows = slice(begin, begin + MOST_SWEEPS)
+    ordered = OrderedStamps(clock.ordered.index[rows], clock.ordered.stamps_ns[rows], ())
+    return replace(clock, ordered=ordered, points=clock.points[rows])

@@ -5,18 +5,162 @@ fixed frame of a TUM file is the map. That of a KITTI file is its own frame at t
 the map is the ego frame at the first sweep then, so that z is as upright as the robot stood.
 """
 
+import re
+from collections.abc import Iterator
 from dataclasses import dataclass
+from decimal import Decimal
+from hashlib import sha256
 from pathlib import Path
+from typing import Literal
+
+import numpy as np
+from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone_recordings.clocks.lidar_clock import LidarClock
+from stone_recordings.messages.batch import MOST_POSITION_M
+from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
-from stone_recordings.poses.pose_file import FilePoses, read_pose_file
 from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
 from stone_recordings.sync.clock_offsets import shifted_finding
-from stone_recordings.sync.errors import PoseFileMismatchError
+from stone_recordings.sync.errors import PoseFileError, PoseFileMismatchError
+
+# Files of poses beside a recording: TUM (stamped) and KITTI (one pose a sweep), told apart by their numbers a line.
+#
+# **Conventions.** TUM: `time x y z qx qy qz qw`, seconds since 1970, metres; its fixed frame has z up. KITTI: the
+# twelve numbers of a 3 × 4 matrix, row by row, without stamps: line i is the pose at sweep i. `#` begins a comment,
+# empty lines count for nothing. Source: TUM RGB-D benchmark (file formats), KITTI odometry devkit (readme).
+
+
+LARGEST_BYTES, LONGEST_LINE, MOST_POSES = 256 << 20, 1000, 2_000_000
+COLUMNS: dict[int, Literal["TUM", "KITTI"]] = {8: "TUM", 12: "KITTI"}
+NUMBER = re.compile(
+    r"[+-]?(\d{1,40}\.?\d{0,40}|\.\d{1,40})([eE][+-]?\d{1,3})?|[+-]?(nan|inf)", re.ASCII | re.IGNORECASE
+)
+LAST_S = 9_000_000_000
+MOST_OFF_NORM, MOST_OFF_ROTATION = 1e-2, 5e-3
+
+
+@dataclass(frozen=True, eq=False)
+class FilePoses:
+    """N poses; `stamps_ns` (N,) strictly increases, and is None for KITTI. `sha256` is that of the file."""
+
+    name: str
+    format: Literal["TUM", "KITTI"]
+    poses: SE3
+    stamps_ns: NDArray[np.int64] | None
+    sha256: str
+
+
+def read_pose_file(path: Path) -> FilePoses:
+    """Raises PoseFileError with the line for whatever is no pose, OSError."""
+    digest, numbers, lines, stamps = sha256(), list[list[float]](), list[int](), list[int]()
+    if path.stat().st_size > LARGEST_BYTES:
+        raise PoseFileError(path.name, 0, f"it has more than {LARGEST_BYTES} bytes")
+    for number, raw in _lines(path):
+        digest.update(raw)
+        words = _words(path.name, number, raw)
+        if not words:
+            continue
+        expected = len(numbers[0]) if numbers else None
+        numbers.append(_row(path.name, number, words, expected))
+        lines.append(number)
+        if len(words) == 8:
+            stamps.append(_stamp_ns(path.name, number, words[0]))
+        if len(numbers) > MOST_POSES:
+            raise PoseFileError(path.name, number, f"it has more than {MOST_POSES} poses")
+    if not numbers:
+        raise PoseFileError(path.name, 0, "it holds no pose")
+    table, at = np.array(numbers, np.float64), np.array(lines, np.int64)
+    if table.shape[1] == 12:
+        return FilePoses(path.name, "KITTI", _kitti(path.name, table, at), None, digest.hexdigest())
+    stamps_ns = np.array(stamps, np.int64)
+    _check_order(path.name, stamps_ns, at)
+    return FilePoses(path.name, "TUM", _tum(path.name, table, at), stamps_ns, digest.hexdigest())
+
+
+def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
+    """Numbered from 1. Raises PoseFileError for one that no pose is as long as."""
+    with path.open("rb") as file:
+        number = 0
+        while raw := file.readline(LONGEST_LINE + 1):
+            number += 1
+            if len(raw) > LONGEST_LINE:
+                raise PoseFileError(path.name, number, f"the line has more than {LONGEST_LINE} characters")
+            yield number, raw
+
+
+def _words(name: str, number: int, raw: bytes) -> list[str]:
+    try:
+        return raw.decode("utf-8-sig" if number == 1 else "utf-8").partition("#")[0].split()
+    except UnicodeDecodeError:
+        raise PoseFileError(name, number, "the line is not text; is this a file of poses?") from None
+
+
+def _row(name: str, number: int, words: list[str], expected: int | None) -> list[float]:
+    if expected is None and len(words) not in COLUMNS:
+        raise PoseFileError(name, number, f"the line has {len(words)} words; TUM has 8 numbers, KITTI 12")
+    if expected is not None and len(words) != expected:
+        raise PoseFileError(name, number, f"the line has {len(words)} words, the lines before it {expected}")
+    wrong = [word for word in words if not NUMBER.fullmatch(word)]
+    if wrong:
+        raise PoseFileError(name, number, f"{wrong[0][:40]!r} is not a number")
+    row = [float(word) for word in words]
+    if not np.isfinite(row).all():
+        raise PoseFileError(name, number, "a number is not finite")
+    return row
+
+
+def _stamp_ns(name: str, number: int, word: str) -> int:
+    """All digits of a time, which float64 does not keep."""
+    seconds = Decimal(word)
+    if not 0 < seconds <= LAST_S:
+        raise PoseFileError(name, number, f"the time {word[:40]} is not in seconds since 1970 (0 to {LAST_S})")
+    return int((seconds * NS_PER_S).to_integral_value())
+
+
+def _check_order(name: str, stamps_ns: NDArray[np.int64], lines: NDArray[np.int64]) -> None:
+    late = np.flatnonzero(np.diff(stamps_ns) <= 0)
+    if len(late):
+        raise PoseFileError(name, int(lines[late[0] + 1]), f"its time is not after that of line {lines[late[0]]}")
+
+
+def _check_places(name: str, places_m: NDArray[np.float64], lines: NDArray[np.int64]) -> None:
+    far = np.flatnonzero((np.abs(places_m) > MOST_POSITION_M).any(axis=1))
+    if len(far):
+        worst_m = np.abs(places_m[far[0]]).max()
+        raise PoseFileError(
+            name, int(lines[far[0]]), f"its position of {worst_m:.3g} m is beyond {MOST_POSITION_M:g} m"
+        )
+
+
+def _tum(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> SE3:
+    _check_places(name, table[:, 1:4], lines)
+    with np.errstate(over="ignore"):
+        norm = np.linalg.norm(table[:, 4:], axis=1)
+    off = np.flatnonzero(~(np.abs(norm - 1) <= MOST_OFF_NORM))
+    if len(off):
+        raise PoseFileError(name, int(lines[off[0]]), f"its quaternion has the norm {norm[off[0]]:.4g}, it must be 1")
+    return SE3.from_parts(table[:, [7, 4, 5, 6]], table[:, 1:4])
+
+
+def _kitti(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> SE3:
+    matrix = table.reshape(-1, 3, 4)
+    _check_places(name, matrix[:, :, 3], lines)
+    turn = matrix[:, :, :3]
+    with np.errstate(over="ignore", invalid="ignore"):
+        apart = np.abs(np.swapaxes(turn, 1, 2) @ turn - np.eye(3)).max(axis=(1, 2))
+        is_turn = (apart <= MOST_OFF_ROTATION) & (np.linalg.det(np.nan_to_num(turn)) > 0)
+    off = np.flatnonzero(~is_turn)
+    if len(off):
+        why = f"its 3 × 3 part is not a rotation (off by {apart[off[0]]:.3g})"
+        raise PoseFileError(name, int(lines[off[0]]), why)
+    left, _, right = np.linalg.svd(turn)
+    whole = np.tile(np.eye(4), (len(table), 1, 1))
+    whole[:, :3, :3], whole[:, :3, 3] = left @ right, matrix[:, :, 3]
+    return SE3.from_matrix(whole)
 
 
 @dataclass(frozen=True)

@@ -3,7 +3,7 @@
     map_from_ego(t) = ego_from_lidar @ first_from_lidar(t) @ ego_from_lidar⁻¹
 
 **Conventions.** `map` is the ego frame at the first pose: up is the robot's own there
-(`stone_recordings.poses.gravity_alignment`). A
+(`stone_recordings.poses.ego_track`). A
 pose is the LiDAR's at the last point of a sweep, where KISS-ICP deskews to; at the stamp where points carry no time.
 The first sweeps are taken twice: a map begun by a sweep that nothing was known to deskew it with stays bent. One sweep
 is held at a time and the local map forgets what is out of range, so memory does not grow with the recording. One

@@ -12,7 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import Topic
 from stone_recordings.clocks.constants import FIRST_DATE_NS
 from stone_recordings.messages.lidars.packet_scan import packet_count
 from stone_recordings.messages.types.cdr import HEAD_BYTES

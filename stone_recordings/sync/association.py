@@ -18,7 +18,7 @@ from stone.sensors.sequence import Association, Frames, Slices
 from stone_recordings.poses.extrinsics import plain
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 from stone_recordings.sync.synchronisation import PosedFrames
-from stone_recordings.topics.channels import channel_of
+from stone_recordings.topics.profiles import channel_of
 from stone_recordings.topics.roles import Role
 from stone_recordings.topics.sources import Sources
 

@@ -8,11 +8,17 @@ without it. Between several topics that fit nothing is guessed: TOP-110 names th
 import re
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Literal
 
+from ruamel.yaml import YAML
+
+from stone.errors import StoneError
 from stone.findings import Finding, Severity
+from stone_files.atomic import atomic_file
+from stone_recordings.calibrations.errors import CalibrationYamlError
+from stone_recordings.calibrations.plain_yaml import parse_documents
 from stone_recordings.messages.lidars.models import topic_instead
-from stone_recordings.topics.channels import PREFIX, ChannelKind, channel_of
-from stone_recordings.topics.profile_errors import BadProfileError
 from stone_recordings.topics.roles import (
     POINT_CLOUD,
     POSE_ROLES,
@@ -189,3 +195,116 @@ def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) ->
                 f"The viewing direction of the {kind} {_listed(lost)} cannot be inferred from names; if forward: {line}"
             )
             yield Finding("TOP-112", "info", lost[0].name, message)
+
+
+# Why a profile of topics cannot be used.
+#
+# **Conventions.** TOP-1xx is about which topics there are and what for.
+
+
+class BadProfileError(StoneError):
+    """A topic profile names an unknown role, an impossible topic, or one topic twice."""
+
+    code = "TOP-113"
+
+    def __init__(self, found: str, expected: str) -> None:
+        super().__init__(f"a topic profile cannot hold {found}; expected is {expected}")
+
+
+class ProfileFileError(StoneError):
+    """The file is not a topic profile."""
+
+    code = "TOP-114"
+
+    def __init__(self, name: str, fault: str) -> None:
+        super().__init__(
+            f"{name} is not a topic profile: {fault}; expected are `stone_profile: 1` and `topics:` by role"
+        )
+
+
+# A profile of topics as a small YAML file, so that the choice made for one recording serves the next.
+#
+# **Conventions.** `stone_profile: 1`, `platform:` and `topics:` by part. The file is from outside: plain YAML without
+# aliases and tags, at most 64 KiB.
+
+
+LARGEST_BYTES = 65_536
+LONGEST_PLATFORM = 64
+KEYS = {"stone_profile", "platform", "topics"}
+
+
+def read_profile(path: Path) -> TopicProfile:
+    """Raises ProfileFileError for what is no profile, BadProfileError for one that cannot be; OSError."""
+    with path.open("rb") as stream:
+        content = stream.read(LARGEST_BYTES + 1)
+    if len(content) > LARGEST_BYTES:
+        raise ProfileFileError(path.name, f"it has more than {LARGEST_BYTES} bytes")
+    try:
+        document = parse_documents(path.name, content)[0]
+    except CalibrationYamlError as error:
+        raise ProfileFileError(path.name, str(error)) from None
+    if not isinstance(document, dict) or document.get("stone_profile") != 1:
+        raise ProfileFileError(path.name, "it does not begin with `stone_profile: 1`")
+    unknown = [str(key)[:40] for key in document if key not in KEYS]
+    if unknown:
+        raise ProfileFileError(path.name, f"it has the unknown key {unknown[0]!r}")
+    platform, topics = document.get("platform", ""), document.get("topics")
+    if not isinstance(platform, str) or len(platform) > LONGEST_PLATFORM:
+        raise ProfileFileError(path.name, f"its platform is not text of at most {LONGEST_PLATFORM} characters")
+    if not isinstance(topics, dict) or not all(isinstance(name, str) for pair in topics.items() for name in pair):
+        raise ProfileFileError(path.name, "its topics are not names by role")
+    return TopicProfile(topics, platform)
+
+
+def write_profile(path: Path, profile: TopicProfile) -> None:
+    """The file, whole or absent; an earlier one is replaced. Raises OSError."""
+    yaml = YAML()
+    yaml.width = 4096
+    document = {"stone_profile": 1, "platform": profile.platform, "topics": dict(profile.topics)}
+    with atomic_file(path) as staging, staging.open("w", encoding="utf-8") as stream:
+        yaml.dump(document, stream)
+
+
+# Channels of cameras and radars: by the frame of their messages, else by the words of their names.
+#
+# **Conventions.** Channels are nuScenes' (CAM_FRONT_LEFT, RADAR_RIGHT). A frame that a calibration knows decides; else
+# the words front, back (rear), left and right of the topic, and only where it has none those of the frame. Words that
+# contradict each other, or that are not there, name no channel.
+
+
+ChannelKind = Literal["camera", "radar"]
+PREFIX: Mapping[ChannelKind, str] = {"camera": "CAM", "radar": "RADAR"}
+ENDS = {"front": "FRONT", "forward": "FRONT", "fwd": "FRONT", "back": "BACK", "rear": "BACK", "backward": "BACK"}
+SIDES = {"left": "LEFT", "right": "RIGHT"}
+SHORT = {"fl": ("front", "left"), "fr": ("front", "right")} | {
+    short + side[0]: ("back", side) for short in "br" for side in SIDES
+}
+WORD = re.compile(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])")
+
+
+def channel_of(kind: ChannelKind, topic: str, frame_id: str, channel_of_frame: Mapping[str, str]) -> str | None:
+    """The channel, or None where neither frame nor names tell; `channel_of_frame` is the calibration's, by frame_id."""
+    known = channel_of_frame.get(frame_id.strip("/"))
+    if known is not None and known.startswith(PREFIX[kind]):
+        return known
+    return channel_of_words(kind, topic) or channel_of_words(kind, frame_id)
+
+
+def channel_of_words(kind: ChannelKind, name: str) -> str | None:
+    """CAM_FRONT_LEFT for "/camera/frontLeft/image", "cam_fl" or "/left/front_camera"; None without such words."""
+    words = [word for found in WORD.findall(name) for word in _spelt(found.lower())]
+    ends = {ENDS[word] for word in words if word in ENDS}
+    sides = {SIDES[word] for word in words if word in SIDES}
+    if len(ends) > 1 or len(sides) > 1 or not ends | sides:
+        return None
+    return "_".join([PREFIX[kind], *ends, *sides])
+
+
+def _spelt(word: str) -> tuple[str, ...]:
+    """ "frontleft" and "fl" as the two words they are."""
+    if word in SHORT:
+        return SHORT[word]
+    for end in ENDS:
+        if word.startswith(end) and word.removeprefix(end) in SIDES:
+            return (end, word.removeprefix(end))
+    return (word,)

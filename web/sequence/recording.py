@@ -1,6 +1,6 @@
 """Figures of a recording's inspection and quality report: when sensors delivered, how often, how well.
 
-**Conventions.** Read from the records that ingest wrote (`stone_recordings/report/inspection_record.py`,
+**Conventions.** Read from the records that ingest wrote (`stone_recordings/report/inspection.py`,
 `quality/report.py`);
 what an older record does not say is left out. Sensors come first, in the order of the report; topics that nobody keeps
 time by (tf, camera_info, other) come apart. A spark is `SPARK` units in size, from the lowest to the highest value.

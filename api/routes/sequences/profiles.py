@@ -22,8 +22,7 @@ from api.schemas.sequences.calibrations import FindingItem, ProfileBody, Profile
 from api.visible import recording_of, sequence_of
 from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
 from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow
-from stone_recordings.topics.profile_errors import BadProfileError
-from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, resolve
+from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, BadProfileError, Candidate, resolve
 from stone_recordings.topics.profiles import TopicProfile as Chosen
 
 router = NounRouter(tags=["profiles"])

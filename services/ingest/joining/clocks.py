@@ -35,16 +35,15 @@ from stone_recordings.bags.joined.joined_store import check_types
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.clocks.triggers import bearing_rad, lidar_look
-from stone_recordings.joining.clock_links import ClockOffset, linked
-from stone_recordings.joining.errors import (
+from stone_recordings.joining.clock_links import ClockOffset, HeldMessages, held_by, left_out, linked
+from stone_recordings.joining.joined_recording import (
     ContradictoryOffsetsError,
+    JoinedRecording,
     NoCommonTimeError,
     NotJoinedError,
     UnmeasuredOffsetError,
+    write_joined,
 )
-from stone_recordings.joining.held_messages import HeldMessages, held_by
-from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
-from stone_recordings.joining.overlaps import left_out
 from stone_recordings.joining.sensor_evidence import RobotMotion, camera_turns, gyro_turns, radar_speeds, stamps_of
 from stone_recordings.report.inspection import frame_id_of
 from stone_recordings.sync.association import mount_of

@@ -16,9 +16,9 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.db3.collection import Db3CollectedRows, collect
 from stone_recordings.bags.db3.pages import Db3Pages
-from stone_recordings.bags.db3.readable_copy import Db3Location
 from stone_recordings.bags.db3.records import layout_of
 from stone_recordings.bags.db3.rows import RowIndex
+from stone_recordings.bags.db3.sql import Db3Location
 from stone_recordings.bags.errors import DatabaseRefusedError, MalformedBagError
 
 DATA = 3

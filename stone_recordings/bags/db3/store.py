@@ -13,13 +13,11 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone_recordings.bags.db3.objects import DamagedSchemaError, tables_of
-from stone_recordings.bags.db3.readable_copy import Db3Location, db3_location_of
 from stone_recordings.bags.db3.rows import Db3Rows, Db3Topic
 from stone_recordings.bags.db3.salvage import SalvagedRows, opened_pages
-from stone_recordings.bags.db3.sql import DamagedDatabaseError, SqlRows
+from stone_recordings.bags.db3.sql import DamagedDatabaseError, Db3Location, SqlRows, db3_location_of
 from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
-from stone_recordings.bags.message_store import HEAD_BYTES, NO_MESSAGES, Messages
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import HEAD_BYTES, NO_MESSAGES, Messages, Topic
 
 # Small messages are read so many at a time, while they are read in order.
 AHEAD_ROWS = 256

@@ -3,11 +3,121 @@
 **Conventions.** As `stone_recordings.bags.split_store`, but that a topic of two types is told to be of two members.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
+from dataclasses import dataclass, replace
+from itertools import pairwise
+from struct import Struct
+from typing import Literal, Protocol
 
-from stone_recordings.bags.errors import IngestError
-from stone_recordings.bags.joined.moved_bag import MovedBag
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.findings import Finding
+from stone_files.joined_file import GIVEN, REFERENCE, SAME_TOPICS, JoinedMember
+from stone_recordings.bags.errors import ByteOrderError, IngestError, MessageLayoutError
+from stone_recordings.bags.message_store import NO_MESSAGES, Messages, Topic
 from stone_recordings.bags.split_store import SplitStore
+from stone_recordings.clocks.timing import begins_with_header
+from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor, check_encapsulation
+
+# A bag on another clock: its log times and the stamps of its messages moved, messages that are had twice left out.
+#
+# **Conventions.** Indices count the messages that are left, in log-time order, which an offset does not change. Topics
+# whose stamps are of the reference's clock keep them; their log times are moved all the same.
+
+
+class OpenedBag(Protocol):
+    """What of a `stone_recordings.bags.bag.Bag` is needed to move it."""
+
+    topics: tuple[Topic, ...]
+    findings: tuple[Finding, ...]
+
+    @property
+    def is_indexed(self) -> bool: ...
+
+    def damaged_beside(self, messages: Messages) -> Mapping[str, Mapping[int, str]]: ...
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]: ...
+
+    def payload(self, topic: str, index: int) -> memoryview: ...
+
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]: ...
+
+    def size_bytes(self, topic: str, index: int) -> int: ...
+
+    def release(self) -> None: ...
+
+    def close(self) -> None: ...
+
+
+class MovedBag:
+    """`bag` as `member` says; it is closed with it. A `MessageStore`."""
+
+    def __init__(self, bag: OpenedBag, member: JoinedMember) -> None:
+        self._bag, self._offset_ns = bag, member.offset_ns
+        self.is_indexed = bag.is_indexed
+        self.findings = tuple(_named(finding, member.name) for finding in bag.findings)
+        self._kept = {topic.name: self._rows(topic, member) for topic in bag.topics}
+        self.topics = tuple(replace(topic, count=len(self._kept[topic.name])) for topic in bag.topics)
+        self._places: dict[str, StampPlaces] = {
+            topic.name: "none" if topic.name in member.kept_topics else stamp_places(topic, begins_with_header(topic))
+            for topic in bag.topics
+        }
+
+    def log_times_ns(self, topic: str) -> NDArray[np.int64]:
+        return np.asarray(self._bag.log_times_ns(topic)[self._kept[topic]] + self._offset_ns, np.int64)
+
+    def payload(self, topic: str, index: int) -> memoryview:
+        return self._moved(topic, self._bag.payload(topic, int(self._kept[topic][index])))
+
+    def heads(
+        self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
+    ) -> Iterator[tuple[str, int, memoryview]]:
+        left = {topic: self._places_left(topic) for topic in topics}
+        for topic, index, payload in self._bag.heads(topics, whole, is_checked=is_checked):
+            if (place := int(left[topic][index])) >= 0:
+                yield topic, place, self._moved(topic, payload)
+
+    def size_bytes(self, topic: str, index: int) -> int:
+        return self._bag.size_bytes(topic, int(self._kept[topic][index]))
+
+    def damaged(self, beside: Messages = NO_MESSAGES) -> Mapping[str, Mapping[int, str]]:
+        found = {}
+        passed = {topic: self._kept[topic][rows] for topic, rows in beside.items()}
+        for topic, reasons in self._bag.damaged_beside(passed).items():
+            left = self._places_left(topic)
+            found[topic] = {int(left[index]): why for index, why in reasons.items() if left[index] >= 0}
+        return {topic: reasons for topic, reasons in found.items() if reasons}
+
+    def release(self) -> None:
+        self._bag.release()
+
+    def close(self) -> None:
+        self._bag.close()
+
+    def _moved(self, topic: str, payload: memoryview) -> memoryview:
+        return moved(payload, self._places[topic], self._offset_ns)
+
+    def _places_left(self, topic: str) -> NDArray[np.int64]:
+        """By index in the bag, the index among what is left; −1 of what is not."""
+        kept = self._kept[topic]
+        places = np.full(len(self._bag.log_times_ns(topic)), -1, np.int64)
+        places[kept] = np.arange(len(kept))
+        return places
+
+    def _rows(self, topic: Topic, member: JoinedMember) -> NDArray[np.int64]:
+        """The indices of the messages that are left."""
+        is_left = np.ones(topic.count, np.bool_)
+        for start, stop in member.left_out.get(topic.name, ()):
+            is_left[start:stop] = False
+        return np.flatnonzero(is_left)
+
+
+def _named(finding: Finding, member: str) -> Finding:
+    """What was noticed about the whole of a member is about this file of the run."""
+    return finding if finding.topic else replace(finding, topic=member)
 
 
 class JoinedTopicError(IngestError):
@@ -36,3 +146,174 @@ def joined_store(name: str, parts: Sequence[MovedBag]) -> SplitStore:
     """Raises: JoinedTopicError (BAG-041)."""
     check_types((topic.name, topic.type) for part in parts for topic in part.topics)
     return SplitStore(name, parts)
+
+
+# Header stamps moved within CDR messages: of a type that begins with a header, and of lists of transforms.
+#
+# **Conventions.** Times that a sensor took itself (GPS week and milliseconds, a radar's PTP time, packets, the times
+# of points) are no recorder's or host's and stay. So does a stamp of zero, which is none, and one that would leave
+# what a stamp can hold: what is garbage stays garbage, for the checks of stamps to name.
+
+
+TRANSFORMS = "tf2_msgs/msg/TFMessage"
+LAST_NS = 2**31 * NS_PER_S
+POSE_BYTES = 56
+StampPlaces = Literal["header", "transforms", "none"]
+
+_STAMP = Struct("<iI")
+
+
+def stamp_places(topic: Topic, has_header: bool) -> StampPlaces:
+    """Where the topic's messages have stamps."""
+    if topic.type == TRANSFORMS:
+        return "transforms"
+    return "header" if has_header else "none"
+
+
+def moved(payload: memoryview, places: StampPlaces, offset_ns: int) -> memoryview:
+    """The message with `offset_ns` added to its stamps; itself where there is none to move, or no CDR to find it in.
+
+    Of a message that is cut short the stamps in what is there are moved.
+    """
+    found = list(_places(payload, places)) if offset_ns else []
+    if not found:
+        return payload
+    content = bytearray(payload)
+    for place in found:
+        _move(content, place, offset_ns)
+    return memoryview(content).toreadonly()
+
+
+def _places(payload: memoryview, places: StampPlaces) -> Iterator[int]:
+    try:
+        if places == "header":
+            check_encapsulation(payload, "")
+            if len(payload) >= HEAD_BYTES + _STAMP.size:
+                yield HEAD_BYTES
+        elif places == "transforms":
+            yield from _of_transforms(Cursor(payload, TRANSFORMS))
+    except (MessageLayoutError, ByteOrderError):
+        return
+
+
+def _of_transforms(cursor: Cursor) -> Iterator[int]:
+    """Raises: MessageLayoutError where the message ends before its last transform."""
+    for _ in range(cursor.u32()):
+        yield cursor.take(8, 4)
+        for _name in range(2):
+            cursor.take(cursor.u32())
+        cursor.take(POSE_BYTES, 8)
+
+
+def _move(content: bytearray, place: int, offset_ns: int) -> None:
+    sec, nanosec = _STAMP.unpack_from(content, place)
+    stamp_ns = sec * NS_PER_S + nanosec
+    if stamp_ns and 0 < stamp_ns + offset_ns < LAST_NS:
+        _STAMP.pack_into(content, place, *divmod(stamp_ns + offset_ns, NS_PER_S))
+
+
+# How the members of a joined recording lie in time, by their log times on one clock.
+#
+# **Conventions.** SYN-527 a member that does not cover what the reference does, SYN-528 a gap where one member ends
+# and the next goes on with its topics.
+
+
+LEAST_MISSING_NS = 1_000_000_000
+GAP_PERIODS = 2.5
+
+
+@dataclass(frozen=True, eq=False)
+class _Span:
+    name: str
+    is_reference: bool
+    times_ns: dict[str, NDArray[np.int64]]
+
+    @property
+    def start_ns(self) -> int:
+        return min(int(times[0]) for times in self.times_ns.values())
+
+    @property
+    def end_ns(self) -> int:
+        return max(int(times[-1]) for times in self.times_ns.values())
+
+
+def coverage_findings(members: Sequence[JoinedMember], bags: Sequence[MovedBag]) -> tuple[Finding, ...]:
+    """In order of the members, then of time."""
+    spans = [_span(member, bag) for member, bag in zip(members, bags, strict=True)]
+    spans = [span for span in spans if span.times_ns]
+    return (*_missing(spans), *_gaps(spans))
+
+
+def _span(member: JoinedMember, bag: MovedBag) -> _Span:
+    is_reference = member.known_by in ((REFERENCE,), (SAME_TOPICS,))
+    times = {topic.name: bag.log_times_ns(topic.name) for topic in bag.topics if topic.count}
+    return _Span(member.name, is_reference, times)
+
+
+def _missing(spans: Sequence[_Span]) -> Iterator[Finding]:
+    reference = [span for span in spans if span.is_reference]
+    if not reference:
+        return
+    start_ns, end_ns = min(span.start_ns for span in reference), max(span.end_ns for span in reference)
+    for span in spans:
+        late_ns, early_ns = span.start_ns - start_ns, end_ns - span.end_ns
+        if not span.is_reference and max(late_ns, early_ns) > LEAST_MISSING_NS:
+            missing = [
+                f"the {which} {min(ns, end_ns - start_ns) / 1e9:.1f} s"
+                for which, ns in (("first", late_ns), ("last", early_ns))
+                if ns > LEAST_MISSING_NS
+            ]
+            sentence = f"it has no messages in {' and '.join(missing)} of the run: frames there lack its sensors"
+            yield Finding("SYN-527", "warning", span.name, sentence)
+
+
+def _gaps(spans: Sequence[_Span]) -> Iterator[Finding]:
+    """Where topics that two members hold stop for longer than they pause."""
+    told = set[tuple[str, str]]()
+    for topic in sorted({name for span in spans for name in span.times_ns}):
+        holding = sorted((span for span in spans if topic in span.times_ns), key=lambda span: span.times_ns[topic][0])
+        for one, two in pairwise(holding):
+            before, after = one.times_ns[topic], two.times_ns[topic]
+            gap_ns, steps_ns = int(after[0] - before[-1]), np.diff(before)
+            if (one.name, two.name) in told or len(steps_ns) < 2 or gap_ns <= GAP_PERIODS * float(np.median(steps_ns)):
+                continue
+            told.add((one.name, two.name))
+            sentence = f"between its last message in {one.name} and its first in {two.name} lie {gap_ns / 1e9:.3f} s"
+            yield Finding("SYN-528", "warning", topic, sentence)
+
+
+# What is told of a joined recording whenever it is opened: whose clock was moved by how much, and what was had twice.
+#
+# **Conventions.** SYN-520 an offset that was measured, SYN-521 one that was given, SYN-522 messages that two members
+# hold. SYN-527 and SYN-528 are of `coverage` beside it; SYN-523 … SYN-526 refuse
+# (`stone_recordings.joining.joined_recording`).
+
+
+def member_findings(members: Sequence[JoinedMember]) -> tuple[Finding, ...]:
+    """In the order of the members."""
+    reference = next((member.name for member in members if REFERENCE in member.known_by), "the reference")
+    return tuple(finding for member in members for finding in _of(member, reference))
+
+
+def _of(member: JoinedMember, reference: str) -> Iterator[Finding]:
+    if REFERENCE not in member.known_by:
+        yield _offset_finding(member, reference)
+    for topic, count in sorted(member.count_left_out().items()):
+        sentence = f"{count} of its messages in {member.name} are also in another file of the run, and used once"
+        yield Finding("SYN-522", "info", topic, sentence)
+
+
+def _offset_finding(member: JoinedMember, reference: str) -> Finding:
+    moved = f"its stamps are shifted by {member.offset_ns / 1e9:+.6f} s onto the clock of {reference}"
+    if GIVEN in member.known_by:
+        return Finding("SYN-521", "info", member.name, f"{moved}, as given by the user; it was not measured")
+    if member.known_by == (SAME_TOPICS,):
+        sentence = (
+            f"it holds topics of {reference}, whose stamps continue: the recorder split the run; nothing is shifted"
+        )
+        return Finding("SYN-520", "info", member.name, sentence)
+    if not member.offset_ns:
+        sentence = f"it is on the clock of {reference}, by {' and '.join(member.known_by)}; nothing is shifted"
+        return Finding("SYN-520", "info", member.name, sentence)
+    error = "" if member.sigma_ns is None else f" ± {member.sigma_ns / 1e6:.2f} ms (standard error)"
+    return Finding("SYN-520", "info", member.name, f"{moved}{error}, measured by {' and '.join(member.known_by)}")

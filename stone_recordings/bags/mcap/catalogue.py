@@ -5,17 +5,18 @@ is the file itself, for recordings without chunks. The summary is believed only 
 anything missing or contradictory falls back to the walk, which believes nothing but the records.
 """
 
+import os
 import zlib
 from dataclasses import dataclass, field
 from struct import Struct
-from typing import TypeVar
+from typing import BinaryIO, TypeVar
 
 import numpy as np
 
 from stone_recordings.bags.chunks import Chunk, inflate
 from stone_recordings.bags.errors import ChecksumError, CutBagError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.records import Fields, McapChannel, Record, Schema
+from stone_recordings.bags.mcap.records import MAGIC, Fields, McapChannel, Record, Schema
 from stone_recordings.bags.message_places import Entries, GrowingEntries
 
 FOOTER_BYTES = wire.PREFIX_BYTES + 20
@@ -189,3 +190,32 @@ def message_head(view: memoryview, record: Record, where: str) -> tuple[int, int
 def _define(known: dict[int, _Definition], key: int, value: _Definition, where: str) -> None:
     if known.setdefault(key, value) != value:
         raise MalformedBagError(where, f"id {key} is defined twice, as {known[key]} and as {value}"[:300])
+
+
+# Where a sealed MCAP file ends when zeros were written behind it, as copying tools and allocated blocks leave them.
+
+
+PIECE_BYTES = 1 << 20
+# Nobody allocates more ahead; to look through more takes longer than it is worth.
+MOST_ZEROS_BYTES = 16 << 30
+
+
+def sealed_bytes(file: BinaryIO) -> int | None:
+    """Bytes up to the closing magic, without the zeros behind it; None where something else ends the file.
+
+    Read, not mapped: pages of a map that are looked at count as memory.
+    """
+    size = stop = file.seek(0, os.SEEK_END)
+    while stop > 0 and size - stop < MOST_ZEROS_BYTES:
+        start = max(0, stop - PIECE_BYTES)
+        rest = len(_read(file, start, stop).rstrip(b"\0"))
+        if rest:
+            end = start + rest
+            return end if _read(file, max(0, end - len(MAGIC)), end) == MAGIC else None
+        stop = start
+    return None
+
+
+def _read(file: BinaryIO, start: int, stop: int) -> bytes:
+    file.seek(start)
+    return file.read(stop - start)

@@ -16,7 +16,7 @@ from stone_recordings.bags.mcap import extras
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.records import McapChannel
 from stone_recordings.bags.mcap.salvage import Losses, SalvagedRecord
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import Topic
 
 COMPRESSIONS = {"": CompressionType.NONE, "lz4": CompressionType.LZ4, "zstd": CompressionType.ZSTD}
 CHUNK_BYTES = 4 << 20

@@ -7,15 +7,229 @@ it fails its checksum or does not inflate, left out: its messages cannot be trus
 through, whatever inflates is read record by record; nothing can check those. Memory is one chunk.
 """
 
+import zlib
+from bisect import bisect_right
 from collections.abc import Iterator
 from dataclasses import dataclass, field
+from functools import cached_property
 from struct import Struct
+
+import numpy as np
 
 from stone_recordings.bags.chunks import CHUNK_LIMIT_BYTES, Chunk, check_crc32, inflate, pieces_of
 from stone_recordings.bags.errors import IngestError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.known_places import KnownPlaces
+from stone_recordings.bags.mcap.extras import ATTACHMENT, METADATA
 from stone_recordings.bags.mcap.records import Fields, Record
+
+# Where the records of a damaged MCAP file lie, as far as the summary at its end can still say so.
+#
+# **Conventions.** Places are bytes of the file. A chunk is known where its own head repeats what its index says, its
+# record's length left aside; or where that length is right and the summary meets its checksum, damaged as the head is.
+# A summary that fails its checksum names no channels. Source: mcap.dev/spec.
+
+
+FOOTER_BYTES = wire.PREFIX_BYTES + 20
+DATA_END_BYTES = wire.PREFIX_BYTES + 4
+# Of a chunk's head without the name of its compression: times, size, checksum, and the lengths of name and records.
+CHUNK_HEAD_BYTES = 8 + 8 + 8 + 4 + 4 + 8
+# So many records in a row that can be what they say are no accident of a payload's bytes.
+LEAST_CHAIN = 3
+# What may stand in the data section; from the second on opcodes are for anybody's own.
+OF_DATA = frozenset(
+    {wire.HEADER, wire.SCHEMA, wire.CHANNEL, wire.MESSAGE, wire.CHUNK, wire.MESSAGE_INDEX, wire.DATA_END}
+)
+OF_DATA |= {ATTACHMENT, METADATA}
+FIRST_PRIVATE = 0x80
+# The next message is mostly near, and a file may be damaged in many places.
+LEAST_WINDOW_BYTES, LAST_WINDOW_BYTES = 1 << 12, 1 << 20
+_PREFIX_of_known_places, _MESSAGE = Struct("<BQ"), Struct("<HIQ")
+
+
+@dataclass(frozen=True)
+class KnownPlaces:
+    """`chunks` by where their record starts; `data_stop` is where the data section's last record begins, None without a
+    summary; `messages` is how many there were and `times_ns` the first and last log time, None where nothing says so;
+    `definitions` are the schemas and channels by opcode and id."""
+
+    chunks: dict[int, Chunk] = field(default_factory=dict)
+    data_stop: int | None = None
+    messages: int | None = None
+    times_ns: tuple[int, int] | None = None
+    definitions: dict[tuple[int, int], Record] = field(default_factory=dict)
+
+    @cached_property
+    def starts(self) -> list[int]:
+        """Of the known chunks, ascending."""
+        return sorted(self.chunks)
+
+    def record_at(self, view: memoryview, at: int) -> Record | None:
+        """The record of the data section that begins there; None where there is no whole one.
+
+        Of a known chunk the index says where it ends.
+        """
+        start = at + wire.PREFIX_BYTES
+        if at in self.chunks:
+            return Record(wire.CHUNK, start, self.chunks[at].stop)
+        if start > len(view):
+            return None
+        opcode, length = _PREFIX_of_known_places.unpack_from(view, at)
+        if opcode == 0 or length > self._limit_after(at, len(view)) - start:
+            return None
+        is_early = opcode == wire.DATA_END and self.data_stop not in (None, at)
+        is_data = self.data_stop is None or opcode in OF_DATA or opcode >= FIRST_PRIVATE
+        return Record(opcode, start, start + length) if is_data and not is_early else None
+
+    def is_followed(self, view: memoryview, record: Record) -> bool:
+        """Whether another record begins where this one ends, be it one whose own head is damaged.
+
+        Of a chunk nothing is asked: it has a checksum, or an index that says where it ends.
+        """
+        at = record.stop
+        if (
+            self.data_stop is None
+            or record.opcode == wire.CHUNK
+            or at > self.data_stop
+            or self.record_at(view, at) is not None
+        ):
+            return True
+        if at + wire.PREFIX_BYTES > self.data_stop:
+            return False
+        opcode, length = _PREFIX_of_known_places.unpack_from(view, at)
+        start = at + wire.PREFIX_BYTES
+        if opcode == wire.MESSAGE and self._is_head(view, start):
+            return True
+        return bool(length < self.data_stop - start and self._begins_chain(view, start + length))
+
+    def next_after(self, view: memoryview, at: int) -> int | None:
+        """Where the next record begins that is known to be one; None where nothing is known."""
+        if self.data_stop is None or at >= self.data_stop:
+            return None
+        if self.starts:
+            return next(iter(self.starts[bisect_right(self.starts, at) :]), self.data_stop)
+        return next(self._messages_after(view, at), self.data_stop)
+
+    def _limit_after(self, at: int, size: int) -> int:
+        """Up to where a record that begins at `at` may reach in a file of `size` bytes."""
+        if self.data_stop is None or at >= self.data_stop:
+            return size
+        following = bisect_right(self.starts, at)
+        return self.starts[following] if following < len(self.starts) else self.data_stop
+
+    def _is_head(self, view: memoryview, start: int) -> bool:
+        """Whether a message's head can stand there: of a channel, and logged at a time, that the summary knows."""
+        if start + wire.MESSAGE_HEAD_BYTES > (self.data_stop or 0):
+            return False
+        channel_id, _sequence, time_ns = _MESSAGE.unpack_from(view, start)
+        is_known = (wire.CHANNEL, channel_id) in self.definitions
+        return is_known and self.times_ns is not None and self.times_ns[0] <= time_ns <= self.times_ns[1]
+
+    def _messages_after(self, view: memoryview, at: int) -> Iterator[int]:
+        """Places after `at` where messages begin that others follow."""
+        first, last, size = at + 1, self.data_stop or 0, LEAST_WINDOW_BYTES
+        while first <= last - wire.PREFIX_BYTES:
+            window = np.frombuffer(view[first : min(first + size + wire.PREFIX_BYTES - 1, last)], np.uint8)
+            heads = np.lib.stride_tricks.sliding_window_view(window, wire.PREFIX_BYTES)
+            is_head = (heads[:, 0] == wire.MESSAGE) & (heads[:, 6:] == 0).all(axis=1)
+            yield from (
+                first + row for row in np.flatnonzero(is_head).tolist() if self._begins_chain(view, first + row)
+            )
+            first, size = first + size, min(2 * size, LAST_WINDOW_BYTES)
+
+    def _begins_chain(self, view: memoryview, at: int) -> bool:
+        for _ in range(LEAST_CHAIN):
+            if at == self.data_stop:
+                return True
+            record = self.record_at(view, at)
+            if record is None or (record.opcode == wire.MESSAGE and not self._is_head(view, record.start)):
+                return False
+            at = record.stop
+        return True
+
+
+def known_places(view: memoryview, name: str) -> KnownPlaces:
+    """What the end of the file says; nothing where it has no summary, or none that can be read."""
+    size = len(view) - len(wire.MAGIC)
+    footer_offset = size - FOOTER_BYTES
+    if footer_offset < len(wire.MAGIC) + DATA_END_BYTES or bytes(view[size:]) != wire.MAGIC:
+        return KnownPlaces()
+    try:
+        footer = Fields(view, wire.record_at(view, footer_offset, size, name), name)
+        start, _offsets, crc32 = footer.u64(), footer.u64(), footer.u32()
+    except MalformedBagError:
+        return KnownPlaces()
+    start = start or footer_offset
+    if not len(wire.MAGIC) + DATA_END_BYTES <= start <= footer_offset:
+        return KnownPlaces()
+    data_stop = start - DATA_END_BYTES
+    opcode, length = _PREFIX_of_known_places.unpack_from(view, data_stop)
+    if opcode != wire.DATA_END or length != DATA_END_BYTES - wire.PREFIX_BYTES:
+        return KnownPlaces()
+    is_sound = not crc32 or zlib.crc32(view[start : size - 4]) == crc32
+    trust = _Trust(is_sound, bool(crc32) and is_sound)
+    return _of_summary(view, name, (start, footer_offset), data_stop, trust)
+
+
+@dataclass(frozen=True)
+class _Trust:
+    """Of a summary: `is_sound` where no checksum speaks against it, `is_proven` where one speaks for it."""
+
+    is_sound: bool
+    is_proven: bool
+
+
+def _of_summary(view: memoryview, name: str, summary: tuple[int, int], data_stop: int, trust: _Trust) -> KnownPlaces:
+    chunks: dict[int, Chunk] = {}
+    definitions: dict[tuple[int, int], Record] = {}
+    messages, times_ns = None, None
+    try:
+        for record in wire.walk(view, *summary, name):
+            fields = Fields(view, record, name)
+            if record.opcode == wire.CHUNK_INDEX:
+                chunks.update(_known_chunk(view, fields, data_stop, trust))
+            elif record.opcode == wire.STATISTICS and trust.is_sound:
+                messages = wire.read_statistics(fields).message_count
+                times_ns = (fields.u64(), fields.u64())
+            elif record.opcode in (wire.SCHEMA, wire.CHANNEL) and trust.is_sound:
+                definitions[record.opcode, fields.u16()] = record
+    except MalformedBagError:
+        pass  # what was read up to here stands: each chunk was looked at
+    return KnownPlaces(_apart(chunks), data_stop, messages, times_ns, definitions)
+
+
+def _known_chunk(view: memoryview, index: Fields, data_stop: int, trust: _Trust) -> dict[int, Chunk]:
+    """The chunk of an index by where it starts; {} where the index cannot be, or the head says something else."""
+    times_ns = (index.u64(), index.u64())
+    start, length = index.u64(), index.u64()
+    index.span(index.u32())
+    index.u64()
+    compression, packed_bytes, size_bytes = index.text(), index.u64(), index.u64()
+    stop = start + length
+    head_bytes = wire.PREFIX_BYTES + CHUNK_HEAD_BYTES + len(compression.encode())
+    if not len(wire.MAGIC) <= start < stop <= data_stop or length != head_bytes + packed_bytes:
+        return {}
+    head = Fields(view, Record(wire.CHUNK, start + wire.PREFIX_BYTES, stop), index.where)
+    told = (head.u64(), head.u64(), head.u64())
+    crc32 = head.u32()
+    found = Chunk(f"{index.where}, chunk at byte {start}", size_bytes, crc32, compression, stop - packed_bytes, stop)
+    if trust.is_proven and _PREFIX_of_known_places.unpack_from(view, start) == (wire.CHUNK, length - wire.PREFIX_BYTES):
+        return {start: found}
+    try:
+        is_repeated = (*told, head.text(), head.u64()) == (*times_ns, size_bytes, compression, packed_bytes)
+    except MalformedBagError:
+        return {}
+    return {start: found} if is_repeated else {}
+
+
+def _apart(chunks: dict[int, Chunk]) -> dict[int, Chunk]:
+    """Without those that begin inside another one."""
+    kept: dict[int, Chunk] = {}
+    reached = 0
+    for start, chunk in sorted(chunks.items()):
+        if start >= reached:
+            kept[start], reached = chunk, chunk.stop
+    return kept
+
 
 _PREFIX = Struct("<BQ")
 MOST_PROBLEMS = 4

@@ -11,11 +11,9 @@ from stone.findings import Finding
 from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages, behind_end
 from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
 from stone_recordings.bags.mcap import records as wire
-from stone_recordings.bags.mcap.catalogue import Catalogue, message_head, read_catalogue
-from stone_recordings.bags.mcap.sealed_end import sealed_bytes
+from stone_recordings.bags.mcap.catalogue import Catalogue, message_head, read_catalogue, sealed_bytes
 from stone_recordings.bags.message_places import Entries, GrowingEntries, in_log_order
-from stone_recordings.bags.message_store import HEAD_BYTES
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import HEAD_BYTES, Topic
 
 _MESSAGE = Struct("<BQHIQQ")  # a record's opcode and length, then a message's head
 

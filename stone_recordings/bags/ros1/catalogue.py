@@ -5,17 +5,205 @@ with the heads of the chunks; anything missing or contradictory falls back to th
 records. So a bag that its recorder did not close, or whose end is missing, is walked whenever it is opened.
 """
 
-from collections.abc import Mapping, Sequence
-from dataclasses import dataclass
+from bisect import bisect_right
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import suppress
+from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
-from stone_recordings.bags.chunks import Chunk
-from stone_recordings.bags.errors import CutBagError, EncryptedBagError, MalformedBagError
-from stone_recordings.bags.message_places import Entries
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.chunks import UNDOUBTED_BYTES, Chunk, inflate, pieces_of
+from stone_recordings.bags.errors import CutBagError, EncryptedBagError, IngestError, MalformedBagError
+from stone_recordings.bags.message_places import Entries, GrowingEntries
 from stone_recordings.bags.ros1 import records as wire
-from stone_recordings.bags.ros1.draft import Ros1Connection, Ros1Draft
-from stone_recordings.bags.ros1.index import read_index
 from stone_recordings.bags.ros1.records import Ros1Record
-from stone_recordings.bags.ros1.walk import Ros1Walk
+
+# A walk through a ROS 1 bag, record after record, up to its last whole one: what an index is made anew from.
+#
+# **Conventions.** Where no record stands the walk goes on at the next place where a chunk is known to begin; where
+# none is known it ends. A chunk is taken whole or not at all. One that was begun and not ended counts as far as it
+# inflates; plain, its records are walked as those of the file itself.
+
+
+class Ros1Walk:
+    """`draft` is what was found, `read_bytes` where the last whole record ends."""
+
+    def __init__(self, view: memoryview, name: str, starts: Sequence[int], *, is_tolerant: bool) -> None:
+        self.draft, self.read_bytes = Ros1Draft(starts=sorted(starts)), 0
+        self._view, self._name, self._is_tolerant = view, name, is_tolerant
+
+    def follow(self, at: int) -> None:
+        """From the record at `at` on. Raises: MalformedBagError and what `inflate` raises, unless it is tolerant."""
+        following: int | None = at
+        while following is not None:
+            self.read_bytes = following
+            following = self._step(following) if following < len(self._view) else None
+        for number in self.draft.undefined():
+            self._lose(MalformedBagError(self._name, f"connection {number} is used and not defined"))
+            del self.draft.entries[number]
+
+    def _step(self, at: int) -> int | None:
+        """Take the record at `at`; gives where the next one begins, None where none does."""
+        record = self._head_at(at)
+        if record is None:
+            return self._resumed(at)
+        if record.op == wire.CHUNK and self._is_begun(record):
+            return self._resumed(at) if self._known_after(at) is not None else self._begun(record)
+        if record.stop > len(self._view):
+            return self._resumed(at)
+        try:
+            self._take(record)
+        except IngestError as error:
+            self._lose(error)
+        return record.stop
+
+    def _head_at(self, at: int) -> Ros1Record | None:
+        try:
+            record = wire.head_at(self._view, at, self._name)
+        except MalformedBagError:
+            return None
+        return record if wire.MESSAGE <= record.op <= wire.CONNECTION else None
+
+    def _is_begun(self, record: Ros1Record) -> bool:
+        """Whether a chunk was not ended: the file ends in it, or its recorder has not written its length yet."""
+        is_unsaid = record.start == record.stop and self._head_at(record.stop) is None
+        return is_unsaid or record.stop > len(self._view)
+
+    def _take(self, record: Ros1Record) -> None:
+        if record.op != wire.CHUNK:
+            self.draft.take(self._view, record, OF_FILE)
+            return
+        chunk = chunk_of(record, self._name)
+        records, found = inflate(self._view, chunk), Ros1Draft()
+        for inner in _records(records, chunk.where):
+            found.take(records, inner, len(self.draft.chunks))
+        self.draft.add_chunk(chunk, found)
+
+    def _begun(self, record: Ros1Record) -> int | None:
+        """Whatever is whole of a chunk that was not ended."""
+        chunk, found, size_bytes = chunk_of(record, self._name), Ros1Draft(), 0
+        if not chunk.compression:
+            return record.start
+        records = _inflated_part(self._view[record.start :], chunk.compression)
+        with suppress(MalformedBagError):  # the last record was not written to its end
+            for inner in _records(records, chunk.where):
+                found.take(records, inner, len(self.draft.chunks))
+                size_bytes = inner.stop
+        if size_bytes:
+            part = replace(chunk, uncompressed_bytes=size_bytes, stop=len(self._view), is_cut=True)
+            self.draft.add_chunk(part, found)
+        return None
+
+    def _resumed(self, at: int) -> int | None:
+        """Where the walk goes on where no record stands at `at`."""
+        following = self._known_after(at)
+        if following is not None:
+            self._lose(MalformedBagError(self._name, f"the bytes {at} to {following} are not complete records"))
+        return following
+
+    def _known_after(self, at: int) -> int | None:
+        starts = self.draft.starts
+        return next(iter(starts[bisect_right(starts, at) :]), None)
+
+    def _lose(self, error: IngestError) -> None:
+        if not self._is_tolerant:
+            raise error
+        self.draft.losses.append(f"{str(error).partition('; ')[0]} ({error.code})")
+
+
+def _records(view: memoryview, where: str) -> Iterator[Ros1Record]:
+    """Messages and connections of a chunk. Raises: MalformedBagError where another record stands, or none."""
+    at = 0
+    while at < len(view):
+        record = wire.record_at(view, at, where)
+        if record.op not in (wire.MESSAGE, wire.CONNECTION):
+            raise MalformedBagError(where, f"the record at byte {at} is of op {record.op}, not a message")
+        yield record
+        at = record.stop
+
+
+def _inflated_part(packed: memoryview, compression: str) -> memoryview:
+    found = bytearray()
+    for piece in pieces_of(packed, compression):
+        found += piece
+        if len(found) > UNDOUBTED_BYTES:  # larger than any chunk that a recorder was still writing
+            break
+    return memoryview(found)
+
+
+# What is known of a ROS 1 bag while it is read: its connections, chunks, and where messages lie.
+
+
+COMPRESSIONS = ("bz2", "lz4")
+OF_FILE = -1  # the chunk of what lies in none
+
+
+class Ros1Type(NamedTuple):
+    """A type as a connection tells it: package/Name, and its definition, "" for none."""
+
+    name: str
+    definition: str
+
+
+@dataclass(frozen=True)
+class Ros1Connection:
+    """A publisher of a topic, and how it describes its messages."""
+
+    topic: str
+    type: Ros1Type
+
+
+@dataclass
+class Ros1Draft:
+    """`starts` are where the index says that chunks begin; `losses` is in words what was broken."""
+
+    connections: dict[int, Ros1Connection] = field(default_factory=dict)
+    chunks: list[Chunk] = field(default_factory=list)
+    entries: dict[int, GrowingEntries] = field(default_factory=dict)
+    starts: list[int] = field(default_factory=list)
+    losses: list[str] = field(default_factory=list)
+
+    def take(self, view: memoryview, record: Ros1Record, chunk: int) -> None:
+        """A message, or a connection, of a chunk whose records are `view`. Raises: MalformedBagError."""
+        if record.op == wire.MESSAGE:
+            time_ns = record.fields.time_ns("time")
+            self.entries_of(record.fields.u32("conn")).add(time_ns, chunk, record.at)
+        elif record.op == wire.CONNECTION:
+            told = wire.header_fields(view[record.start : record.stop], record.fields.where)
+            topic = record.fields.text("topic") or told.text("topic")
+            connection = Ros1Connection(topic, Ros1Type(told.text("type"), told.text("message_definition")))
+            self.define(record.fields.u32("conn"), connection, record.fields.where)
+
+    def define(self, number: int, connection: Ros1Connection, where: str) -> None:
+        """Raises: MalformedBagError where the same id says two things."""
+        if self.connections.setdefault(number, connection) != connection:
+            raise MalformedBagError(where, f"connection {number} is described twice, differently")
+
+    def add_chunk(self, chunk: Chunk, found: "Ros1Draft") -> None:
+        """A chunk, and what was found in it under its number. Raises: as `define`."""
+        for number, connection in found.connections.items():
+            self.define(number, connection, chunk.where)
+        self.chunks.append(chunk)
+        for number, entries in found.entries.items():
+            self.entries_of(number).join(entries)
+
+    def entries_of(self, connection_id: int) -> GrowingEntries:
+        return self.entries.setdefault(connection_id, GrowingEntries())
+
+    def undefined(self) -> list[int]:
+        """Connections that messages speak of, and that are nowhere described."""
+        return sorted(self.entries.keys() - self.connections.keys())
+
+
+def chunk_of(record: Ros1Record, name: str) -> Chunk:
+    """Raises: MalformedBagError (its header does not say how large it is)."""
+    told = record.fields.text("compression")
+    compression = "" if told == "none" else told or "no name"
+    where = f"{name}, chunk at byte {record.at}"
+    return Chunk(where, record.fields.u32("size"), 0, compression, record.start, record.stop, known=COMPRESSIONS)
+
 
 BAG_HEADER_BYTES = 4096  # recorders pad it so far, to write it anew when they close the bag
 
@@ -85,3 +273,86 @@ def _bag_header(view: memoryview, name: str) -> Ros1Record:
     if encryptor := header.fields.text("encryptor"):
         raise EncryptedBagError(name, encryptor)
     return header
+
+
+# The index that a ROS 1 recorder writes when it closes its bag: connections, chunks, and behind each its messages.
+#
+# **Conventions.** Raises MalformedBagError wherever it contradicts itself or the heads of the chunks.
+
+
+ENTRY = np.dtype([("sec", "<u4"), ("nsec", "<u4"), ("offset", "<u4")])
+VERSION = 1
+
+
+@dataclass(frozen=True)
+class _ChunkInfo:
+    """Where a chunk is, and by connection how many messages it holds."""
+
+    at: int
+    counts: dict[int, int]
+
+
+def read_index(view: memoryview, header: Ros1Record, draft: Ros1Draft, name: str) -> int:
+    """Fills the draft; gives the byte where the index ends."""
+    infos, at = [], header.fields.u64("index_pos")
+    for _ in range(header.fields.u32("conn_count")):
+        record = _expected(view, at, wire.CONNECTION, name)
+        draft.take(view, record, OF_FILE)
+        at = record.stop
+    for _ in range(header.fields.u32("chunk_count")):
+        record = _expected(view, at, wire.CHUNK_INFO, name)
+        infos.append(_chunk_info(view, record))
+        draft.starts.append(infos[-1].at)
+        at = record.stop
+    reached = header.stop
+    for info in sorted(infos, key=lambda info: info.at):
+        if info.at < reached:
+            raise MalformedBagError(name, f"the chunk at byte {info.at} overlaps the one before it")
+        reached = _add_chunk(view, info, draft, name)
+    if undefined := draft.undefined():
+        raise MalformedBagError(name, f"its index refers to connection {undefined[0]}, which is not defined")
+    return at
+
+
+def _add_chunk(view: memoryview, info: _ChunkInfo, draft: Ros1Draft, name: str) -> int:
+    """Take the message indexes behind one chunk; gives the byte where they end."""
+    record = _expected(view, info.at, wire.CHUNK, name)
+    draft.chunks.append(chunk_of(record, name))
+    counts: dict[int, int] = {}
+    for _ in info.counts:
+        record = _expected(view, record.stop, wire.INDEX, name)
+        number, (times_ns, offsets) = record.fields.u32("conn"), _rows(view, record)
+        counts[number] = counts.get(number, 0) + len(offsets)
+        draft.entries_of(number).extend(times_ns, len(draft.chunks) - 1, offsets)
+    if counts != info.counts:
+        raise MalformedBagError(
+            name, f"the index of the chunk at byte {info.at} does not have as many messages as the chunk info declares"
+        )
+    return record.stop
+
+
+def _rows(view: memoryview, record: Ros1Record) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Times, and offsets in the chunk."""
+    count, size_bytes = record.fields.u32("count"), record.stop - record.start
+    if record.fields.u32("ver") != VERSION or size_bytes != count * ENTRY.itemsize:
+        raise MalformedBagError(
+            record.fields.where, f"the index at byte {record.at} has {size_bytes} bytes for {count}"
+        )
+    rows = np.frombuffer(view[record.start : record.stop], ENTRY)
+    times_ns = rows["sec"].astype(np.int64) * wire.NS_PER_S + rows["nsec"]
+    return times_ns, rows["offset"].astype(np.int64)
+
+
+def _chunk_info(view: memoryview, record: Ros1Record) -> _ChunkInfo:
+    count, data = record.fields.u32("count"), view[record.start : record.stop]
+    if record.fields.u32("ver") != VERSION or len(data) != 8 * count:
+        raise MalformedBagError(record.fields.where, f"the chunk info at byte {record.at} has {len(data)} bytes")
+    table = np.frombuffer(data, "<u4").reshape(-1, 2).tolist()
+    return _ChunkInfo(record.fields.u64("chunk_pos"), dict(table))
+
+
+def _expected(view: memoryview, at: int, op: int, name: str) -> Ros1Record:
+    record = wire.record_at(view, at, name)
+    if record.op != op:
+        raise MalformedBagError(name, f"the record at byte {at} is of op {record.op}, {op} is expected")
+    return record

@@ -15,10 +15,8 @@ from stone_recordings.bags.message_places import Entries, GrowingEntries, in_log
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.bags.ros1 import records as wire
 from stone_recordings.bags.ros1.catalogue import BagState, Ros1Catalogue, read_ros1_catalogue
-from stone_recordings.bags.ros1.conversion import Conversion
-from stone_recordings.bags.ros1.definitions import conversion_of
+from stone_recordings.bags.ros1.definitions import Conversion, conversion_of, described
 from stone_recordings.bags.ros1.records import Ros1Record
-from stone_recordings.bags.ros1.topics import described
 
 # A head of CDR is made of no more bytes of ROS 1 than this: it lacks `seq` and has padding.
 ROS1_HEAD_BYTES = 2 * HEAD_BYTES

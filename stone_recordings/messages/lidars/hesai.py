@@ -9,9 +9,16 @@ point is up to 28 µs off. Source: user manuals of Pandar40P (400-en-2211A10) an
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG, OT128_FIRING_NS, PANDAR40P_FIRING_NS
 from stone_recordings.messages.lidars.models import CONFIDENCE_FLAG, SAFETY_BYTES, SAFETY_FLAG
-from stone_recordings.messages.lidars.points import PacketReturns, packet_times_ns, without_repeats
+from stone_recordings.messages.lidars.points import (
+    AZIMUTH_DEG,
+    ELEVATION_DEG,
+    OT128_FIRING_NS,
+    PANDAR40P_FIRING_NS,
+    PacketReturns,
+    packet_times_ns,
+    without_repeats,
+)
 
 SECOND_US = 1_000_000
 TWO_RETURNS, THREE_RETURNS = (0x39, 0x3A, 0x3B, 0x3C, 0x3E), 0x3D

@@ -11,9 +11,14 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.lidars.models import VELODYNE_BYTES, LidarModel
-from stone_recordings.messages.lidars.points import PacketReturns, packet_times_ns, without_repeats
+from stone_recordings.messages.lidars.points import (
+    AZIMUTH_DEG,
+    ELEVATION_DEG,
+    PacketReturns,
+    packet_times_ns,
+    without_repeats,
+)
 
 BLOCKS, LASERS = 12, 32
 _RECORD = np.dtype([("range", "<u2"), ("intensity", "u1")])

@@ -15,7 +15,7 @@ from stone_recordings.bags.errors import CloudLayoutError
 from stone_recordings.messages.batch import StampedMessage
 from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.radars.detections import COLUMNS, RadarDetections, offsets_of
-from stone_recordings.messages.types.columns import as_doubles
+from stone_recordings.messages.types.table import as_doubles
 
 TYPE = "sensor_msgs/msg/PointCloud2"
 NAMES = {

@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 
 from stone_recordings.bags.errors import MessageLayoutError
 from stone_recordings.messages.types.cdr import NS_PER_S
-from stone_recordings.messages.types.columns import MessageTable, as_doubles
+from stone_recordings.messages.types.table import MessageTable, as_doubles
 
 # The flag bits of one detection, ARS 548: distance, azimuth, elevation and range rate (the others are deviations).
 INVALID_MASK = 0x01 | 0x04 | 0x10 | 0x40

@@ -21,9 +21,8 @@ from stone_recordings.messages.radars.detections import (
     joined_ns,
     offsets_of,
 )
-from stone_recordings.messages.types.columns import Ragged
 from stone_recordings.messages.types.registry import resolved
-from stone_recordings.messages.types.table import decode_table
+from stone_recordings.messages.types.table import Ragged, decode_table
 
 TYPE = "nebula_msgs/msg/NebulaPackets"
 DETECTION_METHOD = 336

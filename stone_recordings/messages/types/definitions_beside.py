@@ -11,7 +11,7 @@ from pathlib import Path
 
 from stone.findings import Finding
 from stone_files.bag_fingerprint import DEFINITION
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import Topic
 from stone_recordings.messages.errors import DefinitionRefusedError
 from stone_recordings.messages.types.registry import MessageText, registry
 

@@ -18,8 +18,7 @@ from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.messages.camera import picture_of
 from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.quality.markup import plain
-from stone_recordings.report.quality.sampling import RecordingSpan, span_of
-from stone_recordings.report.quality.watched_topics import cameras_of
+from stone_recordings.report.quality.sampling import RecordingSpan, cameras_of, span_of
 
 TILE_WIDTH_PX, COLUMNS, GAP_PX = 480, 3, 6
 LEAST_RATIO, USUAL_RATIO, MOST_RATIO = 0.4, 0.625, 1.5

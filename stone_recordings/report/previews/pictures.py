@@ -6,8 +6,7 @@ from stone_recordings.bags.bag import Bag
 from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.previews.camera_strip import camera_strip
 from stone_recordings.report.previews.sweep_view import sweep_view
-from stone_recordings.report.previews.track import track_of
-from stone_recordings.report.previews.track_view import track_view
+from stone_recordings.report.previews.track_view import track_of, track_view
 from stone_recordings.report.quality.sampling import SampledMessages
 
 CAMERAS, SWEEP, TRACK = "cameras.jpg", "sweep.png", "track.png"

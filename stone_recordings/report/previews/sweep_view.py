@@ -27,7 +27,7 @@ from stone_recordings.report.previews.canvas import (
     square_figure,
 )
 from stone_recordings.report.quality.plots import drawing_style
-from stone_recordings.report.quality.watched_topics import of_role
+from stone_recordings.report.quality.sampling import of_role
 
 RADII_M = (10.0, 15.0, 20.0, 30.0, 40.0, 60.0, 80.0, 120.0, 200.0)
 SHOWN_SHARE = 0.93

@@ -3,15 +3,150 @@
 **Conventions.** Metres, equal scales. Start is a ring, end a square.
 """
 
+from collections.abc import Callable
+from dataclasses import dataclass
+
 import numpy as np
+import pymap3d
 from matplotlib.axes import Axes
 from matplotlib.collections import LineCollection
 from matplotlib.figure import Figure
 from matplotlib.lines import Line2D
+from numpy.typing import NDArray
 
+from stone_recordings.bags.bag import Bag, RawMessage, Topic
+from stone_recordings.messages.gnss import GNSS_TYPES, decode_gnss
+from stone_recordings.messages.odometry import decode_odometry
+from stone_recordings.messages.tf import decode_transforms
+from stone_recordings.poses.sources import FIXED_FRAMES
+from stone_recordings.report.inspection import Inspection
 from stone_recordings.report.previews.canvas import INK, LINE, SOFT, TEXT_POINTS, dressed, png, square_figure
-from stone_recordings.report.previews.track import RecordedTrack
+from stone_recordings.report.quality.facts import RtkWord
 from stone_recordings.report.quality.plots import drawing_style
+from stone_recordings.report.quality.report import BESTPOS, INSPVAX, WORD_OF_TYPE, decode_solution
+from stone_recordings.report.quality.sampling import TINY, SampledMessages, TopicSampling, of_role, sample
+from stone_recordings.topics.roles import Role
+
+# The track of the robot, from a few hundred positions of the recording.
+#
+# **Conventions.** The first of INS, odometry, satellite fixes and TF that has two positions. Metres: east and north of
+# the first usable position for what speaks of latitudes, the source's own fixed frame otherwise. Nothing is smoothed;
+# what lies further than `LAST_M` from the middle of the others along either axis is no place the robot drove to.
+
+
+SOURCE_ROLES: tuple[Role, ...] = ("ins", "odometry", "gnss", "tf")
+LAST_M = 20_000.0
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedTrack:
+    """`points_m` (N, 2), N at least 2; `words` (N) where the source says how good its positions are, else ()."""
+
+    source: str
+    points_m: NDArray[np.float64]
+    words: tuple[RtkWord, ...]
+    is_geodetic: bool
+
+
+@dataclass(frozen=True)
+class _Position:
+    """Latitude, longitude in degrees and 0, or x, y in metres; `group` is the pair of frames it belongs to."""
+
+    first: float
+    second: float
+    word: RtkWord | None = None
+    group: tuple[str, str] = ("", "")
+
+
+Reader = Callable[[Topic, RawMessage], list[_Position]]
+
+
+def track_of(bag: Bag, inspection: Inspection, sampled: SampledMessages | None = None) -> RecordedTrack | None:
+    """None where nothing tells two positions; what was `sampled` before is not read again."""
+    messages = sampled or SampledMessages(bag)
+    for role in SOURCE_ROLES:
+        for topic in of_role(inspection, role):
+            if topic.type in READERS and (track := _track(messages, topic)) is not None:
+                return track
+    return None
+
+
+def _track(messages: SampledMessages, topic: Topic) -> RecordedTrack | None:
+    read, is_geodetic = READERS[topic.type]
+    seen: list[_Position] = []
+    sample(
+        messages.bag,
+        [TopicSampling(topic, lambda at_ns, payload: seen.extend(read(topic, RawMessage(at_ns, 0, payload))), TINY)],
+        messages,
+    )
+    usable = [one for one in _of_one_group(seen) if _is_place(one, is_geodetic)]
+    if len(usable) < 2:
+        return None
+    values = np.array([(one.first, one.second) for one in usable], np.float64)
+    points_m = _east_north_m(values) if is_geodetic else values
+    is_near = np.max(np.abs(points_m - np.median(points_m, axis=0)), axis=1) <= LAST_M
+    if is_near.sum() < 2:
+        return None
+    words = tuple(one.word for one, kept in zip(usable, is_near, strict=True) if kept and one.word is not None)
+    has_words = len(words) == int(is_near.sum())
+    return RecordedTrack(topic.type.rpartition("/")[2], points_m[is_near], words if has_words else (), is_geodetic)
+
+
+def _is_place(one: _Position, is_geodetic: bool) -> bool:
+    """Finite, and on Earth; receivers write 0, 0 before they know."""
+    if not np.isfinite([one.first, one.second]).all():
+        return False
+    return not is_geodetic or (abs(one.first) <= 90 and abs(one.second) <= 360 and (one.first, one.second) != (0, 0))
+
+
+def _of_one_group(seen: list[_Position]) -> list[_Position]:
+    """Of several pairs of frames the one told most often."""
+    groups = [one.group for one in seen]
+    chosen = max(sorted(set(groups)), key=groups.count, default=("", ""))
+    return [one for one in seen if one.group == chosen]
+
+
+def _east_north_m(degrees: NDArray[np.float64]) -> NDArray[np.float64]:
+    east, north, _up = pymap3d.geodetic2enu(degrees[:, 0], degrees[:, 1], 0.0, degrees[0, 0], degrees[0, 1], 0.0)
+    return np.stack([east, north], axis=1)
+
+
+def _solution(topic: Topic, message: RawMessage) -> list[_Position]:
+    samples = decode_solution(topic, message)
+    word = None if samples.pos_type is None else WORD_OF_TYPE.get(int(samples.pos_type[0]), "other")
+    return [_Position(float(samples.latitude_deg[0]), float(samples.longitude_deg[0]), word)]
+
+
+def _fix(topic: Topic, message: RawMessage) -> list[_Position]:
+    samples = decode_gnss(topic.type, [message], topic.schema)
+    if not samples.is_fixed[0]:
+        return []
+    return [_Position(float(samples.latitude_deg[0]), float(samples.longitude_deg[0]))]
+
+
+def _odometry(_topic: Topic, message: RawMessage) -> list[_Position]:
+    samples = decode_odometry([message])
+    x_m, y_m, _z_m = samples.parent_from_child.translation_m[0].tolist()
+    return [_Position(x_m, y_m)]
+
+
+def _transforms(_topic: Topic, message: RawMessage) -> list[_Position]:
+    moving = [pair for pair in decode_transforms([message]) if pair.parent.strip("/") in FIXED_FRAMES]
+    return [
+        _Position(float(x_m), float(y_m), None, (pair.parent, pair.child))
+        for pair in moving
+        for x_m, y_m in pair.parent_from_child.translation_m[:1, :2]
+    ]
+
+
+# How a type is read, and whether it speaks of latitude and longitude.
+READERS: dict[str, tuple[Reader, bool]] = {
+    **dict.fromkeys(("novatel_oem7_msgs/msg/INSPVA", INSPVAX, BESTPOS), (_solution, True)),
+    **dict.fromkeys(GNSS_TYPES, (_fix, True)),
+    "nav_msgs/msg/Odometry": (_odometry, False),
+    "tf2_msgs/msg/TFMessage": (_transforms, False),
+}
+
 
 COLOUR_OF_WORD = {"fixed": "#6ecb87", "float": "#f0b45a", "other": "#ff7a6e"}
 LABEL_OF_WORD = {"fixed": "RTK fixed", "float": "RTK float", "other": "neither"}

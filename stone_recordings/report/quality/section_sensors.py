@@ -13,8 +13,7 @@ from markupsafe import Markup
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.report.quality.facts import CameraFacts, LidarFacts, RadarFacts, RtkFacts, middle
 from stone_recordings.report.quality.markup import DrawnFigure, HtmlTable, name, number, percent
-from stone_recordings.report.quality.plots import Frame, PlotLine, series_colour, time_plot
-from stone_recordings.report.quality.strips import StripBar, word_strip
+from stone_recordings.report.quality.plots import Frame, PlotLine, StripBar, series_colour, time_plot, word_strip
 
 SensorT = TypeVar("SensorT", CameraFacts, LidarFacts, RadarFacts)
 

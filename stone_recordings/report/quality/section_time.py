@@ -11,9 +11,8 @@ from markupsafe import Markup
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.report.quality.facts import Coverage
 from stone_recordings.report.quality.markup import DrawnFigure, HtmlTable, name, number, percent, text
-from stone_recordings.report.quality.plots import Frame, PlotLine, time_plot
+from stone_recordings.report.quality.plots import Frame, PlotLine, StripBar, cover_strip, span_strip, time_plot
 from stone_recordings.report.quality.score import SENSOR_ROLES
-from stone_recordings.report.quality.strips import StripBar, cover_strip, span_strip
 
 MOST_LINES = 40
 ROLE_COLOUR = {"lidar": "c0", "camera": "c1", "radar": "c2", "ins": "c3", "imu": "c6", "gnss": "c5", "odometry": "c4"}

@@ -13,7 +13,7 @@ from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.calibration_errors import MissingSensorError
 from stone_recordings.bags.bag import Bag
 from stone_recordings.report.inspection import frame_id_of, inspect_in
-from stone_recordings.report.rig.places import placed_sensors
+from stone_recordings.report.rig.record import placed_sensors
 from stone_recordings.sync.association import mount_of
 from stone_recordings.topics.profiles import TopicProfile
 from stone_recordings.topics.roles import Role

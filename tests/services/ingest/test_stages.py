@@ -21,11 +21,10 @@ from services.runtime.store.named_objects import named
 from services.runtime.uploads import expire, upload_file
 from simulator.pipeline import calibration_path
 from stone.sensors.deskew import SweepMount
-from stone_recordings.report.inspection import inspect
-from stone_recordings.report.inspection_record import LONGEST_TEXT, MOST_GAPS, MOST_TOPICS, inspection_record
+from stone_recordings.report.inspection import LONGEST_TEXT, MOST_GAPS, MOST_TOPICS, inspect, inspection_record
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
-from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
+from stone_recordings.sync.sweeps import read_sweeps, sweeps_bytes
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, Interrupted, bring, run_all

@@ -22,7 +22,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.calibrations.file import read_calibration
-from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG
+from stone_recordings.messages.lidars.points import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.pointcloud2 import decode_cloud
 from stone_recordings.messages.sweep_clouds import sweep_cloud
 from testing.worlds.faults.outcome import LabelledDrive, agreement, labelled

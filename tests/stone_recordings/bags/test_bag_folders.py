@@ -14,7 +14,7 @@ from mcap.writer import CompressionType
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import MalformedBagError, MembersRefusedError, NotABagError, PackedTooLargeError
 from stone_recordings.bags.members import MOST_MEMBERS, members_of
-from stone_recordings.bags.packed_file import SMALL_BYTES
+from stone_recordings.bags.private_folder import SMALL_BYTES
 from stone_recordings.bags.split_store import AWAKE, SplitStore
 from stone_recordings.report.inspection import inspect
 from tests.stone_recordings.databases import write_db3

@@ -15,7 +15,7 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.chunked_store import AHEAD_CHUNKS, KEPT_CHUNKS
 from stone_recordings.bags.chunks import Chunk, inflate
 from stone_recordings.bags.errors import ChecksumError, IngestError, MalformedBagError
-from stone_recordings.bags.joined.moved_bag import MovedBag
+from stone_recordings.bags.joined.joined_store import MovedBag
 from stone_recordings.bags.message_store import HEAD_BYTES
 from testing.worlds.faults.other_edits import bad_chunk
 from tests.stone_recordings.writing import Recorded, write_mcap

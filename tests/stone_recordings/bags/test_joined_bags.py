@@ -12,10 +12,9 @@ from stone_files.bag_fingerprint import bag_paths, recording_inputs, recording_s
 from stone_files.joined_file import GIVEN, JOINED, REFERENCE, SAME_TOPICS, JoinedFileError, JoinedMember, joined_bytes
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import MembersRefusedError, NotABagError
-from stone_recordings.bags.joined.joined_store import JoinedTopicError
-from stone_recordings.bags.joined.moved_stamps import moved, stamp_places
+from stone_recordings.bags.joined.joined_store import JoinedTopicError, moved, stamp_places
+from stone_recordings.bags.message_store import Topic
 from stone_recordings.bags.recovery.recovery import recover
-from stone_recordings.bags.topic import Topic
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sweeps import opened
 from testing.worlds.recording_parts import RecordingPart, split_into

@@ -11,15 +11,12 @@ from hypothesis import strategies as st
 
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
-from stone_recordings.bags.topic import Topic
-from stone_recordings.clocks.imu_lag import POSE_BYTES
-from stone_recordings.clocks.measurement import kept_bytes
+from stone_recordings.bags.message_store import Topic
+from stone_recordings.clocks.measurement import OWN_TIME_BYTES, POSE_BYTES, has_own_time, kept_bytes, own_times
 from stone_recordings.clocks.report import TopicClock
-from stone_recordings.clocks.sensor_times import OWN_TIME_BYTES, has_own_time, own_times
 from stone_recordings.messages.types.registry import message_definition
 from stone_recordings.poses.ins_poses import track_from_ins
-from stone_recordings.report.inspection import Inspection
-from stone_recordings.report.inspection_record import MOST_TOPICS, inspection_record
+from stone_recordings.report.inspection import MOST_TOPICS, Inspection, inspection_record
 from stone_recordings.report.quality.section_clocks import clocks_section
 from stone_recordings.report.scan import MOST_KEPT, KeptMessage, scan_of
 from tests.stone_recordings import rigs

@@ -6,8 +6,8 @@ from typing import Any
 
 import numpy as np
 
-from stone_recordings.messages.types.columns import MessageTable, Ragged
 from stone_recordings.messages.types.registry import typestore
+from stone_recordings.messages.types.table import MessageTable, Ragged
 
 
 @dataclass(frozen=True)

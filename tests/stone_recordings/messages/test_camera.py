@@ -14,10 +14,8 @@ from PIL import Image
 
 from stone_recordings.bags.errors import IngestError, MessageLayoutError, PoseValueError
 from stone_recordings.messages import problems
-from stone_recordings.messages.bayer import binned, debayered
-from stone_recordings.messages.camera import COMPRESSED, IMAGE, decode_image, picture_of
+from stone_recordings.messages.camera import COMPRESSED, IMAGE, MOST_SCANS, binned, debayered, decode_image, picture_of
 from stone_recordings.messages.errors import PictureError
-from stone_recordings.messages.picture_head import MOST_SCANS
 from tests.stone_recordings.writing import header, made, serialised
 
 # Where red, green and blue are in a pixel as it is sent.

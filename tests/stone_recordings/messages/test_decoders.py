@@ -14,9 +14,8 @@ from rosbags.typesys import Stores, get_types_from_msg, get_typestore
 
 from stone_recordings.bags import errors
 from stone_recordings.bags.bag import open_bag
-from stone_recordings.messages.gps_time import unix_ns
 from stone_recordings.messages.imu import decode_imu
-from stone_recordings.messages.novatel import decode_bestpos, decode_inspva
+from stone_recordings.messages.novatel import decode_bestpos, decode_inspva, unix_ns
 from stone_recordings.messages.odometry import decode_odometry
 from stone_recordings.messages.tf import decode_transforms
 from stone_recordings.messages.types.registry import message_definition, typestore

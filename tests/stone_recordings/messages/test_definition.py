@@ -10,7 +10,7 @@ from rosbags.typesys import get_types_from_msg
 
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import DefinitionMissingError
-from stone_recordings.bags.topic import Topic
+from stone_recordings.bags.message_store import Topic
 from stone_recordings.messages.errors import DefinitionRefusedError
 from stone_recordings.messages.types.definition import MOST_CHARACTERS, MOST_ELEMENTS, MOST_FIELDS, Field, parsed
 from stone_recordings.messages.types.definition_checks import MOST_DEFINITIONS, definition_findings

@@ -16,9 +16,15 @@ from rosbags.typesys.store import Typestore
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.messages.camera_info import decode_camera_info
 from stone_recordings.messages.gnss import GNSS_TYPES, NAVSATFIX, decode_gnss
-from stone_recordings.messages.gps_time import leap_seconds, unix_ns
-from stone_recordings.messages.novatel import decode_inspva, gps_stamps_ns
-from stone_recordings.messages.novatel_types import PACKAGE, decode_novatel, older
+from stone_recordings.messages.novatel import (
+    PACKAGE,
+    decode_inspva,
+    decode_novatel,
+    gps_stamps_ns,
+    leap_seconds,
+    older,
+    unix_ns,
+)
 from stone_recordings.messages.types.definition import Field, parsed
 from stone_recordings.messages.types.registry import MessageText, registry, typestore
 from tests.stone_recordings.messages.oracle import Message, assert_same, read_by_rosbags, wire

@@ -10,8 +10,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
-from stone_recordings.poses import pose_file
-from stone_recordings.poses.pose_file import read_pose_file
+from stone_recordings.poses import file_poses
+from stone_recordings.poses.file_poses import read_pose_file
 from stone_recordings.sync.errors import PoseFileError
 from testing.worlds.pose_files import kitti_text, tum_text
 
@@ -74,10 +74,10 @@ def test_a_file_that_is_no_text_or_too_large_is_refused(tmp_path: Path, monkeypa
     path.write_bytes(b"\xff\xd8\xff\xe0 a picture\n")
     with pytest.raises(PoseFileError):
         read_pose_file(path)
-    monkeypatch.setattr(pose_file, "MOST_POSES", 1)
+    monkeypatch.setattr(file_poses, "MOST_POSES", 1)
     with pytest.raises(PoseFileError):
         read_pose_file(written(path, EYE * 2))
-    monkeypatch.setattr(pose_file, "LARGEST_BYTES", 10)
+    monkeypatch.setattr(file_poses, "LARGEST_BYTES", 10)
     with pytest.raises(PoseFileError):
         read_pose_file(written(path, EYE))
 

@@ -12,14 +12,12 @@ from stone.geometry.trajectory import Trajectory
 from stone.sensors.pose_quality import PoseQuality, Rtk, quality_at, unknown_quality
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.messages.novatel import FixSamples, decode_inspva
-from stone_recordings.poses.gravity_alignment import LEAST_SAMPLES, imu_topic, levelled
-from stone_recordings.poses.motion_check import is_still
+from stone_recordings.poses.ego_track import LEAST_SAMPLES, imu_topic, is_still, levelled, split_at_jumps
 from stone_recordings.poses.quality import HOLD_NS, rtk_of, solution_quality
 from stone_recordings.poses.sources import PoseTrack
-from stone_recordings.poses.track_jumps import split_at_jumps
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
-from stone_recordings.sync.sweep_file import read_sweeps, sweeps_bytes
+from stone_recordings.sync.sweeps import read_sweeps, sweeps_bytes
 from tests.stone_recordings import rigs
 from tests.stone_recordings.rigs import PERIOD_NS, T0_NS, calibration, ins_messages, placed, written
 from tests.stone_recordings.writing import Recorded, header, random_message, serialised

@@ -17,8 +17,7 @@ from stone_recordings.report.inspection import inspect
 from stone_recordings.report.previews.camera_strip import COLUMNS, GAP_PX, TILE, TILE_WIDTH_PX
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.previews.sweep_view import RASTER_PX, from_above
-from stone_recordings.report.previews.track import RecordedTrack, track_of
-from stone_recordings.report.previews.track_view import track_view
+from stone_recordings.report.previews.track_view import RecordedTrack, track_of, track_view
 from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
 from tests.stone_recordings.report.quality import recordings

@@ -13,9 +13,8 @@ from scipy.spatial.transform import Rotation
 from simulator.sensors.rig import calibration
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
-from stone_recordings.report.rig.figure import rig_figure
-from stone_recordings.report.rig.labels import LETTER_RATIO, LINE_RATIO, Label, spread
-from stone_recordings.report.rig.places import LIDAR, PlacedSensor, fields_of_view_deg, placed_sensors
+from stone_recordings.report.rig.figure import LETTER_RATIO, LINE_RATIO, Label, rig_figure, spread
+from stone_recordings.report.rig.record import LIDAR, PlacedSensor, fields_of_view_deg, placed_sensors
 
 SVG = "{http://www.w3.org/2000/svg}"
 UP = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, 1.0]))

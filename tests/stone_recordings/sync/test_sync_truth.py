@@ -19,7 +19,7 @@ from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.messages.pointcloud2 import decode_cloud, lidar_points
 from stone_recordings.messages.radars.radar import decode_radar
-from stone_recordings.sync.radars import radars_of
+from stone_recordings.sync.samples import radars_of
 from stone_recordings.sync.sweeps import BagSweeps
 
 OPTIONS = SimulateOptions(seconds=3.0, seed=5, channels=16, columns=300, cameras=False, noise_ratio=0.0)

@@ -7,10 +7,21 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.sensors import rig
-from stone_recordings.topics.channels import channel_of, channel_of_words
-from stone_recordings.topics.profile_errors import BadProfileError, ProfileFileError
-from stone_recordings.topics.profile_file import LARGEST_BYTES, read_profile, write_profile
-from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Assignment, Candidate, TopicProfile, resolve
+from stone_recordings.topics.profiles import (
+    LARGEST_BYTES,
+    LONGEST_TOPIC,
+    MOST_TOPICS,
+    Assignment,
+    BadProfileError,
+    Candidate,
+    ProfileFileError,
+    TopicProfile,
+    channel_of,
+    channel_of_words,
+    read_profile,
+    resolve,
+    write_profile,
+)
 from stone_recordings.topics.roles import INSPVAX, POINT_CLOUD, Role
 
 IMU, IMAGE, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "nav_msgs/msg/Odometry"

@@ -15,13 +15,13 @@ from simulator.pipeline import calibration_path
 from stone_files.joined_file import GIVEN, GYRO, RADARS, REFERENCE, SAME_MESSAGES, SAME_TOPICS, JoinedMember
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.joined.joined_store import JoinedTopicError
-from stone_recordings.joining.errors import (
+from stone_recordings.joining.joined_recording import (
     ContradictoryOffsetsError,
     NoCommonTimeError,
     NotJoinedError,
     UnmeasuredOffsetError,
+    write_joined,
 )
-from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.sync.errors import NoLidarError
 from testing.worlds.drives import drive
 from testing.worlds.recording_parts import RecordingPart, split_into

@@ -6,9 +6,8 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_recordings.bags.errors import DefinitionMissingError, MessageLayoutError
-from stone_recordings.bags.ros1.conversion import MOST_ELEMENTS
-from stone_recordings.bags.ros1.definitions import conversion_of, ros2_type
-from stone_recordings.bags.ros1.draft import Ros1Type
+from stone_recordings.bags.ros1.catalogue import Ros1Type
+from stone_recordings.bags.ros1.definitions import MOST_ELEMENTS, conversion_of, ros2_type
 from stone_recordings.messages.errors import DefinitionRefusedError
 from stone_recordings.messages.types.registry import registry, resolved, typestore
 from stone_recordings.messages.types.table import decode_table

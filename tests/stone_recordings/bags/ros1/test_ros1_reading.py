@@ -15,8 +15,7 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import CutBagError, MalformedBagError
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.bags.recovery.recovery import recover
-from stone_recordings.report.inspection import inspect
-from stone_recordings.report.inspection_record import inspection_record
+from stone_recordings.report.inspection import inspect, inspection_record
 from testing.worlds.ros1_bags import ROS1_COMPRESSIONS, Ros1Compression, as_ros1, unclosed
 
 OF_ROS2 = ("std_msgs/msg/Header", "builtin_interfaces/msg/Time", "builtin_interfaces/msg/Duration")

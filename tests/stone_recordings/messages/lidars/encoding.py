@@ -8,8 +8,8 @@ from math import cos, radians, sin
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG, OT128_FIRING_NS, PANDAR40P_FIRING_NS
 from stone_recordings.messages.lidars.models import LidarModel
+from stone_recordings.messages.lidars.points import AZIMUTH_DEG, ELEVATION_DEG, OT128_FIRING_NS, PANDAR40P_FIRING_NS
 from tests.stone_recordings.writing import header, made, serialised
 
 PRODUCTS = {"VLP-16": 0x22, "VLP-32C": 0x28, "VLS-128": 0xA1}

@@ -14,8 +14,8 @@ from scipy.spatial import cKDTree
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import IngestError, MessageLayoutError
 from stone_recordings.messages.errors import LidarPacketError
-from stone_recordings.messages.lidars.angles import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.lidars.models import LidarModel
+from stone_recordings.messages.lidars.points import AZIMUTH_DEG, ELEVATION_DEG
 from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.sweep_clouds import packet_cloud, sweep_cloud, sweep_problem
 from tests.stone_recordings.messages.lidars import encoding

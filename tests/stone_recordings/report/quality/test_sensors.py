@@ -13,10 +13,8 @@ from scipy.ndimage import gaussian_filter, laplace
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from stone_recordings.report.inspection import Inspection
-from stone_recordings.report.quality.cameras import picture_facts, sharpness
 from stone_recordings.report.quality.coverage import COVER_BINS, covered_bins, covered_ratio, rates
-from stone_recordings.report.quality.report import Quality
-from stone_recordings.report.quality.rtk import WORD_OF_TYPE
+from stone_recordings.report.quality.report import WORD_OF_TYPE, Quality, picture_facts, sharpness
 from tests.stone_recordings.report.quality import recordings
 from tests.stone_recordings.report.quality.recordings import LIDAR, RADAR, measured, ticks
 from tests.stone_recordings.rigs import stamped, written
