@@ -19,8 +19,7 @@ from stone.geometry.se3 import SE3
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedDatum, ExportedFrame
-from stone_exports.labels import Classes, observed_classes
-from stone_exports.radar import detections_ego
+from stone_exports.labels import Classes, detections_ego, observed_classes
 from stone_exports.sweeps import SweepFile
 
 STEP_M, REACH_M = 0.004, 131.0

@@ -26,7 +26,7 @@ from baselines.row_config import RowConfig
 from baselines.run_folder import read_run_row
 from baselines.sources import frames_of
 from stone.labels.grid import GRID_SHAPE
-from stone_exports.errors import refuse_missing
+from stone_exports.files import refuse_missing
 from stone_exports.frames import ExportedFrame
 from stone_exports.tables import exports_in
 from stone_submissions.archive import frame_file, write_files

@@ -21,8 +21,7 @@ from stone.sensors.calibration import CameraIntrinsics
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import ExportFileSpan, FolderFiles
 from stone_exports.frames import ExportedDatum, ExportedSensor, frames_in
-from stone_exports.labels import observed_classes
-from stone_exports.radar import detections_ego
+from stone_exports.labels import detections_ego, observed_classes
 from stone_exports.tables import TABLES
 from stone_files.npz import npz_bytes
 

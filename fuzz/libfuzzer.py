@@ -11,7 +11,7 @@ import stone_recordings.messages.lidar  # noqa: F401 # numba compiles bytecode a
 
 EXPORTED = (
     "stone_exports.files", "stone_files.tar_index", "stone_exports.tables", "stone_exports.sweeps",
-    "stone_exports.frames", "stone_exports.labels", "stone_exports.radar", "stone_exports.cameras",
+    "stone_exports.frames", "stone_exports.labels", "stone_exports.labels", "stone_exports.cameras",
 )  # fmt: skip
 OF_FILES = (
     "stone_files.bag_fingerprint", "stone_files.calibration_bundle", "stone_files.joined_file",

@@ -21,7 +21,7 @@ from stone_datasets.file_faults import (
 from stone_exports.cameras import MOST_PICTURE_BYTES
 from stone_exports.files import DamagedExportError, ExportFileSpan
 from stone_exports.frames import ExportedSensor
-from stone_exports.radar import scan_records
+from stone_exports.labels import scan_records
 from stone_exports.sweeps import COLUMNS, MOST_SWEEP_BYTES
 
 HEAD_BYTES, END_BYTES = 256 * 1024, 4096

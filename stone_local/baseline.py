@@ -16,7 +16,7 @@ from typing import Any, TypeVar
 
 from stone.labels.baseline import DEFAULTS, BaselineParameters, predict_from_sweep
 from stone_client.progress import Report
-from stone_exports.errors import refuse_missing
+from stone_exports.files import refuse_missing
 from stone_exports.sweeps import SweepFile, sweeps_in
 from stone_exports.tables import exports_in
 from stone_submissions.archive import frame_file, write_files

@@ -40,7 +40,7 @@ from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample
 from stone.sensors.sequence import Sequence
 from stone_client.main import app
-from stone_exports.errors import FramesMissingError
+from stone_exports.files import FramesMissingError
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
 from stone_local.models.recording_prediction import (

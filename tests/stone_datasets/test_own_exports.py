@@ -18,8 +18,7 @@ from stone_datasets.reading import check_dataset, read_dataset
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import FolderFiles
 from stone_exports.frames import ExportedFrame, frames_in
-from stone_exports.labels import observed_classes
-from stone_exports.radar import detections_ego
+from stone_exports.labels import detections_ego, observed_classes
 from stone_exports.sweeps import SweepFile
 from tests.services.labeler.exports.conftest import drive
 from tests.services.labeler.exports.made import Labelled, unheard

@@ -20,7 +20,7 @@ from stone.sensors.samples import RadarSample
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import DamagedExportError, ExportFileSpan, FolderFiles
 from stone_exports.frames import ExportedDatum, ExportedSensor, frames_in
-from stone_exports.radar import detections_ego
+from stone_exports.labels import detections_ego
 
 WIDTH, HEIGHT = 120, 90
 LENSES = {

@@ -36,7 +36,7 @@ from stone.sensors.sequence import Sequence
 from stone_exports.cameras import MOST_PICTURE_BYTES
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL
-from stone_exports.radar import FARTHEST_DETECTION_M, WANTED, scan_records
+from stone_exports.labels import FARTHEST_DETECTION_M, WANTED, scan_records
 from stone_exports.sweeps import COLUMNS, FARTHEST_RETURN_M, MOST_SWEEP_BYTES
 from stone_exports.tables import table_rows, table_span
 from stone_recordings.sync.samples import BagSamples, jpeg_of
