@@ -5,7 +5,7 @@ from pathlib import Path
 from tempfile import TemporaryDirectory
 
 from fuzz.targets import ENDINGS
-from simulator.calibration_yaml import write_calibration
+from simulator.pipeline import write_calibration
 from simulator.sensors.rig import calibration
 
 CAMERA_INFO = """\

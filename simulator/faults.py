@@ -11,13 +11,12 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
-from simulator.options import FaultName
+from simulator.options import BESTPOS_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, FaultName
 from simulator.scenery.world import START_NS, generator
 from simulator.sensors import rig
 from simulator.sensors.cameras import SimulatedPicture
 from simulator.sensors.navigation import FIX_NS, Fixes, Inertia
 from simulator.sensors.rig import CameraSpec
-from simulator.topics import BESTPOS_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC
 from stone.sensors.calibration import Calibration
 
 Stamps = NDArray[np.int64]

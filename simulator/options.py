@@ -7,6 +7,7 @@ the clock.
 from dataclasses import dataclass
 from typing import Literal, get_args
 
+from simulator.sensors import rig
 from stone.errors import StoneError
 from stone.splits.surroundings import ILLUMINATIONS
 
@@ -61,7 +62,7 @@ class SimulateOptions:
     sensor: pictures worth learning from, at a cost (docs/benchmarks.md). `illumination` is a word of the platform's.
 
     `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
-    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/range_noise.py`). The receiver's
+    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/lidar.py`). The receiver's
     driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
     messages reach the recorder up to `transport_jitter_ns` late. `faults` go wrong in the order they are named.
     """
@@ -126,3 +127,25 @@ class SimulateOptions:
 def _within(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
         raise SimulationOptionError(name, value, f"from {low:g} to {high:g}")
+
+
+# The topics of the simulated rig and what each one carries.
+#
+# **Conventions.** Names are those of the drivers of the paper's sensors; the rig names its cameras and radars.
+
+
+LIDAR_TOPIC = "/lidar_points"
+INSPVAX_TOPIC, BESTPOS_TOPIC = "/novatel/oem7/inspvax", "/novatel/oem7/bestpos"
+IMU_TOPIC, TF_STATIC_TOPIC = "/imu/data", "/tf_static"
+
+
+def topics(options: SimulateOptions) -> dict[str, str]:
+    """Every topic of the bag and its type."""
+    kinds = {LIDAR_TOPIC: "sensor_msgs/msg/PointCloud2", IMU_TOPIC: "sensor_msgs/msg/Imu"}
+    kinds |= {TF_STATIC_TOPIC: "tf2_msgs/msg/TFMessage"}
+    kinds |= {INSPVAX_TOPIC: "novatel_oem7_msgs/msg/INSPVAX", BESTPOS_TOPIC: "novatel_oem7_msgs/msg/BESTPOS"}
+    kinds |= {rig.radar_topic(channel): "ars548_messages/msg/DetectionList" for channel in rig.RADARS}
+    if options.cameras:
+        kinds |= {camera.topic: "sensor_msgs/msg/CompressedImage" for camera in rig.cameras()}
+        kinds |= {rig.camera_info_topic(camera): "sensor_msgs/msg/CameraInfo" for camera in rig.cameras()}
+    return kinds

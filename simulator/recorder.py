@@ -13,14 +13,21 @@ from simulator import ros_messages
 from simulator.bag_writer import BagWriter
 from simulator.cdr_writer import CdrLayout, stamp_parts
 from simulator.faults import Fault
-from simulator.options import SimulateOptions
+from simulator.options import (
+    BESTPOS_TOPIC,
+    IMU_TOPIC,
+    INSPVAX_TOPIC,
+    LIDAR_TOPIC,
+    TF_STATIC_TOPIC,
+    SimulateOptions,
+    topics,
+)
 from simulator.ros_messages import POINT_STEP_BYTES
 from simulator.scenery.world import generator
 from simulator.sensors import rig
 from simulator.sensors.cameras import SimulatedPicture
 from simulator.sensors.navigation import ACCELERATION_NOISE_M_S2, GYRO_NOISE_RAD_S, UNDULATION_M, Fixes, Inertia
 from simulator.sensors.radar import RadarLists
-from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, TF_STATIC_TOPIC, topics
 from stone.geometry.se3 import SE3
 
 BASE_FRAME, LIDAR_FRAME, INS_FRAME, IMU_FRAME = "base_link", "hesai_lidar", "gps", "imu_link"

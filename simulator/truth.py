@@ -16,11 +16,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from simulator.options import SimulateOptions
-from simulator.scenery.drivability import drivability
 from simulator.scenery.objects import OBSTACLE
 from simulator.scenery.path import POSE_NS, DriveTrajectory
 from simulator.scenery.terrain import bilinear
-from simulator.scenery.world import ORIGIN_DEG_M, SimulatedWorld
+from simulator.scenery.world import ORIGIN_DEG_M, SimulatedWorld, drivability
 from stone.errors import StoneError
 from stone.geometry.se3 import SE3, Array
 

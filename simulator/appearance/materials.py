@@ -4,13 +4,129 @@
 of the place, the surface's normal and the pixel's footprint, so that any camera at any time sees one place alike.
 """
 
+import math
+from collections.abc import Sequence
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
-from simulator.appearance.noise import Floats, cell_values, plane_fractal, single, space_fractal, stones, visible
+from simulator.scenery.terrain import Terrain, fractal
+from simulator.scenery.world import MAX_SLOPE_RAD, drivability
 from stone.geometry.se3 import Array
+
+# Noise that is a function of place: values on integer lattices, looked up in a shuffled table, so it needs no state.
+#
+# **Conventions.** Places are in metres in the map frame, (N, 2) or (N, 3) float32. `footprint_m` (N,) is how much of
+# the surface one pixel covers: an octave fades out as its wavelength falls from two footprints to one, below which it
+# would only flicker. An octave's values lie in [−1, 1]; each next one has half the wavelength and half the amplitude,
+# so that a sum lies in (−1, 1) with a deviation of about 0.2. Each layer is another noise; one repeats itself after
+# 1,024 waves. Method: value noise on a permutation table (Perlin 1985, "An image synthesizer", sections 3 and 5).
+
+
+Floats = NDArray[np.float32]
+SIZE = 1024
+_drawn = np.random.Generator(np.random.PCG64(1985))
+_SHUFFLED = np.tile(_drawn.permutation(SIZE).astype(np.int32), 2)
+_VALUES = np.tile(_drawn.permutation(np.linspace(-1, 1, SIZE)).astype(np.float32), 2)
+_MASK = SIZE - 1
+FIRST = np.float32(0.5)  # the amplitude of the first octave
+
+
+def single(values: Sequence[float]) -> Floats:
+    """These in single precision, so that what is computed with them stays in it."""
+    return np.array(values, np.float32)
+
+
+def plane_fractal(xy: Floats, wavelength_m: float, octaves: int, footprint_m: Floats, layer: int) -> Floats:
+    """Octaves from `wavelength_m` down, as far as each pixel shows them (N,)."""
+    result: Floats = _fractal(xy, wavelength_m, octaves, footprint_m, layer)
+    return result
+
+
+def space_fractal(points: Floats, wavelength_m: float, octaves: int, footprint_m: Floats, layer: int) -> Floats:
+    """The same in space (N,)."""
+    result: Floats = _fractal(points, wavelength_m, octaves, footprint_m, layer)
+    return result
+
+
+def cell_values(i: NDArray[np.int64], j: NDArray[np.int64], layer: int) -> Floats:
+    """A value in [−1, 1] for each cell of a lattice (N,); neighbours have nothing in common."""
+    return np.asarray(_VALUES[_SHUFFLED[_SHUFFLED[(i + layer) & _MASK] + (j & _MASK)]])
+
+
+def visible(wavelength_m: float, footprint_m: Floats) -> Floats:
+    """How much of an octave pixels of this footprint show (N,), 0 to 1."""
+    return np.asarray(np.clip(np.float32(wavelength_m) / footprint_m - 1, 0, 1))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _fractal(points, wavelength_m, octaves, footprint_m, layer):  # type: ignore[no-untyped-def]
+    total = np.zeros(len(points), np.float32)
+    for index in range(len(points)):
+        amplitude, wavelength = FIRST, np.float32(wavelength_m)
+        for octave in range(octaves):
+            shown = wavelength / footprint_m[index] - np.float32(1)
+            if shown <= 0:
+                break
+            shown = min(shown, np.float32(1))
+            scale, start = 1 / wavelength, _SHUFFLED[(layer + octave) & _MASK]
+            x, y = points[index, 0] * scale, points[index, 1] * scale
+            if points.shape[1] == 2:
+                value = _plane(x, y, start)
+            else:
+                z = points[index, 2] * scale
+                low = math.floor(z)
+                w = _eased(z - np.float32(low))
+                value = _plane(x, y, _SHUFFLED[(start + low) & _MASK]) * (1 - w)
+                value += _plane(x, y, _SHUFFLED[(start + low + 1) & _MASK]) * w
+            total[index] += shown * amplitude * value
+            amplitude, wavelength = amplitude * FIRST, wavelength * FIRST
+    return total
+
+
+@njit(cache=True, nogil=True)
+def _plane(x, y, start):  # type: ignore[no-untyped-def]
+    i, j = math.floor(x), math.floor(y)
+    u, v = _eased(x - np.float32(i)), _eased(y - np.float32(j))
+    left, right, row = _SHUFFLED[(start + i) & _MASK], _SHUFFLED[(start + i + 1) & _MASK], j & _MASK
+    low = _VALUES[_SHUFFLED[left + row]] * (1 - u) + _VALUES[_SHUFFLED[right + row]] * u
+    high = _VALUES[_SHUFFLED[left + row + 1]] * (1 - u) + _VALUES[_SHUFFLED[right + row + 1]] * u
+    return low * (1 - v) + high * v
+
+
+@njit(cache=True, nogil=True)
+def _eased(ratio):  # type: ignore[no-untyped-def]
+    return ratio * ratio * (np.float32(3) - np.float32(2) * ratio)
+
+
+def stones(xy: Floats, size_m: float, layer: int) -> tuple[Floats, Floats]:
+    """Stones of about `size_m` strewn on the plane: how far inside one each place is (N,), 0 between stones and 1 in
+    the middle of one, and that stone's tone (N,) in [−1, 1]."""
+    inside, tone = _stones(xy, np.float32(size_m), layer)
+    return inside, tone
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _stones(xy, size_m, layer):  # type: ignore[no-untyped-def]
+    inside, tone = np.zeros(len(xy), np.float32), np.zeros(len(xy), np.float32)
+    for index in range(len(xy)):
+        x, y = xy[index, 0] / size_m, xy[index, 1] / size_m
+        column, row = math.floor(x), math.floor(y)
+        nearest, chosen = np.float32(9), 0
+        for i in range(column - 1, column + 2):
+            for j in range(row - 1, row + 2):
+                cell = _SHUFFLED[_SHUFFLED[(i + layer) & _MASK] + (j & _MASK)]
+                dx = np.float32(i) + np.float32(0.5) + np.float32(0.4) * _VALUES[cell] - x
+                dy = np.float32(j) + np.float32(0.5) + np.float32(0.4) * _VALUES[cell + 1] - y
+                distance = dx * dx + dy * dy
+                if distance < nearest:
+                    nearest, chosen = distance, cell
+        inside[index] = max(1 - nearest / np.float32(0.3), np.float32(0))
+        tone[index] = _VALUES[chosen + 2]
+    return inside, tone
+
 
 Rgb = tuple[float, float, float]
 COURSE_M, BLOCK_M, JOINT_M = 0.22, 0.46, 0.016
@@ -164,3 +280,86 @@ def _mixed(low: Rgb | Floats, high: Rgb, share: Array | Floats) -> Floats:
 def _tinted(colour: Rgb | Floats, shade: Array | Floats) -> Floats:
     """A colour, or one for each spot (N, 3), darkened or lightened by shade (N,), which is kept above black."""
     return np.asarray(colour, np.float32) * np.maximum(shade, 0.12).astype(np.float32)[:, None]
+
+
+# What covers the ground: bare soil on the track, grass and tall grass beside it, gravel, rock where it is steep.
+#
+# **Conventions.** Layers lie on the terrain's lattice, (ny, nx, `LAYERS`) float32: how much of the ground is soil,
+# gravel, rock and tall grass, 0 to 1 (what is left is grass); its height in metres, and its two gradients along x and
+# y, of which the normal is made. As outdoors, looks go with drivability: the track is bare, slopes beyond `STEEP_RAD`
+# are scree, then rock, and ditches have banks of earth.
+
+
+SOIL, GRAVEL, ROCK, TALL, HEIGHT, ALONG_X, ALONG_Y = range(7)
+LAYERS = 7
+TRACK_HALF_WIDTH_M = 1.3
+WHEEL_ASIDE_M = 0.36
+STEEP_RAD = (MAX_SLOPE_RAD, float(np.deg2rad(30.0)), float(np.deg2rad(37.0)))  # gravel begins, rock begins, all rock
+
+
+@dataclass(frozen=True, eq=False)
+class GroundCover:
+    """Layers (ny, nx, `LAYERS`), the lattice's origin (2,) and resolution in metres."""
+
+    layers: NDArray[np.float32]
+    origin_m: tuple[float, float]
+    resolution_m: float
+
+    def at(self, xy: Floats) -> Floats:
+        """Every layer at places (N, 2): (N, `LAYERS`), bilinear; beyond the lattice its edge goes on."""
+        column_row = (xy - single(self.origin_m)) / np.float32(self.resolution_m)
+        sampled: Floats = _bilinear(self.layers, column_row)
+        return sampled
+
+
+def build_ground_cover(terrain: Terrain, rng: np.random.Generator) -> GroundCover:
+    """The cover of this terrain; patches are drawn, the rest follows from slope, lowland and track."""
+    shape = (terrain.height_m.shape[0], terrain.height_m.shape[1])
+    ragged, patches = fractal(shape, (0.8, 6.0), 1.2, rng), fractal(shape, (3.0, 18.0), 1.4, rng)
+    slope = drivability(terrain.height_m, terrain.resolution_m).slope_rad + 0.05 * ragged
+    steep = _rising(slope, STEEP_RAD[1], STEEP_RAD[2])
+    rock = np.where(terrain.lowland, 0.25 * steep, steep)
+    soil = np.maximum(_track(terrain, ragged, patches), np.where(terrain.lowland, steep, 0.0)) * (1 - rock)
+    loose = np.maximum(_rising(slope, STEEP_RAD[0], STEEP_RAD[1]), 0.8 * _rising(-patches, 1.1, 1.6))
+    gravel = loose * (1 - rock - soil)
+    tall = _rising(patches, 0.3, 0.8) * _rising(terrain.path_distance_m, 2.0, 3.0)
+    along_y, along_x = np.gradient(terrain.height_m, terrain.resolution_m)
+    layers = (soil, gravel, rock, tall * (1 - rock - soil - gravel), terrain.height_m, along_x, along_y)
+    return GroundCover(np.stack(layers, axis=-1).astype(np.float32), terrain.origin_m, terrain.resolution_m)
+
+
+def smooth_normals(layers: Floats) -> Floats:
+    """The ground's unit normals (N, 3), up, where the layers are these."""
+    normals = np.stack([-layers[:, ALONG_X], -layers[:, ALONG_Y], np.ones(len(layers), np.float32)], axis=-1)
+    return np.asarray(normals / np.linalg.norm(normals, axis=1, keepdims=True))
+
+
+def _track(terrain: Terrain, ragged: Array, patches: Array) -> Array:
+    """Bare where wheels have been, overgrown between and beside them in stretches."""
+    distance = terrain.path_distance_m + 0.18 * ragged
+    worn = 1 - _rising(distance, TRACK_HALF_WIDTH_M - 0.5, TRACK_HALF_WIDTH_M + 0.3)
+    rut = 1 - _rising(np.abs(distance - WHEEL_ASIDE_M), 0.12, 0.3)
+    overgrown = 0.75 * _rising(patches, -0.2, 0.6)
+    return np.asarray(np.maximum(worn * (1 - overgrown), 0.9 * rut))
+
+
+def _rising(values: Array, low: float, high: float) -> Array:
+    """0 up to `low`, 1 from `high`, smooth between."""
+    ratio = np.clip((values - low) / (high - low), 0.0, 1.0)
+    return np.asarray(ratio * ratio * (3 - 2 * ratio))
+
+
+@njit(cache=True, nogil=True, error_model="numpy")
+def _bilinear(layers, column_row):  # type: ignore[no-untyped-def]
+    rows, columns, depth = layers.shape
+    sampled = np.empty((len(column_row), depth), np.float32)
+    for index in range(len(column_row)):
+        column = min(max(column_row[index, 0], np.float32(0)), np.float32(columns - 1))
+        row = min(max(column_row[index, 1], np.float32(0)), np.float32(rows - 1))
+        i, j = min(int(row), rows - 2), min(int(column), columns - 2)
+        u, v = column - np.float32(j), row - np.float32(i)
+        for layer in range(depth):
+            low = layers[i, j, layer] * (1 - u) + layers[i, j + 1, layer] * u
+            high = layers[i + 1, j, layer] * (1 - u) + layers[i + 1, j + 1, layer] * u
+            sampled[index, layer] = low * (1 - v) + high * v
+    return sampled

@@ -9,12 +9,12 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from simulator.appearance import noise
-from simulator.appearance.ground_cover import LAYERS, GroundCover
+from simulator.appearance import materials
+from simulator.appearance.materials import LAYERS, GroundCover
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from simulator.scenery.terrain import bilinear
-from simulator.sensors.range_noise import RangeNoise, Ranges, Returns, detected_share, disturbed, mixed, rained
+from simulator.sensors.lidar import RangeNoise, Ranges, Returns, detected_share, disturbed, mixed, rained
 from tests.simulator.conftest import TINY, Recording
 
 SHARP_M = 1e-3
@@ -26,11 +26,11 @@ def places(count: int, axes: int, seed: int = 0) -> np.ndarray:
 
 def value_at(cell: tuple[int, ...], layer: int) -> float:
     """The table's value at a corner of the lattice, the way the module's head says: a shuffle per axis."""
-    start = int(noise._SHUFFLED[layer % noise.SIZE])
+    start = int(materials._SHUFFLED[layer % materials.SIZE])
     if len(cell) == 3:
-        start = int(noise._SHUFFLED[(start + cell[2]) % noise.SIZE])
-    column = int(noise._SHUFFLED[(start + cell[0]) % noise.SIZE])
-    return float(noise._VALUES[noise._SHUFFLED[column + cell[1] % noise.SIZE]])
+        start = int(materials._SHUFFLED[(start + cell[2]) % materials.SIZE])
+    column = int(materials._SHUFFLED[(start + cell[0]) % materials.SIZE])
+    return float(materials._VALUES[materials._SHUFFLED[column + cell[1] % materials.SIZE]])
 
 
 def slow_fractal(place: np.ndarray, wavelength_m: float, octaves: int, footprint_m: float, layer: int) -> float:
@@ -47,7 +47,7 @@ def slow_fractal(place: np.ndarray, wavelength_m: float, octaves: int, footprint
     return total
 
 
-@pytest.mark.parametrize(("axes", "fractal"), [(2, noise.plane_fractal), (3, noise.space_fractal)])
+@pytest.mark.parametrize(("axes", "fractal"), [(2, materials.plane_fractal), (3, materials.space_fractal)])
 def test_a_fractal_is_what_the_slow_way_gives(axes: int, fractal) -> None:
     points = places(40, axes)
     footprint = np.linspace(0.01, 1.2, 40, dtype=np.float32)
@@ -59,35 +59,35 @@ def test_a_fractal_is_what_the_slow_way_gives(axes: int, fractal) -> None:
 @given(st.integers(0, 200), st.sampled_from([0.05, 0.7, 6.0]), st.integers(1, 5))
 def test_noise_stays_within_one_and_does_not_depend_on_what_else_is_asked(seed, wavelength_m, octaves):
     points, footprint = places(50, 3, seed), np.full(50, SHARP_M, np.float32)
-    values = noise.space_fractal(points, wavelength_m, octaves, footprint, seed)
+    values = materials.space_fractal(points, wavelength_m, octaves, footprint, seed)
     assert np.all(np.abs(values) < 1)
-    alone = noise.space_fractal(points[7:8], wavelength_m, octaves, footprint[:1], seed)
+    alone = materials.space_fractal(points[7:8], wavelength_m, octaves, footprint[:1], seed)
     np.testing.assert_array_equal(alone, values[7:8])
 
 
 def test_what_is_finer_than_a_pixel_is_not_drawn_and_layers_have_nothing_in_common() -> None:
     points = places(100, 2)
     coarse = np.full(100, 0.5, np.float32)
-    assert np.all(noise.plane_fractal(points, 0.5, 3, coarse, 1) == 0)
-    one = noise.plane_fractal(points, 1.0, 1, coarse, 1)
-    np.testing.assert_array_equal(noise.plane_fractal(points, 1.0, 4, coarse, 1), one)
+    assert np.all(materials.plane_fractal(points, 0.5, 3, coarse, 1) == 0)
+    one = materials.plane_fractal(points, 1.0, 1, coarse, 1)
+    np.testing.assert_array_equal(materials.plane_fractal(points, 1.0, 4, coarse, 1), one)
     points, footprint = places(5000, 2), np.full(5000, SHARP_M, np.float32)
-    one, other = (noise.plane_fractal(points, 1.0, 3, footprint, layer) for layer in (11, 31))
+    one, other = (materials.plane_fractal(points, 1.0, 3, footprint, layer) for layer in (11, 31))
     assert abs(np.corrcoef(one, other)[0, 1]) < 0.1
     assert abs(one.mean()) < 0.02
 
 
 def test_a_stone_is_the_nearest_of_all_around() -> None:
     points = places(60, 2) / 50
-    inside, tone = noise.stones(points, 0.2, 5)
+    inside, tone = materials.stones(points, 0.2, 5)
     for index, (x, y) in enumerate(points.astype(float) / 0.2):
         nearest = (9.0, 0.0)
         for i in range(math.floor(x) - 3, math.floor(x) + 4):
             for j in range(math.floor(y) - 3, math.floor(y) + 4):
-                cell = int(noise._SHUFFLED[noise._SHUFFLED[(i + 5) % noise.SIZE] + j % noise.SIZE])
-                middle = (i + 0.5 + 0.4 * noise._VALUES[cell], j + 0.5 + 0.4 * noise._VALUES[cell + 1])
+                cell = int(materials._SHUFFLED[materials._SHUFFLED[(i + 5) % materials.SIZE] + j % materials.SIZE])
+                middle = (i + 0.5 + 0.4 * materials._VALUES[cell], j + 0.5 + 0.4 * materials._VALUES[cell + 1])
                 away = (middle[0] - x) ** 2 + (middle[1] - y) ** 2
-                nearest = min(nearest, (float(away), float(noise._VALUES[cell + 2])))
+                nearest = min(nearest, (float(away), float(materials._VALUES[cell + 2])))
         assert inside[index] == pytest.approx(max(1 - nearest[0] / 0.3, 0), abs=1e-3)
         assert tone[index] == pytest.approx(nearest[1], abs=1e-6)
 

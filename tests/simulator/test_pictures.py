@@ -13,22 +13,18 @@ from rosbags.highlevel import AnyReader
 
 from simulator.appearance import materials
 from simulator.appearance import renderer as rendering
-from simulator.appearance.ground_cover import GRAVEL, ROCK, SOIL, TALL, build_ground_cover
 from simulator.appearance.lights import LIGHTS
-from simulator.appearance.materials import Spots
-from simulator.appearance.renderer import Renderer, View
-from simulator.appearance.shading import MATERIALS
+from simulator.appearance.materials import GRAVEL, ROCK, SOIL, TALL, Spots, build_ground_cover
+from simulator.appearance.renderer import MATERIALS, Renderer, View
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from simulator.scenery import shapes
-from simulator.scenery.drivability import drivability
-from simulator.scenery.movers import Mover, Vehicle, Walker
+from simulator.scenery.movers import Mover, Route, Schedule, Vehicle, Walker
 from simulator.scenery.objects import OBSTACLE, Objects, Surface
 from simulator.scenery.path import DriveTrajectory
-from simulator.scenery.route import Route, Schedule
 from simulator.scenery.scene import RayScene
 from simulator.scenery.terrain import Terrain
-from simulator.scenery.world import START_NS, SimulatedWorld, build_world, generator
+from simulator.scenery.world import START_NS, SimulatedWorld, build_world, drivability, generator
 from simulator.sensors import rig
 from simulator.sensors.cameras import COARSE_RAYS, SimulatedPicture, build_ring, take_pictures
 from simulator.sensors.lidar import build_lidar, sweep_points

@@ -15,14 +15,22 @@ from rosbags.highlevel import AnyReader
 from scipy.spatial.transform import Rotation
 
 from simulator.faults import DRIFTING_TOPIC, STEPPING_TOPIC
-from simulator.options import FAULT_NAMES, FaultName, SimulateOptions
+from simulator.options import (
+    BESTPOS_TOPIC,
+    FAULT_NAMES,
+    IMU_TOPIC,
+    INSPVAX_TOPIC,
+    LIDAR_TOPIC,
+    FaultName,
+    SimulateOptions,
+    topics,
+)
 from simulator.pipeline import calibration_path, simulate, sweep_stamps_ns
 from simulator.recorder import LIDAR_DELAY_NS
 from simulator.ros_messages import HESAI_POINT, MAX_DETECTIONS
 from simulator.scenery.world import ORIGIN_DEG_M
 from simulator.sensors import rig
 from simulator.sensors.navigation import FIX_NS, UNDULATION_M
-from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, topics
 from simulator.truth import read_truth
 from stone.geometry.se3 import SE3
 from stone_recordings.messages.types.registry import typestore

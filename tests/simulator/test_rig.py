@@ -9,12 +9,20 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from simulator.bag_writer import BagWriter
-from simulator.calibration_yaml import write_calibration
 from simulator.options import LIDAR_HZ, SimulateOptions, SimulationOptionError
-from simulator.pipeline import sweep_stamps_ns, tick_stamps_ns
-from simulator.scenery.movers import WALKER_HEIGHT_M, Mover, Vehicle, Walker, movers_of, walker_ahead
+from simulator.pipeline import sweep_stamps_ns, tick_stamps_ns, write_calibration
+from simulator.scenery.movers import (
+    S_NS,
+    WALKER_HEIGHT_M,
+    Mover,
+    Route,
+    Schedule,
+    Vehicle,
+    Walker,
+    movers_of,
+    walker_ahead,
+)
 from simulator.scenery.path import POSE_NS, DriveTrajectory
-from simulator.scenery.route import S_NS, Route, Schedule
 from simulator.sensors import rig
 from simulator.sensors.lidar import robot_range
 from stone.geometry.se3 import SE3

@@ -9,13 +9,12 @@ import pytest
 from numpy.typing import NDArray
 
 from simulator.options import SimulateOptions
-from simulator.scenery.drivability import drivability
 from simulator.scenery.movers import WALKER_HEIGHT_M, WALKER_RADIUS_M, cylinder_range
 from simulator.scenery.objects import OBSTACLE, Surface
 from simulator.scenery.path import POSE_NS, DriveTrajectory
 from simulator.scenery.scene import RayScene, ground_mesh
 from simulator.scenery.terrain import Terrain
-from simulator.scenery.world import build_world
+from simulator.scenery.world import build_world, drivability
 from simulator.sensors.navigation import take_inertia
 from simulator.truth import (
     DRIVABLE,

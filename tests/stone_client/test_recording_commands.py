@@ -14,9 +14,8 @@ from rich.console import Console
 from rosbags.highlevel import AnyReader
 from typer.testing import Result
 
-from simulator.calibration_yaml import write_calibration
 from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path, simulate, write_calibration
 from stone_client.main import app
 from stone_client.tables import clock_table
 from stone_local.topic_choices import chosen_offsets

@@ -23,10 +23,9 @@ from simulator.faults import (
     STEPPING_TOPIC,
     SWAPPED_CHANNELS,
 )
-from simulator.options import FaultName, SimulateOptions
+from simulator.options import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC, FaultName, SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from simulator.sensors.rig import cameras
-from simulator.topics import BESTPOS_TOPIC, IMU_TOPIC, INSPVAX_TOPIC, LIDAR_TOPIC
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence
