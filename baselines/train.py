@@ -8,31 +8,90 @@ on a CPU the result is that of a run that never stopped, bit for bit.
 """
 
 import math
+from collections import deque
 from collections.abc import Callable, Iterator, Sequence
 from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from pathlib import Path
+from time import monotonic
+from typing import Any
 
+import numpy as np
 import torch
 from torch import Tensor
 from torch.utils.data import DataLoader
 
-from baselines.batch import Batch, moved
+from baselines.batch import Batch, CameraViews, Points, moved
 from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
-from baselines.collate import joined
 from baselines.data import EpochSampler, FrameDataset, FrameRequest
 from baselines.errors import TooFewFramesError, TooLittleMemoryError, TrainingDivergedError
-from baselines.evaluation import scores_on
-from baselines.metrics import confusion_of, scores_of
-from baselines.optimisation import RateSchedule, take_step
+from baselines.metrics import RateSchedule, confusion_of, scores_of, take_step
+from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare, joined_processes
 from baselines.row_config import RowConfig
-from baselines.run_clock import RunClock
-from baselines.run_folder import opened_run, say_row
-from baselines.run_log import RunLog, TrainingReport
+from baselines.run_folder import RunLog, TrainingReport, opened_run, say_row
 from baselines.sources import labelled_frames
 from baselines.training_state import TrainingState, begun_state, resumed_state
+
+# One batch of several frames: the collate function of loaders.
+
+
+def joined(batches: Sequence[Batch]) -> Batch:
+    """One batch of several, in their order."""
+    cameras = [batch.cameras for batch in batches if batch.cameras is not None]
+    labels = [batch.labels for batch in batches if batch.labels is not None]
+    return Batch(
+        tokens=tuple(token for batch in batches for token in batch.tokens),
+        grid_from_ego=torch.cat([batch.grid_from_ego for batch in batches]),
+        cameras=_joined_views(cameras) if cameras else None,
+        lidar=_joined_points([batch.lidar for batch in batches if batch.lidar is not None]),
+        radar=_joined_points([batch.radar for batch in batches if batch.radar is not None]),
+        labels=torch.cat(labels) if labels else None,
+    )
+
+
+def _joined_views(views: Sequence[CameraViews]) -> CameraViews:
+    depths = [view.depth_m for view in views if view.depth_m is not None]
+    return CameraViews(
+        torch.cat([view.images for view in views]),
+        torch.cat([view.intrinsics for view in views]),
+        torch.cat([view.augmented_from_image for view in views]),
+        torch.cat([view.ego_from_camera for view in views]),
+        torch.cat(depths) if depths else None,
+    )
+
+
+def _joined_points(points: Sequence[Points]) -> Points | None:
+    if not points:
+        return None
+    frames = [torch.full_like(one.frame, place) for place, one in enumerate(points)]
+    return Points(torch.cat([one.features for one in points]), torch.cat(frames))
+
+
+# How fast a run is and how long it will take yet, from the steps of the last minutes.
+
+
+STEPS_REMEMBERED = 200
+
+
+class RunClock:
+    """Stamps reports; the first step of a process, which is slower than others, is not counted."""
+
+    def __init__(self, steps: int, begin: int) -> None:
+        self._steps, self._begin = steps, begin
+        self._times = deque[tuple[int, float]](maxlen=STEPS_REMEMBERED)
+
+    def stamped(self, report: TrainingReport, frames_a_step: int) -> TrainingReport:
+        """The report with rate and time left; both 0 until they are known."""
+        self._times.append((report.step, monotonic()))
+        (first, begun), (last, now) = self._times[0], self._times[-1]
+        if last == first or now <= begun:
+            return report
+        seconds_a_step = (now - begun) / (last - first)
+        left_s = (self._steps - report.step) * seconds_a_step
+        return replace(report, frames_per_s=frames_a_step / seconds_a_step, left_s=left_s)
+
 
 METRIC_EVERY = 10  # steps
 CPU_IS_FULL = "DefaultCPUAllocator: can't allocate memory"  # only of a GPU torch has an error of its own
@@ -226,3 +285,24 @@ class _Run:
     def _keep(self) -> None:
         if self.share.is_first:
             self.state.keep(self.plan.run)
+
+
+# Scores of a model on frames that it was not trained on, by the platform's metric.
+
+
+def scores_on(
+    model: OccupancyModel[Any], dataset: FrameDataset, targets: Sequence[int], where: tuple[torch.device, str]
+) -> dict[str, float | None]:
+    """Ratios over all observed voxels of the frames `targets`; the model is left in training mode if it was in it."""
+    device, precision = where
+    whole, was_training = np.zeros((4, 4), np.int64), model.training
+    model.eval()
+    with torch.inference_mode():
+        for index in targets:
+            batch = moved(dataset[0, index], device)
+            with torch.autocast(device.type, torch.bfloat16, enabled=precision == "bfloat16"):
+                outputs = model(batch)
+            if batch.labels is not None:
+                whole += confusion_of(model.logits(outputs, batch), batch.labels)
+    model.train(was_training)
+    return scores_of(whole)

@@ -13,9 +13,9 @@ from torch.nn.parallel import DistributedDataParallel
 from baselines.cache import CachedFrame, data_hash
 from baselines.checkpoint import WeightsProvenance, read_checkpoint, write_checkpoint
 from baselines.errors import BadRunError
+from baselines.metrics import BatchLosses, build_optimizer
 from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
-from baselines.optimisation import BatchLosses, build_optimizer
 from baselines.processes import ProcessShare
 from baselines.row_config import RowConfig
 from stone.labels.grid import GRID_SHAPE

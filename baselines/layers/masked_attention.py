@@ -14,8 +14,7 @@ from torch import Tensor, nn
 from torch.nn.functional import adaptive_max_pool3d
 
 from baselines.lattice import Shape
-from baselines.layers.pixel_decoder3d import Levels, shape_of
-from baselines.layers.sine_positions import sine_positions
+from baselines.layers.pixel_decoder3d import Levels, shape_of, sine_positions
 
 
 @dataclass(frozen=True)

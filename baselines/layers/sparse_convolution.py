@@ -6,14 +6,70 @@ al., 3D semantic segmentation with submanifold sparse convolutional networks, CV
 `SparseConv3d`.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import sqrt
 
 import torch
 from torch import Tensor, nn
+from torch.nn import functional
 
-from baselines.lattice import Shape
-from baselines.layers.sparse_voxels import SparseVoxels, indices_of, keys_of
+from baselines.batch import Points
+from baselines.lattice import Shape, VoxelLattice
+
+# Features of the occupied voxels only, in the order of their keys.
+#
+# **Conventions.** A voxel's key is `((frame · X + x) · Y + y) · Z + z`, int64; keys are ascending and each occurs
+# once.
+
+
+@dataclass(frozen=True, eq=False)
+class SparseVoxels:
+    """Features (V, C) of the voxels with `keys` (V,), of `frames` lattices of `shape`."""
+
+    features: Tensor
+    keys: Tensor
+    shape: Shape
+    frames: int
+
+    def with_features(self, features: Tensor) -> "SparseVoxels":
+        return replace(self, features=features)
+
+    def indices(self) -> Tensor:
+        """(V, 4) int64: frame, x, y, z."""
+        return indices_of(self.keys, self.shape)
+
+    def dense(self) -> Tensor:
+        """(B, C, X, Y, Z), 0 where no voxel is."""
+        x, y, z = self.shape
+        volume = self.features.new_zeros(self.frames * x * y * z, self.features.shape[1])
+        volume = volume.index_copy(0, self.keys, self.features)
+        return volume.view(self.frames, x, y, z, -1).permute(0, 4, 1, 2, 3).contiguous()
+
+
+def keys_of(indices: Tensor, shape: Shape) -> Tensor:
+    """Keys (V,) of indices (V, 4)."""
+    x, y, z = shape
+    return ((indices[:, 0] * x + indices[:, 1]) * y + indices[:, 2]) * z + indices[:, 3]
+
+
+def indices_of(keys: Tensor, shape: Shape) -> Tensor:
+    """Indices (V, 4) of keys (V,)."""
+    x, y, z = shape
+    return torch.stack([keys // (x * y * z), keys // (y * z) % x, keys // z % y, keys % z], dim=1)
+
+
+def means_of_points(points: Points, features: Tensor, lattice: VoxelLattice, frames: int) -> SparseVoxels:
+    """The mean of `features` (P, C) of all points in a voxel; points outside the lattice are left out.
+
+    OpenOccupancy's `HardSimpleVFE` means the first ten of a voxel, of at most 120,000 voxels.
+    """
+    place, is_inside = lattice.indices_of(points.features[:, :3])
+    keys = keys_of(torch.cat([points.frame[:, None], place], dim=1)[is_inside], lattice.shape)
+    unique, voxel = torch.unique(keys, return_inverse=True)
+    sums = features.new_zeros(len(unique), features.shape[1]).index_add(0, voxel, features[is_inside])
+    counts = torch.bincount(voxel, minlength=len(unique))
+    return SparseVoxels(sums / counts[:, None], unique, lattice.shape, frames)
+
 
 OFFSETS = 27
 CENTRE = 13
@@ -103,3 +159,85 @@ def halved(shape: Shape) -> Shape:
     """The shape after a stride of 2, rounded up."""
     x, y, z = ((n + 1) // 2 for n in shape)
     return x, y, z
+
+
+# Sparse encoder of LiDAR: from means of points in voxels to a dense volume 4 or 8 times coarser.
+#
+# Source: OpenOccupancy's `occ_plugin/occupancy/voxel_encoder/sparse_lidar_enc.py`, `SparseLiDAREnc8x` and `4x`. It
+# puts `GroupNorm(16, 16)` behind the first convolution, on rows of 16 numbers: each is a group by itself, so all
+# become the bias and the encoder sees where voxels are and nothing of their points. Here both norms that are written
+# so are batch norms, like all others of it, with as many parameters.
+
+
+STAGES = 3
+
+
+class NormedSparseConvolution(nn.Module):
+    """A sparse convolution, batch norm over occupied voxels, ReLU."""
+
+    def __init__(self, channels_in: int, channels_out: int, bias: bool = False) -> None:
+        super().__init__()
+        self.convolution = SparseConvolution3d(channels_in, channels_out, bias)
+        self.norm = nn.BatchNorm1d(channels_out)
+
+    def forward(self, voxels: SparseVoxels, rules: Rulebook) -> SparseVoxels:
+        convolved: SparseVoxels = self.convolution(voxels, rules)
+        return convolved.with_features(functional.relu(self.norm(convolved.features)))
+
+
+class SparseResidualBlock(nn.Module):
+    """Two convolutions around which features are added."""
+
+    def __init__(self, channels: int) -> None:
+        super().__init__()
+        self.first = NormedSparseConvolution(channels, channels)
+        self.second = SparseConvolution3d(channels, channels)
+        self.norm = nn.BatchNorm1d(channels)
+
+    def forward(self, voxels: SparseVoxels, rules: Rulebook) -> SparseVoxels:
+        convolved: SparseVoxels = self.second(self.first(voxels, rules), rules)
+        return convolved.with_features(functional.relu(self.norm(convolved.features) + voxels.features))
+
+
+class SparseStage(nn.Module):
+    """A strided convolution where channels grow, and two residual blocks."""
+
+    def __init__(self, channels_in: int, channels_out: int) -> None:
+        super().__init__()
+        self.down = NormedSparseConvolution(channels_in, channels_out) if channels_in != channels_out else None
+        self.blocks = nn.ModuleList(SparseResidualBlock(channels_out) for _ in range(2))
+
+    def forward(self, voxels: SparseVoxels, rules: Rulebook) -> tuple[SparseVoxels, Rulebook]:
+        """The stage's voxels, and the rules of submanifold convolutions on them."""
+        if self.down is not None:
+            voxels = self.down(voxels, strided_rules(voxels))
+            rules = submanifold_rules(voxels)
+        for block in self.blocks:
+            voxels = block(voxels, rules)
+        return voxels, rules
+
+
+class SparseEncoder(nn.Module):
+    """Three stages: 16 channels at first, doubled by each stage that halves the lattice (all 3, or the last 2).
+
+    `ratio` is 8 or 4; another raises `ValueError`. Of 4 features, 16 and 80 channels 2,893,472 parameters with 8.
+    """
+
+    def __init__(self, features: int, channels: int, channels_out: int, ratio: int) -> None:
+        super().__init__()
+        if ratio not in (4, 8):
+            raise ValueError(f"a sparse encoder makes voxels 4 or 8 times coarser, not {ratio} times")
+        growth = (2, 4, 8) if ratio == 8 else (1, 2, 4)
+        widths = [channels, *(channels * times for times in growth)]
+        self.first = NormedSparseConvolution(features, channels, bias=True)
+        self.stages = nn.ModuleList(SparseStage(widths[i], widths[i + 1]) for i in range(STAGES))
+        self.last = NormedSparseConvolution(widths[-1], channels_out, bias=True)
+
+    def forward(self, voxels: SparseVoxels) -> Tensor:
+        """(B, channels_out, X / ratio, Y / ratio, Z / ratio), 0 where no voxel is."""
+        rules = submanifold_rules(voxels)
+        voxels = self.first(voxels, rules)
+        for stage in self.stages:
+            voxels, rules = stage(voxels, rules)
+        encoded: SparseVoxels = self.last(voxels, rules)
+        return encoded.dense()

@@ -85,3 +85,44 @@ def counted(logits: Tensor, labels: Tensor) -> tuple[Tensor, Tensor]:
 def surprise(ratio: Tensor) -> Tensor:
     """−log of a ratio in (0, 1]; flat below 1e-30. A ratio that rounding lifts above 1 counts as 1."""
     return -ratio.clamp(SMALLEST_RATIO, 1.0).log()
+
+
+# Focal loss over voxels: cross entropy that weighs less what is already well classified.
+#
+# Source: Lin et al., Focal Loss for Dense Object Detection, ICCV 2017, equation 5, of a softmax over the classes.
+
+
+def focal_loss(logits: Tensor, labels: Tensor, gamma: float = 2.0, alpha: float = 0.25) -> Tensor:
+    """Mean of `−α (1 − p)^γ log p` over the counted voxels, p that of the true class; 0 where none is counted.
+
+    `logits` (B, C, …) and `labels` (B, …) as in `voxels.py`.
+    """
+    scores, classes = counted(logits, labels)
+    if len(classes) == 0:
+        return logits.sum() * 0.0
+    surprise = functional.cross_entropy(scores, classes, reduction="none")
+    return alpha * ((1 - (-surprise).exp()) ** gamma * surprise).mean()
+
+
+# Labels of coarse cells, made of their voxels' labels.
+
+
+def coarse_labels(labels: Tensor, ratio: int, classes: int = 4) -> Tensor:
+    """Each cell's most frequent occupied class; free where all its voxels are, ignored where none says more.
+
+    Labels (B, X, Y, Z) uint8 to (B, X / ratio, Y / ratio, Z / ratio) uint8. The lower class wins where two are as
+    frequent. OpenOccupancy's `OccHead.loss_voxel`, but for a cell of which all occupied classes occur once: it is
+    ignored there, since each free voxel counts as a class of its own and the lowest is taken.
+    """
+    if ratio == 1:
+        return labels
+    counts = torch.stack([share(labels == c, ratio) for c in range(1, classes)])
+    most, winner = (counts * classes - torch.arange(classes - 1, device=labels.device).view(-1, 1, 1, 1, 1)).max(dim=0)
+    is_occupied = most > 0
+    is_ignored = ~is_occupied & (share(labels == IGNORED, ratio) > 0)
+    return torch.where(is_occupied, winner + 1, torch.where(is_ignored, IGNORED, 0)).to(torch.uint8)
+
+
+def share(is_so: Tensor, ratio: int) -> Tensor:
+    """How many voxels (B, X, Y, Z) of each cell it is so of, float32."""
+    return torch.round(functional.avg_pool3d(is_so[:, None].float(), ratio)[:, 0] * ratio**3)

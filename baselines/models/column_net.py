@@ -15,8 +15,7 @@ import torch
 from torch import Tensor, nn
 
 from baselines.batch import IGNORED, POINT_FEATURES, Batch, Points
-from baselines.layers.column_cameras import ColumnCameras
-from baselines.layers.column_unet import ColumnUNet
+from baselines.layers.column_cameras import ColumnCameras, ColumnUNet
 from baselines.layers.sensor_fusion import unit2d
 from baselines.layers.terrain_columns import (
     EVIDENCE,

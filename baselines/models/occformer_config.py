@@ -16,8 +16,7 @@ from baselines.layers.masked_attention import QuerySettings
 from baselines.layers.pixel_decoder3d import PixelDecoderSettings
 from baselines.layers.resnet import ResNetConfig
 from baselines.layers.shifted_windows import WindowSettings
-from baselines.losses.mask_points import PointSettings
-from baselines.losses.masks import MaskLossSettings
+from baselines.losses.masks import MaskLossSettings, PointSettings
 from baselines.models.occupancy_model import CLASSES
 
 SCALES = (0.25, 0.5, 1.0, 2.0)  # of the backbone's four maps to a sixteenth of the picture

@@ -17,15 +17,13 @@ from torch.utils.checkpoint import checkpoint
 from baselines.batch import POINT_FEATURES, RADAR_FEATURES, Batch, CameraViews, Points
 from baselines.lattice import VoxelLattice
 from baselines.layers.camera_projection import ProjectedFeatures, project_features
-from baselines.layers.global_local import GlobalLocalFusion
+from baselines.layers.efficient_vit import GlobalLocalFusion
 from baselines.layers.pyramids import FPN, FPNConfig
 from baselines.layers.resnet import ResNet, ResNetConfig
 from baselines.layers.sensor_fusion import DynamicFusion2d, DynamicFusion3d, unit3d
 from baselines.layers.visible_fusion import VisibleFusion
 from baselines.layers.voxel_features import PointVolumes
-from baselines.losses.coarse_labels import coarse_labels
-from baselines.losses.focal import focal_loss
-from baselines.losses.voxels import geometric_scale, lovasz_softmax, semantic_scale
+from baselines.losses.voxels import coarse_labels, focal_loss, geometric_scale, lovasz_softmax, semantic_scale
 from baselines.models.occfusion_config import OccFusionConfig
 from baselines.models.occupancy_model import CLASSES, OccupancyModel
 

@@ -21,10 +21,9 @@ from baselines.batch import Batch
 from baselines.cache import CachedStore, cached_frames
 from baselines.data import FrameDataset, FrameRequest
 from baselines.lattice import VoxelLattice
-from baselines.metrics import confusion_of, scores_of
+from baselines.metrics import BatchLosses, RateSchedule, build_optimizer, confusion_of, scores_of, take_step
 from baselines.models.architectures import ModelConfig, build_model
 from baselines.models.occupancy_model import OccupancyModel
-from baselines.optimisation import BatchLosses, RateSchedule, build_optimizer, take_step
 from baselines.row_config import RowConfig, TrainingConfig, read_row
 from baselines.sources import labelled_frames
 from benchmarks.models.unseen import EVERY, SECONDS

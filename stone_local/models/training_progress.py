@@ -12,7 +12,7 @@ LINE_EVERY_S = 10.0
 
 
 class StepReport(Protocol):
-    """What is shown of `baselines.run_log.TrainingReport`."""
+    """What is shown of `baselines.run_folder.TrainingReport`."""
 
     @property
     def step(self) -> int: ...

@@ -11,7 +11,7 @@ from torch import Tensor
 
 from baselines.checkpoint import CHECKPOINT, WEIGHTS
 from baselines.row_config import RowConfig, row_of
-from baselines.run_log import LOG, TrainingReport
+from baselines.run_folder import LOG, TrainingReport
 from baselines.train import TrainedRun, TrainingPlan, train
 
 TRAINING: Mapping[str, Any] = {

@@ -26,15 +26,13 @@ from baselines.augment import (
     generator_of,
 )
 from baselines.batch import Batch
-from baselines.collate import joined
-from baselines.data import EpochSampler, FrameDataset, FrameRequest
-from baselines.depth_targets import depth_picture
-from baselines.evaluation import scores_on
+from baselines.data import EpochSampler, FrameDataset, FrameRequest, depth_picture
 from baselines.frame_record import FrameRecord, PictureRecord
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice, grid_part
 from baselines.metrics import confusion_of
 from baselines.models.occupancy_model import OccupancyModel, likeliest
+from baselines.train import joined, scores_on
 from stone.geometry.se3 import SE3
 from stone.scoring.metric import RATIOS
 

@@ -17,7 +17,7 @@ import pytest
 
 from baselines.checkpoint import CHECKPOINT, provenance_of
 from baselines.errors import BadRunError
-from baselines.run_log import LOG, TENSORBOARD
+from baselines.run_folder import LOG, TENSORBOARD
 from baselines.train import TrainingPlan
 from tests.baselines.small_training import is_same_run, logged, logged_steps, row_record, small_row, trained
 

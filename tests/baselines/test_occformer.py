@@ -26,11 +26,19 @@ from baselines.layers.masked_attention import (
     QuerySettings,
     hidden_voxels,
 )
-from baselines.layers.pixel_decoder3d import PixelDecoder3D, PixelDecoderSettings
+from baselines.layers.pixel_decoder3d import PixelDecoder3D, PixelDecoderSettings, sine_positions
 from baselines.layers.shifted_windows import ShiftedWindowBlock, WindowAttention, WindowSettings, stochastic_depth
-from baselines.layers.sine_positions import sine_positions
-from baselines.losses.mask_points import PointSettings, contested_voxels, drawn_voxels, frame_masks, read_masks
-from baselines.losses.masks import MaskLossSettings, mask_losses, matched_queries, matching_cost
+from baselines.losses.masks import (
+    MaskLossSettings,
+    PointSettings,
+    contested_voxels,
+    drawn_voxels,
+    frame_masks,
+    mask_losses,
+    matched_queries,
+    matching_cost,
+    read_masks,
+)
 from baselines.models.occformer import OccFormer, class_logits
 from baselines.models.occformer_config import OccFormerConfig, official_r50
 

@@ -11,8 +11,7 @@ from baselines.lattice import VoxelLattice
 from baselines.layers.camera_projection import project_features
 from baselines.layers.efficient_vit import EfficientViTBlock, relu_attention
 from baselines.layers.voxel_features import PointVolumes, VoxelFeatureEncoder
-from baselines.losses.focal import focal_loss
-from baselines.losses.voxels import cross_entropy
+from baselines.losses.voxels import cross_entropy, focal_loss
 from baselines.models.occfusion import OccFusion
 from baselines.models.occfusion_config import OccFusionConfig
 from tests.baselines.boxes_frame import boxes_frame

@@ -12,12 +12,10 @@ from baselines.batch import IGNORED, Batch, CameraViews
 from baselines.lattice import VoxelLattice
 from baselines.layers.image_samples import image_samples, places_in_images
 from baselines.layers.lifting import lift
-from baselines.models.openocc import OpenOcc, by_own_value
-from baselines.models.openocc_cameras import CameraVoxelEncoder
+from baselines.models.openocc import CameraVoxelEncoder, OpenOcc, by_own_value, lattice_of_points
 from baselines.models.openocc_cascade import Cascade, children, occupied_cells, volume_samples
 from baselines.models.openocc_config import Modality, OpenOccConfig, official_row
 from baselines.models.openocc_head import CoarseVolume
-from baselines.models.openocc_lidar import lattice_of_points
 from tests.baselines.camera_scene import scene_batch, scene_labels
 from tests.baselines.openocc_frames import LATTICE, lidar_batch, small_row, without_labels
 

@@ -11,9 +11,16 @@ from baselines.batch import Points
 from baselines.lattice import Shape, VoxelLattice
 from baselines.layers.fpn3d import FPN3d
 from baselines.layers.residual3d import ResNet3d
-from baselines.layers.sparse_convolution import Rulebook, SparseConvolution3d, halved, strided_rules, submanifold_rules
-from baselines.layers.sparse_encoder import SparseEncoder
-from baselines.layers.sparse_voxels import SparseVoxels, means_of_points
+from baselines.layers.sparse_convolution import (
+    Rulebook,
+    SparseConvolution3d,
+    SparseEncoder,
+    SparseVoxels,
+    halved,
+    means_of_points,
+    strided_rules,
+    submanifold_rules,
+)
 
 SHAPES: list[Shape] = [(6, 5, 4), (7, 8, 3), (1, 1, 9), (2, 2, 2)]
 

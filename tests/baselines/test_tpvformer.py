@@ -19,7 +19,7 @@ from baselines.layers.tpv.attention import (
     cell_centres,
 )
 from baselines.layers.tpv.camera_sight import CameraRig, ColumnSights, column_sights, projected
-from baselines.layers.tpv.planes import TriPlanes, anchor_points_m, as_planes, plane_sizes
+from baselines.layers.tpv.encoder import TriPlanes, anchor_points_m, as_planes, plane_sizes
 from baselines.models.tpvformer import TPVFormer
 from baselines.models.tpvformer_config import TPVFormerConfig
 from tests.baselines.camera_scene import CAMERA_M, frames

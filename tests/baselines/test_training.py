@@ -23,10 +23,10 @@ from baselines.errors import (
     TooLittleMemoryError,
     TrainingDivergedError,
 )
+from baselines.metrics import RateSchedule, take_step
 from baselines.models.occupancy_model import OccupancyModel
-from baselines.optimisation import RateSchedule, take_step
 from baselines.row_config import RowConfig, TrainingConfig
-from baselines.run_log import LOG, TENSORBOARD
+from baselines.run_folder import LOG, TENSORBOARD
 from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan
 from testing.worlds.small_export import SmallExport, write_small_export

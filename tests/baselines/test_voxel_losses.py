@@ -10,8 +10,7 @@ import torch
 from torch import Tensor
 
 from baselines.batch import IGNORED
-from baselines.losses.coarse_labels import coarse_labels
-from baselines.losses.voxels import cross_entropy, geometric_scale, lovasz_softmax, semantic_scale
+from baselines.losses.voxels import coarse_labels, cross_entropy, geometric_scale, lovasz_softmax, semantic_scale
 
 LOSSES = (cross_entropy, semantic_scale, geometric_scale, lovasz_softmax)
 

@@ -16,7 +16,7 @@ from torch.utils.checkpoint import checkpoint
 
 from baselines.lattice import VoxelLattice
 from baselines.layers.deformable_attention import at_least_float32
-from baselines.layers.tpv.planes import TriPlanes, plane_sizes
+from baselines.layers.tpv.encoder import TriPlanes, plane_sizes
 
 SLAB = 8  # along x, so that what is held of voxels at once is 8 · 256 · 32 · 512 numbers at full size
 
