@@ -3,35 +3,129 @@
     fuse (each part) → surface (each tile), sight (each camera) → reference → frames (each part), map, pictures
         → publish
 
-`label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of the
-run that finds and leaves files in scratch. `stone label` runs the jobs in a few processes
-(`services/labeler/local_run.py`), the queue as tasks (`services/labeler/stages.py`); only publishing is each one's own.
+`label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of a
+run, the job's arguments and a progress, and beside it one that names the job's files in scratch. `stone label` runs
+the jobs in a few processes (`services/labeler/local_run.py`), the queue as tasks (`services/labeler/stages.py`); only
+publishing is each one's own.
 
 **Conventions.** Parts are fused in the order of recording, and a tile is reconstructed as soon as the last part that
 can reach it is fused (`services/labeler/plan.py`); the reference waits for all tiles, and the frames for the reference.
 In the queue, publishing waits for the late checks of the sequence too.
+
+A stage may run twice, at once or after being killed anywhere: its files are renamed into place and have the same
+bytes. It finds what it needs in scratch and leaves there what others need, so any process may run it.
 """
 
 from collections.abc import Mapping
+from pathlib import Path
 
+from services.labeler.frames import compute_sight_lines, labelled_frames
+from services.labeler.map.far_points import far_points_path
+from services.labeler.map.fuse import fuse
 from services.labeler.map.map_files import draw_map, draw_pictures, files_of_map, files_of_pictures
-from services.labeler.plan import plan_of
-from services.labeler.run import LabelRun, Part
-from services.labeler.scratch import tile_name
-from services.labeler.stage import Stage
-from services.labeler.stage_work import (
-    files_of_frames,
-    files_of_fuse,
-    files_of_reference,
-    files_of_sight,
-    files_of_surface,
-    fuse_part,
-    label_part,
-    lay_sight,
-    refer,
-    surface_tile,
+from services.labeler.map.surface import TileSummary, surface
+from services.labeler.plan import plan_of, tiles_around
+from services.labeler.results import (
+    index_path,
+    load_reference,
+    load_summaries,
+    pack_path,
+    reference_from,
+    reference_path,
+    save_reference,
+    save_summary,
+    sums_path,
+    write_labels,
 )
+from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, require_ground, silent
+from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
+from services.labeler.stage import Arguments, Stage, StageFiles, StageResult, part_of, tile_of
 from services.runtime.jobs.specs import JobSpec
+
+
+def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
+    """Sweeps → point map, observed bricks and range images, per tile. Raises `FootprintOffGroundError`."""
+    require_ground(run)
+    part = part_of(arguments)
+    points = fuse(run, part, step)
+    tiles = sum(1 for _ in run.scratch.glob(_fused_files(part)))
+    return StageResult({"points": points}, {"frames": part[1] - part[0], "points": points, "tiles": tiles})
+
+
+def files_of_fuse(run: LabelRun, arguments: Arguments) -> StageFiles:
+    part = part_of(arguments)
+    beside = (images_path(run, part), far_points_path(run, part))
+    return StageFiles(writes=(_fused_files(part), *(_name(run, path) for path in beside)))
+
+
+def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
+    """Points of a tile and its neighbours → mesh, features, sums over what was driven; nothing where none fell."""
+    summary = surface_where_reached(run, tile_of(arguments), step)
+    if summary is None:
+        return StageResult({"voxels": 0})
+    save_summary(run, summary)
+    facts = {"tile": tile_name(summary.tile), "triangles": summary.triangles, "driven": summary.sums.count}
+    return StageResult({"voxels": summary.voxels}, facts)
+
+
+def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary | None:
+    """Return the surface of a planned tile, or None if no part left anything there."""
+    return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
+
+
+def files_of_surface(run: LabelRun, arguments: Arguments) -> StageFiles:
+    tile = tile_of(arguments)
+    images = (f"images/{part[0]:06d}" for part in plan_of(run).needs[tile])
+    fused = (f"fused/{tile_name(near)}/" for near in neighbourhood(tile))
+    left = (_name(run, path) for path in (surface_path(run, tile), sums_path(run, tile)))
+    return StageFiles(reads=(*images, *fused), writes=tuple(left))
+
+
+def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
+    """What one camera can see."""
+    step(0, 1)
+    compute_sight_lines(run, int(arguments["camera"]))
+    return StageResult()
+
+
+def files_of_sight(run: LabelRun, arguments: Arguments) -> StageFiles:
+    return StageFiles(writes=(_name(run, sight_path(run, int(arguments["camera"]))),))
+
+
+def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
+    """Sums of all tiles → what driven ground is like. Raises `NoReferenceError`."""
+    reference = reference_from(load_summaries(run), run.parameters)
+    save_reference(run, reference)
+    return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})
+
+
+def files_of_reference(run: LabelRun, _arguments: Arguments) -> StageFiles:
+    return StageFiles(reads=("sums/",), writes=(_name(run, reference_path(run)),))
+
+
+def label_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
+    """The labelled map → the labels of the frames of a part."""
+    part = part_of(arguments)
+    index = write_labels(run, part, labelled_frames(run, part, load_reference(run)), step)
+    frames = part[1] - part[0]
+    return StageResult({"frames": frames}, {"frames": frames, "pack_bytes": index.size_bytes})
+
+
+def files_of_frames(run: LabelRun, arguments: Arguments) -> StageFiles:
+    part, reference = part_of(arguments), _name(run, reference_path(run))
+    around = (_name(run, surface_path(run, tile)) for tile in tiles_around(run, part))
+    left = (_name(run, path) for path in (pack_path(run, part), index_path(run, part)))
+    return StageFiles((reference, "sight/", *around), (reference, "surface"), tuple(left))
+
+
+def _fused_files(part: Part) -> str:
+    """The pattern of what a part leaves, a file each tile."""
+    return f"fused/*_*/{part[0]:06d}.npz"
+
+
+def _name(run: LabelRun, path: Path) -> str:
+    return path.relative_to(run.scratch).as_posix()
+
 
 FUSE, SURFACE, SIGHT = "labeler.fuse", "labeler.surface", "labeler.sight"
 REFERENCE, FRAMES, PUBLISH = "labeler.reference", "labeler.frames", "labeler.publish"

@@ -14,10 +14,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.map.fuse import labelled_box
-from services.labeler.map.surface import TileSummary, surface
 from services.labeler.parameters import LabelParameters
-from services.labeler.run import LabelRun, Part, Step, Tile, parts_of, silent, tiles_across
-from services.labeler.scratch import tile_name
+from services.labeler.run import LabelRun, Part, Tile, parts_of, tiles_across
 from stone.labels.grid import frame_bounds
 from stone.labels.observed_voxels import BRICK
 from stone.labels.voxels import VOXEL_M
@@ -45,11 +43,6 @@ def plan_of(run: LabelRun) -> TilePlan:
         needs[tile] = tuple(part for part in parts if is_near[slice(*part)].any())
     reached = [tile for tile in needs if needs[tile]]
     return TilePlan(parts, {tile: needs[tile] for tile in sorted(reached, key=lambda tile: (needs[tile][-1], tile))})
-
-
-def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary | None:
-    """The surface of a planned tile, or nothing where no part left anything after all."""
-    return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
 
 
 def tiles_around(run: LabelRun, part: Part) -> list[Tile]:
