@@ -5,8 +5,6 @@ security headers, faults), `limits` (rate), `releases` (of clients), `bodies` (s
 Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
-import gc
-import sys
 from collections.abc import AsyncIterator
 from contextlib import asynccontextmanager
 from functools import cache
@@ -74,6 +72,7 @@ from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from services.runtime.telemetry.tracing import setup_tracing
+from stone_base.process_tuning import tune_api
 
 ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
@@ -182,17 +181,12 @@ def from_environment() -> FastAPI:
 def told(api: FastAPI) -> FastAPI:
     """The application of a process of its own, whose spans and counts others hear of; what it reads of strangers it
     reads in children of a process without keys."""
-    sys.setswitchinterval(SWITCH_S)
     use_fork_server(["stone_recordings.calibrations.file", "stone_datasets.classes"])
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
-    keep_what_is_loaded()
+    tune_api()
     return api
 
-
-SWITCH_S = 0.0005
-"""How long a thread that answers may keep the event loop waiting, which every request needs several times; Python's
-own 5 ms were a quarter of what a reader waited for."""
 
 UNTOLD: TelemetryConfig = {"tracing": False, "metrics": False, "logs": False, "auto_configure": False}
 """FastAPI's own spans hold paths, queries and bodies' faults; ours are made in `entry`."""
@@ -203,23 +197,3 @@ Refusals are `application/problem+json`. Lists are paged by `cursor`. Creating P
 that change carry an `ETag`, and changing them asks for `If-Match`. So do boards and the lists of sequences, jobs,
 submissions, exports and versions: to who sends it as `If-None-Match` an unchanged one is not sent again.
 """
-
-
-# How often the process that answers looks for garbage, and at what.
-#
-# **Conventions.** What nobody refers to any more is freed at once; the collector is for cycles only. It looks at all
-# objects while no thread runs, and hardly any of a request's are in a cycle: with fifty readers of lists at once, such
-# looks, most of them at modules and routes that are there for good, took a quarter of the time, and every request
-# waited for them, on a busy machine up to two seconds.
-
-
-COLLECTED_AFTER = (10_000, 20, 20)
-"""So many more objects are made than freed before the young ones are looked at (Python's own: 700), and so many such
-looks come before one at older ones. A few hundred requests' leavings are held meanwhile."""
-
-
-def keep_what_is_loaded() -> None:
-    """Never look again at what is there now, and seldom at the rest. For a process of its own, once it is set up."""
-    gc.collect()
-    gc.freeze()
-    gc.set_threshold(*COLLECTED_AFTER)

@@ -12,7 +12,7 @@ from typing import Annotated
 
 import typer
 
-from stone_base.garbage import collect_seldom
+from stone_base.process_tuning import tune_command
 from stone_client.lazy_commands import CommandPlace, LazyGroup, places
 from stone_client.platform_part import add_refusals, platform_commands
 from stone_client.refusals import RefusingGroup
@@ -76,7 +76,7 @@ if not PLATFORM_COMMANDS:
 
 
 def main() -> None:
-    collect_seldom()
+    tune_command()
     # Linear algebra here is of small matrices: its threads would be made while numpy loads, and spin, for nothing.
     os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
     app()

@@ -13,13 +13,13 @@ from collections.abc import Iterator
 
 import pytest
 
-from api.main import keep_what_is_loaded
+from stone_base.process_tuning import exempt_loaded_objects
 
 _LIBC = ctypes.CDLL(None)
 
 
 def pytest_collection_finish() -> None:
-    keep_what_is_loaded()
+    exempt_loaded_objects()
 
 
 @pytest.hookimpl(wrapper=True)

@@ -7,8 +7,6 @@ threads, because half of a stage is numpy and Python under the interpreter's loc
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
-import ctypes
-import gc
 import os
 import time
 from collections.abc import Callable, Iterator, Sequence
@@ -20,6 +18,7 @@ from threading import Thread
 from typing import Any, Generic, TypeVar
 
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
+from stone_base.process_tuning import keep_freed_memory, tune_label_worker
 
 T = TypeVar("T")
 PRELOAD = [
@@ -113,8 +112,7 @@ def _measured(task: Callable[..., T], arguments: tuple[object, ...]) -> TaskResu
 def _prepare() -> None:
     """What is loaded never looked at for garbage, freed memory kept, one thread for every library, and no life beyond
     that of the process that asked."""
-    gc.freeze()
-    keep_freed_memory()
+    tune_label_worker()
     asker = parent_process()
     if asker is not None:
         Thread(target=_end_with, args=(asker.sentinel,), daemon=True).start()
@@ -126,23 +124,3 @@ def _end_with(sentinel: int) -> None:
     """Exit when the other end goes away, however it went: a killed command leaves no worker behind."""
     connection.wait([sentinel])
     os._exit(1)
-
-
-# Keeps freed memory for what is allocated next, instead of giving it back to the system after every array.
-#
-# **Conventions.** glibc (mallopt(3)) gives the end of its heap back as soon as a few arrays there are given up, so
-# that a sweep's temporaries are mapped and zeroed anew, page by page, every time. Other C libraries are left as they
-# are.
-
-
-M_TRIM_THRESHOLD, M_MMAP_THRESHOLD = -1, -3  # malloc.h
-KEPT_BYTES = 64 * 2**20
-LARGEST_BYTES = 32 * 2**20  # the most that glibc takes; larger ones, as the table of fusing, are given back at once
-
-
-def keep_freed_memory() -> bool:
-    """From now on, in this process and those that it forks; whether the C library knows how."""
-    mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
-    if mallopt is None:
-        return False
-    return bool(mallopt(M_MMAP_THRESHOLD, LARGEST_BYTES) and mallopt(M_TRIM_THRESHOLD, KEPT_BYTES))

@@ -17,12 +17,13 @@ from sqlalchemy import text
 from starlette.concurrency import run_in_threadpool
 from starlette.responses import Response
 
-from api.main import COLLECTED_AFTER, keep_what_is_loaded, make_api
+from api.main import make_api
 from api.row_readers import by_row_readers
 from api.tus.body_stream import THREADS
 from services.runtime.database.transactions import ALONE, ROW_READERS, UPLOADS, request_threads
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
+from stone_base.process_tuning import API_COLLECTS_AFTER, exempt_loaded_objects
 from testing.servers.fixtures import make_settings, opened
 
 WITHIN_S = 20.0  # less than the pool lets anybody wait
@@ -123,23 +124,23 @@ class Cycle:
 def as_before() -> Iterator[None]:
     yield
     gc.unfreeze()
-    keep_what_is_loaded()  # as testing/memory.py has done
+    exempt_loaded_objects()  # as testing/memory.py has done
 
 
 def test_what_is_loaded_is_not_looked_at_again() -> None:
     gc.unfreeze()
     gc.set_threshold(*PYTHONS)
-    keep_what_is_loaded()
+    exempt_loaded_objects()
     assert gc.get_freeze_count() > 10_000
-    assert gc.get_threshold() == COLLECTED_AFTER
+    assert gc.get_threshold() == API_COLLECTS_AFTER
     assert len(gc.get_objects()) < gc.get_freeze_count() / 10
 
 
 def test_cycles_that_are_made_later_are_freed_before_some_hundred_requests_have_left_theirs() -> None:
     gc.set_threshold(*PYTHONS)
-    keep_what_is_loaded()
+    exempt_loaded_objects()
     first = weakref.ref(Cycle())
-    held = [[] for _ in range(COLLECTED_AFTER[0])]  # type: ignore[var-annotated]
+    held = [[] for _ in range(API_COLLECTS_AFTER[0])]  # type: ignore[var-annotated]
     assert first() is None
     assert held
 

@@ -9,7 +9,7 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stone_base.counts import counted
-from stone_base.garbage import COLLECTED_AFTER
+from stone_base.process_tuning import COMMAND_COLLECTS_AFTER
 from stone_base.releases import is_older
 
 
@@ -51,7 +51,7 @@ def test_what_is_no_release_is_not_older_than_any(text: str) -> None:
 
 ENDS = """
 import gc
-from stone_base.garbage import collect_seldom
+from stone_base.process_tuning import tune_command
 
 class Cycle:
     def __init__(self):
@@ -61,7 +61,7 @@ class Cycle:
         print("found")
 
 if {seldom}:
-    collect_seldom()
+    tune_command()
 Cycle()
 if {asked}:
     gc.collect()
@@ -83,4 +83,4 @@ def test_until_then_cycles_are_found_and_importing_a_module_does_it_too() -> Non
     assert said(seldom=True, asked=True) == "found"
     code = "import gc, services.runtime.processes.seldom_collected; print(gc.get_threshold()[0])"
     count = subprocess.run([sys.executable, "-c", code], check=True, capture_output=True, text=True).stdout
-    assert int(count) == COLLECTED_AFTER > gc.get_threshold()[0]
+    assert int(count) == COMMAND_COLLECTS_AFTER > gc.get_threshold()[0]

@@ -1,5 +1,5 @@
-"""Makes a process look for garbage seldom on import, for one that can be told only which modules to load."""
+"""Tunes a fork server on import, since only the modules that it loads can be chosen."""
 
-from stone_base.garbage import collect_seldom
+from stone_base.process_tuning import tune_command
 
-collect_seldom()
+tune_command()

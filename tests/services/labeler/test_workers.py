@@ -22,14 +22,14 @@ from services.labeler.kernel_warmup import warmup_sequence
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun
 from services.labeler.sandboxed_run import RunOpening
-from services.labeler.workers import Task, Workers, keep_freed_memory
+from services.labeler.workers import Task, Workers
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_SHAPE
 from stone.labels.sight_batches import SightBatch
 from stone.labels.visibility import sight_lines
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Frames, Sequence
-from stone_base.garbage import COLLECTED_AFTER
+from stone_base.process_tuning import COMMAND_COLLECTS_AFTER, keep_freed_memory
 from stone_recordings.sync.sequence_file import sequence_bytes
 from testing.signals import hear_signals
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, RayCast, World, sequence_of
@@ -97,7 +97,7 @@ def test_workers_do_not_look_at_what_is_loaded_and_seldom_at_the_rest() -> None:
         [(_, done)] = workers.run([Task(("looks",), _looks_for_garbage, (0,))])
     kept, collected_after = done.value
     assert kept > 50_000
-    assert collected_after == COLLECTED_AFTER
+    assert collected_after == COMMAND_COLLECTS_AFTER
 
 
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
