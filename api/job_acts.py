@@ -7,7 +7,7 @@ from api.deps import Caller
 from api.schemas.admin import JobAct, JobActItem, JobActsBody
 from api.schemas.jobs import FailureItem
 from api.visible import job_of
-from services.domain.benchmarks.submissions.states import reopen
+from services.domain.benchmarks.submissions.state_machine import reopen
 from services.runtime.jobs import control
 from services.runtime.notifications.events import tell_run_stopped
 from services.runtime.orm import Job

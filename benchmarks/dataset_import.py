@@ -19,11 +19,11 @@ from resource import RUSAGE_SELF, getrusage
 from tempfile import TemporaryDirectory
 
 from benchmarks.datasets import release_sized
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import DatasetOpening, SceneOpening
-from services.labeler.run_answers import PublicationAnswer
 from stone_datasets.classes import OWN_CLASSES
 from testing.worlds.imported import NAME
 from testing.worlds.published_datasets import SyntheticDataset, write_published_tar

@@ -18,9 +18,9 @@ from numpy.typing import NDArray
 from services.ingest.sequence import open_sequence
 from services.labeler.map.fuse import fuse
 from services.labeler.parameters import parameters_for
-from services.labeler.plan import plan_of
 from services.labeler.run import LabelRun
 from services.labeler.scratch import load_points, tile_named
+from services.labeler.tile_plan import plan_of
 from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.geometry.se3 import SE3

@@ -28,7 +28,7 @@ from api.views.jobs import job_detail
 from api.views.sequences import sequence_detail
 from api.views.submissions import submission_detail
 from api.visible import job_of, sequence_of, submission_of
-from services.domain.benchmarks.submissions.states import ENDED
+from services.domain.benchmarks.submissions.state_machine import ENDED
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, SequenceRow, SubmissionRow
 from services.runtime.orm.base import now_ns

@@ -38,7 +38,7 @@ from api.schemas.submissions import (
 from api.views.submissions import quota_answer, submission_detail, submission_items, validation_report
 from api.visible import member_team_of, phase_of, submission_of, submissions_of, team_of
 from services.domain.benchmarks.submissions import submissions
-from services.domain.benchmarks.submissions.states import lock_submission
+from services.domain.benchmarks.submissions.state_machine import lock_submission
 from services.domain.benchmarks.submissions.submissions import SubmissionDraft
 from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform

@@ -22,7 +22,7 @@ from api.schemas.submissions import (
 from api.views.jobs import job_items
 from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.completion_estimate import expected_s, queue_position
-from services.domain.benchmarks.submissions.states import LIVE
+from services.domain.benchmarks.submissions.state_machine import LIVE
 from services.domain.benchmarks.submissions.submissions import validations_left
 from services.runtime.orm import Job, Phase, SubmissionRow, Upload
 from services.runtime.uploads.rows import is_waiting

@@ -19,8 +19,8 @@ from services.domain.benchmarks.boards.board import board_order
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.boards.history import history, tracks_with_rows
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
-from services.domain.benchmarks.submissions.chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.submissions.completion_estimate import expected_s
+from services.domain.benchmarks.submissions.sweeper_chores import settle_ended, tidy_submissions
 from services.domain.runs.estimates import time_left
 from services.runtime.access import roles, storage_quota, tokens
 from services.runtime.jobs.claims import claim, wake_ups_wanted

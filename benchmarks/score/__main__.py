@@ -24,7 +24,7 @@ from rich.table import Table
 from benchmarks.score.material import Material, material
 from benchmarks.score.peers import ByteMoving, Plain, occ3d
 from services.eval.examination import CountedFrames, TruthOf, count_range
-from services.eval.scores import interval_record, spectra_of
+from services.eval.score_record import interval_record, spectra_of
 from services.eval.truth_pack import TruthPack
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import METRIC_VERSION, METRICS

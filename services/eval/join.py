@@ -18,13 +18,13 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.alarms.alarms import raise_alarms
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, versions_to_score
-from services.domain.benchmarks.submissions.scores import NewScore, drop_parts, write_score
+from services.domain.benchmarks.submissions.score_rows import NewScore, drop_parts, write_score
 from services.domain.benchmarks.submissions.scoring_jobs import Span, rescore_specs
 from services.domain.benchmarks.submissions.submissions import settle
-from services.eval.cases import Case, ReadyTruth, live_submission
 from services.eval.examination import Counts, ExaminedRange, joined, unpacked
-from services.eval.scores import SequenceFacts, SubmissionCounts, record_of, spectra_npz
-from services.eval.stage_context import EvalStageContext
+from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
+from services.eval.scored_case import Case, ReadyTruth, live_submission
+from services.eval.scoring_workspace import EvalStageContext
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.completion import Failure

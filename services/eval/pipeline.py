@@ -5,7 +5,7 @@
 The archive's directory is checked when it is opened; a range
 (`services/domain/benchmarks/submissions/scoring_jobs.py`) is `examined`, counted or only checked; all ranges are
 `joined` (both `services/eval/examination.py`). Here one range follows the other, its frames on a few threads; the queue
-examines each range in a sandbox, in a job of its own where there are several (`services/eval/stages.py`).
+examines each range in a sandbox, in a job of its own where there are several (`services/eval/queue_handlers.py`).
 
 **Conventions.** Nothing here starts a process or keeps state, so it runs as it is in a child with memory and time
 limits. Peak memory does not grow with the submission, but for the counts: 228 bytes a frame, twice that at the join.
@@ -18,7 +18,7 @@ from pathlib import Path
 from services.domain.benchmarks.submissions.scoring_jobs import ranges_of
 from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined
 from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
-from services.eval.scores import Scores, SequenceFacts, SubmissionCounts
+from services.eval.score_record import Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.signature import Signature
 from stone_submissions.archive import SubmissionZip, open_submission

@@ -21,7 +21,7 @@ from services.domain.benchmarks.phases.ground_truths import LABELS, first_activa
 from services.eval.ground_truth import MAX_LABELS_BYTES, Mask, truth_in
 from services.eval.kernel_warmup import warm
 from services.eval.scoring_errors import LabelsUnfitError
-from services.eval.stage_context import EvalStageContext
+from services.eval.scoring_workspace import EvalStageContext
 from services.eval.truth_pack import write_truth_pack
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome

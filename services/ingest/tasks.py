@@ -10,7 +10,7 @@ import services.runtime.one_thread  # noqa: F401
 
 from celery import shared_task
 
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.jobs.execution import run_row, takes_jobs
 from services.runtime.platform import platform
 

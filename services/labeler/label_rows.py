@@ -10,7 +10,7 @@ from typing import Any
 from sqlalchemy import insert, select
 from sqlalchemy.orm import Session
 
-from services.labeler.run_answers import PackAnswer, PublicationAnswer
+from services.labeler.child_answers import PackAnswer, PublicationAnswer
 from services.runtime.code_version import code_version
 from services.runtime.orm import Artefact, LabelledFrameRow, LabelSet, new_id
 from services.runtime.source_digests import ResultKind

@@ -3,8 +3,8 @@
 from dataclasses import dataclass
 from pathlib import Path
 
+from services.labeler.child_answers import PackAnswer
 from services.labeler.label_rows import LABELS, MEDIA_TYPES, OTHER_TYPE
-from services.labeler.run_answers import PackAnswer
 from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.store.keys import checked
 

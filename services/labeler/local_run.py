@@ -24,10 +24,10 @@ from services.labeler.map.map_files import map_folder
 from services.labeler.map.refinement import refined
 from services.labeler.parameters import LabelParameters
 from services.labeler.pipeline import STAGES, label_graph
+from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
-from services.labeler.workers import Task, TaskResult, Workers
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_files.atomic import atomic_directory

@@ -5,12 +5,12 @@
 
 `label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of a
 run, the job's arguments and a progress, and beside it one that names the job's files in scratch. `stone label` runs
-the jobs in a few processes (`services/labeler/local_run.py`), the queue as tasks (`services/labeler/stages.py`); only
-publishing is each one's own.
+the jobs in a few processes (`services/labeler/local_run.py`), the queue as tasks
+(`services/labeler/queue_handlers.py`); only publishing is each one's own.
 
 **Conventions.** Parts are fused in the order of recording, and a tile is reconstructed as soon as the last part that
-can reach it is fused (`services/labeler/plan.py`); the reference waits for all tiles, and the frames for the reference.
-In the queue, publishing waits for the late checks of the sequence too.
+can reach it is fused (`services/labeler/tile_plan.py`); the reference waits for all tiles, and the frames for the
+reference. In the queue, publishing waits for the late checks of the sequence too.
 
 A stage may run twice, at once or after being killed anywhere: its files are renamed into place and have the same
 bytes. It finds what it needs in scratch and leaves there what others need, so any process may run it.
@@ -24,7 +24,6 @@ from services.labeler.map.far_points import far_points_path
 from services.labeler.map.fuse import fuse
 from services.labeler.map.map_files import draw_map, draw_pictures, files_of_map, files_of_pictures
 from services.labeler.map.surface import TileSummary, surface
-from services.labeler.plan import plan_of, tiles_around
 from services.labeler.results import (
     index_path,
     load_reference,
@@ -40,6 +39,7 @@ from services.labeler.results import (
 from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, require_ground, silent
 from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
 from services.labeler.stage import Arguments, Stage, StageFiles, StageResult, part_of, tile_of
+from services.labeler.tile_plan import plan_of, tiles_around
 from services.runtime.jobs.specs import JobSpec
 
 

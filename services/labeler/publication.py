@@ -16,6 +16,7 @@ from services.domain.exports.requests import follow_labels
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, require_sequence
 from services.domain.viewer.playback import PLAYBACK
+from services.labeler.child_answers import FilesAnswer, PublicationAnswer
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.label_rows import NewArtefact, NewLabelSet, standing_label_set, write_artefact, write_label_set
 from services.labeler.left_files import LeftFile, files_left, left_file, pack_left
@@ -25,9 +26,8 @@ from services.labeler.map.map_files import MAP
 from services.labeler.map.track_coverage import COVERAGE
 from services.labeler.parameters import chosen_parameters
 from services.labeler.publication_files import PUBLISHED
-from services.labeler.run_answers import FilesAnswer, PublicationAnswer
+from services.labeler.run_workspace import LabelStageContext
 from services.labeler.sandboxed_run import described
-from services.labeler.stage_context import LabelStageContext
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Job, LabelSet
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all

@@ -1,10 +1,10 @@
 """What a run that is done publishes beside the files of its stages: the report, the frame table, facts for rows."""
 
+from services.labeler.child_answers import PackAnswer, PublicationAnswer, TotalsAnswer
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.report import report_of
 from services.labeler.results import load_pack, pack_path
 from services.labeler.run import LabelRun, Part, parts_of
-from services.labeler.run_answers import PackAnswer, PublicationAnswer, TotalsAnswer
 from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
 from services.labeler.totals import totals_of

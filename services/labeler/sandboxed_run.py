@@ -3,7 +3,7 @@
     files of the run → the run as a value → (its jobs | the files of a job | a job's work | what is to be published)
 
 **Conventions.** Everything in the run's folder was computed from what a stranger sent, so only the child opens it; the
-parent moves files by their names and believes JSON of a known form (`run_answers.py`). The child writes within the
+parent moves files by their names and believes JSON of a known form (`child_answers.py`). The child writes within the
 run's folder, makes no links, and reads the recording where its stage reads sweeps.
 """
 
@@ -14,12 +14,12 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
+from services.labeler.child_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.labeler.errors import NoUsableFramesError
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
 from services.labeler.run import LabelRun
-from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence, Sweep, SweepSource

@@ -1,8 +1,8 @@
 """The stages that label a sequence, as values: what the jobs of a kind do, and which files they read and leave.
 
 **Conventions.** `services/labeler/pipeline.py` names them and declares the jobs; `stone label` runs these in processes
-(`services/labeler/local_run.py`), the queue as tasks (`services/labeler/stages.py`). Files are named relative to the
-scratch folder of the run, and are all that one stage leaves for another.
+(`services/labeler/local_run.py`), the queue as tasks (`services/labeler/queue_handlers.py`). Files are named relative
+to the scratch folder of the run, and are all that one stage leaves for another.
 """
 
 from collections.abc import Callable, Mapping

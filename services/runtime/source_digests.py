@@ -41,7 +41,7 @@ ENTRIES: Mapping[ResultKind, tuple[str, ...]] = MappingProxyType(
             "services.eval.pipeline:score",
             "services.eval.examination:count_submission",
             "services.eval.examination:unpacked",
-            "services.eval.scores:spectra_npz",
+            "services.eval.score_record:spectra_npz",
         ),
         "comparisons": (
             "services.eval.comparison.stage:count_pairs",

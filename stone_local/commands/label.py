@@ -108,8 +108,8 @@ def label(
     from services.labeler.local_run import JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
     from services.labeler.parameters import RefinementParameters, parameters_for
+    from services.labeler.process_pool import begin_loading
     from services.labeler.report import LabelReport
-    from services.labeler.workers import begin_loading
 
     begin_loading()
     with reported() as progress:

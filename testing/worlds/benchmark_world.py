@@ -22,7 +22,7 @@ from sqlalchemy import select
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.domain.benchmarks.teams.teams import invite, join
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase, SequenceRow, Team, TeamMember, User, new_id
 from services.runtime.platform import Platform

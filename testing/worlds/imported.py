@@ -4,11 +4,11 @@ import tarfile
 from hashlib import file_digest
 from pathlib import Path
 
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import OUT, DatasetOpening, SceneOpening, scene_folder
-from services.labeler.run_answers import PublicationAnswer
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from testing.worlds.published_datasets import SyntheticDataset, write_published_tar
 

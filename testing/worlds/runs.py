@@ -13,8 +13,8 @@ from sqlalchemy import select
 
 from services.domain.sequences.processing import ProcessRequest, start_processing
 from services.domain.sequences.recordings import NewRecording, add_recording
-from services.ingest import stages as ingest
-from services.labeler import stages as labeler
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labeler
 from services.runtime.access.storage_quota import reserve
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handler

@@ -15,8 +15,8 @@ import httpx
 import numpy as np
 import pytest
 
-from services.ingest import stages as ingest
-from services.labeler import stages as labeler
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labeler
 from services.runtime.access import storage_quota
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Blob, Export, ExportPack, LabelSet, Recording

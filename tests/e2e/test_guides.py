@@ -18,9 +18,9 @@ from services.domain.benchmarks.phases.inputs import start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
 from services.domain.datasets.input_jobs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
-from services.eval.stages import handlers as eval_handlers
-from services.ingest import stages as ingest
-from services.labeler import stages as labeler
+from services.eval.queue_handlers import handlers as eval_handlers
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labeler
 from services.runtime.access.passwords import hash_password
 from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.first_start import ensure_keys

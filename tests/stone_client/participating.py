@@ -11,8 +11,8 @@ from sqlalchemy import func, select
 from typer.testing import CliRunner, Result
 
 from services.domain.benchmarks.teams import teams
-from services.eval.stages import handlers
-from services.ingest import stages as ingest
+from services.eval.queue_handlers import handlers
+from services.ingest import queue_handlers as ingest
 from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Phase, SubmissionRow, Upload, new_id
 from services.runtime.platform import Platform

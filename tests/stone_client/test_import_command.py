@@ -12,8 +12,8 @@ import httpx
 import pytest
 from typer.testing import Result
 
-from services.ingest import stages as ingest
-from services.labeler import stages as labeler
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labeler
 from services.runtime.platform import Platform
 from stone_client.errors import JobFailedError
 from stone_client.sdk import Stone

@@ -9,7 +9,7 @@ import pytest
 from typer.testing import Result
 
 from services.domain.notifications.spread import choices_of
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime.access.passwords import hash_password
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.execution import run_next

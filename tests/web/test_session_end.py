@@ -7,7 +7,7 @@ from playwright.sync_api import BrowserContext, Page, expect
 from sqlalchemy import delete, select
 
 from api.middleware.context import COOKIE
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.access import passwords, sessions, users
 from services.runtime.orm import SubmissionRow, User, WebSession
 from services.runtime.platform import Platform

@@ -9,7 +9,7 @@ import httpx
 from playwright.sync_api import Page, expect
 from sqlalchemy import select
 
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.orm import CalibrationRow, SequenceRow
 from simulator.pipeline import calibration_path
 from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, is_bag_part

@@ -9,7 +9,7 @@ import httpx
 import pytest
 from playwright.sync_api import Browser, Page, Response, expect
 
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from services.runtime.uploads.files import offset_of

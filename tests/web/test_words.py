@@ -15,10 +15,10 @@ from api.schemas import rescores, submissions, truths
 from api.schemas.sequences import scenes
 from api.views.admin import JobSpan
 from services.domain.benchmarks.phases import phases
-from services.domain.benchmarks.submissions import states
-from services.eval import stages as scoring
-from services.ingest import stages as ingest
-from services.labeler import stages as labelling
+from services.domain.benchmarks.submissions import state_machine
+from services.eval import queue_handlers as scoring
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labelling
 from services.maintenance.notifications import delivery
 from services.runtime.jobs.queries import TITLES
 from services.runtime.notifications.events import TOLD_FAILED
@@ -83,8 +83,8 @@ LITERALS: dict[str, Any] = {
     "playbacks": scenes.PlaybackItem.model_fields["state"].annotation,
 }
 TUPLES: tuple[tuple[str, ...], ...] = (
-    states.OPEN,
-    states.ENDED,
+    state_machine.OPEN,
+    state_machine.ENDED,
     MOVING,
     ("empty", "recorded", "labelled"),
     ("received", "registered", "refused"),

@@ -20,7 +20,7 @@ from api.visible import submission_of, submissions_of, teams_of
 from services.domain.benchmarks.modalities import MODALITIES
 from services.domain.benchmarks.submissions.result_errors import NotScoredError, ScoreMissingError
 from services.domain.benchmarks.submissions.results import results
-from services.domain.benchmarks.submissions.states import ENDED, LIVE, OPEN
+from services.domain.benchmarks.submissions.state_machine import ENDED, LIVE, OPEN
 from services.domain.benchmarks.teams.teams import is_member
 from services.runtime.orm import SubmissionRow
 from web.problem_words import grouped

@@ -34,7 +34,7 @@ from services.eval.comparison.counting import (
 )
 from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.kernel_warmup import warm
-from services.eval.stage_context import EvalStageContext
+from services.eval.scoring_workspace import EvalStageContext
 from services.eval.truth_build import PackedLabelFile
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import LabelSet

@@ -7,7 +7,7 @@ from typing import Annotated, ClassVar, Self
 
 from pydantic import Field, StringConstraints, model_validator
 
-from services.labeler.run_answers import Count
+from services.labeler.child_answers import Count
 from services.runtime.sandbox.answers import SandboxAnswer
 from stone.splits.surroundings import REGION
 from stone_base.names import NAME

@@ -15,9 +15,9 @@ from services.domain.imports.errors import UnlabelledScenesError
 from services.domain.imports.publication import refuse_existing
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, kept_import
 from services.labeler.imports.answers import DatasetIndexAnswer
+from services.labeler.imports.import_workspace import ImportStageContext
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_parts import SCENES, DatasetOpening, scene_folder
-from services.labeler.imports.stage_context import ImportStageContext
 from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.sandbox import SandboxCrashedError
 

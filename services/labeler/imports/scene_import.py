@@ -19,6 +19,7 @@ import numpy as np
 
 from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
 from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.child_answers import PackAnswer, PublicationAnswer, Range, TotalsAnswer
 from services.labeler.exports.nuscenes.tables import VERSION
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.frames import GRIDS, FrameVoxelCounts
@@ -35,7 +36,6 @@ from services.labeler.imports.scene_parts import (
     scene_folder,
 )
 from services.labeler.report import CLASS_NAMES
-from services.labeler.run_answers import PackAnswer, PublicationAnswer, Range, TotalsAnswer
 from services.labeler.tables import CLASS_COLUMNS, write_frames
 from services.runtime.code_version import code_version
 from services.runtime.sandbox import ProgressCallback

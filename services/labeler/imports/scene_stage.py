@@ -16,13 +16,13 @@ from sqlalchemy.orm import Session
 from services.domain.imports.requests import begin_run_again, kept_import
 from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.source import MESH, REPORT, TABLE
+from services.labeler.imports.import_workspace import ImportStageContext
 from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import OUT, SceneOpening, scene_folder
-from services.labeler.imports.stage_context import ImportStageContext
 from services.labeler.label_rows import LABELS
 from services.labeler.left_files import LeftFile, files_left, pack_left
-from services.labeler.run_answers import PublicationAnswer
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import ImportedFile

@@ -3,7 +3,7 @@
 from pathlib import Path
 
 from services.domain.benchmarks.phases import evaluation_versions
-from services.domain.benchmarks.submissions.scores import NewScore, write_score
+from services.domain.benchmarks.submissions.score_rows import NewScore, write_score
 from services.runtime.orm import SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform

@@ -9,7 +9,7 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from services.eval.scores import (
+from services.eval.score_record import (
     RING_NAMES,
     SequenceFacts,
     SubmissionCounts,

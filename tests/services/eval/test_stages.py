@@ -8,8 +8,8 @@ import pytest
 from sqlalchemy import func, select
 
 from services.domain.benchmarks.submissions import scoring_jobs
-from services.eval.cases import truth_of
 from services.eval.pipeline import score
+from services.eval.scored_case import truth_of
 from services.eval.scoring_errors import TruthUnreadyError
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec

@@ -9,7 +9,7 @@ from services.domain.benchmarks.phases.evaluation_versions import EvaluationVers
 from services.domain.benchmarks.rescores.progress import rescore_progress
 from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, start_rescore
 from services.domain.benchmarks.submissions import scoring_jobs
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Alarm, Job, Phase, Rescore, SubmissionRow
 from services.runtime.platform import Platform

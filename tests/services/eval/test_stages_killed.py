@@ -13,7 +13,7 @@ import pytest
 
 from services.domain.benchmarks.submissions import scoring_jobs
 from services.eval import examination
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.lease_sweep import Sweeper

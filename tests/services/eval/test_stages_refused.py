@@ -9,11 +9,11 @@ import pytest
 from sqlalchemy import func, select, update
 
 from services.domain.benchmarks.submissions import scoring_jobs
-from services.domain.benchmarks.submissions.chores import settle_ended
-from services.domain.benchmarks.submissions.states import reopen
+from services.domain.benchmarks.submissions.state_machine import reopen
 from services.domain.benchmarks.submissions.submissions import cancel
+from services.domain.benchmarks.submissions.sweeper_chores import settle_ended
 from services.eval import examination
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime.jobs.claims import Claim, claim
 from services.runtime.jobs.completion import Failure, lose, succeed
 from services.runtime.jobs.control import retry

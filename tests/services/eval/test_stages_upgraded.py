@@ -12,7 +12,7 @@ from services.domain.benchmarks.rescores.rescore import NewRescore, start_rescor
 from services.domain.benchmarks.submissions import scoring_jobs
 from services.eval import examination, join
 from services.eval.examination import Counts
-from services.eval.stages import handlers
+from services.eval.queue_handlers import handlers
 from services.runtime import code_version
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Activation, Phase, Score, ScorePart, SubmissionRow

@@ -10,7 +10,7 @@ from sqlalchemy import select
 
 from services.domain.sequences.processing import CHECK, SYNCHRONISE, delete_sequence
 from services.ingest import sandboxed_synchronisation
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Handler, Outcome

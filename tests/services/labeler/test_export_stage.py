@@ -21,7 +21,7 @@ from services.domain.sequences.recordings import RecordingInUseError, remove_rec
 from services.domain.viewer.playback import playback_of, shown_by
 from services.labeler.export_stage import located_inputs, located_recording
 from services.labeler.exports.registry import EXPORTERS, exporter_of
-from services.labeler.stages import handlers
+from services.labeler.queue_handlers import handlers
 from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
 from services.runtime.jobs.control import cancel, set_mode

@@ -13,10 +13,10 @@ from hypothesis import strategies as st
 from services.labeler.map.fuse import fuse
 from services.labeler.map.fused_files import fused_columns, fused_observed, fused_points
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
-from services.labeler.plan import plan_of, reach_m, tiles_around
+from services.labeler.process_pool import Task, Workers
 from services.labeler.run import LabelRun, Part, Tile, neighbourhood, parts_of
 from services.labeler.scratch import images_near, images_path, load_observed, load_points, tile_named
-from services.labeler.workers import Task, Workers
+from services.labeler.tile_plan import plan_of, reach_m, tiles_around
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
 from stone.labels.observed_voxels import Observed, union

@@ -17,10 +17,10 @@ import pytest
 from sqlalchemy import delete, select, update
 
 from services.domain.sequences.processing import CHECK, PROCESS, delete_sequence
-from services.ingest import stages as ingest
+from services.ingest import queue_handlers as ingest
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
-from services.labeler import stages
+from services.labeler import queue_handlers
 from services.labeler.pipeline import STAGES, label_graph
 from services.labeler.run import LabelRun
 from services.labeler.sandboxed_run import RunOpening
@@ -82,7 +82,7 @@ def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
     upgrade(platform.settings)
     brought = bring_ready(platform, drive(tmp_path_factory, SHORT))
     old_id = brought.process(parameters={"reference.alpha": 0.05})
-    tables = {"ingest": ingest.handlers(platform), "labeler": stages.handlers(platform)}
+    tables = {"ingest": ingest.handlers(platform), "labeler": queue_handlers.handlers(platform)}
     for number in range(done):
         assert run_next(platform, "labeler" if number else "ingest", tables["labeler" if number else "ingest"])
     with platform.database.transaction() as session:
@@ -248,7 +248,7 @@ def test_zombies_beside_a_finished_run_change_no_byte(finished: tuple[Brought, s
     brought, root_id = finished
     store = brought.platform.settings.root / "store"
     before = hashes(store)
-    table = stages.handlers(brought.platform)
+    table = queue_handlers.handlers(brought.platform)
     chosen = ("labeler.sight", "labeler.reference", "labeler.map", "labeler.publish")
     jobs = {job.kind: job for job in brought.jobs(root_id) if job.kind in chosen}
     parts = [job for job in brought.jobs(root_id) if job.arguments.get("part", [0])[0] == 60]
@@ -322,7 +322,7 @@ def test_a_run_in_which_no_point_fell_anywhere_is_refused(finished: tuple[Brough
     for folder in ("fused", "surface", "sums"):
         shutil.rmtree(work / folder)
     jobs = {job.kind: job for job in brought.jobs(root_id)}
-    table = stages.handlers(brought.platform)
+    table = queue_handlers.handlers(brought.platform)
     assert table["labeler.surface"](Said(jobs["labeler.surface"])) == Outcome({"voxels": 0})
     with pytest.raises(NoReferenceError):
         table["labeler.reference"](Said(jobs["labeler.reference"]))
@@ -330,7 +330,7 @@ def test_a_run_in_which_no_point_fell_anywhere_is_refused(finished: tuple[Brough
 
 def test_work_that_was_removed_and_code_that_changed_are_named(finished: tuple[Brought, str]) -> None:
     brought, root_id = finished
-    table = stages.handlers(brought.platform)
+    table = queue_handlers.handlers(brought.platform)
     frames = next(job for job in brought.jobs(root_id) if job.kind == "labeler.frames")
     work = brought.platform.settings.root / "store" / "work" / root_id
     shutil.rmtree(work / "surface")

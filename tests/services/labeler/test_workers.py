@@ -20,9 +20,9 @@ from services.labeler.errors import NoUsableFramesError
 from services.labeler.frames import _sight_of, compute_sight_lines
 from services.labeler.kernel_warmup import warmup_sequence
 from services.labeler.parameters import LabelParameters
+from services.labeler.process_pool import Task, Workers
 from services.labeler.run import LabelRun
 from services.labeler.sandboxed_run import RunOpening
-from services.labeler.workers import Task, Workers
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_SHAPE
 from stone.labels.sight_batches import SightBatch
@@ -37,7 +37,7 @@ from tests.services.labeler.worlds import CALIBRATION, CAMERA, RayCast, World, s
 ROOT = Path(__file__).resolve().parents[3]
 ENDLESS = """
 import os, time
-from services.labeler.workers import Task, Workers
+from services.labeler.process_pool import Task, Workers
 from tests.services.labeler.test_workers import pid_then_sleep
 if __name__ == "__main__":
     with Workers(2) as workers:

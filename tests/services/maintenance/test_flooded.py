@@ -5,7 +5,7 @@ from functools import partial
 import pytest
 from sqlalchemy import func, select
 
-from services.domain.benchmarks.submissions import chores as submission_chores
+from services.domain.benchmarks.submissions import sweeper_chores as submission_chores
 from services.domain.notifications import spread
 from services.domain.sequences import later_recordings
 from services.maintenance import sweeper

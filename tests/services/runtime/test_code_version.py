@@ -12,7 +12,7 @@ from pathlib import Path
 
 import pytest
 
-from services.labeler.stage_context import stage_context_of
+from services.labeler.run_workspace import stage_context_of
 from services.runtime.code_version import (
     FIXED,
     KEPT,

@@ -14,7 +14,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.submissions.scoring_jobs import OPEN
-from services.domain.benchmarks.submissions.states import LIVE
+from services.domain.benchmarks.submissions.state_machine import LIVE
 from services.runtime.jobs.specs import queue_of
 from services.runtime.orm import GroundTruthRow, Job, Queue, SubmissionRow
 

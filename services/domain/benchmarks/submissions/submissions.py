@@ -2,8 +2,8 @@
 
 **Conventions.** Each function is part of the caller's transaction. Locks are taken in one order: run, submission,
 upload, team. A draft says which file will come (sha256, size); only that file is taken. Stages end a submission by
-`settle` and its like in `services/domain/benchmarks/submissions/states.py`, the sweeper by
-`services/domain/benchmarks/submissions/chores.py`.
+`settle` and its like in `services/domain/benchmarks/submissions/state_machine.py`, the sweeper by
+`services/domain/benchmarks/submissions/sweeper_chores.py`.
 """
 
 from collections.abc import Mapping
@@ -17,7 +17,6 @@ from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.errors import NoGroundTruthError
 from services.domain.benchmarks.phases.phases import DAY_NS, phase_status
 from services.domain.benchmarks.submissions import scoring_quota
-from services.domain.benchmarks.submissions.chores import settle_ended
 from services.domain.benchmarks.submissions.errors import (
     HashMismatchError,
     PhaseClosedError,
@@ -27,7 +26,7 @@ from services.domain.benchmarks.submissions.errors import (
     ValidationsExhaustedError,
 )
 from services.domain.benchmarks.submissions.scoring_jobs import submission_specs
-from services.domain.benchmarks.submissions.states import (
+from services.domain.benchmarks.submissions.state_machine import (
     ENDED,
     OPEN,
     end,
@@ -36,6 +35,7 @@ from services.domain.benchmarks.submissions.states import (
     reopen,
     settle,
 )
+from services.domain.benchmarks.submissions.sweeper_chores import settle_ended
 from services.domain.benchmarks.teams.errors import AlreadyInTeamError
 from services.domain.benchmarks.teams.teams import enter, lock_team
 from services.runtime.jobs.changes import lock_run

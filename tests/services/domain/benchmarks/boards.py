@@ -12,9 +12,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
-from services.domain.benchmarks.submissions.scores import NewScore, write_score
+from services.domain.benchmarks.submissions.score_rows import NewScore, write_score
 from services.domain.benchmarks.visibility import Viewer
-from services.eval.scores import SequenceFacts, SubmissionCounts, record_of, spectra_npz
+from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
 from services.runtime.orm import Activation, GroundTruthRow, Phase, Score, SubmissionRow, new_id
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform

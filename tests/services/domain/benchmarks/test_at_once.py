@@ -26,9 +26,9 @@ from services.domain.benchmarks.phases.reported_results import ReportedRow, put_
 from services.domain.benchmarks.rescores.errors import BoardMovedError
 from services.domain.benchmarks.rescores.rescore import NewRescore, activate, start_rescore
 from services.domain.benchmarks.submissions import scoring_quota
-from services.domain.benchmarks.submissions.chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
 from services.domain.benchmarks.submissions.submissions import cancel, finalise, mark_scoring, reopen, settle, withdraw
+from services.domain.benchmarks.submissions.sweeper_chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.teams import teams
 from services.domain.benchmarks.teams.errors import AlreadyInTeamError, InvitationError, TeamFullError
 from services.domain.benchmarks.teams.teams import lock_team

@@ -7,8 +7,7 @@ from typing import Any
 import pytest
 
 from services.domain.benchmarks.phases.errors import NoGroundTruthError
-from services.domain.benchmarks.submissions import chores, scoring_quota
-from services.domain.benchmarks.submissions.chores import DraftWalk, tidy_submissions
+from services.domain.benchmarks.submissions import scoring_quota, sweeper_chores
 from services.domain.benchmarks.submissions.errors import (
     HashMismatchError,
     PhaseClosedError,
@@ -20,6 +19,7 @@ from services.domain.benchmarks.submissions.errors import (
 )
 from services.domain.benchmarks.submissions.scoring_jobs import OPEN
 from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel, largest_bytes, validations_left
+from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, tidy_submissions
 from services.domain.benchmarks.teams.errors import AlreadyInTeamError
 from services.runtime.access import storage_quota
 from services.runtime.jobs.control import set_mode
@@ -366,7 +366,7 @@ def test_a_draft_that_nothing_is_sent_for_goes_after_its_time(platform: Platform
 
 
 def test_drafts_that_are_awaited_hold_up_none_behind_them(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(chores, "AT_A_TIME", 1)
+    monkeypatch.setattr(sweeper_chores, "AT_A_TIME", 1)
     entrant, walk = entrant_on(platform), DraftWalk()
     awaited, forgotten = drafted(entrant), drafted(entrant)
     uploaded(entrant, awaited)

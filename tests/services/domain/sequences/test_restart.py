@@ -18,7 +18,7 @@ from services.domain.sequences.restart import (
     arguments_of_run,
     begin_again,
 )
-from services.ingest.stages import handlers
+from services.ingest.queue_handlers import handlers
 from services.runtime.code_version import code_version
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, retry, set_mode

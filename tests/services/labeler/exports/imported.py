@@ -4,11 +4,11 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.nuscenes.layout import write_nuscenes
 from services.labeler.exports.sandboxed_export import ExportInputs, LabelRange, PackedLabels
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.run_answers import PublicationAnswer
 from testing.worlds.imported import artefacts_of, write_import
 from tests.services.labeler.exports.made import unheard
 

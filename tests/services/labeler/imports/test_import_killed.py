@@ -16,8 +16,8 @@ from pathlib import Path
 import pytest
 from sqlalchemy import event, select
 
-from services.ingest import stages as ingest
-from services.labeler import stages as labeler
+from services.ingest import queue_handlers as ingest
+from services.labeler import queue_handlers as labeler
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.lease_sweep import CRASHED, give_back_running

@@ -7,13 +7,13 @@ from pathlib import Path
 import pytest
 
 from services.domain.imports.requests import PUBLISH_IMPORT
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.imports import index_stage, scene_stage
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import DatasetOpening, SceneOpening, scene_folder
 from services.labeler.imports.scene_stage import told_path
-from services.labeler.run_answers import PublicationAnswer
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback

@@ -10,7 +10,7 @@ from sqlalchemy import select
 from services.domain.imports.errors import ExistingSequencesError
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import, progress_of
 from services.domain.sequences.processing import delete_sequence
-from services.labeler.imports.stages import PROFILE
+from services.labeler.imports.queue_handlers import PROFILE
 from services.runtime.access.storage_quota import balance
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.control import cancel, retry

@@ -11,8 +11,8 @@ import numpy as np
 import pyarrow.parquet as pq
 import pytest
 
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.meshes import open_mesh
-from services.labeler.run_answers import PublicationAnswer
 from services.runtime.store.pack_reading import file_pieces, local_reader
 from services.runtime.store.packs import read_index
 from stone.labels.grid import GRID_SHAPE

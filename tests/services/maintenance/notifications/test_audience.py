@@ -5,7 +5,7 @@ from pathlib import Path
 
 import pytest
 
-from services.domain.benchmarks.submissions.states import settle
+from services.domain.benchmarks.submissions.state_machine import settle
 from services.domain.notifications.spread import LATEST_NS, choose, forget_told, spread_events, tell_phases
 from services.domain.notifications.webhooks import set_webhook
 from services.domain.sequences.unusable_labels import tell_unusable

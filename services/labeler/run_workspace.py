@@ -7,8 +7,8 @@ from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.recordings import kept_recording, locate_run
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
+from services.labeler.child_answers import FilesAnswer
 from services.labeler.kernel_warmup import warm
-from services.labeler.run_answers import FilesAnswer
 from services.labeler.sandboxed_run import RunOpening
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt

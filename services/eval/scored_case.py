@@ -11,7 +11,7 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.submissions.states import LIVE
+from services.domain.benchmarks.submissions.state_machine import LIVE
 from services.eval.scoring_errors import PurgedError, TruthUnreadyError
 from services.runtime.code_version import code_version
 from services.runtime.jobs.errors import JobCancelledError

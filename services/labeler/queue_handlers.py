@@ -14,14 +14,14 @@ from typing import Any
 from services.domain.datasets.input_jobs import INPUTS
 from services.domain.exports.requests import EXPORT
 from services.domain.sequences.processing import CHECK, LABEL
+from services.labeler.child_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.labeler.export_stage import export, make_input
-from services.labeler.imports.stages import import_handlers
+from services.labeler.imports.queue_handlers import import_handlers
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
-from services.labeler.run_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
+from services.labeler.run_workspace import LabelStageContext, stage_context_of
 from services.labeler.sandboxed_run import StageTask, planned, stage_files, worked
 from services.labeler.stage import Stage
-from services.labeler.stage_context import LabelStageContext, stage_context_of
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
 from services.runtime.telemetry.counters import FRAMES, process_counters

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import structlog
 from sqlalchemy import ColumnElement, and_, delete, exists, or_, select, text, tuple_
 
-from services.domain.benchmarks.submissions.states import LIVE, end, lock_submission
+from services.domain.benchmarks.submissions.state_machine import LIVE, end, lock_submission
 from services.runtime.access import storage_quota
 from services.runtime.jobs.changes import lock_run, rows_changed
 from services.runtime.jobs.completion import Failure

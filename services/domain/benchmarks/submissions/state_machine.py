@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.errors import SubmissionStateError
-from services.domain.benchmarks.submissions.scores import drop_all_parts
+from services.domain.benchmarks.submissions.score_rows import drop_all_parts
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.notifications.events import (

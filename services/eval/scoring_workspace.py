@@ -5,8 +5,8 @@ from pathlib import Path
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.submissions.scoring_jobs import Span
-from services.eval.cases import Case, case_of
 from services.eval.examination import Examination, ExaminedRange, examine
+from services.eval.scored_case import Case, case_of
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import sandbox_watch_of

@@ -2,8 +2,9 @@
 
     ingest keeps the tar → index → import (each scene) → publish (all of them at once)
 
-**Conventions.** As of `services/labeler/stages.py`: a stage may run twice, at once or after being killed anywhere. A
-dataset comes from a stranger, so it is opened in a sandboxed child alone, and a scene that is done is never done again.
+**Conventions.** As of `services/labeler/queue_handlers.py`: a stage may run twice, at once or after being killed
+anywhere. A dataset comes from a stranger, so it is opened in a sandboxed child alone, and a scene that is done is
+never done again.
 """
 
 from collections.abc import Callable, Sequence
@@ -19,9 +20,10 @@ from services.domain.exports.requests import follow_labels
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
 from services.domain.imports.requests import INDEX, PUBLISH_IMPORT, SCENE, begin_run_again, kept_import
 from services.domain.viewer.playback import PLAYBACK
+from services.labeler.child_answers import PublicationAnswer
+from services.labeler.imports.import_workspace import ImportStageContext, import_context_of
 from services.labeler.imports.index_stage import index_tar
 from services.labeler.imports.scene_stage import TOLD, import_one_scene, told_path
-from services.labeler.imports.stage_context import ImportStageContext, import_context_of
 from services.labeler.label_rows import (
     LABELS,
     NewArtefact,
@@ -30,7 +32,6 @@ from services.labeler.label_rows import (
     write_artefact,
     write_label_set,
 )
-from services.labeler.run_answers import PublicationAnswer
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow

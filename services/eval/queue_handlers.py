@@ -15,15 +15,15 @@ from sqlalchemy import update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import active
-from services.domain.benchmarks.submissions.scores import CountedPart, write_part
+from services.domain.benchmarks.submissions.score_rows import CountedPart, write_part
 from services.domain.benchmarks.submissions.scoring_jobs import JOIN, OPEN, PART, TRUTH, scoring_specs
 from services.domain.benchmarks.submissions.submissions import mark_scoring
 from services.domain.sequences.label_comparisons import COMPARE
-from services.eval.cases import live_submission
 from services.eval.comparison.stage import compare_label_sets
 from services.eval.join import Stage, concluded, join, refuse, settling
+from services.eval.scored_case import live_submission
 from services.eval.scoring_errors import TruthUnreadyError, UploadDamagedError
-from services.eval.stage_context import EvalStageContext
+from services.eval.scoring_workspace import EvalStageContext
 from services.eval.truth_build import build_truth
 from services.runtime.code_version import code_version
 from services.runtime.jobs.specs import Attempt, Handlers, Outcome
