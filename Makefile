@@ -109,6 +109,7 @@ stress: develop
 	$(BIN)/python -m testing.stress '$(TEST)' --runs $(or $(RUNS),50)
 
 check: test-clients
+	@rm -f build/flaky-tests
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
@@ -117,6 +118,7 @@ check: test-clients
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
 	$(MAKE) --no-print-directory test-all
+	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
 
 docs: install $(DOCS_INSTALLED)
 	deploy/build-docs.sh

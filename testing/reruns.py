@@ -20,6 +20,8 @@ from xml.etree import ElementTree
 import pytest
 
 MAX_RERUN = 3
+FLAKY = "build/flaky-tests"
+"""Lines of all runs so far, below the root: `make check` runs pytest several times, and prints these last."""
 
 
 def pytest_addoption(parser: pytest.Parser) -> None:
@@ -77,9 +79,9 @@ class Reruns:
                 terminal.write_line(f"failed again: {test}")
         if all(output is None for output in outputs.values()):
             session.exitstatus = pytest.ExitCode.OK
-        for test, output in outputs.items():
-            if output is None:
-                terminal.write_line(f"flaky: {test}")
+        for flaky in [f"flaky: {test}" for test, output in outputs.items() if output is None]:
+            terminal.write_line(flaky)
+            note(session.config.rootpath / FLAKY, flaky)
 
 
 def failure_alone(config: pytest.Config, test: str) -> str | None:
@@ -101,6 +103,13 @@ def failure_alone(config: pytest.Config, test: str) -> str | None:
         )
         is_passed = ended.returncode == 0 and has_one_passed(report)
     return None if is_passed else ended.stdout.decode("utf-8", "replace")
+
+
+def note(path: Path, line: str) -> None:
+    """Append the line to the file at `path`."""
+    path.parent.mkdir(parents=True, exist_ok=True)
+    with path.open("a", encoding="utf-8") as file:
+        file.write(f"{line}\n")
 
 
 def has_one_passed(report: Path) -> bool:

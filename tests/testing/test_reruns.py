@@ -50,6 +50,7 @@ def test_tests_that_pass_the_second_time_end_green_and_are_named_last(tmp_path: 
     tests = {"test_a.py::test_named[a b[::]]", "test_a.py::test_named[\\xfc]", "test_b.py::test_flaky_0"}
     assert code == 0, lines
     assert set(lines[-3:]) == {f"flaky: {test}" for test in tests}
+    assert (tmp_path / "build" / "flaky-tests").read_text("utf-8").splitlines() == lines[-3:]
     assert "E           AssertionError: flaky 0 fails beside the load" in lines, "the first report is kept"
 
 
