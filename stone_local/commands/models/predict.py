@@ -1,0 +1,150 @@
+"""`stone predict`: a submission by a trained row, and on to a board; or classes of a recording, frame by frame."""
+
+from dataclasses import asdict
+from pathlib import Path
+from typing import Annotated, Any
+
+import typer
+
+from stone_client.commands.benchmark.submit import submit as send_submission
+from stone_client.files.bags import called
+from stone_client.options import Ground, GroundOption, LidarOption, Modality, OdometryOption, ServerOption
+from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
+from stone_local.commands.models.train import Device, DeviceOption
+from stone_local.models.prediction_choices import RecordingFiles, refuse_contradictions
+from stone_local.models.recording_prediction import prediction_shown
+from stone_local.models.torch_there import torch_needed
+from stone_local.topic_choices import (
+    PosesFrameOption,
+    PosesOption,
+    TimeOffsetOption,
+    TopicOption,
+    TopicsOption,
+    chosen_offsets,
+    chosen_poses,
+    chosen_topics,
+)
+
+RunArgument = Annotated[
+    Path, typer.Argument(metavar="RUN", exists=True, file_okay=False, help="The folder of a run of `stone train`.")
+]
+InputsArgument = Annotated[
+    list[Path] | None,
+    typer.Argument(metavar="[INPUTS...]", exists=True, help="Exports of format inputs or nuscenes; folders or tars."),
+]
+SomeManifestOption = Annotated[
+    Path | None,
+    typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict."),
+]
+OutputOption = Annotated[
+    Path,
+    typer.Option(
+        "-o", "--output", metavar="OUT", help="The submission; of a recording without a manifest, a folder of frames."
+    ),
+]
+BagOption = Annotated[
+    Path | None,
+    typer.Option("--bag", metavar="BAG", exists=True, help="Predict a recording, frame by frame, instead of exports."),
+]
+OfBagOption = Annotated[
+    Path | None,
+    typer.Option("--calibration", metavar="CAL", exists=True, help="With --bag: the calibration of its sensors."),
+]
+SequenceOption = Annotated[
+    str | None,
+    typer.Option(metavar="NAME", show_default="the bag's", help="With --bag: the sequence's name, for frame tokens."),
+]
+SubmitOption = Annotated[bool, typer.Option("--submit", help="Send it to --benchmark, --phase, as --team.")]
+BenchmarkOption = Annotated[str | None, typer.Option("--benchmark", metavar="B", help="With --submit: where to.")]
+PhaseOption = Annotated[str | None, typer.Option("--phase", metavar="P", help="With --submit: a phase of it.")]
+TeamOption = Annotated[str | None, typer.Option("--team", metavar="TEAM", help="With --submit: a team of yours.")]
+MethodOption = Annotated[
+    str | None, typer.Option(metavar="NAME", show_default="the row's", help="With --submit: its name on the board.")
+]
+
+
+def predict(
+    run: RunArgument,
+    output: OutputOption,
+    inputs: InputsArgument = None,
+    manifest: SomeManifestOption = None,
+    device: DeviceOption = Device.CPU,
+    bag: BagOption = None,
+    calibration: OfBagOption = None,
+    sequence: SequenceOption = None,
+    odometry: OdometryOption = None,
+    lidar: LidarOption = None,
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    ground: GroundOption = Ground.GIVEN,
+    time_offset: TimeOffsetOption = [],  # noqa: B006
+    poses: PosesOption = None,
+    poses_frame: PosesFrameOption = "",
+    submit: SubmitOption = False,
+    benchmark: BenchmarkOption = None,
+    phase: PhaseOption = None,
+    team: TeamOption = None,
+    method: MethodOption = None,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Predict each frame of a manifest or of a recording by a trained row, from that frame and earlier ones. Needs
+    torch.
+    """
+    of_bags = {
+        "--calibration": calibration, "--sequence": sequence, "--odometry": odometry, "--lidar": lidar,
+        "--topics": topics, "--topic": topic, "--ground": ground is not Ground.GIVEN, "--time-offset": time_offset,
+        "--poses": poses, "--poses-frame": poses_frame,
+    }  # fmt: skip
+    refuse_contradictions(inputs, bag, of_bags)
+    if submit and (benchmark is None or phase is None or team is None or manifest is None):
+        raise typer.BadParameter("it also needs --manifest, --benchmark, --phase and --team", param_hint="--submit")
+    if bag is None or calibration is None:
+        written = _of_exports(run, inputs or [], (manifest, output), device)
+    else:
+        sources = {
+            "odometry_topic": odometry, "lidar_topic": lidar, "topics": chosen_topics(topics, topic).topics,
+            "ground": ground.value, "time_offsets_ns": chosen_offsets(time_offset),
+            "poses": chosen_poses(poses, poses_frame, odometry), "poses_frame": poses_frame,
+        }  # fmt: skip
+        files = RecordingFiles(bag, calibration, sequence or called(bag))
+        written = _of_recording(run, files, (manifest, output), (sources, device))
+    if submit and benchmark is not None and phase is not None and team is not None:
+        named, modality = method or written["method"], Modality(written["modality"])
+        send_submission(output, benchmark, phase, team, named, modality, server=server, as_json=as_json)
+    elif as_json:
+        echo_json(written)
+    else:
+        typer.echo(f"{output}: {written['frames']:,} frames by {written['method']} after {written['steps']:,} steps")
+        if manifest is not None:
+            typer.echo(f"Next: stone validate {output} --manifest {manifest}")
+
+
+def _of_exports(run: Path, inputs: list[Path], files: tuple[Path | None, Path], device: Device) -> dict[str, Any]:
+    manifest, output = files
+    if manifest is None:
+        raise typer.BadParameter("INPUTS need it: it says which of their frames to predict", param_hint="--manifest")
+    with torch_needed():
+        from baselines.predict import PredictionPlan
+        from baselines.predict import predict as predicted
+    with reported() as progress:
+        return asdict(predicted(PredictionPlan(run, tuple(inputs), manifest, output, device.value), progress))
+
+
+def _of_recording(
+    run: Path, recording: RecordingFiles, files: tuple[Path | None, Path], how: tuple[dict[str, Any], Device]
+) -> dict[str, Any]:
+    with torch_needed():
+        from baselines.predict import loaded_run
+    from services.ingest.pipeline import SynchroniseOptions
+    from services.ingest.sequence import open_sequence
+    from stone_local.models.recording_prediction import RecordingPlan, predict_recording
+
+    (manifest, output), (sources, device) = files, how
+    loaded = loaded_run(run, device.value)
+    with reported() as progress:
+        options = SynchroniseOptions(is_hashed=False, progress=progress, **sources)
+        sequence, _ = open_sequence(recording.bag, recording.calibration, recording.name, options)
+    with prediction_shown() as paces:
+        return asdict(predict_recording(loaded, RecordingPlan(recording.bag, sequence, output, manifest), paces))
