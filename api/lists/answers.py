@@ -177,13 +177,13 @@ def sequence_rows(
 ) -> tuple[Sequence[Row[Any]], str | None]:
     """Rows of `with_glances`, and the cursor of the next page. Raises `BadCursorError`."""
     wanted = filters.wanted
-    kept = _kept_of_sequences(caller.is_administrator, tuple(wanted), form_of(query))
+    kept = _kept_sequences(caller.is_administrator, tuple(wanted), form_of(query))
     given = {"caller": caller.user_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
     return page_of(kept.rows(session, {**given, **page_values(query)}), query)
 
 
 @lru_cache(MOST_FORMS)
-def _kept_of_sequences(is_administrator: bool, wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
+def _kept_sequences(is_administrator: bool, wanted: tuple[str, ...], form: PageForm) -> KeptSelect:
     """The statement of a page in this form of the question: by whom, and with which filters."""
     caller = None if is_administrator else parameter("caller")
     named = {key: parameter(f"wanted_{key}") for key in wanted}

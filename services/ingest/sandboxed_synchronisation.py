@@ -184,9 +184,7 @@ class CheckResult:
 def checked(asked: CheckRequest, apart: JobSandbox) -> CheckResult:
     """Raises what `late_findings` and `overlays_of` raise, `SandboxCrashedError`, `ConfinedInterruptedError`,
     `JobCancelledError`."""
-    return _believed_of_sandboxed_check(
-        unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE
-    )
+    return _believed_check(unpacked(apart.run(partial(check_left, asked), CHECKED, 2)), apart.folder / CHECKED_FILE)
 
 
 def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -> bytes:
@@ -201,7 +199,7 @@ def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -
     return packed({"findings": short_records(findings), "is_checked": True}, overlays)
 
 
-def _believed_of_sandboxed_check(parcel: SandboxResult, path: Path) -> CheckResult:
+def _believed_check(parcel: SandboxResult, path: Path) -> CheckResult:
     match parcel.record:
         case {"findings": list(), "is_checked": True} if path.is_file() and not path.is_symlink():
             return CheckResult(parcel.record, path, parcel.files)

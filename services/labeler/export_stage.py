@@ -262,16 +262,14 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
         version_of_attempt(session, attempt) if is_of_version else phase_of_attempt(session, attempt)
         keys = {SEQUENCE_FILE: sequence_key(session, attempt), JOINED: joined_key(session, attempt)}
     with attempt_folder(platform, attempt) as folder:
-        made = _made_of_sensor_inputs(platform, attempt, keys, folder)
+        made = _made_input(platform, attempt, keys, folder)
     attempt.log("made", name=made.name, files=len(made.files), tar_bytes=made.tar[0])
     result = {"name": made.name, "files": len(made.files), "tar_bytes": made.tar[0]}
     write = write_version_input if is_of_version else write_input
     return Outcome(result, commit=lambda session: write(session, attempt, made))
 
 
-def _made_of_sensor_inputs(
-    platform: Platform, attempt: Attempt, keys: Mapping[str, str | None], folder: Path
-) -> InputResult:
+def _made_input(platform: Platform, attempt: Attempt, keys: Mapping[str, str | None], folder: Path) -> InputResult:
     """The files of the sequence, in the store; what it is made of lies under these keys, by name."""
     name = str(attempt.arguments["name"])
     (folder / INPUTS).mkdir()

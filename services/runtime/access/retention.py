@@ -77,7 +77,10 @@ log = structlog.get_logger(__name__)
 
 
 def cut_audit(platform: Platform) -> int:
-    """Remove lines that are old enough, at most `AT_A_TIME * MOST_TIMES`; how many went. With 0 set none is."""
+    """Remove lines that are old enough, at most `AUDIT_LINES_AT_A_TIME * MOST_AUDIT_TIMES`; return how many.
+
+    With 0 set none is removed.
+    """
     kept_s = platform.settings.retention.audit_s
     if not kept_s:
         return 0

@@ -43,7 +43,7 @@ OF_DATA |= {ATTACHMENT, METADATA}
 FIRST_PRIVATE = 0x80
 # The next message is mostly near, and a file may be damaged in many places.
 LEAST_WINDOW_BYTES, LAST_WINDOW_BYTES = 1 << 12, 1 << 20
-_PREFIX_of_known_places, _MESSAGE = Struct("<BQ"), Struct("<HIQ")
+_PLACE_PREFIX, _MESSAGE = Struct("<BQ"), Struct("<HIQ")
 
 
 @dataclass(frozen=True)
@@ -73,7 +73,7 @@ class KnownPlaces:
             return Record(wire.CHUNK, start, self.chunks[at].stop)
         if start > len(view):
             return None
-        opcode, length = _PREFIX_of_known_places.unpack_from(view, at)
+        opcode, length = _PLACE_PREFIX.unpack_from(view, at)
         if opcode == 0 or length > self._limit_after(at, len(view)) - start:
             return None
         is_early = opcode == wire.DATA_END and self.data_stop not in (None, at)
@@ -95,7 +95,7 @@ class KnownPlaces:
             return True
         if at + wire.PREFIX_BYTES > self.data_stop:
             return False
-        opcode, length = _PREFIX_of_known_places.unpack_from(view, at)
+        opcode, length = _PLACE_PREFIX.unpack_from(view, at)
         start = at + wire.PREFIX_BYTES
         if opcode == wire.MESSAGE and self._is_head(view, start):
             return True
@@ -162,7 +162,7 @@ def known_places(view: memoryview, name: str) -> KnownPlaces:
     if not len(wire.MAGIC) + DATA_END_BYTES <= start <= footer_offset:
         return KnownPlaces()
     data_stop = start - DATA_END_BYTES
-    opcode, length = _PREFIX_of_known_places.unpack_from(view, data_stop)
+    opcode, length = _PLACE_PREFIX.unpack_from(view, data_stop)
     if opcode != wire.DATA_END or length != DATA_END_BYTES - wire.PREFIX_BYTES:
         return KnownPlaces()
     is_sound = not crc32 or zlib.crc32(view[start : size - 4]) == crc32
@@ -212,7 +212,7 @@ def _known_chunk(view: memoryview, index: Fields, data_stop: int, trust: _Trust)
     told = (head.u64(), head.u64(), head.u64())
     crc32 = head.u32()
     found = Chunk(f"{index.where}, chunk at byte {start}", size_bytes, crc32, compression, stop - packed_bytes, stop)
-    if trust.is_proven and _PREFIX_of_known_places.unpack_from(view, start) == (wire.CHUNK, length - wire.PREFIX_BYTES):
+    if trust.is_proven and _PLACE_PREFIX.unpack_from(view, start) == (wire.CHUNK, length - wire.PREFIX_BYTES):
         return {start: found}
     try:
         is_repeated = (*told, head.text(), head.u64()) == (*times_ns, size_bytes, compression, packed_bytes)

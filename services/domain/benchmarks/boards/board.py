@@ -76,7 +76,7 @@ def board_revision(session: Session, phase_id: str, query: BoardQuery, viewer: V
     is_on_track = query.track != "all"
     at = {"phase": phase_id, **({"track": query.track} if is_on_track else {})}
     entries = _entries(is_on_track).rows(session, {**at, "truth": phase.truth_id, "metric": phase.metric})
-    reported = _reported_of_board_revision(is_on_track).rows(session, at)
+    reported = _reported_revision(is_on_track).rows(session, at)
     teams = tuple(sorted({row.team_id for row in entries} & viewer.team_ids))
     times = [at_ns is not None and at_ns <= now_ns for at_ns in (phase.closes_ns, phase.named_from_ns)]
     read = [[tuple(row) for row in rows] for rows in ([phase], entries, reported)]
@@ -112,7 +112,7 @@ def _entries(is_on_track: bool) -> KeptSelect:
 
 
 @cache
-def _reported_of_board_revision(is_on_track: bool) -> KeptSelect:
+def _reported_revision(is_on_track: bool) -> KeptSelect:
     found = select(*Reported.__table__.columns).where(Reported.phase_id == parameter("phase")).order_by(Reported.id)
     return KeptSelect(found.where(Reported.modality == parameter("track")) if is_on_track else found)
 

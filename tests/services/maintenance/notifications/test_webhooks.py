@@ -128,7 +128,7 @@ def test_no_redirect_is_followed_and_no_answer_is_waited_for_long(
     user_id = a_user(platform, "ada", receiver.url(path))
     happened(platform, user_id)
     if path == "/drip":  # which is waited for to the end
-        monkeypatch.setattr(channels, "WITHIN_S", 3.0)
+        monkeypatch.setattr(channels, "ANSWER_WITHIN_S", 3.0)
     begin_s = time.monotonic()
     turn(platform)
     (row,) = deliveries(platform)

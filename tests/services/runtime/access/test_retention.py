@@ -119,7 +119,7 @@ def subjects(platform: Platform) -> list[str]:
 def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(retention, "AT_A_TIME", 2)
+    monkeypatch.setattr(retention, "AUDIT_LINES_AT_A_TIME", 2)
     log(platform, [500, 450, 420, 300, 5])
     assert retention.cut_audit(keeping(platform, 0)) == 0
     assert retention.cut_audit(keeping(platform, 400)) == 3
@@ -132,8 +132,8 @@ def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
 
 
 def test_a_long_log_is_cut_some_lines_a_turn(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retention, "AT_A_TIME", 1)
-    monkeypatch.setattr(retention, "MOST_TIMES", 2)
+    monkeypatch.setattr(retention, "AUDIT_LINES_AT_A_TIME", 1)
+    monkeypatch.setattr(retention, "MOST_AUDIT_TIMES", 2)
     log(platform, [500, 450, 420, 5])
     assert [retention.cut_audit(keeping(platform, 400)) for _ in range(3)] == [2, 1, 0]
     assert subjects(platform) == ["5"]
