@@ -42,10 +42,11 @@ CHORES = (
 @pytest.fixture
 def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
     """A platform whose chores take small slices, so that `SOME` rows are many already."""
-    for module in (submission_chores, retention, retention, spread, delivery, later_recordings):
+    for module in (submission_chores, retention, spread, delivery, later_recordings):
         monkeypatch.setattr(module, "AT_A_TIME", SMALL)
-    for module in (retention, retention):
-        monkeypatch.setattr(module, "MOST_TIMES", 2)
+    monkeypatch.setattr(retention, "AUDIT_LINES_AT_A_TIME", SMALL)
+    for name in ("MOST_TIMES", "MOST_AUDIT_TIMES"):
+        monkeypatch.setattr(retention, name, 2)
     monkeypatch.setattr(garbage_collection, "BATCH", SMALL)
     uploads = partial(UploadCursor, slice_rows=SMALL, slice_files=SMALL)
     blobs = partial(GcCursor, share_s=0.0, slice_rows=SMALL, deleting_s=0.0, listed=SMALL, workspaces=SMALL)
