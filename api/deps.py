@@ -284,7 +284,7 @@ def _check_csrf(request: Request, caller: Caller) -> None:
 #
 # **Conventions.** Whatever makes or ends a credential of one's own is an `AccountHolder`'s: a browser's session, or a
 # token with the scope for it. `Anybody` has some scope, and may end what they ask with
-# (`tests/api/test_credentials.py`).
+# (`tests/api/test_callers.py`).
 
 
 Looker = Annotated[Caller, Depends(look)]

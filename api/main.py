@@ -172,7 +172,7 @@ async def with_request_threads(api: FastAPI) -> AsyncIterator[None]:
 def from_environment() -> FastAPI:
     """The application of this process.
 
-    `uvicorn --factory api.main:from_environment --http api.middleware.bodies:BoundedHeads --no-server-header`
+    `uvicorn --factory api.main:from_environment --http api.middleware.heads:BoundedHeads --no-server-header`
     """
     speak_json()
     return told(make_api(open_platform(Settings())))

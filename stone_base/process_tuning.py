@@ -7,7 +7,6 @@ took a quarter of the API's time and delayed requests by up to 2 s.
 """
 
 import atexit
-import ctypes
 import gc
 import sys
 
@@ -60,6 +59,8 @@ def keep_freed_memory() -> bool:
     By default glibc returns the end of its heap to the system as soon as a few arrays there are freed, and the
     temporaries of the next sweep are mapped and zeroed page by page again (mallopt(3)).
     """
+    import ctypes  # which no other kind of process loads for this
+
     mallopt = getattr(ctypes.CDLL(None), "mallopt", None)
     if mallopt is None:
         return False

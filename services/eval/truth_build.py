@@ -1,7 +1,7 @@
 """The stage that builds a ground truth: the labels of one part of a dataset version → a pack, a manifest and facts.
 
 **Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
-(`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
+(below): this process reads the index, which is ours, and moves files. Frames follow the
 version's index, inside a sequence that of time. A ground truth that is ready is never written again.
 """
 

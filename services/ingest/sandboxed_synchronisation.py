@@ -2,7 +2,7 @@
 
 **Conventions.** The child joins recordings where they are several, and writes `joined.json`, which says how. It writes
 `sequence` and `sweeps` into its folder, which may be large, and answers with what is said of the run so far: what only
-pictures and registered sweeps tell is left to the late checks (`services/ingest/sandboxed_check.py`). The parent moves
+pictures and registered sweeps tell is left to the late checks (below). The parent moves
 the files and never opens them, but for `joined.json`, which it checks: the labeler's reader does, which unpickles
 nothing.
 """

@@ -18,7 +18,7 @@ from pathlib import Path
 from sqlalchemy import Select, delete, exists, select
 from sqlalchemy.orm import Session
 
-import services.runtime.processes.startup  # noqa: F401
+import services.runtime.processes.sound_settings  # noqa: F401
 from services.domain.sequences.processing import lock_sequence
 from services.runtime.access import storage_quota
 from services.runtime.orm import Artefact, Base, Blob, Export, ExportPack, LabelSet

@@ -18,7 +18,7 @@ import structlog
 from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-import services.runtime.processes.startup  # noqa: F401
+import services.runtime.processes.sound_settings  # noqa: F401
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, settle_ended, tidy_submissions
 from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost, tell_phases
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings

@@ -45,7 +45,7 @@ def patches_of(
 ) -> tuple[Patches, NDArray[np.bool_]]:
     """The patches of points (N, 3) seen from `views_map` (N, 3), and which points (N,) they are made of.
 
-    Points too few for a plane are in none, and neither is what ground only mirrors (`stone.surface.mirror_returns`).
+    Points too few for a plane are in none, and neither is what ground only mirrors (mirror returns, below).
     """
     shift_m = 0.5 * width_m
     cells = cells_of(points_map - shift_m, width_m)

@@ -9,7 +9,6 @@ for them. What is read of the whole recording first are stamps and poses. Memory
 
 import json
 from collections.abc import Callable, Iterator, Mapping
-from contextlib import contextmanager
 from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
@@ -17,8 +16,6 @@ from time import monotonic
 from typing import ClassVar
 
 import numpy as np
-from rich.console import Console
-from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
@@ -31,6 +28,7 @@ from stone.sensors.samples import SampleSource
 from stone.sensors.sequence import Sequence
 from stone_exports.frames import ExportedDatum, ExportedFrame, ExportedSensor
 from stone_files.atomic import atomic_directory
+from stone_local.models.prediction_pace import PredictionPace
 from stone_recordings.sync.samples import BagSamples
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
@@ -146,60 +144,6 @@ def recorded_hz(sequence: Sequence) -> float | None:
     """Frames a second as they were recorded; None of a single frame."""
     steps_ns = np.diff(sequence.frames.stamps_ns)
     return 1e9 / float(np.median(steps_ns)) if len(steps_ns) else None
-
-
-# How fast a recording is predicted: a bar on a terminal, elsewhere a line now and then; always on stderr.
-
-
-LINE_EVERY_S = 10.0
-
-
-@dataclass(frozen=True)
-class PredictionPace:
-    """`done` of `total` frames after `seconds`; `recorded_hz` is how many there were a second, if that can be said."""
-
-    done: int
-    total: int
-    seconds: float
-    recorded_hz: float | None
-
-    @property
-    def frames_per_s(self) -> float:
-        return self.done / self.seconds if self.seconds > 0 else 0.0
-
-    @property
-    def real_time_ratio(self) -> float | None:
-        """1 where frames are predicted as fast as they were recorded, more where faster."""
-        return None if self.recorded_hz is None else self.frames_per_s / self.recorded_hz
-
-    def __str__(self) -> str:
-        ratio = "" if self.real_time_ratio is None else f", {self.real_time_ratio:.2f} × real time"
-        return f"{self.frames_per_s:.2f} frames/s{ratio}"
-
-
-@contextmanager
-def prediction_shown() -> Iterator[Callable[[PredictionPace], None]]:
-    """Yield the function that a prediction calls after each frame."""
-    console = Console(stderr=True, highlight=False)
-    if not console.is_terminal:
-        yield _PredictionLines(console)
-        return
-    columns = (TextColumn("predict"), BarColumn(), MofNCompleteColumn(), TextColumn("{task.description}"))
-    with Progress(*columns, console=console) as bars:
-        task = bars.add_task("", total=None)
-        yield lambda pace: bars.update(task, completed=pace.done, total=pace.total, description=str(pace))
-
-
-class _PredictionLines:
-    """A line in ten seconds, and the last."""
-
-    def __init__(self, console: Console) -> None:
-        self._console, self._said_at = console, float("-inf")
-
-    def __call__(self, pace: PredictionPace) -> None:
-        if monotonic() - self._said_at > LINE_EVERY_S or pace.done == pace.total:
-            self._said_at = monotonic()
-            self._console.print(f"predict {pace.done}/{pace.total} {pace}", markup=False)
 
 
 PREDICTION = "prediction.json"

@@ -3,7 +3,7 @@
 **Conventions.** The header stamp is when the host published (`host_stamps_ns`); `gps_stamps_ns` is rebuilt from GPS
 week and milliseconds and is 0 where the receiver knew no week. Angles are degrees as logged: azimuth clockwise from
 north, roll right-handed about forward, pitch nose up. The driver's rule for ENU axes, x forward, is setRPY(roll,
-−pitch, 90° − azimuth). Every other type of the package: `stone_recordings.messages.novatel_types`.
+−pitch, 90° − azimuth). Every other type of the package stands below.
 """
 
 from collections.abc import Iterable

@@ -18,7 +18,7 @@ import httpx
 import uvicorn
 
 from api.main import make_api
-from api.middleware.bodies import BoundedHeads
+from api.middleware.heads import BoundedHeads
 from services.runtime.access import roles, tokens, users
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform

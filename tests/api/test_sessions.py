@@ -301,6 +301,15 @@ def test_a_program_gets_the_token_that_somebody_approved_once(
         assert session.scalar(select(func.count()).select_from(DeviceGrant)) == 0
 
 
+def test_a_code_is_decided_upon_once(uncounted: httpx.Client, platform: Platform, approver: Person) -> None:
+    codes, eve = begun(uncounted), person(platform, "administrator", "eve")
+    assert decided(uncounted, approver, codes["user_code"]).status_code == 204
+    assert decided(uncounted, eve, codes["user_code"]).status_code == 404
+    token = taken(uncounted, codes["device_code"]).json()
+    me = uncounted.get("/api/v1/me", headers={"Authorization": f"Bearer {token['secret']}"}).json()
+    assert me["name"] == "approver"
+
+
 def test_a_token_has_no_more_than_its_approver_holds(uncounted: httpx.Client, platform: Platform) -> None:
     codes, participant = begun(uncounted), person(platform, "participant")
     decided(uncounted, participant, codes["user_code"])

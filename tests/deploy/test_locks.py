@@ -22,7 +22,7 @@ ENTRIES = {
         "services.maintenance.sweeper",
         "services.runtime.backup.__main__",
         "web.main",
-        "api.middleware.bodies",
+        "api.middleware.heads",
     ),
     **{
         role: (*RUNTIME, *(f"services.{service}.tasks" for service in services_of((role,))))

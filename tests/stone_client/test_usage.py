@@ -15,7 +15,7 @@ from stone_client.main import COMMANDS, PANELS
 from stone_client.progress import reported
 from stone_client.refusals import RefusingGroup
 from stone_client.streams import JsonOption
-from stone_local.models.recording_prediction import PredictionPace
+from stone_local.models.prediction_pace import PredictionPace
 from tests.stone_client.participating import stone
 
 

@@ -46,7 +46,7 @@ ALIVE = Job.state.not_in(TERMINAL)
 
 @dataclass(frozen=True)
 class ProcessRequest:
-    """Choices for processing a sequence; `parameters` by dotted name (`services/domain/sequences/label_choices.py`).
+    """Choices for processing a sequence; `parameters` by dotted name (bounds below).
 
     `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
     calibration, or "auto": measured, and the height of the LiDAR's mount taken from it, and a tilt beyond terrain's.

@@ -1,8 +1,7 @@
 """The top-down picture of a frame's label grid: forward is up, left is left.
 
 **Conventions.** Per column the highest labelled voxel shows, lit by the relief; grey is what no ray reached, the ground
-(transparent, on paper white) what was seen to be free all the way. Pictures are those of
-`services/domain/viewer/indexed_pictures.py`.
+(transparent, on paper white) what was seen to be free all the way. Pictures are PNG files of one fixed palette (below).
 """
 
 import io

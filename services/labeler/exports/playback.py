@@ -20,7 +20,7 @@ from PIL import Image
 from services.domain.viewer.formats import PlaybackCameras, cameras_bytes, cloud_bytes
 from services.domain.viewer.playback import CAMERAS, INDEX, PlaybackChannels, camera_file, cloud_file, index_record
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.previews.sheet import opened
+from services.labeler.previews.picture_opening import opened
 from services.labeler.run import Step
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics

@@ -19,7 +19,7 @@ from services.labeler.map.map_files import MESH, THUMBNAIL, TOP_VIEW
 from services.labeler.map.ply import Piece, write_mesh
 from services.labeler.map.scene_files import MOST_TRIANGLES, SceneDescription, SceneWriter
 from services.labeler.previews.map_picture import TopView, write_top_view
-from services.labeler.previews.map_view import MapPiece
+from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
 from services.labeler.run import Step, Tile
 from services.labeler.scratch import load, save, tile_name

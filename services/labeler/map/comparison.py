@@ -70,7 +70,7 @@ class ProfileComparison:
     """`counts` (3, 3): voxels that are T, P, N in the run's own profile (rows) and in the other (columns).
 
     `driven` of them are T, of which `unlike` would be N were they not: their D² is beyond the threshold. `reestimated`
-    have another class by the reference that is estimated the other way (`services.labeler.map.outliers`).
+    have another class by the reference that is estimated the other way (below).
     """
 
     counts: NDArray[np.int64]

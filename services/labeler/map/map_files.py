@@ -13,7 +13,7 @@ from services.labeler.map.scene_files import SceneFiles
 from services.labeler.map.surface import TileSummary
 from services.labeler.map.track_coverage import CoverageCounter, coverage_path, save_coverage
 from services.labeler.previews.map_picture import TopView, write_top_view
-from services.labeler.previews.map_view import MapPiece
+from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
 from services.labeler.results import load_reference, load_summaries, reference_path
 from services.labeler.run import LabelRun, Step, Tile

@@ -15,7 +15,7 @@ from matplotlib.axes import Axes
 from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
-from services.labeler.previews.map_view import Extent, MapPiece, Pieces, extent_of
+from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
 from stone.geometry.lattice import indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.voxels import VOXEL_M

@@ -18,7 +18,8 @@ from PIL import Image
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.previews.feature_maps import write_feature_maps
 from services.labeler.previews.film import GIF, MP4, write_film
-from services.labeler.previews.map_view import Pieces, write_map_oblique
+from services.labeler.previews.map_pieces import Pieces
+from services.labeler.previews.map_view import write_map_oblique
 from services.labeler.previews.sheet import frame_pictures
 from services.labeler.run import Step, silent
 from stone.geometry.se3 import SE3

@@ -3,23 +3,21 @@
 The arrangement of the paper's Fig. 6. A camera without a picture leaves a blank that says so.
 """
 
-import io
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, field
 from datetime import UTC, datetime
-from functools import lru_cache
-from pathlib import Path
 
-import matplotlib as mpl
 import numpy as np
 from numpy.typing import NDArray
-from PIL import Image, ImageDraw, ImageFont, ImageOps
+from PIL import Image, ImageDraw, ImageOps
 
 from services.domain.viewer.frame_picture import plan
 from services.labeler.exports.source import LabelledSequence
+from services.labeler.previews.lettering import chip, font, legend
+from services.labeler.previews.picture_opening import opened
 from services.labeler.previews.render import Boxes, Camera, Canvas, Colour, beads, solid_boxes, voxel_boxes
 from stone.geometry.se3 import SE3
-from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, INK, PAPER, TRACK, UNSEEN
+from stone.labels.class_colours import INK, PAPER, TRACK
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, Grid
 from stone.sensors.calibration import Box, Footprint
 from stone.sensors.samples import CameraSample
@@ -130,52 +128,6 @@ def _fitted(name: str, room_px: float, pen: ImageDraw.ImageDraw) -> str:
     while name and pen.textlength(name, font(BAR_TEXT_PX)) > room_px:
         name = name[:-2].rstrip("…") + "…" if len(name) > 2 else ""
     return name
-
-
-# Text on preview images: typeface, captions and the class legend.
-
-
-CHIP_ALPHA = 210
-SWATCH_GAP_RATIO, ENTRY_GAP_RATIO = 0.45, 1.1
-
-
-@lru_cache(maxsize=16)
-def font(size_px: int) -> ImageFont.FreeTypeFont:
-    """The one that matplotlib brings along, so that letters are the same everywhere."""
-    file = Path(mpl.get_data_path(), "fonts", "ttf", "DejaVuSans.ttf")
-    return ImageFont.truetype(file, size_px, layout_engine=ImageFont.Layout.BASIC)
-
-
-def chip(image: Image.Image, corner: tuple[int, int], text: str, size_px: int) -> None:
-    """Dark words on a light plate; `corner` is the plate's lower left."""
-    pen = ImageDraw.Draw(image, "RGBA")
-    pad = size_px // 3
-    at = (corner[0] + pad, corner[1] - pad)
-    left, _, right, _ = pen.textbbox(at, text, font(size_px), anchor="ld")
-    top = corner[1] - 2 * pad - round(1.1 * size_px)
-    pen.rounded_rectangle((left - pad, top, right + pad, corner[1]), pad, (*PAPER, CHIP_ALPHA))
-    pen.text((at[0], (top + corner[1]) / 2), text, INK, font(size_px), anchor="lm")
-
-
-def legend(image: Image.Image, place: tuple[float, float], size_px: int, *, with_unseen: bool = True) -> None:
-    """The classes, the track and the unseen from `place` (x, y of the middle line) to the right."""
-    pen = ImageDraw.Draw(image)
-    x, y = place
-    half = size_px * 0.45
-    for kind, name in CLASS_NAME.items():
-        pen.rectangle((x, y - half, x + 2 * half, y + half), fill=CLASS_RGB[kind])
-        x = _word(pen, (x + 2 * half, y), name, size_px)
-    pen.line((x, y, x + 2 * half, y), fill=TRACK, width=max(2, size_px // 4))
-    x = _word(pen, (x + 2 * half, y), "track", size_px)
-    if with_unseen:
-        pen.rectangle((x, y - half, x + 2 * half, y + half), fill=UNSEEN)
-        _word(pen, (x + 2 * half, y), "never seen", size_px)
-
-
-def _word(pen: ImageDraw.ImageDraw, place: tuple[float, float], text: str, size_px: int) -> float:
-    x = place[0] + SWATCH_GAP_RATIO * size_px
-    pen.text((x, place[1]), text, INK, font(size_px), anchor="lm")
-    return x + pen.textlength(text, font(size_px)) + ENTRY_GAP_RATIO * size_px
 
 
 # The robot's outline and track, drawn on preview images.
@@ -305,23 +257,3 @@ def robot_boxes(footprint: Footprint) -> list[Boxes]:
     body = solid_boxes([Box((-x, -y, 0.15), (x, y, 0.6)), Box((-0.08, -0.08, 0.6), (0.08, 0.08, 1.1))], ROBOT)
     nose = solid_boxes([Box((x - 0.25, -y, 0.6), (x, y, 0.75))], (245, 245, 245))
     return [body, nose, solid_boxes([Box((-0.16, -0.16, 1.1), (0.16, 0.16, 1.35))], INK)]
-
-
-# Safe decoding of camera images of unknown origin.
-
-
-MOST_PIXELS = 1 << 26
-
-
-def opened(sample: CameraSample | None, size_px: tuple[int, int]) -> Image.Image | str:
-    """The picture, no smaller than `size_px` where it is larger, else why there is none."""
-    if sample is None:
-        return "no picture"
-    if sample.width_px * sample.height_px > MOST_PIXELS:
-        return "picture too large"
-    try:
-        picture = Image.open(io.BytesIO(sample.content), formats=["JPEG"])
-        picture.draft("RGB", size_px)
-        return picture.convert("RGB")
-    except (OSError, ValueError, SyntaxError, Image.DecompressionBombError, Image.DecompressionBombWarning):
-        return "picture cannot be read"

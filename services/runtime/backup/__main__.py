@@ -11,7 +11,7 @@ from contextlib import ExitStack, contextmanager
 from pathlib import Path
 from typing import TextIO
 
-import services.runtime.processes.startup  # noqa: F401
+import services.runtime.processes.sound_settings  # noqa: F401
 from services.runtime.backup.capture import BackupResult, make_backup
 from services.runtime.backup.folder import BackupFolder
 from services.runtime.backup.restore import BackupRestoreResult, restore

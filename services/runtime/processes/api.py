@@ -5,7 +5,7 @@ believed says `STONE_API__TRUSTED_PROXIES`, how many processes answer uvicorn's 
 connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
 """
 
-import services.runtime.processes.startup  # noqa: F401
+import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split
 
@@ -17,7 +17,7 @@ from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 
 SITE, API = "web.main:from_environment", "api.main:from_environment"
-PROTOCOL = "api.middleware.bodies:BoundedHeads"
+PROTOCOL = "api.middleware.heads:BoundedHeads"
 REPLIES_S = 20
 
 

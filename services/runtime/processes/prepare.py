@@ -6,7 +6,7 @@ The bucket where there is none, the database brought to the newest schema, the f
 `database.awaited_s` each.
 """
 
-import services.runtime.processes.startup  # noqa: F401
+import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split
 

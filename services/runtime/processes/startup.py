@@ -73,12 +73,6 @@ def _refuse_other_schema(database: Database) -> None:
     raise SchemaMissingError(stands, wanted)
 
 
-# Importing this ends the process whose settings are refused: one line that says why, exit code 1.
-#
-# **Conventions.** For entry points, before whatever makes something of the settings: Celery's application does when it
-# is loaded.
-
-
 try:
     Settings()
 except StoneError as refusal:

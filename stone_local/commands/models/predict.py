@@ -13,7 +13,7 @@ from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 from stone_local.commands.models.train import Device, DeviceOption
 from stone_local.models.prediction_choices import RecordingFiles, refuse_contradictions
-from stone_local.models.recording_prediction import prediction_shown
+from stone_local.models.prediction_pace import prediction_shown
 from stone_local.models.torch_there import torch_needed
 from stone_local.topic_choices import (
     PosesFrameOption,

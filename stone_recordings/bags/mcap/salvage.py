@@ -2,7 +2,7 @@
 
 **Conventions.** The file is walked record by record; it may lack an index. Where a record cannot be one, or reaches
 into what the summary knows to be the next chunk, the walk goes on at the next place that the summary knows
-(`stone_recordings.bags.mcap.known_places`), and the bytes between are a loss. A complete chunk is taken whole or, where
+(known places, below), and the bytes between are a loss. A complete chunk is taken whole or, where
 it fails its checksum or does not inflate, left out: its messages cannot be trusted. Of the chunk that the cut went
 through, whatever inflates is read record by record; nothing can check those. Memory is one chunk.
 """

@@ -1,7 +1,6 @@
 """Messages of any type → columns, compiled from the definition of the type.
 
-**Conventions.** Columns are those of `stone_recordings.messages.types.columns`, the wire format that of
-`stone_recordings.messages.types.cdr`.
+**Conventions.** Columns (`Ragged`, `MessageTable`) are below, the wire format is that of `stone_recordings.messages.types.cdr`.
 Messages of one layout are copied together; layouts are few, so what costs is the copying.
 """
 

@@ -1,7 +1,7 @@
 """A calibration in numbers, for people and programs: sensors with their mounts and lenses, and what is not in it.
 
-**Conventions.** A JSON object. Mounts are in the ego frame as `stone_recordings.report.rig.places` has them; lens
-numbers are those of the file.
+**Conventions.** A JSON object. Mounts are in the ego frame, as places (below) have them; lens numbers are those of the
+file.
 """
 
 import math

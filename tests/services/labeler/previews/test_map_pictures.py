@@ -8,7 +8,8 @@ from PIL import Image
 
 from services.labeler.previews import feature_maps
 from services.labeler.previews.feature_maps import feature_figure, limits_of, rasters_of, write_feature_maps
-from services.labeler.previews.map_view import MapPiece, extent_of, map_oblique
+from services.labeler.previews.map_pieces import MapPiece, extent_of
+from services.labeler.previews.map_view import map_oblique
 from services.labeler.previews.preview_files import write_map_previews
 from stone.geometry.lattice import keys_from_indices
 from stone.geometry.se3 import SE3
