@@ -117,7 +117,8 @@ check: test-clients
 	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client stone_local api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
 	$(MAKE) --no-print-directory test-baselines
-	$(MAKE) --no-print-directory test-all
+	$(MAKE) --no-print-directory test-kernels
+	$(BIN)/pytest $(BESIDE) -m "not release"
 	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
 
 docs: install $(DOCS_INSTALLED)

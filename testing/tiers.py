@@ -1,11 +1,12 @@
-"""The two tiers of the tests: `make test` leaves out what is marked `whole`, `make test-all` runs everything.
+"""The three tiers of the tests: `make test` leaves out what is marked `whole` or `release`, `make check` what is marked
+`release`, and `make test-all` runs everything.
 
-**Conventions.** A test is `whole` where it says so, below one of `WHOLE_FOLDERS`, where it asks for one of
-`DEAR_FIXTURES` however it comes by them, and where it runs on PostgreSQL or S3 what runs on SQLite and in a folder too;
-`everyday` keeps such a test in both tiers. A test that costs
-more than five CPU seconds (`pytest --costs FILE`) says in its docstring, or its module's, what it alone would catch.
-Files with such tests come first: the last to end would otherwise be a dear one that began late. A file that is `whole`
-as one is not even loaded where `-m "not whole"` is asked for.
+**Conventions.** A test is `whole` if it costs more than a CPU second (`pytest --costs FILE`): it says so itself, lies
+below one of `WHOLE_FOLDERS`, asks for one of `DEAR_FIXTURES`, or runs on PostgreSQL or S3 what runs on SQLite and in a
+folder too. `everyday` keeps such a test in every tier. `release` marks a test of more than ten CPU seconds that repeats
+a program of its own (`make chaos`, `make bench-movers`) or one behaviour for further kinds; its docstring, or its
+module's, names what it alone would catch, and who makes a release runs it. Files with costly tests come first, so that
+none of them begins late. A file that is `whole` or `release` as one is not even loaded under `-m "not whole"`.
 """
 
 import re
@@ -26,9 +27,9 @@ WHOLE_FOLDERS = {  # and what their tests alone catch
     "services/runtime/backup": "a backup that is not restored as it was",
 }
 TESTS = Path(__file__).resolve().parents[1] / "tests"
-TIERS = ("whole", "everyday")
+TIERS = ("release", "whole", "everyday")
 EVERYDAY_ONLY = "not whole"
-WHOLE_FILE = re.compile(r"^pytestmark = pytest\.mark\.whole$", re.MULTILINE)
+WHOLE_FILE = re.compile(r"^pytestmark = pytest\.mark\.(whole|release)$", re.MULTILINE)
 
 
 def pytest_ignore_collect(collection_path: Path, config: pytest.Config) -> bool | None:
@@ -52,7 +53,8 @@ def is_in_whole_folder(path: Path) -> bool:
 @pytest.hookimpl(tryfirst=True)  # before `-m` chooses
 def pytest_collection_modifyitems(items: list[pytest.Item]) -> None:
     for item in items:
-        if is_dear(item) and item.get_closest_marker("everyday") is None:
+        is_released = item.get_closest_marker("release") is not None
+        if (is_dear(item) and item.get_closest_marker("everyday") is None) or is_released:
             item.add_marker(pytest.mark.whole)
     first = {item.path for item in items if any(item.get_closest_marker(tier) for tier in TIERS)}
     items.sort(key=lambda item: _turn(item.path, first))

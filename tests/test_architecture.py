@@ -105,6 +105,7 @@ def test_the_import_contracts_are_kept() -> None:
     assert outcome.returncode == 0, outcome.stdout + outcome.stderr
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("module", "line"),
     [
@@ -138,6 +139,7 @@ def test_stone_imports_numbers_and_plain_values_only() -> None:
     assert {path: roots for path, roots in found.items() if roots} == {}
 
 
+@pytest.mark.whole
 def test_nothing_outside_of_the_tests_imports_them_and_what_ships_imports_nothing_that_is_for_trying_it() -> None:
     of_trials = {"testing", "chaos", "benchmarks", "fuzz", "docsite"}
     found = []
@@ -148,6 +150,7 @@ def test_nothing_outside_of_the_tests_imports_them_and_what_ships_imports_nothin
     assert found == []
 
 
+@pytest.mark.whole
 def test_source_files_are_small_and_plainly_named() -> None:
     assert [f"{said(path)}: {fault}" for path in SOURCES for fault in faults_of(path)] == []
 
@@ -224,7 +227,15 @@ def test_the_lock_covers_what_the_project_asks_for() -> None:
 def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     check = makefile[makefile.index("\ncheck:") :].partition("\n\n")[0]
-    for guard in ("ruff format --check", "ruff check", "mypy", "lint-imports", "deptry", "test-all"):
+    for guard in (
+        "ruff format --check",
+        "ruff check",
+        "mypy",
+        "lint-imports",
+        "deptry",
+        "test-kernels",
+        '-m "not release"',
+    ):
         assert guard in check
     assert re.search(r"(?m)^\t\$\(BIN\)/pytest \$\(BESIDE\)$", makefile), "test-all leaves nothing out"
     assert not re.search(r"\|\||\| |^\t-", check, re.MULTILINE), "a guard's failure must stop make"

@@ -58,6 +58,7 @@ def cycle_in(graph: Mapping[str, set[str]]) -> list[str]:
     return []
 
 
+@pytest.mark.whole
 def test_no_module_imports_itself_by_way_of_others() -> None:
     modules = modules_below(ROOT)
     assert len(modules) > 500

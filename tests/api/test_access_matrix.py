@@ -70,6 +70,7 @@ def in_its_tier(caller: str) -> Any:
     return pytest.param(caller, id=caller, marks=pytest.mark.whole if is_dear else ())
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("caller", [in_its_tier(caller) for caller in CALLERS])
 def test_every_cell_is_as_the_table_says(
     scene: Scene, caller: str, record_property: Callable[[str, object], None]
@@ -128,6 +129,7 @@ BODIES = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("method", "path", "named"), BODIES.values(), ids=BODIES)
 @pytest.mark.parametrize("caller", ["other", "modest"])
 def test_an_id_of_somebody_else_in_a_body_opens_nothing(

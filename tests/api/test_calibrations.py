@@ -57,6 +57,7 @@ BOMB = b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
 )
 
 
+@pytest.mark.whole
 def test_what_is_no_calibration_is_refused_with_its_code(api: httpx.Client, curator: Person) -> None:
     for content, code in [
         (b"", "CAL-423"),

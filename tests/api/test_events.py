@@ -254,6 +254,7 @@ def test_a_stream_ends_with_the_token_that_opened_it(api: httpx.Client, platform
     assert time.monotonic() - begin < SOON_S / 2
 
 
+@pytest.mark.whole
 def test_a_hundred_streams_are_one_query_a_tick_and_hold_neither_thread_nor_session(
     platform: Platform, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -338,6 +338,7 @@ def shows(png: bytes, colours: ColourName) -> bool:
     return bool((pixels == np.array(PALETTES[colours][1])).all(axis=-1).any())
 
 
+@pytest.mark.whole
 def test_a_picture_has_the_default_colours_or_the_paper_s(
     api: httpx.Client, curator: Person, pictures: Mapping[str, str]
 ) -> None:

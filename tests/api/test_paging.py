@@ -81,6 +81,7 @@ def test_a_cursor_beyond_the_databases_integers_is_refused(platform: Platform, v
         page(session, select(AuditEntry), AuditEntry.number, PageQuery(cursor_of(value), 10))
 
 
+@pytest.mark.whole
 @given(cursor=st.text(max_size=600))
 def test_no_text_breaks_a_list(cursor: str) -> None:
     from api import paging

@@ -52,6 +52,7 @@ async def held_by_all(platform: Platform, requests: int) -> None:
         await asyncio.gather(*answers, *(loop.run_in_executor(THREADS, asked) for _ in range(UPLOADS)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("pool_size", [1, 20])
 def test_all_threads_of_a_process_hold_a_connection_at_once(tmp_path: Path, pool_size: int) -> None:
     platform = opened(make_settings(tmp_path, database=DatabaseSettings(pool_size=pool_size)), [])
@@ -99,6 +100,7 @@ def test_a_few_at_a_time_read_in_the_order_in_which_they_came_beside_everything_
         assert sorted(readings.begun[:ROW_READERS]) == list(range(ROW_READERS))
 
 
+@pytest.mark.whole
 def test_what_is_refused_while_it_is_read_is_refused() -> None:
     def refuse() -> Response:
         raise KeyError("gone")
@@ -127,6 +129,7 @@ def as_before() -> Iterator[None]:
     exempt_loaded_objects()  # as testing/memory.py has done
 
 
+@pytest.mark.whole
 def test_what_is_loaded_is_not_looked_at_again() -> None:
     gc.unfreeze()
     gc.set_threshold(*PYTHONS)
@@ -136,6 +139,7 @@ def test_what_is_loaded_is_not_looked_at_again() -> None:
     assert len(gc.get_objects()) < gc.get_freeze_count() / 10
 
 
+@pytest.mark.whole
 def test_cycles_that_are_made_later_are_freed_before_some_hundred_requests_have_left_theirs() -> None:
     gc.set_threshold(*PYTHONS)
     exempt_loaded_objects()
@@ -145,6 +149,7 @@ def test_cycles_that_are_made_later_are_freed_before_some_hundred_requests_have_
     assert held
 
 
+@pytest.mark.whole
 def test_a_process_that_answers_keeps_what_it_has_loaded() -> None:
     asked = (
         "import gc, api.main as m; m.use_fork_server = m.setup_tracing = lambda *_: None;"

@@ -50,6 +50,7 @@ def admin(api: httpx.Client, administrator: Person, place: Place) -> Administrat
     return Administrating(api, administrator, place.phase.id)
 
 
+@pytest.mark.whole
 def test_the_whole_way_from_new_labels_to_a_switched_board(
     api: httpx.Client, platform: Platform, tmp_path: Path
 ) -> None:

@@ -85,6 +85,7 @@ def is_told(reply: httpx.Response) -> bool:
     return False
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", STANDINGS)
 def test_every_caller_is_answered_exactly_what_the_table_says(api: httpx.Client, platform: Platform, name: str) -> None:
     """An administrator whose token is for reading only is anybody."""
@@ -180,6 +181,7 @@ def slow_ratios(world: World, part: str, team: int, errors: float) -> list[float
     return values
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("part", ["val", "test"])
 def test_zips_become_a_board(api: httpx.Client, platform: Platform, tmp_path: Path, part: str) -> None:
     world = benchmark_world(platform, frames=2)

@@ -207,6 +207,7 @@ def test_a_camera_that_took_no_picture_of_a_frame_is_404(
     assert api.get(f"{frame}/camera/..%2Fcam.jpg", headers=curator.headers).status_code in (404, 422)
 
 
+@pytest.mark.whole
 def test_a_public_sequence_of_a_hidden_phase_is_played_to_nobody_but_its_owner(
     api: httpx.Client, platform: Platform
 ) -> None:

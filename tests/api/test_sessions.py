@@ -57,6 +57,7 @@ def test_who_has_no_password_cannot_sign_in(api: httpx.Client, curator: Person) 
         assert api.post(SESSIONS, json={"name": curator.name, "password": password}).status_code == 401
 
 
+@pytest.mark.whole
 def test_sign_ins_are_counted_by_address_and_refused_beyond(
     platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -190,6 +191,7 @@ def test_wrong_passwords_make_the_next_wait_whoever_asks_and_from_any_process(
     assert browser.get(ME).status_code == 200, "who is in stays in"
 
 
+@pytest.mark.whole
 def test_others_wrong_passwords_shut_nobody_out_where_they_signed_in_before(
     platform: Platform, ada: dict[str, str], monkeypatch: pytest.MonkeyPatch
 ) -> None:

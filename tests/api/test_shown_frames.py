@@ -134,6 +134,7 @@ def test_a_visitor_sees_the_truth_the_prediction_and_where_they_differ(sent: Sen
             assert shown == difference_picture(truth, predicted) != difference_picture(predicted, truth)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("standing", ["running", "ended"])
 def test_nobody_is_shown_a_frame_of_a_hidden_phase(sent: Sent, standing: str) -> None:
     if standing == "ended":

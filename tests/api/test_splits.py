@@ -150,6 +150,7 @@ def proposed(api: httpx.Client, who: Person, train: int, val: int, test: int, **
     return api.post(f"{URL}/proposal", json=body, headers=who.headers)
 
 
+@pytest.mark.whole
 def test_a_proposal_can_be_put_as_it_is(
     api: httpx.Client, platform: Platform, curator: Person, administrator: Person
 ) -> None:
@@ -299,6 +300,7 @@ def test_the_figure_shows_classes_by_their_share() -> None:
     assert p / (t + p + n) == pytest.approx(0.25, abs=0.03)
 
 
+@pytest.mark.whole
 def test_equal_records_give_equal_figures_and_no_word_is_a_formula() -> None:
     entries = (*catalogue(9, 1), entry(90, environment="$\\frac{1}{0}$", illumination="$x", region="_$^"))
     assert figure_of(entries) == figure_of(entries)
@@ -308,6 +310,7 @@ def test_an_empty_dataset_has_a_figure() -> None:
     assert figure_of(()).startswith(b"\x89PNG")
 
 
+@pytest.mark.whole
 def test_the_api_loads_neither_solver_nor_plots_before_they_are_asked_for() -> None:
     program = "import sys, api.main; print([n for n in ('scipy', 'matplotlib', 'numba', 'open3d') if n in sys.modules])"
     said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300)

@@ -42,6 +42,7 @@ def exposition(platform: Platform, stage: Stage) -> bytes:
         return api.get("/metrics").content
 
 
+@pytest.mark.whole
 def test_what_is_told_while_a_hidden_phase_is_scored_tells_nothing_of_it(
     tmp_path: Path,
     _sqlite_template: Path,  # noqa: PT019  # the file that worlds are copied from

@@ -31,7 +31,7 @@ ROUNDS = int(os.environ.get("STONE_CRASH_ROUNDS", "4"))
 SEED = int(os.environ.get("STONE_CRASH_SEED", "20261121"))
 SLICE_BYTES = 1 << 16
 
-pytestmark = pytest.mark.whole
+pytestmark = pytest.mark.release
 
 
 @dataclass(frozen=True)

@@ -8,7 +8,7 @@ from benchmarks.movers.__main__ import measured
 from simulator.options import SimulateOptions
 
 
-@pytest.mark.whole
+@pytest.mark.release
 @pytest.mark.parametrize("lidar_hz", [2, 10])
 def test_little_is_left_of_traffic_and_what_stands_stays(tmp_path: Path, lidar_hz: int) -> None:
     """Catches alone a vote that holds for the one walker of every simulated world at 10 Hz, and not for vehicles, for

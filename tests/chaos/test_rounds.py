@@ -90,7 +90,7 @@ def test_nothing_is_lost_doubled_or_different_when_a_worker_is_killed(inputs: In
     assert list((tmp_path / "places").iterdir()) == [], "the place of a good round is cleared away"
 
 
-@pytest.mark.whole
+@pytest.mark.release
 @of([kind for kind in KINDS if kind != EVERYDAY and not kind.on_postgres])
 def test_nor_when_something_else_of_the_embedded_platform_is(
     kind: Kind, inputs: Inputs, stand: Stand, tmp_path: Path
@@ -102,7 +102,7 @@ def test_nor_when_something_else_of_the_embedded_platform_is(
     found_good(series, told)
 
 
-@pytest.mark.whole
+@pytest.mark.release
 @of([kind for kind in KINDS if kind.on_postgres])
 def test_nor_when_something_of_a_cluster_is(kind: Kind, inputs: Inputs, tmp_path: Path) -> None:
     """Catches alone what is lost between PostgreSQL, an S3 store and the processes, one of which is killed."""
@@ -123,7 +123,7 @@ def test_what_is_really_destroyed_is_told_and_its_place_kept(inputs: Inputs, tmp
     assert row[3] != "0"
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_no_kill_costs_a_score_or_a_scoring(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:

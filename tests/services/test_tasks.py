@@ -57,6 +57,7 @@ def test_libraries_have_one_thread_and_the_kernels_are_there_before_the_fork(loa
     assert set(others) <= {ALLOCATOR}, "a fork takes one thread with it; a pool would be missing in the children"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("queue", "services"),
     [("labeler", ["domain", "labeler"]), ("eval", ["domain", "eval"])],

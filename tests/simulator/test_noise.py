@@ -177,6 +177,7 @@ def test_rain_stops_rays_at_its_rate_evenly_along_the_way_and_never_behind_a_sur
         assert np.histogram(drops, 4, (0, reach_m))[0] / len(drops) == pytest.approx(0.25, abs=0.03)
 
 
+@pytest.mark.whole
 def test_a_recording_has_it_only_where_it_is_asked_for(recording: Recording, tmp_path: Path) -> None:
     noisy = replace(TINY, range_noise=True)
     simulate(tmp_path / "noisy.mcap", noisy)

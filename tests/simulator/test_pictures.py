@@ -129,6 +129,7 @@ def test_equal_options_give_equal_pictures_and_each_exposure_has_noise_of_its_ow
     assert first[0].jpeg != later[0].jpeg
 
 
+@pytest.mark.whole
 def test_pictures_of_any_kind_disturb_no_other_message(tmp_path: Path) -> None:
     base = SimulateOptions(seconds=0.3, seed=3, channels=8, columns=60, camera_width_px=64, world_width_m=40.0)
     kinds = {

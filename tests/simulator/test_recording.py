@@ -224,6 +224,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Callable[..., Path]:
     return drive
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("fault", FAULT_NAMES)
 def test_a_fault_changes_what_it_names_and_nothing_else(drive: Callable[..., Path], fault: FaultName) -> None:
     clean, faulty = read(drive()), read(drive(fault))
@@ -272,6 +273,7 @@ def test_the_gap_of_the_receiver_lasts_400_ms_and_its_jump_is_25_decimetres_in_f
     assert {message.latitude_stdev > 0.4 for message, off in zip(now, is_off, strict=True) if off} == {True}
 
 
+@pytest.mark.whole
 def test_without_noise_the_sensors_tell_the_truth(tmp_path: Path) -> None:
     bag, truth_dir = tmp_path / "exact.mcap", tmp_path / "truth"
     simulate(bag, replace(SHORT, noise_ratio=0.0, cameras=False), truth_dir)

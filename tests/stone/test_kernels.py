@@ -41,6 +41,7 @@ def documented() -> Iterator[tuple[str, str]]:
         yield module, kernel
 
 
+@pytest.mark.whole
 def test_every_kernel_is_on_the_page_and_nothing_else() -> None:
     found, told = Counter(compiled()), Counter(documented())
     assert found.total() > 100
@@ -102,6 +103,7 @@ print("tried")
 """
 
 
+@pytest.mark.whole
 def test_an_index_out_of_range_is_noticed_where_indices_are_checked(tmp_path: Path) -> None:
     """In a process of its own: numba is told when it is loaded, and would take unchecked code from a cache."""
     checked = {"NUMBA_BOUNDSCHECK": "1", "NUMBA_CACHE_DIR": str(tmp_path)}

@@ -93,6 +93,7 @@ def test_half_a_rig_is_shown_as_far_as_it_goes_and_refused(tmp_path: Path) -> No
     assert refused.stderr.startswith("CAL-421: noise.yaml is not a YAML calibration: the tag on line 1 is not allowed")
 
 
+@pytest.mark.whole
 def test_a_right_calibration_fits_its_recording(run: Path) -> None:
     told = calibration("check", calibration_path(run), "--bag", run)
     assert told.exit_code == 0, told.stderr
@@ -107,6 +108,7 @@ def test_a_right_calibration_fits_its_recording(run: Path) -> None:
     assert f"ground: {record['ground']['height_m']:+.2f} m from the ego origin" in told.stdout
 
 
+@pytest.mark.whole
 def test_a_lidar_entered_too_low_cannot_be_used(run: Path, tmp_path: Path) -> None:
     def lower(content: dict[str, Any]) -> None:
         content["ego_from_lidar"]["translation_m"][2] -= 0.23
@@ -134,6 +136,7 @@ def test_a_recording_is_checked_as_its_own_calibration(run: Path) -> None:
     assert record["ground"] is not None
 
 
+@pytest.mark.whole
 def test_the_rig_is_drawn(run: Path, tmp_path: Path) -> None:
     for name, magic in [("rig.svg", b"<?xml"), ("RIG.PNG", b"\x89PNG")]:
         told = calibration("show", calibration_path(run), "-o", tmp_path / name)

@@ -137,6 +137,7 @@ WRONG: dict[str, tuple[str, Edit, str]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", WRONG)
 def test_what_is_wrong_is_refused_by_its_code_with_table_row_and_file(
     platform: Platform, api: httpx.Client, tmp_path: Path, kind: str

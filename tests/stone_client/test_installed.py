@@ -68,6 +68,7 @@ def test_a_command_loads_no_other() -> None:
     assert [name for name in loaded if re.match(r"stone_\w+\.commands\.", name)] == ["stone_client.commands.explain"]
 
 
+@pytest.mark.whole
 def test_what_inspects_a_recording_loads_nothing_of_scipy_but_its_name() -> None:
     program = "import sys, services.ingest.sandboxed_inspection; print('scipy.sparse' in sys.modules)"
     outcome = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True)

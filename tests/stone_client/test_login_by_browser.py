@@ -91,6 +91,7 @@ def test_where_people_have_a_provider_the_command_asks_for_no_password(
         assert process.returncode == 0
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("other", [["--name", "ada"], ["--password-stdin"], ["--token-stdin"]])
 def test_a_browser_says_who_one_is_and_nothing_else(other: list[str], tmp_path: Path) -> None:
     command = [*STONE, "login", "http://127.0.0.1:1", "--browser", *other]

@@ -83,6 +83,7 @@ def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(path, recordings.clouds(ticks(2, 10)), recordings.solutions(ticks(2, 20), 56))
 
 
+@pytest.mark.whole
 def test_the_page_holds_the_score_and_the_pictures_and_json_the_numbers(drive: Path, tmp_path: Path) -> None:
     result = stone("inspect", drive, "--html", str(tmp_path / "out.html"), "--json")
     assert result.exit_code == 0, result.output
@@ -141,6 +142,7 @@ def test_the_recording_itself_is_never_written_over(cut: Path) -> None:
     assert cut.read_bytes() == before
 
 
+@pytest.mark.whole
 def test_pictures_are_of_the_asked_size_detail_and_light_and_so_is_the_calibration(tmp_path: Path) -> None:
     bag, truth = tmp_path / "run.mcap", tmp_path / "truth"
     cameras = ("--camera-width", "96", "--camera-detail", "full", "--illumination", "night")

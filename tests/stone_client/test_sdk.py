@@ -26,6 +26,7 @@ def said(served: Served, part: str = "val", **more: str) -> dict[str, str]:
     return {**entry, "method": "GroundNet", "modality": "L", **more}
 
 
+@pytest.mark.whole
 def test_a_submission_waits_and_tells_its_scores(
     served: Served, stone: Stone, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -112,6 +112,7 @@ def test_a_password_becomes_a_token_that_the_other_commands_use(platform: Platfo
     assert json.loads(stone("status", "--json").stdout) == {"sequences": []}
 
 
+@pytest.mark.whole
 def test_an_upload_makes_the_sequence_and_says_what_comes_next(platform: Platform, as_owner: str, bag: Path) -> None:
     outcome = uploaded(platform, bag, "--name", "forest", "--json")
     assert outcome.exit_code == 0, outcome.stderr
@@ -125,6 +126,7 @@ def test_an_upload_makes_the_sequence_and_says_what_comes_next(platform: Platfor
     assert "Next: stone process forest --watch" in again.stdout
 
 
+@pytest.mark.whole
 def test_asked_twice_a_sequence_is_processed_once(platform: Platform, as_owner: str, bag: Path) -> None:
     assert uploaded(platform, bag).exit_code == 0
     runs = [json.loads(stone("process", "run", "--json").stdout) for _ in range(2)]

@@ -127,6 +127,7 @@ def test_bytes_that_arrived_are_not_sent_again(served: Served, tmp_path: Path, m
     assert sum(pieces) == path.stat().st_size
 
 
+@pytest.mark.whole
 def test_interrupted_while_it_waits_nothing_is_scored_twice(served: Served, tmp_path: Path) -> None:
     path = zipped(served, tmp_path / "sub.zip")
     first = stone("submit", path, *options(served), "--no-wait").stdout.split()[1]
@@ -146,6 +147,7 @@ def test_another_name_is_another_entry_and_a_new_page_is_not(served: Served, tmp
     assert answered("submit", path, *renamed, "--no-wait")["id"] != first
 
 
+@pytest.mark.whole
 def test_a_team_mate_goes_on_where_the_captain_left(
     served: Served, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -238,6 +238,7 @@ def peak_bytes(path: Path) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.whole
 def test_memory_grows_by_bytes_a_datum(tmp_path: Path) -> None:
     short = write_published_tar(tmp_path / "short.tar", SyntheticDataset(scenes=4, frames=100))
     long = write_published_tar(tmp_path / "long.tar", SyntheticDataset(scenes=4, frames=400))

@@ -249,6 +249,7 @@ def bomb(says_bytes: int) -> bytes:
     return bytes(file)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("says_bytes", [1 << 28, 2_097_280, 100])
 def test_a_zip_bomb_costs_no_memory_whatever_it_says_of_its_size(says_bytes: int, tmp_path: Path) -> None:
     span = span_of(tmp_path / "labels.npz", bomb(says_bytes))

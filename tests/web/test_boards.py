@@ -160,6 +160,7 @@ def test_a_board_without_entries_is_a_page(reading: Reading, platform: Platform)
 SENSED = {"v1.0-trainval/sample.json": b"[]\n", "samples/LIDAR_TOP/0.bin": b"\x00" * 3000}
 
 
+@pytest.mark.whole
 def test_what_a_benchmark_gives_out_is_what_it_says_and_its_starter_script_makes_a_submission(
     reading: Reading, platform: Platform, tmp_path: Path
 ) -> None:
@@ -247,6 +248,7 @@ def told(secrets: dict[str, str], html: str) -> set[str]:
     return {what for what, digits in secrets.items() if re.search(rf"(?<![0-9]){re.escape(digits)}", judged)}
 
 
+@pytest.mark.whole
 def test_neither_a_visitor_nor_the_team_reads_a_figure_that_is_hidden_and_an_administrator_does(
     hidden: Hidden, platform: Platform
 ) -> None:

@@ -86,6 +86,7 @@ OPEN = ("", "/frames", "/track", "/calibration", "/exports")
 OWN = ("/recordings", "/processing", "/label-sets")
 
 
+@pytest.mark.whole
 def test_each_page_is_shown_to_those_it_is_for(platform: Platform, reading: Reading) -> None:
     shown: dict[str, Person | None] = {"visitor": None} | {role: person(platform, role) for role in ROLES[1:]}
     for path, *statuses in map(str.split, PAGES.strip().splitlines()):
@@ -110,6 +111,7 @@ def publish(platform: Platform, sequence_id: str) -> None:
         session.get_one(SequenceRow, sequence_id).is_public = True
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("is_public", "seen"), [(False, 404), (True, 200)])
 def test_others_see_what_is_public_of_a_sequence_and_never_what_is_only_its_owners(
     platform: Platform, reading: Reading, curator: Person, participant: Person, is_public: bool, seen: int
@@ -129,6 +131,7 @@ def test_others_see_what_is_public_of_a_sequence_and_never_what_is_only_its_owne
     assert statuses((*OPEN, *OWN), curator) == {200}
 
 
+@pytest.mark.whole
 def test_what_is_of_somebody_else_has_no_page(reading: Reading, platform: Platform, curator: Person) -> None:
     world = benchmark_world(platform, frames=1)
     with client_of(platform, curator) as api:
@@ -171,6 +174,7 @@ def cards(reading: Reading, query: str = "", who: Person | None = None) -> list[
     return re.findall(r'<a href="/sequences/[0-9a-f]{32}">([^<]+)</a></h', html)
 
 
+@pytest.mark.whole
 def test_the_list_of_sequences_is_filtered_paged_and_of_what_may_be_seen(
     reading: Reading, platform: Platform, curator: Person
 ) -> None:
@@ -193,6 +197,7 @@ def test_the_list_of_sequences_is_filtered_paged_and_of_what_may_be_seen(
     assert cards(reading, older.replace("&amp;", "&"), curator) == ["run-00"]
 
 
+@pytest.mark.whole
 def test_the_pages_of_a_sequence_tell_its_figures_findings_clocks_and_cameras(
     reading: Reading, platform: Platform, curator: Person
 ) -> None:
@@ -235,6 +240,7 @@ def fail_at_the_surface(platform: Platform, run_id: str) -> None:
                 session.add(line)
 
 
+@pytest.mark.whole
 def test_a_failed_rerun_is_said_on_every_part_and_never_to_visitors(
     reading: Reading, platform: Platform, curator: Person
 ) -> None:
@@ -252,6 +258,7 @@ def test_a_failed_rerun_is_said_on_every_part_and_never_to_visitors(
         assert "re-run failed" not in reading.html(path)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", ["labeler.export", "eval.compare"])
 def test_what_is_made_of_labels_is_no_state_of_the_sequence(
     reading: Reading, platform: Platform, curator: Person, kind: str
@@ -289,6 +296,7 @@ def test_an_owner_is_offered_profile_local_where_it_helps_and_the_form_keeps_wha
 SCENE = SyntheticDataset(scenes=1, cameras=("CAM_FRONT",), labels=[made_labels()])
 
 
+@pytest.mark.whole
 def test_an_imported_sequence_is_shown_without_a_recording(
     reading: Reading, platform: Platform, curator: Person, tmp_path: Path
 ) -> None:
@@ -318,6 +326,7 @@ def test_every_code_has_a_page_with_its_meaning_its_harm_and_its_remedy(reading:
         assert HARM_WORDS[one.harm] in text
 
 
+@pytest.mark.whole
 def test_the_dataset_page_tells_a_versions_composition_and_withholds_classes_of_test(
     reading: Reading, platform: Platform, administrator: Person, curator: Person, participant: Person
 ) -> None:
@@ -368,6 +377,7 @@ def test_the_clients_wheel_is_offered_and_served_whole_and_in_parts_and_no_other
         assert offering.client.get(f"/downloads/{name}").status_code == 404
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("role", ROLES[1:])
 def test_the_first_steps_of_each_role_lead_to_pages_that_it_may_see(reading: Reading, role: str) -> None:
     somebody = person(reading.platform, role)
@@ -377,6 +387,7 @@ def test_the_first_steps_of_each_role_lead_to_pages_that_it_may_see(reading: Rea
     assert {path: reading.status(path, somebody) for path in paths} == dict.fromkeys(paths, 200)
 
 
+@pytest.mark.whole
 def test_first_steps_are_gone_where_all_is_done_and_lead_to_ones_own_sequence(
     reading: Reading, platform: Platform
 ) -> None:
@@ -451,6 +462,7 @@ def test_signing_in_never_leads_to_another_host(reading: Reading, back: str) -> 
     assert 'data-then="goto:/"' in reading.html(f"/sign-in?back={back}")
 
 
+@pytest.mark.whole
 def test_a_fault_of_ours_is_a_page_with_nothing_of_our_insides(
     reading: Reading, curator: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:

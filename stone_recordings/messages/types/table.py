@@ -1,6 +1,6 @@
 """Messages of any type → columns, compiled from the definition of the type.
 
-**Conventions.** Columns (`Ragged`, `MessageTable`) are below, the wire format is that of `stone_recordings.messages.types.cdr`.
+**Conventions.** Columns (`Ragged`, `MessageTable`) are below; `stone_recordings.messages.types.cdr` is the wire format.
 Messages of one layout are copied together; layouts are few, so what costs is the copying.
 """
 

@@ -70,6 +70,7 @@ def test_unknown_written_as_255_is_refused_as_the_vectors_say(golden: Path, said
         score(golden / refused["file"], golden)
 
 
+@pytest.mark.whole
 def test_the_slow_metric_makes_the_same_vectors_again(said: Any) -> None:
     made = files()
     kept = {name: golden_file(name) for name in golden_names()}

@@ -85,6 +85,7 @@ def test_another_metric_is_read_from_the_kept_counts_without_the_file(world: Wor
         assert rescore_progress(session, session.get_one(Rescore, rescore_id)).is_complete
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("part_frames", [500, 1])
 def test_another_ground_truth_is_counted_from_the_file(
     world: World, part_frames: int, rescored: list[str], monkeypatch: pytest.MonkeyPatch

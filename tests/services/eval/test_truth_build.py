@@ -169,6 +169,7 @@ UNFIT = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("content", UNFIT.values(), ids=UNFIT.keys())
 def test_labels_that_are_none_end_the_job_without_a_word_of_what_they_hold(world: World, content: bytes) -> None:
     phase_id, job, lines = unfit(world.platform, content)

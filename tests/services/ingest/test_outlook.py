@@ -72,6 +72,7 @@ def check(drive: SoundDrive, fault: RecordingFault, folder: Path) -> None:
     assert not excluded or "SYN-501" in named
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", EVERY_DAY)
 def test_a_plain_inspection_names_what_labelling_will_do(simulated: SoundDrive, tmp_path: Path, name: str) -> None:
     check(simulated, BY_NAME[name], tmp_path)
@@ -90,6 +91,7 @@ def test_whatever_is_refused_or_left_out_was_named(which: str, request: pytest.F
             check(drive, fault, tmp_path)
 
 
+@pytest.mark.whole
 def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: SoundDrive) -> None:
     lower = BY_NAME["LiDAR entered 23 cm low"]
     with open_bag(simulated.bag) as bag:
@@ -151,6 +153,7 @@ NAMES = (
 )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", NAMES)
 def test_one_pass_says_what_two_say(simulated: SoundDrive, tmp_path: Path, name: str) -> None:
     bag = faulty(simulated, BY_NAME[name], tmp_path / "run.mcap")
@@ -163,6 +166,7 @@ def test_one_pass_says_what_two_say(simulated: SoundDrive, tmp_path: Path, name:
     assert one.as_record() == two.as_record()
 
 
+@pytest.mark.whole
 def test_every_chunk_is_inflated_once_but_those_of_clouds_that_are_looked_at(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

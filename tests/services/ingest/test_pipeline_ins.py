@@ -168,6 +168,7 @@ def associated(path: Path, *groups):
     return synchronise(written(path, *groups), calibration(), SynchroniseOptions(), "run")[0]
 
 
+@pytest.mark.whole
 def test_every_sensor_is_found_under_its_channel(tmp_path, base):
     radar_ns = T0_NS - 7_000_000 + np.arange(42) * 50_000_000
     imu_ns = T0_NS - 1_000_000 + np.arange(420) * 5_000_000

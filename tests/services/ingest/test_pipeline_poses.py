@@ -270,6 +270,7 @@ def test_hostile_files_are_refused(tmp_path):
     assert {"MSG-303", "SYN-501"} <= codes(sequence)
 
 
+@pytest.mark.whole
 @pytest.mark.field_data
 def test_the_real_drive_gives_every_sweep_as_a_frame(field_data):
     root = Path(__file__).parents[3]

@@ -56,6 +56,7 @@ def copies(worker: Platform) -> list[Path]:
     return [path for path in (worker.settings.root / "cache/objects").rglob("*") if path.is_file()]
 
 
+@pytest.mark.whole
 def test_it_is_registered_and_neither_copy_nor_slab_stays(platform: Platform, worker: Platform, bag: Path) -> None:
     brought, job_id = sent(platform, bag.read_bytes())
     assert slabs(platform) >= 3

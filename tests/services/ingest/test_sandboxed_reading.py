@@ -90,6 +90,7 @@ def test_a_reader_that_answers_something_else_is_not_believed(
     assert (brought.job(job_id).failure_code, brought.recording().state) == ("reader_crashed", "received")
 
 
+@pytest.mark.whole
 def test_a_sequence_is_made_apart_too(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     brought = bring(platform)
     brought.add(bag, "run.mcap")

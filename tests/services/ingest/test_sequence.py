@@ -31,6 +31,7 @@ def recorded(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> Path:
     return shutil.copyfile(bag, tmp_path / bag.name)
 
 
+@pytest.mark.whole
 def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
     recorded: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
@@ -48,6 +49,7 @@ def test_what_is_found_late_follows_what_is_found_at_once_in_the_labels_too(
     assert read_sequence((tmp_path / "labels" / "sequence.npz").read_bytes()).findings == whole.findings
 
 
+@pytest.mark.whole
 def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_checked_first(
     recorded: Path, tmp_path: Path
 ) -> None:
@@ -67,6 +69,7 @@ def test_a_recording_that_is_believed_and_damaged_is_labelled_as_one_that_was_ch
     assert "BAG-016" in {finding.code for finding in checked.findings}
 
 
+@pytest.mark.whole
 def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opened_once(
     recorded: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -58,6 +58,7 @@ def attempts(brought: Brought, job_id: str) -> list[str]:
         return list(session.scalars(rows))
 
 
+@pytest.mark.whole
 def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     job_id = brought.add(bag, "Feldweg 3.mcap")
@@ -79,6 +80,7 @@ def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform: Pl
     assert not file.exists()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("at_end", [False, True])
 def test_an_attempt_cut_off_anywhere_loses_no_recording(platform: Platform, bag: Path, at_end: bool) -> None:
     brought = bring(platform)
@@ -130,6 +132,7 @@ def test_a_refusal_cut_off_before_the_job_failed_is_repeated(platform: Platform,
     assert brought.recording().findings[0]["message"] in job.failure
 
 
+@pytest.mark.whole
 def test_bytes_that_are_not_those_received_are_refused(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     job_id = brought.add(bag)
@@ -149,6 +152,7 @@ def test_a_worker_without_the_uploads_says_so(platform: Platform, bag: Path) -> 
     assert brought.recording().state == "received"
 
 
+@pytest.mark.whole
 def test_a_recording_whose_sequence_is_deleted_meanwhile_is_not_kept(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     job_id = brought.add(bag)
@@ -265,6 +269,7 @@ def test_a_name_never_leads_out_of_its_folder(tmp_path: Path, name: str) -> None
     assert [path.name for path in tmp_path.iterdir()] == ["object"]
 
 
+@pytest.mark.whole
 def test_a_run_fails_by_the_refusal_of_its_stage(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     brought.calibrate(calibration_path(bag))

@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 
@@ -39,6 +41,7 @@ for name in sorted(set(sys.modules) - loaded):
 """
 
 
+@pytest.mark.whole
 def test_a_child_that_registers_synchronises_or_checks_loads_no_module(tmp_path: Path) -> None:
     """Catches alone a library that every child loads anew, 0.1 s each, because the warm-up forgets it."""
     bag = tmp_path / "run.mcap"

@@ -119,6 +119,7 @@ def semantics(frame):
 MUTATIONS = (Constants(k=19), Constants(alpha=0.06), Constants(band_m=0.05), Constants(size_m=(1.06, 1.05)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("other", MUTATIONS, ids=["k", "alpha", "band", "width"])
 def test_another_constant_gives_another_map(tilted, other):
     assert differing(tilted.classes, tilted.oracle(other))

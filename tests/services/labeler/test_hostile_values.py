@@ -72,6 +72,7 @@ def test_what_can_be_labelled_has_labels_that_are_numbers(tmp_path: Path, name: 
     assert ("LAB-608" in said, report.far.points > 0) == (far, far)
 
 
+@pytest.mark.whole
 def test_points_that_no_lidar_sees_change_no_label_and_are_counted(tmp_path: Path) -> None:
     """Beside a drive in which the same points are not there at all."""
     lost = tuple(replace(edit, value=np.nan) for edit in ATTACKS[OVERFLOWING])

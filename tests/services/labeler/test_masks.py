@@ -47,6 +47,7 @@ def centres_ego():
     return (index + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
 
 
+@pytest.mark.whole
 def test_mask_lidar_is_every_voxel_that_a_ray_of_the_run_reached_or_passed(plain):
     low, high = frame_bounds(SEQUENCE.frames.map_from_ego)
     passed = np.zeros(tuple(high - low), np.bool_)
@@ -63,6 +64,7 @@ def test_mask_lidar_is_every_voxel_that_a_ray_of_the_run_reached_or_passed(plain
         assert (grids["mask_lidar"] != expected).sum() < 0.002 * expected.sum()  # points in float32, at voxel borders
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("index", [0, 7])
 def test_mask_camera_is_where_half_of_many_rays_come_through_or_any_ends_on_a_side(plain, index):
     grids = np.load(plain[index])

@@ -111,6 +111,7 @@ def test_nothing_is_labelled_where_no_ray_came(made):
     assert not grids(made)[:, away].any()
 
 
+@pytest.mark.whole
 def test_the_number_of_workers_changes_no_byte(made, tmp_path):
     labelled(WORLD, tmp_path / "alone")
     names = {path.relative_to(made) for path in made.rglob("*") if path.is_file()}
@@ -121,6 +122,7 @@ def test_the_number_of_workers_changes_no_byte(made, tmp_path):
     assert {key for key in a if a[key] != b[key]} <= {"stages_busy_s", "cpu_s", "peak_bytes"}
 
 
+@pytest.mark.whole
 def test_moving_the_world_by_a_whole_tile_moves_the_labels(made, tmp_path):
     world = replace(WORLD, map_from_world=(1.0, 0, 0, 0, 24.0 + 48.0, 24.0 - 96.0, 0))
     labelled(world, tmp_path / "there")
@@ -128,6 +130,7 @@ def test_moving_the_world_by_a_whole_tile_moves_the_labels(made, tmp_path):
     assert differing_ratio(grids(made), grids(tmp_path / "there")) < 0.002
 
 
+@pytest.mark.whole
 def test_moving_and_yawing_the_world_moves_the_labels(made, tmp_path):
     world = replace(WORLD, map_from_world=(np.cos(0.35), 0, 0, np.sin(0.35), 22.3, 25.1, 0.0))
     labelled(world, tmp_path / "there")
@@ -140,6 +143,7 @@ def test_moving_and_yawing_the_world_moves_the_labels(made, tmp_path):
     assert (a[both] == b[both]).mean() > 0.9
 
 
+@pytest.mark.whole
 def test_it_does_not_matter_how_the_map_is_cut_into_tiles(tmp_path):
     """Catches alone labels that differ at the border of a tile.
 
@@ -223,6 +227,7 @@ def test_the_top_view_opens_and_shows_all_three_classes(made):
     assert set(CLASS_RGB.values()) <= colours
 
 
+@pytest.mark.whole
 def test_progress_goes_from_none_to_all_in_every_stage(tmp_path):
     seen = []
     world = replace(WORLD, frames=3, boxes=())
@@ -239,6 +244,7 @@ def test_progress_goes_from_none_to_all_in_every_stage(tmp_path):
 BARE = World(grade=(0.06, 0.02))
 
 
+@pytest.mark.whole
 def test_an_earlier_label_set_is_replaced_and_a_foreign_folder_is_refused(tmp_path):
     world = replace(BARE, frames=2, boxes=())
     (tmp_path / "home").mkdir()
@@ -295,6 +301,7 @@ if __name__ == "__main__":
 """
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", [signal.SIGTERM, signal.SIGKILL])
 def test_killing_the_run_leaves_no_output_folder(tmp_path, number):
     (tmp_path / "run.py").write_text(SHOWN)

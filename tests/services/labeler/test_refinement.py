@@ -108,6 +108,7 @@ def test_a_sweep_that_saw_next_to_nothing_keeps_its_pose():
     np.testing.assert_array_equal(better.frames.map_from_ego.wxyz_xyz, given.frames.map_from_ego.wxyz_xyz)
 
 
+@pytest.mark.whole
 def test_labels_name_the_refinement_and_are_made_with_the_very_same_poses(noisy, tmp_path):
     given, better, done = noisy
     label(given, RayCast(WORLD), tmp_path / "out", LabelOptions(PARAMETERS))

@@ -97,6 +97,7 @@ def test_a_surface_that_is_solved_is_told_and_nothing_found(reports):
     assert "LAB-609" not in str(reports["local"]["findings"])
 
 
+@pytest.mark.whole
 def test_a_surface_that_cannot_be_solved_for_in_the_rounds_is_found(tmp_path: Path) -> None:
     whole = parameters_for("local")
     endless = replace(SURFACE, poisson=PoissonParameters(tolerance_ratio=1e-300))
@@ -152,6 +153,7 @@ def test_driven_ground_that_is_mostly_unlike_itself_is_told_where_there_is_enoug
     assert codes(driven=499, unlike=400) == []
 
 
+@pytest.mark.whole
 def test_a_footprint_said_to_be_wider_than_the_robot_takes_walls_for_ground_and_is_told(tmp_path):
     walls = (Box((-3.0, 0.7, -0.2), (3.0, 1.1, 0.6)), Box((-3.0, -1.1, -0.2), (3.0, -0.7, 0.6)))
     world = World(boxes=walls, frames=16)

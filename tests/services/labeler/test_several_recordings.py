@@ -153,6 +153,7 @@ def test_the_offsets_are_published_with_the_labels_and_told_by_the_job(brought: 
     assert {finding["code"] for finding in told["findings"]} >= {"SYN-520", "SYN-521"}
 
 
+@pytest.mark.whole
 def test_an_export_is_that_of_the_one_file_however_its_recordings_are_called_by_then(
     brought: Brought, parts: tuple[Path, ...], of_one: tuple[dict[str, bytes], ...]
 ) -> None:
@@ -199,6 +200,7 @@ def test_a_child_that_describes_another_run_is_not_believed(brought: Brought, tm
         with_description(made, folder, StoredBags((), (), sha256s, {}))
 
 
+@pytest.mark.whole
 def test_clocks_that_nobody_knows_are_measured_in_the_sandbox(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

@@ -389,6 +389,7 @@ def test_jobs_that_share_a_child_leave_what_the_command_makes(
     platform.database.close()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
 def test_the_sequence_of_a_ros1_bag_is_that_of_the_mcap_file(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, compression: Ros1Compression

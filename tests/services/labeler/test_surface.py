@@ -62,6 +62,7 @@ def test_the_ground_is_as_near_to_the_truth_as_an_octree_solver_brings_it(height
     assert abs(np.mean(ours - true)) < 0.002
 
 
+@pytest.mark.whole
 def test_the_octree_solver_labels_a_driven_plane_without_a_hole(tmp_path):
     world, parameters, solver = World(frames=4), parameters_for("paper"), "octree"
     parameters = replace(parameters, surface=replace(parameters.surface, solver=solver))

@@ -75,6 +75,7 @@ def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
         list(workers.run([Task(("refused",), refuse, ("run",))]))
 
 
+@pytest.mark.whole
 def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
     begin = time.monotonic()
     tasks = [Task((seconds,), _refuse_or_sleep, (seconds,)) for seconds in (0.0, 600.0)]
@@ -100,6 +101,7 @@ def test_workers_do_not_look_at_what_is_loaded_and_seldom_at_the_rest() -> None:
     assert collected_after == COMMAND_COLLECTS_AFTER
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("number", [signal.SIGKILL, signal.SIGTERM])
 def test_workers_end_with_a_command_that_is_killed(tmp_path: Path, number: int) -> None:
     (tmp_path / "endless.py").write_text(ENDLESS)

@@ -57,6 +57,7 @@ def flooded(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> Platform:
     return Platform(settings, platform.database, platform.store)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", CHORES)
 def test_a_turn_of_a_chore_costs_no_more_where_strangers_have_left_more(flooded: Platform, name: str) -> None:
     """But for a few rows that only the second turn meets."""

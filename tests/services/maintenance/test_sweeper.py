@@ -187,6 +187,7 @@ def test_a_loop_that_hangs_is_the_one_that_is_missed(platform: Platform) -> None
     assert ages["cleaning"] > ages["jobs"]
 
 
+@pytest.mark.whole
 def test_the_process_shows_each_of_its_loops_and_ends_when_told(platform: Platform) -> None:
     root = platform.settings.root
     environment: dict[str, Any] = environment_of(platform.settings)

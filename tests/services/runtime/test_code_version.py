@@ -110,6 +110,7 @@ def test_other_code_and_another_numpy_are_other_versions(other: SourceDigest) ->
     assert version_of(other) != version_of(SourceDigest("a" * 64, {"numpy": "2.4"}))
 
 
+@pytest.mark.whole
 def test_equal_sources_in_another_folder_are_of_one_version_and_changed_ones_are_not(tree: Tree) -> None:
     """The second time the digests that were kept are used, and not after a change."""
     assert tree.versions() == here()
@@ -147,6 +148,7 @@ def test_digests_that_a_build_wrote_wrong_are_refused(text: str, tmp_path: Path)
         digests_in_force(fixed, tmp_path / "kept.json")
 
 
+@pytest.mark.whole
 def test_labels_of_other_code_are_made_anew_and_its_runs_are_not_gone_on_with(
     platform: Platform, tree: Tree, tmp_path: Path
 ) -> None:

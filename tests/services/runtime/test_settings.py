@@ -140,6 +140,7 @@ def test_what_is_said_in_code_is_checked_alike_and_all_at_once() -> None:
         Settings(api=ApiSettings(requests_per_minute=0), jobs=JobSettings(lease_s=6.0, heartbeat_s=2.0))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("module", PROCESSES)
 def test_every_process_ends_as_it_starts_and_says_why_in_one_line(module: str, tmp_path: Path) -> None:
     outcome = _started(["-m", module], tmp_path, STONE_JOBS__LEASE="30")
@@ -149,6 +150,7 @@ def test_every_process_ends_as_it_starts_and_says_why_in_one_line(module: str, t
     assert "did you mean STONE_JOBS__LEASE_S?" in line
 
 
+@pytest.mark.whole
 def test_a_platform_on_this_machine_is_refused_as_any_input_is(tmp_path: Path) -> None:
     arguments = ["-m", "stone_client.main", "serve", "--data", str(tmp_path / "data")]
     outcome = _started(arguments, tmp_path, STONE_API__REQUESTS_PER_MINUTE="0")

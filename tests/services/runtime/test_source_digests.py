@@ -345,6 +345,7 @@ EDITS: Mapping[str, tuple[str, Callable[[str], str], set[ResultKind]]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("edited", EDITS.values(), ids=EDITS)
 def test_an_edit_changes_the_version_of_what_it_computes_and_of_nothing_else(
     edited: tuple[str, Callable[[str], str], set[ResultKind]], copied: Copied
@@ -359,6 +360,7 @@ def test_an_edit_changes_the_version_of_what_it_computes_and_of_nothing_else(
         path.write_text(text, "utf-8")
 
 
+@pytest.mark.whole
 def test_every_library_that_computes_is_counted_or_called_neutral() -> None:
     for kind, reach in reaches({root: ROOT / root for root in ROOTS}).items():
         others = reach.libraries - set(sys.stdlib_module_names)

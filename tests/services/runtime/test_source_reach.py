@@ -138,6 +138,7 @@ def silent(_stage: str, _done: int, _total: int) -> None:
     """Progress that nothing shows."""
 
 
+@pytest.mark.whole
 def test_all_that_makes_labels_is_reached(labelled: tuple[RunOpening, set[CodeType]]) -> None:
     _, entered = labelled
     assert len({one for code in entered for one in definitions_of(code)}) > 700
@@ -172,6 +173,7 @@ def test_all_that_writes_exports_is_reached(
     assert unreached("exports", entered) == set()
 
 
+@pytest.mark.whole
 def test_all_that_imports_a_dataset_is_reached(tmp_path: Path) -> None:
     tar, folder = write_published_tar(tmp_path / "field.tar", FIELD), tmp_path / "work"
     folder.mkdir()
@@ -181,6 +183,7 @@ def test_all_that_imports_a_dataset_is_reached(tmp_path: Path) -> None:
     assert unreached("imports", entered) == set()
 
 
+@pytest.mark.whole
 def test_all_that_scores_and_compares_is_reached(tmp_path: Path) -> None:
     labels = {frame_token("north", stamp_ns): speckled(stamp_ns) for stamp_ns in range(3)}
     for token, semantics in labels.items():

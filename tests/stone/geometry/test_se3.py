@@ -52,6 +52,7 @@ def assert_same(a: SE3, b: SE3, atol: float = 1e-8) -> None:
     np.testing.assert_allclose(a.as_matrix(), b.as_matrix(), atol=atol)
 
 
+@pytest.mark.whole
 @quick
 @given(triples())
 def test_transforms_are_a_group_that_acts_on_points_and_stay_unit(abc):

@@ -73,6 +73,7 @@ def cloud_around(map_from_ego, seed, count=200_000):
     return indices, rng.integers(1, 4, len(indices))
 
 
+@pytest.mark.whole
 @settings(max_examples=3, deadline=None)
 @given(poses, SEEDS)
 def test_a_voxel_has_the_class_of_the_map_voxel_that_holds_its_centre(map_from_ego, seed):
@@ -99,6 +100,7 @@ def assert_closed(classes, sides):
     assert not beyond & behind
 
 
+@pytest.mark.whole
 @settings(max_examples=6, deadline=None)
 @given(poses)
 def test_a_flat_sheet_has_no_pinhole_and_no_way_through_at_any_pose(map_from_ego):
@@ -114,6 +116,7 @@ def test_a_flat_sheet_has_no_pinhole_and_no_way_through_at_any_pose(map_from_ego
     assert np.abs(z[classes > 0] - VOXEL_M / 2).max() <= VOXEL_M / 2 + VOXEL_M / 2 + 1e-5
 
 
+@pytest.mark.whole
 @settings(max_examples=4, deadline=None)
 @given(poses, st.sampled_from([0, 1]))
 def test_a_wall_is_not_pierced_at_any_pose(map_from_ego, axis):
@@ -135,6 +138,7 @@ def test_moving_the_world_by_whole_voxels_moves_nothing_in_the_grid(seed, i, j, 
     assert (a != b).mean() < 1e-5  # a centre within rounding (2^-20 voxels) of a border may fall to either side
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("quarters", [1, 2, 3])
 def test_a_quarter_turn_is_exact(quarters):
     indices, kinds = cloud_around(pose(), 11)
@@ -271,6 +275,7 @@ def test_a_frame_is_its_voxels_looked_up_one_by_one_and_its_gaps_closed_in_turn(
     assert closed > 1000
 
 
+@pytest.mark.whole
 def test_a_frame_is_observed_voxel_by_voxel(case):
     world, map_from_ego, *_ = case
     keys = keys_from_indices((fixed_point(world, map_from_ego) >> FRACTION_BITS).reshape(-1, 3))

@@ -208,6 +208,7 @@ def test_a_way_that_holds_too_little_t_is_a_finding():
     assert all(number in finding.message for number in ("10.0%", "2 of 20", "0.15 m"))
 
 
+@pytest.mark.whole
 def test_a_footprint_as_large_as_a_calibration_may_say_is_looked_at_in_pieces():
     """500 poses of 20 × 20 m at a time were gigabytes."""
     large = Footprint(20.0, 20.0)

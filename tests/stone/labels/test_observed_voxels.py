@@ -156,6 +156,7 @@ def test_thinning_leaves_what_lies_beyond_three_times_its_range():
     assert np.isin(whole[beyond], thinned).all()
 
 
+@pytest.mark.whole
 def test_thinning_loses_nothing_where_rays_are_dense():
     azimuth, elevation = np.meshgrid(np.radians(np.arange(0, 360, 0.2)), np.radians(np.arange(-12, 12, 0.2)))
     direction = np.stack([np.cos(azimuth), np.sin(azimuth), np.tan(elevation)], axis=-1).reshape(-1, 3)

@@ -147,6 +147,7 @@ def is_seen(voxel, camera, is_free, in_view, known):
     return False
 
 
+@pytest.mark.whole
 def test_each_voxel_is_seen_as_the_definition_says():
     """Catches alone bit lanes that agree with each other and not with the definition, followed ray by ray."""
     classes = scene(4)
@@ -189,6 +190,7 @@ def test_lanes_of_voxels_and_columns_of_frames_hold_the_same_bits():
     assert (back == columns).all()
 
 
+@pytest.mark.whole
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32))
 def test_every_line_comes_from_voxels_that_were_looked_at_before_or_from_outside_the_grid(seed):
@@ -222,6 +224,7 @@ def test_a_free_voxel_is_seen_where_half_of_many_rays_to_it_come_through():
     assert seen[share == 1].mean() > 0.95
 
 
+@pytest.mark.whole
 def test_what_is_labelled_is_seen_where_any_of_many_rays_ends_on_its_sides_as_in_occ3d():
     """Along a ray from the camera the first labelled voxel is observed, and nothing behind it."""
     classes = scene(seed := 2)

@@ -98,6 +98,7 @@ def told_apart(world: CorrelatedWorld, trials: int, scope: Scope = "these_places
     return said, held, compared, wrong
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("sequences", "frames"), [(5, 300), (5, 1200)])
 def test_the_attack_covers_and_equal_entries_are_not_told_apart(sequences: int, frames: int) -> None:
     """AR(0.9), equally good entries: block resampling covered 29, 73, 91 % and told apart in 71, 24, 9 % of trials.
@@ -255,6 +256,7 @@ def board(means: list[float], own: float, seed: int) -> tuple[np.ndarray, BoardS
     return values, BoardSpectra(layout, coefficients(influences.T, layout).T, np.ones(len(means)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("entries", [2, 3, 10, 100, 500])
 @pytest.mark.parametrize("degrees", [3, 5, 12, 24])
 def test_the_quantile_is_that_of_scipy(entries: int, degrees: int) -> None:
@@ -262,6 +264,7 @@ def test_the_quantile_is_that_of_scipy(entries: int, degrees: int) -> None:
     assert range_quantile(entries, degrees) == pytest.approx(expected, rel=1e-4)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("entries", [2, 8])
 def test_any_two_of_equal_entries_are_told_apart_by_chance_only(entries: int) -> None:
     """The best of many lucky ones too: with pairs at 5 % each, eight equal entries are split in a third of boards."""

@@ -62,6 +62,7 @@ def holds(truth: Grid, prediction: Grid, is_evaluated: Mask) -> None:
 CLASSES = st.lists(st.sampled_from([1, 2, 3]), unique=True, max_size=3).map(tuple)
 
 
+@pytest.mark.whole
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), CLASSES, CLASSES, st.floats(0, 1))
 def test_random_grids_count_as_the_slow_metric_counts(
@@ -76,6 +77,7 @@ def filled(label: int) -> Callable[[], Grid]:
     return lambda: np.full(GRID_SHAPE, label, np.uint8)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("truth", [filled(0), filled(3), lambda: scattered(1, 900, (1, 2))])
 @pytest.mark.parametrize("prediction", [filled(0), filled(1), lambda: scattered(2, 900, (1, 2))])
 @pytest.mark.parametrize("is_evaluated", [EVERYWHERE, NOWHERE], ids=["everywhere", "nowhere"])

@@ -26,6 +26,7 @@ def detections(motion: SensorMotion, seed: int) -> LagEvidence:
     return speeds_seen(motion, LATE_S, seed)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seen", [pictures, detections])
 def test_the_offset_lies_within_its_errors_as_often_as_they_say(seen: Seen) -> None:
     """Catches alone errors that are too small or too large; of 24 drives 14 to 24 lie within two of them by chance."""
@@ -40,6 +41,7 @@ def test_the_offset_lies_within_its_errors_as_often_as_they_say(seen: Seen) -> N
     assert 0.7 <= float(np.sqrt(np.mean(np.square(apart)))) <= 1.5
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("late_s", [-7.5, -0.1, 0.0, 3.3])
 def test_any_offset_in_the_search_is_found_from_either_side(late_s: float) -> None:
     motion = motion_of(driven_track(1))
@@ -58,6 +60,7 @@ def test_sensors_of_one_clock_tell_more_together() -> None:
     assert 0.25 < together.sigma_s / alone.sigma_s < 0.75
 
 
+@pytest.mark.whole
 def test_a_robot_that_stands_and_the_motion_of_another_tell_nothing() -> None:
     for seed in range(4):
         own, other = motion_of(driven_track(seed)), motion_of(driven_track(seed + 900))

@@ -185,6 +185,7 @@ PAPER = (31, 7, 5)
 QUICK = SolverLimits(likeness_nodes=5)
 
 
+@pytest.mark.whole
 def test_43_sequences_are_split_31_7_5_by_every_rule_in_whatever_order_they_come() -> None:
     entries = catalogue(43, 1)
     proposal = propose(entries, PAPER, QUICK)
@@ -262,6 +263,7 @@ def test_too_many_short_sequences_name_the_length() -> None:
     assert proposal.conflict[0].message.startswith("13 of 43 sequences are shorter than 20 s: run-100")
 
 
+@pytest.mark.whole
 def test_one_recording_under_two_names_is_taken_once() -> None:
     entries = (*catalogue(43, 2), entry(50, recordings=("ab",)), entry(51, recordings=("ab",)))
     assert propose(entries, PAPER, QUICK).is_feasible

@@ -61,6 +61,7 @@ def mesh_normals(points: PointMap):
 FLAT = (np.array([0.0, 0.0, 1.0]), 0.0, (-np.inf, np.inf))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("channels", "height_m"), [(16, 0.6), (16, 1.7), (32, 0.6), (64, 1.7), (128, 0.6)])
 def test_flat_ground_is_the_right_way_up_at_every_angle_and_resolution(channels, height_m):
     points = seen(channels, height_m, [FLAT])
@@ -152,6 +153,7 @@ def test_the_image_of_a_board_over_wet_ground_is_taken_out_and_nothing_else():
 LOW_GROUND = (-1.0, (4.0, 30.0), EVERYWHERE)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("plates", "origins"),
     [
@@ -173,6 +175,7 @@ def is_below_something(points, found):
     return np.array([columns.get(tuple(c), -99) > z + 1 for *c, z in np.round(points / WIDTH_M).astype(int).tolist()])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("steepness", [0.6, 1.2])
 def test_hills_mirror_nothing(steepness):
     rng = np.random.default_rng(5)

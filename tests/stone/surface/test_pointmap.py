@@ -75,6 +75,7 @@ def test_parts_add_up_to_the_whole(seed, cut, is_swapped):
     assert_same_bits(merge(parts[::-1] if is_swapped else parts), map_of(sweeps))
 
 
+@pytest.mark.whole
 def test_a_table_that_grew_in_mid_sweep_holds_the_same_bits():
     sweeps = sweeps_of(3)
     assert len(map_of(sweeps)) > 16

@@ -50,6 +50,7 @@ def test_fits_are_those_of_brute_force_wherever_the_neighbours_are_within_two_ce
     assert exact > 300
 
 
+@pytest.mark.whole
 @settings(max_examples=80, deadline=None)
 @given(SEEDS, st.floats(-8, 8))
 def test_the_closed_form_is_that_of_eigh(seed, exponent):

@@ -398,6 +398,7 @@ def _hole(path: Path) -> None:
         file.truncate(600_000_000)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("make", "said"), [(_bomb, "BAG-027"), (_wide_schema, "BAG-018"), (_hole, "read")])
 def test_it_costs_little_memory(tmp_path: Path, make: Callable[[Path], None], said: str) -> None:
     make(tmp_path / "run.db3")

@@ -89,6 +89,7 @@ def test_no_overwritten_bytes_give_anything_but_messages_or_a_coded_refusal(tmp_
     _only_coded(path)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", KINDS)
 def test_no_lying_length_anywhere_gives_anything_but_a_coded_refusal(tmp_path, bags, kind):
     """Every length, count and offset of every record, set to values that have killed readers."""
@@ -194,6 +195,7 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_refusal_costs_little_memory(tmp_path: Path, name: str) -> None:
     code, content = BOMBS[name]

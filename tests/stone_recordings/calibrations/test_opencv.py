@@ -238,6 +238,7 @@ def check_sentence(refused: StoneError) -> None:
     assert refused.code.startswith("CAL-") or refused.code == "bad_shape"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("writer", WRITERS)
 @settings(max_examples=60)
 @given(data=st.data())

@@ -1,5 +1,6 @@
 """A run in the queue says when its calibration was not valid, and keeps a picture of every camera."""
 
+import pytest
 from sqlalchemy import select
 
 from services.runtime.orm import CalibrationRow, Preview
@@ -9,6 +10,7 @@ from testing.worlds.runs import bring, run_all
 from tests.stone_recordings.calibrations.conftest import Drive
 
 
+@pytest.mark.whole
 def test_a_run_doubts_a_calibration_out_of_its_time_and_keeps_the_overlays(platform: Platform, drive: Drive) -> None:
     """Catches alone a doubt that is not told, or pictures that are not kept, at the end of a run."""
     brought = bring(platform)

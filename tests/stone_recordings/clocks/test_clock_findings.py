@@ -94,6 +94,7 @@ def test_the_radar_that_drifts_is_named_with_its_drift(tmp_path: Path) -> None:
     assert "+50.0 ppm" in sentence(inspection, "TIM-207", "/radar")
 
 
+@pytest.mark.whole
 def test_a_recorder_that_drifts_and_odometry_that_takes_ever_longer_accuse_no_clock(tmp_path: Path) -> None:
     sweeps_ns = every(300 * MS, 100)
     times_ns = sweeps_ns + 105 * MS

@@ -122,6 +122,7 @@ def _moved(value: Any, store: Typestore) -> Any:
     return store.types[value.__msgtype__](**{name: _moved(getattr(value, name), store) for name in names})
 
 
+@pytest.mark.whole
 @pytest.mark.field_data
 def test_the_drivers_ros1_bags_are_what_rosbags_reads(field_data: Path) -> None:
     """Without their definitions: the older version is told apart by what the messages say."""

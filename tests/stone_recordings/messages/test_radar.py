@@ -57,6 +57,7 @@ def _check(ours: RadarDetections, scans: list[list[Any]], names: dict[str, str])
         assert getattr(ours, mine).tobytes() == _floats([getattr(detection, theirs) for detection in flat]), mine
 
 
+@pytest.mark.whole
 @settings(max_examples=12)
 @given(seed=seeds, counts=st.lists(st.integers(0, 800), max_size=5))
 def test_a_detection_list_ends_where_its_count_says(seed: int, counts: list[int]) -> None:

@@ -28,6 +28,7 @@ TYPES = tuple(
 )
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("part", range(8))
 def test_every_known_type_is_what_rosbags_reads(part: int) -> None:
     generator = np.random.default_rng(part)

@@ -56,6 +56,7 @@ def whole(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return written(path, *cameras, recordings.clouds(stamps), recordings.solutions(ticks(2, 20), 56))
 
 
+@pytest.mark.whole
 def test_a_whole_rig_has_three_pictures_that_open_and_are_the_same_every_time(whole: Path) -> None:
     first = previews(whole)
     assert {name: media_type for name, (media_type, _) in first.items()} == {
@@ -67,6 +68,7 @@ def test_a_whole_rig_has_three_pictures_that_open_and_are_the_same_every_time(wh
     assert previews(whole) == first
 
 
+@pytest.mark.whole
 def test_previews_are_the_same_where_messages_were_sampled_before(whole: Path) -> None:
     inspection = inspect(whole)
     with open_bag(whole) as bag:

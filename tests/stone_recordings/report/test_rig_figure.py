@@ -24,6 +24,7 @@ def words(drawn: bytes) -> list[str]:
     return ["".join(text.itertext()) for text in ElementTree.fromstring(drawn).iter(f"{SVG}text")]
 
 
+@pytest.mark.whole
 def test_every_sensor_is_named_in_both_views_but_one_too_far_away() -> None:
     rig = calibration(640)
     said = words(rig_figure(rig, True))
@@ -38,6 +39,7 @@ def test_every_sensor_is_named_in_both_views_but_one_too_far_away() -> None:
     assert any(text.endswith("too far away to draw: ON_THE_MOON") for text in said)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("picture", ["svg", "png"])
 def test_equal_rigs_give_equal_bytes(picture: str) -> None:
     first, second = (rig_figure(calibration(640), True, picture) for _ in range(2))  # type: ignore[arg-type]
@@ -46,6 +48,7 @@ def test_equal_rigs_give_equal_bytes(picture: str) -> None:
         assert Image.open(BytesIO(first)).size == (1792, 1008)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", ["$x^2$", "a\x1b[2Jb", "車", "<script>", "\u202eevil", "n" * 100, "%s{}"])
 def test_names_are_text_whatever_they_are(name: str) -> None:
     rig = Calibration(

@@ -83,6 +83,7 @@ def test_sweeps_are_read_a_few_ahead_by_one_thread_and_given_in_order(drive: tup
         np.testing.assert_array_equal(points, seen_around(sequence, sweeps, row))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("higher_m", "pitch_deg"), [(0.1, 0), (-0.23, 0), (-0.5, 0), (0, 3)])
 def test_a_wrong_mount_is_measured_against_the_right_one_and_put_right(drive, higher_m, pitch_deg):
     bag, rig = drive
@@ -133,6 +134,7 @@ def test_ground_auto_ends_at_one_tilt_whatever_was_entered_beyond_terrain(drive:
         assert off_rad(mount, rig.ego_from_lidar) < TOLERATED_RAD
 
 
+@pytest.mark.whole
 def test_no_labels_are_made_of_a_footprint_that_floats(drive: tuple[Path, Calibration], tmp_path: Path) -> None:
     bag, rig = drive
     sequence, sweeps = synchronise(bag, mounted(rig, -0.23), SynchroniseOptions(), "floats")
@@ -209,6 +211,7 @@ def test_a_sound_drive_keeps_its_poses_bit_for_bit_and_without_ground_nothing_is
     assert height_followed(sequence, sweeps, None) is sequence
 
 
+@pytest.mark.whole
 def test_a_drive_whose_receiver_climbs_is_put_back_where_it_drove(long_drive, tmp_path):
     right, (sequence, _) = (opened(long_drive)[0], opened(long_drive, climbing(long_drive, 0.015, tmp_path)))
     assert drift_codes(sequence) == ["SYN-514"]
@@ -222,6 +225,7 @@ def test_a_drive_whose_receiver_climbs_is_put_back_where_it_drove(long_drive, tm
     np.testing.assert_allclose(between.wxyz_xyz, sequence.frames.map_from_ego.wxyz_xyz, atol=2e-3)
 
 
+@pytest.mark.whole
 def test_a_wrong_mount_is_not_taken_for_drift(long_drive):
     """Its ground is tilted in the ego frame: CAL-433 from 1.5° on, and nothing below."""
     for pitch_deg, told in ((1.0, []), (3.0, ["CAL-433"])):

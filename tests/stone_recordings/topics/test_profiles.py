@@ -154,6 +154,7 @@ ANY = st.builds(
 CHOSEN = st.dictionaries(st.sampled_from(["lidar", "pose", "imu", "CAM_FRONT"]), st.sampled_from(["/odd/1", "/left/2"]))
 
 
+@pytest.mark.whole
 @given(
     st.lists(ANY, unique_by=lambda candidate: candidate.name, max_size=12),
     CHOSEN.filter(lambda topics: len(set(topics.values())) == len(topics)),

@@ -82,6 +82,7 @@ CHANGES: Mapping[str, Callable[[Filled], object]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("what", CHANGES)
 def test_a_kept_board_is_the_one_that_would_be_made(platform: Platform, what: str) -> None:
     """Before and after the change, to each viewer, of each track."""

@@ -193,6 +193,7 @@ STEPS = st.lists(
 )
 
 
+@pytest.mark.whole
 @settings(max_examples=60, deadline=None, suppress_health_check=[HealthCheck.function_scoped_fixture])
 @given(steps=STEPS)
 @example(steps=[("reserve", 0), ("wait", 2), ("release", 0), ("retake", 0)])

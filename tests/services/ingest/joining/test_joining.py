@@ -152,6 +152,7 @@ def test_a_run_that_was_cut_goes_on(short: Path, tmp_path: Path) -> None:
         assert {topic.name: topic.count for topic in bag.topics} == whole
 
 
+@pytest.mark.whole
 def test_the_clocks_of_radars_and_of_an_imu_are_measured(long: Path, tmp_path: Path) -> None:
     nav, imu, radar = join(
         long,
@@ -168,6 +169,7 @@ def test_the_clocks_of_radars_and_of_an_imu_are_measured(long: Path, tmp_path: P
     assert abs(imu.offset_ns + 3 * AHEAD_NS) < 4 * (imu.sigma_ns or 0)
 
 
+@pytest.mark.whole
 def test_the_parts_of_a_recording_that_was_cut_are_of_one_clock(long: Path, tmp_path: Path) -> None:
     with open_bag(long) as bag:
         middle_ns = (bag.start_ns + bag.end_ns) // 2
@@ -194,6 +196,7 @@ def test_poses_in_another_recording_are_found(long: Path, tmp_path: Path) -> Non
     assert abs(ins.offset_ns + AHEAD_NS) < LIMIT_NS
 
 
+@pytest.mark.whole
 def test_sensors_that_contradict_each_other_are_refused(long: Path, tmp_path: Path) -> None:
     paths = split_into(
         long,
@@ -243,6 +246,7 @@ def test_a_topic_of_two_types_is_refused(short: Path, tmp_path: Path) -> None:
         join_recordings(JoinRequest((*paths, other)))
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("change", "why"),
     [

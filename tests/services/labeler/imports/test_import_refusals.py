@@ -115,6 +115,7 @@ def test_an_index_that_is_not_as_it_says_is_not_believed(
     assert refused(platform, tar)[0] == "reader_crashed"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     "tamper",
     [

@@ -114,6 +114,7 @@ def test_the_tar_and_the_files_of_the_run_are_collected(imported: BroughtDataset
     assert files_of(platform, imported.owner_id), "what was published stays"
 
 
+@pytest.mark.whole
 def test_every_stage_interrupted_once_leaves_the_same(tmp_path: Path, tar: Path, imported: BroughtDataset) -> None:
     """Catches alone a stage that leaves other bytes, or rows twice, after it was killed and done again."""
     other = opened(make_settings(tmp_path / "other"), [])
@@ -141,6 +142,7 @@ def test_a_second_import_of_the_same_names_is_refused_naming_all(imported: Broug
     assert counts_of(imported.platform, imported.owner_id) == before, "and what it held is given back"
 
 
+@pytest.mark.whole
 def test_of_two_that_race_for_the_names_one_is_published(platform: Platform, tar: Path) -> None:
     owner_id = an_owner(platform)
     both = [bring_dataset(platform, tar, owner_id) for _ in range(2)]
@@ -149,6 +151,7 @@ def test_of_two_that_race_for_the_names_one_is_published(platform: Platform, tar
     assert counts_of(platform, owner_id)["labelled_frames"] == FRAMES
 
 
+@pytest.mark.whole
 def test_labels_are_added_beside_those_that_a_sequence_has(imported: BroughtDataset, tmp_path: Path) -> None:
     other = write_published_tar(tmp_path / "other.tar", replace(FIELD, labels=LABELS[::-1]))
     again = bring_dataset(imported.platform, other, imported.owner_id, existing="add")
@@ -158,6 +161,7 @@ def test_labels_are_added_beside_those_that_a_sequence_has(imported: BroughtData
     assert (counts["sequences"], counts["label_sets"], counts["labelled_frames"]) == (3, 6, 2 * FRAMES)
 
 
+@pytest.mark.whole
 def test_the_same_labels_are_not_added_twice(imported: BroughtDataset, tar: Path) -> None:
     before = counts_of(imported.platform, imported.owner_id)
     again = bring_dataset(imported.platform, tar, imported.owner_id, existing="add")
@@ -181,6 +185,7 @@ def test_a_deleted_sequence_leaves_nothing_behind(imported: BroughtDataset) -> N
     assert [path for path in (platform.settings.root / "store").rglob("*") if path.is_file()] == []
 
 
+@pytest.mark.whole
 def test_an_import_that_is_deleted_in_the_middle_leaves_nothing(brought: BroughtDataset) -> None:
     platform = brought.platform
 
@@ -218,6 +223,7 @@ def test_two_machines_with_s3_and_postgres_make_the_same(
 FRAMES = 6
 
 
+@pytest.mark.whole
 def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_again(brought: BroughtDataset) -> None:
     platform, done = brought.platform, list[int]()
 
@@ -243,6 +249,7 @@ def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_ag
     assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
 
 
+@pytest.mark.whole
 def test_a_cancelled_import_goes_on_where_it_was(brought: BroughtDataset) -> None:
     platform, done = brought.platform, list[int]()
 
@@ -265,6 +272,7 @@ def test_a_cancelled_import_goes_on_where_it_was(brought: BroughtDataset) -> Non
     assert done.count(0) == 1
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("done", [0, 1, 4])
 def test_a_run_of_another_version_is_begun_again_and_ends_as_any(brought: BroughtDataset, done: int) -> None:
     """Catches alone a dataset half of which was imported by the code before an upgrade."""
@@ -294,6 +302,7 @@ def test_a_run_of_another_version_is_begun_again_and_ends_as_any(brought: Brough
     assert (counts["sequences"], counts["labelled_frames"], counts["imported_files"]) == (3, FRAMES, 0)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("kind", "number"), [(SCENE, 1), (PUBLISH_IMPORT, 0)])
 def test_a_run_whose_files_are_gone_is_begun_again(brought: BroughtDataset, kind: str, number: int) -> None:
     platform, seen = brought.platform, list[str]()

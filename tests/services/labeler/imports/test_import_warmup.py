@@ -4,6 +4,8 @@ import subprocess
 import sys
 from pathlib import Path
 
+import pytest
+
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 
 ROOT = Path(__file__).resolve().parents[4]
@@ -26,6 +28,7 @@ write_import(Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
 
+@pytest.mark.whole
 def test_no_kernel_of_an_import_is_compiled_in_its_child(tmp_path: Path) -> None:
     """Catches alone a kernel that every child compiles anew, some seconds each, because the warm-up forgets it."""
     what = SyntheticDataset(scenes=1, frames=2, labels=(made_labels(),))

@@ -251,6 +251,7 @@ def peak_bytes(what: SyntheticDataset, folder: Path) -> int:
         tracemalloc.stop()
 
 
+@pytest.mark.whole
 def test_memory_does_not_grow_with_frames(tmp_path: Path) -> None:
     """Catches alone labels, files or votes of a scene that are held together."""
     few, many = (SyntheticDataset(1, frames, labels=LABELS, turns_after=4) for frames in (9, 36))

@@ -101,6 +101,7 @@ def test_the_map_in_perspective_shows_all_tiles_whole_and_does_not_depend_on_how
     assert CLASS_RGB[2] in colours
 
 
+@pytest.mark.whole
 def test_map_previews_are_the_same_twice_and_an_empty_map_is_drawn_too(tmp_path):
     for folder, pieces in (("a", random_tiles()), ("b", random_tiles()), ("empty", [NOTHING])):
         (tmp_path / folder).mkdir()

@@ -183,6 +183,7 @@ QUICK = JobSettings(lease_s=0.6, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.02, 
 EVENTS, KILLS, PATIENCE_S = 20, 6, 900.0
 
 
+@pytest.mark.whole
 def test_killed_at_many_moments_the_sender_loses_nothing_and_repeats_only_with_the_same_id(
     platform: Platform, tmp_path: Path
 ) -> None:

@@ -49,6 +49,7 @@ def test_what_is_no_hash_matches_no_password(kept: str) -> None:
     assert not passwords.verify_password(kept, PASSWORD)
 
 
+@pytest.mark.whole
 def test_a_name_that_does_not_exist_costs_as_much_as_a_wrong_password() -> None:
     kept = passwords.hash_password(PASSWORD)
     passwords.verify_password("", "warm up")

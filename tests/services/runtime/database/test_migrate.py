@@ -83,6 +83,7 @@ def test_an_upgrade_of_an_upgraded_database_changes_nothing(platform: Platform) 
         assert session.execute(text("SELECT name, mode FROM queues")).all() == [("ingest", "paused")]
 
 
+@pytest.mark.whole
 def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
     """Catches alone two processes that change the schema at once."""
     context = multiprocessing.get_context("spawn")
@@ -95,6 +96,7 @@ def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
     assert tables_of(empty) == {*Base.metadata.tables, "alembic_version"}
 
 
+@pytest.mark.whole
 def test_downgrading_to_the_base_leaves_no_table(empty: Settings) -> None:
     upgrade(empty)
     with schema_connection(empty) as connection:

@@ -323,6 +323,7 @@ def assert_told(before: Shown, after: Shown) -> None:
         assert after[job_id][0] > revision or (revision, what) == after[job_id], (before[job_id], after[job_id])
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("seed", range(12))
 def test_a_run_stays_consistent_through_any_history(platform: Platform, seed: int) -> None:
     history = History(platform, seed)

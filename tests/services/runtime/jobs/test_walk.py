@@ -105,6 +105,7 @@ def assert_ends(reached: Reached) -> None:
             assert run.state in TERMINAL, f"{run.state} for ever after {reached.history(world)}"
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("controls", "faults"), [(1, 0), (0, 1)])
 def test_every_history_of_one_job_ends_and_loses_nothing(
     prepared: Callable[[str], Prepared], controls: int, faults: int

@@ -85,6 +85,7 @@ def test_the_same_subject_of_another_issuer_is_another_person(platform: Platform
     assert first.user.id != second.user.id
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(
     ("claims", "links"),
     [

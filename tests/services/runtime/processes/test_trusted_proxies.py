@@ -49,6 +49,7 @@ def behind(proxies: str) -> Settings:
     return Settings(api=ApiSettings(trusted_proxies=proxies))
 
 
+@pytest.mark.whole
 @given(forgery, in_the_world, st.lists(in_ours, max_size=3), in_ours)
 def test_whatever_a_client_writes_it_is_who_it_is(
     forged: list[str], client: str, between: list[str], peer: str

@@ -91,6 +91,7 @@ def attacked(attack: Attack, folder: Path = Path()) -> bytes:
     return b"it went through"
 
 
+@pytest.mark.whole
 @needs_seccomp
 @pytest.mark.parametrize("attack", ATTACKS)
 def test_a_parser_that_attacks_is_refused_by_the_kernel_and_is_not_tried_again(attack: str, tmp_path: Path) -> None:

@@ -64,6 +64,7 @@ def test_a_child_holds_no_secret_of_the_service(server: ForkServer, secret: str)
     assert sandboxed(spies.secrets_in_memory) == b""
 
 
+@pytest.mark.whole
 def test_a_child_of_the_service_itself_would_hold_them_all(secret: str) -> None:
     """So the check above can fail."""
     assert secret.encode() in sandboxed(spies.environment)

@@ -158,6 +158,7 @@ def test_a_later_job_has_the_wall_time_of_any_and_no_more(tmp_path: Path) -> Non
     assert not is_running(int(first))
 
 
+@pytest.mark.whole
 def test_a_later_job_has_the_processor_time_of_any_and_no_more(monkeypatch: pytest.MonkeyPatch) -> None:
     """Catches alone a kept child whose jobs take from each other's processor time, or have no limit of their own."""
     monkeypatch.setattr(job_sandbox, "MOST_USED_S", 1)
@@ -247,6 +248,7 @@ def test_without_a_fork_server_every_job_has_a_child_of_its_own(monkeypatch: pyt
     assert asked(spies.pid) != asked(spies.pid)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGTERM])
 def test_a_kept_child_ends_with_its_service(death: int) -> None:
     with subprocess.Popen(

@@ -113,6 +113,7 @@ CRASHES: dict[str, tuple[Work, str]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("case", CRASHES)
 def test_what_the_input_breaks_is_refused_and_not_tried_again(case: str) -> None:
     work, fate = CRASHES[case]

@@ -50,6 +50,7 @@ def test_the_standard_variables_switch_it_on(variables: dict[str, str], expected
     assert is_asked_for(variables) is expected
 
 
+@pytest.mark.whole
 def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
     """Catches alone a process that loads or sends what nobody switched on."""
     program = """if True:

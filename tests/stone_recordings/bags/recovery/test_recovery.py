@@ -373,6 +373,7 @@ def test_a_file_whose_first_chunk_is_gone_is_refused_with_the_way_out_and_keeps_
         assert bag.findings == ()
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("kind", CHUNKED)
 def test_wherever_a_few_bytes_are_wrong_only_the_chunk_they_lie_in_is_lost(tmp_path: Path, kind: str) -> None:
     messages = _many(200)
@@ -439,6 +440,7 @@ def test_a_whole_file_with_zeros_behind_it_is_not_cut_off(tmp_path: Path, kind: 
     assert recovery.finding.severity == "info"
 
 
+@pytest.mark.whole
 def test_a_large_file_is_recovered_in_little_memory(tmp_path: Path) -> None:
     """120 MB; a window of the mapped original and one chunk of the copy are in memory at a time."""
     payload = b"\x00\x01\x00\x00" + np.random.default_rng(0).bytes(2_000_000)
@@ -449,6 +451,7 @@ def test_a_large_file_is_recovered_in_little_memory(tmp_path: Path) -> None:
     assert growth_bytes < GROWTH_LIMIT_BYTES
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("compression", [b"lz4", b"zstd"])
 def test_a_chunk_without_end_costs_no_more_than_its_pieces(tmp_path: Path, compression: bytes) -> None:
     """The last whole messages of a chunk that claims all of a file of 300 MB, which is a hole."""

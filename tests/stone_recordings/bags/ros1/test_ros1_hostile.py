@@ -130,6 +130,7 @@ BOMBS: dict[str, tuple[str, Callable[[], bytes]]] = {
 }
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("name", BOMBS)
 def test_a_refusal_costs_little_memory(tmp_path: Path, name: str) -> None:
     """Catches alone memory that is allocated by what a chunk says of itself."""

@@ -36,6 +36,7 @@ def assert_same(found: Bag, expected: Bag) -> None:
             assert ours.payload == theirs.payload, topic.name
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("compression", "is_closed"), list(product(ROS1_COMPRESSIONS, (True, False))))
 def test_every_byte_is_that_of_the_mcap_file_and_a_walk_finds_what_the_index_does(
     drive: Path, tmp_path: Path, compression: Ros1Compression, is_closed: bool
@@ -47,6 +48,7 @@ def test_every_byte_is_that_of_the_mcap_file_and_a_walk_finds_what_the_index_doe
         assert not bag.damaged
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
 def test_a_head_is_the_beginning_of_its_message_and_its_size_is_known(drive, tmp_path, compression):
     with open_bag(_made(drive, tmp_path, compression, is_closed=True)) as bag:
@@ -60,6 +62,7 @@ def test_a_head_is_the_beginning_of_its_message_and_its_size_is_known(drive, tmp
             assert name != "/radar/front/detections" or len(head) == len(message)
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
 def test_an_inspection_says_what_it_says_of_the_mcap_file(drive, tmp_path, compression):
     found = inspection_record(inspect(_made(drive, tmp_path, compression, is_closed=True)))
@@ -157,6 +160,7 @@ def test_a_whole_bag_becomes_the_mcap_file_that_it_was_made_of(drive: Path, tmp_
         assert found.topics == expected.topics
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
 @pytest.mark.parametrize("is_closed", [True, False])
 def test_a_bag_cut_anywhere_keeps_a_prefix_of_its_messages(drive, tmp_path, compression, is_closed):

@@ -57,6 +57,7 @@ def pulses_blocks(model: str, mode: int) -> int:
     return 8 if model == "VLS-128" and mode == encoding.DUAL else encoding.BLOCKS[model]
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize("mode", [encoding.SINGLE, encoding.DUAL])
 @pytest.mark.parametrize("model", MODELS)
 @given(seed=st.integers(0, 2**31), count=st.integers(2, 5))
@@ -285,6 +286,7 @@ def _which_return(key: NDArray[np.int64]) -> NDArray[np.int64]:
     return found
 
 
+@pytest.mark.whole
 @pytest.mark.field_data
 def test_the_cloud_of_a_real_ot128_lies_on_our_angles_and_comes_back_from_packets(field_data, record_property):
     """Its packets were not to be had: elevations are those of the table, azimuths then hundredths of a degree and

@@ -100,6 +100,7 @@ def test_log_times_at_the_ends_of_what_a_clock_can_say_are_sampled_or_refused(tm
         assert 1 <= len(seen) <= INSTANTS
 
 
+@pytest.mark.whole
 @pytest.mark.parametrize(("frame_bytes", "reads"), [(3, INSTANTS), (LONGEST_KEPT_BYTES, 2 * INSTANTS)])
 def test_small_messages_that_were_sampled_before_are_not_read_again(tmp_path, monkeypatch, frame_bytes, reads):
     frame = "f" * frame_bytes
