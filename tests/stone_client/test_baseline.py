@@ -171,7 +171,7 @@ def test_a_table_that_is_none_is_refused(inputs: Path, manifest: Path, tmp_path:
         ("sample_data", b'[{"a": "' + b"x" * 3 * 2**20),
         ("sensor", b"\xff\xfe\n"),
     ]:
-        copytree(inputs, tmp_path / "spoilt")
+        copytree(inputs, tmp_path / "spoilt", dirs_exist_ok=True)
         (tmp_path / "spoilt" / "v1.0-trainval" / f"{name}.json").write_bytes(content)
         result = stone("baseline", tmp_path / "spoilt", "--manifest", manifest, "-o", tmp_path / "sub.zip")
         assert refused(result) == "damaged_export"
