@@ -135,5 +135,5 @@ def test_every_test_target_of_the_makefile_runs_failed_tests_again() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     assert "\nBESIDE = --rerun-failed-once " in makefile
     runs = [line for line in makefile.splitlines() if "pytest " in line and not line.startswith("#")]
-    assert len(runs) == 4
+    assert len(runs) == 5
     assert all("$(BESIDE)" in line or "--rerun-failed-once" in line for line in runs), runs
