@@ -97,7 +97,7 @@ test-all: test-clients
 
 # In one process: beside each other several would compile the same kernels, which is most of what this costs.
 test-kernels: develop
-	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest --rerun-failed-once -m "not whole" $(KERNELS)
+	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest --rerun-failed-once -m "not release" $(KERNELS)
 
 # What models need is in an environment of its own: the platform's tests run without torch.
 test-baselines: baselines
