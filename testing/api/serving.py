@@ -9,8 +9,7 @@ import socket
 import threading
 import time
 from collections.abc import Callable, Iterator
-from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager
+from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass
 from typing import Any, TypeVar
 
@@ -22,6 +21,7 @@ from api.middleware.heads import BoundedHeads
 from services.runtime.access import roles, tokens, users
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
+from testing import threads
 
 STARTS_WITHIN_S = 300.0
 ENDS_WITHIN_S = 20.0
@@ -118,13 +118,8 @@ def client_of(platform: Platform, caller: Person | None = None) -> Iterator[http
 
 
 def at_once(url: str, times: int, ask: Callable[[httpx.Client, int], Answer]) -> list[Answer]:
-    """What is answered to so many who ask at once, each on a connection of their own, none before all are ready."""
-    ready = threading.Barrier(times)
-
-    def asked(number: int) -> Answer:
-        with httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) as client:
-            ready.wait(ANSWERS_WITHIN_S)
-            return ask(client, number)
-
-    with ThreadPoolExecutor(times) as pool:
-        return list(pool.map(asked, range(times)))
+    """Return the answers to `times` people who ask together, each on a connection of their own."""
+    with ExitStack() as stack:
+        made = (httpx.Client(base_url=url, timeout=ANSWERS_WITHIN_S, verify=False) for _ in range(times))
+        clients = [stack.enter_context(client) for client in made]
+        return threads.at_once(times, lambda number: ask(clients[number], number))

@@ -2,7 +2,6 @@
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
-from threading import Barrier, Thread
 from typing import Any
 
 from sqlalchemy import select
@@ -25,6 +24,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store import blobs
 from stone.errors import StoneError
+from testing import threads
 from testing.api.serving import Person, person
 from testing.worlds import published
 
@@ -107,24 +107,16 @@ def ready(platform: Platform, truth_id: str) -> None:
 
 def at_once(platform: Platform, *acts: Act) -> list[str]:
     """The codes of what each act met, in a transaction of its own, all begun at one moment ("" for success)."""
-    together = Barrier(len(acts))
-    codes = [""] * len(acts)
 
-    def run(number: int, act: Act) -> None:
-        together.wait(300.0)
+    def code_of(number: int) -> str:
         try:
             with platform.database.transaction() as session:
-                act(session)
+                acts[number](session)
         except StoneError as error:
-            codes[number] = error.code
+            return error.code
+        return ""
 
-    threads = [Thread(target=run, args=pair) for pair in enumerate(acts)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join(300.0)
-        assert not thread.is_alive()
-    return codes
+    return threads.at_once(len(acts), code_of)
 
 
 def rows(platform: Platform, statement: Any) -> Sequence[Any]:
