@@ -59,7 +59,7 @@ class BatchLosses(nn.Module):
         self.model, self.precision = model, precision
 
     def forward(self, batch: Batch, with_logits: bool = False) -> tuple[dict[str, Tensor], Tensor | None]:
-        """Terms of the loss by name; logits too where the metric is asked for."""
+        """Terms of the loss by name; logits too if the metric is wanted."""
         with torch.autocast(batch.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
             outputs = self.model(batch)
         terms = self.model.losses(outputs, batch)
@@ -77,7 +77,7 @@ class RateSchedule:
     steps: int
 
     def ratio(self, step: int) -> float:
-        """Of the full rate, at the step with this number, from 0."""
+        """Return the share of the full rate at the step with this number, from 0."""
         warmup = min(self.config.warmup_steps, max(self.steps // 5, 1))
         if step < warmup:
             return FIRST_RATE_RATIO + (1 - FIRST_RATE_RATIO) * step / warmup

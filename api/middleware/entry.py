@@ -153,7 +153,7 @@ def template_of(scope: Scope) -> str:
 
 # ASGI middleware by which clients of other releases are understood, or told what to install.
 #
-# **Conventions.** Only whoever says a release (`stone_base/releases.py`) is answered with ours: browsers and strangers
+# **Conventions.** A caller that sends a release (`stone_base/releases.py`) is answered with ours: browsers and others
 # need not know it. A release that cannot be read says nothing.
 
 

@@ -46,7 +46,7 @@ class PointSettings:
 
 @dataclass(frozen=True, eq=False)
 class FrameMasks:
-    """What there is in one frame: `classes` (G,) int64, `masks` (G, X·Y·Z) bool, `rarity` (X·Y·Z,), 0 if ignored."""
+    """Targets of one frame: `classes` (G,) int64, `masks` (G, X·Y·Z) bool, `rarity` (X·Y·Z,), 0 if ignored."""
 
     classes: Tensor
     masks: Tensor

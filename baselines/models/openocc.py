@@ -241,7 +241,7 @@ class CameraVoxelEncoder(nn.Module):
         return features.view(*images.shape[:2], *features.shape[1:])
 
     def depth_loss(self, probabilities: Tensor, depth_m: Tensor) -> Tensor:
-        """Of `depth_probabilities` against LiDAR's depth (B, N, H, W) m in the pictures, 0 where there is none."""
+        """Return the loss of `depth_probabilities` against LiDAR's depth (B, N, H, W) m; 0 is no depth."""
         return depth_divergence(probabilities, depth_m, self.frustum)
 
 
