@@ -86,7 +86,7 @@ def test_a_camera_without_a_picture_leaves_a_blank_and_the_others_their_places()
 
 
 def test_a_picture_too_large_to_decode_is_not_decoded(monkeypatch):
-    monkeypatch.setattr("services.labeler.previews.sheet.MOST_PIXELS", SIZE_PX[0] * SIZE_PX[1] - 1)
+    monkeypatch.setattr("services.labeler.previews.picture_opening.MOST_PIXELS", SIZE_PX[0] * SIZE_PX[1] - 1)
     sheet = frame_sheet(source_of(2), 0)
     assert {sheet.getpixel(centre_of(channel)) for channel in COLOURS} == {BLANK}
 
