@@ -16,7 +16,7 @@ KINDS = frozenset((*STAGES, PUBLISH))
 MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
 Count = Annotated[int, Field(ge=0, lt=2**63)]
 Place = Annotated[int, Field(ge=-(2**31), lt=2**31)]
-SEGMENT = r"[A-Za-z0-9_*\-\[][A-Za-z0-9_*.\-\[\]]*"  # no dot first: nothing hidden, and nothing above
+SEGMENT = r"[A-Za-z0-9_\-][A-Za-z0-9_.\-]*"  # no dot first: nothing hidden, and nothing above
 Name = Annotated[str, StringConstraints(pattern=rf"\A{SEGMENT}(/{SEGMENT})*/?\z", max_length=300)]
 Token = Annotated[str, StringConstraints(pattern=r"\A[0-9a-f]{32}\z")]
 Fact = Count | float | bool | Annotated[str, StringConstraints(max_length=200)]
@@ -63,19 +63,17 @@ class GraphAnswer(SandboxAnswer):
 
 
 class FilesAnswer(SandboxAnswer):
-    """Names of the files of a job, as `StageFiles`."""
+    """Names of files that a job reads."""
 
     asked: ClassVar[str] = "names of files"
-    reads: tuple[Name, ...]
-    requires: tuple[Name, ...]
-    writes: tuple[Name, ...]
+    names: tuple[Name, ...]
 
 
 class WorkAnswer(SandboxAnswer):
-    """What a job's row and its log are told, and which files it left."""
+    """What a job's row and its log are told, and the files that it wrote."""
 
     asked: ClassVar[str] = "what a job did"
-    files: FilesAnswer
+    written: tuple[Name, ...]
     result: dict[str, Count]
     facts: dict[str, Fact]
 

@@ -4,7 +4,7 @@
         → publish
 
 `label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of a
-run, the job's arguments and a progress, and beside it one that names the job's files in scratch. `stone label` runs
+run, the job's arguments and a progress, and beside it the files in scratch that the function reads. `stone label` runs
 the jobs in a few processes (`services/labeler/local_run.py`), the queue as tasks
 (`services/labeler/queue_handlers.py`); only publishing is each one's own.
 
@@ -20,25 +20,21 @@ from collections.abc import Mapping
 from pathlib import Path
 
 from services.labeler.frames import compute_sight_lines, labelled_frames
-from services.labeler.map.far_points import far_points_path
 from services.labeler.map.fuse import fuse
-from services.labeler.map.map_files import draw_map, draw_pictures, files_of_map, files_of_pictures
+from services.labeler.map.map_files import draw_map, draw_pictures
 from services.labeler.map.surface import TileSummary, surface
 from services.labeler.results import (
-    index_path,
+    REFERENCE_FILE,
     load_reference,
     load_summaries,
-    pack_path,
     reference_from,
-    reference_path,
     save_reference,
     save_summary,
-    sums_path,
     write_labels,
 )
 from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, require_ground, silent
-from services.labeler.scratch import images_path, sight_path, surface_path, tile_name
-from services.labeler.stage import Arguments, Stage, StageFiles, StageResult, part_of, tile_of
+from services.labeler.scratch import images_path, surface_path, tile_name
+from services.labeler.stage import Arguments, Stage, StageResult, part_of, tile_of
 from services.labeler.tile_plan import plan_of, tiles_around
 from services.runtime.jobs.specs import JobSpec
 
@@ -48,14 +44,8 @@ def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
     require_ground(run)
     part = part_of(arguments)
     points = fuse(run, part, step)
-    tiles = sum(1 for _ in run.scratch.glob(_fused_files(part)))
+    tiles = sum(1 for _ in run.scratch.glob(f"fused/*_*/{part[0]:06d}.npz"))
     return StageResult({"points": points}, {"frames": part[1] - part[0], "points": points, "tiles": tiles})
-
-
-def files_of_fuse(run: LabelRun, arguments: Arguments) -> StageFiles:
-    part = part_of(arguments)
-    beside = (images_path(run, part), far_points_path(run, part))
-    return StageFiles(writes=(_fused_files(part), *(_name(run, path) for path in beside)))
 
 
 def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
@@ -73,12 +63,11 @@ def surface_where_reached(run: LabelRun, tile: Tile, step: Step = silent) -> Til
     return surface(run, tile, step) if (run.scratch / "fused" / tile_name(tile)).is_dir() else None
 
 
-def files_of_surface(run: LabelRun, arguments: Arguments) -> StageFiles:
+def list_fused_around(run: LabelRun, arguments: Arguments) -> tuple[str, ...]:
+    """Return the files that `surface_tile` reads."""
     tile = tile_of(arguments)
-    images = (f"images/{part[0]:06d}" for part in plan_of(run).needs[tile])
-    fused = (f"fused/{tile_name(near)}/" for near in neighbourhood(tile))
-    left = (_name(run, path) for path in (surface_path(run, tile), sums_path(run, tile)))
-    return StageFiles(reads=(*images, *fused), writes=tuple(left))
+    images = (_name(run, images_path(run, part)) for part in plan_of(run).needs[tile])
+    return (*images, *(f"fused/{tile_name(near)}/" for near in neighbourhood(tile)))
 
 
 def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
@@ -88,19 +77,11 @@ def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
     return StageResult()
 
 
-def files_of_sight(run: LabelRun, arguments: Arguments) -> StageFiles:
-    return StageFiles(writes=(_name(run, sight_path(run, int(arguments["camera"]))),))
-
-
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
     """Sums of all tiles → what driven ground is like. Raises `NoReferenceError`."""
     reference = reference_from(load_summaries(run), run.parameters)
     save_reference(run, reference)
     return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})
-
-
-def files_of_reference(run: LabelRun, _arguments: Arguments) -> StageFiles:
-    return StageFiles(reads=("sums/",), writes=(_name(run, reference_path(run)),))
 
 
 def label_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
@@ -111,16 +92,9 @@ def label_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
     return StageResult({"frames": frames}, {"frames": frames, "pack_bytes": index.size_bytes})
 
 
-def files_of_frames(run: LabelRun, arguments: Arguments) -> StageFiles:
-    part, reference = part_of(arguments), _name(run, reference_path(run))
-    around = (_name(run, surface_path(run, tile)) for tile in tiles_around(run, part))
-    left = (_name(run, path) for path in (pack_path(run, part), index_path(run, part)))
-    return StageFiles((reference, "sight/", *around), (reference, "surface"), tuple(left))
-
-
-def _fused_files(part: Part) -> str:
-    """The pattern of what a part leaves, a file each tile."""
-    return f"fused/*_*/{part[0]:06d}.npz"
+def list_surfaces_around(run: LabelRun, arguments: Arguments) -> tuple[str, ...]:
+    """Return the surfaces that `label_part` reads."""
+    return tuple(_name(run, surface_path(run, tile)) for tile in tiles_around(run, part_of(arguments)))
 
 
 def _name(run: LabelRun, path: Path) -> str:
@@ -130,14 +104,22 @@ def _name(run: LabelRun, path: Path) -> str:
 FUSE, SURFACE, SIGHT = "labeler.fuse", "labeler.surface", "labeler.sight"
 REFERENCE, FRAMES, PUBLISH = "labeler.reference", "labeler.frames", "labeler.publish"
 MAP, PICTURES = "labeler.map", "labeler.pictures"
+CUT_FROM = (REFERENCE_FILE, "surface")
+DRAWN_FROM = (*CUT_FROM, "sums")
 STAGES: Mapping[str, Stage] = {
-    FUSE: Stage(fuse_part, files_of_fuse, "fuse", shown="fuse", event="fused", reads_sweeps=True),
-    SURFACE: Stage(surface_tile, files_of_surface, "surface", shown="surface", event="reconstructed"),
-    SIGHT: Stage(lay_sight, files_of_sight, "sight", shown="sight lines"),
-    REFERENCE: Stage(refer, files_of_reference, "reference", event="reference"),
-    FRAMES: Stage(label_part, files_of_frames, "frames", shown="frames", event="labelled"),
-    MAP: Stage(draw_map, files_of_map, "map", shown="pictures"),
-    PICTURES: Stage(draw_pictures, files_of_pictures, "pictures", shown="pictures"),
+    FUSE: Stage(fuse_part, "fuse", shown="fuse", event="fused", reads_sweeps=True),
+    SURFACE: Stage(surface_tile, "surface", list_fused_around, shown="surface", event="reconstructed"),
+    SIGHT: Stage(lay_sight, "sight", shown="sight lines"),
+    REFERENCE: Stage(refer, "reference", reads=("sums/",), event="reference"),
+    FRAMES: Stage(
+        *(label_part, "frames", list_surfaces_around),
+        reads=(REFERENCE_FILE, "sight/"),
+        requires=CUT_FROM,
+        shown="frames",
+        event="labelled",
+    ),
+    MAP: Stage(draw_map, "map", reads=DRAWN_FROM, requires=DRAWN_FROM, shown="pictures"),
+    PICTURES: Stage(draw_pictures, "pictures", reads=DRAWN_FROM, requires=DRAWN_FROM, shown="pictures"),
 }
 
 

@@ -16,7 +16,7 @@ from services.domain.exports.requests import follow_labels
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, require_sequence
 from services.domain.viewer.playback import PLAYBACK
-from services.labeler.child_answers import FilesAnswer, PublicationAnswer
+from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.label_rows import NewArtefact, NewLabelSet, standing_label_set, write_artefact, write_label_set
 from services.labeler.left_files import LeftFile, files_left, left_file, pack_left
@@ -34,7 +34,6 @@ from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all
 from stone_files.joined_file import JOINED
 
 NEEDED = (CHECKED_FILE, "sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
-FILES = FilesAnswer(reads=NEEDED, requires=NEEDED, writes=())
 
 
 @dataclass(frozen=True)
@@ -51,7 +50,7 @@ def publish(context: LabelStageContext) -> Outcome:
 
     Raises what `LabelStageContext.ask` raises, and `SandboxCrashedError` for packs that are shorter than was said.
     """
-    context.pull(FILES)
+    context.pull(NEEDED, NEEDED)
     opening = replace(context.opening, sequence_file=CHECKED_FILE)
     told = context.ask(PublicationAnswer, partial(described, opening), "publish", opening)
     files, prepared = _files(context, told), list[tuple[LeftFile, PreparedBlob]]()

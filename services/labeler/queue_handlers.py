@@ -2,7 +2,7 @@
 
 **Conventions.** A handler may run twice, at once or after being killed anywhere: files are renamed into place and have
 the same bytes. Jobs carry numbers only; everything else lies in the run's workspace, of which a handler pulls what its
-stage reads and pushes what it leaves. Whatever opens a file of the run does so in a sandboxed child
+stage reads and pushes what it wrote. Whatever opens a file of the run does so in a sandboxed child
 (`services/labeler/sandboxed_run.py`).
 """
 
@@ -20,7 +20,7 @@ from services.labeler.imports.queue_handlers import import_handlers
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
 from services.labeler.run_workspace import LabelStageContext, stage_context_of
-from services.labeler.sandboxed_run import StageTask, planned, stage_files, worked
+from services.labeler.sandboxed_run import StageTask, files_near, planned, worked
 from services.labeler.stage import Stage
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
@@ -55,13 +55,15 @@ def _spec(job: JobAnswer) -> JobSpec:
 
 
 def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
-    """Pull what the job reads, do its work, push what it leaves. Raises what the work raises, and `WorkGoneError`."""
+    """Pull what the job reads, do its work, push what it wrote. Raises what the work raises, and `WorkGoneError`."""
     opening = context.opening_with_sweeps() if stage.reads_sweeps else context.opening
     task = StageTask(opening, kind, context.attempt.arguments)
-    if not context.workspace.is_in_place:
-        context.pull(context.ask(FilesAnswer, partial(stage_files, task), stage.step_name, context.opening))
+    near: tuple[str, ...] = ()
+    if stage.list_near and not context.workspace.is_in_place:
+        near = context.ask(FilesAnswer, partial(files_near, task), stage.step_name, context.opening).names
+    context.pull((*stage.reads, *near), stage.requires)
     done = context.ask(WorkAnswer, partial(worked, task), stage.step_name, opening)
-    context.push(done.files)
+    context.workspace.push(*done.written)
     facts: dict[str, Any] = dict(done.facts)
     if facts:
         context.attempt.log(stage.event, **facts)

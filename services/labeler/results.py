@@ -29,6 +29,7 @@ from stone.labels.traversability import (
 )
 from stone.surface.screened_poisson import Descent
 
+REFERENCE_FILE = "reference.npz"
 COUNTED = ("voxels", "points", "moving", "vertices", "triangles")
 
 
@@ -57,7 +58,7 @@ def sums_path(run: LabelRun, tile: Tile) -> Path:
 
 
 def reference_path(run: LabelRun) -> Path:
-    return run.scratch / "reference.npz"
+    return run.scratch / REFERENCE_FILE
 
 
 def pack_path(run: LabelRun, part: Part) -> Path:

@@ -7,7 +7,6 @@ from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.recordings import kept_recording, locate_run
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
-from services.labeler.child_answers import FilesAnswer
 from services.labeler.kernel_warmup import warm
 from services.labeler.sandboxed_run import RunOpening
 from services.runtime.jobs.errors import JobCancelledError
@@ -58,19 +57,12 @@ class LabelStageContext:
             sandbox = JobSandbox(folder, reads, self.attempt, settings, warm, temporary, shares_run=True)
             return answer.believed(sandbox.run(work, shown, 1))
 
-    def pull(self, files: FilesAnswer) -> None:
+    def pull(self, reads: tuple[str, ...], requires: tuple[str, ...]) -> None:
         """Make local what earlier stages left. Raises `WorkGoneError` where nothing is left of what is required."""
-        self.workspace.pull(*files.reads)
-        for name in files.requires:
-            if not (self.workspace.folder / name).exists():
-                self.workspace.pull(name)
-        require_left(self.workspace.folder, files.requires)
-
-    def push(self, files: FilesAnswer) -> None:
-        """Leave for later stages what was written."""
         folder = self.workspace.folder
-        found = (path for pattern in files.writes for path in sorted(folder.glob(pattern)))
-        self.workspace.push(*(path.relative_to(folder).as_posix() for path in found))
+        self.workspace.pull(*reads)
+        self.workspace.pull(*(name for name in requires if not (folder / name).exists()))
+        require_left(folder, requires)
 
 
 def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:

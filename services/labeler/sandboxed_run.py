@@ -1,6 +1,6 @@
 """What a sandboxed child does with the files of a labelling run, and the checks of what it answers.
 
-    files of the run → the run as a value → (its jobs | the files of a job | a job's work | what is to be published)
+    files of the run → the run as a value → (its jobs | what a job reads | a job's work | what is to be published)
 
 **Conventions.** Everything in the run's folder was computed from what a stranger sent, so only the child opens it; the
 parent moves files by their names and believes JSON of a known form (`child_answers.py`). The child writes within the
@@ -8,18 +8,19 @@ run's folder, makes no links, and reads the recording where its stage reads swee
 """
 
 from collections.abc import Mapping
-from dataclasses import asdict, dataclass
+from dataclasses import dataclass
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
 
-from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
+from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.labeler.child_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
 from services.labeler.errors import NoUsableFramesError
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
 from services.labeler.run import LabelRun
+from services.labeler.scratch import recorded_writes
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence, Sweep, SweepSource
@@ -93,22 +94,19 @@ def _answer_of(job: JobSpec) -> JobAnswer:
     return JobAnswer(**told)
 
 
-def stage_files(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """Which files the job reads and leaves."""
-    return _files_of(task, task.opening.run()).packed()
+def files_near(task: StageTask, _folder: Path, _progress: ProgressCallback) -> bytes:
+    """Which files this job reads besides those that each of its kind reads."""
+    list_near = STAGES[task.kind].list_near
+    return FilesAnswer(names=list_near(task.opening.run(), task.arguments) if list_near else ()).packed()
 
 
-def worked(task: StageTask, folder: Path, progress: ProgressCallback) -> bytes:
-    """The job's work. Raises what it raises, and `WorkGoneError` where nothing is left of what it requires."""
+def worked(task: StageTask, _folder: Path, progress: ProgressCallback) -> bytes:
+    """The job's work. Raises what it raises."""
     stage, run = STAGES[task.kind], task.opening.run()
-    files = _files_of(task, run)
-    require_left(folder, files.requires)
-    done = stage.work(run, task.arguments, partial(progress, stage.step_name))
-    return WorkAnswer(result=dict(done.result), facts=dict(done.facts), files=files).packed()
-
-
-def _files_of(task: StageTask, run: LabelRun) -> FilesAnswer:
-    return FilesAnswer(**asdict(STAGES[task.kind].files(run, task.arguments)))
+    with recorded_writes() as paths:
+        done = stage.work(run, task.arguments, partial(progress, stage.step_name))
+    written = tuple(path.relative_to(run.scratch).as_posix() for path in paths)
+    return WorkAnswer(result=dict(done.result), facts=dict(done.facts), written=written).packed()
 
 
 def described(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:

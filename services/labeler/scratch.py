@@ -1,12 +1,14 @@
 """What one stage leaves for the next: arrays in files that appear whole.
 
 **Conventions.** A file is written beside its place and renamed in, so a killed worker leaves nothing half-written and
-a stage that runs twice writes the same bytes. All of it is deleted when the run ends.
+a stage that runs twice writes the same bytes. What a stage left is what `whole` recorded. All of it is deleted when the
+run ends.
 """
 
 from bisect import bisect_right
 from collections.abc import Iterator
 from contextlib import contextmanager
+from contextvars import ContextVar
 from itertools import groupby
 from pathlib import Path
 from secrets import token_hex
@@ -22,6 +24,7 @@ from stone.surface.range_image import RangeImage, view_of
 from stone_files.npz import mapped_npz, write_stored_npz
 
 Arrays = dict[str, NDArray[np.generic]]
+_WRITTEN: ContextVar[list[Path] | None] = ContextVar("the files that a stage wrote", default=None)
 
 
 def save(path: Path, arrays: Arrays) -> None:
@@ -38,8 +41,21 @@ def whole(path: Path) -> Iterator[Path]:
     try:
         yield staging
         staging.replace(path)
+        if (written := _WRITTEN.get()) is not None:
+            written.append(path)
     finally:
         staging.unlink(missing_ok=True)
+
+
+@contextmanager
+def recorded_writes() -> Iterator[list[Path]]:
+    """The paths of the files that `whole` put in place meanwhile, in this thread."""
+    written = list[Path]()
+    token = _WRITTEN.set(written)
+    try:
+        yield written
+    finally:
+        _WRITTEN.reset(token)
 
 
 def load(path: Path) -> Arrays:

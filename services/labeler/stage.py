@@ -1,4 +1,4 @@
-"""The stages that label a sequence, as values: what the jobs of a kind do, and which files they read and leave.
+"""The stages that label a sequence, as values: what the jobs of a kind do, and which files they read.
 
 **Conventions.** `services/labeler/pipeline.py` names them and declares the jobs; `stone label` runs these in processes
 (`services/labeler/local_run.py`), the queue as tasks (`services/labeler/queue_handlers.py`). Files are named relative
@@ -15,19 +15,6 @@ Arguments = Mapping[str, Any]
 
 
 @dataclass(frozen=True)
-class StageFiles:
-    """What a job reads and writes in scratch.
-
-    `reads` are beginnings of names, of which there may be none; `requires` names a file or folder that must be there;
-    `writes` are patterns of names.
-    """
-
-    reads: tuple[str, ...] = ()
-    requires: tuple[str, ...] = ()
-    writes: tuple[str, ...] = ()
-
-
-@dataclass(frozen=True)
 class StageResult:
     """`result` is what the job answers; `facts` go into its log, when there are any."""
 
@@ -37,16 +24,19 @@ class StageResult:
 
 @dataclass(frozen=True)
 class Stage:
-    """What the jobs of one kind do, and their files.
+    """What the jobs of one kind do, and the files in scratch that they read.
 
     `step_name` is how the queue tells the progress within a job, `shown` how `stone label` tells how many jobs are
-    done ("" where it tells nothing), `event` the log line of a job that is done. One that does not say that it
-    `reads_sweeps` is not given the recording.
+    done ("" where it tells nothing), `event` the log line of a job that is done. `reads` are beginnings of names that
+    each job reads, `list_near` lists those of one job; there may be no such file. `requires` names files and folders
+    that must be there. A stage without `reads_sweeps` is not given the recording.
     """
 
     work: Callable[[LabelRun, Arguments, Step], StageResult]
-    files: Callable[[LabelRun, Arguments], StageFiles]
     step_name: str
+    list_near: Callable[[LabelRun, Arguments], tuple[str, ...]] | None = None
+    reads: tuple[str, ...] = ()
+    requires: tuple[str, ...] = ()
     shown: str = ""
     event: str = ""
     reads_sweeps: bool = False

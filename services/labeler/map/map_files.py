@@ -7,18 +7,18 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.frames import labelled_tile
-from services.labeler.map.comparison import ComparisonCounter, comparison_path, save_comparison
+from services.labeler.map.comparison import ComparisonCounter, save_comparison
 from services.labeler.map.ply import Piece, class_at, write_mesh
 from services.labeler.map.scene_files import SceneFiles
 from services.labeler.map.surface import TileSummary
-from services.labeler.map.track_coverage import CoverageCounter, coverage_path, save_coverage
+from services.labeler.map.track_coverage import CoverageCounter, save_coverage
 from services.labeler.previews.map_picture import TopView, write_top_view
 from services.labeler.previews.map_pieces import MapPiece
 from services.labeler.previews.thumbnail import write_thumbnail
-from services.labeler.results import load_reference, load_summaries, reference_path
+from services.labeler.results import load_reference, load_summaries
 from services.labeler.run import LabelRun, Step, Tile
 from services.labeler.scratch import whole
-from services.labeler.stage import Arguments, StageFiles, StageResult
+from services.labeler.stage import Arguments, StageResult
 from stone.labels.traversability import Reference
 
 MAP, TOP_VIEW, THUMBNAIL, MESH = "map", "bev.png", "thumbnail.png", "mesh.ply"
@@ -41,16 +41,6 @@ def draw_pictures(run: LabelRun, _arguments: Arguments, step: Step) -> StageResu
     pieces = [partial(_map_piece, run, summary.tile, reference) for summary in load_summaries(run)]
     write_map_previews(pieces, run.sequence.frames.map_from_ego, map_folder(run), run.parameters.profile)
     return StageResult()
-
-
-def files_of_map(run: LabelRun, _arguments: Arguments) -> StageFiles:
-    needed = (reference_path(run).name, "surface", "sums")
-    return StageFiles(needed, needed, (map_folder(run).name, comparison_path(run).name, coverage_path(run).name))
-
-
-def files_of_pictures(run: LabelRun, _arguments: Arguments) -> StageFiles:
-    needed = (reference_path(run).name, "surface", "sums")
-    return StageFiles(needed, needed, (map_folder(run).name,))
 
 
 def map_folder(run: LabelRun) -> Path:

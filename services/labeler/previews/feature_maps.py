@@ -16,11 +16,11 @@ from matplotlib.figure import Figure
 from numpy.typing import NDArray
 
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
+from services.labeler.scratch import whole
 from stone.geometry.lattice import indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.voxels import VOXEL_M
 from stone.surface.terrain import ELEVATION, ROUGHNESS, SLOPE
-from stone_files.atomic import atomic_file
 
 MOST_SIDE_PX = 640
 DOTS_PER_IN, TEXT_POINTS, WIDTH_IN, LEAST_RATIO, MOST_RATIO = 100, 17, 9.0, 0.3, 1.6
@@ -47,7 +47,7 @@ def write_feature_maps(pieces: Pieces, map_from_ego: SE3, path: Path, profile: s
     `profile` says what the first feature is. A map without voxels gives empty panels.
     """
     figure = feature_figure(rasters_of(pieces), map_from_ego.translation_m, profile)
-    with atomic_file(path) as staging:
+    with whole(path) as staging:
         figure.savefig(staging, format="png", dpi=DOTS_PER_IN, metadata={"Software": None})
 
 

@@ -9,12 +9,12 @@ from services.labeler.previews.lettering import legend
 from services.labeler.previews.map_pieces import Extent, MapPiece, Pieces, extent_of
 from services.labeler.previews.render import Boxes, Camera, Canvas, voxel_boxes
 from services.labeler.previews.sheet import track_boxes
+from services.labeler.scratch import whole
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of, indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import PAPER
 from stone.labels.voxels import VOXEL_M
-from stone_files.atomic import atomic_file
 
 WIDTH_PX, HEIGHT_PX, BAR_PX, TEXT_PX = 1280, 720, 48, 24
 VIEW_RAD = np.deg2rad(40.0)
@@ -26,7 +26,7 @@ TOWARDS_EYE = np.array([-0.62, -0.46, 0.63])
 def write_map_oblique(pieces: Pieces, map_from_ego: SE3, path: Path) -> None:
     """Draw `map_oblique` and save it as a PNG."""
     picture = map_oblique(pieces, map_from_ego)
-    with atomic_file(path) as staging:
+    with whole(path) as staging:
         picture.save(staging, "png", optimize=True)
 
 

@@ -7,6 +7,7 @@ folder; with S3 it is a mirror in the cache, in which a file equal to its object
 
 import os
 import shutil
+from collections import Counter
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
@@ -62,10 +63,11 @@ class Workspace:
             _flush_all(self._folder, files.values())
             return
         os.utime(self.folder)
-        stored = self._stored(prefixes)
+        heads = _heads(prefixes)
+        stored = self._stored(heads)
         new = {key for key, path in files.items() if key not in stored or not _is_same(path, stored[key])}
         _all(lambda key: self._store.write(key, files[key]), new)
-        for key, found in (self._stored(prefixes) if new else {}).items():
+        for key, found in (self._stored(heads) if new else {}).items():
             if key in new:  # it equals its object now: no later pull or push moves it again
                 os.utime(files[key], ns=(found.modified_ns, found.modified_ns))
 
@@ -102,6 +104,13 @@ class Workspace:
 
     def _stored(self, prefixes: Iterable[str]) -> dict[str, StoredObject]:
         return {stored.key: stored for prefix in prefixes for stored in self._store.listed(self._prefix + prefix)}
+
+
+def _heads(prefixes: Iterable[str]) -> set[str]:
+    """Return the beginnings of names to list for these: a folder once, however many of them lie in it."""
+    folders = {prefix: prefix[: prefix.rfind("/") + 1] for prefix in prefixes}
+    shared = Counter(folders.values())
+    return {folder if folder and shared[folder] > 1 else prefix for prefix, folder in folders.items()}
 
 
 def _is_same(path: Path, stored: StoredObject) -> bool:

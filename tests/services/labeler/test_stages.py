@@ -4,11 +4,13 @@ import hashlib
 import io
 import json
 import shutil
+import sys
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
-from dataclasses import replace
+from concurrent.futures import ProcessPoolExecutor, ThreadPoolExecutor
+from dataclasses import dataclass, replace
 from itertools import pairwise
 from math import dist
+from multiprocessing import get_context
 from pathlib import Path
 
 import numpy as np
@@ -21,9 +23,10 @@ from services.ingest import queue_handlers as ingest
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
 from services.labeler import queue_handlers
+from services.labeler.child_answers import FilesAnswer, WorkAnswer
 from services.labeler.pipeline import STAGES, label_graph
 from services.labeler.run import LabelRun
-from services.labeler.sandboxed_run import RunOpening
+from services.labeler.sandboxed_run import RunOpening, StageTask, files_near, worked
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.execution import run_next
@@ -182,17 +185,74 @@ def test_the_queue_runs_the_jobs_of_the_graph(made: tuple[Brought, str], run: La
     assert needs == within | {(of_key[nodes[-1].key], check)}, "and publishing waits for the checks"
 
 
-def test_a_job_leaves_what_it_declares_and_no_more(run: LabelRun) -> None:
-    declared = [STAGES[node.kind].files(run, node.arguments) for node in label_graph(run) if node.kind in STAGES]
-    written = {path for files in declared for pattern in files.writes for path in run.scratch.glob(pattern)}
-    left = {path for path in run.scratch.rglob("[!.]*") if path.is_file()}  # an interrupted attempt's are hidden
-    undeclared = {path for path in left if not written & {path, *path.parents}}
-    assert {path.relative_to(run.scratch).parts[0] for path in undeclared} == {
-        *("sequence.npz", "sweeps.npz", "checked.npz"),  # ingest's
-        "published",
-    }
-    found = [[*run.scratch.glob(f"{name}*")] for files in declared for name in files.requires]
-    assert all(found), "nothing is required that nobody leaves"
+def test_jobs_read_the_files_that_they_declare_and_answer_with_those_that_they_wrote(
+    run: LabelRun, bag: Path, tmp_path: Path
+) -> None:
+    """Catches alone a stage that works on one machine only, or waits for files that it does not read."""
+    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+        jobs = pool.submit(work_apart, run.scratch, bag, tmp_path).result()
+    for job in jobs:
+        assert job.answered == job.written, job.kind
+        assert job.read == (job.declared if job.written else set()), job.kind
+    assert {job.kind for job in jobs} == set(STAGES)
+    ours, theirs = ({name: hashes(at)[name] for name in names_in(at)} for at in (tmp_path / "left", run.scratch))
+    assert ours == theirs
+
+
+GIVEN = {"sequence.npz", "sweeps.npz"}
+NO_STAGES = GIVEN | {"checked.npz", "published"}
+
+
+@dataclass(frozen=True)
+class FileAccess:
+    """The names of files in scratch: those that a job declares as read, opened, wrote, and answered with."""
+
+    kind: str
+    declared: set[str]
+    read: set[str]
+    written: set[str]
+    answered: set[str]
+
+
+def work_apart(scratch: Path, bag: Path, out: Path) -> list[FileAccess]:
+    """Work on each job in a folder of its own, with the files of earlier jobs that it declares and no others."""
+    opened, jobs, left = list[Path](), list[FileAccess](), out / "left"
+
+    def note(event: str, arguments: tuple[object, ...]) -> None:
+        if event == "open" and isinstance(arguments[0], str | Path):
+            opened.append(Path(arguments[0]))
+
+    sys.addaudithook(note)
+    for number, job in enumerate(label_graph(RunOpening(scratch, "paper", {}).run())[:-1]):
+        folder, stage = out / str(number), STAGES[job.kind]
+        task = StageTask(RunOpening(folder, "paper", {}, bag if stage.reads_sweeps else None), job.kind, job.arguments)
+        link(scratch, folder, GIVEN)
+        near = FilesAnswer.believed(files_near(task, folder, silent)).names
+        declared = {name for name in names_in(left) if name.startswith((*stage.reads, *near))}
+        link(left, folder, declared)
+        opened.clear()
+        answer = WorkAnswer.believed(worked(task, folder, silent))
+        read = {name for name in names_in(folder) if folder / name in opened}
+        written = names_in(folder) - declared
+        link(folder, left, written)
+        jobs.append(FileAccess(job.kind, declared, read, written, set(answer.written)))
+    return jobs
+
+
+def names_in(folder: Path) -> set[str]:
+    """Return the names of the files that stages wrote; those of an interrupted attempt are hidden."""
+    names = {path.relative_to(folder).as_posix() for path in folder.rglob("[!.]*") if path.is_file()}
+    return {name for name in names if name.split("/")[0] not in NO_STAGES}
+
+
+def link(source: Path, target: Path, names: set[str]) -> None:
+    for name in names:
+        (target / name).parent.mkdir(parents=True, exist_ok=True)
+        (target / name).hardlink_to(source / name)
+
+
+def silent(_stage: str, _done: int, _total: int) -> None:
+    """Progress that nothing shows."""
 
 
 def test_two_machines_with_s3_and_postgres_make_the_same(
