@@ -1,5 +1,6 @@
 """Build hook: takes the client's packages from where they lie, at the root of the project.
 
+The packages that the client stands on go into its folder `_vendor`, which `stone_client/__init__.py` puts on the path.
 A checkout that is installed in place needs none of them: `dev-mode-dirs` of `pyproject.toml` names that root.
 """
 
@@ -8,7 +9,7 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-PACKAGES = ("stone_base", "stone_files", "stone_submissions", "stone_client")
+VENDORED = ("stone_base", "stone_files", "stone_submissions")
 
 
 class PackagesHook(BuildHookInterface):
@@ -17,6 +18,7 @@ class PackagesHook(BuildHookInterface):
     def initialize(self, version: str, build_data: dict[str, Any]) -> None:
         if version == "editable":
             return
-        root = Path(self.root).parents[1]
-        build_data["force_include"].update({str(root / package): package for package in PACKAGES})
-        build_data["force_include"][str(root / "LICENSE")] = "stone_client/LICENSE"
+        root, included = Path(self.root).parents[1], build_data["force_include"]
+        included.update({str(root / package): f"stone_client/_vendor/{package}" for package in VENDORED})
+        included[str(root / "stone_client")] = "stone_client"
+        included[str(root / "LICENSE")] = "stone_client/LICENSE"

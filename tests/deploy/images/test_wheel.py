@@ -4,21 +4,25 @@ import json
 import os
 import subprocess
 import sys
+import tomllib
 import zipfile
 from pathlib import Path
 
 import pytest
 
-from services.runtime.code_version import FIXED, code_version, digests_from, version_of
+from services.runtime.code_version import FIXED, RELEASE, code_version, digests_from, version_of
 from services.runtime.source_digests import installed_places, source_digests
 from tests.deploy.wheels import built_wheel
 from web.assets import LIBRARIES
 
 ROOT = Path(__file__).resolve().parents[3]
+WHEEL = tomllib.loads((ROOT / "pyproject.toml").read_text("utf-8"))["tool"]["hatch"]["build"]["targets"]["wheel"]
+PACKAGES: list[str] = WHEEL["packages"]
 ASKED = """
 import json, re, sys
 from pathlib import Path
 from fastapi.testclient import TestClient
+import stone_client.main, stone_files
 import web
 from services.runtime.database.migrate import upgrade
 from services.runtime.platform import open_platform
@@ -32,6 +36,7 @@ page = client.get("/", headers={"Accept": "text/html"})
 assets = re.findall(r'(?:src|href)="(/assets/[^"]+)"', page.text)
 print(json.dumps({
     "web": web.__file__,
+    "stone_files": stone_files.__file__,
     "status": page.status_code,
     "is_page": "</html>" in page.text,
     "assets": [client.get(path).status_code for path in assets],
@@ -42,19 +47,7 @@ print(json.dumps({
 @pytest.fixture(scope="module")
 def sources() -> set[str]:
     """Every module of the project, as it was before the wheel was made."""
-    folders = (
-        *(
-            "stone",
-            "stone_base",
-            "stone_files",
-            "stone_recordings",
-            "stone_submissions",
-            "stone_exports",
-            "stone_datasets",
-        ),
-        *("baselines", "services", "simulator", "stone_client", "stone_local", "api", "web"),
-    )
-    found = [path for folder in folders for path in (ROOT / folder).rglob("*.py")]
+    found = [path for folder in (*PACKAGES, "stone_client") for path in (ROOT / folder).rglob("*.py")]
     return {path.relative_to(ROOT).as_posix() for path in found if "node_modules" not in path.parts}
 
 
@@ -83,6 +76,7 @@ def test_the_wheel_serves_the_first_page_where_there_is_no_checkout(wheel: Path,
     assert outcome.returncode == 0, outcome.stderr
     told = json.loads(outcome.stdout.splitlines()[-1])
     assert told["web"].startswith(str(site)), "the wheel's own, not the checkout's"
+    assert Path(told["stone_files"]).parent == site / "stone_files", "one copy of it: not that in the client's wheel"
     assert (told["status"], told["is_page"]) == (200, True)
     assert len(told["assets"]) > 3
     assert set(told["assets"]) == {200}
@@ -100,6 +94,7 @@ def test_the_wheels_hold_what_runs_once_and_not_what_it_is_made_of(
     of_client = set(zipfile.ZipFile(client).namelist())
     assert sources <= names | of_client, "every module, every migration"
     assert not names & of_client
+    assert {name.partition("/")[0] for name in names} == {*PACKAGES, f"stone_platform-{RELEASE}.dist-info"}
     assert not [name for name in names if name.endswith((".ts", ".pyc")) or "tests/" in name]
     assert any(name.startswith("web/templates/") for name in names)
     assert any(name.startswith("web/styles/") for name in names)
