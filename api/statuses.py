@@ -39,7 +39,7 @@ from stone.errors import StoneError
 from stone.scoring import metric
 from stone.splits import splits as splitting
 from stone_datasets import file_faults
-from stone_files import bag_fingerprint, virtual_archive
+from stone_files import archives, bag_fingerprint
 from stone_recordings.topics import profiles as profiles
 
 STATUS_OF: dict[type[StoneError], int] = {
@@ -70,7 +70,7 @@ STATUS_OF: dict[type[StoneError], int] = {
     access.PasswordsOffError: 403,
     access.UnknownRoleError: 422,
     access.WeakPasswordError: 422,
-    virtual_archive.BadMemberError: 409,
+    archives.BadMemberError: 409,
     bag_fingerprint.BadBagFilesError: 422,
     choices.ChoiceError: 422,
     comparisons.SameLabelSetError: 422,

@@ -12,7 +12,7 @@ from baselines.errors import NothingToTrainOnError
 from stone_exports.files import Files, FolderFiles, TarFiles
 from stone_exports.frames import ExportedFrame, frames_in
 from stone_exports.tables import EXPORTED, NotExportedError, exports_in
-from stone_files.tar_index import tar_spans_of
+from stone_files.archives import tar_spans_of
 
 LABELS = "gts"
 

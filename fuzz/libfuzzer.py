@@ -10,7 +10,7 @@ import stone_recordings.messages.lidar  # noqa: F401 # numba compiles bytecode a
 # isort: split
 
 EXPORTED = (
-    "stone_exports.files", "stone_files.tar_index", "stone_exports.tables", "stone_exports.sweeps",
+    "stone_exports.files", "stone_files.archives", "stone_exports.tables", "stone_exports.sweeps",
     "stone_exports.frames", "stone_exports.labels", "stone_exports.labels", "stone_exports.cameras",
 )  # fmt: skip
 OF_FILES = (

@@ -17,6 +17,7 @@ from numpy.typing import NDArray
 
 from stone_datasets.columns import NumberColumn, places_of
 from stone_exports.files import ExportFileSpan
+from stone_files.archives import NAME, tar_members
 from stone_files.dataset_layout import (
     head_of,
     is_below,
@@ -27,8 +28,6 @@ from stone_files.dataset_layout import (
     root_in_folder,
     root_in_tar,
 )
-from stone_files.tar_index import tar_members
-from stone_files.virtual_archive import NAME
 
 
 class DatasetFiles(Protocol):

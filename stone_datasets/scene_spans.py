@@ -19,8 +19,8 @@ from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
 from stone_datasets.files import DatasetTar
 from stone_datasets.index import DatasetSequence
 from stone_datasets.json_stream import json_rows
+from stone_files.archives import NAME
 from stone_files.dataset_layout import ANNOTATIONS
-from stone_files.virtual_archive import NAME
 
 MAPS = "maps/"
 

@@ -1,7 +1,7 @@
 """Files of an export, read from a folder or in place from a tar archive.
 
 **Conventions.** A file is a `ExportFileSpan`: bytes of some file on the disk. Names are relative paths of plain parts
-(`stone_files/virtual_archive.py`); others are not seen. Whatever is read is bounded first: an export may come from
+(`stone_files/archives.py`); others are not seen. Whatever is read is bounded first: an export may come from
 anywhere.
 """
 
@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import ClassVar, Protocol
 
 from stone.errors import StoneError
-from stone_files.virtual_archive import NAME
+from stone_files.archives import NAME
 
 PIECE_BYTES = 2**20
 LONGEST_LINE_BYTES = 2**20

@@ -15,7 +15,7 @@ import numpy as np
 from stone.errors import StoneError
 from stone.geometry.se3 import SE3
 from stone_exports.files import ExportFileSpan, Files, FolderFiles, TarFiles
-from stone_files.tar_index import tar_spans_of
+from stone_files.archives import tar_spans_of
 
 TABLES = "v1.0-trainval"
 SAMPLE_DATA = f"{TABLES}/sample_data.json"

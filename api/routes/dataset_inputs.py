@@ -34,7 +34,7 @@ from services.domain.datasets.input_jobs import (
 from services.runtime.orm import DatasetMember
 from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
-from stone_files.virtual_archive import MEDIA_TYPES
+from stone_files.archives import MEDIA_TYPES
 
 router = NounRouter(tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]

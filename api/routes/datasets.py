@@ -29,7 +29,7 @@ from services.domain.datasets.queries import locate_part
 from services.domain.datasets.versions import NewDataset, prepare_dataset, write_dataset
 from services.runtime.orm import Blob, Dataset
 from services.runtime.store.pack_reading import archive_of, archive_pieces, stored_files
-from stone_files.virtual_archive import MEDIA_TYPES
+from stone_files.archives import MEDIA_TYPES
 
 router = NounRouter(prefix="/datasets", tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]

@@ -26,7 +26,7 @@ from services.domain.benchmarks.phases.inputs import inputs_of, locate_input, st
 from services.runtime.orm import PhaseInput
 from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
-from stone_files.virtual_archive import MEDIA_TYPES
+from stone_files.archives import MEDIA_TYPES
 
 router = NounRouter(tags=["phase inputs"])
 SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]

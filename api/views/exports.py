@@ -14,7 +14,7 @@ from services.domain.exports.requests import counting_labels
 from services.runtime.orm import Export, Job
 from services.runtime.store.pack_reading import StoredFiles, archive_of, archive_pieces, file_pieces
 from services.runtime.store.protocol import Store
-from stone_files.virtual_archive import MEDIA_TYPES
+from stone_files.archives import MEDIA_TYPES
 
 FILE_TYPE = "application/octet-stream"
 ARCHIVE_TYPES = tuple(MEDIA_TYPES.values())

@@ -1,7 +1,7 @@
 """Local datasets to send: a tar as it is, or a folder as the tar that it would make, of which no copy is written.
 
 **Conventions.** Equal folders give equal tars, so that a client that was killed goes on with the same upload. What has
-no plain name (`stone_files/virtual_archive.py`: hidden files, blanks) cannot be in a dataset and is not sent. What the
+no plain name (`stone_files/archives.py`: hidden files, blanks) cannot be in a dataset and is not sent. What the
 server would refuse of the layout alone is refused here, by the same codes, before a byte is sent.
 """
 
@@ -17,6 +17,16 @@ from numpy.typing import NDArray
 from stone_client.errors import FileChangedError
 from stone_client.files.tus import PIECE_BYTES, LocalContent, hashed, refuse_change
 from stone_client.progress import Report
+from stone_files.archives import (
+    MOST_NAME,
+    NAME,
+    Archive,
+    ArchiveMemberRange,
+    ArchiveMembers,
+    Segment,
+    layout,
+    tar_members,
+)
 from stone_files.dataset_layout import (
     head_of,
     is_below,
@@ -26,8 +36,6 @@ from stone_files.dataset_layout import (
     root_in_folder,
     root_in_tar,
 )
-from stone_files.tar_index import tar_members
-from stone_files.virtual_archive import MOST_NAME, NAME, Archive, ArchiveMemberRange, ArchiveMembers, Segment, layout
 
 ENDING = ".tar"
 

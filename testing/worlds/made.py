@@ -39,8 +39,8 @@ from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import index_bytes, pack_folder
 from services.runtime.uploads import upload_file
 from stone.sensors.sequence import frame_token
+from stone_files.archives import KINDS
 from stone_files.npz import npz_bytes
-from stone_files.virtual_archive import KINDS
 from testing.api.serving import Person
 from testing.worlds.frame_tables import FRAME_NS, frame_table_bytes
 

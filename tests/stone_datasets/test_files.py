@@ -20,8 +20,8 @@ from stone_datasets.layout_faults import TooManyRowsError
 from stone_datasets.reading import check_dataset
 from stone_exports import files
 from stone_exports.files import ExportFileSpan
+from stone_files.archives import BadTarError
 from stone_files.dataset_layout import CompressedDatasetError, PathLeavesDatasetError, TwoVersionsError
-from stone_files.tar_index import BadTarError
 from testing.worlds.published_datasets import write_published_tar
 from tests.stone_datasets.conftest import GOOD
 from tests.stone_datasets.malformed import SWEEP, linked

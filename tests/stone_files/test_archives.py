@@ -14,8 +14,8 @@ import pytest
 from hypothesis import given, settings
 from hypothesis import strategies as st
 
-from stone_files import virtual_archive
-from stone_files.tar_index import BadTarError, tar_spans_of
+from stone_files import archives
+from stone_files.archives import BadTarError, tar_spans_of
 
 SIGNS = "abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789_+=@-"
 parts = st.text(SIGNS, min_size=1, max_size=130).flatmap(
@@ -29,31 +29,31 @@ LAST = b"the last of them"
 
 def is_allowed(files: list[tuple[str, bytes]]) -> bool:
     try:
-        virtual_archive.check_names(name for name, _ in files)
-    except virtual_archive.BadMemberError:
+        archives.check_names(name for name, _ in files)
+    except archives.BadMemberError:
         return False
     return True
 
 
-def members_of(files: list[tuple[str, bytes]]) -> virtual_archive.ArchiveMembers:
+def members_of(files: list[tuple[str, bytes]]) -> archives.ArchiveMembers:
     sizes = np.array([len(content) for _, content in files], np.int64)
     sums = np.array([zlib.crc32(content) for _, content in files], np.uint32)
-    return virtual_archive.ArchiveMembers([name for name, _ in files], sizes, sums)
+    return archives.ArchiveMembers([name for name, _ in files], sizes, sums)
 
 
-def bytes_of(archive: virtual_archive.Archive, files: list[tuple[str, bytes]], start: int, stop: int) -> bytes:
+def bytes_of(archive: archives.Archive, files: list[tuple[str, bytes]], start: int, stop: int) -> bytes:
     found = bytearray()
     for segment in archive.segments(start, stop):
         assert len(segment) > 0
         found += (
             files[segment.ordinal][1][segment.start : segment.stop]
-            if isinstance(segment, virtual_archive.ArchiveMemberRange)
+            if isinstance(segment, archives.ArchiveMemberRange)
             else segment
         )
     return bytes(found)
 
 
-def unpacked(payload: bytes, kind: virtual_archive.Kind) -> list[tuple[str, bytes]]:
+def unpacked(payload: bytes, kind: archives.Kind) -> list[tuple[str, bytes]]:
     if kind == "zip":
         with zipfile.ZipFile(io.BytesIO(payload)) as archive:
             assert archive.testzip() is None
@@ -63,24 +63,24 @@ def unpacked(payload: bytes, kind: virtual_archive.Kind) -> list[tuple[str, byte
         return [(member.name, archive.extractfile(member).read()) for member in archive]  # type: ignore[union-attr]
 
 
-@pytest.mark.parametrize("kind", virtual_archive.KINDS)
+@pytest.mark.parametrize("kind", archives.KINDS)
 @given(files=contents.filter(is_allowed), data=st.data())
 @settings(max_examples=30)
 def test_an_archive_unpacks_to_its_members_and_every_range_is_the_slice(kind, files, data):
-    archive = virtual_archive.layout(members_of(files), kind)
+    archive = archives.layout(members_of(files), kind)
     whole = bytes_of(archive, files, 0, archive.size_bytes)
     assert len(whole) == archive.size_bytes
     assert unpacked(whole, kind) == files
     start = data.draw(st.integers(0, archive.size_bytes))
     stop = data.draw(st.integers(start, archive.size_bytes + 5))
     assert bytes_of(archive, files, start, stop) == whole[start:stop]
-    assert bytes_of(virtual_archive.layout(members_of(files), kind), files, 0, archive.size_bytes) == whole
+    assert bytes_of(archives.layout(members_of(files), kind), files, 0, archive.size_bytes) == whole
 
 
 class Virtual(io.RawIOBase):
     """A file that is read through the layout; large members are zeros that nobody stores."""
 
-    def __init__(self, archive: virtual_archive.Archive, small: dict[int, bytes]) -> None:
+    def __init__(self, archive: archives.Archive, small: dict[int, bytes]) -> None:
         self._archive, self._small, self._place = archive, small, 0
 
     def seekable(self) -> bool:
@@ -123,16 +123,14 @@ sizes_of_large = st.lists(
 )
 
 
-@pytest.mark.parametrize("kind", virtual_archive.KINDS)
+@pytest.mark.parametrize("kind", archives.KINDS)
 @given(sizes=sizes_of_large)
 @settings(max_examples=40)
-def test_sizes_and_offsets_beyond_32_bits_are_read_back(kind: virtual_archive.Kind, sizes: list[int]) -> None:
+def test_sizes_and_offsets_beyond_32_bits_are_read_back(kind: archives.Kind, sizes: list[int]) -> None:
     """The small file behind them all is found, and its bytes are its own."""
     names = [f"samples/{'x' * 90 * (number % 2)}{number}.pcd" for number in range(len(sizes))] + ["last.txt"]
     sums = np.array([0] * len(sizes) + [zlib.crc32(LAST)], np.uint32)
-    archive = virtual_archive.layout(
-        virtual_archive.ArchiveMembers(names, np.array([*sizes, len(LAST)], np.int64), sums), kind
-    )
+    archive = archives.layout(archives.ArchiveMembers(names, np.array([*sizes, len(LAST)], np.int64), sums), kind)
     file = Virtual(archive, {len(sizes): LAST})
     if kind == "zip":
         with zipfile.ZipFile(file) as opened:
@@ -148,10 +146,10 @@ def test_sizes_and_offsets_beyond_32_bits_are_read_back(kind: virtual_archive.Ki
 
 def test_more_members_than_16_bits_count_are_listed() -> None:
     count = 70_000
-    members = virtual_archive.ArchiveMembers(
+    members = archives.ArchiveMembers(
         [f"{number:06d}" for number in range(count)], np.zeros(count, np.int64), np.zeros(count, np.uint32)
     )
-    with zipfile.ZipFile(Virtual(virtual_archive.layout(members, "zip"), {})) as opened:
+    with zipfile.ZipFile(Virtual(archives.layout(members, "zip"), {})) as opened:
         assert len(opened.namelist()) == count
 
 
@@ -161,14 +159,14 @@ def test_more_members_than_16_bits_count_are_listed() -> None:
      "a\n", "x" * 513],
 )  # fmt: skip
 def test_a_name_that_could_leave_its_folder_is_refused(name: str) -> None:
-    with pytest.raises(virtual_archive.BadMemberError):
-        virtual_archive.check_names(["fine.txt", name])
+    with pytest.raises(archives.BadMemberError):
+        archives.check_names(["fine.txt", name])
 
 
 @pytest.mark.parametrize("both", [("a", "a"), ("a.txt", "A.TXT"), ("a", "a/b"), ("A/b", "a"), ("a/b/c", "a/B")])
 def test_two_files_that_would_be_one_are_refused(both: tuple[str, str]) -> None:
-    with pytest.raises(virtual_archive.BadMemberError):
-        virtual_archive.check_names(both)
+    with pytest.raises(archives.BadMemberError):
+        archives.check_names(both)
 
 
 @pytest.mark.parametrize("command", [("tar", "-xf"), ("unzip", "-q")])
@@ -176,7 +174,7 @@ def test_the_commands_people_have_unpack_it(tmp_path: Path, command: tuple[str, 
     if shutil.which(command[0]) is None:
         pytest.skip(f"{command[0]} is not on this machine")
     files = [("gts/a/labels.npz", b"x" * 700), (f"samples/{'y' * 120}/{'z' * 110}.jpg", b"jpg"), ("sha256sum.txt", b"")]
-    archive = virtual_archive.layout(members_of(files), "tar" if command[0] == "tar" else "zip")
+    archive = archives.layout(members_of(files), "tar" if command[0] == "tar" else "zip")
     (tmp_path / "archive").write_bytes(bytes_of(archive, files, 0, archive.size_bytes))
     outcome = subprocess.run([*command, "archive"], cwd=tmp_path, check=False, capture_output=True, text=True)
     assert (outcome.returncode, outcome.stderr) == (0, "")

@@ -35,7 +35,7 @@ from services.domain.exports.requests import delete_export, start_export
 from services.runtime.orm import Export, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import StoredFiles, locate_export, stored_files
-from stone_files.virtual_archive import MOST_NAME, NAME
+from stone_files.archives import MOST_NAME, NAME
 
 router = NounRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
 FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]

@@ -17,7 +17,7 @@ from services.domain.datasets.catalogue import CatalogueSequence
 from services.domain.sequences.label_sources import SOURCE
 from services.runtime.orm import Artefact, LabelledFrameRow
 from services.runtime.store.packs import SUMS, PackedFiles
-from stone_files.virtual_archive import check_names
+from stone_files.archives import check_names
 
 ELSEWHERE = ("labels/", "scene/", f"{SOURCE}/")
 

@@ -10,7 +10,7 @@ from pathlib import Path
 
 from services.runtime.store.packs import PackedFiles, read_index
 from stone_exports.files import ExportFileSpan
-from stone_files.virtual_archive import NAME
+from stone_files.archives import NAME
 
 
 @dataclass(frozen=True)

@@ -51,9 +51,9 @@ from stone_datasets.labels import FrameLabels, read_labels
 from stone_datasets.samples import check_sample
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
+from stone_files.archives import check_names
 from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.npz import npz_bytes
-from stone_files.virtual_archive import check_names
 
 # The source of an imported label set: the files of its scene in the release's layout, without labels, in packs.
 #

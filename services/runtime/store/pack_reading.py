@@ -17,7 +17,7 @@ from services.runtime.orm import Blob, Export, ExportPack
 from services.runtime.store.packs import PackedFiles, Step, pack_path, pieces_of, read_index
 from services.runtime.store.protocol import Store
 from stone.errors import PlatformFaultError, StoneError
-from stone_files.virtual_archive import Archive, ArchiveMemberRange, Kind, layout
+from stone_files.archives import Archive, ArchiveMemberRange, Kind, layout
 
 PIECE_BYTES = 2**18
 ReadPack = Callable[[int, int, int], Iterator[bytes]]

@@ -17,8 +17,8 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from services.runtime.store.folder import refusing_full
+from stone_files.archives import ArchiveMembers, check_names
 from stone_files.npz import npz_bytes
-from stone_files.virtual_archive import ArchiveMembers, check_names
 
 SUMS = "sha256sum.txt"
 PACK_BYTES = 2**30

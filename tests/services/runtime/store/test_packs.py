@@ -35,7 +35,7 @@ from services.runtime.store.packs import (
 )
 from services.runtime.store.protocol import Store
 from services.runtime.store.s3 import S3Store
-from stone_files.virtual_archive import KINDS, BadMemberError, Kind, check_names, layout
+from stone_files.archives import KINDS, BadMemberError, Kind, check_names, layout
 from testing.servers.fixtures import make_settings
 
 FILES = {
