@@ -11,7 +11,6 @@ from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
 from math import prod
-from typing import Any
 
 import numpy as np
 from isal import isal_zlib
@@ -31,7 +30,7 @@ from stone_datasets.file_faults import (
     UnknownLabelsError,
 )
 from stone_exports.files import DamagedExportError, ExportFileSpan
-from stone_exports.labels import UNREADABLE
+from stone_exports.labels import UNREADABLE, npy_head
 
 MOST_PACKED_BYTES = 32 * 2**20
 MOST_ARRAYS = 64
@@ -39,7 +38,7 @@ HEAD_BYTES, LOCAL_BYTES = 128, 30
 RAW = -15
 INFLATING: type[Exception] = isal_zlib.error  # type: ignore[assignment]
 NO_NPY = (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxError)
-HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
+known_head = lru_cache(maxsize=256)(npy_head)  # all files of a dataset have the same
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
 PLAIN = tuple(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
 CONFIDENCE = "distance_squared.npy"
@@ -101,7 +100,7 @@ class _Arrays:
         """The grid of a member. Raises a `DatasetFaultError`."""
         packed, place = self._packed(member), DatasetPlace(self.name)
         try:
-            shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
+            shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
         except NO_NPY as error:
             raise self._damaged(member, "it is not an npy array") from error
         if shape != GRID_SHAPE:
@@ -115,7 +114,7 @@ class _Arrays:
         """Whether it is a number of each voxel, float16, as labels with confidence have them."""
         packed = self._packed(member)
         try:
-            shape, is_fortran, dtype, start = npy_head(self._begun(member, packed, HEAD_BYTES))
+            shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
             size = start + 2 * prod(GRID_SHAPE)
             npy = self._begun(member, packed, size + 1)
         except NO_NPY:
@@ -156,14 +155,6 @@ class _Arrays:
 
     def _damaged(self, member: zipfile.ZipInfo, what: str) -> LabelsNotNpzError:
         return LabelsNotNpzError(DatasetPlace(self.name), f"{member.filename[:80]}: {what}")
-
-
-@lru_cache(maxsize=256)
-def npy_head(head: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
-    """Shape, whether in Fortran order, dtype, and where the data begins."""
-    file = BytesIO(head)
-    shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
-    return shape, is_fortran, dtype, file.tell()
 
 
 def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:

@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from io import BytesIO
 from math import prod
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -17,6 +18,7 @@ from stone_exports.files import ExportContent, ExportFileSpan
 from stone_exports.frames import ExportedDatum
 
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
+HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 HIGHEST_CLASS, NOT_OBSERVED = 3, 255
 # What zipfile and numpy raise for bytes that are no archive or no array; `RuntimeError` for one that is encrypted.
 UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, RuntimeError)
@@ -57,12 +59,17 @@ def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
 
 def _array(span: ExportFileSpan, key: str, npy: bytes) -> Classes:
     """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
-    file = BytesIO(npy)
-    reads = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-    shape, is_fortran, dtype = reads[np.lib.format.read_magic(file)](file)
+    shape, is_fortran, dtype, start = npy_head(npy)
     if shape != GRID_SHAPE or dtype != np.uint8 or is_fortran:
         raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {GRID_SHAPE}")
-    return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), file.tell()).reshape(GRID_SHAPE)
+    return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
+
+
+def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
+    """Shape, whether in Fortran order, dtype, and where the data begins. Raises `ValueError`, `KeyError`."""
+    file = BytesIO(npy)
+    shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
+    return shape, is_fortran, dtype, file.tell()
 
 
 # Radar scans of an export: binary PCD with the fields of nuScenes, as features of models.

@@ -102,6 +102,7 @@ def _block(place: tuple[str, str], size_bytes: int, kind: bytes) -> bytes:
 
 
 FULL32, FULL16 = 0xFFFFFFFF, 0xFFFF
+STORED, DEFLATED = 0, 8
 PLAIN, WITH_64 = 20, 45
 UNIX, REGULAR_0644 = 3 << 8, 0o100644 << 16
 DOS_1980_01_01 = 0x0021

@@ -18,6 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_base.label_grid import GRID_SHAPE
+from stone_files.archives import DEFLATED
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import (
@@ -34,7 +35,7 @@ from stone_submissions.errors import (
 )
 from stone_submissions.npz_frame import inflate_exactly
 from stone_submissions.verdict import ValidationProblem, problem_of
-from stone_submissions.zip_directory import DEFLATED, ZipMember, payload_span, read_directory
+from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 
 MAX_FRAME_BYTES = 3 * 2**20
 SPARE_ENTRIES = 1000

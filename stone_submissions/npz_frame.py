@@ -20,6 +20,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_base.label_grid import GRID_SHAPE, VOXELS
+from stone_files.archives import CENTRAL, DEFLATED, END, LOCAL, STORED
 from stone_submissions.errors import (
     BadDtypeError,
     BadShapeError,
@@ -32,18 +33,7 @@ from stone_submissions.errors import (
     TooLargeError,
     TruncatedError,
 )
-from stone_submissions.zip_directory import (
-    DEFLATED,
-    END,
-    IN_EXTRA_32,
-    LOCAL,
-    RECORD,
-    STORED,
-    ReadAt,
-    ZipMember,
-    payload_span,
-    read_directory,
-)
+from stone_submissions.zip_directory import IN_EXTRA_32, ReadAt, ZipMember, payload_span, read_directory
 
 PREDICTION_KEYS = ("semantics", "arr_0")
 PLAIN_NAMES = tuple(f"{key}.npy".encode() for key in PREDICTION_KEYS)
@@ -233,7 +223,7 @@ def _listed(names: Iterable[str]) -> str:
 
 WIDE = struct.Struct("<2H2Q")
 WIDE_SIZES = 1, 16
-LEAST_BYTES = LOCAL.size + RECORD.size + END.size
+LEAST_BYTES = LOCAL.size + CENTRAL.size + END.size
 
 
 def plain_member(npz: Buffer, names: tuple[bytes, ...]) -> tuple[ZipMember, int] | None:
@@ -244,11 +234,11 @@ def plain_member(npz: Buffer, names: tuple[bytes, ...]) -> tuple[ZipMember, int]
     mark, disk, start_disk, here, entries, directory_bytes, directory_at, comment = END.unpack_from(npz, end_at)
     if mark != b"PK\5\6" or (disk, start_disk, here, entries, comment) != (0, 0, 1, 1, 0):
         return None
-    if directory_at + directory_bytes != end_at or directory_bytes < RECORD.size or directory_at < LOCAL.size:
+    if directory_at + directory_bytes != end_at or directory_bytes < CENTRAL.size or directory_at < LOCAL.size:
         return None
-    mark, made_by, _, flags, method, _, _, crc32, packed, unpacked, *rest = RECORD.unpack_from(npz, directory_at)
+    mark, made_by, _, flags, method, _, _, crc32, packed, unpacked, *rest = CENTRAL.unpack_from(npz, directory_at)
     name_bytes, extra, comment, disk, _, attributes, at = rest
-    name = bytes(npz[directory_at + RECORD.size : end_at])
+    name = bytes(npz[directory_at + CENTRAL.size : end_at])
     if mark != b"PK\1\2" or name not in names or name_bytes != len(name) or flags or made_by >> 8 > 3:
         return None
     if (extra, comment, disk, at) != (0, 0, 0, 0) or stat.S_ISLNK(attributes >> 16):

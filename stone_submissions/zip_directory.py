@@ -13,6 +13,7 @@ import struct
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
+from stone_files.archives import CENTRAL, DEFLATED, END, END_64, LOCAL, LOCATOR, STORED
 from stone_submissions.errors import (
     EncryptedError,
     NotZipError,
@@ -33,7 +34,6 @@ from stone_submissions.errors import (
 # Source: PKWARE APPNOTE 6.3.10, §4.3.14–4.3.16, 4.4.1.4.
 
 
-END, END64, LOCATOR64 = struct.Struct("<4s4H2IH"), struct.Struct("<4sQ2H2I4Q"), struct.Struct("<4sIQI")
 MAX_COMMENT_BYTES = 2**16 - 1
 IN_EXTRA_32, IN_EXTRA_16 = 2**32 - 1, 2**16 - 1
 FIRST_FILE = b"PK\3\4"
@@ -67,9 +67,9 @@ def read_end(read_at: ReadAt, size_bytes: int) -> End:
         if _begins_as_zip(read_at) and not _may_end_at(narrow, position):
             raise _cut_short(size_bytes)
         raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
-    locator = read_at(position - LOCATOR64.size, LOCATOR64.size) if position >= LOCATOR64.size else b""
+    locator = read_at(position - LOCATOR.size, LOCATOR.size) if position >= LOCATOR.size else b""
     if locator[:4] == b"PK\6\7":
-        return _same(narrow, _read_wide(read_at, locator, position - LOCATOR64.size))
+        return _same(narrow, _read_wide(read_at, locator, position - LOCATOR.size))
     return _checked(narrow, (disk, start_disk, here - entries), position)
 
 
@@ -81,7 +81,7 @@ def _may_end_at(end: End, position: int) -> bool:
     """Whether a record at byte `position` can be of this archive: those of archives inside tell of other places."""
     if IN_EXTRA_32 in (end.directory_bytes, end.directory_offset):
         return True
-    return position - end.directory_offset - end.directory_bytes in (0, END64.size + LOCATOR64.size)
+    return position - end.directory_offset - end.directory_bytes in (0, END_64.size + LOCATOR.size)
 
 
 def _cut_short(size_bytes: int) -> TruncatedError:
@@ -90,13 +90,13 @@ def _cut_short(size_bytes: int) -> TruncatedError:
 
 def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
     """The wide end record named by the locator at byte `at`."""
-    _, disk, position, disks = LOCATOR64.unpack(locator)
-    if position + END64.size > at:
+    _, disk, position, disks = LOCATOR.unpack(locator)
+    if position + END_64.size > at:
         raise TruncatedError(f"a zip64 end record before byte {at}", f"one at byte {position}")
-    record = read_at(position, END64.size)
+    record = read_at(position, END_64.size)
     if record[:4] != b"PK\6\6":
         raise TruncatedError(f"a zip64 end record at byte {position}", "other bytes")
-    _, size_bytes, _, _, own_disk, start_disk, here, entries, directory_bytes, offset = END64.unpack(record)
+    _, size_bytes, _, _, own_disk, start_disk, here, entries, directory_bytes, offset = END_64.unpack(record)
     if size_bytes != at - position - BEFORE_ITS_SIZE:
         raise TruncatedError(f"a zip64 end record that ends at byte {at}", f"one of {size_bytes} bytes")
     parts = (disk, own_disk, start_disk, here - entries, max(disks, 1) - 1)
@@ -125,8 +125,6 @@ def _same(narrow: End, wide: End) -> End:
     return wide
 
 
-STORED, DEFLATED = 0, 8
-RECORD, LOCAL = struct.Struct("<4s6H3I5H2I"), struct.Struct("<4s5H3I2H")
 MAX_NAME_BYTES, MAX_EXTRA_BYTES = 512, 1024
 # Bit 0 encrypted, 6 strongly encrypted, 13 masked headers.
 ENCRYPTED_FLAGS = 1 << 0 | 1 << 6 | 1 << 13
@@ -156,12 +154,12 @@ def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[
     `UnsupportedZipError`, `OverlapError`.
     """
     end = read_end(read_at, size_bytes)
-    limit_bytes = max_entries * (RECORD.size + MAX_NAME_BYTES)
+    limit_bytes = max_entries * (CENTRAL.size + MAX_NAME_BYTES)
     if end.entries > max_entries:
         raise TooLargeError(f"at most {max_entries} files in the archive", f"{end.entries} files")
     if end.directory_bytes > limit_bytes:
         raise TooLargeError(f"a directory of at most {limit_bytes} bytes", f"{end.directory_bytes} bytes")
-    if end.entries * RECORD.size > end.directory_bytes or end.directory_offset + end.directory_bytes > size_bytes:
+    if end.entries * CENTRAL.size > end.directory_bytes or end.directory_offset + end.directory_bytes > size_bytes:
         raise TruncatedError(f"{end.entries} directory records inside the file", f"{end.directory_bytes} bytes of them")
     directory = read_at(end.directory_offset, end.directory_bytes)
     return _without_overlap(_parse(directory, end), end.directory_offset)
@@ -208,13 +206,13 @@ def _parse(directory: bytes, end: End) -> list[ZipMember]:
     members: list[ZipMember] = []
     at = 0
     for _ in range(end.entries):
-        if directory[at : at + 4] != b"PK\1\2" or at + RECORD.size > len(directory):
+        if directory[at : at + 4] != b"PK\1\2" or at + CENTRAL.size > len(directory):
             raise TruncatedError(f"{end.entries} directory records", f"{len(members)}")
-        fields = RECORD.unpack_from(directory, at)
-        stop = at + RECORD.size + sum(fields[10:13])
+        fields = CENTRAL.unpack_from(directory, at)
+        stop = at + CENTRAL.size + sum(fields[10:13])
         if stop > len(directory):
             raise TruncatedError(f"{end.entries} directory records", f"{len(members)} whole ones")
-        members.append(_member(fields, directory[at + RECORD.size : stop], end.directory_offset))
+        members.append(_member(fields, directory[at + CENTRAL.size : stop], end.directory_offset))
         at = stop
     if at != len(directory):
         raise UnsupportedZipError("directory records only", f"{len(directory) - at} bytes more")
