@@ -16,7 +16,7 @@ from api.files import answer_bytes, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
-from api.schemas.base import IdPath, instant
+from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.phase_bodies import PhaseInputItem
 from api.views.exports import served_archive
@@ -56,7 +56,7 @@ def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query:
     """The sequences of the phase whose inputs are there, by name."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
-        return page(session, inputs_of(phase.id), PhaseInput.name, query).shown(_item)
+        return page(session, inputs_of(phase.id), PhaseInput.name, query).shown(PhaseInputItem.of)
 
 
 @router.get(
@@ -89,14 +89,3 @@ def describe_input(
 ) -> Response:
     """Size and checksum of the tar."""
     return download_input(phase_id, sequence_name, caller, platform, request)
-
-
-def _item(row: PhaseInput) -> PhaseInputItem:
-    return PhaseInputItem(
-        name=row.name,
-        files=row.files,
-        size_bytes=row.size_bytes,
-        tar_bytes=row.tar_bytes,
-        tar_sha256=row.tar_sha256,
-        created_at=instant(row.created_ns),
-    )

@@ -87,15 +87,7 @@ def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
 @router.get("/me", summary="Who is calling and what they may")
 async def me(caller: Reader) -> MeItem:
     # It is known already: a thread would be waited for longer than this takes.
-    return MeItem(
-        user_id=caller.user_id,
-        name=caller.name,
-        role=caller.role,
-        scopes=sorted(caller.scopes),
-        is_session=caller.is_session,
-        csrf_token=caller.csrf_token or None,
-        expires_at=instant(caller.expires_ns),
-    )
+    return MeItem.of(caller, scopes=sorted(caller.scopes), csrf_token=caller.csrf_token or None)
 
 
 @router.put("/me/password", status_code=204, summary="Change one's own password", responses=refusals(401))

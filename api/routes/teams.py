@@ -26,7 +26,7 @@ from api.schemas.teams import (
     MemberName,
     ReasonQuery,
 )
-from api.views.teams import invitation_item, team_items
+from api.views.teams import team_items
 from api.visible import team_of, teams_of
 from services.domain.benchmarks.teams import teams
 from services.domain.benchmarks.teams.errors import NotMemberError
@@ -80,14 +80,14 @@ def invite(
         row, secret = teams.invite_row(session, team, caller.user_id, body.expires_s * 10**9)
         audit.record(session, caller, "team.invite", team.id, facts={"invitation_id": row.id})
     response.headers["Cache-Control"] = "no-store"
-    return IssuedInvitation(**dict(invitation_item(row)), secret=secret)
+    return IssuedInvitation.of(row, secret=secret)
 
 
 @router.get("/{team_id}/invitations", responses=refusals(404))
 def list_invitations(team_id: IdPath, caller: Reader, platform: PlatformDep) -> list[InvitationItem]:
     """The invitations that still let somebody in, oldest first."""
     with platform.database.reading() as session:
-        return [invitation_item(row) for row in teams.open_invitations(session, team_of(session, caller, team_id).id)]
+        return [InvitationItem.of(row) for row in teams.open_invitations(session, team_of(session, caller, team_id).id)]
 
 
 @router.delete("/{team_id}/invitations/{invitation_id}", status_code=204, responses=refusals(404))

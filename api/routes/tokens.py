@@ -16,7 +16,7 @@ from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
-from api.views.people import token_item, tokens_page
+from api.views.people import tokens_page
 from services.runtime.access import tokens
 from services.runtime.access.roles import ACCOUNT
 from services.runtime.orm import Token, User
@@ -39,7 +39,7 @@ def issue(body: TokenBody, caller: AccountHolder, response: Response, platform: 
         row, secret = tokens.issue_until(session, owner, body.name, scopes, expires_ns, _parent(session, caller))
         audit.record(session, caller, "token.issue", row.id, facts={"scopes": row.scopes, "name": row.name})
     response.headers["Cache-Control"] = "no-store"
-    return IssuedToken(**token_item(row).model_dump(), secret=secret)
+    return IssuedToken.of(row, secret=secret)
 
 
 @router.get("", summary="One's own tokens, newest first")

@@ -1,11 +1,10 @@
 """The administrator's view over the wire: jobs with their children, queues, workers."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Instant, Reason, example
 from api.schemas.jobs import ATTEMPT_EXAMPLE, JOB_EXAMPLE, STAGES_EXAMPLE, FailureItem, JobDetail, JobItem
 
 MOST_AT_ONCE = 200
@@ -166,7 +165,7 @@ class WorkerItem(Answer):
     queues: list[str]
     is_silent: bool
     age_s: float
-    started_at: datetime
+    started_at: Instant
     job_id: str | None
     kind: str | None
     attempt: int | None
@@ -228,8 +227,8 @@ class AlarmItem(Answer):
     kind: str
     subject: str
     facts: dict[str, Any]
-    created_at: datetime
-    dismissed_at: datetime | None
+    created_at: Instant
+    dismissed_at: Instant | None
 
 
 class GrantBody(Body):
@@ -270,5 +269,5 @@ class GrantItem(Answer):
     used: int
     reserved: int
     total_left: int | None
-    next_at: datetime | None
-    created_at: datetime
+    next_at: Instant | None
+    created_at: Instant

@@ -1,9 +1,8 @@
 """The audit log over the wire."""
 
-from datetime import datetime
 from typing import Any
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Instant, example
 
 
 class AuditLine(Answer):
@@ -30,7 +29,7 @@ class AuditLine(Answer):
     reason: str
     facts: dict[str, Any]
     request_id: str
-    logged_at: datetime
+    logged_at: Instant
     hash: str
 
 

@@ -2,10 +2,11 @@
 
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
-from typing import Annotated, Any
+from functools import cache
+from typing import Annotated, Any, Self
 
 from fastapi import Path, Query
-from pydantic import BaseModel, ConfigDict, StringConstraints
+from pydantic import AliasChoices, AliasGenerator, BaseModel, BeforeValidator, ConfigDict, StringConstraints
 from pydantic_core import PydanticCustomError
 
 from stone.errors import StoneError
@@ -33,6 +34,10 @@ def instant(moment_ns: int) -> datetime:
     return EPOCH + timedelta(microseconds=moment_ns // 1000)
 
 
+Instant = Annotated[datetime, BeforeValidator(lambda value: instant(value) if type(value) is int else value)]
+"""A moment, also given in nanoseconds since 1970."""
+
+
 def instant_or_none(moment_ns: int | None) -> datetime | None:
     return None if moment_ns is None else instant(moment_ns)
 
@@ -55,10 +60,43 @@ class Body(BaseModel):
     model_config = ConfigDict(extra="forbid", frozen=True)
 
 
-class Answer(BaseModel):
-    """What a response says."""
+def _attribute_of(field: str) -> str:
+    return f"{field.removesuffix('_at')}_ns" if field == "at" or field.endswith("_at") else field
 
-    model_config = ConfigDict(frozen=True)
+
+def _read_from(field: str) -> AliasChoices | None:
+    attribute = _attribute_of(field)
+    return None if attribute == field else AliasChoices(attribute, field)
+
+
+class Answer(BaseModel):
+    """A response; its fields are read from a value's attributes of the same names, `<name>_at` from `<name>_ns`.
+
+    A response contains what its class names and nothing else of a value. Give `of` every field that the caller may not
+    see as it is.
+    """
+
+    model_config = ConfigDict(
+        frozen=True, from_attributes=True, alias_generator=AliasGenerator(validation_alias=_read_from)
+    )
+
+    @classmethod
+    def of(cls, value: object, **given: Any) -> Self:
+        """Return the response with the given fields, and the others from attributes of the value."""
+        if not given:
+            return cls.model_validate(value)
+        for field, name in _attributes_of(cls):
+            if field not in given and (found := getattr(value, name, _ABSENT)) is not _ABSENT:
+                given[field] = found
+        return cls.model_validate(given)
+
+
+_ABSENT = object()
+
+
+@cache
+def _attributes_of(answer: type[Answer]) -> tuple[tuple[str, str], ...]:
+    return tuple((field, _attribute_of(field)) for field in answer.model_fields)
 
 
 def example(**values: Any) -> ConfigDict:

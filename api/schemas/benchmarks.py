@@ -1,11 +1,10 @@
 """Benchmarks over the wire, what is asked for and answered; phases and metrics as they are answered."""
 
-from datetime import datetime
 from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
 from api.schemas.phase_bodies import BENCHMARK_PATTERN, NEW_PHASE_EXAMPLE, Heading, NewPhaseBody, Prose, Version
 from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
 
@@ -66,7 +65,7 @@ class ActiveItem(Answer):
     dataset: str
     frames: int
     manifest_sha256: str
-    activated_at: datetime
+    activated_at: Instant
     signature: SignatureItem
 
 
@@ -84,9 +83,9 @@ class PhaseItem(Answer):
     mask: str
     is_hidden: bool
     standing: PhaseStatus
-    opens_at: datetime | None
-    closes_at: datetime | None
-    named_from_at: datetime | None
+    opens_at: Instant | None
+    closes_at: Instant | None
+    named_from_at: Instant | None
     scorings_per_window: int | None
     window_s: int
     scorings_total: int | None
@@ -95,7 +94,7 @@ class PhaseItem(Answer):
     active: ActiveItem | None
     visibility: list[str]
     revision: int
-    created_at: datetime
+    created_at: Instant
 
 
 class PhaseFinding(Answer):
@@ -163,7 +162,7 @@ class BenchmarkShown(Answer, Generic[PhaseShown]):
     description: str
     phases: list[PhaseShown]
     is_public: bool
-    created_at: datetime
+    created_at: Instant
 
 
 class BenchmarkItem(BenchmarkShown[str]):

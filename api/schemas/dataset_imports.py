@@ -1,11 +1,10 @@
 """Imports of published datasets over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Line, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, Line, example
 from api.schemas.jobs import FailureItem
 from api.schemas.sequences.sequences import Environment, Illumination, Region
 from services.domain.imports.requests import LONGEST_NAME, Existing, ImportedFacts, NewImport, StatedClasses
@@ -104,8 +103,8 @@ class DatasetImportItem(Answer):
     scenes_total: int | None
     scenes_done: int
     frames: int | None
-    created_at: datetime
-    finished_at: datetime | None
+    created_at: Instant
+    finished_at: Instant | None
 
 
 class ImportedSceneItem(Answer):

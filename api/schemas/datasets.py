@@ -1,11 +1,10 @@
 """Versions of the dataset over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Line, Reason, example
+from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Instant, Line, Reason, example
 from api.schemas.splits import DRIVEN_EXAMPLE, FINDING_EXAMPLE, DrivenItem, RuleItem, Sizes
 from services.domain.datasets.input_jobs import InputState
 
@@ -50,7 +49,7 @@ class DatasetItem(Answer):
     manifest_sha256: str
     manifest_bytes: int
     sizes: Sizes
-    created_at: datetime
+    created_at: Instant
 
 
 class DatasetMemberItem(DrivenItem):
@@ -126,4 +125,4 @@ class DatasetInputItem(Answer):
     size_bytes: int
     tar_bytes: int
     tar_sha256: str
-    created_at: datetime | None
+    created_at: Instant | None

@@ -1,9 +1,8 @@
 """Jobs over the wire: progress, failures and log lines."""
 
-from datetime import datetime
 from typing import Any
 
-from api.schemas.base import ID_EXAMPLE, Answer, example
+from api.schemas.base import ID_EXAMPLE, Answer, Instant, example
 
 STAGES_EXAMPLE: list[dict[str, Any]] = [
     {
@@ -100,8 +99,8 @@ class StageItem(Answer):
     done: int
     running: int
     failed: int
-    began_at: datetime | None = None
-    ended_at: datetime | None = None
+    began_at: Instant | None = None
+    ended_at: Instant | None = None
     busy_s: float = 0.0
 
 
@@ -124,9 +123,9 @@ class JobItem(Answer):
     failure: FailureItem | None
     cancel_reason: str
     revision: int
-    created_at: datetime
-    started_at: datetime | None
-    finished_at: datetime | None
+    created_at: Instant
+    started_at: Instant | None
+    finished_at: Instant | None
 
 
 class AttemptItem(Answer):
@@ -139,8 +138,8 @@ class AttemptItem(Answer):
     outcome: str
     failure: FailureItem | None
     peak_bytes: int | None
-    started_at: datetime
-    finished_at: datetime | None
+    started_at: Instant
+    finished_at: Instant | None
 
 
 class JobDetail(JobItem):
@@ -172,7 +171,7 @@ class LogLine(Answer):
     attempt: int
     number: int
     logged_ns: int
-    logged_at: datetime
+    logged_at: Instant
     level: str
     event: str
     facts: dict[str, Any]

@@ -1,11 +1,10 @@
 """Boards and comparisons over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from fastapi import Query
 
-from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, example
+from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, Instant, example
 from api.schemas.phase_bodies import Moment
 from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
 from services.domain.benchmarks.visibility import Secrecy
@@ -132,7 +131,7 @@ class BoardPairItem(PairItem):
 
     model_config = example(**BOARD_PAIR_EXAMPLE)
 
-    activated_at: datetime
+    activated_at: Instant
 
 
 class BoardRow(Answer):
@@ -161,7 +160,7 @@ class BoardRow(Answer):
     source: str | None
     note: str | None
     percent_digits: int
-    submitted_at: datetime | None
+    submitted_at: Instant | None
 
 
 class LeaderboardAnswer(Answer):
@@ -194,7 +193,7 @@ class LeaderboardAnswer(Answer):
     phase: str
     track: Track
     entries: Which
-    as_of: datetime | None
+    as_of: Instant | None
     is_hidden: bool
     secrecy: Secrecy
     is_rounded: bool
@@ -215,7 +214,7 @@ class ChangeItem(Answer):
 
     model_config = example(**CHANGE_EXAMPLE)
 
-    at: datetime
+    at: Instant
     entered: int
     left: int
     is_new_pair: bool

@@ -1,11 +1,10 @@
 """Notifications over the wire: what is told, who chose what, where to, and what was delivered."""
 
-from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Instant, example
 
 MADE = "2026-05-03T09:12:44.120000Z"
 URL = "https://chat.example.org/hooks/x1"
@@ -58,9 +57,9 @@ class WebhookItem(Answer):
     model_config = example(url=URL, created_at=MADE, failing_since=None, disabled_at=None)
 
     url: str
-    created_at: datetime
-    failing_since: datetime | None
-    disabled_at: datetime | None
+    created_at: Instant
+    failing_since: Instant | None
+    disabled_at: Instant | None
 
 
 class IssuedWebhook(WebhookItem):
@@ -139,6 +138,6 @@ class DeliveryItem(Answer):
     state: str
     tries: int
     answer: str
-    created_at: datetime
-    due_at: datetime | None
-    ended_at: datetime | None
+    created_at: Instant
+    due_at: Instant | None
+    ended_at: Instant | None

@@ -1,11 +1,10 @@
 """People over the wire: the caller, sessions, tokens, users, teams; and the platform's health."""
 
-from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Instant, Reason, example
 from services.runtime.access.roles import Role, Scope
 
 PASSWORD = "correct horse battery staple"
@@ -65,7 +64,7 @@ class SessionItem(Answer):
     name: str
     role: str
     csrf_token: str
-    expires_at: datetime
+    expires_at: Instant
 
 
 class BrowserItem(Answer):
@@ -74,8 +73,8 @@ class BrowserItem(Answer):
     model_config = example(id=ID_EXAMPLE, created_at=MADE, expires_at=ENDS, is_current=True)
 
     id: str
-    created_at: datetime
-    expires_at: datetime
+    created_at: Instant
+    expires_at: Instant
     is_current: bool
 
 
@@ -98,7 +97,7 @@ class MeItem(Answer):
     scopes: list[str]
     is_session: bool
     csrf_token: str | None
-    expires_at: datetime
+    expires_at: Instant
 
 
 class PasswordBody(Body):
@@ -140,9 +139,9 @@ class TokenItem(Answer):
     id: str
     name: str
     scopes: list[str]
-    created_at: datetime
-    expires_at: datetime
-    used_at: datetime | None
+    created_at: Instant
+    expires_at: Instant
+    used_at: Instant | None
 
 
 class IssuedToken(TokenItem):
@@ -189,7 +188,7 @@ class UserItem(Answer):
     role: str
     is_active: bool
     has_password: bool
-    created_at: datetime
+    created_at: Instant
 
 
 class RevokedItem(Answer):
@@ -224,4 +223,4 @@ class TeamItem(Answer):
     captain: str | None
     members: list[str]
     phases: list[str]
-    created_at: datetime
+    created_at: Instant

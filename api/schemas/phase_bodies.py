@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import Path
 from pydantic import AfterValidator, AwareDatetime, Field, StringConstraints
 
-from api.schemas.base import EPOCH, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.base import EPOCH, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
 from api.schemas.datasets import VERSION_PATTERN
 from services.domain.benchmarks.phases.phases import (
     LONGEST_WINDOW_NS,
@@ -171,4 +171,4 @@ class PhaseInputItem(Answer):
     size_bytes: int
     tar_bytes: int
     tar_sha256: str
-    created_at: datetime
+    created_at: Instant

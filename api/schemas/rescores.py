@@ -1,11 +1,10 @@
 """Re-scores over the wire: the request, its progress, and the changes it would make."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Instant, Reason, example
 from api.schemas.jobs import FailureItem
 
 RescoreState = Literal["running", "incomplete", "complete", "activated", "abandoned"]
@@ -79,9 +78,9 @@ class RescoreItem(Answer):
     missing_submission_ids: list[str]
     job_id: str | None
     failure: FailureItem | None
-    created_at: datetime
-    activated_at: datetime | None
-    abandoned_at: datetime | None
+    created_at: Instant
+    activated_at: Instant | None
+    abandoned_at: Instant | None
 
 
 class SideItem(Answer):
@@ -155,4 +154,4 @@ class ActivationItem(Answer):
     truth_id: str
     metric: str
     rescore_id: str | None
-    activated_at: datetime
+    activated_at: Instant

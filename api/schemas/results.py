@@ -1,11 +1,10 @@
 """Results of a submission over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import Query
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, IdQuery, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, IdQuery, Instant, example
 from api.schemas.leaderboard import (
     INTERVAL_EXAMPLE,
     PAIR_EXAMPLE,
@@ -81,7 +80,7 @@ class ScoreItem(Answer):
     ground_truth: int
     metric: str
     is_active: bool
-    scored_at: datetime
+    scored_at: Instant
 
 
 class ResultsAnswer(Answer):
@@ -135,8 +134,8 @@ class ResultsAnswer(Answer):
     extras: ExtrasItem | None
     intervals: ScopedIntervals | None
     silences: ScopedSilences | None
-    submitted_at: datetime
-    scored_at: datetime
+    submitted_at: Instant
+    scored_at: Instant
     scores: list[ScoreItem]
 
 
@@ -192,6 +191,6 @@ class ProvenanceAnswer(Answer):
     prediction_sha256: str | None
     size_bytes: int | None
     content_sha256: str | None
-    submitted_at: datetime
-    settled_at: datetime | None
-    scored_at: datetime
+    submitted_at: Instant
+    settled_at: Instant | None
+    scored_at: Instant

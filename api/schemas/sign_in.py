@@ -1,11 +1,10 @@
 """Signing in over the wire: the ways there are, and programs that wait for somebody to approve them."""
 
-from datetime import datetime
 from typing import Annotated, Literal
 
 from pydantic import Field, SecretStr, StringConstraints
 
-from api.schemas.base import PLAIN, Answer, Body, example
+from api.schemas.base import PLAIN, Answer, Body, Instant, example
 from api.schemas.people import MADE, Title
 
 USER_CODE = "BCDF-GHJK"
@@ -55,7 +54,7 @@ class DeviceCodesItem(Answer):
     user_code: str
     url: str
     url_with_code: str
-    expires_at: datetime
+    expires_at: Instant
     interval_s: int
 
 

@@ -1,11 +1,10 @@
 """Submissions over the wire: announcement, progress, findings, and the team's quota."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, Reason, example
 from api.schemas.jobs import FailureItem
 from services.domain.benchmarks.modalities import Modality
 
@@ -150,11 +149,11 @@ class SubmissionItem(Answer):
     size_bytes: int
     job_id: str | None
     revision: int
-    created_at: datetime
-    finalized_at: datetime | None
-    settled_at: datetime | None
-    withdrawn_at: datetime | None
-    hidden_at: datetime | None
+    created_at: Instant
+    finalized_at: Instant | None
+    settled_at: Instant | None
+    withdrawn_at: Instant | None
+    hidden_at: Instant | None
     hidden_reason: str
 
 
@@ -218,7 +217,7 @@ class StandingAnswer(Answer):
     reserved: int
     total_left: int | None
     window_s: float
-    next_slot_at: datetime | None
+    next_slot_at: Instant | None
     validations_per_day: int
     validations_left: int
-    next_validation_at: datetime | None
+    next_validation_at: Instant | None

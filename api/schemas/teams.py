@@ -1,12 +1,11 @@
 """Teams over the wire: their members, invitations, and the phases they take part in."""
 
-from datetime import datetime
 from typing import Annotated, Any
 
 from fastapi import Path, Query
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Instant, Reason, example
 from api.schemas.people import UserName
 
 INVITATION_EXAMPLE: dict[str, Any] = {
@@ -37,8 +36,8 @@ class InvitationItem(Answer):
     model_config = example(**INVITATION_EXAMPLE)
 
     id: str
-    created_at: datetime
-    expires_at: datetime
+    created_at: Instant
+    expires_at: Instant
 
 
 class IssuedInvitation(InvitationItem):

@@ -1,11 +1,10 @@
 """Ground truths and reported rows over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Reason, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.phase_bodies import Version
 from services.domain.benchmarks.modalities import Modality
@@ -67,8 +66,8 @@ class TruthItem(Answer):
     sha256: str | None
     frames: int
     manifest_sha256: str | None
-    created_at: datetime
-    ready_at: datetime | None
+    created_at: Instant
+    ready_at: Instant | None
 
 
 class TruthAccepted(Answer):

@@ -1,8 +1,6 @@
 """Uploads over the wire."""
 
-from datetime import datetime
-
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, example, instant
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Instant, example
 from services.runtime.orm import Upload
 
 
@@ -37,22 +35,15 @@ class UploadItem(Answer):
     declared_sha256: str | None
     state: str
     detail: str
-    created_at: datetime
-    expires_at: datetime
+    created_at: Instant
+    expires_at: Instant
 
 
 def upload_item(upload: Upload, offset_bytes: int) -> UploadItem:
-    return UploadItem(
-        id=upload.id,
-        purpose=upload.purpose,
+    return UploadItem.of(
+        upload,
         target_id=upload.target_id or None,
-        filename=upload.filename,
-        length_bytes=upload.length_bytes,
         offset_bytes=offset_bytes,
         sha256=upload.sha256 or None,
         declared_sha256=upload.declared_sha256 or None,
-        state=upload.state,
-        detail=upload.detail,
-        created_at=instant(upload.created_ns),
-        expires_at=instant(upload.expires_ns),
     )

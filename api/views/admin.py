@@ -10,7 +10,6 @@ from sqlalchemy import ColumnElement, Select, and_, case, func, select
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
 from api.schemas.admin import AdminJobDetail, AdminJobItem, JobCounts, QueueItem, RunningAttempt, WorkerItem
-from api.schemas.base import instant
 from api.views.jobs import job_detail, job_items
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.wakeup import wake_up_counter
@@ -150,11 +149,12 @@ def queue_items(session: Session, wake_ups: WakeUpCounts = UNASKED) -> list[Queu
     modes = dict(session.execute(select(Queue.name, Queue.mode)).all())
     standing, ended = _backlogs(session), _ended_counts(session, at_ns)
     return [
-        QueueItem(
+        QueueItem.of(
+            standing.get(name, QueueBacklog()),
             name=name,
             mode=modes.get(name, "open"),
             bells=wake_ups[name],
-            **_backlog_facts(standing.get(name, QueueBacklog()), at_ns),
+            oldest_ready_s=_age_s(standing.get(name, QueueBacklog()), at_ns),
             **_achieved(ended.get(name, EndedJobCounts())),
         )
         for name in QUEUES
@@ -175,10 +175,8 @@ def running_items(session: Session) -> list[RunningAttempt]:
     ]
 
 
-def _backlog_facts(standing: QueueBacklog, at_ns: int) -> dict[str, Any]:
-    oldest_s = None if standing.oldest_ns is None else max(0, at_ns - standing.oldest_ns) / 1e9
-    counts = {name: getattr(standing, name) for name in ("ready", "waiting", "running")}
-    return {**counts, "oldest_ready_s": oldest_s}
+def _age_s(standing: QueueBacklog, at_ns: int) -> float | None:
+    return None if standing.oldest_ns is None else max(0, at_ns - standing.oldest_ns) / 1e9
 
 
 def _achieved(ended: EndedJobCounts) -> dict[str, Any]:
@@ -223,15 +221,12 @@ def _ended_counts(session: Session, at_ns: int) -> dict[str, EndedJobCounts]:
 
 def _worker(seen: WorkerPresence, held: tuple[Job, JobAttempt] | None) -> WorkerItem:
     row = seen.worker
-    sizes = ("held_bytes", "memory_free_bytes", "memory_bytes", "disk_free_bytes", "disk_bytes")
-    return WorkerItem(
-        name=row.name,
+    return WorkerItem.of(
+        row,
         queues=row.queues.split(","),
         is_silent=seen.is_silent,
         age_s=seen.age_s,
-        started_at=instant(row.started_ns),
         job_id=held[0].id if held else None,
         kind=held[0].kind if held else None,
         attempt=held[1].number if held else None,
-        **{name: getattr(row, name) for name in sizes},
     )

@@ -6,11 +6,10 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session, aliased
 
 from api.paging import Page, PageQuery, page
-from api.schemas.admin import AlarmItem, GrantItem
+from api.schemas.admin import GrantItem
 from api.schemas.audit import AuditLine
-from api.schemas.base import instant, instant_or_none
 from services.domain.benchmarks.submissions.scoring_quota import ScoringQuota, scoring_quota
-from services.runtime.orm import Alarm, AuditEntry, Phase, PhaseTeam, ScoringEntry, Team
+from services.runtime.orm import AuditEntry, Phase, PhaseTeam, ScoringEntry, Team
 
 
 @dataclass(frozen=True)
@@ -32,7 +31,7 @@ def audit_page(session: Session, query: PageQuery, wanted: AuditFilter) -> Page[
         AuditEntry.subject_id: wanted.subject_id,
     }
     found = select(AuditEntry).where(*(column == value for column, value in said.items() if value))
-    return page(session, found, AuditEntry.number.desc(), query).shown(audit_line)
+    return page(session, found, AuditEntry.number.desc(), query).shown(AuditLine.of)
 
 
 def acts_known(session: Session) -> list[str]:
@@ -44,12 +43,7 @@ def acts_known(session: Session) -> list[str]:
     return list(session.scalars(select(acts.c.act).where(acts.c.act.is_not(None)).order_by(acts.c.act)))
 
 
-def audit_line(row: AuditEntry) -> AuditLine:
-    names = ("number", "actor_id", "actor", "act", "subject_id", "reason", "facts", "request_id", "hash")
-    return AuditLine(**{name: getattr(row, name) for name in names}, logged_at=instant(row.logged_ns))
-
-
-# Alarms and grants as the API shows them, and how teams stand in a phase.
+# Grants as the API shows them, and how teams stand in a phase.
 
 
 @dataclass(frozen=True)
@@ -61,30 +55,15 @@ class TeamQuota:
     scoring_quota: ScoringQuota
 
 
-def alarm_item(row: Alarm) -> AlarmItem:
-    return AlarmItem(
-        id=row.id,
-        phase_id=row.phase_id,
-        kind=row.kind,
-        subject=row.subject,
-        facts=row.facts,
-        created_at=instant(row.created_ns),
-        dismissed_at=instant_or_none(row.dismissed_ns),
-    )
-
-
 def grant_item(entry: ScoringEntry, now: ScoringQuota) -> GrantItem:
-    return GrantItem(
+    return GrantItem.of(
+        now,
         id=entry.id,
         phase_id=entry.phase_id,
         team_id=entry.team_id,
         scorings=-entry.amount,
-        limit=now.limit,
-        used=now.used,
-        reserved=now.reserved,
-        total_left=now.total_left,
-        next_at=instant_or_none(now.next_slot_ns),
-        created_at=instant(entry.created_ns),
+        next_at=now.next_slot_ns,
+        created_at=entry.created_ns,
     )
 
 

@@ -4,13 +4,12 @@
 """
 
 from collections.abc import Sequence
-from typing import Any
 
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.errors import NotFoundError
-from api.schemas.base import Answer, instant, instant_or_none
+from api.schemas.base import instant
 from api.schemas.benchmarks import (
     ActiveItem,
     BenchmarkDetail,
@@ -25,7 +24,7 @@ from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.phases import phase_status
 from services.domain.benchmarks.visibility import policy_sentences
-from services.runtime.orm import Base, Benchmark, Dataset, GroundTruthRow, Phase
+from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from stone.scoring.metric import METRICS, Metric
 
@@ -36,21 +35,12 @@ def benchmark_items(session: Session, rows: Sequence[Benchmark]) -> list[Benchma
     names: dict[str, list[str]] = {}
     for benchmark_id, name in session.execute(of_these.order_by(Phase.name)):
         names.setdefault(benchmark_id, []).append(name)
-    return [
-        BenchmarkItem(
-            **shown_columns(row, BenchmarkItem),
-            phases=names.get(row.id, []),
-        )
-        for row in rows
-    ]
+    return [BenchmarkItem.of(row, phases=names.get(row.id, [])) for row in rows]
 
 
 def benchmark_detail(session: Session, row: Benchmark) -> BenchmarkDetail:
     """A benchmark with its phases, by name."""
-    return BenchmarkDetail(
-        **shown_columns(row, BenchmarkDetail),
-        phases=[phase_item(session, phase) for phase in phases_of(session, row)],
-    )
+    return BenchmarkDetail.of(row, phases=[phase_item(session, phase) for phase in phases_of(session, row)])
 
 
 def phases_of(session: Session, benchmark: Benchmark) -> Sequence[Phase]:
@@ -59,17 +49,15 @@ def phases_of(session: Session, benchmark: Benchmark) -> Sequence[Phase]:
 
 def phase_detail(session: Session, phase: Phase) -> PhaseDetail:
     """A phase as its administrator sees it."""
-    findings = [
-        PhaseFinding(code=one.code, severity="warning", message=one.message) for one in findings_of(session, phase)
-    ]
+    findings = [PhaseFinding.of(one, severity="warning") for one in findings_of(session, phase)]
     return PhaseDetail(**dict(phase_item(session, phase)), findings=findings)
 
 
 def phase_item(session: Session, phase: Phase) -> PhaseItem:
     """A phase as everybody sees it."""
     at_ns = now_ns()
-    return PhaseItem(
-        **shown_columns(phase, PhaseItem),
+    return PhaseItem.of(
+        phase,
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
         dataset=session.get_one(Dataset, phase.dataset_id).name,
         standing=phase_status(phase, at_ns),
@@ -83,7 +71,7 @@ def metric_item(session: Session, phase: Phase, version: str) -> MetricItem:
     """A version of the metric, and whether the phase is scored by it now. Raises `NotFoundError`."""
     found, pair = known_metric(version), evaluation_versions.active(session, phase.id)
     is_active = pair is not None and pair.metric == version
-    return MetricItem(version=found.version, title=found.title, definition=found.definition, is_active=is_active)
+    return MetricItem.of(found, is_active=is_active)
 
 
 def known_metric(version: str) -> Metric:
@@ -107,17 +95,3 @@ def _active(session: Session, phase: Phase) -> ActiveItem | None:
         activated_at=instant(activation.activated_ns),
         signature=SignatureItem(metric=activation.metric, ground_truth=truth.sha256, mask=truth.mask),
     )
-
-
-# Answers filled from a row: fields of the same name are copied, so that a new column is shown by naming it once.
-
-
-def shown_columns(row: Base, answer: type[Answer]) -> dict[str, Any]:
-    """Those fields of the answer that are columns of the row; `<name>_at` is the instant of `<name>_ns`.
-
-    A column that the answer does not name is not shown.
-    """
-    columns = row.__table__.columns.keys()
-    shown = {name: getattr(row, name) for name in answer.model_fields if name in columns}
-    instants = {name: f"{name.removesuffix('_at')}_ns" for name in answer.model_fields if name.endswith("_at")}
-    return shown | {name: instant_or_none(getattr(row, ns)) for name, ns in instants.items() if ns in columns}

@@ -4,7 +4,6 @@
 a board is kept under its revision, which is another one for who sees another board.
 """
 
-from dataclasses import asdict
 from threading import Lock
 
 from cachetools import LRUCache
@@ -13,25 +12,17 @@ from sqlalchemy.orm import Session
 
 from api.compression import tagged_response
 from api.files import safe_name
-from api.schemas.base import instant, instant_or_none
 from api.schemas.leaderboard import (
     BoardPairItem,
-    BoardRow,
     ChangeItem,
     ComparisonAnswer,
-    DifferenceItem,
     Form,
     HistoryAnswer,
-    IntervalsItem,
     LeaderboardAnswer,
     PairItem,
-    RatioDifferenceItem,
-    RatiosItem,
-    SignFlipItem,
-    SupportItem,
 )
-from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, LeaderboardRow, sequences_of
-from services.domain.benchmarks.boards.comparison import DifferenceEstimate, EntryComparison, RatioDifference
+from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, sequences_of
+from services.domain.benchmarks.boards.comparison import EntryComparison
 from services.domain.benchmarks.boards.entries import TIE_BREAK, Track
 from services.domain.benchmarks.boards.history import history
 from services.domain.benchmarks.boards.tables import MEDIA_TYPES, notes, table_bytes
@@ -72,21 +63,16 @@ def _board_bytes(board: Board, viewer: Viewer, form: Form) -> bytes:
 
 
 def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:
-    return LeaderboardAnswer(
-        benchmark=board.benchmark,
-        phase=board.phase,
+    return LeaderboardAnswer.of(
+        board,
         track=board.query.track,
         entries=board.query.entries,
-        as_of=instant_or_none(board.query.as_of_ns),
-        is_hidden=board.is_hidden,
-        secrecy=board.secrecy,
+        as_of=board.query.as_of_ns,
         is_rounded=board.secrecy == "running" and not viewer.is_administrator,
         ratio_digits=RATIO_DIGITS,
         ordered_by=[*TIE_BREAK, "submitted_at"],
         interval_level=LEVEL,
         pair=_board_version_item(board.pair) if board.pair else None,
-        ranked_total=board.ranked_total,
-        rows=[_row(row) for row in board.rows],
         notes=list(notes(board)),
     )
 
@@ -97,87 +83,30 @@ def history_answer(session: Session, phase: Phase, track: Track) -> HistoryAnswe
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
         phase=phase.name,
         track=track,
-        changes=[
-            ChangeItem(
-                at=instant(one.at_ns),
-                entered=one.entered,
-                left=one.left,
-                is_new_pair=one.is_new_pair,
-                best_miou=one.best,
-            )
-            for one in history(session, phase, track)
-        ],
+        changes=[ChangeItem.of(one, best_miou=one.best) for one in history(session, phase, track)],
     )
 
 
 def evaluation_version_item(seen: ScoreView) -> PairItem:
     """The evaluation version that a score was made by."""
-    return PairItem(
+    return PairItem.of(
+        seen.score,
         ground_truth=seen.truth.number,
         ground_truth_sha256=seen.truth.sha256,
-        metric=seen.score.metric,
-        signature=seen.score.signature,
         frames=seen.truth.frames,
         sequences=sequences_of(seen.truth),
     )
 
 
 def comparison_answer(comparison: EntryComparison) -> ComparisonAnswer:
-    return ComparisonAnswer(
+    return ComparisonAnswer.of(
+        comparison,
         a=comparison.a.submission.id,
         b=comparison.b.submission.id,
         pair=evaluation_version_item(comparison.a),
-        is_withheld=comparison.is_withheld,
         interval_level=LEVEL,
-        ratios={name: _compared(found) for name, found in comparison.ratios.items()},
     )
 
 
 def _board_version_item(pair: BoardEvaluationVersion) -> BoardPairItem:
-    return BoardPairItem(
-        ground_truth=pair.truth_number,
-        ground_truth_sha256=pair.truth_sha256,
-        metric=pair.metric,
-        signature=pair.signature,
-        frames=pair.frames,
-        sequences=pair.sequences,
-        activated_at=instant(pair.activated_ns),
-    )
-
-
-def _row(row: LeaderboardRow) -> BoardRow:
-    return BoardRow(
-        standing=row.standing,
-        rank=row.rank,
-        rank_interval=row.rank_interval,
-        tie_group=row.tie_group,
-        submission_id=row.submission_id,
-        score_id=row.score_id,
-        team=row.team,
-        is_yours=row.is_yours,
-        method=row.method,
-        modality=row.modality,
-        ratios=RatiosItem(**row.ratios),
-        intervals=None if row.intervals is None else IntervalsItem(**row.intervals),
-        support=None if row.support is None else SupportItem(**row.support),
-        source=row.source,
-        note=row.note,
-        percent_digits=row.percent_digits,
-        submitted_at=instant_or_none(row.submitted_ns),
-    )
-
-
-def _compared(found: RatioDifference) -> RatioDifferenceItem:
-    return RatioDifferenceItem(
-        a=found.a,
-        b=found.b,
-        difference=found.difference,
-        these_places=_difference(found.these_places),
-        new_place=_difference(found.new_place),
-        silences=None if found.silences is None else dict(found.silences),
-        sign_flip=None if found.sign_flip is None else SignFlipItem(**asdict(found.sign_flip)),
-    )
-
-
-def _difference(found: DifferenceEstimate | None) -> DifferenceItem | None:
-    return None if found is None else DifferenceItem(**asdict(found))
+    return BoardPairItem.of(pair, ground_truth=pair.truth_number, ground_truth_sha256=pair.truth_sha256)

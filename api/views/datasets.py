@@ -8,18 +8,16 @@ from dataclasses import dataclass
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from api.schemas.base import instant
-from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem, OpenPart
-from api.schemas.splits import Sizes
+from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem
 from services.domain.datasets.catalogue import OPEN
 from services.domain.datasets.files import files_of
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
 from services.domain.datasets.versions import members_now, told_statistics
-from services.runtime.orm import Dataset, DatasetMember, DatasetPart
+from services.runtime.orm import Dataset, DatasetMember
 from stone.errors import StoneError
-from stone.splits.splits import RuleFinding
+from stone.splits.splits import PARTS, RuleFinding
 
 
 @dataclass(frozen=True)
@@ -52,44 +50,13 @@ def prospect_of(session: Session) -> DatasetPreview:
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:
     entries = dataset_entries(session, row)
     members = [
-        DatasetMemberItem(
-            split=part,
-            name=one.name,
-            environment=one.environment,
-            illumination=one.illumination,
-            daylight=one.half,
-            region=one.region,
-            frames=one.frames,
-            duration_s=one.duration_s,
-            distance_m=one.distance_m,
-        )
-        for part, of_part in entries.items()
-        for one in of_part
+        DatasetMemberItem.of(one, split=part, daylight=one.half) for part, of_part in entries.items() for one in of_part
     ]
-    parts = [_part(one) for one in open_parts(session, row)]
+    parts = [DatasetPartItem.of(one) for one in open_parts(session, row)]
     return DatasetDetail(**dict(dataset_item(session, row)), sequences=members, parts=parts)
 
 
 def dataset_item(session: Session, row: Dataset) -> DatasetItem:
     counted = select(DatasetMember.part, func.count()).where(DatasetMember.dataset_id == row.id)
     sizes = dict(session.execute(counted.group_by(DatasetMember.part)).all())
-    return DatasetItem(
-        name=row.name,
-        licence=row.licence,
-        code_version=row.code_version,
-        manifest_sha256=row.manifest_sha256,
-        manifest_bytes=row.manifest_bytes,
-        sizes=Sizes(train=sizes.get("train", 0), val=sizes.get("val", 0), test=sizes.get("test", 0)),
-        created_at=instant(row.created_ns),
-    )
-
-
-def _part(row: DatasetPart) -> DatasetPartItem:
-    part: OpenPart = "train" if row.part == "train" else "val"
-    return DatasetPartItem(
-        part=part,
-        files=row.files,
-        size_bytes=row.size_bytes,
-        tar_bytes=row.tar_bytes,
-        tar_sha256=row.tar_sha256,
-    )
+    return DatasetItem.of(row, sizes={part: sizes.get(part, 0) for part in PARTS})

@@ -7,9 +7,8 @@ from sqlalchemy.orm import Session
 
 from api.errors import NotFoundError
 from api.files import ServedFile
-from api.schemas.base import instant, instant_or_none
-from api.schemas.jobs import FailureItem
 from api.schemas.sequences.exports import ArchiveItem, ArchiveKind, ExportItem
+from api.views.jobs import coded_failure
 from services.domain.exports.requests import counting_labels
 from services.runtime.orm import Export, Job
 from services.runtime.store.pack_reading import StoredFiles, archive_of, archive_pieces, file_pieces
@@ -60,22 +59,12 @@ def archive_sha256_of(row: Export, kind: ArchiveKind) -> str:
 
 
 def _item(row: Export, job: Job, counting_id: str) -> ExportItem:
-    return ExportItem(
-        id=row.id,
-        sequence_id=row.sequence_id,
-        label_set_id=row.label_set_id,
-        job_id=row.job_id,
-        format=row.format,  # type: ignore[arg-type]  # pydantic checks it
+    return ExportItem.of(
+        row,
         state="succeeded" if row.finished_ns is not None else job.state,
         is_stale=row.label_set_id != counting_id,
-        recipe=row.recipe,
-        code_version=row.code_version,
-        files=row.files,
-        size_bytes=row.size_bytes,
         archives=_archives(row),
-        failure=FailureItem(code=job.failure_code, sentence=job.failure) if job.failure_code else None,
-        created_at=instant(row.created_ns),
-        finished_at=instant_or_none(row.finished_ns),
+        failure=coded_failure(job),
     )
 
 

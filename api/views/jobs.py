@@ -11,11 +11,11 @@ from sqlalchemy.orm import Session
 
 from api.errors import BadCursorError
 from api.schemas.base import instant, instant_or_none
-from api.schemas.jobs import AttemptItem, JobDetail, JobItem, LogLine, LogPage, StageItem
+from api.schemas.jobs import AttemptItem, FailureItem, JobDetail, JobItem, LogLine, LogPage, StageItem
 from services.domain.runs.estimates import time_left
 from services.runtime.jobs.queries import Progress, StageProgress, progress_of, title_of
 from services.runtime.jobs.specs import RETICENT, TERMINAL
-from services.runtime.orm import Job, JobAttempt, JobLine
+from services.runtime.orm import Job, JobAttempt, JobLine, SubmissionRow
 from services.runtime.orm.base import now_ns
 
 SAID = (
@@ -125,17 +125,7 @@ def job_facts(said: Sequence[Any], progress: Progress, left_s: int | None) -> di
 
 
 def _stage(stage: StageProgress) -> StageItem:
-    return StageItem(
-        kind=stage.kind,
-        title=title_of(stage.kind),
-        total=stage.total,
-        done=stage.done,
-        running=stage.running,
-        failed=stage.failed,
-        began_at=instant_or_none(stage.began_ns),
-        ended_at=instant_or_none(stage.ended_ns),
-        busy_s=stage.busy_ns / 1e9,
-    )
+    return StageItem.of(stage, title=title_of(stage.kind), busy_s=stage.busy_ns / 1e9)
 
 
 def _progress(progress: Progress, left_s: int | None) -> dict[str, Any]:
@@ -144,15 +134,12 @@ def _progress(progress: Progress, left_s: int | None) -> dict[str, Any]:
 
 
 def _attempt(row: JobAttempt) -> AttemptItem:
-    return AttemptItem(
-        number=row.number,
-        worker=row.worker,
-        outcome=row.outcome,
-        failure=_failure(row.failure_code, row.failure),  # type: ignore[arg-type]  # pydantic makes it one
-        peak_bytes=row.peak_bytes,
-        started_at=instant(row.started_ns),
-        finished_at=instant_or_none(row.finished_ns),
-    )
+    return AttemptItem.of(row, failure=_failure(row.failure_code, row.failure))
+
+
+def coded_failure(row: Job | SubmissionRow) -> FailureItem | None:
+    """Return why the row ended badly, None if it has no code of a failure."""
+    return FailureItem(code=row.failure_code, sentence=row.failure) if row.failure_code else None
 
 
 def _failure(code: str, sentence: str) -> dict[str, str] | None:
@@ -224,13 +211,4 @@ def _named(line: LogLine) -> str:
 
 def _line(row: JobLine, is_reticent: bool) -> LogLine:
     facts = {name: value for name, value in row.facts.items() if name != "traceback"} if is_reticent else row.facts
-    return LogLine(
-        job_id=row.job_id,
-        attempt=row.attempt,
-        number=row.number,
-        logged_ns=row.logged_ns,
-        logged_at=instant(row.logged_ns),
-        level=row.level,
-        event=row.event,
-        facts=facts,
-    )
+    return LogLine.of(row, facts=facts)

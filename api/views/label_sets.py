@@ -6,9 +6,8 @@ from functools import lru_cache
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.schemas.base import instant, instant_or_none
-from api.schemas.jobs import FailureItem
-from api.schemas.sequences.label_sets import AgreementRecord, LabelComparisonItem, LabelSetItem
+from api.schemas.sequences.label_sets import LabelComparisonItem, LabelSetItem
+from api.views.jobs import coded_failure
 from services.domain.exports.requests import counting_labels
 from services.domain.sequences.label_comparisons import StoredLabelFile, StoredPair
 from services.domain.viewer.formats import difference_bytes
@@ -26,13 +25,10 @@ def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet])
     """Label sets of one sequence as a list shows them."""
     counting = counting_labels(session, sequence_id)
     return [
-        LabelSetItem(
-            id=row.id,
+        LabelSetItem.of(
+            row,
             profile=str(row.parameters.get("profile", "")),
-            frames=row.frames,
-            code_version=row.code_version,
             is_counting=counting is not None and row.id == counting.id,
-            created_at=instant(row.created_ns),
         )
         for row in rows
     ]
@@ -69,16 +65,5 @@ def _grids(store: Store, file: StoredLabelFile) -> SeenGrid:
 
 
 def _item(row: LabelComparison, job: Job) -> LabelComparisonItem:
-    return LabelComparisonItem(
-        id=row.id,
-        sequence_id=row.sequence_id,
-        a_id=row.a_id,
-        b_id=row.b_id,
-        job_id=row.job_id,
-        state="succeeded" if row.finished_ns is not None else job.state,
-        code_version=row.code_version,
-        record=None if row.record is None else AgreementRecord.model_validate(row.record),
-        failure=FailureItem(code=job.failure_code, sentence=job.failure) if job.failure_code else None,
-        created_at=instant(row.created_ns),
-        finished_at=instant_or_none(row.finished_ns),
-    )
+    state = "succeeded" if row.finished_ns is not None else job.state
+    return LabelComparisonItem.of(row, state=state, failure=coded_failure(job))

@@ -4,7 +4,6 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.paging import Page, PageQuery, page
-from api.schemas.base import instant, instant_or_none
 from api.schemas.notifications import (
     DeliveryItem,
     EmailItem,
@@ -28,26 +27,17 @@ def notifications_item(session: Session, user_id: str, settings: Settings) -> No
         email=chosen["email"],
         webhook=chosen["webhook"],
         email_address=None if email is None else email_item(email),
-        webhook_target=None if webhook is None else webhook_item(webhook),
+        webhook_target=None if webhook is None else WebhookItem.of(webhook, failing_since=webhook.failing_ns),
         sends_email=bool(settings.notifications.smtp_host),
     )
 
 
 def email_item(row: EmailAddress) -> EmailItem:
-    return EmailItem(address=row.address, is_verified=row.verified_ns is not None)
-
-
-def webhook_item(row: Webhook) -> WebhookItem:
-    return WebhookItem(
-        url=row.url,
-        created_at=instant(row.created_ns),
-        failing_since=instant_or_none(row.failing_ns),
-        disabled_at=instant_or_none(row.disabled_ns),
-    )
+    return EmailItem.of(row, is_verified=row.verified_ns is not None)
 
 
 def issued_webhook(row: Webhook) -> IssuedWebhook:
-    return IssuedWebhook(**webhook_item(row).model_dump(), secret=row.secret)
+    return IssuedWebhook.of(row, failing_since=row.failing_ns)
 
 
 def deliveries_page(session: Session, query: PageQuery, user_id: str) -> Page[DeliveryItem]:
@@ -61,18 +51,8 @@ def deliveries_page(session: Session, query: PageQuery, user_id: str) -> Page[De
     ids = {row.event_id for row in rows.rows}
     found = select(NotificationEvent.id, NotificationEvent.kind).where(NotificationEvent.id.in_(ids))
     kinds = {event_id: kind for event_id, kind in session.execute(found)}
-    return rows.shown(lambda row: _delivery_item(row, kinds[row.event_id]))
-
-
-def _delivery_item(row: NotificationDelivery, kind: str) -> DeliveryItem:
-    return DeliveryItem(
-        id=row.id,
-        kind=kind,
-        channel=row.channel,
-        state=row.state,
-        tries=row.tries,
-        answer=row.answer,
-        created_at=instant(row.created_ns),
-        due_at=instant(row.due_ns) if row.state == "waiting" else None,
-        ended_at=instant_or_none(row.ended_ns),
+    return rows.shown(
+        lambda row: DeliveryItem.of(
+            row, kind=kinds[row.event_id], due_at=row.due_ns if row.state == "waiting" else None
+        )
     )

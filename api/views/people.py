@@ -7,7 +7,6 @@ from sqlalchemy.orm import Session
 
 from api.errors import NotFoundError
 from api.paging import Page, PageQuery, page
-from api.schemas.base import instant, instant_or_none
 from api.schemas.people import BrowserItem, TokenItem, UserItem
 from api.schemas.sign_in import ProviderItem, SignInWays
 from services.runtime.access.storage_quota import balance
@@ -38,14 +37,7 @@ def sign_in_ways(settings: Settings) -> SignInWays:
 
 
 def user_item(row: User) -> UserItem:
-    return UserItem(
-        id=row.id,
-        name=row.name,
-        role=row.role,
-        is_active=row.is_active,
-        has_password=bool(row.password_hash),
-        created_at=instant(row.created_ns),
-    )
+    return UserItem.of(row, has_password=bool(row.password_hash))
 
 
 def user_of(session: Session, user_id: str, is_locked: bool = False) -> User:
@@ -66,32 +58,16 @@ def users_page(session: Session, query: PageQuery, name: str | None, role: str |
     return page(session, found, User.id.desc(), query).shown(user_item)
 
 
-def token_item(row: Token) -> TokenItem:
-    return TokenItem(
-        id=row.id,
-        name=row.name,
-        scopes=row.scopes,
-        created_at=instant(row.created_ns),
-        expires_at=instant(row.expires_ns),
-        used_at=instant_or_none(row.used_ns),
-    )
-
-
 def tokens_page(session: Session, query: PageQuery, user_id: str) -> Page[TokenItem]:
     """The tokens of a user, newest first."""
-    return page(session, select(Token).where(Token.user_id == user_id), Token.id.desc(), query).shown(token_item)
+    return page(session, select(Token).where(Token.user_id == user_id), Token.id.desc(), query).shown(TokenItem.of)
 
 
 def browsers_of(session: Session, user_id: str, current_id: str) -> list[BrowserItem]:
     """The browsers in which a user is signed in, newest first; `current_id` is that of the one that asks, or ''."""
     theirs = select(WebSession).where(WebSession.user_id == user_id, WebSession.expires_ns > now_ns())
     return [
-        BrowserItem(
-            id=row.id,
-            created_at=instant(row.created_ns),
-            expires_at=instant(row.expires_ns),
-            is_current=row.id == current_id,
-        )
+        BrowserItem.of(row, is_current=row.id == current_id)
         for row in session.scalars(theirs.order_by(WebSession.id.desc()))
     ]
 

@@ -79,10 +79,7 @@ _PREVIEWS = KeptSelect(select(*_SAID).where(*_OF_SEQUENCE).order_by(Preview.name
 
 
 def _items(rows: Iterable[Any]) -> list[PreviewItem]:
-    return [
-        PreviewItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
-        for row in rows
-    ]
+    return [PreviewItem.of(row, sha256=row.blob_sha256) for row in rows]
 
 
 def _file(session: Session, found: Select[Preview], name: str, of: str) -> StoredFile:

@@ -4,16 +4,12 @@ from sqlalchemy.orm import Session
 
 from api.deps import Caller
 from api.errors import NotFoundError
-from api.schemas.base import instant, instant_or_none
-from api.schemas.leaderboard import IntervalsItem, RatiosItem, SupportItem
+from api.schemas.base import instant
 from api.schemas.results import (
     BreakdownAnswer,
-    ExtrasItem,
     PartItem,
     ProvenanceAnswer,
     ResultsAnswer,
-    ScopedIntervals,
-    ScopedSilences,
     ScoreItem,
 )
 from api.views.boards import evaluation_version_item
@@ -55,34 +51,19 @@ def known_score(session: Session, caller: Caller, submission_id: str, score_id: 
 
 def results_answer(session: Session, viewer: Viewer, found: SubmissionResults) -> ResultsAnswer:
     seen, row = found.seen, found.seen.submission
-    intervals = found.intervals
-    return ResultsAnswer(
+    return ResultsAnswer.of(
+        found,
         submission_id=row.id,
         score_id=seen.score.id,
-        benchmark=found.benchmark,
         phase=seen.phase.name,
-        team=found.team,
         method=row.method,
-        description=found.description,
         modality=row.modality,
         kind=row.kind,
         pair=evaluation_version_item(seen),
         secrecy=seen.policy.secrecy,
-        is_rounded=found.is_rounded,
         ratio_digits=RATIO_DIGITS,
-        total=RatiosItem(**found.total),
-        within_occupied=None if found.within_occupied is None else RatiosItem(**found.within_occupied),
-        support=None if found.support is None else SupportItem(**found.support),
-        confusion=found.confusion,
-        extras=None if found.extras is None else ExtrasItem(**found.extras),
-        intervals=None
-        if intervals is None
-        else ScopedIntervals(**{scope: IntervalsItem(**one) for scope, one in intervals.items()}),
-        silences=None
-        if found.silences is None
-        else ScopedSilences(**{scope: dict(one) for scope, one in found.silences.items()}),
-        submitted_at=instant(row.finalized_ns or row.created_ns),
-        scored_at=instant(seen.score.created_ns),
+        submitted_at=row.finalized_ns or row.created_ns,
+        scored_at=seen.score.created_ns,
         scores=score_items(session, viewer, row),
     )
 
@@ -108,31 +89,20 @@ def breakdown_answer(seen: ScoreView, by: By, parts: tuple[BreakdownPart, ...]) 
         score_id=seen.score.id,
         pair=evaluation_version_item(seen),
         by=by,
-        parts=[
-            PartItem(
-                name=part.name,
-                ratios=RatiosItem(**part.ratios),
-                support=SupportItem(**part.support),
-                frames=part.frames,
-            )
-            for part in parts
-        ],
+        parts=[PartItem.of(part) for part in parts],
     )
 
 
 def provenance_answer(found: Provenance) -> ProvenanceAnswer:
     seen, row = found.seen, found.seen.submission
-    return ProvenanceAnswer(
+    return ProvenanceAnswer.of(
+        found,
         submission_id=row.id,
         score_id=seen.score.id,
         pair=evaluation_version_item(seen),
         manifest_sha256=seen.truth.manifest_sha256 or "",
         mask=seen.truth.mask,
-        code_version=found.code_version,
-        prediction_sha256=found.prediction_sha256,
-        size_bytes=found.size_bytes,
-        content_sha256=found.content_sha256,
-        submitted_at=instant(row.finalized_ns or row.created_ns),
-        settled_at=instant_or_none(row.settled_ns),
-        scored_at=instant(seen.score.created_ns),
+        submitted_at=row.finalized_ns or row.created_ns,
+        settled_at=row.settled_ns,
+        scored_at=seen.score.created_ns,
     )

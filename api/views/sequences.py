@@ -155,13 +155,17 @@ def _detail(session: Session, facts: Mapping[str, Any], caller: Caller) -> Seque
     previews = previews_of_sequence(session, sequence_id, labels)
     sequence = session.get_one(SequenceRow, sequence_id) if is_own and labels else None
     later = later_recordings(session, sequence, labels) if sequence and labels else None
-    shown = LaterRecordingsItem(names=list(later.names), why_not=later.why_not) if later else None
-    return SequenceDetail(**facts, artefacts=artefacts, previews=previews, later_recordings=shown)
+    return SequenceDetail(
+        **facts,
+        artefacts=artefacts,
+        previews=previews,
+        later_recordings=LaterRecordingsItem.of(later) if later else None,
+    )
 
 
 def _artefacts(session: Session, label_set_id: str) -> list[ArtefactItem]:
     return [
-        ArtefactItem(name=row.name, media_type=row.media_type, size_bytes=row.size_bytes, sha256=row.blob_sha256)
+        ArtefactItem.of(row, sha256=row.blob_sha256)
         for row in _FILES.rows(session, {"labels": label_set_id})
         if not row.name.startswith(UNLISTED)
     ]

@@ -4,7 +4,6 @@ from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
 from api.schemas.splits import ProposalAnswer, RuleItem, Shares, SharesItem, Sizes, SplitEntry, SplitsAnswer
-from api.schemas.statistics import VoxelRatios, VoxelsItem
 from services.domain.datasets.splits import CurrentSplits
 from services.domain.datasets.statistics import CLASSES
 from stone.splits.composition import CatalogueEntry
@@ -31,9 +30,8 @@ def splits_answer(
 def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> ProposalAnswer:
     """A proposal with its sequences in full."""
     train, val, test = (_shares(one) for one in proposal.shares)
-    return ProposalAnswer(
-        is_feasible=proposal.is_feasible,
-        is_best=proposal.is_best,
+    return ProposalAnswer.of(
+        proposal,
         **_assigned(proposal.split, seen),
         conflict=rule_items(proposal.conflict),
         findings=rule_items(proposal.findings),
@@ -42,25 +40,12 @@ def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> P
 
 
 def rule_items(findings: Iterable[RuleFinding]) -> list[RuleItem]:
-    return [
-        RuleItem(code=one.code, severity=one.severity, message=one.message, sequence_ids=list(one.sequences))
-        for one in findings
-    ]
+    return [RuleItem.of(one, sequence_ids=one.sequences) for one in findings]
 
 
 def entry_item(entry: CatalogueEntry) -> SplitEntry:
-    return SplitEntry(
-        sequence_id=entry.id,
-        name=entry.name,
-        environment=entry.environment,
-        illumination=entry.illumination,
-        daylight=entry.half,
-        region=entry.region,
-        frames=entry.frames,
-        duration_s=entry.duration_s,
-        distance_m=entry.distance_m,
-        voxels=None if entry.voxels is None else VoxelsItem(**dict(zip(CLASSES, entry.voxels, strict=True))),
-    )
+    voxels = None if entry.voxels is None else dict(zip(CLASSES, entry.voxels, strict=True))
+    return SplitEntry.of(entry, sequence_id=entry.id, daylight=entry.half, voxels=voxels)
 
 
 def _assigned(split: Split, seen: tuple[CatalogueEntry, ...]) -> dict[str, list[SplitEntry]]:
@@ -73,8 +58,5 @@ def _ids(split: Split) -> set[str]:
 
 def _shares(shares: "PartShares") -> SharesItem:
     ratios = shares.class_ratios
-    return SharesItem(
-        sequences=shares.sequences,
-        duration_ratio=shares.duration_ratio,
-        class_ratios=None if ratios is None else VoxelRatios(**dict(zip(CLASSES, ratios, strict=True))),
-    )
+    of_classes = None if ratios is None else dict(zip(CLASSES, ratios, strict=True))
+    return SharesItem.of(shares, class_ratios=of_classes)

@@ -5,10 +5,8 @@ from collections.abc import Sequence
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from api.schemas.base import instant
 from api.schemas.people import TeamItem
-from api.schemas.teams import InvitationItem
-from services.runtime.orm import PhaseTeam, Team, TeamInvitation, TeamMember, User
+from services.runtime.orm import PhaseTeam, Team, TeamMember, User
 
 
 def team_items(session: Session, rows: Sequence[Team]) -> list[TeamItem]:
@@ -25,17 +23,6 @@ def team_items(session: Session, rows: Sequence[Team]) -> list[TeamItem]:
     for team_id, phase_id in session.execute(bound.order_by(PhaseTeam.phase_id)):
         phases.setdefault(team_id, []).append(phase_id)
     return [
-        TeamItem(
-            id=row.id,
-            name=row.name,
-            captain=captains.get(row.id),
-            members=members.get(row.id, []),
-            phases=phases.get(row.id, []),
-            created_at=instant(row.created_ns),
-        )
+        TeamItem.of(row, captain=captains.get(row.id), members=members.get(row.id, []), phases=phases.get(row.id, []))
         for row in rows
     ]
-
-
-def invitation_item(row: TeamInvitation) -> InvitationItem:
-    return InvitationItem(id=row.id, created_at=instant(row.created_ns), expires_at=instant(row.expires_ns))

@@ -6,7 +6,6 @@ from typing import Any, Literal
 
 from sqlalchemy.orm import Session
 
-from api.schemas.base import instant, instant_or_none
 from api.schemas.truths import ReportedItem, TruthItem
 from services.domain.benchmarks.phases import evaluation_versions
 from services.runtime.jobs.specs import TERMINAL
@@ -29,20 +28,12 @@ def reported_tag(items: Sequence[ReportedItem]) -> str:
 
 
 def _item(session: Session, row: GroundTruthRow, is_active: bool) -> TruthItem:
-    return TruthItem(
-        id=row.id,
-        number=row.number,
+    return TruthItem.of(
+        row,
         dataset=session.get_one(Dataset, row.dataset_id).name,
-        part=row.part,
-        mask=row.mask,
         state=_state(session, row),
         is_active=is_active,
-        job_id=row.job_id,
         sha256=row.sha256 or None,
-        frames=row.frames,
-        manifest_sha256=row.manifest_sha256,
-        created_at=instant(row.created_ns),
-        ready_at=instant_or_none(row.ready_ns),
     )
 
 

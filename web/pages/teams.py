@@ -11,8 +11,9 @@ from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as paged
 from api.schemas.base import IdPath
+from api.schemas.teams import InvitationItem
 from api.views.submissions import quota_answer
-from api.views.teams import invitation_item, team_items
+from api.views.teams import team_items
 from api.visible import team_of, teams_of
 from services.domain.benchmarks.teams.teams import open_invitations
 from services.runtime.orm import Phase, SubmissionRow, Team
@@ -39,7 +40,7 @@ def show_team(team_id: IdPath, request: Request, caller: Reader, platform: Platf
         phases = session.scalars(select(Phase).where(Phase.id.in_(team.phases)).order_by(Phase.id)).all()
         counted = select(func.count()).select_from(SubmissionRow).where(SubmissionRow.team_id == team_id)
         values: dict[str, Any] = {
-            "invitations": [invitation_item(one) for one in open_invitations(session, team_id)],
+            "invitations": [InvitationItem.of(one) for one in open_invitations(session, team_id)],
             "standings": [(phase, quota_answer(session, phase, team_id)) for phase in phases],
             "names": phase_names(session, team.phases),
             "submissions": session.scalar(counted) or 0,

@@ -10,7 +10,7 @@ from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import AlarmItem, GrantBody, GrantItem, ReasonBody
 from api.schemas.base import IdPath
-from api.views.audit import alarm_item, grant_item
+from api.views.audit import grant_item
 from api.visible import phase_of
 from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms
 from services.domain.benchmarks.submissions.scoring_quota import grant, scoring_quota
@@ -31,7 +31,7 @@ def list_alarms(
     with platform.database.reading() as session:
         of_phase = phase_of(session, phase_id).id
         seen = select(Alarm).where(Alarm.phase_id == of_phase) if dismissed else open_alarms(of_phase)
-        return page(session, seen, Alarm.id.desc(), query).shown(alarm_item)
+        return page(session, seen, Alarm.id.desc(), query).shown(AlarmItem.of)
 
 
 @router.post("/alarms/{alarm_id}/dismiss", responses=refusals(404, 409))
@@ -41,7 +41,7 @@ def dismiss_alarm(alarm_id: IdPath, body: ReasonBody, caller: Administrator, pla
         alarm = dismiss(session, alarm_id)
         facts = {"phase_id": alarm.phase_id, "kind": alarm.kind}
         audit.record_admin_act(session, caller, "alarm.dismiss", alarm_id, body.reason, facts)
-        return alarm_item(alarm)
+        return AlarmItem.of(alarm)
 
 
 @router.post(

@@ -17,7 +17,7 @@ from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath
 from api.schemas.rescores import ActivationItem, NewRescoreBody, RescoreDiffAnswer, RescoreItem
-from api.views.rescores import activation_item, diff_answer, rescore_item
+from api.views.rescores import rescore_item
 from api.visible import phase_of
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force
 from services.domain.benchmarks.phases.phases import lock_phase
@@ -87,7 +87,7 @@ def show_diff(
             text = rescore_page(diff, rescore_progress(session, rescore), rescore.reason)
             return PlainTextResponse(text, media_type=MARKDOWN, headers={"ETag": tag})
         response.headers["ETag"] = tag
-        return diff_answer(rescore_item(session, rescore), diff)
+        return RescoreDiffAnswer.of(diff, rescore=rescore_item(session, rescore))
 
 
 @router.post("/{rescore_id}/activate", summary="Activate a re-score", responses=refusals(404, 409, 412, 428))
@@ -108,7 +108,7 @@ def activate_it(
         row = activate(session, rescore, current.id if current else None, caller.user_id)
         facts = {"rescore_id": rescore.id, "truth_id": row.truth_id, "metric": row.metric}
         audit.record_admin_act(session, caller, "phase.activate", phase_id, body.reason, facts)
-        return activation_item(row)
+        return ActivationItem.of(row)
 
 
 @router.post("/{rescore_id}/abandon", responses=refusals(404, 409))

@@ -26,10 +26,8 @@ def show_frame(token: TokenPath, caller: Looker, platform: PlatformDep) -> Frame
     """A labelled frame, with where it comes from."""
     with platform.database.reading() as session:
         frame, labels = frame_of(session, caller, token)
-    return FrameDetail(
-        token=frame.token,
-        ordinal=frame.ordinal,
-        stamp_ns=frame.stamp_ns,
+    return FrameDetail.of(
+        frame,
         sequence_id=labels.sequence_id,
         label_set_id=labels.id,
         labels_bytes=frame.length_bytes,

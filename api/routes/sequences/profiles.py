@@ -17,7 +17,7 @@ from api.errors import ConflictError, NotFoundError
 from api.etags import etag, require_match
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
-from api.schemas.base import PLAIN, IdPath, instant
+from api.schemas.base import PLAIN, IdPath
 from api.schemas.sequences.calibrations import FindingItem, ProfileBody, ProfileItem, RolesAnswer
 from api.visible import recording_of, sequence_of
 from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
@@ -36,7 +36,7 @@ def list_profiles(caller: Reader, platform: PlatformDep, query: PageDep) -> Page
     """The caller's profiles, newest first."""
     statement = select(ProfileRow).where(ProfileRow.owner_id == caller.user_id)
     with platform.database.reading() as session:
-        return page(session, statement, ProfileRow.id.desc(), query).shown(_item)
+        return page(session, statement, ProfileRow.id.desc(), query).shown(ProfileItem.of)
 
 
 @router.get("/profiles/{platform_name}", responses=refusals(404))
@@ -46,7 +46,7 @@ def show_profile(platform_name: PlatformName, caller: Reader, platform: Platform
         row = profile_of(session, caller.user_id, platform_name)
         if row is None:
             raise NotFoundError("profile", platform_name)
-        shown = _item(row)
+        shown = ProfileItem.of(row)
     response.headers["ETag"] = etag(shown.revision)
     return shown
 
@@ -70,7 +70,7 @@ def save_profile(
         row = row or ProfileRow(owner_id=caller.user_id, platform=platform_name)
         if keep_profile(session, row, topics):
             audit.record(session, caller, "profile.save", row.id, facts={"platform": platform_name})
-        shown = _item(row)
+        shown = ProfileItem.of(row)
     response.headers["ETag"] = etag(shown.revision)
     return shown
 
@@ -134,9 +134,3 @@ def _channel_of_frame(session: Session, sequence: SequenceRow) -> dict[str, str]
         return {}
     sensors = session.get_one(CalibrationRow, sequence.calibration_id).sensors
     return {sensor["frame_id"].strip("/"): sensor["name"] for sensor in sensors if sensor.get("frame_id")}
-
-
-def _item(row: ProfileRow) -> ProfileItem:
-    return ProfileItem(
-        platform=row.platform, topics=row.topics, revision=row.revision, created_at=instant(row.created_ns)
-    )

@@ -21,10 +21,8 @@ from api.errors import (
 from api.middleware.limits import address_of
 from api.noun_router import NounRouter
 from api.routes.tokens import MOST_TOKENS
-from api.schemas.base import instant
 from api.schemas.people import IssuedToken
 from api.schemas.sign_in import DeviceBody, DeviceCodesItem, DeviceDecision, DeviceTokenBody
-from api.views.people import token_item
 from services.runtime.access import device_grants, tokens
 from services.runtime.access.device_grants import DevicePoll, DeviceRequest
 from services.runtime.orm import User
@@ -43,14 +41,8 @@ def begin(body: DeviceBody, request: Request, response: Response, platform: Plat
         codes = device_grants.begin_grant(session, asked)
     response.headers["Cache-Control"] = "no-store"
     url = f"{platform.settings.api.url.rstrip('/')}/device"
-    return DeviceCodesItem(
-        device_code=codes.device_code,
-        user_code=codes.user_code,
-        url=url,
-        url_with_code=f"{url}?code={codes.user_code}",
-        expires_at=instant(codes.expires_ns),
-        interval_s=device_grants.INTERVAL_S,
-    )
+    with_code = f"{url}?code={codes.user_code}"
+    return DeviceCodesItem.of(codes, url=url, url_with_code=with_code, interval_s=device_grants.INTERVAL_S)
 
 
 @router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
@@ -90,7 +82,7 @@ def _issued(told: DevicePoll) -> IssuedToken:
         raise DeviceSlowDownError(device_grants.INTERVAL_S)
     if told.token is None:
         raise REFUSALS[told.state]()
-    return IssuedToken(**token_item(told.token).model_dump(), secret=told.secret)
+    return IssuedToken.of(told.token, secret=told.secret)
 
 
 def _as_holder(user: User) -> Caller:

@@ -1,11 +1,10 @@
 """Calibrations over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Instant, example
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS
 
 
@@ -60,9 +59,9 @@ class CalibrationItem(Answer):
     format: str
     sensors: list[SensorItem]
     findings: list[FindingItem]
-    valid_from: datetime | None
-    valid_to: datetime | None
-    created_at: datetime
+    valid_from: Instant | None
+    valid_to: Instant | None
+    created_at: Instant
 
 
 class TransformChangeItem(Answer):
@@ -153,7 +152,7 @@ class ProfileItem(Answer):
     platform: str
     topics: dict[str, str]
     revision: int
-    created_at: datetime
+    created_at: Instant
 
 
 class RolesAnswer(Answer):

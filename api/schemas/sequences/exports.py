@@ -1,9 +1,8 @@
 """Exports over the wire: a sequence's labels in a format that others open."""
 
-from datetime import datetime
 from typing import Any, Literal
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Instant, example
 from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
 from services.domain.exports.requests import ExportFormat
 
@@ -68,8 +67,8 @@ class ExportItem(Answer):
     size_bytes: int
     archives: list[ArchiveItem]
     failure: FailureItem | None
-    created_at: datetime
-    finished_at: datetime | None
+    created_at: Instant
+    finished_at: Instant | None
 
 
 class ExportAccepted(Answer):

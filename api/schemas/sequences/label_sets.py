@@ -1,9 +1,8 @@
 """Label sets over the wire, and comparisons of two of them."""
 
-from datetime import datetime
 from typing import Any
 
-from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, example
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example
 from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
 
 OTHER_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2c"
@@ -60,7 +59,7 @@ class LabelSetItem(Answer):
     frames: int
     code_version: str
     is_counting: bool
-    created_at: datetime
+    created_at: Instant
 
 
 class NewLabelComparisonBody(Body):
@@ -147,8 +146,8 @@ class LabelComparisonItem(Answer):
     code_version: str
     record: AgreementRecord | None
     failure: FailureItem | None
-    created_at: datetime
-    finished_at: datetime | None
+    created_at: Instant
+    finished_at: Instant | None
 
 
 class LabelComparisonAccepted(Answer):

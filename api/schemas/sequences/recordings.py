@@ -1,11 +1,10 @@
 """Recordings over the wire."""
 
-from datetime import datetime
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, example
 from api.schemas.jobs import JOB_EXAMPLE, JobItem
 from api.schemas.sequences.calibrations import FindingItem
 from api.schemas.sequences.sequences import PREVIEW_EXAMPLE, PreviewItem
@@ -107,7 +106,7 @@ class RecordingItem(Answer):
     files: list[RecordingFileItem]
     state: str
     findings: list[FindingItem]
-    created_at: datetime
+    created_at: Instant
 
 
 class RecordingDetail(RecordingItem):

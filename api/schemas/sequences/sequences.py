@@ -1,12 +1,11 @@
 """Sequences over the wire."""
 
 from dataclasses import replace
-from datetime import datetime
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Line, coded, example
+from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
 from services.domain.sequences.processing import ProcessRequest
 from stone.sensors.sequence import NAME, SequenceNameError
 from stone.splits.surroundings import (
@@ -153,8 +152,8 @@ class LabelGlance(Answer):
     job_id: str
     frames: int
     code_version: str
-    created_at: datetime
-    chosen_at: datetime
+    created_at: Instant
+    chosen_at: Instant
 
 
 class ClassVoxels(Answer):
@@ -192,7 +191,7 @@ class SequenceItem(Answer):
     split: str | None
     picture: str | None
     revision: int
-    created_at: datetime
+    created_at: Instant
 
 
 class ArtefactItem(Answer):

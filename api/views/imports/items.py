@@ -1,16 +1,14 @@
 """Imports as the API shows them: rows of `services.runtime.orm.artefacts` become bodies."""
 
-from collections.abc import Mapping, Sequence
-from typing import Any
+from collections.abc import Sequence
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from api.schemas.base import instant, instant_or_none
-from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, ImportedSceneItem
+from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem
 from api.schemas.jobs import JobItem
 from api.views.jobs import job_items
-from services.domain.imports.requests import SCENE, SceneProgress, progress_of
+from services.domain.imports.requests import SCENE, progress_of
 from services.runtime.orm import DatasetImport, Job
 
 
@@ -21,7 +19,7 @@ def import_items(session: Session, rows: Sequence[DatasetImport]) -> list[Datase
     of_run = {run.id: run for run in runs}
     counted = select(Job.root_id, func.count()).where(Job.root_id.in_(ids), Job.kind == SCENE, Job.state == "succeeded")
     done = {root: count for root, count in session.execute(counted.group_by(Job.root_id))}
-    return [DatasetImportItem(**_facts(row, of_run[row.job_id], done.get(row.job_id, 0))) for row in rows]
+    return [_item(row, of_run[row.job_id], done.get(row.job_id, 0)) for row in rows]
 
 
 def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
@@ -29,29 +27,17 @@ def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
     (item,) = import_items(session, [row])
     progress = progress_of(session, row)
     refused = (progress.run.result or {}).get("splits_refused")
-    return DatasetImportDetail(**dict(item), splits_refused=refused, scenes=[_scene(one) for one in progress.scenes])
+    return DatasetImportDetail(**dict(item), splits_refused=refused, scenes=progress.scenes)
 
 
-def _facts(row: DatasetImport, run: JobItem, done: int) -> Mapping[str, Any]:
-    columns = ("id", "owner_id", "job_id", "name", "sha256", "size_bytes", "existing", "sets_splits")
-    return {name: getattr(row, name) for name in columns} | {
-        "classes": row.classes["name"] if row.classes else None,
-        "state": run.state,
-        "failure": run.failure,
-        "scenes_total": None if row.scenes is None else len(row.scenes),
-        "scenes_done": done,
-        "frames": None if row.scenes is None else sum(scene["frames"] for scene in row.scenes),
-        "created_at": instant(row.created_ns),
-        "finished_at": instant_or_none(row.finished_ns) or run.finished_at,
-    }
-
-
-def _scene(scene: SceneProgress) -> ImportedSceneItem:
-    return ImportedSceneItem(
-        ordinal=scene.ordinal,
-        name=scene.name,
-        frames=scene.frames,
-        splits=list(scene.splits),
-        state=scene.state,
-        sequence_id=scene.sequence_id,
+def _item(row: DatasetImport, run: JobItem, done: int) -> DatasetImportItem:
+    return DatasetImportItem.of(
+        row,
+        classes=row.classes["name"] if row.classes else None,
+        state=run.state,
+        failure=run.failure,
+        scenes_total=None if row.scenes is None else len(row.scenes),
+        scenes_done=done,
+        frames=None if row.scenes is None else sum(scene["frames"] for scene in row.scenes),
+        finished_at=row.finished_ns or run.finished_at,
     )

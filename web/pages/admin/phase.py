@@ -10,11 +10,13 @@ from api.deps import Administrator, PlatformDep
 from api.etags import etag
 from api.noun_router import NounRouter
 from api.routes.admin.admin_rescores import board_revision, rescore_of
+from api.schemas.admin import AlarmItem
 from api.schemas.base import IdPath
 from api.schemas.phase_bodies import BenchmarkName, PhaseName
-from api.views.audit import alarm_item, team_quotas
+from api.schemas.rescores import RescoreDiffAnswer
+from api.views.audit import team_quotas
 from api.views.benchmarks import phase_detail
-from api.views.rescores import diff_answer, rescore_item
+from api.views.rescores import rescore_item
 from api.views.truths import reported_item, truth_items
 from api.visible import phase_at
 from services.domain.benchmarks.alarms.alarms import open_alarms
@@ -50,7 +52,7 @@ def phase(
             "tag": etag(row.revision),
             "truths": truth_items(session, row, session.scalars(truths).all()),
             "rescores": [rescore_item(session, one) for one in session.scalars(rescores)],
-            "alarms": [alarm_item(one) for one in session.scalars(alarms)],
+            "alarms": [AlarmItem.of(one) for one in session.scalars(alarms)],
             "teams": team_quotas(session, row, MOST_TEAMS),
             "reported": [reported_item(one) for one in reported_in(session, row.id)],
             "datasets": versions(session),
@@ -73,7 +75,7 @@ def rescore(  # the address names three things
     with platform.database.reading() as session:
         at = phase_at(session, caller, benchmark_name, phase_name)
         row = rescore_of(session, at.id, rescore_id)
-        diff = diff_answer(rescore_item(session, row), rescore_diff(session, row))
+        diff = RescoreDiffAnswer.of(rescore_diff(session, row), rescore=rescore_item(session, row))
         job = session.get(Job, row.job_id) if row.job_id else None
         values: dict[str, Any] = {
             "phase": phase_detail(session, at),
