@@ -4,26 +4,11 @@ from typing import Annotated, Any, Literal
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Instant, Reason, example
-from api.schemas.jobs import ATTEMPT_EXAMPLE, JOB_EXAMPLE, STAGES_EXAMPLE, FailureItem, JobDetail, JobItem
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Instant, Reason, example, example_of
+from api.schemas.jobs import AttemptItem, FailureItem, JobDetail, JobItem
 
 MOST_AT_ONCE = 200
 JobAct = Literal["retry", "cancel", "terminate"]
-WORKER_EXAMPLE: dict[str, Any] = {
-    "name": "worker-3:4711",
-    "queues": ["eval", "ingest", "labeler"],
-    "is_silent": False,
-    "age_s": 1.2,
-    "started_at": "2026-05-03T09:00:00Z",
-    "job_id": ID_EXAMPLE,
-    "kind": "labeler.surface",
-    "attempt": 1,
-    "held_bytes": 412000000,
-    "memory_free_bytes": 9000000000,
-    "memory_bytes": 16000000000,
-    "disk_free_bytes": 700000000000,
-    "disk_bytes": 1000000000000,
-}
 
 
 class ReasonBody(Body):
@@ -45,7 +30,7 @@ class CancelBody(Body):
 class AdminJobItem(JobItem):
     """A job with the names that it goes with, and how many tries it has left."""
 
-    model_config = example(**JOB_EXAMPLE, owner="ada", sequence="forest-3", attempts_left=2)
+    model_config = example(owner="ada", sequence="forest-3", attempts_left=2)
 
     owner: str
     sequence: str | None
@@ -68,7 +53,7 @@ class JobCounts(Answer):
 class JobActsBody(Body):
     """The same act on the runs of many jobs, and why."""
 
-    model_config = Body.model_config | example(act="retry", job_ids=[ID_EXAMPLE], reason="the disk was full")
+    model_config = example(act="retry", job_ids=[ID_EXAMPLE], reason="the disk was full")
 
     act: JobAct
     job_ids: Annotated[list[IdText], Field(min_length=1, max_length=MOST_AT_ONCE)]
@@ -78,7 +63,7 @@ class JobActsBody(Body):
 class JobActItem(Answer):
     """What came of the act for one of the jobs: the state of its run now, or why it was refused."""
 
-    model_config = example(job_id=ID_EXAMPLE, root_id=ID_EXAMPLE, state="queued", failure=None)
+    model_config = example(state="queued", failure=None)
 
     job_id: str
     root_id: str | None
@@ -90,13 +75,10 @@ class AdminJobDetail(JobDetail):
     """A job with its attempts, and of a run the jobs that are unfinished or failed, newest first."""
 
     model_config = example(
-        **JOB_EXAMPLE,
         owner="ada",
         sequence="forest-3",
-        stages=STAGES_EXAMPLE,
-        attempts=[ATTEMPT_EXAMPLE],
+        attempts=[example_of(AttemptItem)],
         attempts_left=2,
-        result=None,
         children=[],
         children_total=52,
     )
@@ -144,7 +126,7 @@ class QueueItem(Answer):
 class RunningAttempt(Answer):
     """What a worker process is busy with."""
 
-    model_config = example(job_id=ID_EXAMPLE, kind="labeler.surface", attempt=1, worker="worker-3:4711")
+    model_config = example(kind="labeler.surface", attempt=1, worker="worker-3:4711")
 
     job_id: str
     kind: str
@@ -159,7 +141,20 @@ class WorkerItem(Answer):
     is busy with.
     """
 
-    model_config = example(**WORKER_EXAMPLE)
+    model_config = example(
+        name="worker-3:4711",
+        queues=["eval", "ingest", "labeler"],
+        is_silent=False,
+        age_s=1.2,
+        started_at="2026-05-03T09:00:00Z",
+        kind="labeler.surface",
+        attempt=1,
+        held_bytes=412000000,
+        memory_free_bytes=9000000000,
+        memory_bytes=16000000000,
+        disk_free_bytes=700000000000,
+        disk_bytes=1000000000000,
+    )
 
     name: str
     queues: list[str]
@@ -182,11 +177,7 @@ class WorkersAnswer(Answer):
     Workers are asked nothing by the broker: their remote control is off.
     """
 
-    model_config = example(
-        workers=[WORKER_EXAMPLE],
-        running=[{"job_id": ID_EXAMPLE, "kind": "labeler.surface", "attempt": 1, "worker": "worker-3:4711"}],
-        is_broker_reachable=True,
-    )
+    model_config = example(is_broker_reachable=True)
 
     workers: list[WorkerItem]
     running: list[RunningAttempt]
@@ -197,21 +188,6 @@ class WorkersAnswer(Answer):
 
 
 MOST_SCORINGS = 10_000
-ALARM_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "phase_id": ID_EXAMPLE,
-    "kind": "equal_content",
-    "subject": ID_EXAMPLE,
-    "facts": {
-        "submission_id": ID_EXAMPLE,
-        "team_id": ID_EXAMPLE,
-        "team": "Forest",
-        "method": "VoxelNet",
-        "others": [{"submission_id": ID_EXAMPLE, "team_id": ID_EXAMPLE, "team": "Lake", "method": "Ours"}],
-    },
-    "created_at": "2026-05-03T09:12:44.120000Z",
-    "dismissed_at": None,
-}
 
 
 class AlarmItem(Answer):
@@ -220,7 +196,17 @@ class AlarmItem(Answer):
     `facts` name the submissions; `differing_ratio` is the least share of the evaluated voxels by which two differ.
     """
 
-    model_config = example(**ALARM_EXAMPLE)
+    model_config = example(
+        kind="equal_content",
+        subject=ID_EXAMPLE,
+        facts={
+            "submission_id": ID_EXAMPLE,
+            "team_id": ID_EXAMPLE,
+            "team": "Forest",
+            "method": "VoxelNet",
+            "others": [{"submission_id": ID_EXAMPLE, "team_id": ID_EXAMPLE, "team": "Lake", "method": "Ours"}],
+        },
+    )
 
     id: str
     phase_id: str
@@ -248,18 +234,7 @@ class GrantItem(Answer):
     there is no limit.
     """
 
-    model_config = example(
-        id=ID_EXAMPLE,
-        phase_id=ID_EXAMPLE,
-        team_id=ID_EXAMPLE,
-        scorings=2,
-        limit=5,
-        used=3,
-        reserved=0,
-        total_left=7,
-        next_at="2026-05-03T09:12:44.120000Z",
-        created_at="2026-05-03T09:12:44.120000Z",
-    )
+    model_config = example(scorings=2, limit=5, used=3, reserved=0, total_left=7, next_at="2026-05-03T09:12:44.120000Z")
 
     id: str
     phase_id: str

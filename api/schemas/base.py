@@ -3,7 +3,8 @@
 from collections.abc import Callable
 from datetime import UTC, datetime, timedelta
 from functools import cache
-from typing import Annotated, Any, Self
+from types import NoneType
+from typing import Annotated, Any, Self, get_args, get_origin
 
 from fastapi import Path, Query
 from pydantic import AliasChoices, AliasGenerator, BaseModel, BeforeValidator, ConfigDict, StringConstraints
@@ -13,6 +14,7 @@ from stone.errors import StoneError
 
 ID_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2b"
 SHA256_EXAMPLE = "9f86d081884c7d659a2feaa0c55ad015a3bf4f1b2b0b822cd15d6c15b0f00a08"
+MADE = "2026-05-03T09:12:44.120000Z"
 ID_PATTERN = "^[0-9a-f]{32}$"
 # No control characters, and none that is not seen or turns the text around it: a name would pass for another.
 PLAIN = r"^[^\x00-\x1f\x7f-\x9f\u00ad\u200b-\u200f\u2028-\u202e\u2060-\u206f\ufeff\ufff9-\ufffb]*$"
@@ -64,9 +66,9 @@ def _attribute_of(field: str) -> str:
     return f"{field.removesuffix('_at')}_ns" if field == "at" or field.endswith("_at") else field
 
 
-def _read_from(field: str) -> AliasChoices | None:
+def _read_from(field: str) -> AliasChoices | str:
     attribute = _attribute_of(field)
-    return None if attribute == field else AliasChoices(attribute, field)
+    return field if attribute == field else AliasChoices(attribute, field)
 
 
 class Answer(BaseModel):
@@ -86,12 +88,21 @@ class Answer(BaseModel):
         if not given:
             return cls.model_validate(value)
         for field, name in _attributes_of(cls):
-            if field not in given and (found := getattr(value, name, _ABSENT)) is not _ABSENT:
-                given[field] = found
+            if field not in given:
+                try:
+                    given[field] = getattr(value, name)
+                except AttributeError:
+                    given[field] = getattr(value, field)
         return cls.model_validate(given)
 
-
-_ABSENT = object()
+    @classmethod
+    def __pydantic_init_subclass__(cls, **_: Any) -> None:
+        """Complete the example of the class: fields of its base, ids, hashes, moments, other responses, null."""
+        shown, inherited = example_of(cls), example_of(cls.__base__)
+        if shown is not inherited:
+            for name, field in cls.model_fields.items():
+                if name not in shown:
+                    shown[name] = inherited[name] if name in inherited else _usual_example(name, field.annotation)
 
 
 @cache
@@ -102,3 +113,24 @@ def _attributes_of(answer: type[Answer]) -> tuple[tuple[str, str], ...]:
 def example(**values: Any) -> ConfigDict:
     """The model's example, shown in the OpenAPI document."""
     return ConfigDict(json_schema_extra={"examples": [values]})
+
+
+def example_of(model: Any) -> dict[str, Any]:
+    """Return the example of the model; empty if it has none."""
+    found: dict[str, Any] = getattr(model, "model_config", {}).get("json_schema_extra", _NO_EXAMPLES)["examples"][0]
+    return found
+
+
+_NO_EXAMPLES: dict[str, Any] = {"examples": [{}]}
+
+
+def _usual_example(name: str, kind: Any) -> Any:
+    """Return the example of a field that the model's own does not name. Raises `KeyError` if the type implies none."""
+    if name == "id" or name.endswith("_id"):
+        return ID_EXAMPLE
+    if name.endswith("sha256"):
+        return SHA256_EXAMPLE
+    kinds = get_args(kind) or (kind,)
+    if shown := example_of(kinds[0]):
+        return [shown] if get_origin(kind) is list else shown
+    return None if NoneType in kinds else {datetime: MADE}[kind]

@@ -4,51 +4,19 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
+from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Instant, Reason, example, example_of
 from api.schemas.phase_bodies import BENCHMARK_PATTERN, NEW_PHASE_EXAMPLE, Heading, NewPhaseBody, Prose, Version
 from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
 
 PhaseShown = TypeVar("PhaseShown")
 
 SIGNATURE_EXAMPLE = {"metric": "stone-iou-2", "ground_truth": SHA256_EXAMPLE, "mask": "all"}
-ACTIVE_EXAMPLE: dict[str, Any] = {
-    "ground_truth": 1,
-    "metric": "stone-iou-2",
-    "dataset": "stone-1.0",
-    "frames": 7012,
-    "manifest_sha256": SHA256_EXAMPLE,
-    "activated_at": "2026-05-30T08:00:00Z",
-    "signature": SIGNATURE_EXAMPLE,
-}
-FINDING_EXAMPLE = {
-    "code": "labels_are_public",
-    "severity": "warning",
-    "message": "2 of the 2 sequences are in train or val of a published version, so anybody may have their labels",
-}
-PHASE_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "benchmark": "stone",
-    **NEW_PHASE_EXAMPLE,
-    "standing": "open",
-    "active": ACTIVE_EXAMPLE,
-    "visibility": ["The ground truth is hidden and the phase has not ended: everybody: totals rounded to 4 digits."],
-    "revision": 1,
-    "created_at": "2026-05-29T08:00:00Z",
-}
-BENCHMARK_EXAMPLE: dict[str, Any] = {
-    "name": "stone",
-    "title": "STONE",
-    "description": "3D traversability from one sweep and six cameras.",
-    "phases": ["test", "val"],
-    "is_public": False,
-    "created_at": "2026-05-29T08:00:00Z",
-}
 
 
 class SignatureItem(Answer):
     """What makes two scores comparable: a board never mixes two of them."""
 
-    model_config = example(**SIGNATURE_EXAMPLE)
+    model_config = example(metric="stone-iou-2", ground_truth=SHA256_EXAMPLE, mask="all")
 
     metric: str
     ground_truth: str
@@ -58,7 +26,9 @@ class SignatureItem(Answer):
 class ActiveItem(Answer):
     """By what the phase is scored now; `ground_truth` is the number of the version."""
 
-    model_config = example(**ACTIVE_EXAMPLE)
+    model_config = example(
+        ground_truth=1, metric="stone-iou-2", dataset="stone-1.0", frames=7012, activated_at="2026-05-30T08:00:00Z"
+    )
 
     ground_truth: int
     metric: str
@@ -72,7 +42,14 @@ class ActiveItem(Answer):
 class PhaseItem(Answer):
     """A phase: its rules, whether it runs, by what it is scored, and what is shown to whom."""
 
-    model_config = example(**PHASE_EXAMPLE)
+    model_config = example(
+        benchmark="stone",
+        **NEW_PHASE_EXAMPLE,
+        standing="open",
+        visibility=["The ground truth is hidden and the phase has not ended: everybody: totals rounded to 4 digits."],
+        revision=1,
+        created_at="2026-05-29T08:00:00Z",
+    )
 
     id: str
     benchmark: str
@@ -100,7 +77,11 @@ class PhaseItem(Answer):
 class PhaseFinding(Answer):
     """What an administrator should know of a phase."""
 
-    model_config = example(**FINDING_EXAMPLE)
+    model_config = example(
+        code="labels_are_public",
+        severity="warning",
+        message="2 of the 2 sequences are in train or val of a published version, so anybody may have their labels",
+    )
 
     code: str
     severity: Literal["warning"]
@@ -110,7 +91,7 @@ class PhaseFinding(Answer):
 class PhaseDetail(PhaseItem):
     """A phase as its administrator sees it, with what was noticed."""
 
-    model_config = example(**PHASE_EXAMPLE, findings=[FINDING_EXAMPLE])
+    model_config = example()
 
     findings: list[PhaseFinding]
 
@@ -121,9 +102,7 @@ class NewBenchmarkBody(Body):
     A phase that names no version is of the benchmark's. `reason` is kept in the audit log.
     """
 
-    model_config = Body.model_config | example(
-        name="stone", title="STONE", description="", dataset="stone-1.0", reason="first season"
-    )
+    model_config = example(name="stone", title="STONE", description="", dataset="stone-1.0", reason="first season")
 
     name: Annotated[str, Field(pattern=BENCHMARK_PATTERN)]
     title: Heading = ""
@@ -142,7 +121,7 @@ class BenchmarkChange(Body):
     `reason` is kept in the audit log.
     """
 
-    model_config = Body.model_config | example(is_public=True, reason="the season begins")
+    model_config = example(is_public=True, reason="the season begins")
 
     title: Heading | None = None
     description: Prose | None = None
@@ -168,19 +147,26 @@ class BenchmarkShown(Answer, Generic[PhaseShown]):
 class BenchmarkItem(BenchmarkShown[str]):
     """A benchmark as a list shows it, with the names of its phases."""
 
-    model_config = example(**BENCHMARK_EXAMPLE)
+    model_config = example(
+        name="stone",
+        title="STONE",
+        description="3D traversability from one sweep and six cameras.",
+        phases=["test", "val"],
+        is_public=False,
+        created_at="2026-05-29T08:00:00Z",
+    )
 
 
 class BenchmarkDetail(BenchmarkShown[PhaseItem]):
     """A benchmark with its phases."""
 
-    model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE]})
+    model_config = example(**example_of(BenchmarkItem) | {"phases": [example_of(PhaseItem)]})
 
 
 class CreatedBenchmark(BenchmarkShown[PhaseDetail]):
     """A benchmark with its phases and what was noticed of them."""
 
-    model_config = example(**BENCHMARK_EXAMPLE | {"phases": [PHASE_EXAMPLE | {"findings": [FINDING_EXAMPLE]}]})
+    model_config = example(**example_of(BenchmarkItem) | {"phases": [example_of(PhaseDetail)]})
 
 
 class MetricItem(Answer):

@@ -1,6 +1,6 @@
 """The client that fits this server, over the wire."""
 
-from api.schemas.base import SHA256_EXAMPLE, Answer, example
+from api.schemas.base import Answer, example
 
 
 class ClientWheelItem(Answer):
@@ -10,7 +10,6 @@ class ClientWheelItem(Answer):
         filename="stone_client-0.1.0-py3-none-any.whl",
         path="/downloads/stone_client-0.1.0-py3-none-any.whl",
         size_bytes=121492,
-        sha256=SHA256_EXAMPLE,
     )
 
     filename: str

@@ -1,41 +1,15 @@
 """Imports of published datasets over the wire."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, Line, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, Answer, Body, IdText, Instant, Line, example
 from api.schemas.jobs import FailureItem
 from api.schemas.sequences.sequences import Environment, Illumination, Region
 from services.domain.imports.requests import LONGEST_NAME, Existing, ImportedFacts, NewImport, StatedClasses
 
 LONGEST_CLASSES = 64 * 1024
-SCENE_EXAMPLE: dict[str, Any] = {
-    "ordinal": 0,
-    "name": "field-0000",
-    "frames": 1183,
-    "splits": ["train"],
-    "state": "succeeded",
-    "sequence_id": ID_EXAMPLE,
-}
-IMPORT_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "owner_id": ID_EXAMPLE,
-    "job_id": ID_EXAMPLE,
-    "name": "offroad-v1.0",
-    "sha256": SHA256_EXAMPLE,
-    "size_bytes": 812345678901,
-    "classes": None,
-    "existing": "refuse",
-    "sets_splits": False,
-    "state": "succeeded",
-    "failure": None,
-    "scenes_total": 43,
-    "scenes_done": 43,
-    "frames": 50878,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-    "finished_at": "2026-05-03T11:40:02Z",
-}
 DatasetLabel = Annotated[
     str, StringConstraints(pattern=PLAIN, min_length=1, max_length=LONGEST_NAME, strip_whitespace=True)
 ]
@@ -87,7 +61,18 @@ class DatasetImportItem(Answer):
     Scenes and frames are null before the dataset's tables were read.
     """
 
-    model_config = example(**IMPORT_EXAMPLE)
+    model_config = example(
+        name="offroad-v1.0",
+        size_bytes=812345678901,
+        existing="refuse",
+        sets_splits=False,
+        state="succeeded",
+        failure=None,
+        scenes_total=43,
+        scenes_done=43,
+        frames=50878,
+        finished_at="2026-05-03T11:40:02Z",
+    )
 
     id: str
     owner_id: str
@@ -110,7 +95,7 @@ class DatasetImportItem(Answer):
 class ImportedSceneItem(Answer):
     """A scene: `state` is that of the job that imports it, `sequence_id` its sequence once all of them stand."""
 
-    model_config = example(**SCENE_EXAMPLE)
+    model_config = example(ordinal=0, name="field-0000", frames=1183, splits=["train"], state="succeeded")
 
     ordinal: int
     name: str
@@ -127,7 +112,7 @@ class DatasetImportDetail(DatasetImportItem):
     they were; null where they were not to be set, or are not yet.
     """
 
-    model_config = example(**IMPORT_EXAMPLE, scenes=[SCENE_EXAMPLE], splits_refused=None)
+    model_config = example()
 
     splits_refused: list[str] | None
     scenes: list[ImportedSceneItem]

@@ -28,35 +28,6 @@ STAGES_EXAMPLE: list[dict[str, Any]] = [
         "busy_s": 22.9,
     },
 ]
-PROGRESS_EXAMPLE = {"stage": "labeler.surface", "done": 23, "total": 52, "rate_per_s": None, "eta_s": 40}
-JOB_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "root_id": ID_EXAMPLE,
-    "owner_id": ID_EXAMPLE,
-    "sequence_id": ID_EXAMPLE,
-    "kind": "sequence.process",
-    "title": "Labelling",
-    "queue": "",
-    "state": "running",
-    "priority": 0,
-    "attempt": 0,
-    "progress": PROGRESS_EXAMPLE,
-    "failure": None,
-    "cancel_reason": "",
-    "revision": 31,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-    "started_at": "2026-05-03T09:12:44.310000Z",
-    "finished_at": None,
-}
-ATTEMPT_EXAMPLE = {
-    "number": 1,
-    "worker": "worker-3:4711",
-    "outcome": "lost",
-    "failure": {"code": "worker_lost", "sentence": "attempt 1 sent no heartbeat for 20 s"},
-    "peak_bytes": 412000000,
-    "started_at": "2026-05-03T09:12:44.310000Z",
-    "finished_at": "2026-05-03T09:13:11Z",
-}
 
 
 class FailureItem(Answer):
@@ -75,7 +46,7 @@ class ProgressItem(Answer):
     job within a run it is null: its run's is the estimate.
     """
 
-    model_config = example(**PROGRESS_EXAMPLE)
+    model_config = example(stage="labeler.surface", done=23, total=52, eta_s=40)
 
     stage: str
     done: int
@@ -107,7 +78,18 @@ class StageItem(Answer):
 class JobItem(Answer):
     """A job or a run; `title` says its `kind` to people. `queue` is empty for a run, which holds its jobs together."""
 
-    model_config = example(**JOB_EXAMPLE)
+    model_config = example(
+        kind="sequence.process",
+        title="Labelling",
+        queue="",
+        state="running",
+        priority=0,
+        attempt=0,
+        failure=None,
+        cancel_reason="",
+        revision=31,
+        started_at="2026-05-03T09:12:44.310000Z",
+    )
 
     id: str
     root_id: str
@@ -131,7 +113,15 @@ class JobItem(Answer):
 class AttemptItem(Answer):
     """One try at a job by one process; `outcome` is empty while it runs."""
 
-    model_config = example(**ATTEMPT_EXAMPLE)
+    model_config = example(
+        number=1,
+        worker="worker-3:4711",
+        outcome="lost",
+        failure={"code": "worker_lost", "sentence": "attempt 1 sent no heartbeat for 20 s"},
+        peak_bytes=412000000,
+        started_at="2026-05-03T09:12:44.310000Z",
+        finished_at="2026-05-03T09:13:11Z",
+    )
 
     number: int
     worker: str
@@ -145,7 +135,7 @@ class AttemptItem(Answer):
 class JobDetail(JobItem):
     """A job with its attempts and what it answered; a run with its stages."""
 
-    model_config = example(**JOB_EXAMPLE, stages=STAGES_EXAMPLE, attempts=[], attempts_left=0, result=None)
+    model_config = example(stages=STAGES_EXAMPLE, attempts=[], attempts_left=0)
 
     stages: list[StageItem]
     attempts: list[AttemptItem]
@@ -157,7 +147,6 @@ class LogLine(Answer):
     """A line that an attempt said."""
 
     model_config = example(
-        job_id=ID_EXAMPLE,
         attempt=1,
         number=17,
         logged_ns=1777799570000000000,

@@ -1,69 +1,16 @@
 """Boards and comparisons over the wire."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from fastapi import Query
 
-from api.schemas.base import ID_EXAMPLE, ID_PATTERN, SHA256_EXAMPLE, Answer, Instant, example
+from api.schemas.base import ID_EXAMPLE, ID_PATTERN, Answer, Instant, example, example_of
 from api.schemas.phase_bodies import Moment
 from services.domain.benchmarks.boards.entries import EntryStatus, Track, Which
 from services.domain.benchmarks.visibility import Secrecy
 from stone.scoring.intervals import Scope, Silence
 
 SIGNATURE_EXAMPLE = "metric:stone-iou-2|truth:9f86d081884c7d65|mask:all|grid:256x256x32@0.2m|classes:0=free,1=T,2=P,3=N"
-RATIOS_EXAMPLE = {"miou": 0.2431, "iou_occ": 0.4119, "iou_t": 0.3120, "iou_p": 0.1980, "iou_n": 0.2193}
-INTERVAL_EXAMPLE = [0.2389, 0.2474]
-PAIR_EXAMPLE = {
-    "ground_truth": 1,
-    "ground_truth_sha256": SHA256_EXAMPLE,
-    "metric": "stone-iou-2",
-    "signature": SIGNATURE_EXAMPLE,
-    "frames": 7012,
-    "sequences": 5,
-}
-BOARD_PAIR_EXAMPLE = PAIR_EXAMPLE | {"activated_at": "2026-05-30T08:00:00Z"}
-ROW_EXAMPLE: dict[str, Any] = {
-    "standing": "ranked",
-    "rank": 1,
-    "rank_interval": [1, 2],
-    "tie_group": 1,
-    "submission_id": ID_EXAMPLE,
-    "score_id": ID_EXAMPLE,
-    "team": "Terrain Gang",
-    "is_yours": False,
-    "method": "GroundNet",
-    "modality": "C+L",
-    "ratios": RATIOS_EXAMPLE,
-    "intervals": None,
-    "support": None,
-    "source": None,
-    "note": None,
-    "percent_digits": 2,
-    "submitted_at": "2026-06-02T09:12:44.120000Z",
-}
-CHANGE_EXAMPLE = {
-    "at": "2026-06-02T09:14:02.512000Z",
-    "entered": 1,
-    "left": 0,
-    "is_new_pair": False,
-    "best_miou": 0.2431,
-}
-DIFFERENCE_EXAMPLE = {
-    "interval": [0.0012, 0.0031],
-    "standard_error": 0.00046,
-    "degrees_of_freedom": 18.2,
-    "p": 0.0002,
-}
-FLIP_EXAMPLE = {"sequences": 5, "p": 0.0625, "smallest_p": 0.0625}
-COMPARED_EXAMPLE: dict[str, Any] = {
-    "a": 0.2431,
-    "b": 0.2410,
-    "difference": 0.0021,
-    "these_places": DIFFERENCE_EXAMPLE,
-    "new_place": None,
-    "silences": {"these_places": None, "new_place": "few_sequences"},
-    "sign_flip": FLIP_EXAMPLE,
-}
 
 Form = Literal["json", "csv", "parquet", "md", "tex"]
 TrackQuery = Annotated[Track, Query(description="a declared modality, or all")]
@@ -78,7 +25,7 @@ Interval = tuple[float, float]
 class RatiosItem(Answer):
     """The five ratios in [0, 1]; null where undefined."""
 
-    model_config = example(**RATIOS_EXAMPLE)
+    model_config = example(miou=0.2431, iou_occ=0.4119, iou_t=0.3120, iou_p=0.1980, iou_n=0.2193)
 
     miou: float | None
     iou_occ: float | None
@@ -90,7 +37,7 @@ class RatiosItem(Answer):
 class IntervalsItem(Answer):
     """Of each ratio the interval of 95 %; null where nothing can be said."""
 
-    model_config = example(**dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE))
+    model_config = example(**{name: [0.2389, 0.2474] for name in example_of(RatiosItem)})
 
     miou: Interval | None
     iou_occ: Interval | None
@@ -116,7 +63,7 @@ class PairItem(Answer):
     `signature` is null while there is no score.
     """
 
-    model_config = example(**PAIR_EXAMPLE)
+    model_config = example(ground_truth=1, metric="stone-iou-2", signature=SIGNATURE_EXAMPLE, frames=7012, sequences=5)
 
     ground_truth: int
     ground_truth_sha256: str
@@ -129,7 +76,7 @@ class PairItem(Answer):
 class BoardPairItem(PairItem):
     """The pair in force at the time of a board."""
 
-    model_config = example(**BOARD_PAIR_EXAMPLE)
+    model_config = example(activated_at="2026-05-30T08:00:00Z")
 
     activated_at: Instant
 
@@ -142,7 +89,20 @@ class BoardRow(Answer):
     `percent_digits` decimals: a reported one as many as it was printed with.
     """
 
-    model_config = example(**ROW_EXAMPLE)
+    model_config = example(
+        standing="ranked",
+        rank=1,
+        rank_interval=[1, 2],
+        tie_group=1,
+        team="Terrain Gang",
+        is_yours=False,
+        method="GroundNet",
+        modality="C+L",
+        intervals=None,
+        support=None,
+        percent_digits=2,
+        submitted_at="2026-06-02T09:12:44.120000Z",
+    )
 
     standing: EntryStatus
     rank: int | None
@@ -176,16 +136,13 @@ class LeaderboardAnswer(Answer):
         phase="test",
         track="all",
         entries="best",
-        as_of=None,
         is_hidden=True,
         secrecy="running",
         is_rounded=True,
         ratio_digits=4,
         ordered_by=["miou", "iou_occ", "iou_n", "submitted_at"],
         interval_level=0.95,
-        pair=BOARD_PAIR_EXAMPLE,
         ranked_total=1,
-        rows=[ROW_EXAMPLE],
         notes=["5 sequences are few: no difference can have a p below 0.0625."],
     )
 
@@ -212,7 +169,7 @@ class ChangeItem(Answer):
     `best_miou` is the highest of the ranked entries since then, rounded; null where there is none.
     """
 
-    model_config = example(**CHANGE_EXAMPLE)
+    model_config = example(at="2026-06-02T09:14:02.512000Z", entered=1, left=0, is_new_pair=False, best_miou=0.2431)
 
     at: Instant
     entered: int
@@ -224,7 +181,7 @@ class ChangeItem(Answer):
 class HistoryAnswer(Answer):
     """When a board changed, oldest first: moments for `as_of`. Of very many, those of a day are one, at its last."""
 
-    model_config = example(benchmark="stone", phase="test", track="all", changes=[CHANGE_EXAMPLE])
+    model_config = example(benchmark="stone", phase="test", track="all")
 
     benchmark: str
     phase: str
@@ -235,7 +192,7 @@ class HistoryAnswer(Answer):
 class DifferenceItem(Answer):
     """Of a − b, frame by frame: the interval of its true value, and the two-sided p of Student's t."""
 
-    model_config = example(**DIFFERENCE_EXAMPLE)
+    model_config = example(interval=[0.0012, 0.0031], standard_error=0.00046, degrees_of_freedom=18.2, p=0.0002)
 
     interval: Interval
     standard_error: float
@@ -246,7 +203,7 @@ class DifferenceItem(Answer):
 class SignFlipItem(Answer):
     """The exact test over sequences; no result of so few can have a p below `smallest_p`."""
 
-    model_config = example(**FLIP_EXAMPLE)
+    model_config = example(sequences=5, p=0.0625, smallest_p=0.0625)
 
     sequences: int
     p: float
@@ -257,7 +214,13 @@ class RatioDifferenceItem(Answer):
     """One ratio of both; null is what is undefined or withheld. `these_places` is about the ground of the ground truth,
     `new_place` about another; where one is null, `silences` has the code of the reason."""
 
-    model_config = example(**COMPARED_EXAMPLE)
+    model_config = example(
+        a=0.2431,
+        b=0.2410,
+        difference=0.0021,
+        new_place=None,
+        silences={"these_places": None, "new_place": "few_sequences"},
+    )
 
     a: float | None
     b: float | None
@@ -274,10 +237,9 @@ class ComparisonAnswer(Answer):
     model_config = example(
         a=ID_EXAMPLE,
         b=ID_EXAMPLE[::-1],
-        pair=PAIR_EXAMPLE,
         is_withheld=False,
         interval_level=0.95,
-        ratios=dict.fromkeys(RATIOS_EXAMPLE, COMPARED_EXAMPLE),
+        ratios=dict.fromkeys(example_of(RatiosItem), example_of(RatioDifferenceItem)),
     )
 
     a: str

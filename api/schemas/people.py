@@ -9,7 +9,6 @@ from services.runtime.access.roles import Role, Scope
 
 PASSWORD = "correct horse battery staple"
 SECRET_EXAMPLE = "stone_" + "x" * 43
-MADE = "2026-05-03T09:12:44.120000Z"
 ENDS = "2027-05-03T09:12:44.120000Z"
 
 UserName = Annotated[str, StringConstraints(pattern=r"^[a-z0-9._@+-]{1,64}$")]
@@ -49,7 +48,7 @@ class Readiness(Answer):
 class SignInBody(Body):
     """A name and its password."""
 
-    model_config = Body.model_config | example(name="ada", password=PASSWORD)
+    model_config = example(name="ada", password=PASSWORD)
 
     name: Annotated[str, StringConstraints(max_length=64)]
     password: Password
@@ -58,7 +57,7 @@ class SignInBody(Body):
 class SessionItem(Answer):
     """A browser is signed in; its cookie is in the answer's head, and unsafe requests repeat `csrf_token`."""
 
-    model_config = example(user_id=ID_EXAMPLE, name="ada", role="curator", csrf_token="x" * 43, expires_at=MADE)
+    model_config = example(name="ada", role="curator", csrf_token="x" * 43)
 
     user_id: str
     name: str
@@ -70,7 +69,7 @@ class SessionItem(Answer):
 class BrowserItem(Answer):
     """A browser in which a user is signed in; `is_current` is the one that asks."""
 
-    model_config = example(id=ID_EXAMPLE, created_at=MADE, expires_at=ENDS, is_current=True)
+    model_config = example(expires_at=ENDS, is_current=True)
 
     id: str
     created_at: Instant
@@ -82,13 +81,7 @@ class MeItem(Answer):
     """Who is calling and what they may; `csrf_token` for browsers only."""
 
     model_config = example(
-        user_id=ID_EXAMPLE,
-        name="ada",
-        role="curator",
-        scopes=["read", "submit", "upload"],
-        is_session=False,
-        csrf_token=None,
-        expires_at=ENDS,
+        name="ada", role="curator", scopes=["read", "submit", "upload"], is_session=False, expires_at=ENDS
     )
 
     user_id: str
@@ -103,7 +96,7 @@ class MeItem(Answer):
 class PasswordBody(Body):
     """One's own password, old and new."""
 
-    model_config = Body.model_config | example(current=PASSWORD, new="another horse, another battery")
+    model_config = example(current=PASSWORD, new="another horse, another battery")
 
     current: Password
     new: Password
@@ -114,27 +107,17 @@ class TokenBody(Body):
     year. What a token makes ends with it.
     """
 
-    model_config = Body.model_config | example(name="field laptop", scopes=["read", "upload"], expires_s=2592000)
+    model_config = example(name="field laptop", scopes=["read", "upload"], expires_s=2592000)
 
     name: Title
     scopes: Annotated[list[Scope], Field(min_length=1, max_length=5)] | None = None
     expires_s: Annotated[float, Field(ge=1, le=10 * 365 * 86400, allow_inf_nan=False)] | None = None
 
 
-TOKEN_EXAMPLE = {
-    "id": ID_EXAMPLE,
-    "name": "field laptop",
-    "scopes": ["read", "upload"],
-    "created_at": MADE,
-    "expires_at": ENDS,
-    "used_at": None,
-}
-
-
 class TokenItem(Answer):
     """A token without its secret."""
 
-    model_config = example(**TOKEN_EXAMPLE)
+    model_config = example(name="field laptop", scopes=["read", "upload"], expires_at=ENDS)
 
     id: str
     name: str
@@ -147,7 +130,7 @@ class TokenItem(Answer):
 class IssuedToken(TokenItem):
     """A token with its secret, shown this once."""
 
-    model_config = example(**TOKEN_EXAMPLE, secret=SECRET_EXAMPLE)
+    model_config = example(secret=SECRET_EXAMPLE)
 
     secret: str
 
@@ -155,9 +138,7 @@ class IssuedToken(TokenItem):
 class UserBody(Body):
     """A user to be; without a password an administrator sets one later."""
 
-    model_config = Body.model_config | example(
-        name="ada", role="curator", password=PASSWORD, reason="joins the field team"
-    )
+    model_config = example(name="ada", role="curator", password=PASSWORD, reason="joins the field team")
 
     name: UserName
     role: Role
@@ -168,7 +149,7 @@ class UserBody(Body):
 class UserChange(Body):
     """What is to change; the rest stays."""
 
-    model_config = Body.model_config | example(role="curator", reason="leads the next campaign")
+    model_config = example(role="curator", reason="leads the next campaign")
 
     role: Role | None = None
     is_active: bool | None = None
@@ -179,9 +160,7 @@ class UserChange(Body):
 class UserItem(Answer):
     """A user."""
 
-    model_config = example(
-        id=ID_EXAMPLE, name="ada", role="curator", is_active=True, has_password=True, created_at=MADE
-    )
+    model_config = example(name="ada", role="curator", is_active=True, has_password=True)
 
     id: str
     name: str
@@ -203,7 +182,7 @@ class RevokedItem(Answer):
 class TeamBody(Body):
     """A team to be; its maker owns it."""
 
-    model_config = Body.model_config | example(name="Terrain Gang")
+    model_config = example(name="Terrain Gang")
 
     name: Title
 
@@ -214,9 +193,7 @@ class TeamItem(Answer):
     It takes part in `phases` (ids), and whoever joins takes part in those that have not ended too.
     """
 
-    model_config = example(
-        id=ID_EXAMPLE, name="Terrain Gang", captain="ada", members=["ada"], phases=[ID_EXAMPLE], created_at=MADE
-    )
+    model_config = example(name="Terrain Gang", captain="ada", members=["ada"], phases=[ID_EXAMPLE])
 
     id: str
     name: str

@@ -6,7 +6,7 @@ from typing import Annotated, Any
 from fastapi import Path
 from pydantic import AfterValidator, AwareDatetime, Field, StringConstraints
 
-from api.schemas.base import EPOCH, PLAIN, PROSE, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
+from api.schemas.base import EPOCH, PLAIN, PROSE, Answer, Body, Instant, Reason, example
 from api.schemas.datasets import VERSION_PATTERN
 from services.domain.benchmarks.phases.phases import (
     LONGEST_WINDOW_NS,
@@ -62,7 +62,7 @@ NEW_PHASE_EXAMPLE: dict[str, Any] = {**WHAT_EXAMPLE, "dataset": "stone-1.0", **R
 class RulesBody(Body):
     """When a phase runs and how much a team may; null is for as long, or as many, as one likes."""
 
-    model_config = Body.model_config | example(**RULES_EXAMPLE)
+    model_config = example(**RULES_EXAMPLE)
 
     title: Heading = ""
     opens_at: Moment | None = None
@@ -81,7 +81,7 @@ class RulesBody(Body):
 class NewPhaseBody(RulesBody):
     """A phase to be: of which part of which version, what is evaluated, under which rules."""
 
-    model_config = Body.model_config | example(**NEW_PHASE_EXAMPLE)
+    model_config = example(**NEW_PHASE_EXAMPLE)
 
     name: Annotated[str, Field(pattern=PHASE_PATTERN)]
     part: Part
@@ -96,7 +96,7 @@ class NewPhaseBody(RulesBody):
 class AddedPhaseBody(NewPhaseBody):
     """Another phase of a benchmark, of a version that it names. `reason` is kept in the audit log."""
 
-    model_config = Body.model_config | example(**NEW_PHASE_EXAMPLE, reason="a second season")
+    model_config = example(**NEW_PHASE_EXAMPLE, reason="a second season")
 
     dataset: Version
     reason: Reason
@@ -108,7 +108,7 @@ class PhaseChange(Body):
     Version, part, mask and secrecy cannot change once there is a ground truth.
     """
 
-    model_config = Body.model_config | example(closes_at="2026-10-01T00:00:00Z", reason="one month more")
+    model_config = example(closes_at="2026-10-01T00:00:00Z", reason="one month more")
 
     title: Heading | None = None
     opens_at: Moment | None = None
@@ -151,20 +151,12 @@ def ns_of(moment: datetime) -> int:
 # Inputs of a phase over the wire: the sensor data that participants predict from.
 
 
-INPUT_EXAMPLE: dict[str, Any] = {
-    "name": "n-forest-07",
-    "files": 13216,
-    "size_bytes": 41003421,
-    "tar_bytes": 48210432,
-    "tar_sha256": SHA256_EXAMPLE,
-    "created_at": "2026-05-03T10:33:40Z",
-}
-
-
 class PhaseInputItem(Answer):
     """The inputs of one sequence; its tar is at `inputs/{name}.tar`."""
 
-    model_config = example(**INPUT_EXAMPLE)
+    model_config = example(
+        name="n-forest-07", files=13216, size_bytes=41003421, tar_bytes=48210432, created_at="2026-05-03T10:33:40Z"
+    )
 
     name: str
     files: int

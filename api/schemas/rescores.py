@@ -1,6 +1,6 @@
 """Re-scores over the wire: the request, its progress, and the changes it would make."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
@@ -8,40 +8,7 @@ from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, IdText, Instant, R
 from api.schemas.jobs import FailureItem
 
 RescoreState = Literal["running", "incomplete", "complete", "activated", "abandoned"]
-SIDE_EXAMPLE: dict[str, Any] = {"truth_id": ID_EXAMPLE, "truth_number": 2, "metric": "stone-iou-2"}
 RATIOS_EXAMPLE = {"iou_occ": 0.512, "iou_t": 0.431, "iou_p": 0.207, "iou_n": 0.388, "miou": 0.342}
-RESCORE_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "phase_id": ID_EXAMPLE,
-    "truth_id": ID_EXAMPLE,
-    "metric": "stone-iou-2",
-    "reason": "labels of the quarry corrected",
-    "state": "running",
-    "total": 600,
-    "scored": 412,
-    "missing": 188,
-    "hidden": 0,
-    "gone": 0,
-    "missing_submission_ids": [ID_EXAMPLE],
-    "job_id": ID_EXAMPLE,
-    "failure": None,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-    "activated_at": None,
-    "abandoned_at": None,
-}
-MOVED_EXAMPLE: dict[str, Any] = {
-    "submission_id": ID_EXAMPLE,
-    "team": "Forest",
-    "method": "VoxelNet",
-    "modality": "C+L",
-    "kind": "entry",
-    "old": RATIOS_EXAMPLE,
-    "new": RATIOS_EXAMPLE,
-    "old_rank": 4,
-    "new_rank": 2,
-    "rank_move": 2,
-    "value_move": 0.011,
-}
 
 
 class NewRescoreBody(Body):
@@ -62,7 +29,18 @@ class RescoreItem(Answer):
     has ended and something is missing: start it again), complete, activated or abandoned.
     """
 
-    model_config = example(**RESCORE_EXAMPLE)
+    model_config = example(
+        metric="stone-iou-2",
+        reason="labels of the quarry corrected",
+        state="running",
+        total=600,
+        scored=412,
+        missing=188,
+        hidden=0,
+        gone=0,
+        missing_submission_ids=[ID_EXAMPLE],
+        failure=None,
+    )
 
     id: str
     phase_id: str
@@ -86,7 +64,7 @@ class RescoreItem(Answer):
 class SideItem(Answer):
     """One of the two pairs that are compared."""
 
-    model_config = example(**SIDE_EXAMPLE)
+    model_config = example(truth_number=2, metric="stone-iou-2")
 
     truth_id: str
     truth_number: int
@@ -96,7 +74,18 @@ class SideItem(Answer):
 class MovedItem(Answer):
     """An entry or baseline by both pairs; null where it has no score, or no rank."""
 
-    model_config = example(**MOVED_EXAMPLE)
+    model_config = example(
+        team="Forest",
+        method="VoxelNet",
+        modality="C+L",
+        kind="entry",
+        old=RATIOS_EXAMPLE,
+        new=RATIOS_EXAMPLE,
+        old_rank=4,
+        new_rank=2,
+        rank_move=2,
+        value_move=0.011,
+    )
 
     submission_id: str
     team: str
@@ -115,15 +104,7 @@ class RescoreDiffAnswer(Answer):
     """What the switch would change, or has changed. The ETag names the activation in force: If-Match of `activate`."""
 
     model_config = example(
-        rescore=RESCORE_EXAMPLE,
-        old=SIDE_EXAMPLE,
-        new=SIDE_EXAMPLE,
-        is_order_changed=True,
-        is_new_leader=False,
-        largest_rank_move=2,
-        largest_value_move=0.011,
-        without_new_score=0,
-        rows=[MOVED_EXAMPLE],
+        is_order_changed=True, is_new_leader=False, largest_rank_move=2, largest_value_move=0.011, without_new_score=0
     )
 
     rescore: RescoreItem
@@ -140,14 +121,7 @@ class RescoreDiffAnswer(Answer):
 class ActivationItem(Answer):
     """From `activated_at` on the board shows this pair."""
 
-    model_config = example(
-        id=ID_EXAMPLE,
-        phase_id=ID_EXAMPLE,
-        truth_id=ID_EXAMPLE,
-        metric="stone-iou-2",
-        rescore_id=ID_EXAMPLE,
-        activated_at="2026-05-03T09:12:44.120000Z",
-    )
+    model_config = example(metric="stone-iou-2")
 
     id: str
     phase_id: str

@@ -1,14 +1,11 @@
 """Results of a submission over the wire."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from fastapi import Query
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, IdQuery, Instant, example
+from api.schemas.base import Answer, IdQuery, Instant, example, example_of
 from api.schemas.leaderboard import (
-    INTERVAL_EXAMPLE,
-    PAIR_EXAMPLE,
-    RATIOS_EXAMPLE,
     IntervalsItem,
     PairItem,
     RatiosItem,
@@ -18,25 +15,7 @@ from services.domain.benchmarks.submissions.results import By
 from services.domain.benchmarks.visibility import Secrecy
 from stone.scoring.intervals import Silence
 
-SUPPORT_EXAMPLE = {"free": 2000000, "T": 40000, "P": 30000, "N": 27152}
-EXTRAS_EXAMPLE = {"n_predicted_t_ratio": 0.031, "t_predicted_n_ratio": 0.058, "bev_drivable_iou": 0.61}
-INTERVALS_EXAMPLE = dict.fromkeys(RATIOS_EXAMPLE, INTERVAL_EXAMPLE)
-SILENCES_EXAMPLE = dict.fromkeys(RATIOS_EXAMPLE, "few_sequences")
 SCORED_AT = "2026-06-02T09:14:02.512000Z"
-SCORE_EXAMPLE = {
-    "score_id": ID_EXAMPLE,
-    "ground_truth": 1,
-    "metric": "stone-iou-2",
-    "is_active": True,
-    "scored_at": SCORED_AT,
-}
-WHOSE_EXAMPLE: dict[str, Any] = {"submission_id": ID_EXAMPLE, "score_id": ID_EXAMPLE, "pair": PAIR_EXAMPLE}
-PART_EXAMPLE: dict[str, Any] = {
-    "name": "forest",
-    "ratios": RATIOS_EXAMPLE,
-    "support": SUPPORT_EXAMPLE,
-    "frames": 1400,
-}
 
 ScoreQuery = Annotated[IdQuery, Query(description="an older score of the submission; nothing for that in force")]
 ByQuery = Annotated[By, Query(description="what the frames are grouped by; distance is from the robot")]
@@ -46,7 +25,7 @@ class ExtrasItem(Answer):
     """Not ranked: of N voxels the share predicted T (dangerous), of T voxels that predicted N (over-cautious), and the
     IoU of drivable columns seen from above."""
 
-    model_config = example(**EXTRAS_EXAMPLE)
+    model_config = example(n_predicted_t_ratio=0.031, t_predicted_n_ratio=0.058, bev_drivable_iou=0.61)
 
     n_predicted_t_ratio: float | None
     t_predicted_n_ratio: float | None
@@ -56,7 +35,7 @@ class ExtrasItem(Answer):
 class ScopedIntervals(Answer):
     """About the ground of the ground truth, and about a new place."""
 
-    model_config = example(these_places=INTERVALS_EXAMPLE, new_place=dict.fromkeys(RATIOS_EXAMPLE))
+    model_config = example(new_place=dict.fromkeys(example_of(RatiosItem)))
 
     these_places: IntervalsItem
     new_place: IntervalsItem
@@ -65,7 +44,10 @@ class ScopedIntervals(Answer):
 class ScopedSilences(Answer):
     """Why there is no interval, by ratio; null where there is one."""
 
-    model_config = example(these_places=dict.fromkeys(RATIOS_EXAMPLE), new_place=SILENCES_EXAMPLE)
+    model_config = example(
+        these_places=dict.fromkeys(example_of(RatiosItem)),
+        new_place=dict.fromkeys(example_of(RatiosItem), "few_sequences"),
+    )
 
     these_places: dict[str, Silence | None]
     new_place: dict[str, Silence | None]
@@ -74,7 +56,7 @@ class ScopedSilences(Answer):
 class ScoreItem(Answer):
     """A score of the submission that may be read by its id; `is_active`: by the pair in force."""
 
-    model_config = example(**SCORE_EXAMPLE)
+    model_config = example(ground_truth=1, metric="stone-iou-2", is_active=True, scored_at=SCORED_AT)
 
     score_id: str
     ground_truth: int
@@ -91,7 +73,6 @@ class ResultsAnswer(Answer):
     """
 
     model_config = example(
-        **WHOSE_EXAMPLE,
         benchmark="stone",
         phase="val",
         team="Terrain Gang",
@@ -102,16 +83,9 @@ class ResultsAnswer(Answer):
         secrecy="open",
         is_rounded=False,
         ratio_digits=4,
-        total=RATIOS_EXAMPLE,
-        within_occupied=RATIOS_EXAMPLE,
-        support=SUPPORT_EXAMPLE,
         confusion=[[0] * 4] * 4,
-        extras=EXTRAS_EXAMPLE,
-        intervals={"these_places": INTERVALS_EXAMPLE, "new_place": dict.fromkeys(RATIOS_EXAMPLE)},
-        silences={"these_places": dict.fromkeys(RATIOS_EXAMPLE), "new_place": SILENCES_EXAMPLE},
         submitted_at=SCORED_AT,
         scored_at=SCORED_AT,
-        scores=[SCORE_EXAMPLE],
     )
 
     submission_id: str
@@ -142,7 +116,7 @@ class ResultsAnswer(Answer):
 class PartItem(Answer):
     """Of one sequence, environment, illumination or ring of distance."""
 
-    model_config = example(**PART_EXAMPLE)
+    model_config = example(name="forest", frames=1400)
 
     name: str
     ratios: RatiosItem
@@ -153,7 +127,7 @@ class PartItem(Answer):
 class BreakdownAnswer(Answer):
     """The parts of a result; none where nothing is known to group by."""
 
-    model_config = example(**WHOSE_EXAMPLE, by="environment", parts=[PART_EXAMPLE])
+    model_config = example(by="environment")
 
     submission_id: str
     score_id: str
@@ -170,12 +144,9 @@ class ProvenanceAnswer(Answer):
     """
 
     model_config = example(
-        **WHOSE_EXAMPLE,
-        manifest_sha256=SHA256_EXAMPLE,
         mask="all",
         code_version="5613fe395006",
         prediction_sha256=None,
-        size_bytes=None,
         content_sha256=None,
         submitted_at=SCORED_AT,
         settled_at=SCORED_AT,

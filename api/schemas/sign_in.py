@@ -5,7 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field, SecretStr, StringConstraints
 
 from api.schemas.base import PLAIN, Answer, Body, Instant, example
-from api.schemas.people import MADE, Title
+from api.schemas.people import Title
 
 USER_CODE = "BCDF-GHJK"
 
@@ -22,7 +22,7 @@ class ProviderItem(Answer):
 class SignInWays(Answer):
     """How one may sign in: by name and password, with a provider, or either."""
 
-    model_config = example(passwords=True, provider={"title": "Field Robotics Lab", "path": "/api/v1/sign-in/oidc"})
+    model_config = example(passwords=True)
 
     passwords: bool
     provider: ProviderItem | None
@@ -31,7 +31,7 @@ class SignInWays(Answer):
 class DeviceBody(Body):
     """A program that wants a token, and what it wants to do with it."""
 
-    model_config = Body.model_config | example(name="stone on laptop", scopes=["read", "submit"])
+    model_config = example(name="stone on laptop", scopes=["read", "submit"])
 
     name: Title
     scopes: Annotated[list[Literal["read", "upload", "submit", "admin"]], Field(min_length=1, max_length=4)]
@@ -46,7 +46,6 @@ class DeviceCodesItem(Answer):
         user_code=USER_CODE,
         url="http://127.0.0.1:8080/device",
         url_with_code=f"http://127.0.0.1:8080/device?code={USER_CODE}",
-        expires_at=MADE,
         interval_s=5,
     )
 
@@ -61,7 +60,7 @@ class DeviceCodesItem(Answer):
 class DeviceTokenBody(Body):
     """The program's secret."""
 
-    model_config = Body.model_config | example(device_code="x" * 43)
+    model_config = example(device_code="x" * 43)
 
     device_code: Annotated[SecretStr, Field(min_length=1, max_length=64)]
 
@@ -69,7 +68,7 @@ class DeviceTokenBody(Body):
 class DeviceDecision(Body):
     """The code that a program showed, and whether it may have its token."""
 
-    model_config = Body.model_config | example(user_code=USER_CODE, approves=True)
+    model_config = example(user_code=USER_CODE, approves=True)
 
     user_code: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=32)]
     approves: bool

@@ -1,46 +1,13 @@
 """Splits and proposals over the wire."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field
 
-from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example
-from api.schemas.statistics import VOXELS_EXAMPLE, VoxelRatios, VoxelsItem
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example, example_of
+from api.schemas.statistics import VoxelRatios, VoxelsItem
 from stone.splits.splits import MOST_SEQUENCES
 
-DRIVEN_EXAMPLE: dict[str, Any] = {
-    "name": "lake-2026-05-03",
-    "environment": "lake",
-    "illumination": "dusk",
-    "daylight": "day",
-    "region": "Gyeonggi",
-    "frames": 1200,
-    "duration_s": 120.0,
-    "distance_m": 148.2,
-}
-ENTRY_EXAMPLE: dict[str, Any] = {**DRIVEN_EXAMPLE, "sequence_id": ID_EXAMPLE, "voxels": VOXELS_EXAMPLE}
-FINDING_EXAMPLE = {
-    "code": "day_and_night",
-    "severity": "warning",
-    "message": "night is not in val; the data do not allow it: it is in 2 sequences of 20 s or more, 3 splits ask "
-    "for one each",
-    "sequence_ids": [ID_EXAMPLE],
-}
-SIZES_EXAMPLE = {"train": 31, "val": 7, "test": 5}
-SHARES_EXAMPLE = {
-    "sequences": 31,
-    "duration_ratio": 0.72,
-    "class_ratios": {"traversable": 0.18, "potentially_traversable": 0.26, "non_traversable": 0.56},
-}
-SPLITS_EXAMPLE: dict[str, Any] = {
-    "revision": 4,
-    "sizes": {"train": 1, "val": 0, "test": 0},
-    "train": [ENTRY_EXAMPLE],
-    "val": [],
-    "test": [],
-    "unassigned": [],
-    "findings": [FINDING_EXAMPLE],
-}
 Ids = Annotated[list[IdText], Field(max_length=MOST_SEQUENCES)]
 Size = Annotated[int, Field(ge=0, le=MOST_SEQUENCES)]
 
@@ -69,7 +36,7 @@ class SplitsToJudge(Body):
 class Sizes(Answer):
     """How many sequences are in each part."""
 
-    model_config = example(**SIZES_EXAMPLE)
+    model_config = example(train=31, val=7, test=5)
 
     train: int
     val: int
@@ -79,7 +46,7 @@ class Sizes(Answer):
 class SizesAsked(Body):
     """How many sequences each part is to have."""
 
-    model_config = example(**SIZES_EXAMPLE)
+    model_config = example(train=31, val=7, test=5)
 
     train: Size
     val: Size
@@ -98,7 +65,13 @@ class ProposalBody(Body):
 class RuleItem(Answer):
     """What a rule says: broken (`error`), or not to be kept with these data (`warning`)."""
 
-    model_config = example(**FINDING_EXAMPLE)
+    model_config = example(
+        code="day_and_night",
+        severity="warning",
+        message="night is not in val; the data do not allow it: it is in 2 sequences of 20 s or more, 3 splits ask "
+        "for one each",
+        sequence_ids=[ID_EXAMPLE],
+    )
 
     code: str
     severity: Literal["error", "warning"]
@@ -109,7 +82,7 @@ class RuleItem(Answer):
 class VerdictsAnswer(Answer):
     """What the rules say of splits; `revision` is that of the splits that stand meanwhile."""
 
-    model_config = example(revision=4, can_be_put=True, findings=[FINDING_EXAMPLE])
+    model_config = example(revision=4, can_be_put=True)
 
     revision: int
     can_be_put: bool
@@ -119,7 +92,16 @@ class VerdictsAnswer(Answer):
 class DrivenItem(Answer):
     """Where and when a sequence was driven, and how much of it there is; null is what nobody counted."""
 
-    model_config = example(**DRIVEN_EXAMPLE)
+    model_config = example(
+        name="lake-2026-05-03",
+        environment="lake",
+        illumination="dusk",
+        daylight="day",
+        region="Gyeonggi",
+        frames=1200,
+        duration_s=120.0,
+        distance_m=148.2,
+    )
 
     name: str
     environment: str
@@ -134,7 +116,7 @@ class DrivenItem(Answer):
 class SplitEntry(DrivenItem):
     """A labelled sequence as the dataset sees it."""
 
-    model_config = example(**ENTRY_EXAMPLE)
+    model_config = example()
 
     sequence_id: str
     voxels: VoxelsItem | None
@@ -146,7 +128,14 @@ class SplitsAnswer(Answer):
     `findings` are of the whole and null for whoever does not see the whole.
     """
 
-    model_config = example(**SPLITS_EXAMPLE)
+    model_config = example(
+        revision=4,
+        sizes={"train": 1, "val": 0, "test": 0},
+        val=[],
+        test=[],
+        unassigned=[],
+        findings=[example_of(RuleItem)],
+    )
 
     revision: int
     sizes: Sizes
@@ -160,7 +149,11 @@ class SplitsAnswer(Answer):
 class SharesItem(Answer):
     """What a part holds of the assigned seconds, and of which classes its occupied voxels are (null: not known)."""
 
-    model_config = example(**SHARES_EXAMPLE)
+    model_config = example(
+        sequences=31,
+        duration_ratio=0.72,
+        class_ratios={"traversable": 0.18, "potentially_traversable": 0.26, "non_traversable": 0.56},
+    )
 
     sequences: int
     duration_ratio: float
@@ -186,12 +179,10 @@ class ProposalAnswer(Answer):
     model_config = example(
         is_feasible=True,
         is_best=True,
-        train=[ENTRY_EXAMPLE],
         val=[],
         test=[],
         conflict=[],
-        findings=[FINDING_EXAMPLE],
-        shares=dict.fromkeys(("whole", "train", "val", "test"), SHARES_EXAMPLE),
+        shares=dict.fromkeys(("whole", "train", "val", "test"), example_of(SharesItem)),
     )
 
     is_feasible: bool

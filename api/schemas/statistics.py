@@ -1,26 +1,12 @@
 """Dataset statistics over the wire: the record of `services/domain/datasets/statistics.py`."""
 
-from typing import Any
-
-from api.schemas.base import Answer, example
-
-VOXELS_EXAMPLE = {"traversable": 1842003, "potentially_traversable": 2700114, "non_traversable": 5811201}
-TALLY_EXAMPLE: dict[str, Any] = {
-    "sequences": 12,
-    "frames": 14400,
-    "duration_s": 1440.0,
-    "distance_m": 1820.5,
-    "distances_known": 12,
-    "voxels": VOXELS_EXAMPLE,
-    "class_ratios": {"traversable": 0.178, "potentially_traversable": 0.261, "non_traversable": 0.561},
-    "voxels_known": 12,
-}
+from api.schemas.base import Answer, example, example_of
 
 
 class VoxelsItem(Answer):
     """Labelled voxels of all frames by class."""
 
-    model_config = example(**VOXELS_EXAMPLE)
+    model_config = example(traversable=1842003, potentially_traversable=2700114, non_traversable=5811201)
 
     traversable: int
     potentially_traversable: int
@@ -38,7 +24,15 @@ class VoxelRatios(Answer):
 class TallyItem(Answer):
     """Sums over some sequences; null is what is not known, or not told, of any of them."""
 
-    model_config = example(**TALLY_EXAMPLE)
+    model_config = example(
+        sequences=12,
+        frames=14400,
+        duration_s=1440.0,
+        distance_m=1820.5,
+        distances_known=12,
+        class_ratios={"traversable": 0.178, "potentially_traversable": 0.261, "non_traversable": 0.561},
+        voxels_known=12,
+    )
 
     sequences: int
     frames: int
@@ -53,7 +47,7 @@ class TallyItem(Answer):
 class KeyTally(TallyItem):
     """Of the sequences with this word; '' is unspecified, or unassigned."""
 
-    model_config = example(key="lake", **TALLY_EXAMPLE)
+    model_config = example(key="lake")
 
     key: str
 
@@ -61,7 +55,7 @@ class KeyTally(TallyItem):
 class CellTally(TallyItem):
     """Of one environment in one illumination."""
 
-    model_config = example(environment="lake", illumination="dusk", **TALLY_EXAMPLE)
+    model_config = example(environment="lake", illumination="dusk")
 
     environment: str
     illumination: str
@@ -75,13 +69,10 @@ class StatisticsAnswer(Answer):
 
     model_config = example(
         dataset="stone-1.0",
-        total=TALLY_EXAMPLE,
-        parts=[{"key": "train", **TALLY_EXAMPLE}],
-        environments=[{"key": "lake", **TALLY_EXAMPLE}],
-        illuminations=[{"key": "dusk", **TALLY_EXAMPLE}],
-        halves=[{"key": "day", **TALLY_EXAMPLE}],
-        regions=[{"key": "Gyeonggi", **TALLY_EXAMPLE}],
-        cells=[{"environment": "lake", "illumination": "dusk", **TALLY_EXAMPLE}],
+        parts=[example_of(KeyTally) | {"key": "train"}],
+        illuminations=[example_of(KeyTally) | {"key": "dusk"}],
+        halves=[example_of(KeyTally) | {"key": "day"}],
+        regions=[example_of(KeyTally) | {"key": "Gyeonggi"}],
     )
 
     dataset: str | None

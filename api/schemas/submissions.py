@@ -17,49 +17,6 @@ Sha256 = Annotated[str, StringConstraints(pattern="^[0-9a-f]{64}$")]
 
 SAID: dict[str, Any] = {"method": "OccFormer-T", "description": "Trained on train only.", "modality": "C+L"}
 FILE: dict[str, Any] = {"sha256": SHA256_EXAMPLE, "size_bytes": 41_943_040}
-SUBMISSION_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "phase_id": ID_EXAMPLE,
-    "team_id": ID_EXAMPLE,
-    "user_id": ID_EXAMPLE,
-    "kind": "entry",
-    "method": "OccFormer-T",
-    "modality": "C+L",
-    "state": "scoring",
-    "queue_position": None,
-    "progress": {"done": 4, "total": 16},
-    "problems_total": 0,
-    "failure": None,
-    **FILE,
-    "job_id": ID_EXAMPLE,
-    "revision": 3,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-    "finalized_at": "2026-05-03T09:20:11Z",
-    "settled_at": None,
-    "withdrawn_at": None,
-    "hidden_at": None,
-    "hidden_reason": "",
-}
-PROBLEM_EXAMPLE: dict[str, Any] = {
-    "code": "label_out_of_range",
-    "file": "run/a.npz",
-    "frame": "a",
-    "expected": "values 0 to 3",
-    "actual": "value 255",
-}
-STANDING_EXAMPLE: dict[str, Any] = {
-    "phase_id": ID_EXAMPLE,
-    "team_id": ID_EXAMPLE,
-    "limit": 3,
-    "used": 1,
-    "reserved": 1,
-    "total_left": 17,
-    "window_s": 604800.0,
-    "next_slot_at": "2026-05-03T09:20:11Z",
-    "validations_per_day": 20,
-    "validations_left": 19,
-    "next_validation_at": "2026-05-03T09:20:11Z",
-}
 
 
 class NewValidationBody(Body):
@@ -68,7 +25,7 @@ class NewValidationBody(Body):
     `method` is its name on a board, `modality` what it senses with: a sum of C(ameras), L(iDAR) and R(adar).
     """
 
-    model_config = Body.model_config | example(team_id=ID_EXAMPLE, **SAID, **FILE)
+    model_config = example(team_id=ID_EXAMPLE, **SAID, **FILE)
 
     team_id: IdText
     method: Method
@@ -83,7 +40,7 @@ class NewSubmissionBody(NewValidationBody):
     and where the ground truth is hidden it costs their team a scoring as an entry does.
     """
 
-    model_config = Body.model_config | example(team_id=ID_EXAMPLE, **SAID, **FILE, kind="entry")
+    model_config = example(team_id=ID_EXAMPLE, **SAID, **FILE, kind="entry")
 
     kind: Literal["entry", "baseline"] = "entry"
 
@@ -91,7 +48,7 @@ class NewSubmissionBody(NewValidationBody):
 class FinalizeBody(Body):
     """The complete upload of the announced zip."""
 
-    model_config = Body.model_config | example(upload_id=ID_EXAMPLE)
+    model_config = example(upload_id=ID_EXAMPLE)
 
     upload_id: IdText
 
@@ -99,7 +56,7 @@ class FinalizeBody(Body):
 class SubmissionChangesBody(Body):
     """What the page of the method says; what is left out or null stays. The modality of a draft only."""
 
-    model_config = Body.model_config | example(method="OccFormer-T v2", description="Trained on train and val.")
+    model_config = example(method="OccFormer-T v2", description="Trained on train and val.")
 
     method: Method | None = None
     description: Description | None = None
@@ -109,7 +66,7 @@ class SubmissionChangesBody(Body):
 class VisibilityBody(Body):
     """Whether boards leave it out, and why; the team is told the reason."""
 
-    model_config = Body.model_config | example(hidden=True, reason="trained on the test part")
+    model_config = example(hidden=True, reason="trained on the test part")
 
     hidden: bool
     reason: Reason
@@ -131,7 +88,18 @@ class SubmissionItem(Answer):
     null until its file was checked.
     """
 
-    model_config = example(**SUBMISSION_EXAMPLE)
+    model_config = example(
+        kind="entry",
+        method="OccFormer-T",
+        modality="C+L",
+        state="scoring",
+        problems_total=0,
+        failure=None,
+        size_bytes=41_943_040,
+        revision=3,
+        finalized_at="2026-05-03T09:20:11Z",
+        hidden_reason="",
+    )
 
     id: str
     phase_id: str
@@ -163,7 +131,7 @@ class SubmissionDetail(SubmissionItem):
     `expected_s` is in how many seconds it will have ended, judged by the last ones; null when that is not known.
     """
 
-    model_config = example(**SUBMISSION_EXAMPLE, description=SAID["description"], upload_id=ID_EXAMPLE, expected_s=40)
+    model_config = example(description=SAID["description"], expected_s=40)
 
     description: str
     upload_id: str | None
@@ -173,7 +141,9 @@ class SubmissionDetail(SubmissionItem):
 class FileProblem(Answer):
     """One thing that is wrong: in which file of the zip, of which frame."""
 
-    model_config = example(**PROBLEM_EXAMPLE)
+    model_config = example(
+        code="label_out_of_range", file="run/a.npz", frame="a", expected="values 0 to 3", actual="value 255"
+    )
 
     code: str
     file: str
@@ -185,14 +155,7 @@ class FileProblem(Answer):
 class ValidationReport(Answer):
     """What checking the file found: the first hundred problems of `errors_total`; `ok` is null until it was checked."""
 
-    model_config = example(
-        submission_id=ID_EXAMPLE,
-        state="invalid",
-        ok=False,
-        errors=[PROBLEM_EXAMPLE],
-        errors_total=1,
-        failure=None,
-    )
+    model_config = example(state="invalid", ok=False, errors_total=1, failure=None)
 
     submission_id: str
     state: State
@@ -208,7 +171,17 @@ class StandingAnswer(Answer):
     `next_slot_at` is when the next submission may be finalised: now, later, or null where none ever may.
     """
 
-    model_config = example(**STANDING_EXAMPLE)
+    model_config = example(
+        limit=3,
+        used=1,
+        reserved=1,
+        total_left=17,
+        window_s=604800.0,
+        next_slot_at="2026-05-03T09:20:11Z",
+        validations_per_day=20,
+        validations_left=19,
+        next_validation_at="2026-05-03T09:20:11Z",
+    )
 
     phase_id: str
     team_id: str

@@ -1,50 +1,23 @@
 """Ground truths and reported rows over the wire."""
 
-from typing import Annotated, Any, Literal
+from typing import Annotated, Literal
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Instant, Reason, example
-from api.schemas.jobs import JOB_EXAMPLE, JobItem
+from api.schemas.base import PLAIN, Answer, Body, Instant, Reason, example, example_of
+from api.schemas.jobs import JobItem
 from api.schemas.phase_bodies import Version
 from services.domain.benchmarks.modalities import Modality
 from services.domain.benchmarks.phases.reported_results import MOST_ROWS, ReportedRow
 from services.domain.benchmarks.visibility import PERCENT_DIGITS
 
 Ratio = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
-TRUTH_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "number": 2,
-    "dataset": "stone-1.1",
-    "part": "test",
-    "mask": "all",
-    "state": "ready",
-    "is_active": False,
-    "job_id": ID_EXAMPLE,
-    "sha256": SHA256_EXAMPLE,
-    "frames": 7012,
-    "manifest_sha256": SHA256_EXAMPLE,
-    "created_at": "2026-07-01T08:00:00Z",
-    "ready_at": "2026-07-01T08:03:12Z",
-}
-REPORTED_EXAMPLE: dict[str, Any] = {
-    "method": "a method",
-    "modality": "C+L",
-    "source": "authors, year, table",
-    "iou_occ": None,
-    "iou_t": None,
-    "iou_p": None,
-    "iou_n": None,
-    "miou": None,
-    "note": "published on another test split",
-    "percent_digits": 1,
-}
 
 
 class NewTruthBody(Body):
     """From which version the ground truth is to be made; without one, from the phase's own."""
 
-    model_config = Body.model_config | example(dataset="stone-1.1", reason="labels of the lake were mended")
+    model_config = example(dataset="stone-1.1", reason="labels of the lake were mended")
 
     dataset: Version | None = None
     reason: Reason
@@ -53,7 +26,17 @@ class NewTruthBody(Body):
 class TruthItem(Answer):
     """A ground truth: never its content, only its hash, which every score by it carries in its signature."""
 
-    model_config = example(**TRUTH_EXAMPLE)
+    model_config = example(
+        number=2,
+        dataset="stone-1.1",
+        part="test",
+        mask="all",
+        state="ready",
+        is_active=False,
+        frames=7012,
+        created_at="2026-07-01T08:00:00Z",
+        ready_at="2026-07-01T08:03:12Z",
+    )
 
     id: str
     number: int
@@ -73,9 +56,7 @@ class TruthItem(Answer):
 class TruthAccepted(Answer):
     """A ground truth to be and the job that makes it."""
 
-    model_config = example(
-        ground_truth=TRUTH_EXAMPLE | {"state": "making", "sha256": None, "ready_at": None}, job=JOB_EXAMPLE
-    )
+    model_config = example(ground_truth=example_of(TruthItem) | {"state": "making", "sha256": None, "ready_at": None})
 
     ground_truth: TruthItem
     job: JobItem
@@ -87,7 +68,18 @@ class ReportedItem(Body):
     `note` is what a reader of the board must know of it; `percent_digits` are the decimals of its per cent as printed.
     """
 
-    model_config = Body.model_config | example(**REPORTED_EXAMPLE)
+    model_config = example(
+        method="a method",
+        modality="C+L",
+        source="authors, year, table",
+        iou_occ=None,
+        iou_t=None,
+        iou_p=None,
+        iou_n=None,
+        miou=None,
+        note="published on another test split",
+        percent_digits=1,
+    )
 
     method: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=100, strip_whitespace=True)]
     modality: Modality
@@ -107,7 +99,7 @@ class ReportedItem(Body):
 class ReportedBody(Body):
     """All reported rows of the phase at once; `reason` is kept in the audit log."""
 
-    model_config = Body.model_config | example(rows=[REPORTED_EXAMPLE], reason="what the paper reports")
+    model_config = example(rows=[example_of(ReportedItem)], reason="what the paper reports")
 
     rows: Annotated[list[ReportedItem], Field(max_length=MOST_ROWS)]
     reason: Reason

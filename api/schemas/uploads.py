@@ -1,6 +1,6 @@
 """Uploads over the wire."""
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Instant, example
+from api.schemas.base import Answer, Instant, example
 from services.runtime.orm import Upload
 
 
@@ -11,17 +11,13 @@ class UploadItem(Answer):
     """
 
     model_config = example(
-        id=ID_EXAMPLE,
         purpose="recording",
-        target_id=ID_EXAMPLE,
         filename="run.mcap",
         length_bytes=8123456789,
         offset_bytes=123456789,
         sha256=None,
-        declared_sha256=SHA256_EXAMPLE,
         state="open",
         detail="",
-        created_at="2026-05-03T09:12:44.120000Z",
         expires_at="2026-05-10T09:12:44.120000Z",
     )
 

@@ -9,7 +9,8 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.schemas.leaderboard import PAIR_EXAMPLE, ROW_EXAMPLE, BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
+from api.schemas.base import example_of
+from api.schemas.leaderboard import BoardRow, ComparisonAnswer, LeaderboardAnswer, PairItem
 from stone.scoring.metric import METRICS
 from web.boards.comparison import Names, axis_around_zero, axis_from_zero, axis_over, compared, verdict
 from web.boards.rows import ShownBoard, board_with_figures
@@ -46,7 +47,9 @@ def test_an_axis_around_zero_has_zero_in_the_middle() -> None:
 
 def row(method: str, miou: float | None, **said: Any) -> BoardRow:
     ratios = {"miou": miou, "iou_occ": 0.5, "iou_t": 1 - (miou or 0), "iou_p": 0.2, "iou_n": None}
-    return BoardRow.model_validate(ROW_EXAMPLE | {"method": method, "ratios": ratios, "rank_interval": None} | said)
+    return BoardRow.model_validate(
+        example_of(BoardRow) | {"method": method, "ratios": ratios, "rank_interval": None} | said
+    )
 
 
 def a_board(rows: list[BoardRow], sort: Any = "rank", **said: Any) -> ShownBoard:
@@ -103,7 +106,7 @@ def comparison(miou: dict[str, Any], is_withheld: bool = False) -> ComparisonAns
     nothing = {"a": None, "b": None, "difference": None, "these_places": None}
     nothing |= {"new_place": None, "silences": None, "sign_flip": None}
     ratios = dict.fromkeys(("miou", "iou_occ", "iou_t", "iou_p", "iou_n"), nothing) | {"miou": nothing | miou}
-    at = {"a": "0" * 32, "b": "1" * 32, "pair": PairItem.model_validate(PAIR_EXAMPLE), "interval_level": 0.95}
+    at = {"a": "0" * 32, "b": "1" * 32, "pair": PairItem.model_validate(example_of(PairItem)), "interval_level": 0.95}
     return ComparisonAnswer.model_validate(at | {"is_withheld": is_withheld, "ratios": ratios})
 
 

@@ -5,8 +5,9 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.schemas.jobs import JOB_EXAMPLE, STAGES_EXAMPLE, JobDetail, StageItem
-from api.schemas.sequences.exports import EXPORT_EXAMPLE, ExportItem
+from api.schemas.base import example_of
+from api.schemas.jobs import STAGES_EXAMPLE, JobDetail, JobItem, StageItem
+from api.schemas.sequences.exports import ExportItem
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
 from stone.splits.composition import duration_ns, path_length_m
 from testing.worlds.frame_tables import frame_columns
@@ -156,7 +157,7 @@ def test_a_report_that_says_little_is_shown_as_far_as_it_goes() -> None:
 
 
 def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> None:
-    running = JobDetail(**JOB_EXAMPLE, stages=STAGES, attempts=[], attempts_left=0, result=None)
+    running = JobDetail(**example_of(JobItem), stages=STAGES, attempts=[], attempts_left=0, result=None)
     steps = steps_of(running)
     assert [step.kind for step in steps] == ["ingest.synchronise", "ingest.check", *LABELLING]
     assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
@@ -170,7 +171,7 @@ def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> 
 
 
 def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> None:
-    fresh = ExportItem(**EXPORT_EXAMPLE)
+    fresh = ExportItem(**example_of(ExportItem))
     stale = fresh.model_copy(update={"format": "mesh", "is_stale": True})
     failed = fresh.model_copy(update={"format": "mcap", "state": "failed"})
     offered = {offer.format for offer in export_formats.offers_beside([fresh, stale, failed])}

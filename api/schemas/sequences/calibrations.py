@@ -1,10 +1,10 @@
 """Calibrations over the wire."""
 
-from typing import Annotated, Any
+from typing import Annotated
 
 from pydantic import Field, StringConstraints
 
-from api.schemas.base import ID_EXAMPLE, PLAIN, SHA256_EXAMPLE, Answer, Body, Instant, example
+from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Instant, example
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS
 
 
@@ -36,18 +36,12 @@ class CalibrationItem(Answer):
     """
 
     model_config = example(
-        id=ID_EXAMPLE,
-        owner_id=ID_EXAMPLE,
         name="warthog-1",
         version=2,
         filename="warthog-1.yaml",
-        sha256=SHA256_EXAMPLE,
         format="native",
-        sensors=[{"name": "CAM_FRONT", "kind": "camera", "frame_id": "cam_front"}],
         findings=[],
         valid_from="2026-05-01T00:00:00Z",
-        valid_to=None,
-        created_at="2026-05-03T09:12:44.120000Z",
     )
 
     id: str
@@ -87,14 +81,7 @@ class ValueChangeItem(Answer):
 class SensorChangeItem(Answer):
     """One channel: `status` is same, changed, added or removed."""
 
-    model_config = example(
-        name="CAM_FRONT",
-        kind="camera",
-        status="changed",
-        transform={"translation_m": [0.0, 0.01, 0.0], "distance_m": 0.01, "rotation_deg": 0.2},
-        time_offset_ns=0,
-        values=[{"key": "fx_px", "before": 1000.0, "after": 1003.5}],
-    )
+    model_config = example(name="CAM_FRONT", kind="camera", status="changed", time_offset_ns=0)
 
     name: str
     kind: str
@@ -108,7 +95,6 @@ class CalibrationDiffItem(Answer):
     """What changed from the calibration `against` to `id`."""
 
     model_config = example(
-        id=ID_EXAMPLE,
         against=ID_EXAMPLE,
         is_same=True,
         ego_from_lidar={"translation_m": [0.0, 0.0, 0.0], "distance_m": 0.0, "rotation_deg": 0.0},
@@ -126,12 +112,6 @@ class CalibrationDiffItem(Answer):
 
 
 TOPICS_EXAMPLE = {"lidar": "/lidar_points", "pose": "/novatel/oem7/inspvax", "CAM_FRONT": "/camera/front/image_raw"}
-ITEM_EXAMPLE: dict[str, Any] = {
-    "platform": "warthog-1",
-    "topics": TOPICS_EXAMPLE,
-    "revision": 1,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-}
 Part = Annotated[str, StringConstraints(pattern=r"^(lidar|pose|imu|(CAM|RADAR)(_[A-Z0-9]+){1,4})$", max_length=64)]
 TopicName = Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=LONGEST_TOPIC)]
 
@@ -147,7 +127,7 @@ class ProfileBody(Body):
 class ProfileItem(Answer):
     """The topics chosen for a platform; `revision` is its ETag."""
 
-    model_config = example(**ITEM_EXAMPLE)
+    model_config = example(platform="warthog-1", topics=TOPICS_EXAMPLE, revision=1)
 
     platform: str
     topics: dict[str, str]

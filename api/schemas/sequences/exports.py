@@ -1,31 +1,12 @@
 """Exports over the wire: a sequence's labels in a format that others open."""
 
-from typing import Any, Literal
+from typing import Literal
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, Instant, example
-from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
+from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Instant, example, example_of
+from api.schemas.jobs import FailureItem, JobItem
 from services.domain.exports.requests import ExportFormat
 
 ArchiveKind = Literal["tar", "zip"]
-
-ARCHIVE_EXAMPLE = {"format": "tar", "size_bytes": 48210432, "sha256": SHA256_EXAMPLE}
-EXPORT_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "sequence_id": ID_EXAMPLE,
-    "label_set_id": ID_EXAMPLE,
-    "job_id": ID_EXAMPLE,
-    "format": "nuscenes",
-    "state": "succeeded",
-    "is_stale": False,
-    "recipe": SHA256_EXAMPLE,
-    "code_version": "71299b6a455d",
-    "files": 13216,
-    "size_bytes": 41003421,
-    "archives": [ARCHIVE_EXAMPLE],
-    "failure": None,
-    "created_at": "2026-05-03T10:31:02.250000Z",
-    "finished_at": "2026-05-03T10:33:40Z",
-}
 
 
 class NewExportBody(Body):
@@ -39,7 +20,7 @@ class NewExportBody(Body):
 class ArchiveItem(Answer):
     """All files of an export in one file, at `archive?format=…`."""
 
-    model_config = example(**ARCHIVE_EXAMPLE)
+    model_config = example(format="tar", size_bytes=48210432)
 
     format: ArchiveKind
     size_bytes: int
@@ -52,7 +33,18 @@ class ExportItem(Answer):
     It is stale when other labels of the sequence count by now: it stays as it is until it is deleted.
     """
 
-    model_config = example(**EXPORT_EXAMPLE)
+    model_config = example(
+        format="nuscenes",
+        state="succeeded",
+        is_stale=False,
+        recipe=SHA256_EXAMPLE,
+        code_version="71299b6a455d",
+        files=13216,
+        size_bytes=41003421,
+        failure=None,
+        created_at="2026-05-03T10:31:02.250000Z",
+        finished_at="2026-05-03T10:33:40Z",
+    )
 
     id: str
     sequence_id: str
@@ -74,7 +66,7 @@ class ExportItem(Answer):
 class ExportAccepted(Answer):
     """The export that was asked for, and the job that makes it or has made it."""
 
-    model_config = example(export=EXPORT_EXAMPLE, job={**JOB_EXAMPLE, "kind": "labeler.export"})
+    model_config = example(job=example_of(JobItem) | {"kind": "labeler.export"})
 
     export: ExportItem
     job: JobItem
@@ -83,7 +75,7 @@ class ExportAccepted(Answer):
 class ExportFileItem(Answer):
     """One file of an export; its bytes are at `files/{path}`."""
 
-    model_config = example(path="v1.0-trainval/sample.json", size_bytes=152034, sha256=SHA256_EXAMPLE)
+    model_config = example(path="v1.0-trainval/sample.json", size_bytes=152034)
 
     path: str
     size_bytes: int

@@ -1,52 +1,17 @@
 """Label sets over the wire, and comparisons of two of them."""
 
-from typing import Any
-
-from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example
-from api.schemas.jobs import JOB_EXAMPLE, FailureItem, JobItem
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example, example_of
+from api.schemas.jobs import FailureItem, JobItem
 
 OTHER_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2c"
 RATIOS_EXAMPLE = {"iou_occ": 0.971, "iou_t": 0.94, "iou_p": 0.88, "iou_n": 0.96, "miou": 0.927}
 CONFUSION_EXAMPLE = [[2040000, 900, 300, 1200], [700, 21000, 400, 10], [350, 380, 9000, 200], [900, 15, 260, 21537]]
-FIGURES_EXAMPLE: dict[str, Any] = {
-    "confusion": CONFUSION_EXAMPLE,
-    "agreement_ratio": 0.902,
-    "ratios": RATIOS_EXAMPLE,
-}
-BLOCK_EXAMPLE: dict[str, Any] = {
-    **FIGURES_EXAMPLE,
-    "rings": [{"from_m": 0.0, "to_m": 10.0, **FIGURES_EXAMPLE}],
-}
-RECORD_EXAMPLE: dict[str, Any] = {
-    "frames": 1,
-    "only_in_a": 0,
-    "only_in_b": 0,
-    "has_equal_classes": False,
-    "all_voxels": BLOCK_EXAMPLE,
-    "seen_in_both": BLOCK_EXAMPLE,
-    "seen_voxels": {"both": 512000, "only_a": 1200, "only_b": 800},
-    "least_alike": [{"token": ID_EXAMPLE, "agreement_ratio": 0.902}],
-}
-COMPARISON_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "sequence_id": ID_EXAMPLE,
-    "a_id": ID_EXAMPLE,
-    "b_id": OTHER_EXAMPLE,
-    "job_id": ID_EXAMPLE,
-    "state": "succeeded",
-    "code_version": "71299b6a455d",
-    "record": RECORD_EXAMPLE,
-    "failure": None,
-    "created_at": "2026-05-03T10:31:02.250000Z",
-    "finished_at": "2026-05-03T10:31:08Z",
-}
 
 
 class LabelSetItem(Answer):
     """A label set of a sequence; one of them counts, the one that was asked for last."""
 
     model_config = example(
-        id=ID_EXAMPLE,
         profile="paper",
         frames=1200,
         code_version="71299b6a455d",
@@ -74,7 +39,7 @@ class NewLabelComparisonBody(Body):
 class AgreementFigures(Answer):
     """Voxels by class in A (rows) and B (columns), and what is read from them; null where undefined."""
 
-    model_config = example(**FIGURES_EXAMPLE)
+    model_config = example(confusion=CONFUSION_EXAMPLE, agreement_ratio=0.902, ratios=RATIOS_EXAMPLE)
 
     confusion: list[list[int]]
     agreement_ratio: float | None
@@ -84,7 +49,7 @@ class AgreementFigures(Answer):
 class AgreementRing(AgreementFigures):
     """The same of voxels whose columns are so far from the robot; the last ring has no end."""
 
-    model_config = example(from_m=0.0, to_m=10.0, **FIGURES_EXAMPLE)
+    model_config = example(from_m=0.0, to_m=10.0)
 
     from_m: float
     to_m: float | None
@@ -93,7 +58,7 @@ class AgreementRing(AgreementFigures):
 class AgreementBlock(AgreementFigures):
     """The figures of all rings together, and of each."""
 
-    model_config = example(**BLOCK_EXAMPLE)
+    model_config = example()
 
     rings: list[AgreementRing]
 
@@ -120,7 +85,7 @@ class FrameAgreement(Answer):
 class AgreementRecord(Answer):
     """How alike two label sets are; `seen_in_both` is null where one of them does not say what was seen."""
 
-    model_config = example(**RECORD_EXAMPLE)
+    model_config = example(frames=1, only_in_a=0, only_in_b=0, has_equal_classes=False)
 
     frames: int
     only_in_a: int
@@ -135,7 +100,14 @@ class AgreementRecord(Answer):
 class LabelComparisonItem(Answer):
     """A comparison of two label sets; its record is there once its state is `succeeded`."""
 
-    model_config = example(**COMPARISON_EXAMPLE)
+    model_config = example(
+        b_id=OTHER_EXAMPLE,
+        state="succeeded",
+        code_version="71299b6a455d",
+        failure=None,
+        created_at="2026-05-03T10:31:02.250000Z",
+        finished_at="2026-05-03T10:31:08Z",
+    )
 
     id: str
     sequence_id: str
@@ -153,7 +125,7 @@ class LabelComparisonItem(Answer):
 class LabelComparisonAccepted(Answer):
     """The comparison that was asked for, and the job that makes it or has made it."""
 
-    model_config = example(comparison=COMPARISON_EXAMPLE, job={**JOB_EXAMPLE, "kind": "eval.compare"})
+    model_config = example(job=example_of(JobItem) | {"kind": "eval.compare"})
 
     comparison: LabelComparisonItem
     job: JobItem

@@ -4,33 +4,14 @@ from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, example
-from api.schemas.jobs import JOB_EXAMPLE, JobItem
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example, example_of
+from api.schemas.jobs import JobItem
 from api.schemas.sequences.calibrations import FindingItem
-from api.schemas.sequences.sequences import PREVIEW_EXAMPLE, PreviewItem
+from api.schemas.sequences.sequences import PreviewItem
 from services.domain.sequences.recordings import NewRecording
 from services.runtime.uploads.creation import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
 from stone_files.bag_fingerprint import MOST_FILES
-
-FILE_EXAMPLE: dict[str, Any] = {
-    "upload_id": ID_EXAMPLE,
-    "filename": "run.mcap",
-    "size_bytes": 8123456789,
-    "sha256": SHA256_EXAMPLE,
-    "is_recovered": False,
-}
-RECORDING_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "sequence_id": ID_EXAMPLE,
-    "filename": "run.mcap",
-    "size_bytes": 8123456789,
-    "sha256": SHA256_EXAMPLE,
-    "files": [FILE_EXAMPLE],
-    "state": "registered",
-    "findings": [],
-    "created_at": "2026-05-03T09:12:44.120000Z",
-}
 
 
 def _plain_name(name: str) -> str:
@@ -81,7 +62,7 @@ class NewRecordingBody(Body):
 class RecordingFileItem(Answer):
     """One file of a recording. `is_recovered`: it was cut off; what could be read of it is processed."""
 
-    model_config = example(**FILE_EXAMPLE)
+    model_config = example(filename="run.mcap", size_bytes=8123456789, is_recovered=False)
 
     upload_id: str | None
     filename: str
@@ -96,7 +77,7 @@ class RecordingItem(Answer):
     Of several files, `sha256` is that of the lines `sha256sum` prints for them in order of name.
     """
 
-    model_config = example(**RECORDING_EXAMPLE)
+    model_config = example(filename="run.mcap", size_bytes=8123456789, state="registered", findings=[])
 
     id: str
     sequence_id: str
@@ -112,9 +93,7 @@ class RecordingItem(Answer):
 class RecordingDetail(RecordingItem):
     """A recording with what its inspection said: topics, roles, clocks, and how good it is (null until registered)."""
 
-    model_config = example(
-        **RECORDING_EXAMPLE, inspection={"topics": []}, quality={"score": 87}, previews=[PREVIEW_EXAMPLE]
-    )
+    model_config = example(inspection={"topics": []}, quality={"score": 87})
 
     inspection: dict[str, Any] | None
     quality: dict[str, Any] | None
@@ -124,7 +103,7 @@ class RecordingDetail(RecordingItem):
 class RecordingAccepted(Answer):
     """The recording as it stands, and the job that reads it."""
 
-    model_config = example(recording=RECORDING_EXAMPLE, job={**JOB_EXAMPLE, "kind": "ingest.register"})
+    model_config = example(job=example_of(JobItem) | {"kind": "ingest.register"})
 
     recording: RecordingItem
     job: JobItem

@@ -1,42 +1,14 @@
 """Scenes over the wire: the grid and frames of a labelled sequence, and the files that show its map."""
 
-from typing import Any, Literal
+from typing import Literal
 
 from api.schemas.base import ID_EXAMPLE, Answer, example
-
-TILE_EXAMPLE = {
-    "name": "0_-1",
-    "min_m": [0.0, -48.0, -0.4],
-    "max_m": [48.0, 0.0, 6.2],
-    "voxels": 61204,
-    "bytes": 702113,
-}
-MESH_EXAMPLE = {"name": "0_-1", "triangles": 38112, "bytes": 410230}
-PLAYBACK_EXAMPLE: dict[str, Any] = {
-    "export_id": ID_EXAMPLE,
-    "state": "ready",
-    "cameras": ["CAM_FRONT", "CAM_BACK"],
-    "has_clouds": True,
-    "has_rays": True,
-}
-GRID_EXAMPLE = {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
-REFERENCE_EXAMPLE: dict[str, Any] = {
-    "mean": [1.08, 0.15, -10.3],
-    "covariance": [[1.2, 0.0, -0.1], [0.0, 0.006, 0.004], [-0.1, 0.004, 0.61]],
-    "d2_limit": 7.814728,
-    "features": ["elevation_m", "slope_rad", "roughness"],
-}
-FRAMES_EXAMPLE: dict[str, Any] = {
-    "tokens": [ID_EXAMPLE],
-    "stamps_ns": ["1777800000000000000"],
-    "map_from_ego": [[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]],
-}
 
 
 class GridItem(Answer):
     """The grid of a frame in the ego frame: voxels of `voxel_m`, x, y, z."""
 
-    model_config = example(**GRID_EXAMPLE)
+    model_config = example(shape=[256, 256, 32], min_m=[-25.6, -25.6, -2.0], voxel_m=0.2)
 
     shape: list[int]
     min_m: list[float]
@@ -46,7 +18,12 @@ class GridItem(Answer):
 class ReferenceItem(Answer):
     """The Gaussian of the driven ground; a voxel whose D² exceeds `d2_limit` is not potentially traversable."""
 
-    model_config = example(**REFERENCE_EXAMPLE)
+    model_config = example(
+        mean=[1.08, 0.15, -10.3],
+        covariance=[[1.2, 0.0, -0.1], [0.0, 0.006, 0.004], [-0.1, 0.004, 0.61]],
+        d2_limit=7.814728,
+        features=["elevation_m", "slope_rad", "roughness"],
+    )
 
     mean: list[float]
     covariance: list[list[float]]
@@ -60,7 +37,9 @@ class SceneFrames(Answer):
     Frame `i` is `tokens[i]`, taken at `stamps_ns[i]` where the robot stood at `map_from_ego[i]`.
     """
 
-    model_config = example(**FRAMES_EXAMPLE)
+    model_config = example(
+        tokens=[ID_EXAMPLE], stamps_ns=["1777800000000000000"], map_from_ego=[[0.0, 0.0, 0.3, 1.0, 0.0, 0.0, 0.0]]
+    )
 
     tokens: list[str]
     stamps_ns: list[str]
@@ -70,7 +49,7 @@ class SceneFrames(Answer):
 class TileItem(Answer):
     """A tile of the labelled map, at `scene/tiles/{name}`; its voxels lie between `min_m` and `max_m` in the map."""
 
-    model_config = example(**TILE_EXAMPLE)
+    model_config = example(name="0_-1", min_m=[0.0, -48.0, -0.4], max_m=[48.0, 0.0, 6.2], voxels=61204, bytes=702113)
 
     name: str
     min_m: list[float]
@@ -82,7 +61,7 @@ class TileItem(Answer):
 class MeshItem(Answer):
     """The thinned surface of the tile of this name, at `scene/meshes/{name}`."""
 
-    model_config = example(**MESH_EXAMPLE)
+    model_config = example(name="0_-1", triangles=38112, bytes=410230)
 
     name: str
     triangles: int
@@ -95,7 +74,7 @@ class PlaybackItem(Answer):
     `has_rays`: `scene/cameras` says how the pictures look at the labels; playbacks of earlier releases have none.
     """
 
-    model_config = example(**PLAYBACK_EXAMPLE)
+    model_config = example(state="ready", cameras=["CAM_FRONT", "CAM_BACK"], has_clouds=True, has_rays=True)
 
     export_id: str | None
     state: Literal["none", "making", "ready"]
@@ -110,19 +89,7 @@ class SceneDetail(Answer):
     `reference` is null of labels that were imported from a published dataset: the features of their voxels are NaN.
     """
 
-    model_config = example(
-        sequence_id=ID_EXAMPLE,
-        label_set_id=ID_EXAMPLE,
-        name="n-forest-07",
-        profile="paper",
-        grid=GRID_EXAMPLE,
-        footprint_m=[1.06, 0.85],
-        reference=REFERENCE_EXAMPLE,
-        frames=FRAMES_EXAMPLE,
-        tiles=[TILE_EXAMPLE],
-        meshes=[MESH_EXAMPLE],
-        playback=PLAYBACK_EXAMPLE,
-    )
+    model_config = example(name="n-forest-07", profile="paper", footprint_m=[1.06, 0.85])
 
     sequence_id: str
     label_set_id: str

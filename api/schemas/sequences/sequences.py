@@ -5,7 +5,7 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
-from api.schemas.base import ID_EXAMPLE, SHA256_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
 from services.domain.sequences.processing import ProcessRequest
 from stone.sensors.sequence import NAME, SequenceNameError
 from stone.splits.surroundings import (
@@ -21,54 +21,15 @@ from stone_files.joined_file import MOST_MEMBERS, MOST_OFFSET_NS
 # Previews over the wire.
 
 
-PREVIEW_EXAMPLE = {"name": "cameras.jpg", "media_type": "image/jpeg", "size_bytes": 182044, "sha256": SHA256_EXAMPLE}
-
-
 class PreviewItem(Answer):
     """A picture or page to look at; its bytes are at `previews/{name}`."""
 
-    model_config = example(**PREVIEW_EXAMPLE)
+    model_config = example(name="cameras.jpg", media_type="image/jpeg", size_bytes=182044)
 
     name: str
     media_type: str
     size_bytes: int
     sha256: str
-
-
-ARTEFACT_EXAMPLE = {
-    "name": "mesh.ply",
-    "media_type": "model/ply",
-    "size_bytes": 48210333,
-    "sha256": SHA256_EXAMPLE,
-}
-SEQUENCE_EXAMPLE: dict[str, Any] = {
-    "id": ID_EXAMPLE,
-    "owner_id": ID_EXAMPLE,
-    "name": "forest-2026-05-03",
-    "environment": "mountain",
-    "illumination": "day",
-    "region": "Gyeonggi",
-    "platform": "warthog-1",
-    "is_public": False,
-    "calibration_id": ID_EXAMPLE,
-    "recordings": 1,
-    "job": {"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
-    "labels": {
-        "id": ID_EXAMPLE,
-        "job_id": ID_EXAMPLE,
-        "frames": 1200,
-        "code_version": "71299b6a455d",
-        "created_at": "2026-05-03T10:20:00Z",
-        "chosen_at": "2026-05-03T10:20:00Z",
-    },
-    "class_voxels": {"t": 812345, "p": 2045312, "n": 4198273},
-    "duration_s": 120.1,
-    "distance_m": 143.7,
-    "split": "train",
-    "picture": "thumbnail.png",
-    "revision": 3,
-    "created_at": "2026-05-03T09:12:44.120000Z",
-}
 
 
 def _plain_name(name: str) -> str:
@@ -171,7 +132,30 @@ class SequenceItem(Answer):
     val, test or null, and told to its owner and to administrators only. `picture` names a preview, if any.
     """
 
-    model_config = example(**SEQUENCE_EXAMPLE)
+    model_config = example(
+        name="forest-2026-05-03",
+        environment="mountain",
+        illumination="day",
+        region="Gyeonggi",
+        platform="warthog-1",
+        is_public=False,
+        recordings=1,
+        job={"id": ID_EXAMPLE, "kind": "sequence.process", "state": "succeeded"},
+        labels={
+            "id": ID_EXAMPLE,
+            "job_id": ID_EXAMPLE,
+            "frames": 1200,
+            "code_version": "71299b6a455d",
+            "created_at": "2026-05-03T10:20:00Z",
+            "chosen_at": "2026-05-03T10:20:00Z",
+        },
+        class_voxels={"t": 812345, "p": 2045312, "n": 4198273},
+        duration_s=120.1,
+        distance_m=143.7,
+        split="train",
+        picture="thumbnail.png",
+        revision=3,
+    )
 
     id: str
     owner_id: str
@@ -197,7 +181,7 @@ class SequenceItem(Answer):
 class ArtefactItem(Answer):
     """One file of a label set."""
 
-    model_config = example(**ARTEFACT_EXAMPLE)
+    model_config = example(name="mesh.ply", media_type="model/ply", size_bytes=48210333)
 
     name: str
     media_type: str
@@ -224,9 +208,7 @@ class SequenceDetail(SequenceItem):
     where none were, and told to its owner and to administrators only.
     """
 
-    model_config = example(
-        **SEQUENCE_EXAMPLE, artefacts=[ARTEFACT_EXAMPLE], previews=[PREVIEW_EXAMPLE], later_recordings=None
-    )
+    model_config = example(later_recordings=None)
 
     later_recordings: LaterRecordingsItem | None
     artefacts: list[ArtefactItem]
@@ -292,16 +274,7 @@ class FrameItem(Answer):
 class FrameDetail(FrameItem):
     """A labelled frame, with where it comes from and what its `labels.npz` weighs."""
 
-    model_config = example(
-        token=ID_EXAMPLE,
-        ordinal=17,
-        stamp_ns=1777800000000000000,
-        sequence_id=ID_EXAMPLE,
-        label_set_id=ID_EXAMPLE,
-        labels_bytes=20480,
-        labels_sha256=SHA256_EXAMPLE,
-        parameters={"profile": "paper"},
-    )
+    model_config = example(labels_bytes=20480, parameters={"profile": "paper"})
 
     sequence_id: str
     label_set_id: str

@@ -27,7 +27,7 @@ def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
     (item,) = import_items(session, [row])
     progress = progress_of(session, row)
     refused = (progress.run.result or {}).get("splits_refused")
-    return DatasetImportDetail(**dict(item), splits_refused=refused, scenes=progress.scenes)
+    return DatasetImportDetail.of(item, splits_refused=refused, scenes=progress.scenes)
 
 
 def _item(row: DatasetImport, run: JobItem, done: int) -> DatasetImportItem:
