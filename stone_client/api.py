@@ -54,11 +54,11 @@ class Api:
     ) -> None:
         self._http.close()
 
-    def read(self, path: str, **query: str | int) -> Any:
-        """The JSON at `path`."""
+    def read(self, path: str, **query: str | int) -> dict[str, Any]:
+        """Return the JSON object at `path`."""
         return self.send("GET", path, params=query).json()
 
-    def create(self, path: str, body: Mapping[str, Any]) -> Any:
+    def create(self, path: str, body: Mapping[str, Any]) -> dict[str, Any]:
         """POST a body and return the answer; a broken connection does not make two."""
         return self.send("POST", path, json=body, headers={"Idempotency-Key": uuid4().hex}).json()
 

@@ -27,14 +27,12 @@ def read_benchmarks(api: Api) -> list[Item]:
 
 def read_benchmark(api: Api, name: str) -> Item:
     """A benchmark with its phases in full."""
-    found: Item = api.read(f"/benchmarks/{quote(name, safe='')}")
-    return found
+    return api.read(f"/benchmarks/{quote(name, safe='')}")
 
 
 def read_phase(api: Api, benchmark: str, phase: str) -> Item:
     """A phase: its rules, whether it runs, by what it is scored."""
-    found: Item = api.read(phase_path(benchmark, phase))
-    return found
+    return api.read(phase_path(benchmark, phase))
 
 
 def fetch_manifest(api: Api, of: tuple[str, str], output: Path) -> dict[str, Any]:

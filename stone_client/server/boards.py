@@ -32,8 +32,7 @@ class BoardSelection:
 
 
 def read_board(api: Api, asked: BoardSelection) -> dict[str, Any]:
-    record: dict[str, Any] = api.read(asked.path, **asked.query())
-    return record
+    return api.read(asked.path, **asked.query())
 
 
 def board_file(api: Api, asked: BoardSelection, form: str) -> bytes:

@@ -19,8 +19,7 @@ COLUMNS = ("sequences", "frames", "min", "km", "T", "P", "N")
 
 def read_statistics(api: Api, dataset: str | None) -> dict[str, Any]:
     """The statistics of a version, or of the labelled sequences the caller may see."""
-    record: dict[str, Any] = api.read("/statistics", **_query(dataset))
-    return record
+    return api.read("/statistics", **_query(dataset))
 
 
 def save_figure(api: Api, dataset: str | None, path: Path) -> None:

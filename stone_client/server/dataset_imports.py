@@ -44,14 +44,12 @@ def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) 
     if standing is not None:
         return standing
     upload_id = upload_file(api, local, Purpose("dataset"), progress)
-    made: Item = api.create(PATH, {"upload_id": upload_id, **asdict(wishes)})
-    return made
+    return api.create(PATH, {"upload_id": upload_id, **asdict(wishes)})
 
 
 def read_import(api: Api, import_id: str) -> Item:
     """One import, with its scenes."""
-    found: Item = api.read(f"{PATH}/{import_id}")
-    return found
+    return api.read(f"{PATH}/{import_id}")
 
 
 def imports_of(api: Api) -> Iterator[Item]:

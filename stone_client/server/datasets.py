@@ -21,14 +21,12 @@ def read_datasets(api: Api) -> list[Item]:
 
 
 def read_dataset(api: Api, version: str) -> dict[str, Any]:
-    record: dict[str, Any] = api.read(f"/datasets/{quote(version, safe='')}")
-    return record
+    return api.read(f"/datasets/{quote(version, safe='')}")
 
 
 def publish_dataset(api: Api, version: str, licence: str, reason: str) -> dict[str, Any]:
     """The version that was made of the splits."""
-    record: dict[str, Any] = api.create("/datasets", {"name": version, "licence": licence, "reason": reason})
-    return record
+    return api.create("/datasets", {"name": version, "licence": licence, "reason": reason})
 
 
 def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:

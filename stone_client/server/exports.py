@@ -35,8 +35,7 @@ def make_export(api: Api, sequence: Item, form: str, progress: Report) -> Item:
     """
     asked = api.create(f"/sequences/{sequence['id']}/exports", {"format": form})
     follow(api, asked["job"]["id"], progress)
-    export: Item = api.read(f"/sequences/{sequence['id']}/exports/{asked['export']['id']}")
-    return export
+    return api.read(f"/sequences/{sequence['id']}/exports/{asked['export']['id']}")
 
 
 def exports_of(api: Api, sequence: Item) -> list[Item]:

@@ -41,8 +41,7 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
     a_id, b_id = (_id_named(name, ids) for name in named)
     asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
     follow(api, asked["job"]["id"], progress)
-    made: Item = api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
-    return made
+    return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
 
 
 def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:

@@ -21,8 +21,7 @@ class UnknownEventError(StoneError):
 
 def read_notifications(api: Api) -> Item:
     """Events, choices and places."""
-    found: Item = api.read("/notifications")
-    return found
+    return api.read("/notifications")
 
 
 def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bool) -> Item:

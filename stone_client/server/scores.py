@@ -47,14 +47,12 @@ def submission_id(api: Api, named: str) -> str:
 
 
 def read_results(api: Api, submission_id: str) -> dict[str, Any]:
-    record: dict[str, Any] = api.read(f"/submissions/{submission_id}/results")
-    return record
+    return api.read(f"/submissions/{submission_id}/results")
 
 
 def read_breakdown(api: Api, submission_id: str, by: str) -> dict[str, Any]:
     """The breakdown of a score; of a hidden phase once it has ended."""
-    record: dict[str, Any] = api.read(f"/submissions/{submission_id}/results/breakdowns", by=by)
-    return record
+    return api.read(f"/submissions/{submission_id}/results/breakdowns", by=by)
 
 
 def read_submissions(api: Api) -> list[Item]:
@@ -65,8 +63,7 @@ def read_submissions(api: Api) -> list[Item]:
 def compare(api: Api, a: str, b: str) -> dict[str, Any]:
     """The differences of two submissions to one phase, and whether they are more than chance."""
     of = read_results(api, a)
-    record: dict[str, Any] = api.read(f"{phase_path(of['benchmark'], of['phase'])}/compare", a=a, b=b)
-    return record
+    return api.read(f"{phase_path(of['benchmark'], of['phase'])}/compare", a=a, b=b)
 
 
 def results_tables(record: Mapping[str, Any]) -> list[Table]:

@@ -38,8 +38,7 @@ def sequence_named(api: Api, name: str) -> Item | None:
 def ensure_sequence(api: Api, name: str) -> Item:
     """One's own sequence of that name, made where there is none."""
     try:
-        made: Item = api.create("/sequences", {"name": name})
-        return made
+        return api.create("/sequences", {"name": name})
     except ServerRefusedError as error:
         known = sequence_named(api, name) if error.status == 409 else None
         if known is None:
@@ -123,8 +122,7 @@ def recordings_named(api: Api, sequence: Item, subjects: Iterable[str]) -> list[
 
 def start_run(api: Api, sequence: Item, body: Mapping[str, Any]) -> Item:
     """Have the sequence processed; the run that does it, or has done it."""
-    run: Item = api.create(f"/sequences/{sequence['id']}/process", body)
-    return run
+    return api.create(f"/sequences/{sequence['id']}/process", body)
 
 
 def _recorded(api: Api, sequence: Item, local: LocalBag) -> Item | None:
@@ -158,8 +156,7 @@ def _by_id(api: Api, path: str, subject: str) -> Item | None:
     if not ID.fullmatch(subject):
         return None
     try:
-        found: Item = api.read(f"{path}/{subject}")
-        return found
+        return api.read(f"{path}/{subject}")
     except ServerRefusedError as error:
         if error.status != 404:
             raise

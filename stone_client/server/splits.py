@@ -43,17 +43,13 @@ class AmbiguousNameError(StoneError):
 
 
 def current(api: Api) -> dict[str, Any]:
-    record: dict[str, Any] = api.read("/splits")
-    return record
+    return api.read("/splits")
 
 
 def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> dict[str, Any]:
     """A split proposed by the server, not saved. Raises `UnknownSubjectError`, `AmbiguousNameError`."""
     ids = _ids_of(current(api), left_out) if left_out else []
-    record: dict[str, Any] = api.create(
-        "/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids}
-    )
-    return record
+    return api.create("/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids})
 
 
 def put_file(api: Api, path: Path, reason: str) -> dict[str, Any]:

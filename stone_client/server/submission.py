@@ -77,8 +77,7 @@ def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report,
     if submission["state"] != "draft":
         return submission
     upload_id = upload_file(api, local, Purpose(PURPOSE, submission["id"]), progress)
-    finalised: Item = api.create(f"/submissions/{submission['id']}/finalize", {"upload_id": upload_id})
-    return finalised
+    return api.create(f"/submissions/{submission['id']}/finalize", {"upload_id": upload_id})
 
 
 def settled(api: Api, submission: Item, progress: Report) -> Item:
@@ -98,8 +97,7 @@ def settled(api: Api, submission: Item, progress: Report) -> Item:
 
 def withdraw(api: Api, submission_id: str, reason: str) -> Item:
     """Take a submission off every board for good."""
-    taken: Item = api.create(f"/submissions/{submission_id}/withdraw", {"reason": reason})
-    return taken
+    return api.create(f"/submissions/{submission_id}/withdraw", {"reason": reason})
 
 
 def _existing_submission(api: Api, entry: SubmissionDescription, local: LocalFile) -> Item | None:
@@ -109,8 +107,7 @@ def _existing_submission(api: Api, entry: SubmissionDescription, local: LocalFil
     for one in mine:
         same = tuple(one[key] for key in ("sha256", "size_bytes", "method", "modality")) == wanted
         if same and one["state"] in GONE_ON and one["withdrawn_at"] is None:
-            found: Item = api.read(f"/submissions/{one['id']}")
-            return found
+            return api.read(f"/submissions/{one['id']}")
     return None
 
 

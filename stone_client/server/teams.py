@@ -34,8 +34,7 @@ def find_team(api: Api, named: str) -> Item:
 
 def found_team(api: Api, name: str) -> Item:
     """A new team, whose captain the caller is."""
-    team: Item = api.create("/teams", {"name": name})
-    return team
+    return api.create("/teams", {"name": name})
 
 
 def invite(api: Api, named: str) -> dict[str, Any]:
