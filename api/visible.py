@@ -55,8 +55,7 @@ def sequences_of(caller: Caller) -> Select[SequenceRow]:
 
 def sequence_of(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
     """Raises `NotFoundError`."""
-    found = session.scalars(sequences_of(caller).where(SequenceRow.id == sequence_id)).one_or_none()
-    return _known(found, "sequence", sequence_id)
+    return _only(session, sequences_of(caller).where(SequenceRow.id == sequence_id), "sequence", sequence_id)
 
 
 def sequences_shown_to(caller: Caller) -> Select[SequenceRow]:
@@ -77,8 +76,7 @@ def sequences_shown(user_id: str | BindParameter[str] | None) -> Select[Sequence
 
 def shown_sequence(session: Session, caller: Caller, sequence_id: str) -> SequenceRow:
     """A sequence that the caller may look at. Raises `NotFoundError`."""
-    found = session.scalars(sequences_shown_to(caller).where(SequenceRow.id == sequence_id)).one_or_none()
-    return _known(found, "sequence", sequence_id)
+    return _only(session, sequences_shown_to(caller).where(SequenceRow.id == sequence_id), "sequence", sequence_id)
 
 
 def hiding(session: Session, sequence_id: str) -> str:
@@ -96,22 +94,21 @@ def hiding(session: Session, sequence_id: str) -> str:
 def calibration_of(session: Session, caller: Caller, calibration_id: str) -> CalibrationRow:
     """Raises `NotFoundError`."""
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
-    found = session.scalars(mine.where(CalibrationRow.id == calibration_id)).one_or_none()
-    return _known(found, "calibration", calibration_id)
+    return _only(session, mine.where(CalibrationRow.id == calibration_id), "calibration", calibration_id)
 
 
 def recording_of(session: Session, caller: Caller, sequence_id: str, recording_id: str) -> Recording:
     """Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Recording).where(Recording.sequence_id == sequence.id, Recording.id == recording_id)
-    return _known(session.scalars(of_sequence).one_or_none(), "recording", recording_id)
+    return _only(session, of_sequence, "recording", recording_id)
 
 
 def export_of(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
     """Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(Export).where(Export.sequence_id == sequence.id, Export.id == export_id)
-    return _known(session.scalars(of_sequence).one_or_none(), "export", export_id)
+    return _only(session, of_sequence, "export", export_id)
 
 
 def exports_shown_to(session: Session, caller: Caller, sequence_id: str) -> Select[Export]:
@@ -129,21 +126,19 @@ def exports_shown_to(session: Session, caller: Caller, sequence_id: str) -> Sele
 def readable_export(session: Session, caller: Caller, sequence_id: str, export_id: str) -> Export:
     """Raises `NotFoundError`."""
     shown = exports_shown_to(session, caller, sequence_id).where(Export.id == export_id)
-    return _known(session.scalars(shown).one_or_none(), "export", export_id)
+    return _only(session, shown, "export", export_id)
 
 
 def label_comparison_of(session: Session, caller: Caller, sequence_id: str, comparison_id: str) -> LabelComparison:
     """Raises `NotFoundError`."""
     sequence = sequence_of(session, caller, sequence_id)
     of_sequence = select(LabelComparison).where(LabelComparison.sequence_id == sequence.id)
-    found = session.scalars(of_sequence.where(LabelComparison.id == comparison_id)).one_or_none()
-    return _known(found, "label comparison", comparison_id)
+    return _only(session, of_sequence.where(LabelComparison.id == comparison_id), "label comparison", comparison_id)
 
 
 def job_of(session: Session, caller: Caller, job_id: str) -> Job:
     """Raises `NotFoundError`."""
-    found = session.scalars(theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id)).one_or_none()
-    return _known(found, "job", job_id)
+    return _only(session, theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id), "job", job_id)
 
 
 def labels_of(session: Session, sequence_id: str) -> LabelSet | None:
@@ -194,8 +189,7 @@ def benchmarks_of(caller: Caller) -> Select[Benchmark]:
 
 def benchmark_of(session: Session, caller: Caller, name: str) -> Benchmark:
     """Raises `NotFoundError`."""
-    found = session.scalars(benchmarks_of(caller).where(Benchmark.name == name)).one_or_none()
-    return _known(found, "benchmark", name)
+    return _only(session, benchmarks_of(caller).where(Benchmark.name == name), "benchmark", name)
 
 
 def phase_at(session: Session, caller: Caller, benchmark: str, phase: str) -> Phase:
@@ -230,7 +224,7 @@ def teams_of(caller: Caller) -> Select[Team]:
 
 def team_of(session: Session, caller: Caller, team_id: str) -> Team:
     """Raises `NotFoundError`."""
-    return _known(session.scalars(teams_of(caller).where(Team.id == team_id)).one_or_none(), "team", team_id)
+    return _only(session, teams_of(caller).where(Team.id == team_id), "team", team_id)
 
 
 def member_team_of(session: Session, caller: Caller, team_id: str) -> Team:
@@ -248,8 +242,11 @@ def submissions_of(caller: Caller) -> Select[SubmissionRow]:
 
 def submission_of(session: Session, caller: Caller, submission_id: str) -> SubmissionRow:
     """Raises `NotFoundError`."""
-    found = session.scalars(submissions_of(caller).where(SubmissionRow.id == submission_id)).one_or_none()
-    return _known(found, "submission", submission_id)
+    return _only(session, submissions_of(caller).where(SubmissionRow.id == submission_id), "submission", submission_id)
+
+
+def _only(session: Session, statement: Select[Row], kind: str, subject_id: str) -> Row:
+    return _known(session.scalars(statement).one_or_none(), kind, subject_id)
 
 
 def _known(found: Row | None, kind: str, subject_id: str) -> Row:

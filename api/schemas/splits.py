@@ -12,17 +12,6 @@ Ids = Annotated[list[IdText], Field(max_length=MOST_SEQUENCES)]
 Size = Annotated[int, Field(ge=0, le=MOST_SEQUENCES)]
 
 
-class SplitsBody(Body):
-    """Which sequences are in train, val and test, by id: all of them at once. `reason` is kept in the audit log."""
-
-    model_config = example(train=[ID_EXAMPLE], val=[], test=[], reason="first release")
-
-    train: Ids
-    val: Ids
-    test: Ids
-    reason: Reason
-
-
 class SplitsToJudge(Body):
     """Splits that nobody put yet, by the ids of their sequences."""
 
@@ -31,6 +20,14 @@ class SplitsToJudge(Body):
     train: Ids
     val: Ids
     test: Ids
+
+
+class SplitsBody(SplitsToJudge):
+    """Which sequences are in train, val and test, by id: all of them at once. `reason` is kept in the audit log."""
+
+    model_config = example(train=[ID_EXAMPLE], val=[], test=[], reason="first release")
+
+    reason: Reason
 
 
 class Sizes(Answer):

@@ -6,13 +6,12 @@ answers with the run that is at it, or that has made it already.
 
 from fastapi import Request, Response
 from sqlalchemy import select
-from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, Curator, Looker, PlatformDep
 from api.errors import NotFoundError
-from api.files import GeneratedFile, StoredFile, answer_file, answer_made, file_responses
+from api.files import GeneratedFile, answer_file, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
@@ -24,6 +23,7 @@ from api.views.scenes import ColoursQuery, artefact_file
 from api.visible import labels_of, newest_label_set, sequence_of, shown_sequence
 from services.domain.sequences.processing import start_processing
 from services.runtime.orm import LabelledFrameRow
+from services.runtime.platform import Platform
 
 router = NounRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 
@@ -48,7 +48,7 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
     with platform.database.reading() as session:
         labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
         statement = select(LabelledFrameRow).where(LabelledFrameRow.label_set_id == labels.id)
-        return page(session, statement, LabelledFrameRow.ordinal, query).shown(_frame)
+        return page(session, statement, LabelledFrameRow.ordinal, query).shown(FrameItem.of)
 
 
 @router.get(
@@ -56,17 +56,13 @@ def list_frames(sequence_id: IdPath, caller: Looker, platform: PlatformDep, quer
 )
 def download_report(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """What the labels were made of, with which parameters, how good the poses were and what was noticed."""
-    with platform.database.reading() as session:
-        file = _artefact(session, caller, sequence_id, "report.json")
-    return answer_file(request, platform.store, file)
+    return _artefact(request, platform, caller, sequence_id, "report.json")
 
 
 @router.get("/frames.parquet", response_class=Response, responses=file_responses("application/vnd.apache.parquet"))
 def download_frame_table(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """One row for each LiDAR stamp, usable or not: token, pose, what was associated, why it is excluded."""
-    with platform.database.reading() as session:
-        file = _artefact(session, caller, sequence_id, "frames.parquet")
-    return answer_file(request, platform.store, file)
+    return _artefact(request, platform, caller, sequence_id, "frames.parquet")
 
 
 @router.get(
@@ -77,17 +73,13 @@ def download_frame_table(sequence_id: IdPath, caller: Looker, platform: Platform
 )
 def download_synchronised(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The synchronised sequence itself, of which `stone export` makes other formats beside the recording."""
-    with platform.database.reading() as session:
-        file = _artefact(session, caller, sequence_id, "sequence.npz")
-    return answer_file(request, platform.store, file)
+    return _artefact(request, platform, caller, sequence_id, "sequence.npz")
 
 
 @router.get("/mesh", response_class=Response, responses=file_responses("model/ply"))
 def download_mesh(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
     """The mesh of the whole sequence as binary PLY; ranges are served."""
-    with platform.database.reading() as session:
-        file = _artefact(session, caller, sequence_id, "mesh.ply")
-    return answer_file(request, platform.store, file)
+    return _artefact(request, platform, caller, sequence_id, "mesh.ply")
 
 
 @router.get(
@@ -118,14 +110,11 @@ def download_preview(
     return answer_made(request, picture_in(platform.store, file, colours), facts)
 
 
-def _artefact(session: Session, caller: Caller, sequence_id: str, name: str) -> StoredFile:
-    """A file of the newest labels, called after the sequence. Raises `NotFoundError`."""
-    sequence = shown_sequence(session, caller, sequence_id)
-    file = artefact_file(session, sequence, newest_label_set(session, sequence.id), name)
+def _artefact(request: Request, platform: Platform, caller: Caller, sequence_id: str, name: str) -> Response:
+    """Answer with a file of the newest labels, called after the sequence. Raises `NotFoundError`."""
+    with platform.database.reading() as session:
+        sequence = shown_sequence(session, caller, sequence_id)
+        file = artefact_file(session, sequence, newest_label_set(session, sequence.id), name)
     if file is None:
         raise NotFoundError("file of this sequence", name)
-    return file
-
-
-def _frame(row: LabelledFrameRow) -> FrameItem:
-    return FrameItem(token=row.token, ordinal=row.ordinal, stamp_ns=row.stamp_ns)
+    return answer_file(request, platform.store, file)

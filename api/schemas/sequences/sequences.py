@@ -178,15 +178,10 @@ class SequenceItem(Answer):
     created_at: Instant
 
 
-class ArtefactItem(Answer):
+class ArtefactItem(PreviewItem):
     """One file of a label set."""
 
     model_config = example(name="mesh.ply", media_type="model/ply", size_bytes=48210333)
-
-    name: str
-    media_type: str
-    size_bytes: int
-    sha256: str
 
 
 class LaterRecordingsItem(Answer):
