@@ -79,17 +79,21 @@ class InputResult:
 def add_input(
     session: Session,
     made: InputResult,
-    row: DatasetInput | PhaseInput,
-    packs: Listing[DatasetInputPack] | Listing[PhaseInputPack],
+    kinds: tuple[type[DatasetInput], type[DatasetInputPack]] | tuple[type[PhaseInput], type[PhaseInputPack]],
+    holder: Mapping[str, str],
 ) -> None:
-    """Write down what a job has made as this row and its packs', which name the holder; blobs are linked."""
+    """Write rows of these kinds for the result of a job, and link its blobs; an input that the holder has stays."""
+    row_kind, pack_kind = kinds
+    if session.get(row_kind, (*holder.values(), made.name)) is not None:
+        return
     link_all(session, (made.index, *made.packs))
-    row.index_sha256, row.files = made.index.sha256, len(made.files)
+    row = row_kind(**holder, name=made.name, index_sha256=made.index.sha256, files=len(made.files))
     row.size_bytes = int(made.files.sizes_bytes.sum())
     row.tar_bytes, row.tar_sha256 = made.tar
     session.add(row)
     session.flush()
-    session.add_all(packs)
+    for ordinal, pack in enumerate(made.packs):
+        session.add(pack_kind(**holder, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256))
 
 
 def members_of(dataset_id: str, parts: Listing[str]) -> Select[DatasetMember]:
@@ -215,14 +219,7 @@ def write_version_input(session: Session, attempt: Attempt, made: InputResult) -
     Raises `JobCancelledError` when the version was deleted.
     """
     dataset = version_of_attempt(session, attempt)
-    if session.get(DatasetInput, (dataset.id, made.name)) is not None:
-        return
-    row = DatasetInput(dataset_id=dataset.id, name=made.name)
-    packs = [
-        DatasetInputPack(dataset_id=dataset.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256)
-        for ordinal, pack in enumerate(made.packs)
-    ]
-    add_input(session, made, row, packs)
+    add_input(session, made, (DatasetInput, DatasetInputPack), {"dataset_id": dataset.id})
 
 
 def version_of_attempt(session: Session, attempt: Attempt) -> Dataset:

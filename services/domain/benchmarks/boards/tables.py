@@ -28,6 +28,7 @@ HEADINGS = ("mIoU", "IoU occ", "IoU T", "IoU P", "IoU N")
 TEXTS = (
     "standing", "team", "method", "modality", "source", "note", "submitted_at", "submission_id", "metric", "signature"
 )  # fmt: skip
+OF_ROW = ("standing", "rank", "tie_group", "team", "method", "modality", "source", "note", "submission_id")
 NUMBERS = ("rank", "rank_low", "rank_high", "tie_group")
 FEW_SEQUENCES = 10
 
@@ -48,25 +49,13 @@ def table_bytes(board: Board, form: Form) -> bytes:
 def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
     """A row by the names of its columns."""
     low, high = row.rank_interval or (None, None)
-    found: dict[str, Cell] = {
-        "standing": row.standing,
-        "rank": row.rank,
-        "rank_low": low,
-        "rank_high": high,
-        "tie_group": row.tie_group,
-        "team": row.team,
-        "method": row.method,
-        "modality": row.modality,
-    }
+    found: dict[str, Cell] = {name: getattr(row, name) for name in OF_ROW} | {"rank_low": low, "rank_high": high}
     for name in RATIO_NAMES:
         bounds = (row.intervals or {}).get(name) or (None, None)
         found |= {name: row.ratios[name], f"{name}_low": bounds[0], f"{name}_high": bounds[1]}
     of_ours = row.standing != "reported" and board.pair is not None
     return found | {
-        "source": row.source,
-        "note": row.note,
         "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
-        "submission_id": row.submission_id,
         "metric": board.pair.metric if of_ours and board.pair else None,
         "signature": board.pair.signature if of_ours and board.pair else None,
     }

@@ -55,14 +55,7 @@ def write_input(session: Session, attempt: Attempt, made: InputResult) -> None:
     Raises `JobCancelledError` when the phase was deleted.
     """
     phase = phase_of_attempt(session, attempt)
-    if session.get(PhaseInput, (phase.id, made.name)) is not None:
-        return
-    row = PhaseInput(phase_id=phase.id, name=made.name)
-    packs = [
-        PhaseInputPack(phase_id=phase.id, name=made.name, ordinal=ordinal, blob_sha256=pack.sha256)
-        for ordinal, pack in enumerate(made.packs)
-    ]
-    add_input(session, made, row, packs)
+    add_input(session, made, (PhaseInput, PhaseInputPack), {"phase_id": phase.id})
 
 
 def phase_of_attempt(session: Session, attempt: Attempt) -> Phase:
