@@ -24,13 +24,7 @@ class AuditFilter:
 
 def audit_page(session: Session, query: PageQuery, wanted: AuditFilter) -> Page[AuditLine]:
     """The lines that are wanted, newest first."""
-    said = {
-        AuditEntry.act: wanted.act,
-        AuditEntry.actor: wanted.actor,
-        AuditEntry.actor_id: wanted.actor_id,
-        AuditEntry.subject_id: wanted.subject_id,
-    }
-    found = select(AuditEntry).where(*(column == value for column, value in said.items() if value))
+    found = select(AuditEntry).filter_by(**{name: value for name, value in vars(wanted).items() if value})
     return page(session, found, AuditEntry.number.desc(), query).shown(AuditLine.of)
 
 

@@ -3,7 +3,7 @@
 **Conventions.** A secret is shown once, by the module that got it in the API's answer; no page is rendered with one.
 """
 
-from typing import Annotated
+from typing import Annotated, Any
 
 from fastapi import Query, Request
 from fastapi.responses import HTMLResponse
@@ -49,22 +49,19 @@ def account(
     email_secret: Annotated[str, Query(pattern="^[A-Za-z0-9_-]{0,64}$")] = "",
 ) -> HTMLResponse:
     with platform.database.reading() as session:
-        tokens = tokens_page(session, PageQuery(cursor, SHOWN), caller.user_id)
-        browsers = browsers_of(session, caller.user_id, caller.credential_id)
         own = session.get_one(User, caller.user_id)
-        has_password, storage = bool(own.password_hash), storage_of(platform, session, own)
-        told = notifications_item(session, caller.user_id, platform.settings)
-        deliveries = deliveries_page(session, PageQuery(None, DELIVERIES), caller.user_id).items
+        values: dict[str, Any] = {
+            "tokens": tokens_page(session, PageQuery(cursor, SHOWN), caller.user_id),
+            "browsers": browsers_of(session, caller.user_id, caller.credential_id),
+            "has_password": bool(own.password_hash),
+            "storage": storage_of(platform, session, own),
+            "told": notifications_item(session, caller.user_id, platform.settings),
+            "deliveries": deliveries_page(session, PageQuery(None, DELIVERIES), caller.user_id).items,
+        }
     return page(
         request,
         caller,
         "people/account.html",
-        tokens=tokens,
-        browsers=browsers,
-        storage=storage,
-        has_password=has_password,
-        told=told,
-        deliveries=deliveries,
         email_secret=email_secret,
         scopes=[scope for scope in SCOPES if scope in caller.scopes],
         may=MAY[caller.role],
@@ -72,6 +69,7 @@ def account(
         base=platform.settings.api.url.rstrip("/"),
         longest_s=int(platform.settings.api.token_s),
         now_ns=now_ns(),
+        **values,
     )
 
 
@@ -93,22 +91,12 @@ def users(
 def user(request: Request, caller: Administrator, platform: PlatformDep, user_id: IdPath) -> HTMLResponse:
     with platform.database.reading() as session:
         row = user_of(session, user_id)
-        shown, storage = user_item(row), storage_of(platform, session, row)
-        tokens = tokens_page(session, PageQuery(None, 200), user_id)
-        about = audit_page(session, LINES, AuditFilter(subject_id=user_id))
-        by = audit_page(session, LINES, AuditFilter(actor_id=user_id))
-        browsers = browsers_of(session, user_id, "")
-    return page(
-        request,
-        caller,
-        "people/user.html",
-        user=shown,
-        tokens=tokens,
-        about=about,
-        by=by,
-        browsers=browsers,
-        storage=storage,
-        may=MAY,
-        allows=ALLOWS,
-        roles=ROLES,
-    )
+        values: dict[str, Any] = {
+            "user": user_item(row),
+            "storage": storage_of(platform, session, row),
+            "tokens": tokens_page(session, PageQuery(None, 200), user_id),
+            "about": audit_page(session, LINES, AuditFilter(subject_id=user_id)),
+            "by": audit_page(session, LINES, AuditFilter(actor_id=user_id)),
+            "browsers": browsers_of(session, user_id, ""),
+        }
+    return page(request, caller, "people/user.html", may=MAY, allows=ALLOWS, roles=ROLES, **values)
