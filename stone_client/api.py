@@ -56,11 +56,13 @@ class Api:
 
     def read(self, path: str, **query: str | int) -> dict[str, Any]:
         """Return the JSON object at `path`."""
-        return self.send("GET", path, params=query).json()
+        answer: dict[str, Any] = self.send("GET", path, params=query).json()
+        return answer
 
     def create(self, path: str, body: Mapping[str, Any]) -> dict[str, Any]:
         """POST a body and return the answer; a broken connection does not make two."""
-        return self.send("POST", path, json=body, headers={"Idempotency-Key": uuid4().hex}).json()
+        answer: dict[str, Any] = self.send("POST", path, json=body, headers={"Idempotency-Key": uuid4().hex}).json()
+        return answer
 
     def pages(self, path: str, **query: str | int) -> Iterator[Any]:
         """Every item of a list, page by page."""
