@@ -81,6 +81,14 @@ def list_dataset_inputs(
     response_class=Response,
     responses=TAR,
 )
+@router.head(
+    "/datasets/{dataset_name}/inputs/{sequence_name}.tar",
+    summary="Size and checksum of a sequence's inputs (dataset)",
+    response_class=Response,
+    responses=TAR,
+    name="describe_dataset_input",
+    description="Size and checksum of the tar.",
+)
 def download_dataset_input(
     dataset_name: DatasetName, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
@@ -92,19 +100,6 @@ def download_dataset_input(
     row, located = found
     stored = stored_files(platform.store, located)
     return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
-
-
-@router.head(
-    "/datasets/{dataset_name}/inputs/{sequence_name}.tar",
-    summary="Size and checksum of a sequence's inputs (dataset)",
-    response_class=Response,
-    responses=TAR,
-)
-def describe_dataset_input(
-    dataset_name: DatasetName, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
-) -> Response:
-    """Size and checksum of the tar."""
-    return download_dataset_input(dataset_name, sequence_name, caller, platform, request)
 
 
 def _item(one: MemberInput) -> DatasetInputItem:

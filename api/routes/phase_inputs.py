@@ -65,6 +65,14 @@ def list_inputs(phase_id: IdPath, _caller: Reader, platform: PlatformDep, query:
     response_class=Response,
     responses=TAR,
 )
+@router.head(
+    "/phases/{phase_id}/inputs/{sequence_name}.tar",
+    summary="Size and checksum of a sequence's inputs (phase)",
+    response_class=Response,
+    responses=TAR,
+    name="describe_input",
+    description="Size and checksum of the tar.",
+)
 def download_input(
     phase_id: IdPath, sequence_name: SequenceName, _caller: Reader, platform: PlatformDep, request: Request
 ) -> Response:
@@ -76,16 +84,3 @@ def download_input(
         located = locate_input(session, row)
     stored = stored_files(platform.store, located)
     return answer_bytes(request, served_archive(platform.store, stored, "tar", (row.name, row.tar_sha256)))
-
-
-@router.head(
-    "/phases/{phase_id}/inputs/{sequence_name}.tar",
-    summary="Size and checksum of a sequence's inputs (phase)",
-    response_class=Response,
-    responses=TAR,
-)
-def describe_input(
-    phase_id: IdPath, sequence_name: SequenceName, caller: Reader, platform: PlatformDep, request: Request
-) -> Response:
-    """Size and checksum of the tar."""
-    return download_input(phase_id, sequence_name, caller, platform, request)

@@ -81,6 +81,14 @@ def download_confusions(
 @router.get(
     "/predictions.zip", response_class=Response, responses=ZIP, summary="Download the zip of a scored submission"
 )
+@router.head(
+    "/predictions.zip",
+    response_class=Response,
+    responses=ZIP,
+    summary="Describe the zip of a scored submission",
+    name="describe_predictions",
+    description="Size and checksum of the zip.",
+)
 def download_predictions(
     submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
 ) -> Response:
@@ -88,16 +96,6 @@ def download_predictions(
     with platform.database.reading() as session:
         blob = downloadable_zip(session, known_score(session, caller, submission_id, score))
     return _kept(request, platform, blob, (ZIP_TYPE, f"{submission_id}.zip"))
-
-
-@router.head(
-    "/predictions.zip", response_class=Response, responses=ZIP, summary="Describe the zip of a scored submission"
-)
-def describe_predictions(
-    submission_id: IdPath, caller: Reader, platform: PlatformDep, request: Request, score: ScoreQuery = None
-) -> Response:
-    """Size and checksum of the zip."""
-    return download_predictions(submission_id, caller, platform, request, score)
 
 
 def _kept(request: Request, platform: Platform, blob: Blob, named: tuple[str, str]) -> Response:

@@ -115,19 +115,27 @@ def list_files(at: AtExport, caller: Reader, platform: PlatformDep, query: PageD
 
 
 @router.get("/{export_id}/files/{path:path}", response_class=Response, responses=FILE | refusals(409))
+@router.head(
+    "/{export_id}/files/{path:path}",
+    response_class=Response,
+    responses=FILE | refusals(409),
+    name="describe_file",
+    description="Size and checksum of a file.",
+)
 def download_file(at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
     """One file of an export; `sha256sum.txt` has the checksums of all others."""
     stored, _, _ = _finished(platform, caller, at)
     return answer_bytes(request, served_file(platform.store, stored, path))
 
 
-@router.head("/{export_id}/files/{path:path}", response_class=Response, responses=FILE | refusals(409))
-def describe_file(at: AtExport, path: FilePath, caller: Reader, platform: PlatformDep, request: Request) -> Response:
-    """Size and checksum of a file."""
-    return download_file(at, path, caller, platform, request)
-
-
 @router.get("/{export_id}/archive", response_class=Response, responses=ARCHIVE | refusals(409))
+@router.head(
+    "/{export_id}/archive",
+    response_class=Response,
+    responses=ARCHIVE | refusals(409),
+    name="describe_archive",
+    description="Size and checksum of an archive.",
+)
 def download_archive(
     at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
 ) -> Response:
@@ -135,14 +143,6 @@ def download_archive(
     stored, export, sequence = _finished(platform, caller, at)
     called = (f"{sequence.name}-{export.format}", archive_sha256_of(export, kind))
     return answer_bytes(request, served_archive(platform.store, stored, kind, called))
-
-
-@router.head("/{export_id}/archive", response_class=Response, responses=ARCHIVE | refusals(409))
-def describe_archive(
-    at: AtExport, caller: Reader, platform: PlatformDep, request: Request, kind: Kind = "tar"
-) -> Response:
-    """Size and checksum of an archive."""
-    return download_archive(at, caller, platform, request, kind)
 
 
 def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, SequenceRow]:
