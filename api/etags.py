@@ -5,17 +5,25 @@ is 428, with another tag 412, so nobody overwrites what they have not read.
 """
 
 import re
+from typing import TypeVar
 
-from fastapi import Request
+from fastapi import Request, Response
 
 from api.errors import PreconditionFailedError, PreconditionRequiredError
 
+T = TypeVar("T")
 TAG = re.compile(r'(W/)?"([^"]*)"')
 
 
 def etag(revision: int | str) -> str:
     """The tag of this state."""
     return f'"{revision}"'
+
+
+def set_head(response: Response, body: T, *, tag: int | str | None = None, location: str = "") -> T:
+    """Return the body; the response gets the ETag of this state, and the address of the new resource."""
+    response.headers.update(({} if tag is None else {"ETag": etag(tag)}) | ({"Location": location} if location else {}))
+    return body
 
 
 def require_match(request: Request, revision: int | str) -> None:

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
 from api.deps import Looker, PlatformDep, Reader, at_once
-from api.etags import etag
+from api.etags import set_head
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -131,5 +131,4 @@ def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, req
 
 
 def _shown(session: Session, phase: Phase, response: Response) -> PhaseItem:
-    response.headers["ETag"] = etag(phase.revision)
-    return phase_item(session, phase)
+    return set_head(response, phase_item(session, phase), tag=phase.revision)

@@ -13,6 +13,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Caller, Curator, PlatformDep, Reader
 from api.errors import NotFoundError
+from api.etags import set_head
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
@@ -40,8 +41,7 @@ def create_dataset_import(
         facts = {"upload_id": body.upload_id, "job_id": run.id, "sets_splits": body.sets_splits}
         audit.record(session, caller, "dataset_import.create", imported.id, facts=facts)
         shown = import_detail(session, imported)
-    response.headers["Location"] = f"/api/v1/dataset-imports/{shown.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/dataset-imports/{shown.id}")
 
 
 @router.get("")

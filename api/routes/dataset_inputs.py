@@ -13,6 +13,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
+from api.etags import set_head
 from api.files import answer_bytes, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -56,9 +57,7 @@ def create_dataset_inputs(
         dataset = dataset_of(session, dataset_name)
         run = start_version_inputs(session, dataset, caller.user_id)
         audit.record_admin_act(session, caller, "dataset.inputs", dataset.id, body.reason, {"job_id": run.id})
-        shown = job_detail(session, run)
-    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
-    return shown
+        return set_head(response, job_detail(session, run), location=f"/api/v1/jobs/{run.id}")
 
 
 @router.get(

@@ -14,7 +14,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
-from api.etags import etag
+from api.etags import set_head
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
@@ -58,9 +58,7 @@ def create_dataset(
             audit.record_admin_act(session, caller, "dataset.create", dataset.id, body.reason, facts)
             shown = dataset_detail(session, dataset)
     published = PublishedDataset(**dict(shown), findings=rule_items(prepared.warnings))
-    response.headers["Location"] = f"/api/v1/datasets/{dataset.name}"
-    response.headers["ETag"] = etag(dataset.manifest_sha256)
-    return published
+    return set_head(response, published, tag=dataset.manifest_sha256, location=f"/api/v1/datasets/{dataset.name}")
 
 
 @router.get("", response_model=Page[DatasetItem], responses=listed())
@@ -80,9 +78,7 @@ def show_dataset(
     """A version with its sequences and what can be downloaded of it."""
     with platform.database.reading() as session:
         dataset = dataset_of(session, dataset_name)
-        shown = dataset_detail(session, dataset)
-    response.headers["ETag"] = etag(dataset.manifest_sha256)
-    return shown
+        return set_head(response, dataset_detail(session, dataset), tag=dataset.manifest_sha256)
 
 
 @router.get(

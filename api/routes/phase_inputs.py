@@ -12,6 +12,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
+from api.etags import set_head
 from api.files import answer_bytes, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -46,9 +47,7 @@ def create_inputs(
     with platform.database.transaction() as session:
         run = start_inputs(session, phase_of(session, phase_id), caller.user_id)
         audit.record_admin_act(session, caller, "phase.inputs", phase_id, body.reason, {"job_id": run.id})
-        shown = job_detail(session, run)
-    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
-    return shown
+        return set_head(response, job_detail(session, run), location=f"/api/v1/jobs/{run.id}")
 
 
 @router.get("/phases/{phase_id}/inputs", summary="Which inputs of the phase are available", responses=refusals(404))

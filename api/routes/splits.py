@@ -11,7 +11,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
 from api.errors import SplitRefusedError
-from api.etags import etag, require_match
+from api.etags import etag, require_match, set_head
 from api.noun_router import NounRouter
 from api.schemas.splits import (
     ProposalAnswer,
@@ -58,8 +58,7 @@ def put_splits(
         facts = dict(zip(("train", "val", "test"), split.sizes, strict=True)) | {"revision": row.revision}
         audit.record_admin_act(session, caller, "splits.put", row.name, body.reason, facts)
         current = current_splits(session)
-    response.headers["ETag"] = etag(current.revision)
-    return splits_answer(current, entries_of(labelled), findings)
+    return set_head(response, splits_answer(current, entries_of(labelled), findings), tag=current.revision)
 
 
 @router.post("/verdicts", summary="Check splits against the rules without saving them", responses=refusals())

@@ -15,7 +15,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, Caller, PlatformDep, Reader, Submitter, at_once
 from api.errors import ForbiddenError
-from api.etags import etag, require_match
+from api.etags import require_match, set_head
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -98,9 +98,7 @@ def finalize_submission(
         facts = {"phase_id": row.phase_id, "team_id": row.team_id, "kind": row.kind, "job_id": job.id}
         audit.record(session, caller, "submission.finalize", row.id, facts=facts)
         shown = submission_detail(session, lock_submission(session, row.id))
-    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision, location=f"/api/v1/jobs/{job.id}")
 
 
 @router.get("/submissions", response_model=Page[SubmissionItem], responses=listed())
@@ -126,8 +124,7 @@ def show_submission(
     """How far a submission is, and why it was not scored if it was not."""
     with platform.database.reading() as session:
         shown = submission_detail(session, submission_of(session, caller, submission_id))
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.patch("/submissions/{submission_id}", responses=refusals(404, 409, 412, 428))
@@ -147,8 +144,7 @@ def change_submission(
         submissions.describe(session, row, changes)
         audit.record(session, caller, "submission.describe", row.id, facts=changes)
         shown = submission_detail(session, row)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.get("/submissions/{submission_id}/validation-report", responses=refusals(404))
@@ -219,6 +215,4 @@ def _announced(
         facts = {"phase_id": phase.id, "team_id": team.id, "kind": kind, "sha256": body.sha256}
         audit.record(session, caller, "submission.announce", row.id, facts=facts)
         shown = submission_detail(session, row)
-    response.headers["Location"] = f"/api/v1/submissions/{shown.id}"
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision, location=f"/api/v1/submissions/{shown.id}")

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
-from api.etags import etag, require_match
+from api.etags import require_match, set_head
 from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkChange, BenchmarkDetail, CreatedBenchmark, NewBenchmarkBody, PhaseDetail
@@ -81,9 +81,7 @@ def add_phase(
         facts = {"benchmark": benchmark.name, "name": phase.name, "dataset": body.dataset}
         audit.record_admin_act(session, caller, "phase.create", phase.id, body.reason, facts)
         shown = phase_detail(session, phase)
-    response.headers["Location"] = f"/api/v1/phases/{phase.id}"
-    response.headers["ETag"] = etag(phase.revision)
-    return shown
+    return set_head(response, shown, tag=phase.revision, location=f"/api/v1/phases/{phase.id}")
 
 
 @router.get("/phases/{phase_id}", summary="A phase as an administrator sees it", responses=refusals(404))
@@ -91,8 +89,7 @@ def show(phase_id: IdPath, _caller: Administrator, platform: PlatformDep, respon
     """A phase with what was noticed of it: labels may have become public since it was made."""
     with platform.database.reading() as session:
         phase = phase_of(session, phase_id)
-        response.headers["ETag"] = etag(phase.revision)
-        return phase_detail(session, phase)
+        return set_head(response, phase_detail(session, phase), tag=phase.revision)
 
 
 @router.patch("/phases/{phase_id}", summary="Change a phase's dates and limits", responses=refusals(404, 409, 412, 428))
@@ -115,8 +112,7 @@ def change(
         phase = change_phase(session, phase.id, changes)
         audit.record_admin_act(session, caller, "phase.change", phase.id, body.reason, facts)
         shown = phase_detail(session, phase)
-    response.headers["ETag"] = etag(phase.revision)
-    return shown
+    return set_head(response, shown, tag=phase.revision)
 
 
 def _phases(session: Session, benchmark: Benchmark, body: NewBenchmarkBody) -> list[Phase]:

@@ -11,7 +11,7 @@ from api import audit
 from api.answers import Responses, refusals
 from api.deps import Administrator, PlatformDep
 from api.errors import ConflictError, NotFoundError
-from api.etags import etag, require_match
+from api.etags import etag, require_match, set_head
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
@@ -45,8 +45,7 @@ def start(
         facts = {"rescore_id": rescore.id, "truth_id": rescore.truth_id, "metric": rescore.metric}
         audit.record_admin_act(session, caller, "phase.rescore", phase.id, body.reason, facts)
         shown = rescore_item(session, rescore)
-    response.headers["Location"] = f"/api/v1/admin/phases/{phase_id}/rescores/{shown.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/admin/phases/{phase_id}/rescores/{shown.id}")
 
 
 @router.get("", responses=refusals(404))

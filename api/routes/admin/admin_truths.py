@@ -12,7 +12,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
-from api.etags import etag, require_match
+from api.etags import require_match, set_head
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
@@ -42,8 +42,7 @@ def create_ground_truth(
         facts = {"phase_id": phase.id, "number": truth.number, "dataset": dataset.name, "job_id": job.id}
         audit.record_admin_act(session, caller, "ground_truth.create", truth.id, body.reason, facts)
         shown = TruthAccepted(ground_truth=truth_items(session, phase, [truth])[0], job=job_items(session, [job])[0])
-    response.headers["Location"] = f"/api/v1/jobs/{job.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/jobs/{job.id}")
 
 
 @router.get("/ground-truths", responses=refusals(404))
@@ -66,8 +65,7 @@ def list_reported(
     """The reported rows of the phase, by method and modality: what is put back is what stands."""
     with platform.database.reading() as session:
         items = [reported_item(row) for row in reported_in(session, phase_of(session, phase_id).id)]
-    response.headers["ETag"] = etag(reported_tag(items))
-    return items
+    return set_head(response, items, tag=reported_tag(items))
 
 
 @router.put("/reported", responses=refusals(404, 409, 412))

@@ -10,7 +10,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader
-from api.etags import etag
+from api.etags import set_head
 from api.files import StoredFile, answer_file, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -78,9 +78,7 @@ def add_calibration_file(
                 audit.record(session, caller, "calibration.add", row.id, facts={"sha256": row.sha256})
             shown = calibration_item(row)
     response.status_code = 201 if is_new else 200
-    response.headers["Location"] = f"/api/v1/calibrations/{shown.id}"
-    response.headers["ETag"] = etag(shown.sha256)
-    return shown
+    return set_head(response, shown, tag=shown.sha256, location=f"/api/v1/calibrations/{shown.id}")
 
 
 @router.get("", responses=refusals(403))
@@ -101,8 +99,7 @@ def show_calibration(
     """A calibration's sensors and what was noticed about it."""
     with platform.database.reading() as session:
         shown = calibration_item(calibration_of(session, caller, calibration_id))
-    response.headers["ETag"] = etag(shown.sha256)
-    return shown
+    return set_head(response, shown, tag=shown.sha256)
 
 
 @router.get("/{calibration_id}/file", response_class=Response, responses=file_responses(YAML, ZIP))

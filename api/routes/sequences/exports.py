@@ -14,6 +14,7 @@ from fastapi import Depends, Path, Query, Request, Response
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, Curator, PlatformDep, Reader, at_once
+from api.etags import set_head
 from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
 from api.noun_router import NounRouter
@@ -67,8 +68,7 @@ def create_export(
         audit.record(session, caller, "export.create", export.id, facts=facts)
         items = export_items(session, sequence.id, [export])
         shown = ExportAccepted(export=items[0], job=job_items(session, [job])[0])
-    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/exports/{export.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/sequences/{sequence_id}/exports/{export.id}")
 
 
 @router.get("", response_model=Page[ExportItem], responses=listed(404))

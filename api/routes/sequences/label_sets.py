@@ -14,6 +14,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Caller, Curator, PlatformDep, Reader, at_once
 from api.errors import NotFoundError
+from api.etags import set_head
 from api.files import GeneratedFile, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -71,8 +72,7 @@ def create_label_comparison(
         audit.record(session, caller, "label_comparison.create", comparison.id, facts=facts)
         item = comparison_items(session, [comparison])[0]
         shown = LabelComparisonAccepted(comparison=item, job=job_items(session, [job])[0])
-    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/label-comparisons/{comparison.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/sequences/{sequence_id}/label-comparisons/{comparison.id}")
 
 
 @router.get("/label-comparisons", responses=refusals(404))

@@ -11,6 +11,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Caller, Curator, Looker, PlatformDep
 from api.errors import NotFoundError
+from api.etags import set_head
 from api.files import GeneratedFile, answer_file, answer_made, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -37,9 +38,7 @@ def process_sequence(
         sequence = sequence_of(session, caller, sequence_id)
         job = start_processing(session, sequence, body.chosen())
         audit.record(session, caller, "sequence.process", sequence.id, facts={"job_id": job.id})
-        shown = job_detail(session, job)
-    response.headers["Location"] = f"/api/v1/jobs/{shown.id}"
-    return shown
+        return set_head(response, job_detail(session, job), location=f"/api/v1/jobs/{job.id}")
 
 
 @router.get("/frames", responses=refusals(404))

@@ -14,7 +14,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader
 from api.errors import ConflictError, NotFoundError
-from api.etags import etag, require_match
+from api.etags import require_match, set_head
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath
@@ -47,8 +47,7 @@ def show_profile(platform_name: PlatformName, caller: Reader, platform: Platform
         if row is None:
             raise NotFoundError("profile", platform_name)
         shown = ProfileItem.of(row)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.put("/profiles/{platform_name}", responses={201: {"model": ProfileItem}, **refusals(403, 412, 428)})
@@ -71,8 +70,7 @@ def save_profile(
         if keep_profile(session, row, topics):
             audit.record(session, caller, "profile.save", row.id, facts={"platform": platform_name})
         shown = ProfileItem.of(row)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.get(

@@ -9,6 +9,7 @@ from sqlalchemy import select
 from api import audit
 from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader, at_once
+from api.etags import set_head
 from api.files import answer_file, file_responses
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
@@ -51,8 +52,7 @@ def create_recording(
         recording, job = add_recording(session, sequence, body.received(), caller.user_id)
         audit.record(session, caller, "recording.add", recording.id, facts={"sequence_id": sequence_id})
         shown = RecordingAccepted(recording=recording_item(recording), job=job_items(session, [job])[0])
-    response.headers["Location"] = f"/api/v1/sequences/{sequence_id}/recordings/{recording.id}"
-    return shown
+    return set_head(response, shown, location=f"/api/v1/sequences/{sequence_id}/recordings/{recording.id}")
 
 
 @router.get("", responses=refusals(404))

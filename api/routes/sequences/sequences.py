@@ -16,7 +16,7 @@ from api import audit
 from api.answers import refusals
 from api.deps import Curator, Looker, PlatformDep, at_once
 from api.errors import ConflictError, HiddenTruthError
-from api.etags import etag, require_match
+from api.etags import etag, require_match, set_head
 from api.lists.answers import SequenceFilters, list_response, listed, sequence_rows
 from api.noun_router import NounRouter
 from api.paging import Page, PageDep
@@ -51,9 +51,7 @@ def create_sequence(
         _flush_named(session, body.name)
         audit.record(session, caller, "sequence.create", sequence.id, facts={"name": sequence.name})
         shown = sequence_detail(session, sequence, caller)
-    response.headers["Location"] = f"/api/v1/sequences/{shown.id}"
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision, location=f"/api/v1/sequences/{shown.id}")
 
 
 @router.get("", response_model=Page[SequenceItem], responses=listed())
@@ -110,8 +108,7 @@ def change_sequence(
         _flush_named(session, sequence.name)
         audit.record(session, caller, "sequence.change", sequence.id, facts=changes)
         shown = sequence_detail(session, sequence, caller)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.put(
@@ -138,8 +135,7 @@ def pin_calibration(
             audit.record(session, caller, "sequence.calibrate", sequence.id, facts={"calibration_id": calibration.id})
         session.flush()
         shown = sequence_detail(session, sequence, caller)
-    response.headers["ETag"] = etag(shown.revision)
-    return shown
+    return set_head(response, shown, tag=shown.revision)
 
 
 @router.delete("/{sequence_id}", status_code=204, responses=refusals(404, 412, 428))
