@@ -22,7 +22,7 @@ from api.schemas.notifications import (
     NotificationsItem,
     WebhookBody,
 )
-from api.views.notifications import deliveries_page, email_item, issued_webhook, notifications_item
+from api.views.notifications import deliveries_page, email_item, notifications_item
 from services.domain.notifications import email_addresses, webhooks
 from services.domain.notifications.spread import choose
 from services.runtime.orm import Webhook
@@ -105,4 +105,4 @@ def deliveries(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[De
 
 def _issued(row: Webhook, response: Response) -> IssuedWebhook:
     response.headers["Cache-Control"] = "no-store"
-    return issued_webhook(row)
+    return IssuedWebhook.of(row)

@@ -74,8 +74,8 @@ def _read_from(field: str) -> AliasChoices | str:
 class Answer(BaseModel):
     """A response; its fields are read from a value's attributes of the same names, `<name>_at` from `<name>_ns`.
 
-    A response contains what its class names and nothing else of a value. Give `of` every field that the caller may not
-    see as it is.
+    A field with other attributes has its own `validation_alias`. A response contains what its class names and nothing
+    else of a value. Give `of` every field that the caller may not see as it is.
     """
 
     model_config = ConfigDict(
@@ -107,7 +107,9 @@ class Answer(BaseModel):
 
 @cache
 def _attributes_of(answer: type[Answer]) -> tuple[tuple[str, str], ...]:
-    return tuple((field, _attribute_of(field)) for field in answer.model_fields)
+    aliases = {name: field.validation_alias for name, field in answer.model_fields.items()}
+    choices = {name: alias.choices for name, alias in aliases.items() if isinstance(alias, AliasChoices)}
+    return tuple((name, str(choices.get(name, [name])[0])) for name in aliases)
 
 
 def example(**values: Any) -> ConfigDict:

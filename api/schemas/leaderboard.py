@@ -3,6 +3,7 @@
 from typing import Annotated, Literal
 
 from fastapi import Query
+from pydantic import AliasChoices, Field
 
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN, Answer, Instant, example, example_of
 from api.schemas.phase_bodies import Moment
@@ -65,8 +66,8 @@ class PairItem(Answer):
 
     model_config = example(ground_truth=1, metric="stone-iou-2", signature=SIGNATURE_EXAMPLE, frames=7012, sequences=5)
 
-    ground_truth: int
-    ground_truth_sha256: str
+    ground_truth: int = Field(validation_alias=AliasChoices("truth_number", "ground_truth"))
+    ground_truth_sha256: str = Field(validation_alias=AliasChoices("truth_sha256", "ground_truth_sha256"))
     metric: str
     signature: str | None
     frames: int

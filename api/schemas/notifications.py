@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field, StringConstraints
+from pydantic import AliasChoices, Field, StringConstraints
 
 from api.schemas.base import PLAIN, Answer, Body, Instant, example
 
@@ -58,7 +58,7 @@ class WebhookItem(Answer):
 
     url: str
     created_at: Instant
-    failing_since: Instant | None
+    failing_since: Instant | None = Field(validation_alias=AliasChoices("failing_ns", "failing_since"))
     disabled_at: Instant | None
 
 

@@ -13,7 +13,6 @@ from sqlalchemy.orm import Session
 from api.compression import tagged_response
 from api.files import safe_name
 from api.schemas.leaderboard import (
-    BoardPairItem,
     ChangeItem,
     ComparisonAnswer,
     Form,
@@ -21,7 +20,7 @@ from api.schemas.leaderboard import (
     LeaderboardAnswer,
     PairItem,
 )
-from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, sequences_of
+from services.domain.benchmarks.boards.board import Board, sequences_of
 from services.domain.benchmarks.boards.comparison import EntryComparison
 from services.domain.benchmarks.boards.entries import TIE_BREAK, Track
 from services.domain.benchmarks.boards.history import history
@@ -72,7 +71,6 @@ def board_answer(board: Board, viewer: Viewer) -> LeaderboardAnswer:
         ratio_digits=RATIO_DIGITS,
         ordered_by=[*TIE_BREAK, "submitted_at"],
         interval_level=LEVEL,
-        pair=_board_version_item(board.pair) if board.pair else None,
         notes=list(notes(board)),
     )
 
@@ -106,7 +104,3 @@ def comparison_answer(comparison: EntryComparison) -> ComparisonAnswer:
         pair=evaluation_version_item(comparison.a),
         interval_level=LEVEL,
     )
-
-
-def _board_version_item(pair: BoardEvaluationVersion) -> BoardPairItem:
-    return BoardPairItem.of(pair, ground_truth=pair.truth_number, ground_truth_sha256=pair.truth_sha256)

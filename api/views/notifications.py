@@ -8,7 +8,6 @@ from api.schemas.notifications import (
     DeliveryItem,
     EmailItem,
     EventItem,
-    IssuedWebhook,
     NotificationsItem,
     WebhookItem,
 )
@@ -27,17 +26,13 @@ def notifications_item(session: Session, user_id: str, settings: Settings) -> No
         email=chosen["email"],
         webhook=chosen["webhook"],
         email_address=None if email is None else email_item(email),
-        webhook_target=None if webhook is None else WebhookItem.of(webhook, failing_since=webhook.failing_ns),
+        webhook_target=None if webhook is None else WebhookItem.of(webhook),
         sends_email=bool(settings.notifications.smtp_host),
     )
 
 
 def email_item(row: EmailAddress) -> EmailItem:
     return EmailItem.of(row, is_verified=row.verified_ns is not None)
-
-
-def issued_webhook(row: Webhook) -> IssuedWebhook:
-    return IssuedWebhook.of(row, failing_since=row.failing_ns)
 
 
 def deliveries_page(session: Session, query: PageQuery, user_id: str) -> Page[DeliveryItem]:

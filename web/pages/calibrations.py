@@ -17,9 +17,9 @@ from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.sequences.calibrations import AgainstQuery, NameQuery
 from api.schemas.base import IdPath
+from api.schemas.sequences.calibrations import CalibrationItem
 from api.views import calibration_reading
 from api.views.calibration_changes import changes, version_before
-from api.views.calibrations import calibration_item
 from api.visible import calibration_of, sequences_of, theirs
 from services.runtime.orm import Blob, CalibrationRow, SequenceRow
 from services.runtime.platform import Platform
@@ -45,7 +45,7 @@ def list_calibrations(
         alive = SequenceRow.deleted_ns.is_(None)
         pinned = select(SequenceRow.calibration_id, func.count()).where(SequenceRow.calibration_id.in_(ids), alive)
         counts = dict(session.execute(pinned.group_by(SequenceRow.calibration_id)).all())
-    shown = [(calibration_item(row), counts.get(row.id, 0)) for row in found.rows]
+    shown = [(CalibrationItem.of(row), counts.get(row.id, 0)) for row in found.rows]
     return page(request, caller, "calibrations/list.html", shown=shown, cursor=found.next, name=name or "")
 
 
@@ -56,7 +56,7 @@ def show_calibration(
     """The robot from above and from the side, what was noticed, what changed from the version before or another."""
     with platform.database.reading() as session:
         row = calibration_of(session, caller, calibration_id)
-        item = calibration_item(row)
+        item = CalibrationItem.of(row)
         key = session.get_one(Blob, row.blob_sha256).object_key
         before = version_before(session, row)
         of_name = select(CalibrationRow).where(CalibrationRow.owner_id == row.owner_id, CalibrationRow.name == row.name)

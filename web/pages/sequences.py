@@ -17,8 +17,8 @@ from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.schemas.base import PLAIN, LineQuery
+from api.schemas.sequences.calibrations import CalibrationItem
 from api.schemas.sequences.sequences import SequenceItem
-from api.views.calibrations import calibration_item
 from api.views.sequences import sequence_items
 from api.visible import sequences_shown_to, theirs
 from services.runtime.orm import CalibrationRow, SequenceRow
@@ -95,7 +95,7 @@ def new_sequences(request: Request, caller: Curator, platform: PlatformDep) -> H
     """Where bags are dropped; each becomes a sequence of its own."""
     newest = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
     with platform.database.reading() as session:
-        calibrations = [calibration_item(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
+        calibrations = [CalibrationItem.of(row) for row in session.scalars(newest.limit(MOST_CALIBRATIONS))]
         last_used = calibrations_by_robot(session, caller.user_id)
     ids = {one.id for one in calibrations}
     return page(

@@ -12,7 +12,6 @@ from api.deps import Caller, PlatformDep
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail, StageItem
 from api.schemas.sequences.calibrations import CalibrationItem
-from api.views.calibrations import calibration_item
 from api.visible import theirs
 from services.domain.sequences.label_sources import SOURCE_INDEX
 from services.runtime.jobs.queries import TITLES, title_of
@@ -63,7 +62,7 @@ def choosable(session: Session, caller: Caller, standing: SequenceStatus) -> lis
     if not standing.may_change:
         return []
     mine = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id).order_by(CalibrationRow.id.desc())
-    return [calibration_item(row) for row in session.scalars(mine.limit(MOST_CALIBRATIONS))]
+    return [CalibrationItem.of(row) for row in session.scalars(mine.limit(MOST_CALIBRATIONS))]
 
 
 # Progress of a sequence's runs: each stage with its share done and how long it took.

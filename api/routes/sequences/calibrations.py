@@ -19,7 +19,6 @@ from api.schemas.sequences.calibrations import CalibrationDiffItem, CalibrationI
 from api.tus.errors import UnsupportedMediaTypeError
 from api.views import calibration_reading
 from api.views.calibration_changes import changes
-from api.views.calibrations import calibration_item
 from api.visible import calibration_of, theirs
 from services.domain.sequences.calibrations import Validity, add_calibration
 from services.runtime.orm import Blob, CalibrationRow
@@ -76,7 +75,7 @@ def add_calibration_file(
             row, is_new = add_calibration(session, caller.user_id, read, prepared)
             if is_new:
                 audit.record(session, caller, "calibration.add", row.id, facts={"sha256": row.sha256})
-            shown = calibration_item(row)
+            shown = CalibrationItem.of(row)
     response.status_code = 201 if is_new else 200
     return set_head(response, shown, tag=shown.sha256, location=f"/api/v1/calibrations/{shown.id}")
 
@@ -89,7 +88,7 @@ def list_calibrations(
     statement = theirs(select(CalibrationRow), caller, CalibrationRow.owner_id)
     statement = statement if name is None else statement.where(CalibrationRow.name == name)
     with platform.database.reading() as session:
-        return page(session, statement, CalibrationRow.id.desc(), query).shown(calibration_item)
+        return page(session, statement, CalibrationRow.id.desc(), query).shown(CalibrationItem.of)
 
 
 @router.get("/{calibration_id}", responses=refusals(404))
@@ -98,7 +97,7 @@ def show_calibration(
 ) -> CalibrationItem:
     """A calibration's sensors and what was noticed about it."""
     with platform.database.reading() as session:
-        shown = calibration_item(calibration_of(session, caller, calibration_id))
+        shown = CalibrationItem.of(calibration_of(session, caller, calibration_id))
     return set_head(response, shown, tag=shown.sha256)
 
 

@@ -2,7 +2,7 @@
 
 from typing import Annotated
 
-from pydantic import Field, StringConstraints
+from pydantic import AliasChoices, Field, StringConstraints
 
 from api.schemas.base import ID_EXAMPLE, PLAIN, Answer, Body, Instant, example
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS
@@ -53,8 +53,8 @@ class CalibrationItem(Answer):
     format: str
     sensors: list[SensorItem]
     findings: list[FindingItem]
-    valid_from: Instant | None
-    valid_to: Instant | None
+    valid_from: Instant | None = Field(validation_alias=AliasChoices("valid_from_ns", "valid_from"))
+    valid_to: Instant | None = Field(validation_alias=AliasChoices("valid_to_ns", "valid_to"))
     created_at: Instant
 
 
