@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from pydantic import Field
+from pydantic import AliasChoices, Field
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example, example_of
 from api.schemas.statistics import VoxelRatios, VoxelsItem
@@ -73,7 +73,7 @@ class RuleItem(Answer):
     code: str
     severity: Literal["error", "warning"]
     message: str
-    sequence_ids: list[str]
+    sequence_ids: list[str] = Field(validation_alias=AliasChoices("sequences", "sequence_ids"))
 
 
 class VerdictsAnswer(Answer):

@@ -3,11 +3,11 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from api.schemas.splits import ProposalAnswer, RuleItem, Shares, SharesItem, Sizes, SplitEntry, SplitsAnswer
+from api.schemas.splits import ProposalAnswer, RuleItem, Shares, SharesItem, SplitEntry, SplitsAnswer
 from services.domain.datasets.splits import CurrentSplits
 from services.domain.datasets.statistics import CLASSES
 from stone.splits.composition import CatalogueEntry
-from stone.splits.splits import RuleFinding, Split
+from stone.splits.splits import PARTS, RuleFinding, Split
 
 if TYPE_CHECKING:  # with it comes scipy's solver
     from stone.splits.proposal import PartShares, Proposal
@@ -17,10 +17,9 @@ def splits_answer(
     current: CurrentSplits, seen: tuple[CatalogueEntry, ...], findings: Iterable[RuleFinding] | None
 ) -> SplitsAnswer:
     """The splits with those of their sequences that are `seen`; findings for whoever sees all."""
-    train, val, test = current.split.sizes
-    return SplitsAnswer(
-        revision=current.revision,
-        sizes=Sizes(train=train, val=val, test=test),
+    return SplitsAnswer.of(
+        current,
+        sizes=dict(zip(PARTS, current.split.sizes, strict=True)),
         **_assigned(current.split, seen),
         unassigned=[entry_item(entry) for entry in seen if entry.id not in _ids(current.split)],
         findings=None if findings is None else rule_items(findings),
@@ -33,14 +32,12 @@ def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> P
     return ProposalAnswer.of(
         proposal,
         **_assigned(proposal.split, seen),
-        conflict=rule_items(proposal.conflict),
-        findings=rule_items(proposal.findings),
         shares=Shares(whole=_shares(proposal.whole), train=train, val=val, test=test),
     )
 
 
 def rule_items(findings: Iterable[RuleFinding]) -> list[RuleItem]:
-    return [RuleItem.of(one, sequence_ids=one.sequences) for one in findings]
+    return [RuleItem.of(one) for one in findings]
 
 
 def entry_item(entry: CatalogueEntry) -> SplitEntry:
