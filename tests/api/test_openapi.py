@@ -4,6 +4,7 @@ import importlib
 import json
 import pkgutil
 import re
+from types import SimpleNamespace
 from typing import Any
 
 import httpx
@@ -14,6 +15,7 @@ import api.schemas
 from api.openapi import operations
 from api.problems import MEDIA_TYPE
 from api.schemas.base import Answer, Body, instant
+from api.schemas.notifications import DeliveryItem
 from services.runtime.access.roles import ROLES, SCOPES
 from services.runtime.platform import Platform
 from testing.api.serving import client_of
@@ -158,6 +160,14 @@ def test_an_example_is_one(model: type[BaseModel]) -> None:
 def test_a_body_knows_its_keys(model: type[BaseModel]) -> None:
     with pytest.raises(ValidationError, match="extra_forbidden"):
         model.model_validate({"no_such_key": 1})
+
+
+def test_a_field_that_is_given_hides_the_attribute_of_the_value() -> None:
+    row = SimpleNamespace(id="1", channel="email", state="dead", tries=3, answer="", secret="s")
+    row.created_ns, row.due_ns, row.ended_ns = 0, 1000, None
+    item = DeliveryItem.of(row, kind="run.done", due_at=None)
+    assert (item.created_at, item.due_at, item.ended_at) == (instant(0), None, None)
+    assert "secret" not in item.model_dump()
 
 
 def test_an_instant_is_utc_to_the_microsecond() -> None:
