@@ -1,6 +1,6 @@
-# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress static check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -88,7 +88,6 @@ serve: platform
 	$(BIN)/stone serve
 
 test: develop
-	deploy/install-browser.sh
 	$(BIN)/pytest $(BESIDE) -m "not whole"
 
 test-all: test-clients
@@ -110,16 +109,19 @@ stress: develop
 
 check: test-clients
 	@rm -f build/flaky-tests
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target static test-kernels
+	$(MAKE) --no-print-directory test-baselines
+	$(BIN)/pytest $(BESIDE) -m "not release"
+	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
+
+# Each takes one core, as `test-kernels` does.
+static: develop
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client stone_local api web
 	$(BIN)/deptry --ignore DEP002,DEP004 benchmarks chaos deploy docsite fuzz testing tests
-	$(MAKE) --no-print-directory test-baselines
-	$(MAKE) --no-print-directory test-kernels
-	$(BIN)/pytest $(BESIDE) -m "not release"
-	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
 
 docs: install $(DOCS_INSTALLED)
 	deploy/build-docs.sh

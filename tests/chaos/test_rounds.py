@@ -82,9 +82,8 @@ def found_good(series: RoundSeries, told: Sequence[str]) -> None:
     assert series.is_proven
 
 
-@pytest.mark.everyday
 def test_nothing_is_lost_doubled_or_different_when_a_worker_is_killed(inputs: Inputs, tmp_path: Path) -> None:
-    """Catches alone, every day, what a `kill -9` of a real process loses between the queue, database and store."""
+    """Catches alone what a `kill -9` of a real process loses between the queue, database and store."""
     told: list[str] = []
     found_good(play(suite(inputs, tmp_path, told), EVERYDAY), told)
     assert list((tmp_path / "places").iterdir()) == [], "the place of a good round is cleared away"

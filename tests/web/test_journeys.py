@@ -75,7 +75,6 @@ def test_whoever_looks_is_shown_the_demo_without_an_account(stage: Stage) -> Non
         expect(page.locator("table").get_by_text("single sweep, no training")).to_be_visible()
 
 
-@pytest.mark.everyday
 def test_an_engineer_brings_a_recording_and_looks_at_its_labels(browser: Browser, tmp_path: Path) -> None:
     bag = tmp_path / "forest.mcap"
     simulate(bag, SHORT)
