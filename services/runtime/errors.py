@@ -1,4 +1,4 @@
-"""Errors of any service: existing outputs, an unavailable or full store, a newer database schema."""
+"""Errors of any service: existing outputs, an unavailable or full store, a newer or older database schema."""
 
 from typing import ClassVar
 
@@ -14,6 +14,19 @@ class NewerSchemaError(StoneError):
         super().__init__(
             f"the database is at revision {stands!r} and this version knows none after {known!r}; "
             "start the version that migrated it, or restore a backup"
+        )
+
+
+class OlderSchemaError(StoneError):
+    """The database or the backup is of a revision from before the first release."""
+
+    code: ClassVar[str] = "schema_older"
+    last_commit: ClassVar[str] = "1c1f180f"
+
+    def __init__(self, stands: str, known: str) -> None:
+        super().__init__(
+            f"the database or backup is of revision {stands!r} and this version upgrades from {known!r} on; restore "
+            f"and start it once with the sources of commit {self.last_commit}, then start this version"
         )
 
 

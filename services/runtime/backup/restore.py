@@ -16,8 +16,7 @@ from services.runtime.backup.errors import DamagedBackupError, TargetNotEmptyErr
 from services.runtime.backup.folder import BackupContent, BackupFolder, pieces_of
 from services.runtime.backup.snapshot import BackupFile, BackupSnapshot, read_snapshot
 from services.runtime.backup.tables import checked_tables, dumped_rows, load
-from services.runtime.database.migrate import head_revision, is_known, schema_connection
-from services.runtime.errors import NewerSchemaError
+from services.runtime.database.migrate import refuse_unknown, schema_connection
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.lease_sweep import give_back_running
 from services.runtime.orm import Blob, GcHoldRow, Upload, Worker
@@ -46,8 +45,8 @@ class BackupRestoreResult:
 def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupRestoreResult:
     """Bring back the snapshot `name`, the newest unless named; no process of the platform may run meanwhile.
 
-    Raises `SnapshotMissingError`, `DamagedBackupError`, `TargetNotEmptyError`, `NewerSchemaError`, `StoreFullError`,
-    `StoreAwayError`.
+    Raises `SnapshotMissingError`, `DamagedBackupError`, `TargetNotEmptyError`, `NewerSchemaError`, `OlderSchemaError`,
+    `StoreFullError`, `StoreAwayError`.
     """
     place = folder.snapshot(name)
     snapshot, files = read_snapshot(place)
@@ -69,8 +68,7 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
 
 
 def _refuse(platform: Platform, snapshot: BackupSnapshot) -> None:
-    if not is_known(snapshot.revision):
-        raise NewerSchemaError(snapshot.revision, head_revision())
+    refuse_unknown(snapshot.revision)
     if tables := inspect(platform.database.engine).get_table_names():
         raise TargetNotEmptyError("the database", f"{len(tables)} tables")
 

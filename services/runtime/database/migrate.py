@@ -17,7 +17,7 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, event, text
 
 from services.runtime.database.transactions import Database
-from services.runtime.errors import BrokenReferenceError, NewerSchemaError
+from services.runtime.errors import BrokenReferenceError, NewerSchemaError, OlderSchemaError
 from services.runtime.settings import Settings
 
 MIGRATIONS = Path(__file__).with_name("migrations")
@@ -27,15 +27,15 @@ LOCK = 0x53544F4E45  # "STONE": the advisory lock's number
 def upgrade(settings: Settings) -> None:
     """Bring the database of `settings` to the newest revision; nothing happens where it is there already.
 
-    Raises `NewerSchemaError` when a newer version of this code has migrated it, `BrokenReferenceError` when a
-    revision left a row that refers to nothing (and nothing is changed then).
+    Raises `NewerSchemaError` if a newer version of this code has migrated it, `OlderSchemaError` if it is from before
+    the baseline, `BrokenReferenceError` if a revision left a row that refers to nothing (and nothing is changed then).
     """
     with schema_connection(settings) as connection:
-        stands, wanted = current_revision(connection), head_revision()
-        if stands == wanted:
+        stands = current_revision(connection)
+        if stands == head_revision():
             return
-        if stands and not is_known(stands):
-            raise NewerSchemaError(stands, wanted)
+        if stands:
+            refuse_unknown(stands)
         command.upgrade(alembic_on(connection), "head")
 
 
@@ -54,9 +54,11 @@ def head_revision() -> str:
     return str(_revisions().get_current_head())
 
 
-def is_known(revision: str) -> bool:
-    """Whether this code knows the way from `revision` to its own."""
-    return revision in {known.revision for known in _revisions().walk_revisions()}
+def refuse_unknown(revision: str) -> None:
+    """Raise `OlderSchemaError` or `NewerSchemaError` if this code has no such revision."""
+    known = [each.revision for each in _revisions().walk_revisions()]  # the newest first
+    if revision not in known:
+        raise OlderSchemaError(revision, known[-1]) if revision < known[-1] else NewerSchemaError(revision, known[0])
 
 
 def _revisions() -> ScriptDirectory:
@@ -67,7 +69,6 @@ def _configuration(attributes: dict[str, Any]) -> Config:
     # Not of alembic.ini: it could not name a folder with a % in its path.
     config = Config(attributes=attributes)
     config.set_main_option("script_location", str(MIGRATIONS).replace("%", "%%"))
-    config.set_main_option("recursive_version_locations", "true")
     return config
 
 

@@ -11,9 +11,8 @@ from typing import TypeVar
 import structlog
 from sqlalchemy.exc import OperationalError
 
-from services.runtime.database.migrate import current_revision, head_revision, is_known
+from services.runtime.database.migrate import current_revision, head_revision, refuse_unknown
 from services.runtime.database.transactions import Database
-from services.runtime.errors import NewerSchemaError
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import PlatformFaultError, StoneError
@@ -54,7 +53,8 @@ def insist(act: Callable[[], T], within_s: float) -> T:
 def await_schema(settings: Settings) -> None:
     """Return once the database is at the schema of this code, within `database.awaited_s`.
 
-    Raises `SchemaMissingError`, `NewerSchemaError`, what the driver raises when the database stays away.
+    Raises `SchemaMissingError`, `NewerSchemaError`, `OlderSchemaError`, what the driver raises if the database stays
+    away.
     """
     database = Database(settings)
     try:
@@ -68,8 +68,8 @@ def _refuse_other_schema(database: Database) -> None:
         stands, wanted = current_revision(session.connection()), head_revision()
     if stands == wanted:
         return
-    if stands and not is_known(stands):
-        raise NewerSchemaError(stands, wanted)
+    if stands:
+        refuse_unknown(stands)
     raise SchemaMissingError(stands, wanted)
 
 

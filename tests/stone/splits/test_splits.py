@@ -10,7 +10,7 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone.errors import StoneError
-from stone.splits.composition import CatalogueEntry, composition_of, path_length_m, sums_of
+from stone.splits.composition import CatalogueEntry, composition_of, duration_ns, path_length_m, sums_of
 from stone.splits.model import SolverLimits
 from stone.splits.proposal import propose
 from stone.splits.rules import (
@@ -368,6 +368,11 @@ def test_what_is_not_known_is_not_added() -> None:
 def test_keys_come_in_the_order_of_the_words_and_what_was_not_said_last() -> None:
     entries = [entry(n, environment=word) for n, word in enumerate(["", "moon", "lake", "farmland"])]
     assert list(composition_of(entries).environments) == ["farmland", "lake", "moon", ""]
+
+
+def test_a_sequence_lasts_as_long_as_its_frames_stand_for() -> None:
+    stamps = 1_777_800_000_000_000_000 + 10**8 * np.arange(200)
+    assert duration_ns(stamps) == 20 * 10**9, "200 frames at 10 Hz are 20 s, not 19.9"
 
 
 @given(st.integers(0, 6), st.floats(-3.0, 3.0))

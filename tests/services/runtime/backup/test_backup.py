@@ -19,7 +19,8 @@ from services.runtime.backup.restore import restore
 from services.runtime.backup.retention import prune, verify
 from services.runtime.backup.snapshot import BackupSnapshot, write_files, write_snapshot
 from services.runtime.backup.tables import dump
-from services.runtime.database.migrate import schema_connection, upgrade
+from services.runtime.database.migrate import current_revision, head_revision, schema_connection, upgrade
+from services.runtime.errors import OlderSchemaError
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, Settings, UploadSettings
@@ -35,12 +36,11 @@ from tests.services.runtime.backup.laid import (
     upload_path,
     uploads_of,
 )
-from tests.services.runtime.database.test_previous_release import (
-    PREVIOUS,
+from tests.services.runtime.database.test_next_revision import (
     Rows,
+    add_revision,
     filled,
     in_order,
-    renamed,
     rows_in,
     tables_of,
 )
@@ -141,29 +141,38 @@ def test_a_migrated_database_is_not_restored_onto(
     assert objects_of(target) == {}
 
 
-def test_a_backup_of_the_release_before_is_restored_under_the_new_names(
-    folder: BackupFolder, empty: Emptied, tmp_path: Path
+def test_a_backup_of_the_release_before_is_restored_to_the_next_revision(
+    folder: BackupFolder, empty: Emptied, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    laid = previous_backup(make_settings(tmp_path / "previous"), folder)
+    laid = backup_of_revision(head_revision(), make_settings(tmp_path / "previous"), folder)
+    add_revision(monkeypatch, tmp_path)
     target = empty("sqlite", "folder")
     restored = restore(target, folder)
     assert restored.rows == sum(map(len, laid.values()))
     with target.database.engine.connect() as connection:
+        assert current_revision(connection) == head_revision()
         tables = tables_of(connection)
         for name in ("process_counters", "upload_parts", "uploads", "scores"):
-            rows = renamed(laid)[name]
-            assert rows_in(connection, tables[name], rows[0]) == in_order(rows)
+            assert rows_in(connection, tables[name], laid[name][0]) == in_order(laid[name])
         assert rows_in(connection, tables["gc_holds"], ["id"]) == []  # who held is gone
 
 
-def previous_backup(settings: Settings, folder: BackupFolder) -> Rows:
-    """A snapshot of every table as the release before wrote it; of the objects that its rows name it had none."""
+def test_a_backup_from_before_the_first_release_is_refused(
+    folder: BackupFolder, empty: Emptied, tmp_path: Path
+) -> None:
+    backup_of_revision("0029", make_settings(tmp_path / "previous"), folder)
+    with pytest.raises(OlderSchemaError):
+        restore(empty("sqlite", "folder"), folder)
+
+
+def backup_of_revision(revision: str, settings: Settings, folder: BackupFolder) -> Rows:
+    """A snapshot of every table as a release wrote it; of the objects that its rows name it had none."""
     laid, metadata = filled(settings), MetaData()
     with folder.writing(), folder.new_snapshot() as place, schema_connection(settings) as connection:
         metadata.reflect(connection, only=lambda name, _: name != "alembic_version")
         tables = dump(connection, place, metadata)
         flaws = ("no object is there",)
-        write_snapshot(place, BackupSnapshot(PREVIOUS, "0.1.0", 1, tables, write_files(place, ()), flaws))
+        write_snapshot(place, BackupSnapshot(revision, "0.1.0", 1, tables, write_files(place, ()), flaws))
     return laid
 
 

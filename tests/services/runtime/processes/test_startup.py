@@ -16,7 +16,7 @@ from sqlalchemy.exc import OperationalError
 from services.runtime.access.passwords import verify_password
 from services.runtime.database.migrate import upgrade
 from services.runtime.database.transactions import Database
-from services.runtime.errors import NewerSchemaError
+from services.runtime.errors import NewerSchemaError, OlderSchemaError
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.orm import User
 from services.runtime.platform import Platform, open_platform
@@ -28,7 +28,7 @@ from services.runtime.settings import ApiSettings, DatabaseSettings, Settings
 from services.runtime.store import s3
 from services.runtime.store.keys import StoreAwayError
 from services.runtime.store.s3 import client_of, ensure_bucket
-from stone.errors import PlatformFaultError
+from stone.errors import PlatformFaultError, StoneError
 from testing.servers.fixtures import make_settings
 from testing.servers.postgres import PostgresServer
 from testing.servers.s3 import S3Server
@@ -58,15 +58,18 @@ def test_a_database_that_stays_empty_is_said_so(tmp_path: Path) -> None:
         await_schema(impatient(make_settings(tmp_path)))
 
 
-def test_a_database_of_an_older_release_is_said_so(platform: Platform) -> None:
-    _stand_at(platform, "0001")
+def test_a_database_of_an_older_release_is_said_so(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(startup, "head_revision", lambda: "9999")
     with pytest.raises(SchemaMissingError):
         await_schema(impatient(platform.settings))
 
 
-def test_a_database_of_a_newer_release_is_refused_without_waiting(platform: Platform) -> None:
-    _stand_at(platform, "9999")
-    with pytest.raises(NewerSchemaError):
+@pytest.mark.parametrize(("revision", "refusal"), [("9999", NewerSchemaError), ("0029", OlderSchemaError)])
+def test_a_database_that_this_release_cannot_upgrade_is_refused_without_waiting(
+    platform: Platform, revision: str, refusal: type[StoneError]
+) -> None:
+    _stand_at(platform, revision)
+    with pytest.raises(refusal):
         await_schema(platform.settings)
 
 

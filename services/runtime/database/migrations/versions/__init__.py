@@ -1,1 +1,1 @@
-"""The revisions, in folders of twenty; a new one goes into the last."""
+"""The revisions, from the baseline on."""

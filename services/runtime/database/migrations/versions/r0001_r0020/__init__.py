@@ -1,1 +1,0 @@
-"""From the first tables to counts that each process writes."""

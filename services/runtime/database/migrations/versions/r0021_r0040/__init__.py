@@ -1,1 +1,0 @@
-"""From credentials on."""
