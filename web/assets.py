@@ -14,14 +14,13 @@ from functools import cached_property
 from hashlib import sha256
 from pathlib import Path
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api.compression import takes_gzip
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from stone.errors import StoneError
 
-router = NounRouter()
+router = APIRouter()
 FOLDER = Path(__file__).parent
 PACKAGES, BUILT, STYLES, PICTURES = (FOLDER / name for name in ("node_modules", "built", "styles", "pictures"))
 FOR_EVER = "public, max-age=31536000, immutable"

@@ -7,7 +7,7 @@ that the API's routes answer with. Pages live at the root, the API under `/api/v
 
 from fastapi import APIRouter, FastAPI
 
-from api.main import make_api, told
+from api.main import include, make_api, told
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
@@ -39,7 +39,9 @@ from web.pages import (
     teams,
     viewer,
 )
-from web.pages.admin import administration
+from web.pages.admin import benchmarks as admin_benchmarks
+from web.pages.admin import jobs as admin_jobs
+from web.pages.admin import phase as admin_phase
 from web.rendering import PageTemplates
 
 ROUTERS: tuple[APIRouter, ...] = (
@@ -50,7 +52,9 @@ ROUTERS: tuple[APIRouter, ...] = (
     docs.router,
     help.router,
     device.router,
-    administration.router,
+    admin_jobs.router,
+    admin_benchmarks.router,
+    admin_phase.router,
     calibrations.router,
     codes.router,
     imports.router,
@@ -78,7 +82,7 @@ def make_site(platform: Platform) -> FastAPI:
     site = make_api(platform, faults.shown)
     site.state.pages = PageTemplates(assets.built_assets())
     for router in ROUTERS:
-        site.include_router(router, include_in_schema=False)
+        include(site, router, include_in_schema=False)
     return site
 
 

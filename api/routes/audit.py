@@ -2,17 +2,16 @@
 
 from typing import Annotated
 
-from fastapi import Depends, Query
+from fastapi import APIRouter, Depends, Query
 
 from api import audit
 from api.deps import Caller, PlatformDep, require
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.audit import AuditLine, AuditVerification
 from api.schemas.base import PLAIN, IdQuery, LineQuery
 from api.views.audit import AuditFilter, audit_page
 
-router = NounRouter(prefix="/admin/audit-log", tags=["administration"])
+router = APIRouter(prefix="/admin/audit-log", tags=["administration"])
 
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
 Subject = Annotated[str | None, Query(pattern=PLAIN, max_length=64)]

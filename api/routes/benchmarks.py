@@ -8,14 +8,13 @@ has no route; `frame_pictures.py` shows open one from above.
 from hashlib import sha256
 from typing import Annotated, Literal
 
-from fastapi import Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from sqlalchemy.orm import Session
 
 from api.answers import Responses, refusals
 from api.deps import Looker, PlatformDep, Reader, at_once
 from api.etags import set_head
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkDetail, BenchmarkItem, MetricItem, PhaseItem
@@ -27,7 +26,7 @@ from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.errors import NoGroundTruthError
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase
 
-router = NounRouter(tags=["benchmarks"])
+router = APIRouter(tags=["benchmarks"])
 AT = "/benchmarks/{benchmark_name}/phases/{phase_name}"
 MANIFEST = file_responses("application/json")
 VECTORS = file_responses("application/zip")

@@ -1,13 +1,12 @@
 """Which clients this server understands, and the one that fits it."""
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 
 from api.client_wheel import OLDEST_CLIENT, ClientWheel
-from api.noun_router import NounRouter
 from api.schemas.client import ClientOffer, ClientWheelItem
 from services.runtime.code_version import RELEASE
 
-router = NounRouter(tags=["client"])
+router = APIRouter(tags=["client"])
 
 
 @router.get("/client", summary="Show the supported client releases and the wheel")

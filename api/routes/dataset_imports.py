@@ -5,7 +5,7 @@ sequences appear all at once. What is wrong is the failure of its run: a code (D
 file, row and token.
 """
 
-from fastapi import Response
+from fastapi import APIRouter, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -14,7 +14,6 @@ from api.answers import refusals
 from api.deps import Caller, Curator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.etags import set_head
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, NewDatasetImportBody
@@ -25,7 +24,7 @@ from services.domain.imports.errors import SplitsForbiddenError
 from services.domain.imports.requests import delete_import, start_import
 from services.runtime.orm import DatasetImport, User
 
-router = NounRouter(prefix="/dataset-imports", tags=["dataset imports"])
+router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 
 
 @router.post("", summary="Import a dataset from a complete upload", status_code=202, responses=refusals(403, 404, 409))

@@ -7,7 +7,7 @@ it broke off. Of test there is none, whoever asks.
 
 from typing import Annotated
 
-from fastapi import Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -15,7 +15,6 @@ from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.etags import set_head
 from api.files import answer_bytes, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import instant
@@ -37,7 +36,7 @@ from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
 from stone_files.archives import MEDIA_TYPES
 
-router = NounRouter(tags=["dataset"])
+router = APIRouter(tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
 SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]
 TAR = file_responses(MEDIA_TYPES["tar"])

@@ -8,7 +8,7 @@ from pathlib import Path as FilePath
 from tempfile import TemporaryDirectory
 from typing import Annotated
 
-from fastapi import Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 from sqlalchemy import select
 
 from api import audit
@@ -17,7 +17,6 @@ from api.deps import Administrator, PlatformDep, Reader
 from api.etags import set_head
 from api.files import ServedFile, StoredFile, answer_bytes, answer_file, file_responses
 from api.lists.answers import listed, model_response
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.row_readers import by_row_readers
 from api.schemas.datasets import VERSION_PATTERN, DatasetDetail, DatasetItem, NewDatasetBody, OpenPart, PublishedDataset
@@ -31,7 +30,7 @@ from services.runtime.orm import Blob, Dataset
 from services.runtime.store.pack_reading import archive_of, archive_pieces, stored_files
 from stone_files.archives import MEDIA_TYPES
 
-router = NounRouter(prefix="/datasets", tags=["dataset"])
+router = APIRouter(prefix="/datasets", tags=["dataset"])
 DatasetName = Annotated[str, Path(pattern=VERSION_PATTERN, examples=["stone-1.0"])]
 MANIFEST = file_responses("application/json")
 ARCHIVE = file_responses(MEDIA_TYPES["tar"])

@@ -10,13 +10,12 @@ from hashlib import sha256
 from html import escape
 from typing import Any
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
-from api.noun_router import NounRouter
 from api.openapi import Operation, operations
 
-router = NounRouter(tags=["probes"])
+router = APIRouter(tags=["probes"])
 
 STYLE = """:root{color-scheme:light dark}
 body{font:16px/1.5 sans-serif;max-width:60rem;margin:2rem auto;padding:0 1rem}code,pre{font-family:monospace}

@@ -12,7 +12,7 @@ from contextlib import aclosing
 from typing import Annotated
 
 from anyio import CancelScope
-from fastapi import Header, Request, Response
+from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
@@ -22,7 +22,6 @@ from starlette.types import Receive, Scope, Send
 from api.answers import Responses, refusals
 from api.deps import Caller, PlatformDep, Reader
 from api.event_streams import Follower, StreamSnapshot, StreamSubject
-from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.views.jobs import job_detail
 from api.views.sequences import sequence_detail
@@ -34,7 +33,7 @@ from services.runtime.orm import Job, SequenceRow, SubmissionRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-router = NounRouter(tags=["events"])
+router = APIRouter(tags=["events"])
 EVENT_STREAM = "text/event-stream"
 KEEPALIVE_S = 15.0
 LONGEST_S = 900.0

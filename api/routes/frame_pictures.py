@@ -9,14 +9,13 @@ from functools import lru_cache
 from typing import Annotated, Literal
 
 import numpy as np
-from fastapi import Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from numpy.typing import NDArray
 
 from api.answers import refusals
 from api.deps import Looker, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made, file_responses
-from api.noun_router import NounRouter
 from api.routes.benchmarks import AT, AtPhase
 from api.routes.sequences.frames import TokenPath
 from api.schemas.base import IdPath
@@ -37,7 +36,7 @@ from services.domain.viewer.frame_picture import difference_picture, picture_byt
 from services.runtime.store.pack_reading import ExportLocation
 from services.runtime.store.protocol import Store
 
-router = NounRouter(tags=["benchmarks"])
+router = APIRouter(tags=["benchmarks"])
 PNG = "image/png"
 PICTURE = file_responses(PNG)
 PREDICTED = PICTURE | refusals(403, 409)

@@ -8,17 +8,16 @@ administrator.
 from hmac import compare_digest
 from typing import Annotated, Any
 
-from fastapi import Depends, Request, Response, Security
+from fastapi import APIRouter, Depends, Request, Response, Security
 from fastapi.security import HTTPAuthorizationCredentials
 
 from api.answers import refusal, refusals
 from api.deps import bearer, identify, platform_of
 from api.errors import ForbiddenError, UnauthenticatedError
-from api.noun_router import NounRouter
 from api.probes import Probes
 from api.schemas.people import Liveness, Readiness
 
-router = NounRouter(tags=["probes"])
+router = APIRouter(tags=["probes"])
 
 EXPOSITION = "text/plain; version=0.0.4; charset=utf-8"
 

@@ -2,14 +2,13 @@
 
 from typing import Annotated
 
-from fastapi import Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader, at_once
 from api.job_acts import control_run
 from api.lists.answers import JobFilters, job_rows, list_response, listed
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.row_readers import by_row_readers
 from api.schemas.admin import CancelBody
@@ -18,7 +17,7 @@ from api.schemas.jobs import JobDetail, JobItem, LogPage
 from api.views.jobs import LogQuery, facts_of_rows, job_detail, log_page
 from api.visible import job_of
 
-router = NounRouter(prefix="/jobs", tags=["jobs"])
+router = APIRouter(prefix="/jobs", tags=["jobs"])
 After = Annotated[str | None, Query(max_length=90, description="`next` of the page before")]
 Lines = Annotated[int, Query(ge=1, le=1000)]
 

@@ -7,11 +7,10 @@ change is not sent again.
 
 from typing import Annotated
 
-from fastapi import Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 
 from api.answers import Responses, refusals
 from api.deps import Looker, PlatformDep, at_once
-from api.noun_router import NounRouter
 from api.routes.benchmarks import AT, AtPhase
 from api.schemas.leaderboard import (
     AsOfQuery,
@@ -31,7 +30,7 @@ from services.domain.benchmarks.boards.comparison import compare
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.boards.tables import MEDIA_TYPES
 
-router = NounRouter(prefix=AT, tags=["benchmarks"])
+router = APIRouter(prefix=AT, tags=["benchmarks"])
 BINARY = {"schema": {"type": "string", "format": "binary"}}
 FORMS = {
     JSON_TYPE: {"schema": {"$ref": "#/components/schemas/LeaderboardAnswer"}},

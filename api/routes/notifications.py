@@ -5,12 +5,11 @@ role has; where things are sent to decides who learns of them, so that needs the
 A webhook's secret is in the answer to its making and nowhere else.
 """
 
-from fastapi import Response
+from fastapi import APIRouter, Response
 
 from api import audit
 from api.answers import refusals
 from api.deps import AccountHolder, PlatformDep, Reader, Submitter
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.notifications import (
     ChoicesBody,
@@ -27,7 +26,7 @@ from services.domain.notifications import email_addresses, webhooks
 from services.domain.notifications.spread import choose
 from services.runtime.orm import Webhook
 
-router = NounRouter(prefix="/notifications", tags=["people"])
+router = APIRouter(prefix="/notifications", tags=["people"])
 
 
 @router.get("", summary="Show the notification settings")

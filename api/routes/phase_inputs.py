@@ -6,7 +6,7 @@ changes. Its tar is laid out, never built: any range of it is served, so that a 
 
 from typing import Annotated
 
-from fastapi import Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -14,7 +14,6 @@ from api.deps import Administrator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.etags import set_head
 from api.files import answer_bytes, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath
@@ -29,7 +28,7 @@ from services.runtime.store.pack_reading import stored_files
 from stone.sensors.sequence import NAME
 from stone_files.archives import MEDIA_TYPES
 
-router = NounRouter(tags=["phase inputs"])
+router = APIRouter(tags=["phase inputs"])
 SequenceName = Annotated[str, Path(pattern=f"^{NAME.pattern}$", examples=["n-forest-07"])]
 TAR = file_responses(MEDIA_TYPES["tar"])
 

@@ -2,15 +2,16 @@
 
 from collections.abc import Iterator
 
+from fastapi import APIRouter
+
 from api.answers import refusals
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from api.problems import title_of
 from api.schemas.audit import ProblemItem
 from api.statuses import STATUS_OF, status_of
 from stone.errors import StoneError
 
-router = NounRouter(tags=["problems"])
+router = APIRouter(tags=["problems"])
 
 
 @router.get("/problems", summary="List all problem types")

@@ -5,12 +5,11 @@ What of it is shown to whom is decided where it is read; a part that is withheld
 is the score by the pair in force; older ones stay readable by their ids.
 """
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api.answers import refusals
 from api.deps import Looker, PlatformDep, Reader
 from api.files import StoredFile, answer_file, file_responses
-from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.schemas.results import BreakdownAnswer, ByQuery, ProvenanceAnswer, ResultsAnswer, ScoreQuery
 from api.views.results import (
@@ -26,7 +25,7 @@ from services.domain.benchmarks.submissions.results import breakdown, kept_confu
 from services.runtime.orm import Blob
 from services.runtime.platform import Platform
 
-router = NounRouter(prefix="/submissions/{submission_id}", tags=["submissions"])
+router = APIRouter(prefix="/submissions/{submission_id}", tags=["submissions"])
 NPZ_TYPE = "application/octet-stream"
 NPZ = file_responses(NPZ_TYPE) | refusals(403, 409)
 ZIP_TYPE = "application/zip"

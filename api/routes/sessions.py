@@ -9,7 +9,7 @@ wrong password.
 from math import ceil
 
 import structlog
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -17,7 +17,6 @@ from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
 from api.errors import ConflictError, TooManyFailedSignInsError, WrongPasswordError
 from api.middleware.context import COOKIE
 from api.middleware.limits import address_of
-from api.noun_router import NounRouter
 from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
@@ -29,7 +28,7 @@ from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 
-router = NounRouter(tags=["people"])
+router = APIRouter(tags=["people"])
 log = structlog.get_logger(__name__)
 
 

@@ -5,14 +5,13 @@ own sequences are. What the rules forbid is refused with an error for each rule 
 allow comes back as a warning. The solver is loaded when it is first asked.
 """
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
 from api.errors import SplitRefusedError
 from api.etags import etag, require_match, set_head
-from api.noun_router import NounRouter
 from api.schemas.splits import (
     ProposalAnswer,
     ProposalBody,
@@ -27,7 +26,7 @@ from services.domain.datasets.catalogue import entries_of, labelled_sequences
 from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
 from stone.splits.splits import Split
 
-router = NounRouter(prefix="/splits", tags=["dataset"])
+router = APIRouter(prefix="/splits", tags=["dataset"])
 
 
 @router.get("", summary="The splits and what the rules say", responses=refusals())

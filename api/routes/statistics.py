@@ -7,12 +7,11 @@ from hashlib import sha256
 from json import dumps
 from typing import Annotated
 
-from fastapi import Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, Reader
 from api.etags import etag, is_unchanged
-from api.noun_router import NounRouter
 from api.schemas.datasets import VERSION_PATTERN
 from api.schemas.statistics import StatisticsAnswer
 from api.views.scenes import ColoursQuery
@@ -21,7 +20,7 @@ from services.domain.datasets.composition_figure import FIGURE_VERSION, composit
 from services.domain.datasets.statistics import Record
 from services.runtime.platform import Platform
 
-router = NounRouter(prefix="/statistics", tags=["dataset"])
+router = APIRouter(prefix="/statistics", tags=["dataset"])
 VersionQuery = Annotated[str | None, Query(pattern=VERSION_PATTERN, description="a version of the dataset")]
 PNG = {"image/png": {"schema": {"type": "string", "format": "binary"}}}
 NOT_MODIFIED = {"description": "The caller has it already"}

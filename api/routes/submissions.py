@@ -8,7 +8,7 @@ page, not with its progress. The file comes by `/uploads` between announcing and
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy import Select
 
 from api import audit
@@ -17,7 +17,6 @@ from api.deps import Administrator, Caller, PlatformDep, Reader, Submitter, at_o
 from api.errors import ForbiddenError
 from api.etags import require_match, set_head
 from api.lists.answers import listed, model_response
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.row_readers import by_row_readers
 from api.schemas.admin import CancelBody
@@ -43,7 +42,7 @@ from services.domain.benchmarks.submissions.submissions import SubmissionDraft
 from services.runtime.orm import SubmissionRow
 from services.runtime.platform import Platform
 
-router = NounRouter(tags=["submissions"])
+router = APIRouter(tags=["submissions"])
 
 
 @dataclass(frozen=True)

@@ -6,14 +6,13 @@ The secret of an invitation is in the answer to its making and nowhere else. A m
 
 from typing import Annotated
 
-from fastapi import Depends, Response
+from fastapi import APIRouter, Depends, Response
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.people import TeamBody, TeamItem
@@ -33,7 +32,7 @@ from services.domain.benchmarks.teams.errors import NotMemberError
 from services.runtime.access.users import find_user
 from services.runtime.orm import Team, User
 
-router = NounRouter(prefix="/teams", tags=["people"])
+router = APIRouter(prefix="/teams", tags=["people"])
 Participant = Annotated[Caller, Depends(require("submit"))]
 Reader = Annotated[Caller, Depends(require("read"))]
 

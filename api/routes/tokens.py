@@ -5,14 +5,13 @@ longer life; and it ends when its maker is revoked. To issue and revoke tokens n
 browser's session has; any token may end itself. The secret is in the answer to its making and nowhere else.
 """
 
-from fastapi import Response
+from fastapi import APIRouter, Response
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
 from api.errors import ConflictError, ForbiddenError, NotFoundError, UnauthenticatedError
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
@@ -23,7 +22,7 @@ from services.runtime.orm import Token, User
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 
-router = NounRouter(prefix="/tokens", tags=["people"])
+router = APIRouter(prefix="/tokens", tags=["people"])
 
 MOST_TOKENS = 200
 

@@ -7,11 +7,10 @@ takes bytes is asynchronous and leaves disk and database to threads (`api/tus/bo
 
 from typing import Annotated
 
-from fastapi import Depends, Header, Request, Response
+from fastapi import APIRouter, Depends, Header, Request, Response
 from sqlalchemy import select
 
 from api.deps import Caller, PlatformDep, require, require_one
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, LineQuery
 from api.schemas.uploads import UploadItem, upload_item
@@ -41,7 +40,7 @@ from services.runtime.uploads.completion import bytes_here, settle_if_whole, ter
 from services.runtime.uploads.reception import ALGORITHMS
 from services.runtime.uploads.rows import find
 
-router = NounRouter(prefix="/uploads", tags=["uploads"], route_class=TusRoute)
+router = APIRouter(prefix="/uploads", tags=["uploads"], route_class=TusRoute)
 
 Uploader = Annotated[Caller, Depends(require_one(("upload", "submit")))]
 Former = Annotated[Caller, Depends(require("upload"))]

@@ -2,13 +2,12 @@
 
 from typing import Annotated, Any
 
-from fastapi import Depends, Query
+from fastapi import APIRouter, Depends, Query
 
 from api import audit
 from api.answers import refusals
 from api.deps import Caller, PlatformDep, require
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.schemas.admin import ReasonBody
 from api.schemas.base import PLAIN, IdPath
@@ -18,7 +17,7 @@ from services.runtime.access import login_throttle, passwords, sessions, tokens,
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.roles import Role
 
-router = NounRouter(prefix="/users", tags=["people"])
+router = APIRouter(prefix="/users", tags=["people"])
 
 Administrator = Annotated[Caller, Depends(require("admin", "administrator"))]
 NamePart = Annotated[str | None, Query(pattern=PLAIN, max_length=64, description="a part of the name")]

@@ -127,7 +127,7 @@ def _text(key: str, value: bytes) -> str:
 
 
 class TusRoute(APIRoute):
-    """`NounRouter(route_class=TusRoute)`."""
+    """`APIRouter(route_class=TusRoute)`."""
 
     async def handle(self, scope: Scope, receive: Receive, send: Send) -> None:
         async def say(message: Message) -> None:

@@ -9,7 +9,7 @@ from typing import Any
 import httpx
 import pytest
 from anyio.from_thread import start_blocking_portal
-from fastapi import FastAPI
+from fastapi import APIRouter, FastAPI
 from fastapi.routing import APIRoute
 from starlette.requests import Request
 from starlette.routing import Match
@@ -19,9 +19,8 @@ from api.client_wheel import FILENAME, OLDEST_CLIENT, ClientWheel, client_wheel,
 from api.compression import LEAST_BYTES, tagged_response, takes_gzip
 from api.errors import PreconditionFailedError, PreconditionRequiredError
 from api.etags import etag, is_unchanged, require_match
-from api.main import make_api
+from api.main import include, make_api
 from api.middleware.entry import template_of
-from api.noun_router import NounRouter
 from services.runtime.code_version import RELEASE
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
@@ -234,13 +233,13 @@ def counted(monkeypatch: pytest.MonkeyPatch) -> list[str]:
 
 def application() -> FastAPI:
     """Jobs, runs, and what is within another router, all under a prefix."""
-    jobs, runs, outer, inner = NounRouter(prefix="/jobs"), NounRouter(), NounRouter(), NounRouter()
+    jobs, runs, outer, inner = APIRouter(prefix="/jobs"), APIRouter(), APIRouter(), APIRouter()
     for router, path in ((jobs, ""), (jobs, "/{job_id}"), (runs, "/runs"), (runs, "/walks/{name}"), (inner, "/deep")):
         router.get(path)(lambda: "found")
     outer.include_router(inner)
     api = FastAPI()
     for router in (jobs, runs, outer):
-        api.include_router(router, prefix="/api")
+        include(api, router, prefix="/api")
     return api
 
 

@@ -2,17 +2,16 @@
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Administrator, PlatformDep
-from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN
 from api.views.audit import AuditFilter, acts_known, audit_page
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 SHOWN = 50
 Word = Annotated[str, Query(pattern=PLAIN, max_length=64)]
 Cursor = Annotated[str | None, Query(max_length=LONGEST_CURSOR)]

@@ -5,19 +5,18 @@
 
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.views.benchmarks import phase_item, phases_of
 from services.runtime.orm import Benchmark, Phase
 from web.boards.phase_data import phase_downloads
 from web.rendering import page
 
-router = NounRouter(prefix="/benchmarks/{benchmark_name}/{phase_name}")
+router = APIRouter(prefix="/benchmarks/{benchmark_name}/{phase_name}")
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 

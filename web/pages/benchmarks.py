@@ -5,12 +5,11 @@ from dataclasses import dataclass
 from datetime import UTC, datetime
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as page_of
 from api.routes.benchmarks import PhasePath
@@ -28,7 +27,7 @@ from web.boards.rows import ShownBoard, shortened, shown_board
 from web.markdown import html_of
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 FIRST = 3
 """Leaders are shown of the first so many benchmarks of a list, each of which costs a board."""

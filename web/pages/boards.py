@@ -2,11 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.leaderboard import AsOfQuery, EntriesQuery, TrackQuery
 from api.schemas.phase_bodies import ns_of
@@ -19,7 +18,7 @@ from services.runtime.orm import Benchmark
 from web.boards.rows import Sort, shown_board, timeline
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 SortQuery = Annotated[Sort, Query(description="the column by which rows stand; ranks stay as they are")]
 
 

@@ -6,13 +6,12 @@ kept, read again.
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
 from api.deps import PlatformDep, Reader
 from api.errors import CalibrationRefusedError
-from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.sequences.calibrations import AgainstQuery, NameQuery
@@ -26,7 +25,7 @@ from services.runtime.platform import Platform
 from web.rendering import page
 from web.rig import RigDrawing, rig_of
 
-router = NounRouter(prefix="/calibrations")
+router = APIRouter(prefix="/calibrations")
 SHOWN = 50
 MOST_NAMED = 200
 Cursor = Annotated[str | None, Query(max_length=512)]

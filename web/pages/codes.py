@@ -1,16 +1,15 @@
 """Pages about codes: all of them, and for each what it means, whether it harms labels and what to do; for everybody."""
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Looker
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from stone_base.codes.catalogue import CATALOGUE, PROFILE_CODES, by_family
 from stone_base.codes.meaning import HARM_SENTENCES
 from web.rendering import page
 
-router = NounRouter(prefix="/codes")
+router = APIRouter(prefix="/codes")
 
 
 @router.get("")

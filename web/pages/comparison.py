@@ -2,11 +2,10 @@
 
 from typing import Annotated, Any
 
-from fastapi import Depends, Query, Request, Response
+from fastapi import APIRouter, Depends, Query, Request, Response
 from fastapi.responses import RedirectResponse
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.base import IdQuery, IdText
 from api.views.boards import comparison_answer
@@ -18,7 +17,7 @@ from web.boards.comparison import Names, compared
 from web.boards.rows import shown_board
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 
 

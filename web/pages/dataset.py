@@ -9,13 +9,12 @@ from dataclasses import dataclass
 from math import sqrt
 from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Administrator, PlatformDep, Reader
-from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as rows_of
 from api.schemas.datasets import VERSION_PATTERN, DatasetItem
@@ -29,7 +28,7 @@ from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATI
 from stone_base.counts import counted
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 SHOWN = 50
 OF_ONES_OWN = ""
 Version = Annotated[str | None, Query(pattern=f"{VERSION_PATTERN}|^$")]

@@ -6,17 +6,16 @@ approved without a press of the button (RFC 8628, 5.4).
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import AccountHolder, PlatformDep
-from api.noun_router import NounRouter
 from services.runtime.access import device_grants
 from services.runtime.orm.base import now_ns
 from web.pages.people import ALLOWS
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 NS_PER_MIN = 60 * 10**9
 Code = Annotated[str, Query(max_length=32)]
 

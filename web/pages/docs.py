@@ -10,17 +10,16 @@ from functools import lru_cache
 from hashlib import sha256
 from pathlib import Path
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import RedirectResponse
 from starlette.exceptions import HTTPException
 from starlette.staticfiles import StaticFiles
 
 from api.deps import Looker
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 MANUAL = Path(__file__).parents[1] / "manual"
 INDEX = "index.html"
 POLICY = (

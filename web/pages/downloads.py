@@ -1,17 +1,16 @@
 """The page with the line that installs the client, the wheel itself and the starter code; for everybody."""
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 from fastapi.responses import HTMLResponse
 
 from api.client_wheel import ClientWheel, install_line
 from api.deps import Looker, PlatformDep
 from api.errors import NotFoundError
 from api.files import GeneratedFile, answer_made
-from api.noun_router import NounRouter
 from services.domain.benchmarks.starter import FILENAME, starter_code
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 WHEEL = "application/octet-stream"
 
 

@@ -1,15 +1,14 @@
 """The help page: first steps of the reader's role, guides, keyboard shortcuts and the release; for everybody."""
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from services.runtime.code_version import RELEASE
 from web.first_steps import steps_for
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 
 
 @router.get("/help")

@@ -2,13 +2,12 @@
 
 from dataclasses import dataclass
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller, Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.schemas.sequences.sequences import SequenceItem
 from api.views.results import viewer_for
 from api.views.sequences import sequence_items
@@ -19,7 +18,7 @@ from web.boards.rows import ShownBoard, shown_board
 from web.first_steps import FirstStep, steps_for
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 
 
 @dataclass(frozen=True)

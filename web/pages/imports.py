@@ -2,12 +2,11 @@
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.deps import Curator, PlatformDep
-from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.routes.dataset_imports import import_shown_to
@@ -22,7 +21,7 @@ from services.runtime.uploads.rows import UploadOwner
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 
-router = NounRouter(prefix="/imports")
+router = APIRouter(prefix="/imports")
 SHOWN = 20
 Cursor = Annotated[str | None, Query(max_length=512)]
 

@@ -2,11 +2,10 @@
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.leaderboard import BoardRow
 from api.schemas.results import BreakdownAnswer, ProvenanceAnswer, ScoreQuery
@@ -26,7 +25,7 @@ from web.boards.results import CLASS_NAMES, breakdowns, matrix, totals
 from web.boards.rows import ShownBoard, shown_board
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN, description="the token of the frame to look at")]
 
 

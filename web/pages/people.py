@@ -5,11 +5,10 @@
 
 from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Administrator, PlatformDep, Reader
-from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.schemas.base import PLAIN, IdPath
 from api.views.audit import AuditFilter, audit_page
@@ -20,7 +19,7 @@ from services.runtime.orm import User
 from services.runtime.orm.base import now_ns
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 SHOWN = 50
 LINES = PageQuery(None, 20)
 DELIVERIES = 10

@@ -7,12 +7,11 @@ whoever is shown the sequence; its owner's alone are in `web/pages/sequence_own.
 
 from typing import Annotated
 
-from fastapi import Query
+from fastapi import APIRouter, Query
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.deps import Caller, Looker
-from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN
 from api.views.exports import export_items
 from api.views.jobs import job_items
@@ -31,7 +30,7 @@ from web.sequence.timeline import timeline_of
 from web.sequence.topic_choices import topic_choices_of
 from web.sequence.track import track_of
 
-router = NounRouter(prefix="/sequences/{sequence_id}")
+router = APIRouter(prefix="/sequences/{sequence_id}")
 FrameQuery = Annotated[str | None, Query(pattern=ID_PATTERN)]
 MOST_EXPORTS = 50
 OVERLAY, CAMERA = "overlay_", "CAM_"

@@ -5,12 +5,12 @@
 
 from typing import Literal
 
+from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller, Reader
-from api.noun_router import NounRouter
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
 from api.views.scenes import artefact_file
@@ -24,7 +24,7 @@ from web.sequence.sections import AtSequence, shown_section
 from web.sequence.status import SequenceStatus, sequence_status_of
 from web.sequence.topic_choices import topic_choices_of
 
-router = NounRouter(prefix="/sequences/{sequence_id}")
+router = APIRouter(prefix="/sequences/{sequence_id}")
 MOST_SHOWN = 50
 
 

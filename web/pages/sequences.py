@@ -6,14 +6,13 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from fastapi import Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import Select, select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller, Curator, Looker, PlatformDep
 from api.lists.answers import SequenceFilters
-from api.noun_router import NounRouter
 from api.paging import PageQuery
 from api.paging import page as paged
 from api.schemas.base import PLAIN, LineQuery
@@ -26,7 +25,7 @@ from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
 from web.rendering import page
 from web.sequence.sequence_states import SequenceRuns, is_troubled, runs_of, state_of
 
-router = NounRouter(prefix="/sequences")
+router = APIRouter(prefix="/sequences")
 SHOWN = 24
 MOVING = ("queued", "processing", "reading")
 MOST_CALIBRATIONS = 200

@@ -2,17 +2,16 @@
 
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.own_pages import LONGEST, own_page
 from api.views.people import sign_in_ways
 from web.first_steps import first_password_of
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 Back = Annotated[str, Query(max_length=LONGEST)]
 
 

@@ -6,11 +6,10 @@
 
 from dataclasses import dataclass
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 
 from api.deps import Curator, PlatformDep
-from api.noun_router import NounRouter
 from api.schemas.splits import SplitEntry, SplitsAnswer
 from api.views.splits import splits_answer
 from api.visible import sequences_of
@@ -20,7 +19,7 @@ from stone.splits.splits import EXPOSED, LENGTH, LIGHT, PARTS, REGIONS, SEPARATE
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 RULES = {
     WHOLE: "Whole sequences",
     LENGTH: f"{SHORTEST_S:g} s or longer",

@@ -3,14 +3,13 @@
 from collections.abc import Sequence
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.client_wheel import ClientWheel
 from api.deps import Caller, Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.routes.benchmarks import PhasePath
 from api.schemas.submissions import SubmissionDetail
 from api.views.benchmarks import phase_item, phases_of
@@ -23,7 +22,7 @@ from services.runtime.uploads.completion import bytes_here
 from web.boards.submission_steps import TEAM, StepsPlace, submission_steps
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 MOST_DRAFTS = 10
 AtPhase = Annotated[PhasePath, Depends(PhasePath)]
 

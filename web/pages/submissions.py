@@ -2,13 +2,12 @@
 
 from typing import Annotated, Any
 
-from fastapi import Depends, Request
+from fastapi import APIRouter, Depends, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy.orm import Session
 
 from api.deps import Caller, PlatformDep, Reader, at_once
 from api.etags import etag
-from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as paged
 from api.routes.submissions import SubmissionFilters
@@ -27,7 +26,7 @@ from web.problem_words import grouped
 from web.rendering import page
 from web.words import phase_names, team_names
 
-router = NounRouter()
+router = APIRouter()
 STATES = ("draft", *LIVE, *ENDED)
 Narrowed = Annotated[SubmissionFilters, Depends(at_once(SubmissionFilters))]
 

@@ -2,12 +2,11 @@
 
 from typing import Any
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 
 from api.deps import PlatformDep, Reader
-from api.noun_router import NounRouter
 from api.paging import PageDep
 from api.paging import page as paged
 from api.schemas.base import IdPath
@@ -20,7 +19,7 @@ from services.runtime.orm import Phase, SubmissionRow, Team
 from web.rendering import page
 from web.words import phase_names
 
-router = NounRouter()
+router = APIRouter()
 
 
 @router.get("/teams")

@@ -9,13 +9,12 @@ colour, camera), which the server does not read.
 
 from typing import Annotated, Any
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, or_, select
 from sqlalchemy.orm import Session
 
 from api.deps import Looker, PlatformDep
-from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.views.sequences import sequence_items
 from api.visible import labels_of, sequences_of, shown_sequence
@@ -25,7 +24,7 @@ from web.rendering import page
 from web.sequence.recording import RIG
 from web.sequence.status import may_change_own
 
-router = NounRouter()
+router = APIRouter()
 PRELOADED = ("modules/viewer/", "modules/libraries/three")
 
 

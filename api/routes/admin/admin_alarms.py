@@ -1,12 +1,12 @@
 """Routes for administrators: alarms about submissions, and grants of extra scorings."""
 
+from fastapi import APIRouter
 from sqlalchemy import select
 
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
 from api.errors import NotFoundError
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import AlarmItem, GrantBody, GrantItem, ReasonBody
 from api.schemas.base import IdPath
@@ -16,7 +16,7 @@ from services.domain.benchmarks.alarms.alarms import dismiss, open_alarms
 from services.domain.benchmarks.submissions.scoring_quota import grant, scoring_quota
 from services.runtime.orm import Alarm, Team
 
-router = NounRouter(prefix="/admin", tags=["administration"])
+router = APIRouter(prefix="/admin", tags=["administration"])
 
 
 @router.get("/phases/{phase_id}/alarms", responses=refusals(404))

@@ -4,14 +4,13 @@
 is in force as soon as it is ready, every later one once a re-score is activated.
 """
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
 from api.etags import require_match, set_head
-from api.noun_router import NounRouter
 from api.schemas.base import IdPath
 from api.schemas.benchmarks import BenchmarkChange, BenchmarkDetail, CreatedBenchmark, NewBenchmarkBody, PhaseDetail
 from api.schemas.phase_bodies import AddedPhaseBody, BenchmarkName, NewPhaseBody, PhaseChange
@@ -27,7 +26,7 @@ from services.domain.benchmarks.phases.phases import (
 )
 from services.runtime.orm import Benchmark, Phase
 
-router = NounRouter(prefix="/admin", tags=["benchmarks"])
+router = APIRouter(prefix="/admin", tags=["benchmarks"])
 
 
 @router.post("/benchmarks", summary="Create a benchmark", status_code=201, responses=refusals(404, 409))

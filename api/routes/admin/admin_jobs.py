@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated, Literal
 
-from fastapi import Depends, Path, Query
+from fastapi import APIRouter, Depends, Path, Query
 from sqlalchemy import Select, or_, select
 
 from api import audit
@@ -12,7 +12,6 @@ from api.deps import Administrator, PlatformDep, at_once
 from api.errors import NotFoundError
 from api.job_acts import act_on_each, control_run
 from api.lists.answers import JobFilters
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.routes.jobs import log_query
 from api.schemas.admin import (
@@ -44,7 +43,7 @@ from services.runtime.jobs import control
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.orm import Job, User
 
-router = NounRouter(prefix="/admin", tags=["administration"])
+router = APIRouter(prefix="/admin", tags=["administration"])
 QueueName = Annotated[str, Path(pattern=r"^[a-z]{1,16}$", examples=["labeler"])]
 QueueAct = Literal["pause", "drain", "resume"]
 MODE_AFTER = {"pause": "paused", "drain": "draining", "resume": "open"}

@@ -2,7 +2,7 @@
 
 from typing import Annotated, Literal
 
-from fastapi import Query, Request, Response
+from fastapi import APIRouter, Query, Request, Response
 from fastapi.responses import PlainTextResponse
 from sqlalchemy import select
 from sqlalchemy.orm import Session
@@ -12,7 +12,6 @@ from api.answers import Responses, refusals
 from api.deps import Administrator, PlatformDep
 from api.errors import ConflictError, NotFoundError
 from api.etags import etag, require_match, set_head
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
 from api.schemas.base import IdPath
@@ -26,7 +25,7 @@ from services.domain.benchmarks.rescores.progress import rescore_progress
 from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, activate, start_rescore
 from services.runtime.orm import Phase, Rescore
 
-router = NounRouter(prefix="/admin/phases/{phase_id}/rescores", tags=["administration"])
+router = APIRouter(prefix="/admin/phases/{phase_id}/rescores", tags=["administration"])
 NO_BOARD = "none"
 MARKDOWN = "text/markdown; charset=utf-8"
 Form = Annotated[Literal["json", "md"], Query(alias="format")]

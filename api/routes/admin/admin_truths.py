@@ -5,7 +5,7 @@
 
 from collections.abc import Sequence
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -13,7 +13,6 @@ from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep
 from api.etags import require_match, set_head
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.truths import NewTruthBody, ReportedBody, ReportedItem, TruthAccepted, TruthItem
@@ -25,7 +24,7 @@ from services.domain.benchmarks.phases.phases import lock_phase
 from services.domain.benchmarks.phases.reported_results import put_reported, reported_in
 from services.runtime.orm import Dataset, GroundTruthRow, Phase
 
-router = NounRouter(prefix="/admin/phases/{phase_id}", tags=["benchmarks"])
+router = APIRouter(prefix="/admin/phases/{phase_id}", tags=["benchmarks"])
 
 
 @router.post("/ground-truths", status_code=202, responses=refusals(404, 409))

@@ -3,7 +3,7 @@
 from dataclasses import replace
 from typing import Annotated
 
-from fastapi import Depends, File, Form, Query, Request, Response, UploadFile
+from fastapi import APIRouter, Depends, File, Form, Query, Request, Response, UploadFile
 from pydantic import AwareDatetime
 from sqlalchemy import select
 
@@ -12,7 +12,6 @@ from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader
 from api.etags import set_head
 from api.files import StoredFile, answer_file, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import ID_PATTERN, PLAIN, IdPath
 from api.schemas.sequences.calibrations import CalibrationDiffItem, CalibrationItem
@@ -24,7 +23,7 @@ from services.domain.sequences.calibrations import Validity, add_calibration
 from services.runtime.orm import Blob, CalibrationRow
 from services.runtime.store import blobs
 
-router = NounRouter(prefix="/calibrations", tags=["calibrations"])
+router = APIRouter(prefix="/calibrations", tags=["calibrations"])
 YAML, ZIP = "application/yaml", "application/zip"
 UPLOADED = "YAML or JSON of any format that is read, or a zip of such files that complete each other; at most 1 MiB"
 CalibrationUpload = Annotated[UploadFile, File(description=UPLOADED)]

@@ -9,7 +9,7 @@ to delete; the finished ones of a sequence that is shown to others may be downlo
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Path, Query, Request, Response
+from fastapi import APIRouter, Depends, Path, Query, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -17,7 +17,6 @@ from api.deps import Caller, Curator, PlatformDep, Reader, at_once
 from api.etags import set_head
 from api.files import answer_bytes, file_responses
 from api.lists.answers import listed, model_response
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page, place_of_page
 from api.row_readers import by_row_readers
 from api.schemas.base import IdPath
@@ -38,7 +37,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import StoredFiles, locate_export, stored_files
 from stone_files.archives import MOST_NAME, NAME
 
-router = NounRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
+router = APIRouter(prefix="/sequences/{sequence_id}/exports", tags=["exports"])
 FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=MOST_NAME, examples=["sha256sum.txt"])]
 Kind = Annotated[ArchiveKind, Query(alias="format", description="tar for streams, zip for people")]
 FILE = file_responses(FILE_TYPE)

@@ -8,17 +8,16 @@ from dataclasses import replace
 from functools import partial
 from typing import Annotated
 
-from fastapi import Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 
 from api.deps import Looker, PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_made, file_responses
-from api.noun_router import NounRouter
 from api.routes.sequences.frames import TokenPath
 from api.views.scenes import ColoursQuery, VersionQuery, frame_picture, frame_voxels, labels_file, played_file
 from services.domain.viewer.formats import MEDIA_TYPES
 from services.domain.viewer.playback import camera_file, cloud_file
 
-router = NounRouter(prefix="/frames/{token}", tags=["viewer"])
+router = APIRouter(prefix="/frames/{token}", tags=["viewer"])
 ChannelPath = Annotated[str, Path(pattern=r"^[A-Z][A-Z0-9_]{0,63}$", examples=["CAM_FRONT"])]
 VOXELS, CLOUD, PNG, JPEG = MEDIA_TYPES["STV1"], MEDIA_TYPES["STC1"], "image/png", "image/jpeg"
 

@@ -6,18 +6,17 @@ a frame are a range of a pack, served as a file of its own with its own sha256.
 
 from typing import Annotated
 
-from fastapi import Path, Request, Response
+from fastapi import APIRouter, Path, Request, Response
 
 from api.answers import refusals
 from api.deps import Looker, PlatformDep
 from api.files import answer_file, file_responses
-from api.noun_router import NounRouter
 from api.schemas.base import ID_EXAMPLE, ID_PATTERN
 from api.schemas.sequences.sequences import FrameDetail
 from api.views.scenes import NPZ, labels_file
 from api.visible import frame_of
 
-router = NounRouter(prefix="/frames/{token}", tags=["frames"])
+router = APIRouter(prefix="/frames/{token}", tags=["frames"])
 TokenPath = Annotated[str, Path(pattern=ID_PATTERN, examples=[ID_EXAMPLE])]
 
 

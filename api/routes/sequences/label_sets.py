@@ -7,7 +7,7 @@ are one comparison.
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy import select
 
 from api import audit
@@ -16,7 +16,6 @@ from api.deps import Caller, Curator, PlatformDep, Reader, at_once
 from api.errors import NotFoundError
 from api.etags import set_head
 from api.files import GeneratedFile, answer_made, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.routes.sequences.frames import TokenPath
 from api.schemas.base import IdPath
@@ -35,7 +34,7 @@ from services.domain.viewer.formats import MEDIA_TYPES
 from services.runtime.orm import LabelComparison, LabelSet
 from services.runtime.platform import Platform
 
-router = NounRouter(prefix="/sequences/{sequence_id}", tags=["label sets"])
+router = APIRouter(prefix="/sequences/{sequence_id}", tags=["label sets"])
 PNG, DIFFERENCES = "image/png", MEDIA_TYPES["STD1"]
 
 

@@ -4,7 +4,7 @@
 answers with the run that is at it, or that has made it already.
 """
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 from sqlalchemy import select
 
 from api import audit
@@ -13,7 +13,6 @@ from api.deps import Caller, Curator, Looker, PlatformDep
 from api.errors import NotFoundError
 from api.etags import set_head
 from api.files import GeneratedFile, answer_file, answer_made, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
@@ -26,7 +25,7 @@ from services.domain.sequences.processing import start_processing
 from services.runtime.orm import LabelledFrameRow
 from services.runtime.platform import Platform
 
-router = NounRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
+router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 
 
 @router.post("/process", status_code=202, responses=refusals(403, 404, 409))

@@ -6,7 +6,7 @@ recording's inspection kept.
 
 from typing import Annotated, Any
 
-from fastapi import Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -15,7 +15,6 @@ from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader
 from api.errors import ConflictError, NotFoundError
 from api.etags import require_match, set_head
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath
 from api.schemas.sequences.calibrations import FindingItem, ProfileBody, ProfileItem, RolesAnswer
@@ -25,7 +24,7 @@ from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow
 from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, BadProfileError, Candidate, resolve
 from stone_recordings.topics.profiles import TopicProfile as Chosen
 
-router = NounRouter(tags=["profiles"])
+router = APIRouter(tags=["profiles"])
 PlatformName = Annotated[str, Path(pattern=PLAIN, min_length=1, max_length=64, examples=["warthog-1"])]
 Choice = Annotated[str, Query(pattern=PLAIN, max_length=64 + LONGEST_TOPIC)]
 Choices = Annotated[list[Choice], Query(alias="topic", max_length=MOST_TOPICS, examples=[["lidar=/lidar_points"]])]

@@ -3,7 +3,7 @@
 from dataclasses import dataclass
 from typing import Annotated
 
-from fastapi import Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy import select
 
 from api import audit
@@ -11,7 +11,6 @@ from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader, at_once
 from api.etags import set_head
 from api.files import answer_file, file_responses
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.sequences.recordings import (
@@ -27,7 +26,7 @@ from api.visible import recording_of, sequence_of
 from services.domain.sequences.recordings import add_recording, remove_recording
 from services.runtime.orm import Recording
 
-router = NounRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
+router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
 
 
 @dataclass(frozen=True)

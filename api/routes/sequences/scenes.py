@@ -7,18 +7,17 @@ still counts.
 
 from typing import Annotated
 
-from fastapi import Path, Query, Request, Response
+from fastapi import APIRouter, Path, Query, Request, Response
 
 from api.answers import refusals
 from api.deps import Looker, PlatformDep
 from api.files import GeneratedFile, answer_bytes, answer_file, answer_made, file_responses
-from api.noun_router import NounRouter
 from api.schemas.base import ID_PATTERN, IdPath
 from api.schemas.sequences.scenes import SceneDetail
 from api.views.scenes import VersionQuery, played_cameras, scene_bytes, scene_file, scene_of
 from services.domain.viewer.formats import MEDIA_TYPES
 
-router = NounRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
+router = APIRouter(prefix="/sequences/{sequence_id}/scene", tags=["viewer"])
 TilePath = Annotated[str, Path(pattern=r"^-?\d{1,7}_-?\d{1,7}(_\d{1,4})?$", examples=["0_-1"])]
 JSON = "application/json"
 BINARY = "application/octet-stream"

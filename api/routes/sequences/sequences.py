@@ -7,7 +7,7 @@ it moves on. PATCH and DELETE ask for it; PUT of the calibration honours it.
 from collections.abc import Mapping
 from typing import Annotated, Any
 
-from fastapi import Depends, Request, Response
+from fastapi import APIRouter, Depends, Request, Response
 from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
@@ -18,7 +18,6 @@ from api.deps import Curator, Looker, PlatformDep, at_once
 from api.errors import ConflictError, HiddenTruthError
 from api.etags import etag, require_match, set_head
 from api.lists.answers import SequenceFilters, list_response, listed, sequence_rows
-from api.noun_router import NounRouter
 from api.paging import Page, PageDep
 from api.row_readers import by_row_readers
 from api.schemas.base import IdPath
@@ -37,7 +36,7 @@ from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, LabelSet, SequenceRow
 
-router = NounRouter(prefix="/sequences", tags=["sequences"])
+router = APIRouter(prefix="/sequences", tags=["sequences"])
 
 
 @router.post("", summary="Create a sequence", status_code=201, responses=refusals(409))

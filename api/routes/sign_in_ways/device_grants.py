@@ -5,7 +5,7 @@ they decided at `/device`. To approve needs the scope `account`, as to issue a t
 by what the approver may.
 """
 
-from fastapi import Request, Response
+from fastapi import APIRouter, Request, Response
 
 from api import audit
 from api.answers import refusals
@@ -19,7 +19,6 @@ from api.errors import (
     NotFoundError,
 )
 from api.middleware.limits import address_of
-from api.noun_router import NounRouter
 from api.routes.tokens import MOST_TOKENS
 from api.schemas.people import IssuedToken
 from api.schemas.sign_in import DeviceBody, DeviceCodesItem, DeviceDecision, DeviceTokenBody
@@ -27,7 +26,7 @@ from services.runtime.access import device_grants, tokens
 from services.runtime.access.device_grants import DevicePoll, DeviceRequest
 from services.runtime.orm import User
 
-router = NounRouter(prefix="/device-grants", tags=["people"])
+router = APIRouter(prefix="/device-grants", tags=["people"])
 
 REFUSALS = {"pending": DevicePendingError, "denied": DeviceDeniedError, "unknown": DeviceCodeError}
 

@@ -8,14 +8,13 @@ only, and ends with the answer or after `LASTS_S`.
 from base64 import urlsafe_b64decode, urlsafe_b64encode
 from typing import Annotated
 
-from fastapi import Query, Request
+from fastapi import APIRouter, Query, Request
 from fastapi.responses import RedirectResponse
 from sqlalchemy.orm import Session
 
 from api import audit
 from api.answers import refusals
 from api.deps import PlatformDep
-from api.noun_router import NounRouter
 from api.own_pages import LONGEST, own_page
 from api.routes.sessions import as_caller, give_cookie, is_https
 from api.schemas.sign_in import SignInWays
@@ -25,7 +24,7 @@ from services.runtime.oidc.accounts import AdmittedUser, admit
 from services.runtime.oidc.provider import CodeAnswer, CodeRequest, Provider
 from services.runtime.settings import Settings
 
-router = NounRouter(prefix="/sign-in", tags=["people"])
+router = APIRouter(prefix="/sign-in", tags=["people"])
 
 COOKIE = "stone_sign_in"
 COOKIE_PATH = "/api/v1/sign-in"

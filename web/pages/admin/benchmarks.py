@@ -2,13 +2,12 @@
 
 from typing import Any
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from api.deps import Administrator, PlatformDep
-from api.noun_router import NounRouter
 from api.schemas.phase_bodies import BenchmarkName
 from api.views.benchmarks import benchmark_items, phase_detail, phases_of
 from api.visible import benchmark_of
@@ -16,7 +15,7 @@ from services.domain.benchmarks.alarms.alarms import open_alarms
 from services.runtime.orm import Benchmark, Dataset
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 SHOWN = 200
 
 

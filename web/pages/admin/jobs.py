@@ -3,12 +3,11 @@
 from dataclasses import asdict, dataclass
 from typing import Annotated, Any
 
-from fastapi import Depends, Query, Request
+from fastapi import APIRouter, Depends, Query, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.deps import Administrator, PlatformDep, at_once
-from api.noun_router import NounRouter
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
@@ -34,7 +33,7 @@ from web.boards.slopes import bars
 from web.rendering import page
 from web.stage_picture import stage_picture
 
-router = NounRouter()
+router = APIRouter()
 SHOWN = 50
 SPARK = (120.0, 28.0)
 LISTS = (

@@ -2,13 +2,12 @@
 
 from typing import Any
 
-from fastapi import Request
+from fastapi import APIRouter, Request
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
 
 from api.deps import Administrator, PlatformDep
 from api.etags import etag
-from api.noun_router import NounRouter
 from api.routes.admin.admin_rescores import board_revision, rescore_of
 from api.schemas.admin import AlarmItem
 from api.schemas.base import IdPath
@@ -29,7 +28,7 @@ from web.boards.slopes import slope_picture
 from web.pages.admin.benchmarks import versions
 from web.rendering import page
 
-router = NounRouter()
+router = APIRouter()
 MOST_TEAMS, MOST_ALARMS = 500, 100
 RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 
