@@ -1,40 +1,57 @@
 """Compile every kernel into numba's cache, and compute code versions: `python deploy/warm_kernels.py`.
 
-**Conventions.** By what the platform's own processes call before they fork, and so with the types that they call with.
-Labelling is two thirds of it, so it has a process of its own; the others share one. What is in the cache is not
-compiled again.
+**Conventions.** By what the platform's own processes call before they fork, and so with the types that they call with;
+the simulator and the baseline of three points fork nothing and are called here. Labelling is two thirds of it, so it
+has a process of its own; the others share one. What is in the cache is not compiled again.
 """
 
 import sys
-from collections.abc import Sequence
 from concurrent.futures import ProcessPoolExecutor
 from importlib import import_module
 from multiprocessing import get_context
-
-PARTS = (
-    ("services.labeler.imports.kernel_warmup:warm_imports",),
-    (
-        "services.ingest.kernel_warmup:warm",
-        "services.eval.kernel_warmup:warm",
-        "simulator.kernel_warmup:warm",
-        "stone_local.kernel_warmup:warm",
-    ),
-)
+from pathlib import Path
+from tempfile import TemporaryDirectory
 
 
 def main() -> None:
-    with ProcessPoolExecutor(len(PARTS), get_context("spawn")) as pool:
-        compiled = pool.map(warm, PARTS)
+    with ProcessPoolExecutor(2, get_context("spawn")) as pool:
+        compiled = [pool.submit(warm_labelling), pool.submit(warm_others)]
         import_module("services.runtime.code_version")  # which parses the sources and keeps their digests
-        list(compiled)
+        for part in compiled:
+            part.result()
 
 
-def warm(part: Sequence[str]) -> None:
-    for place in part:
-        module, _, name = place.partition(":")
-        getattr(import_module(module), name)()
-        sys.stdout.write(f"{module}: compiled\n")
-        sys.stdout.flush()
+def warm_labelling() -> None:
+    from services.labeler.imports.kernel_warmup import warm_imports
+
+    warm_imports()
+    report("labelling")
+
+
+def warm_others() -> None:
+    import numpy as np
+
+    from services.eval.kernel_warmup import warm as warm_eval
+    from services.ingest.kernel_warmup import warm as warm_ingest
+    from simulator.options import SimulateOptions
+    from simulator.pipeline import simulate
+    from stone.labels.baseline import predict_from_sweep
+
+    warm_ingest()
+    report("ingest")
+    warm_eval()
+    report("eval")
+    small = SimulateOptions(seconds=0.2, channels=16, columns=90, camera_width_px=64, world_width_m=40.0)
+    with TemporaryDirectory(prefix="stone-warmup-") as folder:
+        simulate(Path(folder) / "run.mcap", small)
+    report("simulator")
+    predict_from_sweep(np.ones((3, 3), np.float32))
+    report("baseline")
+
+
+def report(part: str) -> None:
+    sys.stdout.write(f"{part}: compiled\n")
+    sys.stdout.flush()
 
 
 if __name__ == "__main__":
