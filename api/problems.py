@@ -30,7 +30,7 @@ from api.errors import (
 from api.middleware.context import request_id
 from api.middleware.methods import allowed
 from api.schemas.base import instant
-from api.statuses import phrase_of, status_of
+from api.statuses import phrase_of, problem_type_of
 from api.tus.errors import UnsupportedMediaTypeError
 from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.orm.base import now_ns
@@ -93,11 +93,11 @@ def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONRespo
 
 def answer_to(error: StoneError) -> JSONResponse:
     """The answer to a refusal, by the table."""
-    status = status_of(type(error))
-    if status == 500:
+    kind = problem_type_of(error)
+    if kind is None:
         log.error("refusal without a status", code=error.code, sentence=str(error))
         return internal_error()
-    body = problem(status, error.code, str(error), title_of(type(error)))
+    body = problem(kind.status, error.code, str(error), kind.title)
     if isinstance(error, ExhaustedError):
         return _exhausted(body, error)
     if not isinstance(error, ApiError):
@@ -119,11 +119,6 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 def internal_error() -> JSONResponse:
     """A fault of ours: the response holds the request's id and nothing more."""
     return answer(problem(500, "internal_error", "internal error; quote request_id when you report it"))
-
-
-def title_of(leaf: type[StoneError]) -> str:
-    """The first line of the leaf's docstring, without the full stop."""
-    return (leaf.__doc__ or "").strip().partition("\n")[0].rstrip(".")
 
 
 def as_it_is(_request: Request, answer: Response) -> Response:

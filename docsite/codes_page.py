@@ -1,19 +1,21 @@
 """The reference of all error and finding codes, with the status each is answered with.
 
-**Conventions.** Read off the sources without running them: a class with a `code`, and its docstring's first line.
+**Conventions.** Meanings come from the tables of codes; `raised_codes` reads the sources without running them.
 """
 
 import ast
+import re
 from collections.abc import Iterable, Iterator
-from dataclasses import dataclass
 from http import HTTPStatus
 from pathlib import Path
 
-from api.statuses import OF_OTHERS, STATUS_OF, status_of
+from api.statuses import OF_OTHERS, PROBLEM_TYPES, problem_types
 from docsite.markdown import code, plain, table
-from stone.errors import StoneError
-from stone_base.codes.catalogue import CATALOGUE, by_family
+from docsite.other_codes import OTHER_CODES
+from stone_base.codes.catalogue import by_family
 from stone_base.codes.meaning import HARM_WORDS, CodeMeaning
+from stone_files.dataset_faults import DATASET_FAULTS
+from stone_submissions.errors import MISTAKES
 
 ROOT = Path(__file__).resolve().parents[1]
 CODE_SOURCES = (
@@ -31,39 +33,36 @@ programs.
 FINDINGS = """A finding has a severity; what it does to labels follows from its code. On the platform each code has a
 page, `/codes/LAB-603`; on the command line `stone explain LAB-603` says the same.
 """
-
-
-@dataclass(frozen=True)
-class Code:
-    """A class of refusals: its code, what it means, where it stands."""
-
-    code: str
-    name: str
-    meaning: str
-    place: str
+REFUSALS = (
+    "Refused",
+    "PlatformFaultError",
+    "IngestError",
+    "DatasetFaultError",
+    "SubmissionError",
+    "ApiError",
+    "__init__",
+)
+"""The names of calls whose first argument is the code."""
+CODE = re.compile(r"[A-Z]{3}-\d{3}|[a-z][a-z0-9_]*")
 
 
 def codes_page() -> str:
     """The page."""
-    statuses = {leaf.__name__: status_of(leaf) for base in STATUS_OF for leaf in _leaves(base)}
-    found = sorted(all_codes(), key=lambda one: (one.code, one.name))
-    answered = [one for one in found if one.name in statuses]
-    others = [one for one in found if one.name not in statuses]
-    datasets = [one for one in others if one.code[:1].isupper() and one.code not in CATALOGUE]
-    rest = [one for one in others if not one.code[:1].isupper() and one.code not in CATALOGUE]
-    rows = sorted((str(statuses[one.name]), code(one.code), plain(one.meaning)) for one in answered)
+    answered = sorted((str(kind.status), code(one), plain(f"{kind.title}.")) for one, kind in problem_types())
+    datasets = [(code(one), plain(fault.meaning)) for one, fault in DATASET_FAULTS.items() if one not in PROBLEM_TYPES]
+    others = sorted([*((one, "") for one in MISTAKES), *OTHER_CODES], key=lambda row: row[0])
     return "\n".join(
         [
             HEAD,
             "## API errors\n",
-            table(("status", "code", ""), ((_phrase(status), *said) for status, *said in rows)),
+            table(("status", "code", ""), ((_phrase(status), *said) for status, *said in answered)),
             "## Findings and failed runs\n",
             FINDINGS,
             *(f"### {title}\n\n{_meanings(codes)}" for title, codes in by_family().items()),
             "## Imported datasets\n",
-            table(("code", ""), ((code(one.code), plain(one.meaning)) for one in datasets)),
+            table(("code", ""), datasets),
             "## Submissions, jobs, commands\n",
-            table(("code", ""), ((code(one.code), plain(one.meaning)) for one in rest)),
+            table(("code", ""), ((code(one), plain(meaning)) for one, meaning in others)),
         ]
     )
 
@@ -82,37 +81,34 @@ def _meanings(codes: Iterable[CodeMeaning]) -> str:
     return table(("code", "labels", "meaning", "what to do"), rows)
 
 
-def all_codes() -> Iterator[Code]:
-    """Every class with a code of its own, wherever it stands."""
-    for place in CODE_SOURCES:
-        for path in sorted((ROOT / place).rglob("*.py")):
-            yield from _codes_of(path)
+def raised_codes() -> set[str]:
+    """Every code that the sources raise: a class's own, or the first argument of a refusal."""
+    paths = (path for place in CODE_SOURCES for path in (ROOT / place).rglob("*.py"))
+    return {code for path in paths for code in _codes_of(path)}
 
 
-def _codes_of(path: Path) -> Iterator[Code]:
+def _codes_of(path: Path) -> Iterator[str]:
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
-        if not isinstance(node, ast.ClassDef):
+        if isinstance(node, ast.ClassDef):
+            own = [said for said in node.body if isinstance(said, ast.Assign | ast.AnnAssign)]
+            texts = [
+                text
+                for said in own
+                if ast.unparse(said).split()[0].rstrip(":") == "code"
+                for text in _texts(said.value)
+            ]
+        elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in REFUSALS:
+            texts = [text for argument in node.args[:1] for text in _texts(argument)]
+        else:
             continue
-        for said in node.body:
-            if _is_code(said):
-                value = said.value.value  # type: ignore[attr-defined]
-                meaning = (ast.get_docstring(node) or "").partition("\n\n")[0]
-                yield Code(value, node.name, meaning, path.relative_to(ROOT).as_posix())
+        yield from filter(CODE.fullmatch, texts)
 
 
-def _is_code(said: ast.stmt) -> bool:
-    if not isinstance(said, ast.Assign | ast.AnnAssign) or not isinstance(said.value, ast.Constant):
-        return False
-    targets = said.targets if isinstance(said, ast.Assign) else [said.target]
-    names = [target.id for target in targets if isinstance(target, ast.Name)]
-    return names == ["code"] and isinstance(said.value.value, str) and bool(said.value.value)
+def _texts(node: ast.expr | None) -> list[str]:
+    if isinstance(node, ast.IfExp):
+        return _texts(node.body) + _texts(node.orelse)
+    return [node.value] if isinstance(node, ast.Constant) and isinstance(node.value, str) else []
 
 
 def _phrase(status: str) -> str:
     return f"{status} {OF_OTHERS.get(int(status)) or HTTPStatus(int(status)).phrase}"
-
-
-def _leaves(base: type[StoneError]) -> Iterator[type[StoneError]]:
-    yield base
-    for leaf in base.__subclasses__():
-        yield from _leaves(leaf)

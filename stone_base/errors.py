@@ -1,10 +1,9 @@
-"""The root of every error the platform raises on purpose.
+"""The root of every error the platform raises on purpose, and `Refused`, which most code raises.
 
-**Conventions.** A leaf is a subclass with a `code` of its own. Its constructor takes the facts and writes one
-sentence that quotes the value, the limit and the likely mistake. Nothing is raised as a bare `StoneError`.
+**Conventions.** A refusal is `Refused(code, sentence)`; the sentence quotes value, limit and likely mistake. A class
+exists only if somebody catches it or reads its attributes. In docstrings, "Raises `upload_locked`" names the code.
+Nothing is raised as a bare `StoneError`.
 """
-
-from typing import ClassVar
 
 
 def one_line(text: str) -> str:
@@ -17,13 +16,13 @@ def one_line(text: str) -> str:
 class StoneError(Exception):
     """An input or a state is refused; `code` names the reason for programs, the sentence for people."""
 
-    code: ClassVar[str]
+    code: str
 
     def __init__(self, sentence: str) -> None:
         super().__init__(one_line(sentence))
 
     def __reduce__(self) -> tuple[object, ...]:
-        """Leaves take facts, not sentences, so a pickle carries the finished sentence (worker → parent)."""
+        """Some classes take facts, not sentences, so a pickle carries the finished sentence (worker → parent)."""
         return _restored, (type(self), self.args, self.__dict__)
 
 
@@ -32,6 +31,14 @@ def _restored(leaf: type[StoneError], args: tuple[object, ...], facts: dict[str,
     error.args = args
     error.__dict__.update(facts)
     return error
+
+
+class Refused(StoneError):  # noqa: N818
+    """A refusal that is known by its code alone."""
+
+    def __init__(self, code: str, sentence: str) -> None:
+        super().__init__(sentence)
+        self.code = code
 
 
 class ShapeError(StoneError):
@@ -43,5 +50,5 @@ class ShapeError(StoneError):
         super().__init__(f"{name} has shape {shape}; expected {expected}")
 
 
-class PlatformFaultError(StoneError):
+class PlatformFaultError(Refused):
     """Not the input is at fault but the machine, for now: a job that meets one of these is tried again."""

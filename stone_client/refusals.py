@@ -15,7 +15,7 @@ from typer.core import TyperGroup
 from stone_base.errors import StoneError, one_line
 from stone_base.findings import Finding
 from stone_client.streams import echo_findings, echo_json, wants_json
-from stone_submissions.errors import BadShapeError, shape_hint
+from stone_submissions.errors import shape_hint
 from stone_submissions.verdict import Validation
 
 REFUSED = 1
@@ -61,7 +61,7 @@ def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
 def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
     """The same for a record of a validation, ours or a server's."""
     for one in report["errors"]:
-        hint = f" ({shape_hint(one['actual'])})" if one["code"] == BadShapeError.code else ""
+        hint = f" ({shape_hint(one['actual'])})" if one["code"] == "bad_shape" else ""
         said = f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}{hint}"
         typer.echo(one_line(said), err=True)
     if report["errors_total"] > len(report["errors"]):

@@ -22,25 +22,16 @@ from stone.sensors.sequence import NAME
 from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
-from stone_datasets.file_faults import LabelPathError
 from stone_datasets.files import DatasetFiles
 from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
 from stone_datasets.json_stream import JsonStream
-from stone_datasets.layout_faults import BadDatasetTokenError, BadSceneNameError, DuplicateTokenError, TableMissingError
 from stone_datasets.links import LinkedRows, check_chains
 from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 from stone_datasets.samples import picture_of
 from stone_datasets.scene_tables import TABLES, SceneTableFiles, encoded
 from stone_datasets.splits import Splits, check_splits, scenes_named, splits_of
-from stone_datasets.table_faults import (
-    CalibrationChangesError,
-    ChannelTwiceError,
-    DanglingReferenceError,
-    DuplicateSceneError,
-    StampOrderError,
-)
 from stone_exports.frames import TOKEN, ExportedSensor
-from stone_files.dataset_layout import ANNOTATIONS, PathLeavesDatasetError, is_inside
+from stone_files.dataset_layout import ANNOTATIONS, is_inside
 
 SPLIT_KEYS = {"train_split": "train", "val_split": "val", "test_split": "test"}
 PICTURE_FOLDERS = ("", "imgs/", "samples/")
@@ -97,8 +88,8 @@ def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
                 token = row.named
                 if token not in known.get(scene, ()):
                     faults.add(
-                        DanglingReferenceError(
-                            row.place, f"the tables have no frame of {quoted(scene)} with this token"
+                        DatasetFaultError(
+                            "DST-030", row.place, f"the tables have no frame of {quoted(scene)} with this token"
                         )
                     )
                 elif fault := _fault_of_labels(row, scene):
@@ -112,7 +103,7 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
     """Each scene with its frames, which are read before the next; the splits are put into `splits`."""
     span, names = files.span(ANNOTATIONS), set[str]()
     if span is None:
-        raise TableMissingError(DatasetPlace(ANNOTATIONS), "it is missing")
+        raise DatasetFaultError("DST-010", DatasetPlace(ANNOTATIONS), "it is missing")
     stream = JsonStream(span)
     for key in stream.items():
         if key in SPLIT_KEYS:
@@ -122,9 +113,11 @@ def _scenes(files: DatasetFiles, splits: dict[str, tuple[str, ...]]) -> Iterator
         else:
             for scene in stream.items():
                 if scene in names:
-                    raise DuplicateSceneError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is there twice")
+                    raise DatasetFaultError("DST-031", DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is there twice")
                 if NAME.fullmatch(scene) is None:
-                    raise BadSceneNameError(DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is not a valid name")
+                    raise DatasetFaultError(
+                        "DST-019", DatasetPlace(ANNOTATIONS), f"{quoted(scene)} is not a valid name"
+                    )
                 names.add(scene)
                 yield scene, _frames(stream, scene)
     stream.end()
@@ -162,9 +155,9 @@ def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRo
     row, names, seen = what
     token = row.named
     if TOKEN.fullmatch(token) is None:
-        raise BadDatasetTokenError(row.place, f"{quoted(token)} is not a frame token")
+        raise DatasetFaultError("DST-017", row.place, f"{quoted(token)} is not a frame token")
     if hash(token) in seen:
-        raise DuplicateTokenError(row.place, "an earlier frame has the same token")
+        raise DatasetFaultError("DST-018", row.place, "an earlier frame has the same token")
     fault = _fault_of_labels(row, scene.name)
     if fault is not None:
         raise fault
@@ -180,19 +173,19 @@ def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRo
     scene.links.append(links)
 
 
-def _fault_of_labels(row: DatasetRow, scene: str) -> LabelPathError | None:
+def _fault_of_labels(row: DatasetRow, scene: str) -> DatasetFaultError | None:
     """Test sets name no labels."""
     wanted = f"{label_folder(scene)}/{row.named}/labels.npz"
     if row.values.get("gt_path", wanted) in (wanted, "", None):
         return None
-    return LabelPathError(row.place, f"gt_path is {quoted(row.values['gt_path'])}, expected is {wanted}")
+    return DatasetFaultError("DST-069", row.place, f"gt_path is {quoted(row.values['gt_path'])}, expected is {wanted}")
 
 
 def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, int], names: NameColumn) -> None:
     row, stamp_us = what
     name = row.text("img_path")
     if not is_inside(name):
-        raise PathLeavesDatasetError(row.place, f"img_path {quoted(name)} leads outside the dataset")
+        raise DatasetFaultError("DST-004", row.place, f"img_path {quoted(name)} leads outside the dataset")
     channel = name.rpartition("/")[0].rpartition("/")[2]
     if NAME.fullmatch(channel) is None:
         raise row.wrong("img_path", "<folder>/<CHANNEL>/<file>")
@@ -201,9 +194,11 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     row.lens((1, 1), "intrinsic")
     camera = scene.cameras.setdefault(channel, AnnotatedCamera(row))
     if camera.frames and camera.frames[-1] == len(scene.tokens):
-        raise ChannelTwiceError(row.place, f"two pictures are of {channel}")
+        raise DatasetFaultError("DST-037", row.place, f"two pictures are of {channel}")
     if any(camera.first.value(key) != row.value(key) for key in ("intrinsic", "extrinsic")):
-        raise CalibrationChangesError(row.place, f"{channel} has another intrinsic or extrinsic than in earlier frames")
+        raise DatasetFaultError(
+            "DST-038", row.place, f"{channel} has another intrinsic or extrinsic than in earlier frames"
+        )
     camera.frames.append(len(scene.tokens))
     said = channel_and_stamp(name)
     camera.stamps_ns.append((stamp_us if said is None else said[1]) * NS_PER_US)
@@ -249,7 +244,7 @@ Row = Mapping[str, Any]
 
 
 def write_annotated_tables(sequence: DatasetSequence, folder: Path) -> None:
-    """The tables of the scene into its folder. Raises `StampOrderError` where a camera's stamps do not rise."""
+    """The tables of the scene into its folder. Raises `DST-035` where a camera's stamps do not rise."""
     out = SceneTableFiles(1, lambda _: folder, MOST_BYTES)
     rows = _rows(sequence)
     for table in TABLES:
@@ -257,11 +252,11 @@ def write_annotated_tables(sequence: DatasetSequence, folder: Path) -> None:
 
 
 def picture_names(sequence: DatasetSequence, channel: DatasetChannel) -> tuple[str, ...]:
-    """The names of a channel's files in the release's layout. Raises `StampOrderError`."""
+    """The names of a channel's files in the release's layout. Raises `DST-035`."""
     name, stamps_us = channel.sensor.channel, channel.stamps_ns // NS_PER_US
     if (np.diff(stamps_us) <= 0).any():
         place = DatasetPlace(f"{ANNOTATIONS} scene {sequence.name}")
-        raise StampOrderError(place, f"the stamps of {name} do not increase from frame to frame")
+        raise DatasetFaultError("DST-035", place, f"the stamps of {name} do not increase from frame to frame")
     endings = ("png" if channel.filename(at).endswith(".png") else "jpg" for at in range(len(stamps_us)))
     return tuple(
         f"samples/{name}/{sequence.name}__{name}__{stamp_us}.{ending}"

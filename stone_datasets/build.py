@@ -15,19 +15,9 @@ from stone_datasets.columns import Keys, repeated, rows_of
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.index import DatasetChannel
 from stone_datasets.links import LinkedRows, Places, check_chains, check_scenes
-from stone_datasets.table_faults import (
-    CalibrationChangesError,
-    ChannelTwiceError,
-    DanglingReferenceError,
-    DatumFarError,
-    FileChannelError,
-    FileStampError,
-    FileTwiceError,
-    NoSweepError,
-)
 from stone_datasets.tables import CalibratedSensorRow, DatasetTables
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
-from stone_files.dataset_layout import PathLeavesDatasetError, is_inside
+from stone_files.dataset_layout import is_inside
 
 FARTHEST_US, NS_PER_US = 1_000_000, 1000
 FOLDERS = ("samples", "sweeps")
@@ -150,12 +140,12 @@ def _links(held: Keys, count: int) -> tuple[Keys, ...]:
     return tuple(np.ascontiguousarray(column) for column in held.reshape(-1, count).T)
 
 
-def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[DanglingReferenceError]:
+def _dangling(tables: DatasetTables, found: Mapping[str, Places]) -> Iterator[DatasetFaultError]:
     for table, rows in found.items():
         for row in np.flatnonzero(rows < 0).tolist():
             place = DatasetPlace(tables.file("sample_data"), row + 1)
             what = f"of {quoted(tables.data.names[row])} {table}_token is not a token of {table}"
-            yield DanglingReferenceError(place, what)
+            yield DatasetFaultError("DST-030", place, what)
 
 
 def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
@@ -170,18 +160,20 @@ def _misnamed(placed: PlacedData) -> Iterator[DatasetFaultError]:
     if not are_sound:
         return
     for again, first in repeated(np.array([hash(names[row]) for row in range(len(names))], np.int64)):
-        yield FileTwiceError(placed.place(again), f"row {first + 1} names {quoted(names[again])} too")
+        yield DatasetFaultError("DST-042", placed.place(again), f"row {first + 1} names {quoted(names[again])} too")
 
 
 def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError | None:
     channel, (folder, _, base) = placed.sensor(row).sensor.channel, name.rpartition("/")
     said = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
     if not is_inside(name):
-        return PathLeavesDatasetError(placed.place(row), f"filename {quoted(name)} leads outside the dataset")
+        return DatasetFaultError("DST-004", placed.place(row), f"filename {quoted(name)} leads outside the dataset")
     if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
-        return FileChannelError(placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
+        return DatasetFaultError("DST-041", placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
     if said[1] != placed.stamps_us[row]:
-        return FileStampError(placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}")
+        return DatasetFaultError(
+            "DST-040", placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}"
+        )
     return None
 
 
@@ -191,27 +183,31 @@ def _wrong_frames(placed: PlacedData, frames: DatasetFrames) -> Iterator[Dataset
     stamps_us[frames.order] = frames.stamps_ns // NS_PER_US
     away_us = placed.stamps_us - stamps_us[placed.frame]
     for row in np.flatnonzero(placed.is_key & (np.abs(away_us) > FARTHEST_US)).tolist():
-        yield DatumFarError(placed.place(row), f"{quoted(placed.name(row))} is {away_us[row] / 1e6:.1f} s from it")
+        yield DatasetFaultError(
+            "DST-039", placed.place(row), f"{quoted(placed.name(row))} is {away_us[row] / 1e6:.1f} s from it"
+        )
     keys = np.flatnonzero(placed.is_key)
     for again, first in repeated(placed.frame[keys] * (placed.channel.max(initial=0) + 1) + placed.channel[keys]):
         row, other = int(keys[again]), int(keys[first])
-        yield ChannelTwiceError(placed.place(row), f"row {other + 1} is of {placed.sensor(row).sensor.channel} too")
+        yield DatasetFaultError(
+            "DST-037", placed.place(row), f"row {other + 1} is of {placed.sensor(row).sensor.channel} too"
+        )
 
 
-def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[NoSweepError]:
+def _without_sweep(placed: PlacedData, frames: DatasetFrames) -> Iterator[DatasetFaultError]:
     tables = placed.tables
     is_lidar = np.array([mount.sensor.channel == LIDAR_CHANNEL for mount in placed.mounts], np.bool_)
     with_sweep = placed.frame[placed.is_key & is_lidar[placed.mount]]
     for row in np.setdiff1d(frames.order, with_sweep).tolist():
         place = DatasetPlace(tables.file("sample"), row + 1, tables.samples.tokens[row])
-        yield NoSweepError(place, f"it has no key frame of {LIDAR_CHANNEL}")
+        yield DatasetFaultError("DST-036", place, f"it has no key frame of {LIDAR_CHANNEL}")
 
 
-def _changing(placed: PlacedData) -> Iterator[CalibrationChangesError]:
+def _changing(placed: PlacedData) -> Iterator[DatasetFaultError]:
     """The first row of a second calibration of a scene and sensor."""
     chains = placed.scene * (placed.channel.max(initial=0) + 1) + placed.channel
     pairs, firsts = np.unique(np.stack([chains, placed.mount]), axis=1, return_index=True)
     for again, first in repeated(pairs[0]):
         row, other = int(firsts[again]), int(firsts[first])
         tokens = [placed.sensor(one).row.place.token for one in (row, other)]
-        yield CalibrationChangesError(placed.place(row), f"{tokens[0]} here, {tokens[1]} in row {other + 1}")
+        yield DatasetFaultError("DST-038", placed.place(row), f"{tokens[0]} here, {tokens[1]} in row {other + 1}")

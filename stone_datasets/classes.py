@@ -14,7 +14,7 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from stone_datasets.faults import DatasetPlace, quoted
-from stone_datasets.file_faults import BadClassMapError
+from stone_files.dataset_faults import DatasetFaultError
 
 MEANINGS: Mapping[str, int] = {"free": 0, "T": 1, "P": 2, "N": 3, "unobserved": 255}
 UNOBSERVED, UNKNOWN = 255, 254
@@ -40,18 +40,18 @@ OWN_CLASSES = class_map_of("stone", {0: "free", 1: "T", 2: "P", 3: "N", 255: "un
 
 
 def read_class_map(path: Path) -> ClassMap:
-    """The map in a file. Raises `BadClassMapError`."""
+    """The map in a file. Raises `DST-070`."""
     place = DatasetPlace(path.name)
     with path.open("rb") as file:
         content = file.read(MOST_MAP_BYTES + 1)
     if len(content) > MOST_MAP_BYTES:
-        raise BadClassMapError(place, f"it has more than {MOST_MAP_BYTES} bytes")
+        raise DatasetFaultError("DST-070", place, f"it has more than {MOST_MAP_BYTES} bytes")
     try:
         said = YAML(typ="safe", pure=True).load(content.decode("utf-8"))
     except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
-        raise BadClassMapError(place, "it is not YAML") from error
+        raise DatasetFaultError("DST-070", place, "it is not YAML") from error
     if not isinstance(said, dict) or not isinstance(said.get("name"), str) or not isinstance(said.get("classes"), dict):
-        raise BadClassMapError(place, "it has no name, or no classes")
+        raise DatasetFaultError("DST-070", place, "it has no name, or no classes")
     return class_map_of(said["name"][:100], dict(_meant(place, *one) for one in said["classes"].items()))
 
 
@@ -59,7 +59,9 @@ def _meant(place: DatasetPlace, number: object, meaning: object) -> tuple[int, s
     if isinstance(number, str) and number.isdecimal() and len(number) < 4:  # keys of JSON are text
         number = int(number)
     if type(number) is not int or not 0 <= number < 256:
-        raise BadClassMapError(place, f"{quoted(number)} is not a number from 0 to 255")
+        raise DatasetFaultError("DST-070", place, f"{quoted(number)} is not a number from 0 to 255")
     if not isinstance(meaning, str) or meaning not in MEANINGS:
-        raise BadClassMapError(place, f"{number} is {quoted(meaning)}, expected is one of {', '.join(MEANINGS)}")
+        raise DatasetFaultError(
+            "DST-070", place, f"{number} is {quoted(meaning)}, expected is one of {', '.join(MEANINGS)}"
+        )
     return number, meaning

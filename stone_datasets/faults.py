@@ -7,7 +7,8 @@
 
 from dataclasses import dataclass, field
 
-from stone_files.dataset_layout import DatasetFaultError, DatasetPlace, quoted
+from stone_files.dataset_faults import DatasetFaultError, DatasetPlace
+from stone_files.dataset_layout import quoted
 
 __all__ = ["MOST_SHOWN", "DatasetFaultError", "DatasetFaults", "DatasetPlace", "quoted"]
 MOST_SHOWN = 100

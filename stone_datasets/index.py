@@ -73,7 +73,7 @@ class DatasetIndex:
     splits: Mapping[str, tuple[str, ...]]
 
     def file(self, channel: DatasetChannel, place: int) -> ExportFileSpan | None:
-        """The file of a channel's `place`-th datum; None where it is not there. Raises `PathLeavesDatasetError`."""
+        """The file of a channel's `place`-th datum; None where it is not there. Raises `DST-004`."""
         return self.files.span(channel.filename(place))
 
     def labels(self, sequence: DatasetSequence, index: int) -> ExportFileSpan | None:

@@ -11,13 +11,6 @@ from collections.abc import Iterator
 from typing import Any
 
 from stone_datasets.faults import DatasetFaultError, DatasetPlace, quoted
-from stone_datasets.layout_faults import (
-    RowNotObjectError,
-    RowTooLongError,
-    TableNotArrayError,
-    TableNotJsonError,
-    TooManyRowsError,
-)
 from stone_exports.files import DamagedExportError, ExportFileSpan
 
 LONGEST_VALUE = 2**20  # characters
@@ -67,7 +60,9 @@ class JsonStream:
                     raise self.malformed(str(error)[:80], row) from error
                 value, end = error, len(self._text)
             if end - self._at > LONGEST_VALUE:
-                raise RowTooLongError(DatasetPlace(self.name, row), f"it has more than {LONGEST_VALUE} characters")
+                raise DatasetFaultError(
+                    "DST-014", DatasetPlace(self.name, row), f"it has more than {LONGEST_VALUE} characters"
+                )
             if self._is_whole or end < len(self._text):  # else it may go on in the next piece
                 break
             self._read_on()
@@ -98,8 +93,8 @@ class JsonStream:
         if self.peek():
             raise self.malformed(f"{quoted(self.peek())} follows the end")
 
-    def malformed(self, what: str, row: int | None = None) -> TableNotJsonError:
-        return TableNotJsonError(DatasetPlace(self.name, row), what)
+    def malformed(self, what: str, row: int | None = None) -> DatasetFaultError:
+        return DatasetFaultError("DST-011", DatasetPlace(self.name, row), what)
 
     def _may_be_cut(self, error: ValueError) -> bool:
         """Whether it is one that the end of a piece makes: a text without an end, or one of the last characters."""
@@ -118,16 +113,16 @@ def json_rows(span: ExportFileSpan) -> Iterator[tuple[int, dict[str, Any]]]:
     if not stream.peek():
         raise stream.malformed("it is empty")
     if stream.peek() != "[":
-        raise TableNotArrayError(DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+        raise DatasetFaultError("DST-012", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
     stream.expect("[")
     row = 0
     while not stream.take("]"):
         row += 1
         value = stream.value(row)
         if not isinstance(value, dict):
-            raise RowNotObjectError(DatasetPlace(span.name, row), f"it is {quoted(value)}")
+            raise DatasetFaultError("DST-013", DatasetPlace(span.name, row), f"it is {quoted(value)}")
         if row > MOST_ROWS:
-            raise TooManyRowsError(DatasetPlace(span.name), f"it has more than {MOST_ROWS} rows")
+            raise DatasetFaultError("DST-005", DatasetPlace(span.name), f"it has more than {MOST_ROWS} rows")
         yield row, value
         stream.next_or("]")
     stream.end()
@@ -141,10 +136,12 @@ def _decoded(span: ExportFileSpan) -> Iterator[str]:
             yield decoder.decode(piece)
         yield decoder.decode(b"", final=True)
     except UnicodeDecodeError as error:
-        raise TableNotJsonError(DatasetPlace(span.name), "it is not UTF-8") from error
+        raise DatasetFaultError("DST-011", DatasetPlace(span.name), "it is not UTF-8") from error
     except DamagedExportError as error:
         raise _cut(span) from error
 
 
 def _cut(span: ExportFileSpan) -> DatasetFaultError:
-    return TableNotJsonError(DatasetPlace(span.name), "it ends early: another program truncated it while it was read")
+    return DatasetFaultError(
+        "DST-011", DatasetPlace(span.name), "it ends early: another program truncated it while it was read"
+    )

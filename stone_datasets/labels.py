@@ -19,18 +19,9 @@ from numpy.typing import NDArray
 from stone.labels.grid import GRID_SHAPE
 from stone_datasets.classes import OWN_CLASSES, UNKNOWN, UNOBSERVED, ClassMap
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.file_faults import (
-    LabelKeyError,
-    LabelShapeError,
-    LabelsNotNpzError,
-    LabelsTooLargeError,
-    LabelTypeError,
-    MaskShapeError,
-    MaskValueError,
-    UnknownLabelsError,
-)
 from stone_exports.files import DamagedExportError, ExportFileSpan
 from stone_exports.labels import UNREADABLE, npy_head
+from stone_files.dataset_faults import DatasetFaultError
 
 MOST_PACKED_BYTES = 32 * 2**20
 MOST_ARRAYS = 64
@@ -63,19 +54,19 @@ class FrameLabels:
 def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameLabels:
     """The labels of one frame. Raises a `DatasetFaultError`."""
     if span.size_bytes > MOST_PACKED_BYTES:
-        raise LabelsTooLargeError(DatasetPlace(span.name), f"it has {span.size_bytes} bytes")
+        raise DatasetFaultError("DST-065", DatasetPlace(span.name), f"it has {span.size_bytes} bytes")
     try:
         content = span.read(MOST_PACKED_BYTES)
         with zipfile.ZipFile(BytesIO(content)) as archive:
             listed = archive.infolist()
             members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
     except (*UNREADABLE, DamagedExportError) as error:
-        raise LabelsNotNpzError(DatasetPlace(span.name), f"it is not a zip ({error})"[:200]) from error
+        raise DatasetFaultError("DST-061", DatasetPlace(span.name), f"it is not a zip ({error})"[:200]) from error
     if SEMANTICS not in members:
         what = f"it has no {SEMANTICS}, but {', '.join(sorted(members))[:100] or 'nothing'}"
-        raise LabelKeyError(DatasetPlace(span.name), what)
+        raise DatasetFaultError("DST-062", DatasetPlace(span.name), what)
     arrays = _Arrays(span.name, content)
-    found = arrays.grid(members[SEMANTICS], LabelShapeError)
+    found = arrays.grid(members[SEMANTICS])
     masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
     meant = _meant(span, found, (masks[0], masks[1]), classes)
     return replace(meant, content=content) if meant.classes is found and _are_ours(listed, arrays) else meant
@@ -96,18 +87,22 @@ class _Arrays:
     name: str
     content: bytes
 
-    def grid(self, member: zipfile.ZipInfo, shape_fault: type[LabelShapeError | MaskShapeError]) -> Grid:
-        """The grid of a member. Raises a `DatasetFaultError`."""
+    def grid(self, member: zipfile.ZipInfo, *, is_mask: bool = False) -> Grid:
+        """The grid of a member. Raises a `DatasetFaultError`, DST-067 if a mask has another shape or type."""
         packed, place = self._packed(member), DatasetPlace(self.name)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
         except NO_NPY as error:
             raise self._damaged(member, "it is not an npy array") from error
         if shape != GRID_SHAPE:
-            raise shape_fault(place, f"{member.filename} has shape {str(shape)[:60]}")
+            raise DatasetFaultError(
+                "DST-067" if is_mask else "DST-063", place, f"{member.filename} has shape {str(shape)[:60]}"
+            )
         if dtype != np.uint8 or is_fortran:
-            fault = LabelTypeError if shape_fault is LabelShapeError else MaskShapeError
-            raise fault(place, f"{member.filename} is {dtype} in {'Fortran' if is_fortran else 'C'} order")
+            order = "Fortran" if is_fortran else "C"
+            raise DatasetFaultError(
+                "DST-067" if is_mask else "DST-064", place, f"{member.filename} is {dtype} in {order} order"
+            )
         return self._whole(member, packed, start)
 
     def is_confidence(self, member: zipfile.ZipInfo) -> bool:
@@ -129,8 +124,8 @@ class _Arrays:
         except INFLATING as error:
             raise self._damaged(member, "it cannot be decompressed") from error
         if len(npy) > size:
-            raise LabelsTooLargeError(
-                DatasetPlace(self.name), f"{member.filename} continues after its declared {size} bytes"
+            raise DatasetFaultError(
+                "DST-065", DatasetPlace(self.name), f"{member.filename} continues after its declared {size} bytes"
             )
         if len(npy) < size or member.file_size != size or isal_zlib.crc32(npy) != member.CRC:
             raise self._damaged(member, "it ends early, or its checksum is wrong")
@@ -153,14 +148,14 @@ class _Arrays:
         start = begin + LOCAL_BYTES + sum(struct.unpack("<2H", head[26:30]))
         return self.content[start : start + member.compress_size]
 
-    def _damaged(self, member: zipfile.ZipInfo, what: str) -> LabelsNotNpzError:
-        return LabelsNotNpzError(DatasetPlace(self.name), f"{member.filename[:80]}: {what}")
+    def _damaged(self, member: zipfile.ZipInfo, what: str) -> DatasetFaultError:
+        return DatasetFaultError("DST-061", DatasetPlace(self.name), f"{member.filename[:80]}: {what}")
 
 
 def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:
-    mask = arrays.grid(member, MaskShapeError)
+    mask = arrays.grid(member, is_mask=True)
     if mask.max() > 1:
-        raise MaskValueError(DatasetPlace(arrays.name), f"{key} has {int(mask.max())}")
+        raise DatasetFaultError("DST-068", DatasetPlace(arrays.name), f"{key} has {int(mask.max())}")
     return mask
 
 
@@ -173,7 +168,7 @@ def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | N
     if (classes == UNKNOWN).any():
         numbers = np.unique(found[classes == UNKNOWN]).tolist()
         what = f"{SEMANTICS} has {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not name"
-        raise UnknownLabelsError(DatasetPlace(span.name), what)
+        raise DatasetFaultError("DST-066", DatasetPlace(span.name), what)
     is_unobserved = classes == UNOBSERVED
     if is_unobserved.any():
         classes[is_unobserved] = 0

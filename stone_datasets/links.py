@@ -12,14 +12,6 @@ from numpy.typing import NDArray
 
 from stone_datasets.columns import NONE, Keys, repeated, rows_of
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace
-from stone_datasets.table_faults import (
-    ChainError,
-    DanglingReferenceError,
-    DuplicateSceneError,
-    SampleCountError,
-    SceneEndsError,
-    StampOrderError,
-)
 from stone_datasets.tables import DatasetTables, SceneRow
 
 Places = NDArray[np.int64]
@@ -58,14 +50,16 @@ def check_scenes(tables: DatasetTables, samples: LinkedRows, faults: DatasetFaul
     """Names stand once; first, last and number of samples are those of the samples, whose chains are sound."""
     scenes = list(tables.scenes.values())
     for again, first in repeated([hash(scene.name) for scene in scenes]):
-        faults.add(DuplicateSceneError(scenes[again].row.place, f"row {first + 1} is named {scenes[again].name} too"))
+        faults.add(
+            DatasetFaultError("DST-031", scenes[again].row.place, f"row {first + 1} is named {scenes[again].name} too")
+        )
     counts = np.bincount(samples.group, minlength=len(scenes))
     order = np.lexsort((samples.stamps, samples.group))
     ends = np.cumsum(counts)
     for scene, count, end in zip(scenes, counts.tolist(), ends.tolist(), strict=True):
         if scene.samples != count or not count:
             what = f"nbr_samples is {scene.samples}, its samples are {count}"
-            faults.add(SampleCountError(scene.row.place, what))
+            faults.add(DatasetFaultError("DST-033", scene.row.place, what))
         if count:
             _check_ends(scene, samples, (int(order[end - count]), int(order[end - 1])), faults)
 
@@ -74,7 +68,7 @@ def _check_ends(scene: SceneRow, samples: LinkedRows, ends: tuple[int, int], fau
     for key, said, row in zip(("first", "last"), (scene.first, scene.last), ends, strict=True):
         if said != samples.tokens[row]:
             what = f"{key}_sample_token is {said!r}, its {key} sample by prev and next is {samples.tokens[row]}"
-            faults.add(SceneEndsError(scene.row.place, what))
+            faults.add(DatasetFaultError("DST-032", scene.row.place, what))
 
 
 def _links(rows: LinkedRows) -> tuple[tuple[str, Keys], tuple[str, Keys]]:
@@ -85,7 +79,7 @@ def _linked(rows: LinkedRows, what: str, keys: Keys, faults: DatasetFaults) -> P
     """The row that each names; −1 at an end."""
     found = rows_of(rows.keys, keys)
     for row in np.flatnonzero((found < 0) & (keys != NONE)).tolist():
-        faults.add(DanglingReferenceError(rows.place(row), f"{what} is not a token of its own table"))
+        faults.add(DatasetFaultError("DST-030", rows.place(row), f"{what} is not a token of its own table"))
     return np.where(keys == NONE, -1, found)
 
 
@@ -98,30 +92,32 @@ def _one_sided(rows: LinkedRows, following: Places, preceding: Places) -> Iterat
         is_kin = rows.group[there] == rows.group
         for row in np.flatnonzero(is_linked & ~(is_returned & is_kin)).tolist():
             other = "is of another scene or sensor" if is_returned[row] else "does not point back to it"
-            yield ChainError(rows.place(row), f"its {what}, row {there[row] + 1}, {other}")
+            yield DatasetFaultError("DST-034", rows.place(row), f"its {what}, row {there[row] + 1}, {other}")
 
 
-def _cyclic(rows: LinkedRows) -> Iterator[ChainError]:
+def _cyclic(rows: LinkedRows) -> Iterator[DatasetFaultError]:
     """Groups in which every row has a prev."""
     groups, firsts = np.unique(rows.group, return_index=True)
     is_begun = np.isin(groups, rows.group[rows.previous == NONE])
     for row in firsts[~is_begun].tolist():
-        yield ChainError(rows.place(row), "every row of its scene and sensor has a prev: the chain is a cycle")
+        yield DatasetFaultError(
+            "DST-034", rows.place(row), "every row of its scene and sensor has a prev: the chain is a cycle"
+        )
 
 
-def _not_rising(rows: LinkedRows, following: Places) -> Iterator[StampOrderError]:
+def _not_rising(rows: LinkedRows, following: Places) -> Iterator[DatasetFaultError]:
     is_wrong = (following >= 0) & (rows.stamps[following] <= rows.stamps)
     for row in np.flatnonzero(is_wrong).tolist():
         after = following[row]
         what = f"its timestamp is {rows.stamps[row]}, that of its next, row {after + 1}, is {rows.stamps[after]}"
-        yield StampOrderError(rows.place(row), what)
+        yield DatasetFaultError("DST-035", rows.place(row), what)
 
 
-def _broken(rows: LinkedRows) -> Iterator[ChainError]:
+def _broken(rows: LinkedRows) -> Iterator[DatasetFaultError]:
     """Further beginnings of a group's chain: links are mutual and rise, so one beginning is one whole chain."""
     begins = np.flatnonzero(rows.previous == NONE)
     for again, first in repeated(rows.group[begins]):
         row, other = int(begins[again]), int(begins[first])
-        yield ChainError(
-            rows.place(row), f"it has no prev, and neither has row {other + 1} of the same scene and sensor"
+        yield DatasetFaultError(
+            "DST-034", rows.place(row), f"it has no prev, and neither has row {other + 1} of the same scene and sensor"
         )

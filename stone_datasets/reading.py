@@ -16,7 +16,6 @@ from stone_datasets.annotations import compare_annotations, read_annotations
 from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
-from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
 from stone_datasets.files import DatasetFiles, open_dataset
 from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
 from stone_datasets.labels import FrameLabels, read_labels
@@ -24,7 +23,7 @@ from stone_datasets.samples import check_sample
 from stone_datasets.splits import check_splits, read_splits, splits_of
 from stone_datasets.tables import DatasetTables, read_tables
 from stone_exports.frames import LIDAR_CHANNEL
-from stone_files.dataset_layout import ANNOTATIONS, NotADatasetError
+from stone_files.dataset_layout import ANNOTATIONS
 
 # What a dataset holds, counted while its files are checked.
 
@@ -116,7 +115,7 @@ def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: D
         try:
             span = index.file(channel, place)
             if span is None:
-                raise SampleMissingError(at, f"{channel.filename(place)} is missing")
+                raise DatasetFaultError("DST-050", at, f"{channel.filename(place)} is missing")
             check_sample(span, channel.sensor, at)
         except DatasetFaultError as fault:
             faults.add(fault)
@@ -138,7 +137,7 @@ def _check_labels(
     try:
         span = contents.index.labels(sequence, frame)
         if span is None:
-            raise LabelsMissingError(DatasetPlace(sequence.label_name(frame)), "it is missing")
+            raise DatasetFaultError("DST-060", DatasetPlace(sequence.label_name(frame)), "it is missing")
         contents.add_labels(read_labels(span, classes))
     except DatasetFaultError as fault:
         faults.add(fault)
@@ -210,7 +209,7 @@ def _read(files: DatasetFiles, faults: DatasetFaults) -> tuple[Stage, DatasetRea
         index = read_annotations(files, faults)
         reading = None if index is None else DatasetReading(index, None)
     if reading is not None and not reading.index.sequences and not len(faults):
-        faults.add(NotADatasetError(DatasetPlace(files.version or ANNOTATIONS), "it has no scenes"))
+        faults.add(DatasetFaultError("DST-001", DatasetPlace(files.version or ANNOTATIONS), "it has no scenes"))
     return "links", reading
 
 

@@ -14,21 +14,9 @@ import numpy as np
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel
 from stone_datasets.faults import DatasetPlace, quoted
-from stone_datasets.layout_faults import (
-    AbsurdTranslationError,
-    BadDatasetTokenError,
-    DatasetStampError,
-    IntrinsicsShapeError,
-    KeyMissingError,
-    NotFiniteValueError,
-    NotUnitQuaternionError,
-    RotationMatrixError,
-    SingularIntrinsicsError,
-    UnknownLensError,
-    WrongTypeError,
-)
 from stone_exports.cameras import COEFFICIENTS
 from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M, TOKEN
+from stone_files.dataset_faults import DatasetFaultError
 
 __all__ = ["FARTHEST_MOUNT_M", "FARTHEST_POSE_M", "DatasetRow"]
 
@@ -58,7 +46,7 @@ class DatasetRow:
         try:
             return self.values[key]
         except KeyError:
-            raise KeyMissingError(self.place, f"it has no {key!r}") from None
+            raise DatasetFaultError("DST-015", self.place, f"it has no {key!r}") from None
 
     def part(self, key: str) -> "DatasetRow":
         """The object below this key."""
@@ -89,13 +77,13 @@ class DatasetRow:
         """A token of any table; of one that refers to nothing, where that may be, see `link`."""
         found = self.text(key)
         if not 0 < len(found) <= LONGEST_TOKEN:
-            raise BadDatasetTokenError(self.place, f"{key} is {quoted(found)}")
+            raise DatasetFaultError("DST-017", self.place, f"{key} is {quoted(found)}")
         return found
 
     def frame_token(self) -> str:
         found = self.token()
         if TOKEN.fullmatch(found) is None:
-            raise BadDatasetTokenError(self.place, f"{quoted(found)} is not a frame token")
+            raise DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token")
         return found
 
     def link(self, key: str) -> str:
@@ -110,13 +98,15 @@ class DatasetRow:
         if type(found) is not int:
             raise self.wrong(key, "a whole number of microseconds")
         if not FIRST_US <= found < LAST_US:
-            raise DatasetStampError(self.place, f"{key} is {quoted(found)}, expected is {FIRST_US} to {LAST_US}")
+            raise DatasetFaultError(
+                "DST-028", self.place, f"{key} is {quoted(found)}, expected is {FIRST_US} to {LAST_US}"
+            )
         return found
 
     def numbers(self, key: str, count: int) -> list[float]:
         found = self.value(key)
         if key == "rotation" and is_matrix(found):
-            raise RotationMatrixError(self.place, f"rotation is {quoted(found)}")
+            raise DatasetFaultError("DST-021", self.place, f"rotation is {quoted(found)}")
         if not isinstance(found, list) or len(found) != count or not all(type(one) in (float, int) for one in found):
             raise self.wrong(key, f"a list of {count} numbers")
         return found
@@ -129,42 +119,48 @@ class DatasetRow:
         """The seven numbers of it, w x y z and metres."""
         parts = [*self.numbers("rotation", 4), *self.numbers("translation", 3)]
         if not all(map(_is_finite, parts)):
-            raise NotFiniteValueError(self.place, f"rotation and translation are {quoted(parts)}")
+            raise DatasetFaultError("DST-020", self.place, f"rotation and translation are {quoted(parts)}")
         length = math.hypot(*parts[:4])
         if abs(length - 1) > UNIT_WITHIN:
-            raise NotUnitQuaternionError(self.place, f"rotation {quoted(parts[:4])} is of length {length:.6g}")
+            raise DatasetFaultError("DST-022", self.place, f"rotation {quoted(parts[:4])} is of length {length:.6g}")
         if max(map(abs, parts[4:])) >= farthest_m:
-            raise AbsurdTranslationError(self.place, f"translation {quoted(parts[4:])}, the limit is {farthest_m:g} m")
+            raise DatasetFaultError(
+                "DST-023", self.place, f"translation {quoted(parts[4:])}, the limit is {farthest_m:g} m"
+            )
         return parts
 
     def lens(self, size_px: tuple[int, int], matrix_key: str = "camera_intrinsic") -> CameraIntrinsics:
         """What a camera's row says of it."""
         model, distortion = self.values.get("camera_model", "pinhole"), self.values.get("camera_distortion", [])
         if not isinstance(model, str) or model not in get_args(CameraModel):
-            raise UnknownLensError(self.place, f"camera_model is {quoted(model)}")
+            raise DatasetFaultError("DST-026", self.place, f"camera_model is {quoted(model)}")
         if not isinstance(distortion, list) or len(distortion) != COEFFICIENTS[model]:  # type: ignore[index]
-            raise UnknownLensError(self.place, f"camera_distortion of a {model} camera is {quoted(distortion)}")
+            raise DatasetFaultError(
+                "DST-026", self.place, f"camera_distortion of a {model} camera is {quoted(distortion)}"
+            )
         (fx, _, cx), (_, fy, cy), _ = self._matrix(matrix_key)
         coefficients = self.numbers("camera_distortion", len(distortion)) if distortion else []
         if not all(map(_is_finite, coefficients)):
-            raise NotFiniteValueError(self.place, f"camera_distortion is {quoted(distortion)}")
+            raise DatasetFaultError("DST-020", self.place, f"camera_distortion is {quoted(distortion)}")
         facts = (float(fx), float(fy), float(cx), float(cy), tuple(map(float, coefficients)))
         return CameraIntrinsics(model, *size_px, *facts)  # type: ignore[arg-type]
 
-    def wrong(self, key: str, wanted: str) -> WrongTypeError:
-        return WrongTypeError(self.place, f"{key} is {quoted(self.values.get(key))}, expected is {wanted}")
+    def wrong(self, key: str, wanted: str) -> DatasetFaultError:
+        return DatasetFaultError(
+            "DST-016", self.place, f"{key} is {quoted(self.values.get(key))}, expected is {wanted}"
+        )
 
     def _matrix(self, key: str) -> list[list[float]]:
         found = self.value(key)
         if not is_matrix(found):
-            raise IntrinsicsShapeError(self.place, f"{key} is {quoted(found)}")
+            raise DatasetFaultError("DST-024", self.place, f"{key} is {quoted(found)}")
         if not all(type(one) in (float, int) for row in found for one in row):
             raise self.wrong(key, "3 × 3 numbers")
         if not all(_is_finite(one) for row in found for one in row):
-            raise NotFiniteValueError(self.place, f"{key} is {quoted(found)}")
+            raise DatasetFaultError("DST-020", self.place, f"{key} is {quoted(found)}")
         (fx, skew, _), (zero, fy, _), last = found
         if fx <= 0 or fy <= 0 or skew or zero or last != [0, 0, 1]:
-            raise SingularIntrinsicsError(self.place, f"{key} is {quoted(found)}")
+            raise DatasetFaultError("DST-025", self.place, f"{key} is {quoted(found)}")
         matrix: list[list[float]] = found
         return matrix
 

@@ -10,19 +10,12 @@ from PIL import Image, UnidentifiedImageError
 
 from stone.sensors.calibration import CameraIntrinsics
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.file_faults import (
-    BadScanError,
-    NotAPictureError,
-    PictureCutOffError,
-    PictureSizeError,
-    SweepNotFiniteError,
-    SweepSizeError,
-)
 from stone_exports.cameras import MOST_PICTURE_BYTES
 from stone_exports.files import DamagedExportError, ExportFileSpan
 from stone_exports.frames import ExportedSensor
 from stone_exports.labels import scan_records
 from stone_exports.sweeps import COLUMNS, MOST_SWEEP_BYTES
+from stone_files.dataset_faults import DatasetFaultError
 
 HEAD_BYTES, END_BYTES = 256 * 1024, 4096
 ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND"}
@@ -42,19 +35,21 @@ def check_sample(span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPla
 def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
     """Rows of five float32, all finite."""
     if span.size_bytes % (COLUMNS * 4) or not 0 < span.size_bytes <= MOST_SWEEP_BYTES:
-        raise SweepSizeError(place, f"{span.name} has {span.size_bytes} bytes, not a multiple of {COLUMNS * 4}")
+        raise DatasetFaultError(
+            "DST-051", place, f"{span.name} has {span.size_bytes} bytes, not a multiple of {COLUMNS * 4}"
+        )
     try:
         rows = np.frombuffer(span.read(MOST_SWEEP_BYTES), "<f4").reshape(-1, COLUMNS)
     except DamagedExportError as error:
-        raise SweepSizeError(
-            place, f"{span.name} ends early: another program truncated it while it was read"
+        raise DatasetFaultError(
+            "DST-051", place, f"{span.name} ends early: another program truncated it while it was read"
         ) from error
     is_finite = np.isfinite(rows).all(axis=1)
     if not is_finite.all():
         what = (
             f"{span.name}: {len(rows) - int(is_finite.sum())} of {len(rows)} points, the first is {is_finite.argmin()}"
         )
-        raise SweepNotFiniteError(place, what)
+        raise DatasetFaultError("DST-052", place, what)
 
 
 def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: DatasetPlace) -> None:
@@ -62,24 +57,26 @@ def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: Da
     form, size_px = picture_of(span, place)
     if lens is not None and size_px != (lens.width_px, lens.height_px):
         what = f"{span.name} has {size_px[0]} × {size_px[1]} pixels, its row says {lens.width_px} × {lens.height_px}"
-        raise PictureSizeError(place, what)
+        raise DatasetFaultError("DST-055", place, what)
     if ENDS[form] not in span.part(max(span.size_bytes - END_BYTES, 0), END_BYTES):
-        raise PictureCutOffError(place, f"{span.name} has no end marker in its last {END_BYTES} bytes")
+        raise DatasetFaultError("DST-054", place, f"{span.name} has no end marker in its last {END_BYTES} bytes")
 
 
 def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[int, int]]:
-    """JPEG or PNG, and its width and height. Raises `NotAPictureError`."""
+    """JPEG or PNG, and its width and height. Raises `DST-053`."""
     if span.size_bytes > MOST_PICTURE_BYTES:
-        raise NotAPictureError(place, f"{span.name} has {span.size_bytes} bytes, at most {MOST_PICTURE_BYTES} are read")
+        raise DatasetFaultError(
+            "DST-053", place, f"{span.name} has {span.size_bytes} bytes, at most {MOST_PICTURE_BYTES} are read"
+        )
     try:
         with Image.open(BytesIO(span.part(0, HEAD_BYTES)), formats=tuple(ENDS)) as image:
             return str(image.format), image.size
     except UNREADABLE as error:
-        raise NotAPictureError(place, f"{span.name} does not begin as JPEG or PNG") from error
+        raise DatasetFaultError("DST-053", place, f"{span.name} does not begin as JPEG or PNG") from error
 
 
 def check_scan(span: ExportFileSpan, place: DatasetPlace) -> None:
     try:
         scan_records(span)
     except DamagedExportError as error:
-        raise BadScanError(place, f"{span.name}: {error.why}") from error
+        raise DatasetFaultError("DST-056", place, f"{span.name}: {error.why}") from error

@@ -15,11 +15,11 @@ from numpy.typing import NDArray
 from stone_datasets.annotations import picture_names
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace, quoted
-from stone_datasets.file_faults import LabelsMissingError, SampleMissingError
 from stone_datasets.files import DatasetTar
 from stone_datasets.index import DatasetSequence
 from stone_datasets.json_stream import json_rows
 from stone_files.archives import NAME
+from stone_files.dataset_faults import DatasetFaultError
 from stone_files.dataset_layout import ANNOTATIONS
 
 MAPS = "maps/"
@@ -44,7 +44,7 @@ def table_spans(tar: DatasetTar, placed: PlacedData, sequences: tuple[DatasetSeq
     places = tar.spans(names[row] for row in range(len(names)))
     lost = np.flatnonzero((places[:, 0] < 0) & placed.is_key)
     if len(lost):
-        raise SampleMissingError(placed.place(int(lost[0])), f"{names[int(lost[0])]} is missing")
+        raise DatasetFaultError("DST-050", placed.place(int(lost[0])), f"{names[int(lost[0])]} is missing")
     order = np.argsort(placed.scene, kind="stable")
     order = order[places[order, 0] >= 0]
     bounds = np.searchsorted(placed.scene[order], np.arange(len(sequences) + 1))
@@ -68,20 +68,20 @@ def annotated_spans(tar: DatasetTar, sequence: DatasetSequence) -> SceneSpans:
     lost = np.flatnonzero(places[:, 0] < 0)
     if len(lost):
         name = list(chain.from_iterable(there))[int(lost[0])]
-        raise SampleMissingError(DatasetPlace(ANNOTATIONS), f"{quoted(name)} is missing")
+        raise DatasetFaultError("DST-050", DatasetPlace(ANNOTATIONS), f"{quoted(name)} is missing")
     of = tuple(channel.sensor.channel for channel in channels for _ in channel.frames)
     rows = np.full(len(of), -1, np.int64)
     return SceneSpans(tuple(chain.from_iterable(named)), places, of, rows, label_places(tar, sequence))
 
 
 def label_places(tar: DatasetTar, sequence: DatasetSequence) -> NDArray[np.int64]:
-    """Those of each frame; none of a scene without labels. Raises `LabelsMissingError`."""
+    """Those of each frame; none of a scene without labels. Raises `DST-060`."""
     if not sequence.is_labelled:
         return np.zeros((0, 2), np.int64)
     places = tar.spans(sequence.label_name(frame) for frame in range(len(sequence)))
     lost = np.flatnonzero(places[:, 0] < 0)
     if len(lost):
-        raise LabelsMissingError(DatasetPlace(sequence.label_name(int(lost[0]))), "it is missing")
+        raise DatasetFaultError("DST-060", DatasetPlace(sequence.label_name(int(lost[0]))), "it is missing")
     return places
 
 

@@ -22,7 +22,7 @@ from stone_datasets.columns import NumberColumn, places_of
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.files import DatasetFiles
 from stone_datasets.json_stream import json_rows
-from stone_datasets.table_faults import TablesGrowError
+from stone_files.dataset_faults import DatasetFaultError
 
 TABLES = (
     "attribute", "calibrated_sensor", "category", "ego_pose", "log", "map", "sample", "sample_annotation", "instance",
@@ -49,7 +49,7 @@ class SceneTableFiles:
         self._held_bytes, self._begun = 0, set[int]()
 
     def write(self, table: str, rows: Iterable[tuple[Scenes, str]]) -> None:
-        """The files of one table, of rows as their lines with the scenes of each. Raises `TablesGrowError`."""
+        """The files of one table, of rows as their lines with the scenes of each. Raises `DST-048`."""
         for scenes, line in rows:
             for scene in scenes:
                 self._held.setdefault(scene, []).append(line)
@@ -65,7 +65,9 @@ class SceneTableFiles:
     def _append(self, table: str) -> None:
         self._left_bytes -= self._held_bytes
         if self._left_bytes < 0:
-            raise TablesGrowError(DatasetPlace(f"{table}.json"), f"they would have {-self._left_bytes} bytes too many")
+            raise DatasetFaultError(
+                "DST-048", DatasetPlace(f"{table}.json"), f"they would have {-self._left_bytes} bytes too many"
+            )
         for scene, lines in self._held.items():
             with self._open(table, scene) as file:
                 file.write((",\n" if scene in self._begun else "[\n") + ",\n".join(lines))

@@ -11,7 +11,7 @@ from stone_datasets.columns import repeated
 from stone_datasets.faults import DatasetFaults, DatasetPlace, quoted
 from stone_datasets.files import DatasetFiles
 from stone_datasets.json_stream import JsonStream
-from stone_datasets.table_faults import BadSplitsError, SceneInTwoSplitsError, UnknownSplitSceneError
+from stone_files.dataset_faults import DatasetFaultError
 
 SPLITS, ALL = "splits.json", "all"
 MOST_SPLITS = 1000
@@ -22,26 +22,28 @@ def read_splits(files: DatasetFiles) -> tuple[str, Splits]:
     """The file of the splits, and what it says; no splits where there is none. Raises a `DatasetFaultError`."""
     names = [name for name in (SPLITS, f"{files.version}/{SPLITS}") if files.span(name) is not None]
     if len(names) > 1:
-        raise BadSplitsError(DatasetPlace(names[0]), f"there is {names[1]} too")
+        raise DatasetFaultError("DST-045", DatasetPlace(names[0]), f"there is {names[1]} too")
     span = files.span(names[0]) if names else None
     if span is None:
         return SPLITS, {}
     stream = JsonStream(span)
     if stream.peek() != "{":
-        raise BadSplitsError(DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+        raise DatasetFaultError("DST-045", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
     said: dict[str, tuple[str, ...]] = {}
     for key in stream.items():
         if key in said or len(said) >= MOST_SPLITS:
-            raise BadSplitsError(DatasetPlace(span.name), f"{quoted(key)} is there twice, or there are too many splits")
+            raise DatasetFaultError(
+                "DST-045", DatasetPlace(span.name), f"{quoted(key)} is there twice, or there are too many splits"
+            )
         said[key] = scenes_named(span.name, key, stream.value())
     stream.end()
     return span.name, said
 
 
 def scenes_named(file: str, split: str, names: Any) -> tuple[str, ...]:
-    """The list of a split. Raises `BadSplitsError`."""
+    """The list of a split. Raises `DST-045`."""
     if not isinstance(names, list) or not all(isinstance(name, str) for name in names):
-        raise BadSplitsError(DatasetPlace(file), f"{quoted(split)} is {quoted(names)}")
+        raise DatasetFaultError("DST-045", DatasetPlace(file), f"{quoted(split)} is {quoted(names)}")
     return tuple(names)
 
 
@@ -51,11 +53,11 @@ def check_splits(said: tuple[str, Splits], scenes: Iterable[str], faults: Datase
     named = [(split, name) for split, names in splits.items() for name in names]
     for split, name in named:
         if name not in known:
-            faults.add(UnknownSplitSceneError(DatasetPlace(file), f"{quoted(split)} names {quoted(name)}"))
+            faults.add(DatasetFaultError("DST-046", DatasetPlace(file), f"{quoted(split)} names {quoted(name)}"))
     parting = [(split, name) for split, name in named if split != ALL]
     for again, first in repeated([hash(name) for _, name in parting]):
         what = f"{quoted(parting[again][1])} is in {quoted(parting[first][0])} and in {quoted(parting[again][0])}"
-        faults.add(SceneInTwoSplitsError(DatasetPlace(file), what))
+        faults.add(DatasetFaultError("DST-047", DatasetPlace(file), what))
 
 
 def splits_of(splits: Splits) -> Mapping[str, tuple[str, ...]]:

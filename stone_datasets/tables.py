@@ -15,15 +15,7 @@ from stone_datasets.columns import NameColumn, NumberColumn, repeated
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.files import DatasetFiles
 from stone_datasets.json_stream import json_rows
-from stone_datasets.layout_faults import (
-    BadSceneNameError,
-    CameraSizeError,
-    DuplicateTokenError,
-    TableMissingError,
-    WrongTypeError,
-)
 from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
-from stone_datasets.table_faults import DanglingReferenceError
 
 MODALITIES = ("camera", "lidar", "radar")
 # Of what is in them nothing is needed; where they are there, they are read all the same.
@@ -156,17 +148,17 @@ def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add
 def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:
     span = files.span(name)
     if span is None:
-        raise TableMissingError(DatasetPlace(name), "it is missing")
+        raise DatasetFaultError("DST-010", DatasetPlace(name), "it is missing")
     return (DatasetRow(name, number, values) for number, values in json_rows(span))
 
 
-def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DuplicateTokenError]:
+def _repeated_tokens(tables: DatasetTables, table: str) -> Iterator[DatasetFaultError]:
     """Of the tables of many rows, whose tokens are looked at together."""
     columns = {"sample": tables.samples.keys, "ego_pose": tables.poses.keys, "sample_data": tables.data.keys}
     for again, first in repeated(columns[table].array("q")) if table in columns else ():
         token = tables.samples.tokens[again] if table == "sample" else ""
-        yield DuplicateTokenError(
-            DatasetPlace(tables.file(table), again + 1, token), f"row {first + 1} has the same token"
+        yield DatasetFaultError(
+            "DST-018", DatasetPlace(tables.file(table), again + 1, token), f"row {first + 1} has the same token"
         )
 
 
@@ -183,14 +175,16 @@ def _unique() -> Add:
 def _new(row: DatasetRow, held: Container[str]) -> str:
     token = row.token()
     if token in held:
-        raise DuplicateTokenError(row.place, "an earlier row has the same token")
+        raise DatasetFaultError("DST-018", row.place, "an earlier row has the same token")
     return token
 
 
 def _add_sensor(tables: DatasetTables, row: DatasetRow) -> None:
     token, channel, modality = _new(row, tables.sensors), row.text("channel"), row.text("modality")
     if NAME.fullmatch(channel) is None or modality not in MODALITIES:
-        raise WrongTypeError(row.place, f"{quoted(channel)} of modality {quoted(modality)} is not one of {MODALITIES}")
+        raise DatasetFaultError(
+            "DST-016", row.place, f"{quoted(channel)} of modality {quoted(modality)} is not one of {MODALITIES}"
+        )
     tables.sensors[token] = DatasetSensorRow(channel, modality)
 
 
@@ -212,7 +206,7 @@ def _add_scene(tables: DatasetTables, row: DatasetRow) -> None:
     token, name = _new(row, tables.scenes), row.text("name")
     log = _referred(tables, row, "log_token", ("log", tables.logs))
     if NAME.fullmatch(name) is None:
-        raise BadSceneNameError(row.place, f"{quoted(name)} is not a valid name")
+        raise DatasetFaultError("DST-019", row.place, f"{quoted(name)} is not a valid name")
     ends, count = (row.token("first_sample_token"), row.token("last_sample_token")), row.count("nbr_samples")
     if log is not None:
         tables.scenes[token] = SceneRow(len(tables.scenes), row, name, log, count, *ends)
@@ -260,18 +254,18 @@ def _add_datum(tables: DatasetTables, row: DatasetRow) -> None:
 def _note_size(mount: CalibratedSensorRow, row: DatasetRow) -> None:
     size = (row.count("width"), row.count("height"))
     if not all(0 < side <= WIDEST_PX for side in size):
-        raise CameraSizeError(row.place, f"width and height are {size}, expected are 1 to {WIDEST_PX}")
+        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}, expected are 1 to {WIDEST_PX}")
     if mount.size_px is None:
         mount.size_px, mount.lens = size, mount.row.lens(size)
     elif mount.size_px != size:
-        raise CameraSizeError(row.place, f"width and height are {size}, earlier ones are {mount.size_px}")
+        raise DatasetFaultError("DST-027", row.place, f"width and height are {size}, earlier ones are {mount.size_px}")
 
 
 def _referred(tables: DatasetTables, row: DatasetRow, key: str, to: tuple[str, Mapping[str, Held]]) -> Held | None:
-    """What the row names; None where the other table is faulty itself. Raises `DanglingReferenceError`."""
+    """What the row names; None where the other table is faulty itself. Raises `DST-030`."""
     (table, held), token = to, row.token(key)
     if token not in held and table not in tables.faulty:
-        raise DanglingReferenceError(row.place, f"{key} {quoted(token)} is not a token of {table}")
+        raise DatasetFaultError("DST-030", row.place, f"{key} {quoted(token)} is not a token of {table}")
     return held.get(token)
 
 

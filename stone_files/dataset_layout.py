@@ -7,12 +7,10 @@ rules before it sends a byte; what the tables and files hold is `stone_datasets`
 
 import re
 from collections.abc import Iterator
-from dataclasses import asdict, dataclass
 from pathlib import Path
 from reprlib import Repr
-from typing import ClassVar
 
-from stone_base.errors import StoneError
+from stone_files.dataset_faults import QUOTED, DatasetFaultError, DatasetPlace
 
 ANNOTATIONS = "annotations.json"
 VERSION_FOLDER = re.compile(r"v1\.0-[a-z0-9_-]{1,40}")
@@ -24,68 +22,12 @@ COMPRESSED = {
     b"\x28\xb5\x2f\xfd": "zstd",
     b"PK\x03\x04": "zip",
 }
-QUOTED = 120
 SHORT = Repr()
 SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
 
-@dataclass(frozen=True)
-class DatasetPlace:
-    """Where a fault is: a file of the dataset, by its name there, and the row where it is a table's."""
-
-    file: str
-    row: int | None = None
-    token: str = ""
-
-    def __str__(self) -> str:
-        row = "" if self.row is None else f" row {self.row}"
-        token = f" (token {self.token[:QUOTED]})" if self.token else ""
-        return f"{self.file[: 2 * QUOTED]}{row}{token}"
-
-
-class DatasetFaultError(StoneError):
-    """A published dataset has a fault. `likely` is the mistake that usually causes it."""
-
-    likely: ClassVar[str]
-
-    def __init__(self, place: DatasetPlace, what: str) -> None:
-        super().__init__(f"{place}: {what} ({self.likely})")
-        self.place = place
-
-    def as_record(self) -> dict[str, object]:
-        return {"code": self.code, **asdict(self.place), "message": str(self)}
-
-
-class NotADatasetError(DatasetFaultError):
-    """There is neither a folder of tables nor an annotations.json."""
-
-    code: ClassVar[str] = "DST-001"
-    likely: ClassVar[str] = "is it the folder above, or a set of another layout?"
-
-
-class TwoVersionsError(DatasetFaultError):
-    """There are tables in two places."""
-
-    code: ClassVar[str] = "DST-002"
-    likely: ClassVar[str] = "give one version, or the folder of one dataset"
-
-
-class CompressedDatasetError(DatasetFaultError):
-    """The tar is compressed, so that no file in it can be read by its place."""
-
-    code: ClassVar[str] = "DST-003"
-    likely: ClassVar[str] = "unpack it, or `gunzip` it first"
-
-
-class PathLeavesDatasetError(DatasetFaultError):
-    """A path is absolute, has `..`, or is a link to outside of the dataset."""
-
-    code: ClassVar[str] = "DST-004"
-    likely: ClassVar[str] = "paths are relative to the dataset's folder; copy what a link leads to"
-
-
 def root_in_folder(path: Path) -> tuple[Path, str]:
-    """The folder of the dataset, and its version. Raises `NotADatasetError`, `TwoVersionsError`."""
+    """The folder of the dataset, and its version. Raises `DST-001`, `DST-002`."""
     folders = [path, *(one for one in sorted(path.iterdir()) if one.is_dir() and not one.is_symlink())]
     found = {f"{one.relative_to(path).as_posix()}/{version}" for one in folders for version in _versions(one)}
     if not found:
@@ -97,7 +39,7 @@ def root_in_folder(path: Path) -> tuple[Path, str]:
 def root_in_tar(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
     """Root, which ends in a slash or is empty, and version, by all that `head_of` answered for the tar's names.
 
-    Raises `NotADatasetError`, `TwoVersionsError`.
+    Raises `DST-001`, `DST-002`.
     """
     found = {f"{root}{version}" for root, version in heads if version} or {root for root, _ in heads}
     root, slash, version = _only(path, found).rpartition("/")
@@ -111,16 +53,16 @@ def head_of(name: str) -> tuple[str, str] | None:
 
 
 def refuse_compressed(path: Path) -> None:
-    """Raises `CompressedDatasetError`."""
+    """Raises `DST-003`."""
     with path.open("rb") as file:
         begin = file.read(max(map(len, COMPRESSED)))
     for magic, tool in COMPRESSED.items():
         if begin.startswith(magic):
-            raise CompressedDatasetError(DatasetPlace(path.name), f"it is compressed by {tool}")
+            raise DatasetFaultError("DST-003", DatasetPlace(path.name), f"it is compressed by {tool}")
 
 
 def refuse_outside(name: str) -> None:
-    """Raises `PathLeavesDatasetError`."""
+    """Raises `DST-004`."""
     if not is_inside(name):
         raise leaving(name)
 
@@ -135,9 +77,9 @@ def is_below(path: str, root: str) -> bool:
     return path == root or path.startswith(root.rstrip("/") + "/")
 
 
-def leaving(name: str) -> PathLeavesDatasetError:
+def leaving(name: str) -> DatasetFaultError:
     """The refusal of this name."""
-    return PathLeavesDatasetError(DatasetPlace(name), f"{quoted(name)} leads outside the dataset")
+    return DatasetFaultError("DST-004", DatasetPlace(name), f"{quoted(name)} leads outside the dataset")
 
 
 def quoted(value: object) -> str:
@@ -153,7 +95,7 @@ def _versions(folder: Path) -> Iterator[str]:
 
 def _only(path: Path, found: set[str]) -> str:
     if not found:
-        raise NotADatasetError(DatasetPlace(path.name), f"expected is a folder v1.0-…, or {ANNOTATIONS}")
+        raise DatasetFaultError("DST-001", DatasetPlace(path.name), f"expected is a folder v1.0-…, or {ANNOTATIONS}")
     if len(found) > 1:
-        raise TwoVersionsError(DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
+        raise DatasetFaultError("DST-002", DatasetPlace(path.name), f"there are {', '.join(sorted(found)[:4])}")
     return next(iter(found))

@@ -22,15 +22,7 @@ from stone_files.archives import DEFLATED
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import (
-    BadDtypeError,
-    BadShapeError,
-    CorruptError,
-    DuplicateFrameError,
-    MissingFrameError,
     SubmissionError,
-    TooLargeError,
-    TruncatedError,
-    UnexpectedFileError,
     UnreadableInputError,
 )
 from stone_submissions.npz_frame import inflate_exactly
@@ -54,16 +46,16 @@ class SubmissionZip:
     def read(self, token: str) -> bytes | bytearray:
         """The npz file of one frame; a few hundred kB, at most `MAX_FRAME_BYTES`.
 
-        Raises `TruncatedError`, `CorruptError`, `TooLargeError`, `UnsupportedZipError`, `OverlapError`.
+        Raises `truncated`, `corrupt`, `too_large`, `unsupported_zip`, `overlapping_files`.
         """
         member = self.frames[token]
         start, stop = payload_span(self._read_at, member)
         packed = self._read_at(start, stop - start)
         if len(packed) < member.packed_bytes:
-            raise TruncatedError(f"{member.packed_bytes} bytes", f"{len(packed)}")
+            raise SubmissionError("truncated", f"{member.packed_bytes} bytes", f"{len(packed)}")
         npz = inflate_exactly(packed, member.unpacked_bytes) if member.method == DEFLATED else packed
         if deflate.crc32(npz) != member.crc32:
-            raise CorruptError(f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npz):08x}")
+            raise SubmissionError("corrupt", f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npz):08x}")
         return npz
 
     def _read_at(self, offset: int, count: int) -> bytes:
@@ -115,7 +107,9 @@ def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: 
         if is_ours:
             frames.setdefault(token, member)
     problems += [
-        problem_of(MissingFrameError(f"{prefix}{token}.npz", "no such file"), f"{prefix}{token}.npz", token)
+        problem_of(
+            SubmissionError("missing_frame", f"{prefix}{token}.npz", "no such file"), f"{prefix}{token}.npz", token
+        )
         for token in sorted(tokens - frames.keys())
     ]
     refused = {problem.frame for problem in problems}
@@ -125,12 +119,12 @@ def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: 
 
 def _fault(member: ZipMember, is_ours: bool, is_second: bool) -> SubmissionError | None:
     if not is_ours:
-        return UnexpectedFileError("the frames of the manifest only", _stranger(member.name))
+        return SubmissionError("unexpected_file", "the frames of the manifest only", _stranger(member.name))
     if is_second:
-        return DuplicateFrameError("each frame once", "a second file of this name")
+        return SubmissionError("duplicate_frame", "each frame once", "a second file of this name")
     size_bytes = max(member.packed_bytes, member.unpacked_bytes)
     if size_bytes > MAX_FRAME_BYTES:
-        return TooLargeError(f"at most {MAX_FRAME_BYTES} bytes a frame", f"{size_bytes} bytes")
+        return SubmissionError("too_large", f"at most {MAX_FRAME_BYTES} bytes a frame", f"{size_bytes} bytes")
     return None
 
 
@@ -170,9 +164,9 @@ def write_files(path: Path, frames: Iterable[tuple[str, bytes]]) -> None:
 
 
 def frame_file(grid: Grid) -> bytes:
-    """The file of one frame. Raises `BadDtypeError`, `BadShapeError`."""
+    """The file of one frame. Raises `bad_dtype`, `bad_shape`."""
     if grid.dtype != np.uint8:
-        raise BadDtypeError("uint8 ('|u1')", str(grid.dtype))
+        raise SubmissionError("bad_dtype", "uint8 ('|u1')", str(grid.dtype))
     if grid.shape != GRID_SHAPE:
-        raise BadShapeError(str(GRID_SHAPE), str(grid.shape))
+        raise SubmissionError("bad_shape", str(GRID_SHAPE), str(grid.shape))
     return npz_bytes({"semantics": grid})

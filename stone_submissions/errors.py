@@ -20,109 +20,41 @@ TO_XYZ = {
 }
 AXES = "axes are x, y, z, with 256 × 256 × 32 voxels of 0.2 m, in C order"
 
+MISTAKES = {
+    "missing_frame": "a submission holds every frame of the manifest; was the prediction loop cut short?",
+    "unexpected_file": "files are named <frame_token>.npz, all in one folder or all at the top level",
+    "duplicate_frame": "was the archive appended to instead of rewritten?",
+    "not_zip": "a submission is a zip archive of .npz files; was the upload cut short?",
+    "not_npz": "write frames with numpy.savez_compressed",
+    "truncated": "was the file cut short while it was written or copied?",
+    "corrupt": "the bytes changed after they were written; upload again",
+    "too_large": "a frame is one uint8 grid; was it saved as int64, or with more arrays?",
+    "extra_array": "save the prediction alone",
+    "missing_array": "name it: numpy.savez_compressed(path, semantics=grid)",
+    "bad_shape": AXES,
+    "bad_dtype": "cast with .astype(numpy.uint8) before saving",
+    "label_out_of_range": "0 free, 1 T, 2 P, 3 N; is 'unknown' written as 255, or another class map?",
+    "encrypted": "password-protected archives are not accepted",
+    "unsupported_zip": "zip with method deflate or store, in one part, as zip or Python's zipfile do",
+    "overlapping_files": "entries of the zip overlap; write it again",
+    "symlink": "zip the files themselves, not links to them",
+}
+"""The most frequent cause of each fault of a file; of `bad_shape`, `shape_hint` knows more."""
+
 
 def shape_hint(found: str) -> str:
-    """What makes a frame of the shape or order `found`, as `BadShapeError` tells it, one of (256, 256, 32)."""
+    """What makes a frame of the shape or order `found`, as a `bad_shape` quotes it, one of (256, 256, 32)."""
     step = TO_XYZ.get(found)
     return AXES if step is None else f"axes are x, y, z: {step}"
 
 
 class SubmissionError(StoneError):
-    """A file of a submission, or the archive itself, is not valid; `mistake` is the most frequent cause."""
+    """A file of a submission, or the archive itself, has the fault `code` of `MISTAKES`."""
 
-    mistake: str
-
-    def __init__(self, expected: str, actual: str) -> None:
-        self.expected, self.actual = expected, actual
-        super().__init__(f"expected {expected}, found {actual} ({self.mistake})")
-
-
-class MissingFrameError(SubmissionError):
-    code = "missing_frame"
-    mistake = "a submission holds every frame of the manifest; was the prediction loop cut short?"
-
-
-class UnexpectedFileError(SubmissionError):
-    code = "unexpected_file"
-    mistake = "files are named <frame_token>.npz, all in one folder or all at the top level"
-
-
-class DuplicateFrameError(SubmissionError):
-    code = "duplicate_frame"
-    mistake = "was the archive appended to instead of rewritten?"
-
-
-class NotZipError(SubmissionError):
-    code = "not_zip"
-    mistake = "a submission is a zip archive of .npz files; was the upload cut short?"
-
-
-class NotNpzError(SubmissionError):
-    code = "not_npz"
-    mistake = "write frames with numpy.savez_compressed"
-
-
-class TruncatedError(SubmissionError):
-    code = "truncated"
-    mistake = "was the file cut short while it was written or copied?"
-
-
-class CorruptError(SubmissionError):
-    code = "corrupt"
-    mistake = "the bytes changed after they were written; upload again"
-
-
-class TooLargeError(SubmissionError):
-    code = "too_large"
-    mistake = "a frame is one uint8 grid; was it saved as int64, or with more arrays?"
-
-
-class ExtraArrayError(SubmissionError):
-    code = "extra_array"
-    mistake = "save the prediction alone"
-
-
-class MissingArrayError(SubmissionError):
-    code = "missing_array"
-    mistake = "name it: numpy.savez_compressed(path, semantics=grid)"
-
-
-class BadShapeError(SubmissionError):
-    code = "bad_shape"
-
-    def __init__(self, expected: str, actual: str) -> None:
-        self.mistake = shape_hint(actual)
-        super().__init__(expected, actual)
-
-
-class BadDtypeError(SubmissionError):
-    code = "bad_dtype"
-    mistake = "cast with .astype(numpy.uint8) before saving"
-
-
-class LabelOutOfRangeError(SubmissionError):
-    code = "label_out_of_range"
-    mistake = "0 free, 1 T, 2 P, 3 N; is 'unknown' written as 255, or another class map?"
-
-
-class EncryptedError(SubmissionError):
-    code = "encrypted"
-    mistake = "password-protected archives are not accepted"
-
-
-class UnsupportedZipError(SubmissionError):
-    code = "unsupported_zip"
-    mistake = "zip with method deflate or store, in one part, as zip or Python's zipfile do"
-
-
-class OverlapError(SubmissionError):
-    code = "overlapping_files"
-    mistake = "entries of the zip overlap; write it again"
-
-
-class SymlinkError(SubmissionError):
-    code = "symlink"
-    mistake = "zip the files themselves, not links to them"
+    def __init__(self, code: str, expected: str, actual: str) -> None:
+        self.code, self.expected, self.actual = code, expected, actual
+        mistake = shape_hint(actual) if code == "bad_shape" else MISTAKES[code]
+        super().__init__(f"expected {expected}, found {actual} ({mistake})")
 
 
 class ManifestError(StoneError):
@@ -164,7 +96,5 @@ class ScoringCrashedError(StoneError):
 class ScoringInterruptedError(PlatformFaultError):
     """Reading or scoring a submission was interrupted by the machine; the input is probably not the cause."""
 
-    code = "scoring_interrupted"
-
     def __init__(self, fate: str) -> None:
-        super().__init__(f"the process that read the submission {fate}; it is tried again")
+        super().__init__("scoring_interrupted", f"the process that read the submission {fate}; it is tried again")

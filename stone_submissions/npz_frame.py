@@ -22,16 +22,7 @@ from numpy.typing import NDArray
 from stone_base.label_grid import GRID_SHAPE, VOXELS
 from stone_files.archives import CENTRAL, DEFLATED, END, LOCAL, STORED
 from stone_submissions.errors import (
-    BadDtypeError,
-    BadShapeError,
-    CorruptError,
-    ExtraArrayError,
-    MissingArrayError,
-    NotNpzError,
-    NotZipError,
     SubmissionError,
-    TooLargeError,
-    TruncatedError,
 )
 from stone_submissions.zip_directory import IN_EXTRA_32, ReadAt, ZipMember, payload_span, read_directory
 
@@ -69,32 +60,35 @@ def prediction_grid(npz: Buffer) -> NDArray[np.uint8]:
     members = npz_members(npz)
     known = [key for key in PREDICTION_KEYS if key in members]
     if not known:
-        raise MissingArrayError(" or ".join(PREDICTION_KEYS), _listed(members))
+        raise SubmissionError("missing_array", " or ".join(PREDICTION_KEYS), _listed(members))
     if len(members) > 1:
-        raise ExtraArrayError("one array", _listed(members))
+        raise SubmissionError("extra_array", "one array", _listed(members))
     return read_grid(npz, members[known[0]])
 
 
 def npz_members(npz: Buffer) -> dict[str, ZipMember]:
     """The arrays of an npz by key, none of them read yet.
 
-    Raises `NotNpzError`, `ExtraArrayError` (one key twice) and what `read_directory` raises.
+    Raises `not_npz`, `extra_array` (one key twice) and what `read_directory` raises.
     """
     try:
         members = read_directory(_reader(npz), len(npz), MAX_ARRAYS)
-    except NotZipError as error:
-        code = TruncatedError if bytes(npz[:4]) == b"PK\3\4" or not len(npz) else NotNpzError
-        raise code("an npz file (a zip of .npy arrays)", error.actual if len(npz) else "an empty file") from error
+    except SubmissionError as error:
+        if error.code != "not_zip":
+            raise
+        code = "truncated" if bytes(npz[:4]) == b"PK\3\4" or not len(npz) else "not_npz"
+        actual = error.actual if len(npz) else "an empty file"
+        raise SubmissionError(code, "an npz file (a zip of .npy arrays)", actual) from error
     by_key = {member.name.removesuffix(".npy"): member for member in members}
     if len(by_key) < len(members):
-        raise ExtraArrayError("each array once", _listed([member.name for member in members]))
+        raise SubmissionError("extra_array", "each array once", _listed([member.name for member in members]))
     return by_key
 
 
 def read_grid(npz: Buffer, member: ZipMember) -> NDArray[np.uint8]:
     """The grid stored as `member` of this npz.
 
-    Raises `BadDtypeError`, `BadShapeError`, `TooLargeError`, `TruncatedError`, `CorruptError`, `NotNpzError`.
+    Raises `bad_dtype`, `bad_shape`, `too_large`, `truncated`, `corrupt`, `not_npz`.
     """
     start, stop = payload_span(_reader(npz), member)
     return _grid_of(memoryview(npz)[start:stop], member)
@@ -106,25 +100,25 @@ def _grid_of(packed: memoryview, member: ZipMember) -> NDArray[np.uint8]:
         raise _size_refusal(packed, member)
     npy = packed if member.method == STORED else inflate_exactly(packed, member.unpacked_bytes)
     if deflate.crc32(npy) != member.crc32:
-        raise CorruptError(f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npy):08x}")
+        raise SubmissionError("corrupt", f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npy):08x}")
     header = _checked(parse_header(bytes(npy[: 12 + MAX_HEADER_BYTES])))
     if len(npy) - header.start != VOXELS:
-        raise TruncatedError(f"{VOXELS} bytes of voxels", f"{len(npy) - header.start}")
+        raise SubmissionError("truncated", f"{VOXELS} bytes of voxels", f"{len(npy) - header.start}")
     return np.frombuffer(npy, np.uint8, VOXELS, header.start).reshape(GRID_SHAPE)
 
 
 def parse_header(head: bytes) -> NpyHeader:
     """The header of a npy file from its first bytes; nothing but literals is evaluated.
 
-    Raises `NotNpzError` where it is none, or is longer than 4 KiB.
+    Raises `not_npz` where it is none, or is longer than 4 KiB.
     """
     if head[:6] != b"\x93NUMPY" or len(head) < 12 or head[6] not in (1, 2, 3):
-        raise NotNpzError("a npy array of version 1 to 3", f"bytes {head[:8]!r}")
+        raise SubmissionError("not_npz", "a npy array of version 1 to 3", f"bytes {head[:8]!r}")
     length, at = (
         (struct.unpack_from("<H", head, 8)[0], 10) if head[6] == 1 else (*struct.unpack_from("<I", head, 8), 12)
     )
     if length > MAX_HEADER_BYTES or at + length > len(head):
-        raise NotNpzError(f"a npy header of at most {MAX_HEADER_BYTES} bytes", f"{length} bytes")
+        raise SubmissionError("not_npz", f"a npy header of at most {MAX_HEADER_BYTES} bytes", f"{length} bytes")
     return _literal_header(head[at : at + length], at + length)
 
 
@@ -133,15 +127,15 @@ def _literal_header(text: bytes, start: int) -> NpyHeader:
     odd = NOT_IN_A_HEADER.search(text)
     if odd or sum(map(text.count, (b"(", b"[", b"{"))) > MOST_BRACKETS:
         found = repr(odd.group()) if odd else f"more than {MOST_BRACKETS} brackets"
-        raise NotNpzError("a npy header of plain literals", found)
+        raise SubmissionError("not_npz", "a npy header of plain literals", found)
     try:
         facts = ast.literal_eval(text.decode("latin-1").strip())
         shape, descr, is_fortran = (facts[key] for key in ("shape", "descr", "fortran_order"))
     except (ValueError, SyntaxError, TypeError, KeyError, RecursionError, MemoryError) as error:
-        raise NotNpzError("a npy header with descr, fortran_order and shape", "another text") from error
+        raise SubmissionError("not_npz", "a npy header with descr, fortran_order and shape", "another text") from error
     is_sound = isinstance(shape, tuple) and all(map(_is_size, shape)) and isinstance(is_fortran, bool)
     if len(facts) != 3 or not is_sound:
-        raise NotNpzError("a npy header with descr, fortran_order and shape", "other values")
+        raise SubmissionError("not_npz", "a npy header with descr, fortran_order and shape", "other values")
     return NpyHeader(str(descr)[:80], is_fortran, shape[:16], start)
 
 
@@ -152,11 +146,11 @@ def _is_size(number: object) -> bool:
 def _checked(header: NpyHeader) -> NpyHeader:
     if header.descr not in ("|u1", "u1", "<u1", ">u1"):
         hint = ", an object array, which only pickle could read" if "O" in header.descr else ""
-        raise BadDtypeError("uint8 ('|u1')", f"{header.descr!r}{hint}")
+        raise SubmissionError("bad_dtype", "uint8 ('|u1')", f"{header.descr!r}{hint}")
     if header.shape != GRID_SHAPE:
-        raise BadShapeError(str(GRID_SHAPE), str(header.shape))
+        raise SubmissionError("bad_shape", str(GRID_SHAPE), str(header.shape))
     if header.is_fortran:
-        raise BadShapeError(f"{GRID_SHAPE} in C order", "Fortran order")
+        raise SubmissionError("bad_shape", f"{GRID_SHAPE} in C order", "Fortran order")
     return header
 
 
@@ -166,14 +160,15 @@ def _size_refusal(packed: memoryview, member: ZipMember) -> SubmissionError:
     try:
         raw = bytes(packed[: 12 + MAX_HEADER_BYTES]) if member.method == STORED else _peek(packed)
         _checked(parse_header(raw))
-    except (BadDtypeError, BadShapeError, NotNpzError) as error:
-        is_small = member.unpacked_bytes < LEAST_NPY_BYTES
-        if not (isinstance(error, NotNpzError) and not is_small):
+    except SubmissionError as error:
+        if error.code != "not_npz" or member.unpacked_bytes < LEAST_NPY_BYTES:
             return error
     except zlib.error:
-        return CorruptError("a deflate stream", "other bytes")
-    kind = TruncatedError if member.unpacked_bytes < LEAST_NPY_BYTES else TooLargeError
-    return kind(f"{LEAST_NPY_BYTES} to {MOST_NPY_BYTES} bytes of npy", f"{member.unpacked_bytes} bytes")
+        return SubmissionError("corrupt", "a deflate stream", "other bytes")
+    code = "truncated" if member.unpacked_bytes < LEAST_NPY_BYTES else "too_large"
+    return SubmissionError(
+        code, f"{LEAST_NPY_BYTES} to {MOST_NPY_BYTES} bytes of npy", f"{member.unpacked_bytes} bytes"
+    )
 
 
 def _peek(packed: memoryview) -> bytes:
@@ -187,7 +182,7 @@ def inflate_exactly(packed: Buffer, size_bytes: int) -> bytearray:
     except deflate.DeflateError as error:
         raise _inflate_refusal(packed, size_bytes) from error
     if len(npy) != size_bytes:
-        raise TruncatedError(f"{size_bytes} bytes", f"{len(npy)}")
+        raise SubmissionError("truncated", f"{size_bytes} bytes", f"{len(npy)}")
     return npy
 
 
@@ -196,10 +191,10 @@ def _inflate_refusal(packed: Buffer, size_bytes: int) -> SubmissionError:
     try:
         longer = zlib.decompressobj(-15).decompress(packed, size_bytes + 1)
     except zlib.error:
-        return CorruptError(f"a deflate stream of {size_bytes} bytes", "a broken one")
+        return SubmissionError("corrupt", f"a deflate stream of {size_bytes} bytes", "a broken one")
     if len(longer) > size_bytes:
-        return TooLargeError(f"the declared {size_bytes} bytes", "a stream that continues")
-    return TruncatedError(f"a deflate stream of {size_bytes} bytes", f"its end after {len(longer)}")
+        return SubmissionError("too_large", f"the declared {size_bytes} bytes", "a stream that continues")
+    return SubmissionError("truncated", f"a deflate stream of {size_bytes} bytes", f"its end after {len(longer)}")
 
 
 def _reader(npz: Buffer) -> ReadAt:

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_submissions.archive import SubmissionZip, open_submission
-from stone_submissions.errors import LabelOutOfRangeError, SubmissionError
+from stone_submissions.errors import SubmissionError
 from stone_submissions.manifest import read_manifest
 from stone_submissions.npz_frame import prediction_grid
 from stone_submissions.verdict import Validation, ValidationProblem, merged, problem_of, verdict
@@ -60,7 +60,7 @@ def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem |
     def look() -> None:
         highest = int(frame_grid(submission, token).max())
         if highest > HIGHEST_LABEL:
-            raise LabelOutOfRangeError("labels 0 to 3", str(highest))
+            raise SubmissionError("label_out_of_range", "labels 0 to 3", str(highest))
 
     return refusal_of(submission, token, look)
 

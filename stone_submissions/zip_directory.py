@@ -14,15 +14,7 @@ from collections.abc import Callable
 from dataclasses import dataclass, replace
 
 from stone_files.archives import CENTRAL, DEFLATED, END, END_64, LOCAL, LOCATOR, STORED
-from stone_submissions.errors import (
-    EncryptedError,
-    NotZipError,
-    OverlapError,
-    SymlinkError,
-    TooLargeError,
-    TruncatedError,
-    UnsupportedZipError,
-)
+from stone_submissions.errors import SubmissionError
 
 # The end record of a zip, narrow or wide: where its directory is and how many files it announces.
 #
@@ -52,21 +44,23 @@ class End:
 
 
 def read_end(read_at: ReadAt, size_bytes: int) -> End:
-    """Raises `NotZipError`, `TruncatedError`, `UnsupportedZipError`; reads at most 66 kB."""
+    """Raises `not_zip`, `truncated`, `unsupported_zip`; reads at most 66 kB."""
     tail_bytes = min(size_bytes, END.size + MAX_COMMENT_BYTES)
     tail = read_at(size_bytes - tail_bytes, tail_bytes)
     at = tail.rfind(b"PK\5\6")
     if at < 0 or len(tail) - at < END.size:
         if _begins_as_zip(read_at):
             raise _cut_short(size_bytes)
-        raise NotZipError("a zip that ends in its directory", "none" if size_bytes else "an empty file")
+        raise SubmissionError("not_zip", "a zip that ends in its directory", "none" if size_bytes else "an empty file")
     _, disk, start_disk, here, entries, directory_bytes, offset, comment_bytes = END.unpack_from(tail, at)
     position = size_bytes - tail_bytes + at
     narrow = End(entries, directory_bytes, offset)
     if at + END.size + comment_bytes != len(tail):
         if _begins_as_zip(read_at) and not _may_end_at(narrow, position):
             raise _cut_short(size_bytes)
-        raise NotZipError("the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more")
+        raise SubmissionError(
+            "not_zip", "the end record last in the file", f"{len(tail) - at - END.size - comment_bytes} bytes more"
+        )
     locator = read_at(position - LOCATOR.size, LOCATOR.size) if position >= LOCATOR.size else b""
     if locator[:4] == b"PK\6\7":
         return _same(narrow, _read_wide(read_at, locator, position - LOCATOR.size))
@@ -84,21 +78,23 @@ def _may_end_at(end: End, position: int) -> bool:
     return position - end.directory_offset - end.directory_bytes in (0, END_64.size + LOCATOR.size)
 
 
-def _cut_short(size_bytes: int) -> TruncatedError:
-    return TruncatedError("the zip's directory at its end", f"none: {size_bytes} bytes, cut off inside a file")
+def _cut_short(size_bytes: int) -> SubmissionError:
+    return SubmissionError(
+        "truncated", "the zip's directory at its end", f"none: {size_bytes} bytes, cut off inside a file"
+    )
 
 
 def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
     """The wide end record named by the locator at byte `at`."""
     _, disk, position, disks = LOCATOR.unpack(locator)
     if position + END_64.size > at:
-        raise TruncatedError(f"a zip64 end record before byte {at}", f"one at byte {position}")
+        raise SubmissionError("truncated", f"a zip64 end record before byte {at}", f"one at byte {position}")
     record = read_at(position, END_64.size)
     if record[:4] != b"PK\6\6":
-        raise TruncatedError(f"a zip64 end record at byte {position}", "other bytes")
+        raise SubmissionError("truncated", f"a zip64 end record at byte {position}", "other bytes")
     _, size_bytes, _, _, own_disk, start_disk, here, entries, directory_bytes, offset = END_64.unpack(record)
     if size_bytes != at - position - BEFORE_ITS_SIZE:
-        raise TruncatedError(f"a zip64 end record that ends at byte {at}", f"one of {size_bytes} bytes")
+        raise SubmissionError("truncated", f"a zip64 end record that ends at byte {at}", f"one of {size_bytes} bytes")
     parts = (disk, own_disk, start_disk, here - entries, max(disks, 1) - 1)
     return _checked(End(entries, directory_bytes, offset), parts, position)
 
@@ -106,10 +102,10 @@ def _read_wide(read_at: ReadAt, locator: bytes, at: int) -> End:
 def _checked(end: End, parts: tuple[int, ...], position: int) -> End:
     """An end whose directory stops at byte `position`; `parts` are zeros where the archive is in one part."""
     if any(parts):
-        raise UnsupportedZipError("an archive in one part", "one of several")
+        raise SubmissionError("unsupported_zip", "an archive in one part", "one of several")
     if end.directory_offset + end.directory_bytes != position:
         stop = end.directory_offset + end.directory_bytes
-        raise TruncatedError(f"the directory to end at byte {position}", f"its end at {stop}")
+        raise SubmissionError("truncated", f"the directory to end at byte {position}", f"its end at {stop}")
     return end
 
 
@@ -121,7 +117,7 @@ def _same(narrow: End, wide: End) -> End:
     )
     for said, meant, elsewhere in pairs:
         if said not in (meant, elsewhere):
-            raise UnsupportedZipError(f"{meant} in both end records, as in the zip64 one", f"{said}")
+            raise SubmissionError("unsupported_zip", f"{meant} in both end records, as in the zip64 one", f"{said}")
     return wide
 
 
@@ -150,17 +146,21 @@ class ZipMember:
 def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[ZipMember, ...]:
     """The members in the order of the directory; `read_at(offset, count)` reads within [0, size_bytes).
 
-    Raises `NotZipError`, `TruncatedError`, `TooLargeError` (more than `max_entries`), `EncryptedError`, `SymlinkError`,
-    `UnsupportedZipError`, `OverlapError`.
+    Raises `not_zip`, `truncated`, `too_large` (more than `max_entries`), `encrypted`, `symlink`,
+    `unsupported_zip`, `overlapping_files`.
     """
     end = read_end(read_at, size_bytes)
     limit_bytes = max_entries * (CENTRAL.size + MAX_NAME_BYTES)
     if end.entries > max_entries:
-        raise TooLargeError(f"at most {max_entries} files in the archive", f"{end.entries} files")
+        raise SubmissionError("too_large", f"at most {max_entries} files in the archive", f"{end.entries} files")
     if end.directory_bytes > limit_bytes:
-        raise TooLargeError(f"a directory of at most {limit_bytes} bytes", f"{end.directory_bytes} bytes")
+        raise SubmissionError(
+            "too_large", f"a directory of at most {limit_bytes} bytes", f"{end.directory_bytes} bytes"
+        )
     if end.entries * CENTRAL.size > end.directory_bytes or end.directory_offset + end.directory_bytes > size_bytes:
-        raise TruncatedError(f"{end.entries} directory records inside the file", f"{end.directory_bytes} bytes of them")
+        raise SubmissionError(
+            "truncated", f"{end.entries} directory records inside the file", f"{end.directory_bytes} bytes of them"
+        )
     directory = read_at(end.directory_offset, end.directory_bytes)
     return _without_overlap(_parse(directory, end), end.directory_offset)
 
@@ -168,19 +168,21 @@ def read_directory(read_at: ReadAt, size_bytes: int, max_entries: int) -> tuple[
 def payload_span(read_at: ReadAt, member: ZipMember) -> tuple[int, int]:
     """Where the packed bytes of `member` start and stop; its local header must agree with the directory.
 
-    Raises `TruncatedError`, `UnsupportedZipError`, `OverlapError`.
+    Raises `truncated`, `unsupported_zip`, `overlapping_files`.
     """
     most = LOCAL.size + MAX_NAME_BYTES + MAX_EXTRA_BYTES
     raw = read_at(member.offset, min(most, member.limit - member.offset))
     if len(raw) < LOCAL.size or raw[:4] != b"PK\3\4":
-        raise TruncatedError(f"the header of {member.name!r} at byte {member.offset}", "other bytes")
+        raise SubmissionError("truncated", f"the header of {member.name!r} at byte {member.offset}", "other bytes")
     _, _, flags, method, _, _, _, *sizes, name_bytes, extra_bytes = LOCAL.unpack_from(raw)
     start = LOCAL.size + name_bytes + extra_bytes
     if name_bytes > MAX_NAME_BYTES or extra_bytes > MAX_EXTRA_BYTES:
-        raise TooLargeError(f"a header of at most {most} bytes for {member.name!r}", f"{start} bytes")
+        raise SubmissionError("too_large", f"a header of at most {most} bytes for {member.name!r}", f"{start} bytes")
     name = _decoded(raw[LOCAL.size : LOCAL.size + name_bytes], flags)
     if name != member.name or method != member.method or flags & ENCRYPTED_FLAGS:
-        raise UnsupportedZipError(f"the directory's header of {member.name!r}", f"a local header of {name!r}")
+        raise SubmissionError(
+            "unsupported_zip", f"the directory's header of {member.name!r}", f"a local header of {name!r}"
+        )
     fields = extra_fields(raw[start - extra_bytes : start], name)
     _check_sizes(member, wide_values(fields, (sizes[1], sizes[0]), name), flags)
     return _bounded(member, member.offset + start, LONGEST_DESCRIPTOR_BYTES if flags & DESCRIBED_BEHIND else 0)
@@ -190,15 +192,21 @@ def _check_sizes(member: ZipMember, unpacked_packed: tuple[int, ...], flags: int
     """The local header's sizes are the directory's, or 0 where they follow the data."""
     for said, known in zip(unpacked_packed, (member.unpacked_bytes, member.packed_bytes), strict=True):
         if said != known and not (flags & DESCRIBED_BEHIND and said == 0):
-            raise UnsupportedZipError(f"{known} bytes of {member.name!r}, as in the directory", f"{said}")
+            raise SubmissionError(
+                "unsupported_zip", f"{known} bytes of {member.name!r}, as in the directory", f"{said}"
+            )
 
 
 def _bounded(member: ZipMember, start: int, descriptor_bytes: int) -> tuple[int, int]:
     stop = start + member.packed_bytes
     if stop > member.limit:
-        raise OverlapError(f"{member.name!r} to end before byte {member.limit}", f"its end at {stop}")
+        raise SubmissionError(
+            "overlapping_files", f"{member.name!r} to end before byte {member.limit}", f"its end at {stop}"
+        )
     if member.limit - stop > descriptor_bytes:
-        raise UnsupportedZipError(f"the next file after {member.name!r}", f"{member.limit - stop} bytes of no file")
+        raise SubmissionError(
+            "unsupported_zip", f"the next file after {member.name!r}", f"{member.limit - stop} bytes of no file"
+        )
     return start, stop
 
 
@@ -207,15 +215,15 @@ def _parse(directory: bytes, end: End) -> list[ZipMember]:
     at = 0
     for _ in range(end.entries):
         if directory[at : at + 4] != b"PK\1\2" or at + CENTRAL.size > len(directory):
-            raise TruncatedError(f"{end.entries} directory records", f"{len(members)}")
+            raise SubmissionError("truncated", f"{end.entries} directory records", f"{len(members)}")
         fields = CENTRAL.unpack_from(directory, at)
         stop = at + CENTRAL.size + sum(fields[10:13])
         if stop > len(directory):
-            raise TruncatedError(f"{end.entries} directory records", f"{len(members)} whole ones")
+            raise SubmissionError("truncated", f"{end.entries} directory records", f"{len(members)} whole ones")
         members.append(_member(fields, directory[at + CENTRAL.size : stop], end.directory_offset))
         at = stop
     if at != len(directory):
-        raise UnsupportedZipError("directory records only", f"{len(directory) - at} bytes more")
+        raise SubmissionError("unsupported_zip", "directory records only", f"{len(directory) - at} bytes more")
     return members
 
 
@@ -223,19 +231,19 @@ def _member(fields: tuple[int, ...], variable: bytes, limit: int) -> ZipMember:
     made_by, _, flags, method, _, _, crc32, packed, unpacked, name_bytes, extra_bytes, _, disk, _ = fields[1:15]
     attributes, at = fields[15:]
     if name_bytes > MAX_NAME_BYTES:
-        raise TooLargeError(f"names of at most {MAX_NAME_BYTES} bytes", f"{name_bytes} bytes")
+        raise SubmissionError("too_large", f"names of at most {MAX_NAME_BYTES} bytes", f"{name_bytes} bytes")
     name = _decoded(variable[:name_bytes], flags)
     if flags & ENCRYPTED_FLAGS:
-        raise EncryptedError("plain files", f"an encrypted {name!r}")
+        raise SubmissionError("encrypted", "plain files", f"an encrypted {name!r}")
     if method not in (STORED, DEFLATED) or disk not in (0, IN_EXTRA_16):
-        raise UnsupportedZipError("method 0 (store) or 8 (deflate)", f"method {method} for {name!r}")
+        raise SubmissionError("unsupported_zip", "method 0 (store) or 8 (deflate)", f"method {method} for {name!r}")
     if made_by >> 8 in (MADE_BY_UNIX, MADE_BY_MACOS) and stat.S_ISLNK(attributes >> 16):
-        raise SymlinkError("files", f"a symbolic link {name!r}")
+        raise SubmissionError("symlink", "files", f"a symbolic link {name!r}")
     extra = extra_fields(variable[name_bytes : name_bytes + extra_bytes], name)
     check_other_name(extra, name)
     unpacked, packed, at = wide_values(extra, (unpacked, packed, at), name)
     if method == STORED and packed != unpacked:
-        raise UnsupportedZipError(f"{unpacked} stored bytes for {name!r}", f"{packed}")
+        raise SubmissionError("unsupported_zip", f"{unpacked} stored bytes for {name!r}", f"{packed}")
     return ZipMember(name, method, crc32, packed, unpacked, at, limit)
 
 
@@ -244,7 +252,7 @@ def _decoded(name: bytes, flags: int) -> str:
     try:
         return name.decode("utf-8" if flags & IN_UTF8 else "cp437")
     except UnicodeDecodeError as error:
-        raise UnsupportedZipError("a name in UTF-8, as its header says", f"{name[:40]!r}") from error
+        raise SubmissionError("unsupported_zip", "a name in UTF-8, as its header says", f"{name[:40]!r}") from error
 
 
 def _without_overlap(members: list[ZipMember], limit: int) -> tuple[ZipMember, ...]:
@@ -255,11 +263,15 @@ def _without_overlap(members: list[ZipMember], limit: int) -> tuple[ZipMember, .
         member = members[index]
         least = LOCAL.size + member.packed_bytes
         if member.offset + least > limit:
-            raise OverlapError(f"{member.name!r} to end before byte {limit}", f"its end after {member.offset + least}")
+            raise SubmissionError(
+                "overlapping_files",
+                f"{member.name!r} to end before byte {limit}",
+                f"its end after {member.offset + least}",
+            )
         bounded[index] = replace(member, limit=limit)
         limit = member.offset
     if limit:
-        raise UnsupportedZipError("the first file at byte 0", f"{limit} bytes before it")
+        raise SubmissionError("unsupported_zip", "the first file at byte 0", f"{limit} bytes before it")
     return tuple(bounded)
 
 
@@ -277,16 +289,16 @@ BEFORE_THE_PATH = 5  # a version and the CRC-32 of the name in the header
 
 
 def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
-    """The value of each tag. Raises `TruncatedError`; `UnsupportedZipError` where a tag that we read is there twice."""
+    """The value of each tag. Raises `truncated`; `unsupported_zip` where a tag that we read is there twice."""
     fields: dict[int, bytes] = {}
     at = 0
     while at + FIELD.size <= len(extra):
         tag, count = FIELD.unpack_from(extra, at)
         value = extra[at + FIELD.size : at + FIELD.size + count]
         if len(value) < count:
-            raise TruncatedError(f"an extra field of {count} bytes for {name!r}", f"{len(value)}")
+            raise SubmissionError("truncated", f"an extra field of {count} bytes for {name!r}", f"{len(value)}")
         if tag in fields and tag in (ZIP64_TAG, UNICODE_PATH_TAG):
-            raise UnsupportedZipError(f"each extra field of {name!r} once", f"field {tag:#06x} again")
+            raise SubmissionError("unsupported_zip", f"each extra field of {name!r} once", f"field {tag:#06x} again")
         fields[tag] = value
         at += FIELD.size + count
     return fields
@@ -295,21 +307,21 @@ def extra_fields(extra: bytes, name: str) -> dict[int, bytes]:
 def wide_values(fields: dict[int, bytes], values: tuple[int, ...], name: str) -> tuple[int, ...]:
     """`values`, those that are 0xFFFFFFFF replaced, in this order, by the 8-byte ones of the zip64 field.
 
-    Raises `TruncatedError` where there are fewer.
+    Raises `truncated` where there are fewer.
     """
     needed = sum(value == IN_EXTRA_32 for value in values)
     wide = fields.get(ZIP64_TAG, b"")
     if len(wide) < 8 * needed:
-        raise TruncatedError(f"{needed} zip64 values for {name!r}", f"{len(wide)} bytes")
+        raise SubmissionError("truncated", f"{needed} zip64 values for {name!r}", f"{len(wide)} bytes")
     found = iter(struct.unpack_from(f"<{needed}Q", wide))
     return tuple(next(found) if value == IN_EXTRA_32 else value for value in values)
 
 
 def check_other_name(fields: dict[int, bytes], name: str) -> None:
-    """Raises `UnsupportedZipError` where a Unicode path names another file than the header: readers would differ.
+    """Raises `unsupported_zip` where a Unicode path names another file than the header: readers would differ.
 
     Folders may differ: Info-ZIP writes them so, since the header has no character for some.
     """
     path = fields.get(UNICODE_PATH_TAG)
     if path is not None and path[BEFORE_THE_PATH:].rpartition(b"/")[2] != name.rpartition("/")[2].encode():
-        raise UnsupportedZipError(f"one name for {name!r}", f"another in field {UNICODE_PATH_TAG:#06x}")
+        raise SubmissionError("unsupported_zip", f"one name for {name!r}", f"another in field {UNICODE_PATH_TAG:#06x}")

@@ -8,7 +8,7 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from api.schemas.submissions import FileProblem
-from stone_submissions.errors import BadShapeError, shape_hint
+from stone_submissions.errors import shape_hint
 
 ADVICE = {
     "missing_frame": "A submission holds every frame of the manifest. Was the prediction loop cut short?",
@@ -52,7 +52,7 @@ def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
 
 def _advice(code: str, problems: Sequence[FileProblem]) -> str:
     """For a shape, what makes the first one that was found the right one."""
-    if code != BadShapeError.code:
+    if code != "bad_shape":
         return ADVICE.get(code, UNKNOWN)
     hint = shape_hint(problems[0].actual)
     return f"{hint[0].upper()}{hint[1:]}."

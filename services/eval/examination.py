@@ -33,9 +33,9 @@ from stone.scoring.bitplanes import RINGS, Confusion, Drivable, LabelRangeError,
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import (
-    LabelOutOfRangeError,
     ScoringCrashedError,
     ScoringInterruptedError,
+    SubmissionError,
     UnreadableInputError,
 )
 from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
@@ -98,7 +98,7 @@ def count_frame(
         try:
             count_by_ring(frame_grid(submission, token), truth, *outs)
         except LabelRangeError as error:
-            raise LabelOutOfRangeError("labels 0 to 3", str(error.value)) from error
+            raise SubmissionError("label_out_of_range", "labels 0 to 3", str(error.value)) from error
 
     return refusal_of(submission, token, count)
 

@@ -48,7 +48,8 @@ class LabelsUnfitError(StoneError):
 class TruthDamagedError(PlatformFaultError):
     """The kept ground truth cannot be read: no fault of what is held against it."""
 
-    code = "ground_truth_damaged"
-
     def __init__(self) -> None:
-        super().__init__("the ground truth that is kept cannot be read; was the store changed by hand, or is it away?")
+        super().__init__(
+            "ground_truth_damaged",
+            "the ground truth that is kept cannot be read; was the store changed by hand, or is it away?",
+        )

@@ -121,7 +121,7 @@ def _sum_of(read: Callable[[int, int], bytes], size_bytes: int, progress: Report
 
 
 def _files(root: Path) -> Iterator[tuple[str, int, int]]:
-    """Name, size and time of change of every file that has a plain name. Raises `PathLeavesDatasetError`."""
+    """Name, size and time of change of every file that has a plain name. Raises `DST-004`."""
     real_root = os.path.realpath(root)
     waiting: list[tuple[str, tuple[str, ...]]] = [("", (real_root,))]
     while waiting:

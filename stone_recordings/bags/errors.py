@@ -4,226 +4,202 @@
 of the file unless the sentence names a chunk. A leaf takes the facts and quotes them.
 """
 
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused
 
 SHOWN_BYTES = 16
 
 
-class IngestError(StoneError):
+class IngestError(Refused):
     """A recording cannot be used as it is."""
 
 
 class NotABagError(IngestError):
     """The file is not a recording: its first bytes belong to another format."""
 
-    code = "BAG-001"
-
     def __init__(self, name: str, first: bytes, looks_like: str) -> None:
         shown = first[:SHOWN_BYTES]
         text = "".join(chr(byte) if 32 <= byte < 127 else "." for byte in shown)
         quoted = f'first bytes {shown.hex(" ")} "{text}"' if shown else "no bytes at all"
-        super().__init__(f"{name} is not an MCAP, SQLite or ROS 1 bag ({quoted}); it looks like {looks_like}")
+        super().__init__(
+            "BAG-001", f"{name} is not an MCAP, SQLite or ROS 1 bag ({quoted}); it looks like {looks_like}"
+        )
 
 
 class CutBagError(IngestError):
     """The file ends before its closing magic, or before its first message."""
 
-    code = "BAG-010"
-
     def __init__(self, name: str, size_bytes: int, missing: str = "the closing MCAP magic is missing") -> None:
         super().__init__(
+            "BAG-010",
             f"{name} was cut off at byte {size_bytes}: {missing}; "
             f"the recorder died or the copy is incomplete, so copy it again, "
-            f"or recover its intact part: stone recover {name} -o recovered.mcap"
+            f"or recover its intact part: stone recover {name} -o recovered.mcap",
         )
 
 
 class MalformedBagError(IngestError):
     """A length, offset or value in the container contradicts the file."""
 
-    code = "BAG-012"
-
     def __init__(self, where: str, problem: str) -> None:
         super().__init__(
+            "BAG-012",
             f"{where}: {problem}; the file is damaged or was not written by a working recorder, "
-            "stone recover writes its intact part to another file"
+            "stone recover writes its intact part to another file",
         )
 
 
 class ChunkTooLargeError(IngestError):
     """A chunk declares more bytes than a recorder would ever put into one."""
 
-    code = "BAG-013"
-
     def __init__(self, where: str, declared_bytes: int, limit_bytes: int) -> None:
         super().__init__(
+            "BAG-013",
             f"{where} declares {declared_bytes} bytes uncompressed, the limit is {limit_bytes}; "
-            f"record with a chunk size of a few MiB"
+            f"record with a chunk size of a few MiB",
         )
 
 
 class EncodingRefusedError(IngestError):
     """Messages are encoded otherwise than as CDR."""
 
-    code = "BAG-014"
-
     def __init__(self, name: str, topic: str, encoding: str) -> None:
         super().__init__(
+            "BAG-014",
             f"{name}: topic {topic!r} is encoded as {encoding!r}, only 'cdr' is read; "
-            f"protobuf and JSON recordings must be converted to ROS 2 first"
+            f"protobuf and JSON recordings must be converted to ROS 2 first",
         )
 
 
 class UnknownTopicError(IngestError):
     """No message of that topic was recorded."""
 
-    code = "BAG-015"
-
     def __init__(self, name: str, topic: str, known: tuple[str, ...]) -> None:
         shown = ", ".join(known[:8]) + (", …" if len(known) > 8 else "")
-        super().__init__(f"{name} has no topic {topic!r}; it has {shown or 'no topics at all'}")
+        super().__init__("BAG-015", f"{name} has no topic {topic!r}; it has {shown or 'no topics at all'}")
 
 
 class ChecksumError(IngestError):
     """A checksum does not match: the bytes differ from those that were recorded."""
 
-    code = "BAG-016"
-
     def __init__(self, where: str, found: int, declared: int) -> None:
         super().__init__(
+            "BAG-016",
             f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording, "
-            "stone recover writes its intact part to another file"
+            "stone recover writes its intact part to another file",
         )
 
 
 class CompressionRefusedError(IngestError):
     """Chunks are compressed with an algorithm that their container format does not have."""
 
-    code = "BAG-017"
-
     def __init__(self, where: str, compression: str, known: tuple[str, ...]) -> None:
         read = ", ".join(repr(name) for name in known)
-        super().__init__(f"{where} is compressed with {compression!r}; {read} and none are read")
+        super().__init__("BAG-017", f"{where} is compressed with {compression!r}; {read} and none are read")
 
 
 class EncryptedBagError(IngestError):
     """The messages of a ROS 1 bag are encrypted."""
 
-    code = "BAG-036"
-
     def __init__(self, name: str, encryptor: str) -> None:
         super().__init__(
+            "BAG-036",
             f"{name} is encrypted by {encryptor[:60]!r}, its key is not known here; decrypt it where the key is, "
-            f"in ROS 1: rosbag decrypt {name}"
+            f"in ROS 1: rosbag decrypt {name}",
         )
 
 
 class DefinitionMissingError(IngestError):
     """No definition of a message type is known here."""
 
-    code = "BAG-020"
-
     def __init__(self, type_name: str, known: tuple[str, ...]) -> None:
         super().__init__(
+            "BAG-020",
             f"no definition of {type_name!r} is known (beside ROS 2 Humble's: {', '.join(known)}); "
-            f"record with -s mcap, which embeds it"
+            f"record with -s mcap, which embeds it",
         )
 
 
 class MessageLayoutError(IngestError):
     """The lengths inside one CDR message contradict its type or its size."""
 
-    code = "MSG-301"
-
     def __init__(self, type_name: str, problem: str) -> None:
-        super().__init__(f"{type_name}: {problem}; the message is damaged or of another version of its type")
+        super().__init__("MSG-301", f"{type_name}: {problem}; the message is damaged or of another version of its type")
 
 
 class ByteOrderError(IngestError):
     """A message is serialised big-endian, which no current recorder writes."""
 
-    code = "MSG-302"
-
     def __init__(self, type_name: str) -> None:
-        super().__init__(f"{type_name} is big-endian; only little-endian data is read, so convert the recording")
+        super().__init__(
+            "MSG-302", f"{type_name} is big-endian; only little-endian data is read, so convert the recording"
+        )
 
 
 class CloudLayoutError(IngestError):
     """The fields, steps or sizes of a PointCloud2 contradict each other."""
 
-    code = "MSG-303"
-
     def __init__(self, problem: str) -> None:
-        super().__init__(f"sensor_msgs/msg/PointCloud2: {problem}; the driver declares a wrong layout")
+        super().__init__("MSG-303", f"sensor_msgs/msg/PointCloud2: {problem}; the driver declares a wrong layout")
 
 
 class MixedFramesError(IngestError):
     """One topic has several pairs of frames."""
 
-    code = "MSG-304"
-
     def __init__(self, type_name: str, pairs: tuple[str, ...]) -> None:
         super().__init__(
+            "MSG-304",
             f"{type_name} changes its frames within one topic ({', '.join(pairs[:4])}); "
-            f"two sources publish on it, so choose one"
+            f"two sources publish on it, so choose one",
         )
 
 
 class PoseValueError(IngestError):
     """An invalid pose: NaN, infinity, or a quaternion of zero norm."""
 
-    code = "MSG-305"
-
     def __init__(self, type_name: str, index: int, problem: str) -> None:
-        super().__init__(f"{type_name} number {index} {problem}; the source was not initialised when it was recorded")
+        super().__init__(
+            "MSG-305", f"{type_name} number {index} {problem}; the source was not initialised when it was recorded"
+        )
 
 
 class DatabaseRefusedError(IngestError):
     """A `.db3` file is not a rosbag2 database, or nothing in it can be read."""
 
-    code = "BAG-018"
-
     def __init__(self, name: str, reason: str) -> None:
         quoted = " ".join(reason.split())  # SQLite quotes statements as they were written
-        super().__init__(f"{name} cannot be read as a rosbag2 database: {quoted}")
+        super().__init__("BAG-018", f"{name} cannot be read as a rosbag2 database: {quoted}")
 
 
 class MembersRefusedError(IngestError):
     """A folder does not say which of its files are the recording, or none of them is there."""
 
-    code = "BAG-019"
-
     def __init__(self, name: str, problem: str) -> None:
-        super().__init__(f"{name} cannot be opened as a rosbag2 folder: {problem}")
+        super().__init__("BAG-019", f"{name} cannot be opened as a rosbag2 folder: {problem}")
 
 
 class RecoveryTargetError(IngestError):
     """The output of a recovery is the file that it reads."""
 
-    code = "BAG-026"
-
     def __init__(self, name: str) -> None:
-        super().__init__(f"{name} is the original; recover into another file, the original is never written")
+        super().__init__("BAG-026", f"{name} is the original; recover into another file, the original is never written")
 
 
 class PackedTooLargeError(IngestError):
     """A compressed message or file decompresses to more than any recorder writes."""
 
-    code = "BAG-027"
-
     def __init__(self, where: str, packed_bytes: int, limit_bytes: int) -> None:
         super().__init__(
+            "BAG-027",
             f"{where}: its {packed_bytes} compressed bytes decompress to more than {limit_bytes}; "
-            f"decompress it yourself if that is its true size"
+            f"decompress it yourself if that is its true size",
         )
 
 
 class NoRoomError(PlatformFaultError, IngestError):
     """A copy that must be decompressed to be read does not fit the folder for temporary files."""
 
-    code = "BAG-028"
-
     def __init__(self, name: str, size_bytes: int, free_bytes: int) -> None:
         super().__init__(
-            f"{name} needs a temporary copy of {size_bytes} bytes, {free_bytes} are free; set TMPDIR to a larger disk"
+            "BAG-028",
+            f"{name} needs a temporary copy of {size_bytes} bytes, {free_bytes} are free; set TMPDIR to a larger disk",
         )

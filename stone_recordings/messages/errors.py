@@ -8,37 +8,36 @@ SHOWN_CHARACTERS = 80
 class PictureError(IngestError):
     """An image is damaged, of an encoding that is not read, or larger than any camera's."""
 
-    code = "MSG-306"
-
     def __init__(self, type_name: str, problem: str) -> None:
-        super().__init__(f"{type_name}: {problem}; record Image (mono, rgb, bgr, bayer) or JPEG or PNG from the driver")
+        super().__init__(
+            "MSG-306", f"{type_name}: {problem}; record Image (mono, rgb, bgr, bayer) or JPEG or PNG from the driver"
+        )
 
 
 class DefinitionRefusedError(IngestError):
     """An invalid message definition: bad syntax, a cycle, or larger than any real one."""
 
-    code = "MSG-307"
-
     def __init__(self, where: str, problem: str) -> None:
-        super().__init__(f"definition of {where[:SHOWN_CHARACTERS]!r}: {problem}; upload the package's own .msg files")
+        super().__init__(
+            "MSG-307", f"definition of {where[:SHOWN_CHARACTERS]!r}: {problem}; upload the package's own .msg files"
+        )
 
 
 class PacketError(IngestError):
     """The lengths or counts of a radar packet contradict the ARS 548 interface."""
 
-    code = "MSG-308"
-
     def __init__(self, problem: str) -> None:
-        super().__init__(f"nebula_msgs/msg/NebulaPackets: {problem}; the packet is damaged or of another sensor")
+        super().__init__(
+            "MSG-308", f"nebula_msgs/msg/NebulaPackets: {problem}; the packet is damaged or of another sensor"
+        )
 
 
 class LidarPacketError(IngestError):
     """LiDAR packets are of a model that is not decoded here, or are damaged."""
 
-    code = "MSG-313"
-
     def __init__(self, type_name: str, found: str, instead: str) -> None:
         super().__init__(
+            "MSG-313",
             f"{type_name}: its packets are of {found}; decoded are VLP-16, VLP-32C, VLS-128, Pandar40P and OT128: "
-            f"{instead}"
+            f"{instead}",
         )

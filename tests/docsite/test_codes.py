@@ -6,10 +6,14 @@ from pathlib import Path
 
 import pytest
 
-from docsite.codes_page import CODE_SOURCES, ROOT, all_codes
+from api import statuses
+from docsite.codes_page import CODE_SOURCES, ROOT, raised_codes
+from docsite.other_codes import OTHER_CODES
 from services.domain.benchmarks.phases import findings as phase_findings
 from stone_base.codes.catalogue import CATALOGUE, FAMILIES, PROFILE_CODES, by_family, harm_of, harm_rank
 from stone_base.codes.meaning import HARM_ORDER, HARM_SENTENCES, HARM_WORDS
+from stone_files.dataset_faults import DATASET_FAULTS
+from stone_submissions.errors import MISTAKES
 
 CODE = re.compile(rf"({'|'.join(family for family in FAMILIES if family)})-\d{{3}}")
 
@@ -35,9 +39,20 @@ def test_every_code_of_a_finding_has_a_meaning_and_every_meaning_is_raised(strin
 
 def test_every_code_of_a_failure_in_the_catalogue_is_raised() -> None:
     told = {text for text in strings_of(Path(phase_findings.__file__)) if text.startswith("labels_")}
-    raised = {one.code for one in all_codes()} | {"worker_lost"} | told
+    raised = raised_codes() | {"worker_lost"} | told
     assert {code for code in CATALOGUE if not code[0].isupper()} <= raised
     assert told <= set(CATALOGUE)
+
+
+def test_every_code_that_is_raised_is_in_one_table_and_every_code_of_a_table_is_raised() -> None:
+    told = {*statuses.PROBLEM_TYPES, *DATASET_FAULTS, *MISTAKES, *(code for code, _ in OTHER_CODES)}
+    assert raised_codes() - set(CATALOGUE) == told - set(CATALOGUE)
+
+
+def test_no_problem_type_stands_twice() -> None:
+    table = Path(statuses.__file__).read_text("utf-8").partition("PROBLEM_TYPES = {")[2].partition("\n}\n")[0]
+    codes = re.findall(r'^    "(\w+)": ProblemType\(', table, re.MULTILINE)
+    assert sorted(codes) == sorted(statuses.PROBLEM_TYPES)
 
 
 def test_every_code_is_in_one_family_and_every_harm_has_its_words() -> None:

@@ -25,7 +25,7 @@ from stone_client.files.datasets import dataset_name, hashed_dataset
 from stone_client.files.tus import LocalContent, Purpose, upload_file
 from stone_datasets.reading import check_dataset
 from stone_files.archives import BadTarError, tar_members
-from stone_files.dataset_layout import DatasetFaultError
+from stone_files.dataset_faults import DatasetFaultError
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person
 from testing.stone_serve import until

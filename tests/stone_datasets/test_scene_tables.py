@@ -10,7 +10,7 @@ import pytest
 
 from stone_datasets.reading import read_tables_of
 from stone_datasets.scene_tables import TABLES, write_scene_tables, write_splits
-from stone_datasets.table_faults import TablesGrowError
+from testing.refusals import refused_as
 from testing.worlds.imported import tar_of
 from testing.worlds.published_datasets import VERSION, SyntheticDataset, write_published
 from tests.stone_datasets.conftest import Rows
@@ -117,7 +117,7 @@ def test_rows_of_all_scenes_that_would_become_too_many_are_refused(tmp_path, mon
     write(folder, "category", [{"token": str(number), "name": "x" * 900} for number in range(900)])
     assert len(parted(folder, tmp_path / "few")) == 2
     monkeypatch.setattr("stone_datasets.scene_tables.MOST_GROWTH", 1)
-    with pytest.raises(TablesGrowError):
+    with refused_as("DST-048"):
         parted(folder, tmp_path / "many")
 
 

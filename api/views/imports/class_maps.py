@@ -35,7 +35,7 @@ class ClassMapAnswer(SandboxAnswer):
 
 
 def stated_classes(text: str) -> StatedClasses:
-    """The map in the text. Raises `BadClassMapError`; `RateLimitedError` when too many are being read."""
+    """The map in the text. Raises `DST-070`; `RateLimitedError` when too many are being read."""
     if not _turns.acquire(timeout=PATIENCE_S):
         raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
     try:

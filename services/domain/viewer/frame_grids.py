@@ -16,10 +16,10 @@ SHOWN_GRIDS = ("semantics", "mask_lidar")
 class GridUnreadableError(PlatformFaultError):
     """The store holds other bytes for a frame's labels than were published."""
 
-    code = "grid_unreadable"
-
     def __init__(self, key: str, reason: str) -> None:
-        super().__init__(f"grid {key!r} of a frame cannot be read: {reason}; was the store changed by hand?")
+        super().__init__(
+            "grid_unreadable", f"grid {key!r} of a frame cannot be read: {reason}; was the store changed by hand?"
+        )
 
 
 def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:

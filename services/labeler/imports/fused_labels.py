@@ -23,7 +23,7 @@ from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
 from stone.labels.voxels import VOXEL_M
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.file_faults import MapTooDenseError
+from stone_files.dataset_faults import DatasetFaultError
 
 # Votes for the classes of map voxels: each occupied voxel of a frame votes for the map voxel that its centre lies in.
 #
@@ -182,7 +182,7 @@ class FusedLabels:
         self.scratch.mkdir(parents=True)
 
     def add(self, classes: Grid, map_from_ego: SE3) -> None:
-        """The votes of a frame. Raises `MapTooDenseError`."""
+        """The votes of a frame. Raises `DST-072`."""
         column = self.bricks.vote(classes, map_from_ego)
         while column >= 0:
             self._spill()
@@ -212,7 +212,7 @@ class FusedLabels:
             self._records[tile] = self._merged[tile] = len(merged)
 
     def _merged_votes(self, tile: Tile) -> NDArray[np.void]:
-        """Each voxel of the tile once, by key. Raises `MapTooDenseError`."""
+        """Each voxel of the tile once, by key. Raises `DST-072`."""
         held = np.fromfile(self._path(tile), VOTE)
         keys = np.ascontiguousarray(held["key"])
         order = np.argsort(keys)
@@ -222,7 +222,7 @@ class FusedLabels:
             what = (
                 f"labels of {self.name} occupy {len(first)} voxels of 48 m × 48 m, at most {MOST_TILE_VOXELS} are read"
             )
-            raise MapTooDenseError(DatasetPlace(f"gts/{self.name}"), what)
+            raise DatasetFaultError("DST-072", DatasetPlace(f"gts/{self.name}"), what)
         merged = np.empty(len(first), VOTE)
         merged["key"], merged["counts"] = keys[first], np.add.reduceat(held["counts"][order], first, axis=0)
         return merged

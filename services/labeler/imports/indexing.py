@@ -23,7 +23,7 @@ from stone_datasets.index import DatasetIndex
 from stone_datasets.reading import read_tables_of
 from stone_datasets.scene_spans import SceneSpans, annotated_spans, table_spans
 from stone_datasets.scene_tables import write_scene_tables, write_splits
-from stone_files.dataset_layout import NotADatasetError
+from stone_files.dataset_faults import DatasetFaultError
 
 Scene = tuple[Sequence, SceneSpans]
 UNKNOWN = "unknown"  # what our own exports say of a place that nobody named
@@ -39,7 +39,9 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     progress("check", 1, 1)
     index, tar = reading.index, reading.index.files
     if not isinstance(tar, DatasetTar):
-        raise NotADatasetError(DatasetPlace(opening.dataset.name), "it is a folder, where a tar is imported")
+        raise DatasetFaultError(
+            "DST-001", DatasetPlace(opening.dataset.name), "it is a folder, where a tar is imported"
+        )
     inputs = {opening.name: opening.sha256}
     for ordinal in range(len(index.sequences)):
         (folder / scene_folder(ordinal) / TABLES).mkdir(parents=True)

@@ -27,8 +27,8 @@ from stone.geometry.lattice import BIAS, MASK, Keys, find, indices_of, keys_from
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.file_faults import NothingOccupiedError
 from stone_datasets.index import label_folder
+from stone_files.dataset_faults import DatasetFaultError
 
 PROFILE = "imported"
 SLAB_VOXELS = 256  # what is drawn in perspective is held as dense blocks
@@ -57,7 +57,7 @@ class _Made:
 def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Path, Path], step: Step) -> MapFacts:
     """All of them into the first folder; what they need meanwhile goes into the second.
 
-    Raises `NothingOccupiedError`, `MapTooDenseError`.
+    Raises `DST-071`, `DST-072`.
     """
     out, scratch = folders
     step(0, 4)
@@ -65,7 +65,7 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     made = [_tile(one, (view, scene), scratch) for one in fused.tiles()]
     if not made:
         place = DatasetPlace(label_folder(sequence.name))
-        raise NothingOccupiedError(place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
+        raise DatasetFaultError("DST-071", place, f"no voxel of {len(sequence.frames)} frames is T, P or N")
     scene.finish()
     step(1, 4)
     poses = sequence.frames.map_from_ego

@@ -20,8 +20,8 @@ from stone.sensors.sequence import Association, Frames, Sequence
 from stone_datasets.build import NS_PER_US, PlacedData
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.index import DatasetChannel, DatasetSequence
-from stone_datasets.table_faults import PosesOffLatticeError
 from stone_exports.frames import LIDAR_CHANNEL
+from stone_files.dataset_faults import DatasetFaultError
 
 POSE_SOURCE = "dataset"
 # The poses of frames whose grids are whole within the lattice of voxels.
@@ -32,12 +32,12 @@ Poses = tuple[NDArray[np.int64], NDArray[np.float64]]
 def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str]) -> Sequence:
     """The sequence of a scene; `data` are the stamps (N,) and ego poses (N, 7) of all its data, the LiDAR's first.
 
-    Raises `PosesOffLatticeError`.
+    Raises `DST-049`.
     """
     reach_m = float(np.abs(scene.map_from_ego.translation_m).max())
     if reach_m >= FARTHEST_M:
         what = f"scene {scene.name} reaches {reach_m:.0f} m from its origin, at most {FARTHEST_M:.0f} m are mapped"
-        raise PosesOffLatticeError(DatasetPlace("ego_pose"), what)
+        raise DatasetFaultError("DST-049", DatasetPlace("ego_pose"), what)
     stamps_ns, first = np.unique(data[0], return_index=True)
     others = {name: channel for name, channel in scene.channels.items() if name != LIDAR_CHANNEL}
     every, none = np.arange(len(scene), dtype=np.int64), np.zeros(len(scene), np.int64)

@@ -57,7 +57,7 @@ class TargetNotEmptyError(StoneError):
 class SourceDamagedError(PlatformFaultError):
     """The store's object is not what its row says."""
 
-    code = "object_damaged"
-
     def __init__(self, name: str, found: str, expected: str) -> None:
-        super().__init__(f"{name} has sha256 {found}, its row says {expected}; the store's disk may be failing")
+        super().__init__(
+            "object_damaged", f"{name} has sha256 {found}, its row says {expected}; the store's disk may be failing"
+        )

@@ -323,10 +323,8 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
 class LeaseNotRenewedError(PlatformFaultError):
     """The keeper could not write; it is asked again in the next turn."""
 
-    code = "lease_not_renewed"
-
     def __init__(self, reason: str) -> None:
-        super().__init__(f"the lease keeper wrote nothing: {reason}")
+        super().__init__("lease_not_renewed", f"the lease keeper wrote nothing: {reason}")
 
 
 class LeaseLine:

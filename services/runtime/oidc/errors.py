@@ -33,19 +33,17 @@ class ProviderRefusedError(StoneError):
 class ProviderAwayError(PlatformFaultError):
     """The provider does not answer, or not in time."""
 
-    code = "provider_away"
-
     def __init__(self, host: str, reason: str) -> None:
-        super().__init__(f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute")
+        super().__init__("provider_away", f"{host} cannot be asked who signs in: {reason[:200]}; try again in a minute")
 
 
 class ProviderAnswerError(PlatformFaultError):
     """What the provider answered is not what the standard says."""
 
-    code = "provider_answer"
-
     def __init__(self, what: str, reason: str) -> None:
-        super().__init__(f"the provider's {what} {reason[:300]}; is STONE_OIDC__ISSUER the right one?")
+        super().__init__(
+            "provider_answer", f"the provider's {what} {reason[:300]}; is STONE_OIDC__ISSUER the right one?"
+        )
 
 
 class IdTokenRefusedError(StoneError):

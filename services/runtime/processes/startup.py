@@ -27,13 +27,12 @@ log = structlog.get_logger(__name__)
 class SchemaMissingError(PlatformFaultError):
     """The database is not at the schema of this code."""
 
-    code = "schema_missing"
-
     def __init__(self, stands: str, wanted: str) -> None:
         stood = f"at revision {stands!r}" if stands else "empty"
         super().__init__(
+            "schema_missing",
             f"the database is {stood} and this version works on {wanted!r}; "
-            "has `python -m services.runtime.processes.prepare` of this version run?"
+            "has `python -m services.runtime.processes.prepare` of this version run?",
         )
 
 

@@ -53,8 +53,8 @@ class SandboxTask:
             payload = work(self._tell)
             return (ANSWER, payload) if len(payload) <= self.limits.answer_bytes else (FLOODED, b"")
         except StoneError as error:
-            leaf = type(error)
-            return REFUSAL, texts_of(module=leaf.__module__, name=leaf.__qualname__, sentence=str(error))
+            leaf, sentence = type(error), str(error)
+            return REFUSAL, texts_of(module=leaf.__module__, name=leaf.__qualname__, code=error.code, sentence=sentence)
         except MemoryError:
             return MEMORY, b""
         except OSError as error:

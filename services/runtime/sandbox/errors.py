@@ -16,8 +16,6 @@ class SandboxCrashedError(StoneError):
 class SandboxInterruptedError(PlatformFaultError):
     """Reading the input was cut short by the machine; perhaps no fault of the input."""
 
-    code = "reader_interrupted"
-
     def __init__(self, fate: str) -> None:
         self.fate = fate
-        super().__init__(f"the process that read the input {fate}; it is tried again")
+        super().__init__("reader_interrupted", f"the process that read the input {fate}; it is tried again")

@@ -18,6 +18,7 @@ Kernels are compiled before: the child could not keep what it compiles, and woul
 """
 
 import os
+import re
 import select
 import signal
 import time
@@ -49,6 +50,7 @@ from services.runtime.sandbox.messages import (
 from services.runtime.sandbox.system_files import system_files
 from stone.errors import StoneError
 
+CODE = re.compile(r"[A-Z]{3}-\d{3}|[a-z][a-z0-9_]{0,62}", re.ASCII)
 GLANCE_MS = 200
 MOST_NOTED = 16
 _NOTED: set[tuple[tuple[str, str], ...]] = set()
@@ -274,12 +276,16 @@ def _ended(status: int, limits: SandboxLimits) -> StoneError:
 
 
 def _refusal(word: SandboxMessage) -> StoneError:
-    """The same leaf with the same sentence; only leaves that this process knows, since the word is a stranger's."""
+    """The same class, code and sentence; the word is a stranger's, so this process must know the class."""
     said = word.texts()
+    code = said.get("code", "")
     for leaf in _leaves(StoneError):
         if (leaf.__module__, leaf.__qualname__) == (said.get("module"), said.get("name")):
+            if not CODE.fullmatch(code) or getattr(leaf, "code", code) != code:
+                break
             error = leaf.__new__(leaf)
             StoneError.__init__(error, said.get("sentence", ""))
+            error.code = code
             return error
     return SandboxCrashedError("gave a refusal that nobody knows")
 

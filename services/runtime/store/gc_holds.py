@@ -34,11 +34,10 @@ log = structlog.get_logger(__name__)
 class GcHoldLostError(PlatformFaultError):
     """The hold could not be put off in time, so objects may have been deleted meanwhile."""
 
-    code = "hold_lost"
-
     def __init__(self, reason: str) -> None:
         super().__init__(
-            f"the hold on garbage collection ({reason}) ran out after {HELD_S:g} s without the database; begin again"
+            "hold_lost",
+            f"the hold on garbage collection ({reason}) ran out after {HELD_S:g} s without the database; begin again",
         )
 
 

@@ -40,19 +40,15 @@ class ObjectMissingError(StoneError):
 class StoreFullError(PlatformFaultError):
     """The store, or the local cache in front of it, has no room left."""
 
-    code: ClassVar[str] = "store_full"
-
     def __init__(self, place: Path | str) -> None:
-        super().__init__(f"no space left at {place}; free some, or raise the quota, and try again")
+        super().__init__("store_full", f"no space left at {place}; free some, or raise the quota, and try again")
 
 
 class StoreAwayError(PlatformFaultError):
     """The store did not answer, or answered that it cannot work now."""
 
-    code: ClassVar[str] = "store_away"
-
     def __init__(self, place: str, reason: str) -> None:
-        super().__init__(f"the store at {place} failed: {reason}; try again when it answers")
+        super().__init__("store_away", f"the store at {place} failed: {reason}; try again when it answers")
 
 
 def is_key(key: str) -> bool:

@@ -26,10 +26,10 @@ ReadPack = Callable[[int, int, int], Iterator[bytes]]
 class ShortPackError(PlatformFaultError):
     """A pack ends before its index says."""
 
-    code = "short_pack"
-
     def __init__(self, number: int, place: int) -> None:
-        super().__init__(f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?")
+        super().__init__(
+            "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
+        )
 
 
 @dataclass(frozen=True, eq=False)

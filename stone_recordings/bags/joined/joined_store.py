@@ -123,12 +123,11 @@ def _named(finding: Finding, member: str) -> Finding:
 class JoinedTopicError(IngestError):
     """A topic of one name is of two types in the recordings that are to be joined."""
 
-    code = "BAG-041"
-
     def __init__(self, topic: str, types: Sequence[str]) -> None:
         super().__init__(
+            "BAG-041",
             f"topic {topic!r} is {' in one recording and '.join(dict.fromkeys(types))} in another; recordings of one "
-            "run name their topics alike: leave one out, or rename the topic when it is recorded"
+            "run name their topics alike: leave one out, or rename the topic when it is recorded",
         )
 
 

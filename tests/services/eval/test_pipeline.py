@@ -22,9 +22,10 @@ from stone.scoring.metric import RATIOS
 from stone_files.npz import npz_bytes
 from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.archive import open_submission
-from stone_submissions.errors import BadDtypeError, BadShapeError, GroundTruthError, UnreadableInputError
+from stone_submissions.errors import GroundTruthError, UnreadableInputError
 from stone_submissions.validation import check_range, validate
 from stone_submissions.verdict import SubmissionRefusedError
+from testing.refusals import refused_as
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import World
@@ -167,9 +168,9 @@ def test_a_broken_label_file_is_refused_with_its_path(name: str, content: bytes,
 
 
 def test_the_writer_takes_only_grids(tmp_path: Path) -> None:
-    with pytest.raises(BadDtypeError, match="int64"):
+    with refused_as("bad_dtype", match="int64"):
         write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros(GRID_SHAPE, np.int64))])
-    with pytest.raises(BadShapeError, match=r"\(2, 2, 2\)"):
+    with refused_as("bad_shape", match=r"\(2, 2, 2\)"):
         write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros((2, 2, 2), np.uint8))])
     assert list(tmp_path.iterdir()) == []
 

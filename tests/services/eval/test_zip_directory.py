@@ -10,9 +10,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 
 from stone_files.npz import npz_bytes
-from stone_submissions.errors import BadShapeError, NotZipError, SubmissionError, TooLargeError, TruncatedError
+from stone_submissions.errors import SubmissionError
 from stone_submissions.npz_frame import PLAIN_NAMES, plain_member, prediction_grid
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
+from testing.refusals import refused_as
 from tests.services.eval.attacks import grid, saved, stored
 
 PREDICTION = grid()
@@ -58,7 +59,7 @@ def test_a_submission_cut_off_anywhere_is_called_cut_short(method: int) -> None:
     cuts = {*range(4, len(whole), len(whole) // 40), *(place for place in inner if place < len(whole)), len(whole) - 1}
     for stop in sorted(cuts):
         raw = whole[:stop]
-        with pytest.raises(TruncatedError):
+        with refused_as("truncated"):
             read_directory(reader(raw), len(raw), 10)
 
 
@@ -68,13 +69,13 @@ def test_bytes_behind_a_whole_archive_are_told_from_a_cut(method: int, monkeypat
     narrow = archive_of(files, method)
     monkeypatch.setattr(zipfile, "ZIP_FILECOUNT_LIMIT", 2)
     for whole in (narrow, archive_of(files, method)):
-        with pytest.raises(NotZipError, match="found 1 bytes more"):
+        with refused_as("not_zip", match="found 1 bytes more"):
             read_directory(reader(whole + b"x"), len(whole) + 1, 10)
 
 
 @pytest.mark.parametrize("raw", [b"", b"PK\3", b"<!DOCTYPE html><html>", b"PK\5\6", b"\0" * 100])
 def test_what_does_not_begin_as_a_zip_is_none(raw: bytes) -> None:
-    with pytest.raises(NotZipError):
+    with refused_as("not_zip"):
         read_directory(reader(raw), len(raw), 10)
 
 
@@ -90,7 +91,7 @@ def test_what_does_not_begin_as_a_zip_is_none(raw: bytes) -> None:
     ],
 )
 def test_the_hint_for_a_shape_makes_it_the_right_one(shape: tuple[int, ...], steps: list[str]) -> None:
-    hint = str(BadShapeError("(256, 256, 32)", str(shape)))
+    hint = str(SubmissionError("bad_shape", "(256, 256, 32)", str(shape)))
     for step in steps:
         assert step in hint
         assert eval(step, {"grid": np.zeros(shape, np.uint8)}).shape == (256, 256, 32)
@@ -105,7 +106,7 @@ def test_zip64_end_records_are_understood(monkeypatch: pytest.MonkeyPatch) -> No
     assert b"PK\6\6" in raw
     members = read_directory(reader(raw), len(raw), 10)
     assert {member.name: raw[slice(*payload_span(reader(raw), member))] for member in members} == files
-    with pytest.raises(TooLargeError, match="at most 3 files in the archive, found 4"):
+    with refused_as("too_large", match="at most 3 files in the archive, found 4"):
         read_directory(reader(raw), len(raw), 3)
 
 
@@ -150,11 +151,11 @@ def test_every_honest_writer_is_read(npz: bytes) -> None:
 
 
 def test_what_is_no_zip_and_what_was_one_are_told_apart() -> None:
-    with pytest.raises(NotZipError):
+    with refused_as("not_zip"):
         read_directory(reader(b""), 0, 10)
     raw = archive_of({"a": b"x" * 100}, zipfile.ZIP_STORED)
     without_middle = raw[:20] + raw[60:]
-    with pytest.raises(TruncatedError):
+    with refused_as("truncated"):
         read_directory(reader(without_middle), len(without_middle), 10)
 
 

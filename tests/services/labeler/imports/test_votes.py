@@ -18,7 +18,7 @@ from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
 from stone.labels.voxels import VOXEL_M
-from stone_datasets.file_faults import MapTooDenseError
+from testing.refusals import refused_as
 
 Votes = dict[tuple[int, int, int], Counter[int]]
 
@@ -114,7 +114,7 @@ def test_labels_that_fill_a_tile_without_end_are_refused(tmp_path: Path, monkeyp
     monkeypatch.setattr("services.labeler.imports.fused_labels.MOST_TILE_VOXELS", 50)
     labels = FusedLabels("meadow", tmp_path / "votes")
     labels.add(grid_of(1), SE3.identity())
-    with pytest.raises(MapTooDenseError, match="meadow"):
+    with refused_as("DST-072", match="meadow"):
         list(labels.tiles())
 
 

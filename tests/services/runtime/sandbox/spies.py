@@ -10,7 +10,7 @@ from pathlib import Path
 
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.sandbox.messages import ANSWER, send_message
-from stone_submissions.errors import CorruptError
+from stone_submissions.errors import SubmissionError
 
 REMEMBERED = list[int]()
 SECRET = re.compile(rb"stone-secret-[0-9a-f]{32}")  # what it finds is not what it looks like
@@ -129,7 +129,7 @@ def end_by(number: int) -> bytes:
 
 
 def refuse() -> bytes:
-    raise CorruptError("sound bytes", "something else")
+    raise SubmissionError("corrupt", "sound bytes", "something else")
 
 
 def allocate(count_bytes: int) -> bytes:

@@ -18,8 +18,8 @@ from services.runtime.sandbox.fork_client import ForkServer
 from services.runtime.sandbox.job_sandbox import CHILDREN, JobSandbox, RunWork, sandboxed_in_run
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.errors import StoneError
-from stone_submissions.errors import CorruptError
 from testing.process_states import is_running, parent_of
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 from testing.stone_serve import until
 from testing.threads import at_once
@@ -115,7 +115,7 @@ def test_a_later_job_reads_what_the_run_was_given_and_nothing_else(tmp_path: Pat
 
 def test_a_refusal_ends_no_child() -> None:
     first = asked(spies.pid)
-    with pytest.raises(CorruptError):
+    with refused_as("corrupt"):
         asked(spies.refuse)
     assert asked(spies.pid) == first
 

@@ -19,9 +19,10 @@ import pytest
 
 from services.runtime.sandbox import ProgressCallback, SandboxLimits, SandboxWatch, sandboxed, sandboxed_with_progress
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
-from stone.errors import PlatformFaultError, StoneError
-from stone_submissions.errors import CorruptError
+from stone.errors import PlatformFaultError, Refused, StoneError
+from stone_submissions.errors import SubmissionError
 from testing.process_states import is_running
+from testing.refusals import refused_as
 from testing.stone_serve import until
 from testing.threads import at_once
 
@@ -147,13 +148,22 @@ def test_the_answer_comes_back_whole() -> None:
 
 def test_a_refusal_comes_back_as_the_same_leaf_with_the_same_sentence() -> None:
     def refuse() -> bytes:
-        raise CorruptError("a sound file " + "ä" * 1000, "\x1b[31m another\n")
+        raise SubmissionError("corrupt", "a sound file " + "ä" * 1000, "\x1b[31m another\n")
 
-    with pytest.raises(CorruptError) as here:
+    with refused_as("corrupt") as here:
         refuse()
-    with pytest.raises(CorruptError) as there:
+    with refused_as("corrupt") as there:
         sandboxed(refuse)
     assert (str(there.value), there.value.code) == (str(here.value), "corrupt")
+
+
+@pytest.mark.parametrize("code", ["", "Bad", "a b", "x" * 64, "BAG-1", "ä"])
+def test_a_code_that_nobody_writes_is_a_crash(code: str) -> None:
+    def refuse() -> bytes:
+        raise Refused(code, "a sentence")
+
+    with pytest.raises(SandboxCrashedError):
+        sandboxed(refuse)
 
 
 def test_a_leaf_that_only_the_child_knows_is_a_crash() -> None:
