@@ -40,6 +40,7 @@ REFUSALS = (
     "DatasetFaultError",
     "SubmissionError",
     "ApiError",
+    "ExhaustedError",
     "__init__",
 )
 """The names of calls whose first argument is the code."""

@@ -23,7 +23,7 @@ from api.views.benchmarks import benchmark_detail, benchmark_items, known_metric
 from api.visible import benchmark_of, benchmarks_of, phase_at, phase_id_at, phase_of
 from services.domain.benchmarks.golden import golden_archive
 from services.domain.benchmarks.phases import evaluation_versions
-from services.domain.benchmarks.phases.errors import NoGroundTruthError
+from services.domain.benchmarks.phases.errors import no_ground_truth
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase
 
 router = APIRouter(tags=["benchmarks"])
@@ -93,7 +93,7 @@ def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> R
         phase = at.find(session)
         pair = evaluation_versions.active(session, phase.id)
         if pair is None:
-            raise NoGroundTruthError(phase.name)
+            raise no_ground_truth(phase.name)
         blob = session.get_one(Blob, session.get_one(GroundTruthRow, pair.truth_id).manifest_sha256)
     named = f"{at.benchmark}-{at.phase}.manifest.json"
     file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, "application/json", named)

@@ -20,7 +20,7 @@ from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, 
 from api.views.imports.class_maps import stated_classes
 from api.views.imports.items import import_detail, import_items
 from api.visible import theirs
-from services.domain.imports.errors import SplitsForbiddenError
+from services.domain.imports.errors import splits_forbidden
 from services.domain.imports.requests import delete_import, start_import
 from services.runtime.orm import DatasetImport, User
 
@@ -33,7 +33,7 @@ def create_dataset_import(
 ) -> DatasetImportDetail:
     """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once."""
     if body.sets_splits and not caller.is_administrator:  # the role is asked for below; here, the token's scope
-        raise SplitsForbiddenError
+        raise splits_forbidden()
     classes = None if body.classes is None else stated_classes(body.classes)
     with platform.database.transaction() as session:
         imported, run = start_import(session, session.get_one(User, caller.user_id), body.wished(classes))

@@ -28,9 +28,9 @@ from api.schemas.teams import (
 from api.views.teams import team_items
 from api.visible import team_of, teams_of
 from services.domain.benchmarks.teams import teams
-from services.domain.benchmarks.teams.errors import NotMemberError
 from services.runtime.access.users import find_user
 from services.runtime.orm import Team, User
+from stone.errors import Refused
 
 router = APIRouter(prefix="/teams", tags=["people"])
 Participant = Annotated[Caller, Depends(require("submit"))]
@@ -130,7 +130,7 @@ def hand_over(team_id: IdPath, body: CaptainBody, caller: Participant, platform:
 
 
 def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dict[str, str]]) -> None:
-    """Note what the captain does, or an administrator with a reason. Raises `NotCaptainError`, `ReasonMissingError`."""
+    """Note what the captain does, or an administrator with a reason. Raises `not_captain`, `ReasonMissingError`."""
     name, reason, facts = act
     teams.lock_team(session, team.id)
     if caller.is_administrator and teams.captain(session, team.id) != caller.user_id:
@@ -141,8 +141,8 @@ def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dic
 
 
 def _member(session: Session, name: str) -> User:
-    """Raises `NotMemberError`, as for somebody who is known but no member."""
+    """Raises `not_member`, as for somebody who is known but no member."""
     user = find_user(session, name)
     if user is None:
-        raise NotMemberError(name)
+        raise Refused("not_member", f"{name[:64]!r} is no member of this team")
     return user

@@ -41,12 +41,12 @@ def comparison_items(session: Session, rows: Listing[LabelComparison]) -> list[L
 
 
 def pair_picture(store: Store, pair: StoredPair, colours: ColourName) -> bytes:
-    """A, B and the difference from above, a PNG. Raises `GridUnreadableError`."""
+    """A, B and the difference from above, a PNG. Raises `grid_unreadable`."""
     return recoloured(_picture(store, pair), colours)
 
 
 def pair_differences(store: Store, pair: StoredPair) -> bytes:
-    """`STD1` of where A and B differ. Raises `GridUnreadableError`."""
+    """`STD1` of where A and B differ. Raises `grid_unreadable`."""
     return _differences(store, pair)
 
 

@@ -20,7 +20,6 @@ from api.files import ServedFile, StoredFile
 from api.schemas.base import ID_PATTERN
 from api.views.exports import served_file
 from api.visible import frame_of, newest_label_set, shown_sequence
-from services.domain.viewer.errors import NoPlaybackError, NoSceneError
 from services.domain.viewer.formats import MEDIA_TYPES, voxels_bytes
 from services.domain.viewer.frame_grids import stored_grids
 from services.domain.viewer.frame_picture import Grid, picture_bytes, recoloured
@@ -29,6 +28,7 @@ from services.runtime.orm import Artefact, Blob, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
+from stone.errors import Refused
 from stone.labels.class_colours import ColourName
 
 HELD_SCENES, HELD_FRAMES = 16, 128
@@ -54,12 +54,15 @@ class SceneLocation:
 
 
 def scene_of(session: Session, caller: Caller, sequence_id: str) -> SceneLocation:
-    """The scene of the newest labels. Raises `NotFoundError`, `NoSceneError`."""
+    """The scene of the newest labels. Raises `NotFoundError`, `no_scene`."""
     sequence = shown_sequence(session, caller, sequence_id)
     labels = newest_label_set(session, sequence.id)
     file = artefact_file(session, sequence, labels, "scene/scene.json")
     if file is None:
-        raise NoSceneError(labels.id)
+        raise Refused(
+            "no_scene",
+            f"labels {labels.id} were made by a version that kept nothing for the viewer; process the sequence again",
+        )
     return SceneLocation(sequence.id, labels.id, file, playback_of(session, labels.id))
 
 
@@ -94,26 +97,26 @@ def labels_file(session: Session, caller: Caller, token: str, version: str | Non
 
 
 def frame_voxels(store: Store, labels: StoredFile) -> bytes:
-    """`STV1` of these labels. Raises `GridUnreadableError`."""
+    """`STV1` of these labels. Raises `grid_unreadable`."""
     return _made(store, labels, voxels_bytes)
 
 
 def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> bytes:
-    """These labels from above, a PNG. Raises `GridUnreadableError`."""
+    """These labels from above, a PNG. Raises `grid_unreadable`."""
     return recoloured(_made(store, labels, picture_bytes), colours)
 
 
 def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name: Callable[[str], str]) -> ServedFile:
     """A file of a frame's playback: of the caller, the token and the version asked for, and its name by token.
 
-    Raises `NotFoundError`, `NoPlaybackError`.
+    Raises `NotFoundError`, `no_playback`.
     """
     caller, token, version = asked
     with platform.database.reading() as session:
         _, labels = frame_of(session, caller, token)
         playback = playback_of(session, labels.id)
     if playback.located is None:
-        raise NoPlaybackError(labels.id)
+        raise no_playback(labels.id)
     stored = stored_files(platform.store, playback.located)
     return replace(served_file(platform.store, stored, name(token)), is_lasting=version == labels.id)
 
@@ -121,14 +124,14 @@ def played_file(platform: Platform, asked: tuple[Caller, str, str | None], name:
 def played_cameras(platform: Platform, asked: tuple[Caller, str, str | None]) -> ServedFile:
     """`STR1` of the playback of the newest labels: of the caller, the sequence and the version asked for.
 
-    Its version is the playback: it can be made anew of the same labels. Raises `NotFoundError`, `NoPlaybackError`.
+    Its version is the playback: it can be made anew of the same labels. Raises `NotFoundError`, `no_playback`.
     """
     caller, sequence_id, version = asked
     with platform.database.reading() as session:
         labels = newest_label_set(session, shown_sequence(session, caller, sequence_id).id)
         playback = playback_of(session, labels.id)
     if playback.located is None:
-        raise NoPlaybackError(labels.id)
+        raise no_playback(labels.id)
     served = served_file(platform.store, stored_files(platform.store, playback.located), CAMERAS)
     return replace(served, media_type=MEDIA_TYPES["STR1"], is_lasting=version == playback.export_id)
 
@@ -160,3 +163,11 @@ def artefact_file(session: Session, sequence: SequenceRow, labels: LabelSet | No
     artefact, blob = row
     filename = f"{sequence.name}-{name.replace('/', '-')}"
     return StoredFile(blob.object_key, blob.size_bytes, blob.sha256, artefact.media_type, filename)
+
+
+def no_playback(label_set_id: str) -> Refused:
+    return Refused(
+        "no_playback",
+        f"labels {label_set_id} have no playback yet: its job makes it after the labels; was it switched off, or "
+        "deleted? Start an export of format playback",
+    )

@@ -37,7 +37,7 @@ class Option:
     track: str | None = None
 
     def parameters(self, profile: Profile) -> LabelParameters:
-        """The profile's with what this option changes. Raises `ChoiceError`."""
+        """The profile's with what this option changes. Raises `bad_parameter`."""
         given = chosen_parameters(profile, self.choices)
         surface = replace(given.surface, solver=self.solver)
         return replace(given, surface=surface, refinement=self.refinement)

@@ -106,7 +106,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
 def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
     """Leave in the workspace the sequence with all of its findings; nobody waits for it but who publishes labels.
 
-    Raises what `checked` and `arguments_of_run` raise, `WorkGoneError`.
+    Raises what `checked` and `arguments_of_run` raise, `work_gone`.
     """
     arguments = arguments_of_run(platform, attempt)
     inputs = _inputs(platform, attempt, arguments)

@@ -254,7 +254,7 @@ def _names(members: Iterable[JoinedMember]) -> str:
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     """Write the input that the job is for.
 
-    Raises `JobCancelledError` when its phase or version was deleted, `InputsImpossibleError`, `RecordingDeletedError`,
+    Raises `JobCancelledError` when its phase or version was deleted, `inputs_impossible`, `RecordingDeletedError`,
     and what the exporter raises.
     """
     is_of_version = "dataset_id" in attempt.arguments

@@ -121,7 +121,7 @@ def other_profile(parameters: LabelParameters) -> LabelParameters:
 
 
 def chosen_parameters(profile: str, choices: Mapping[str, float]) -> LabelParameters:
-    """The parameters of a profile with some chosen by dotted name. Raises `ChoiceError`."""
+    """The parameters of a profile with some chosen by dotted name. Raises `bad_parameter`."""
     check_choices(profile, choices)
     parameters = parameters_for(cast("Profile", profile))
     for name, value in choices.items():

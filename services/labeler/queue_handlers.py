@@ -55,7 +55,7 @@ def _spec(job: JobAnswer) -> JobSpec:
 
 
 def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
-    """Pull what the job reads, do its work, push what it wrote. Raises what the work raises, and `WorkGoneError`."""
+    """Pull what the job reads, do its work, push what it wrote. Raises what the work raises, and `work_gone`."""
     opening = context.opening_with_sweeps() if stage.reads_sweeps else context.opening
     task = StageTask(opening, kind, context.attempt.arguments)
     near: tuple[str, ...] = ()

@@ -58,7 +58,7 @@ class LabelStageContext:
             return answer.believed(sandbox.run(work, shown, 1))
 
     def pull(self, reads: tuple[str, ...], requires: tuple[str, ...]) -> None:
-        """Make local what earlier stages left. Raises `WorkGoneError` where nothing is left of what is required."""
+        """Make local what earlier stages left. Raises `work_gone` where nothing is left of what is required."""
         folder = self.workspace.folder
         self.workspace.pull(*reads)
         self.workspace.pull(*(name for name in requires if not (folder / name).exists()))
@@ -68,8 +68,8 @@ class LabelStageContext:
 def stage_context_of(platform: Platform, attempt: Attempt) -> LabelStageContext:
     """The stage context of this attempt.
 
-    Raises `JobCancelledError` when the sequence was deleted or other code's run is begun again, `CodeChangedError` when
-    it cannot be, `WorkGoneError`.
+    Raises `JobCancelledError` when the sequence was deleted or other code's run is begun again, `code_changed` when
+    it cannot be, `work_gone`.
     """
     arguments = arguments_of_run(platform, attempt)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)

@@ -37,32 +37,23 @@ from services.runtime.orm import (
 from services.runtime.store.blobs import PreparedBlob, link_all
 from services.runtime.store.pack_reading import ExportLocation
 from services.runtime.store.packs import PackedFiles
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone_files.joined_file import JOINED
 
 INPUTS = "labeler.inputs"
 
 
-class InputsStandError(StoneError):
-    """Every sequence has its inputs already."""
-
-    code = "inputs_stand"
-
-    def __init__(self, holder: str, count: int) -> None:
-        super().__init__(f"the inputs of all {count} sequences of {holder} are there; they never change")
+def inputs_stand(holder: str, count: int) -> Refused:
+    return Refused("inputs_stand", f"the inputs of all {count} sequences of {holder} are there; they never change")
 
 
-class InputsImpossibleError(StoneError):
-    """A sequence is gone, or what its inputs are made of."""
-
-    code = "inputs_impossible"
-
-    def __init__(self, names: Listing[str]) -> None:
-        shown = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
-        super().__init__(
-            f"{len(names)} sequences have lost their recording or were deleted: {shown}; upload them again, or "
-            "publish a dataset version without them"
-        )
+def inputs_impossible(names: Listing[str]) -> Refused:
+    shown = ", ".join(names[:5]) + (", …" if len(names) > 5 else "")
+    return Refused(
+        "inputs_impossible",
+        f"{len(names)} sequences have lost their recording or were deleted: {shown}; upload them again, or "
+        "publish a dataset version without them",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -126,11 +117,11 @@ def is_possible(session: Session, member: DatasetMember) -> bool:
 
 
 def sequence_key(session: Session, attempt: Attempt) -> str:
-    """The object that holds the synchronised sequence the attempt works for. Raises `InputsImpossibleError`."""
+    """The object that holds the synchronised sequence the attempt works for. Raises `inputs_impossible`."""
     found = _artefact(attempt.arguments["label_set_id"])
     key = session.scalar(select(Blob.object_key).where(Blob.sha256.in_(found.with_only_columns(Artefact.blob_sha256))))
     if key is None:
-        raise InputsImpossibleError([attempt.arguments["name"]])
+        raise inputs_impossible([attempt.arguments["name"]])
     return key
 
 
@@ -170,7 +161,7 @@ class MemberInput:
 def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Job:
     """The run that makes what is missing and can be made: the one that is at it, or a new one.
 
-    Raises `InputsStandError`, `InputsImpossibleError` where all that is missing is lost, `QueueDrainingError`.
+    Raises `inputs_stand`, `inputs_impossible` where all that is missing is lost, `QueueDrainingError`.
     """
     session.scalars(select(Dataset.id).where(Dataset.id == dataset.id).with_for_update(key_share=True)).one()
     holder = {"dataset_id": dataset.id}
@@ -181,8 +172,8 @@ def start_version_inputs(session: Session, dataset: Dataset, user_id: str) -> Jo
     if missing := [one.member for one in found if one.state == "missing"]:
         return _enqueued(session, dataset, missing, Context(user_id))
     if lost := [one.member.name for one in found if one.state == "lost"]:
-        raise InputsImpossibleError(lost)
-    raise InputsStandError(f"version {dataset.name!r}", len(members))
+        raise inputs_impossible(lost)
+    raise inputs_stand(f"version {dataset.name!r}", len(members))
 
 
 def follow_publication(session: Session, dataset: Dataset, user_id: str) -> None:

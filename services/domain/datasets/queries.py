@@ -9,10 +9,10 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import OPEN, voxels_of
-from services.domain.datasets.errors import HiddenPartError
 from services.domain.datasets.versions import open_entries
 from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart
 from services.runtime.store.pack_reading import ExportLocation
+from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS
 
@@ -38,10 +38,10 @@ def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:
 
 
 def locate_part(session: Session, dataset: Dataset, part: str) -> tuple[DatasetPart, ExportLocation]:
-    """A part and where its files lie. Raises `HiddenPartError` for test, and whatever is no part."""
+    """A part and where its files lie. Raises `hidden_part` for test, and whatever is no part."""
     found = next((row for row in open_parts(session, dataset) if row.part == part), None)
     if found is None:
-        raise HiddenPartError(part)
+        raise Refused("hidden_part", f"the files of {part!r} cannot be downloaded; train and val can")
     packs = select(Blob.object_key).join(DatasetPack, DatasetPack.blob_sha256 == Blob.sha256)
     of_part = packs.where(DatasetPack.dataset_id == dataset.id, DatasetPack.part == part).order_by(DatasetPack.ordinal)
     index = session.get_one(Blob, found.index_sha256)

@@ -5,7 +5,7 @@ or refuses. What a version is made of is held by foreign keys to blobs, test's l
 """
 
 import json
-from collections.abc import Iterable, Mapping
+from collections.abc import Iterable, Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
@@ -15,7 +15,6 @@ from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import HIDDEN, OPEN, CatalogueSequence, entries_of, labelled_sequences
-from services.domain.datasets.errors import BrokenSplitsError, NoSplitsError, SplitsChangedError
 from services.domain.datasets.files import DatasetFile, files_of, packed, sums_file, sums_of
 from services.domain.datasets.splits import CurrentSplits, current_splits, errors_of, judged, lock_splits
 from services.domain.datasets.statistics import CLASSES, statistics_record
@@ -27,6 +26,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.pack_reading import StoredFiles, archive_sha256
 from services.runtime.store.packs import PackedFiles, index_bytes
+from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding
 from stone.splits.surroundings import DAYLIGHT, UNSAID
@@ -127,7 +127,7 @@ class PreparedDataset:
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version but for its rows; `folder` is where its own files are written.
 
-    Raises `NoSplitsError`, `BrokenSplitsError`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
+    Raises `no_splits`, `splits_broken`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
     """
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
@@ -148,10 +148,14 @@ def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[
 
 
 def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
-    """The rows of the version. Raises `SplitsChangedError`, `NameTakenError`."""
+    """The rows of the version. Raises `splits_changed`, `NameTakenError`."""
     row = lock_splits(session)
     if row.revision != prepared.revision:
-        raise SplitsChangedError(prepared.revision, row.revision)
+        raise Refused(
+            "splits_changed",
+            f"the splits went from revision {prepared.revision} to {row.revision} meanwhile; review them and "
+            "publish again",
+        )
     parts = prepared.parts.items()
     own = (blob for _, part in parts for blob in (part.index, part.sums))
     link_all(session, (prepared.manifest, *own))
@@ -179,15 +183,15 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
 def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFinding, ...]]:
     """The splits as they stand, the sequences of each part, and what the rules warn of.
 
-    Raises `NoSplitsError`, `BrokenSplitsError`.
+    Raises `no_splits`, `splits_broken`.
     """
     current = current_splits(session)
     if not current.split.filled:
-        raise NoSplitsError()
+        raise Refused("no_splits", "no sequence is in train, val or test; save the splits first (PUT /splits)")
     labelled = labelled_sequences(session)
     findings = judged(current.split, labelled)
     if broken := errors_of(findings):
-        raise BrokenSplitsError([finding.message for finding in broken])
+        raise broken_splits([finding.message for finding in broken])
     parts = current.split.parts
     members: Members = {part: tuple(one for one in labelled if one.entry.id in parts[part]) for part in PARTS}
     return current, members, findings
@@ -242,3 +246,10 @@ def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart
         for ordinal, blob in enumerate(made.packs)
     ]
     session.execute(insert(DatasetPack), held)
+
+
+def broken_splits(sentences: Sequence[str]) -> Refused:
+    more = f"; and {len(sentences) - 3} more" if len(sentences) > 3 else ""
+    return Refused(
+        "splits_broken", f"the splits break {len(sentences)} rule(s) by now: {'; '.join(sentences[:3])}{more}"
+    )

@@ -40,31 +40,13 @@ from services.runtime.store.blobs import PreparedBlob, link_all
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.recipes import recipe_of
 from services.runtime.telemetry.tracing import link_job
-from stone.errors import StoneError
+from stone.errors import Refused
 
 EXPORT = "labeler.export"
 ExportFormat = Literal["nuscenes", "inputs", "kitti", "mesh", "mcap", "rrd", "previews", "playback"]
 FORMATS: tuple[ExportFormat, ...] = get_args(ExportFormat)
 FROM_LABELS_ALONE = ("mesh",)
 LAST = -1  # the priority of what nobody waits for
-
-
-class UnknownExportFormatError(StoneError):
-    """There is no export of this name."""
-
-    code = "unknown_format"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"{name[:80]!r} is no format of an export; known are {', '.join(FORMATS)}")
-
-
-class NothingToExportError(StoneError):
-    """The sequence has no labels, or not what an export is made of."""
-
-    code = "nothing_to_export"
-
-    def __init__(self, sequence_id: str, why: str) -> None:
-        super().__init__(f"sequence {sequence_id} cannot be exported: {why}")
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,11 +68,11 @@ class ExportResult:
 def start_export(session: Session, sequence: SequenceRow, form: str) -> tuple[Export, Job]:
     """The export of the labels that count, and its job: those that stand already, or new ones.
 
-    An export whose job failed or was cancelled is tried again. Raises `UnknownExportFormatError`,
-    `SequenceDeletedError`, `NothingToExportError`, `QueueDrainingError`.
+    An export whose job failed or was cancelled is tried again. Raises `unknown_format`,
+    `SequenceDeletedError`, `nothing_to_export`, `QueueDrainingError`.
     """
     if form not in FORMATS:
-        raise UnknownExportFormatError(form)
+        raise Refused("unknown_format", f"{form[:80]!r} is no format of an export; known are {', '.join(FORMATS)}")
     sequence = lock_sequence(session, sequence.id)
     labels = _exportable_labels(session, sequence, form)
     link_job(session, labels.job_id)
@@ -202,13 +184,22 @@ def _existing_export(session: Session, sequence: SequenceRow, recipe: str) -> Ex
 
 
 def _exportable_labels(session: Session, sequence: SequenceRow, form: str) -> LabelSet:
-    """Raises `NothingToExportError`."""
+    """Raises `nothing_to_export`."""
     labels = counting_labels(session, sequence.id)
     if labels is None:
-        raise NothingToExportError(sequence.id, "it has no labels; process it first")
+        raise Refused(
+            "nothing_to_export", f"sequence {sequence.id} cannot be exported: it has no labels; process it first"
+        )
     synchronised = select(Artefact.id).where(Artefact.label_set_id == labels.id, Artefact.name == SEQUENCE_FILE)
     if session.scalar(synchronised) is None:
-        raise NothingToExportError(sequence.id, "an earlier version made its labels and kept no sequence.npz")
+        raise Refused(
+            "nothing_to_export",
+            f"sequence {sequence.id} cannot be exported: an earlier version made its labels and kept no sequence.npz",
+        )
     if form not in FROM_LABELS_ALONE and not has_samples(session, sequence.id, labels.id):
-        raise NothingToExportError(sequence.id, "its recording was deleted; only a mesh can be made of labels alone")
+        raise Refused(
+            "nothing_to_export",
+            f"sequence {sequence.id} cannot be exported: its recording was deleted; only a mesh can be made of "
+            "labels alone",
+        )
     return labels

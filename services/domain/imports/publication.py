@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import labelled_sequences
 from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
-from services.domain.imports.errors import ExistingSequencesError
+from services.domain.imports.errors import existing_sequences
 from services.runtime.access import storage_quota
 from services.runtime.orm import DatasetImport, ImportedFile, SequenceRow
 from services.runtime.orm.base import now_ns
@@ -35,7 +35,7 @@ class PublishedScene:
 def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[str]) -> Mapping[str, SequenceRow]:
     """The owner's sequences of these names.
 
-    Raises `ExistingSequencesError` where there are any and labels are not to be added to them.
+    Raises `sequences_exist` where there are any and labels are not to be added to them.
     """
     found = dict[str, SequenceRow]()
     for start in range(0, len(names), AT_A_TIME):
@@ -43,14 +43,14 @@ def refuse_existing(session: Session, imported: DatasetImport, names: Sequence[s
         alive = select(SequenceRow).where(SequenceRow.owner_id == imported.owner_id, SequenceRow.deleted_ns.is_(None))
         found |= {row.name: row for row in session.scalars(alive.where(named))}
     if found and imported.existing == "refuse":
-        raise ExistingSequencesError([name for name in names if name in found])
+        raise existing_sequences([name for name in names if name in found])
     return found
 
 
 def sequences_of_scenes(session: Session, imported: DatasetImport) -> list[SequenceRow]:
     """The sequence of each scene, in their order: one of that name, or a new one; the owner is locked from here on.
 
-    Raises `ExistingSequencesError`.
+    Raises `sequences_exist`.
     """
     storage_quota.lock_owner(session, imported.owner_id)
     scenes = imported.scenes or []

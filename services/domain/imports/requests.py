@@ -13,8 +13,8 @@ from typing import Any, Literal
 from sqlalchemy import Select, delete, select
 from sqlalchemy.orm import Session
 
-from services.domain.imports.errors import SplitsForbiddenError
-from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, CodeChangedError, RestartedTooOftenError
+from services.domain.imports.errors import splits_forbidden
+from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, RestartedTooOftenError, code_changed
 from services.runtime.access import storage_quota
 from services.runtime.access.roles import allows
 from services.runtime.code_version import code_version
@@ -81,10 +81,10 @@ class NewImport:
 def start_import(session: Session, owner: User, new: NewImport) -> tuple[DatasetImport, Job]:
     """Use up the owner's upload: its import, and the run that does it.
 
-    Raises `SplitsForbiddenError`, what `uploads.consume` raises, `QueueDrainingError`.
+    Raises `splits_forbidden`, what `uploads.consume` raises, `QueueDrainingError`.
     """
     if new.sets_splits and not allows(owner.role, ("administrator",)):
-        raise SplitsForbiddenError
+        raise splits_forbidden()
     upload = consume(session, new.upload_id, owner.id, PURPOSE)
     link_to(upload.traceparent)
     imported = DatasetImport(
@@ -212,7 +212,7 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
     """The import that the attempt's run makes, which this version of the code began.
 
     Raises `JobCancelledError` where it was deleted, or another version began it, once it is begun again;
-    `CodeChangedError` where that is not possible now.
+    `code_changed` where that is not possible now.
     """
     with platform.database.reading() as session:
         begun = session.get_one(Job, attempt.root_id).arguments["code_version"]
@@ -222,7 +222,7 @@ def import_of_attempt(platform: Platform, attempt: Attempt) -> DatasetImport:
     try:
         begin_run_again(platform, attempt, f"the platform was upgraded to code version {code_version('labels')}")
     except (QueueDrainingError, RestartedTooOftenError) as error:
-        raise CodeChangedError((begun, code_version("imports")), error, REMEDY) from error
+        raise code_changed((begun, code_version("imports")), error, REMEDY) from error
     raise JobCancelledError(f"its run was begun by version {begun}; the dataset is imported by another run")
 
 

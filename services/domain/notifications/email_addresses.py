@@ -11,17 +11,12 @@ from secrets import token_urlsafe
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from services.domain.notifications.errors import (
-    BadEmailAddressError,
-    EmailVerificationError,
-    NoEmailError,
-    TooManyVerificationsError,
-)
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.notifications.events import EMAIL_VERIFICATION, NewEvent, record
 from services.runtime.orm import EmailAddress, NotificationEvent, User
 from services.runtime.orm.base import now_ns
 from services.runtime.settings_checks import EMAIL
+from stone.errors import Refused
 
 DAY_NS = 86_400 * 10**9
 LASTS_NS = DAY_NS
@@ -32,17 +27,23 @@ LONGEST = 254
 def set_address(session: Session, user_id: str, address: str, settings: NotificationSettings) -> EmailAddress:
     """The user's address, unverified; a link is mailed there.
 
-    Raises `NoEmailError`, `BadEmailAddressError`, `TooManyVerificationsError`.
+    Raises `no_email`, `bad_email_address`, `too_many_verifications`.
     """
     if not settings.smtp_host:
-        raise NoEmailError()
+        raise Refused("no_email", "e-mail is not configured on this platform (SMTP)")
     if len(address) > LONGEST or not EMAIL.fullmatch(address):
-        raise BadEmailAddressError(address)
+        raise Refused(
+            "bad_email_address",
+            f"{address[:80]!r} is no e-mail address as ada@example.org is (at most 254 characters, ASCII)",
+        )
     session.execute(select(User.id).where(User.id == user_id).with_for_update(key_share=True))  # one at a time
     mails = select(func.count()).select_from(NotificationEvent).where(NotificationEvent.user_id == user_id)
     mails = mails.where(NotificationEvent.kind == EMAIL_VERIFICATION, NotificationEvent.created_ns > now_ns() - DAY_NS)
     if (session.scalar(mails) or 0) >= MOST_MAILS:
-        raise TooManyVerificationsError(MOST_MAILS)
+        raise Refused(
+            "too_many_verifications",
+            f"{MOST_MAILS} e-mails were sent today to verify an address of yours; try again tomorrow",
+        )
     row = session.get(EmailAddress, user_id) or EmailAddress(user_id=user_id)
     row.address, row.verified_ns, row.secret_hash, row.expires_ns = address, None, "", 0
     session.add(row)
@@ -68,11 +69,14 @@ def new_secret(session: Session, row: EmailAddress) -> str:
 
 
 def verify(session: Session, user_id: str, secret: str) -> EmailAddress:
-    """The user's address, verified by the secret of the link. Raises `EmailVerificationError`."""
+    """The user's address, verified by the secret of the link. Raises `email_not_verified`."""
     row = session.get(EmailAddress, user_id, with_for_update=True)
     is_right = row is not None and compare_digest(row.secret_hash, _hash(secret)) and row.expires_ns > now_ns()
     if row is None or not is_right:
-        raise EmailVerificationError()
+        raise Refused(
+            "email_not_verified",
+            "this link is not the newest one sent, or older than a day, or of another account; ask again",
+        )
     row.verified_ns, row.secret_hash = now_ns(), ""
     session.flush()
     return row

@@ -13,12 +13,13 @@ from urllib.parse import SplitResult, urlsplit
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
-from services.domain.notifications.errors import BadWebhookUrlError, NoWebhookError
+from services.domain.notifications.errors import BadWebhookUrlError
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.notifications.events import WEBHOOK_DISABLED, NewEvent, record
 from services.runtime.orm import Webhook
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 
 PREFIX = "whsec_"
 SECRET_BYTES = 32
@@ -34,10 +35,10 @@ def set_webhook(session: Session, user_id: str, url: str, settings: Notification
 
 
 def rotate_secret(session: Session, user_id: str) -> Webhook:
-    """The user's webhook with a new secret; the old one signs nothing any more. Raises `NoWebhookError`."""
+    """The user's webhook with a new secret; the old one signs nothing any more. Raises `no_webhook`."""
     row = session.get(Webhook, user_id, with_for_update=True)
     if row is None:
-        raise NoWebhookError()
+        raise Refused("no_webhook", "you have no webhook yet; set its URL first")
     return _renewed(session, row)
 
 

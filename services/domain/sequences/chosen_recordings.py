@@ -10,13 +10,8 @@ from typing import Any
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.processing_errors import (
-    ClockOffsetError,
-    NoRecordingError,
-    RecordingNamesError,
-    UnknownRecordingError,
-)
 from services.runtime.orm import Recording, SequenceRow
+from stone.errors import Refused
 
 REGISTERED = "registered"
 
@@ -24,31 +19,45 @@ REGISTERED = "registered"
 def chosen_recordings(session: Session, sequence: SequenceRow, ids: Sequence[str]) -> tuple[Recording, ...]:
     """The registered recordings of the sequence with these ids, or all of them, in the order in which they were added.
 
-    Raises `UnknownRecordingError`, `NoRecordingError`, `RecordingNamesError`.
+    Raises `unknown_recording`, `no_recording`, `recordings_named_alike`.
     """
     of_sequence = select(Recording).where(Recording.sequence_id == sequence.id).order_by(Recording.id)
     recordings = session.scalars(of_sequence.execution_options(populate_existing=True)).all()
     registered = {recording.id: recording for recording in recordings if recording.state == REGISTERED}
     if unknown := sorted(set(ids) - set(registered)):
-        raise UnknownRecordingError(sequence.id, unknown[0])
+        raise Refused(
+            "unknown_recording",
+            f"{unknown[0][:80]} is no registered recording of sequence {sequence.id}; was it removed, or refused?",
+        )
     if not registered:
-        raise NoRecordingError(sequence.id, len(recordings))
+        raise no_recording(sequence.id, len(recordings))
     chosen = [recording for recording in registered.values() if not ids or recording.id in ids]
     return _told_apart(sequence, chosen)
 
 
 def offsets_by_name(recordings: Sequence[Recording], given_ns: Mapping[str, int]) -> dict[str, int]:
-    """The offsets by name of recording; they are given by id or name. Raises `ClockOffsetError`."""
+    """The offsets by name of recording; they are given by id or name. Raises `bad_clock_offset`."""
     if given_ns and len(recordings) == 1:
-        raise ClockOffsetError(next(iter(given_ns)), "the run has one recording, which has no other clock to be put on")
+        raise Refused(
+            "bad_clock_offset",
+            f"a clock offset is given for {next(iter(given_ns))[:120]}, but the run has one recording, which has "
+            "no other clock to be put on",
+        )
     names = {key: recording.filename for recording in recordings for key in (recording.id, recording.filename)}
     found = dict[str, int]()
     for key, offset_ns in sorted(given_ns.items()):
         if key not in names:
             known = ", ".join(sorted(recording.filename for recording in recordings))
-            raise ClockOffsetError(key, f"it is none of the run's recordings, which are {known}")
+            raise Refused(
+                "bad_clock_offset",
+                f"a clock offset is given for {key[:120]}, but it is none of the run's recordings, which are {known}",
+            )
         if found.setdefault(names[key], offset_ns) != offset_ns:
-            raise ClockOffsetError(key, "two different offsets are given for it, by its id and by its name")
+            raise Refused(
+                "bad_clock_offset",
+                f"a clock offset is given for {key[:120]}, but two different offsets are given for it, by its id "
+                "and by its name",
+            )
     return found
 
 
@@ -64,5 +73,15 @@ def _told_apart(sequence: SequenceRow, recordings: Sequence[Recording]) -> tuple
     names = [recording.filename.casefold() for recording in apart]
     for recording in apart:
         if names.count(recording.filename.casefold()) > 1:
-            raise RecordingNamesError(sequence.id, recording.filename)
+            raise Refused(
+                "recordings_named_alike",
+                f"two different recordings of sequence {sequence.id} are called {recording.filename[:120]}; "
+                "recordings of one run are told apart by their names: remove one and upload it under another, or "
+                "name in recording_ids those meant",
+            )
     return tuple(apart)
+
+
+def no_recording(sequence_id: str, unusable: int) -> Refused:
+    why = f"{unusable} could not be registered, see their findings" if unusable else "none was added"
+    return Refused("no_recording", f"sequence {sequence_id} has no registered recording ({why}); add one first")

@@ -28,30 +28,10 @@ from services.runtime.orm import (
     new_id,
 )
 from services.runtime.orm.base import now_ns
-from stone.errors import StoneError
+from stone.errors import Refused
 
 COMPARE = "eval.compare"
 NS_PER_US = 1000
-
-
-class UnknownLabelSetError(StoneError):
-    """The sequence has no such label set."""
-
-    code = "unknown_label_set"
-
-    def __init__(self, label_set_id: str, sequence_id: str) -> None:
-        super().__init__(
-            f"{label_set_id[:80]!r} is no label set of sequence {sequence_id}; was it of another sequence?"
-        )
-
-
-class SameLabelSetError(StoneError):
-    """A label set is not compared with itself."""
-
-    code = "same_label_set"
-
-    def __init__(self, label_set_id: str) -> None:
-        super().__init__(f"A and B are both label set {label_set_id}; name two different ones")
 
 
 @dataclass(frozen=True)
@@ -76,13 +56,13 @@ class StoredPair:
 def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: str) -> tuple[LabelComparison, Job]:
     """The comparison of A and B and its job: those that stand already, or new ones.
 
-    Raises `UnknownLabelSetError`, `SameLabelSetError`, `SequenceDeletedError`, `QueueDrainingError`.
+    Raises `unknown_label_set`, `same_label_set`, `SequenceDeletedError`, `QueueDrainingError`.
     """
     sequence = lock_sequence(session, sequence.id)
     for label_set_id in (a_id, b_id):
         _require_label_set(session, sequence, label_set_id)
     if a_id == b_id:
-        raise SameLabelSetError(a_id)
+        raise Refused("same_label_set", f"A and B are both label set {a_id}; name two different ones")
     comparison = _existing_comparison(session, a_id, b_id)
     if comparison is not None:
         job = session.get_one(Job, comparison.job_id, populate_existing=True)
@@ -169,7 +149,10 @@ def _existing_comparison(session: Session, a_id: str, b_id: str) -> LabelCompari
 
 
 def _require_label_set(session: Session, sequence: SequenceRow, label_set_id: str) -> None:
-    """Raises `UnknownLabelSetError`."""
+    """Raises `unknown_label_set`."""
     found = session.get(LabelSet, label_set_id)
     if found is None or found.sequence_id != sequence.id:
-        raise UnknownLabelSetError(label_set_id, sequence.id)
+        raise Refused(
+            "unknown_label_set",
+            f"{label_set_id[:80]!r} is no label set of sequence {sequence.id}; was it of another sequence?",
+        )

@@ -16,10 +16,8 @@ from sqlalchemy.orm import Session
 from services.domain.sequences.chosen_recordings import chosen_recordings, offsets_by_name
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
-    NoCalibrationError,
     RecordingPendingError,
     SequenceDeletedError,
-    UnknownStagesError,
 )
 from services.domain.sequences.profiles import topics_of
 from services.runtime.access import storage_quota
@@ -32,7 +30,7 @@ from services.runtime.orm import CalibrationRow, Export, Job, LabelSet, Preview,
 from services.runtime.orm.base import now_ns
 from services.runtime.store.recipes import recipe_of
 from services.runtime.telemetry.tracing import link_uploads_of
-from stone.errors import StoneError
+from stone.errors import Refused
 
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
@@ -83,13 +81,13 @@ def register(session: Session, recording: Recording) -> Job:
 def start_processing(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Job:
     """The run that makes what is asked for: a new one, the one that is at it, or the one that has made it already.
 
-    Raises `ChoiceError`, `UnknownStagesError`, `SequenceDeletedError`, `NoCalibrationError`, `NoRecordingError`,
-    `RecordingPendingError`, `UnknownRecordingError`, `RecordingNamesError`, `ClockOffsetError`,
+    Raises `bad_parameter`, `bad_stages`, `SequenceDeletedError`, `no_calibration`, `no_recording`,
+    `RecordingPendingError`, `unknown_recording`, `recordings_named_alike`, `bad_clock_offset`,
     `AlreadyProcessingError`, `QueueDrainingError`.
     """
     check_choices(request.profile, request.parameters)
     if not request.stages or request.stages != STAGES[: len(request.stages)]:
-        raise UnknownStagesError(request.stages, STAGES)
+        raise unknown_stages(request.stages, STAGES)
     sequence = lock_sequence(session, sequence.id)
     inputs = checked_inputs(session, sequence, request)
     request = replace(request, topics=topics_of(session, sequence))
@@ -155,7 +153,7 @@ def _context(sequence: SequenceRow) -> Context:
 def checked_inputs(session: Session, sequence: SequenceRow, request: ProcessRequest) -> Ingredients:
     """The calibration it pins, and the recordings that are meant. Raises as `start_processing`."""
     if sequence.calibration_id is None:
-        raise NoCalibrationError(sequence.id)
+        raise Refused("no_calibration", f"sequence {sequence.id} has no calibration; assign one first")
     if count := pending_recordings(session, sequence):
         raise RecordingPendingError(sequence.id, count)
     recordings = chosen_recordings(session, sequence, request.recording_ids)
@@ -256,32 +254,45 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
 }
 
 
-class ChoiceError(StoneError):
-    """A profile or parameter that cannot be chosen, or not with this value."""
-
-    code = "bad_parameter"
-
-    def __init__(self, name: str, value: object, allowed: str) -> None:
-        super().__init__(f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; {allowed}")
-
-
 def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
-    """Raises `ChoiceError` for the first choice that is unknown, of the wrong kind or out of bounds."""
+    """Raises `bad_parameter` for the first choice that is unknown, of the wrong kind or out of bounds."""
     if profile not in PROFILES:
-        raise ChoiceError("profile", profile, f"a profile is one of {', '.join(PROFILES)}")
+        raise Refused(
+            "bad_parameter",
+            f"{'profile'[:80]!r} cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
+        )
     for name, value in parameters.items():
         if name not in BOUNDS:
-            raise ChoiceError(name, value, f"the parameters that can be chosen are {', '.join(BOUNDS)}")
+            raise Refused(
+                "bad_parameter",
+                f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the parameters that can be chosen are "
+                f"{', '.join(BOUNDS)}",
+            )
         _check_value(name, value)
     left_out = parameters.get("reference.outlier_ratio", 0.0)
     if profile == "paper" and left_out:
-        raise ChoiceError("reference.outlier_ratio", left_out, "profile paper leaves none out; profile local can")
+        raise Refused(
+            "bad_parameter",
+            f"{'reference.outlier_ratio'[:80]!r} cannot be {str(left_out)[:80]!r}; profile paper leaves none "
+            "out; profile local can",
+        )
 
 
 def _check_value(name: str, value: object) -> None:
     low, high = BOUNDS[name]
     is_whole = isinstance(low, int)
     if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
-        raise ChoiceError(name, value, f"it takes a {'whole ' if is_whole else ''}number from {low:g} to {high:g}")
+        raise Refused(
+            "bad_parameter",
+            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it takes a {'whole ' if is_whole else ''}number "
+            f"from {low:g} to {high:g}",
+        )
     if not low <= value <= high:  # false for NaN too
-        raise ChoiceError(name, value, f"it lies between {low:g} and {high:g}")
+        raise Refused(
+            "bad_parameter", f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it lies between {low:g} and {high:g}"
+        )
+
+
+def unknown_stages(stages: tuple[str, ...], known: tuple[str, ...]) -> Refused:
+    asked = ", ".join(stages)[:120] or "none"
+    return Refused("bad_stages", f"stages {asked} cannot be run; ask for {known[0]}, or for {' and '.join(known)}")

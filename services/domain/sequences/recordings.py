@@ -25,7 +25,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.named_objects import NAMES_FOLDER, described_folder, named, named_folder
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
@@ -33,22 +33,10 @@ from stone_recordings.sync.stored_recording import StoredRecording, StoredRecord
 PURPOSE = "recording"
 
 
-class ForeignTargetError(StoneError):
-    """The upload was declared for another sequence."""
-
-    code = "wrong_upload_target"
-
-    def __init__(self, upload_id: str, declared: str, wanted: str) -> None:
-        super().__init__(f"upload {upload_id} was declared for sequence {declared}, not for {wanted}")
-
-
-class RecordingInUseError(StoneError):
-    """A run reads the recording now."""
-
-    code = "recording_in_use"
-
-    def __init__(self, recording_id: str, job_id: str) -> None:
-        super().__init__(f"recording {recording_id} is read by job {job_id}; wait for it, or cancel it first")
+def recording_in_use(recording_id: str, job_id: str) -> Refused:
+    return Refused(
+        "recording_in_use", f"recording {recording_id} is read by job {job_id}; wait for it, or cancel it first"
+    )
 
 
 @dataclass(frozen=True)
@@ -64,7 +52,7 @@ def add_recording(
 ) -> tuple[Recording, Job]:
     """Use up complete uploads of the uploader's, all or none: their recording, and the job that reads and keeps it.
 
-    Raises `SequenceDeletedError`, what `uploads.consume` raises, `ForeignTargetError`, `BadBagFilesError`,
+    Raises `SequenceDeletedError`, what `uploads.consume` raises, `wrong_upload_target`, `BadBagFilesError`,
     `QueueDrainingError`.
     """
     sequence = lock_sequence(session, sequence.id)
@@ -83,14 +71,14 @@ def add_recording(
 def remove_recording(session: Session, recording: Recording) -> None:
     """Take the recording from its sequence; its bytes are given back, what was made of it stays.
 
-    Raises `SequenceDeletedError`, `RecordingInUseError`.
+    Raises `SequenceDeletedError`, `recording_in_use`.
     """
     lock_sequence(session, recording.sequence_id)
     for run in _alive(session, recording.sequence_id):
         if run.kind == PROCESS and recording.id in recording_ids_of(run.arguments):
-            raise RecordingInUseError(recording.id, run.id)
+            raise recording_in_use(recording.id, run.id)
         if run.kind == EXPORT and recording.state == "registered":
-            raise RecordingInUseError(recording.id, run.id)
+            raise recording_in_use(recording.id, run.id)
         if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
             with suppress(JobStateError):  # it ended while we waited for its row
                 cancel(session, run.id, "its recording was deleted")
@@ -103,7 +91,10 @@ def remove_recording(session: Session, recording: Recording) -> None:
 def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
     upload = consume(session, upload_id, uploader_id, PURPOSE)
     if upload.target_id not in ("", sequence_id):
-        raise ForeignTargetError(upload_id, upload.target_id, sequence_id)
+        raise Refused(
+            "wrong_upload_target",
+            f"upload {upload_id} was declared for sequence {upload.target_id}, not for {sequence_id}",
+        )
     return upload
 
 

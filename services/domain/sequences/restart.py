@@ -24,7 +24,7 @@ from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
 from services.runtime.jobs.specs import TERMINAL, Attempt
 from services.runtime.orm import Job, SequenceRow
 from services.runtime.platform import Platform
-from stone.errors import StoneError
+from stone.errors import Refused, StoneError
 
 MOST_RESTARTS = 10
 RESTARTS = "restarts"  # the argument of a run that counts them
@@ -45,17 +45,13 @@ class RestartedTooOftenError(StoneError):
         super().__init__(f"it was begun again {restarts} times already; do all workers run the same version?")
 
 
-class CodeChangedError(StoneError):
-    """Another version of the code began the run, and it cannot be begun again now."""
-
-    code = "code_changed"
-
-    def __init__(self, versions: tuple[str, str], why: StoneError, remedy: str = "Process the sequence again") -> None:
-        begun, ours = versions
-        super().__init__(
-            f"this run was begun by code version {begun} and this worker runs {ours}; it could not be begun again: "
-            f"{why}. {remedy}"
-        )
+def code_changed(versions: tuple[str, str], why: StoneError, remedy: str = "Process the sequence again") -> Refused:
+    begun, ours = versions
+    return Refused(
+        "code_changed",
+        f"this run was begun by code version {begun} and this worker runs {ours}; it could not be begun again: "
+        f"{why}. {remedy}",
+    )
 
 
 NOT_NOW = (QueueDrainingError, RecordingPendingError, AlreadyProcessingError, RestartedTooOftenError)
@@ -65,7 +61,7 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
     """The arguments of the attempt's run, which this version of the code began.
 
     Raises `JobCancelledError` where its sequence was deleted, or where another version did, once the run is begun
-    again; `CodeChangedError` where that is not possible now; and what `start_processing` raises where it is refused.
+    again; `code_changed` where that is not possible now; and what `start_processing` raises where it is refused.
     """
     with platform.database.lookups() as session:
         arguments = session.scalar(ARGUMENTS, {"run": attempt.root_id, "sequence": attempt.sequence_id})
@@ -79,7 +75,7 @@ def arguments_of_run(platform: Platform, attempt: Attempt) -> dict[str, Any]:
             begin_again(session, attempt.root_id)
             reason = session.get_one(Job, attempt.root_id).cancel_reason
     except NOT_NOW as error:
-        raise CodeChangedError((begun, code_version("labels")), error) from error
+        raise code_changed((begun, code_version("labels")), error) from error
     raise JobCancelledError(reason or f"its run was begun by version {begun} and has ended")
 
 

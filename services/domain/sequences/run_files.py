@@ -14,27 +14,20 @@ from sqlalchemy.orm import Session
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import SequenceRow
-from stone.errors import StoneError
+from stone.errors import Refused
 
 SEQUENCE_FILE = "sequence.npz"
 CHECKED_FILE = "checked.npz"
 SWEEPS_FILE = "sweeps.npz"
 
 
-class WorkGoneError(StoneError):
-    """What earlier stages left was removed; a run is kept for a week after it ended."""
-
-    code = "work_gone"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"{name} of this run is gone, so it cannot be continued; process the sequence again")
-
-
 def require_left(folder: Path, names: Iterable[str]) -> None:
-    """Raises `WorkGoneError` for the first of these files or folders that is not there."""
+    """Raises `work_gone` for the first of these files or folders that is not there."""
     for name in names:
         if not (folder / name).exists():
-            raise WorkGoneError(name)
+            raise Refused(
+                "work_gone", f"{name} of this run is gone, so it cannot be continued; process the sequence again"
+            )
 
 
 # The check that a job's sequence still exists.

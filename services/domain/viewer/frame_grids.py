@@ -13,30 +13,27 @@ from stone_submissions.npz_frame import npz_members, read_grid
 SHOWN_GRIDS = ("semantics", "mask_lidar")
 
 
-class GridUnreadableError(PlatformFaultError):
-    """The store holds other bytes for a frame's labels than were published."""
-
-    def __init__(self, key: str, reason: str) -> None:
-        super().__init__(
-            "grid_unreadable", f"grid {key!r} of a frame cannot be read: {reason}; was the store changed by hand?"
-        )
+def grid_unreadable(key: str, reason: str) -> PlatformFaultError:
+    return PlatformFaultError(
+        "grid_unreadable", f"grid {key!r} of a frame cannot be read: {reason}; was the store changed by hand?"
+    )
 
 
 def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[NDArray[np.uint8], NDArray[np.uint8]]:
-    """Classes and what was seen, of the label file in these bytes of an object. Raises `GridUnreadableError`."""
+    """Classes and what was seen, of the label file in these bytes of an object. Raises `grid_unreadable`."""
     semantics, seen = read_grids(b"".join(store.read(object_key, *span)), SHOWN_GRIDS)
     return semantics, seen
 
 
 def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
-    """The grids (256, 256, 32) of these keys, in their order. Raises `GridUnreadableError`."""
+    """The grids (256, 256, 32) of these keys, in their order. Raises `grid_unreadable`."""
     grids, key = list[NDArray[np.uint8]](), ""
     try:
         members = npz_members(payload)
         for key in keys:
             grids.append(read_grid(payload, members[key]))
     except KeyError as error:
-        raise GridUnreadableError(key, "it is not in the file") from error
+        raise grid_unreadable(key, "it is not in the file") from error
     except SubmissionError as error:
-        raise GridUnreadableError(key, f"expected {error.expected}, found {error.actual}") from error
+        raise grid_unreadable(key, f"expected {error.expected}, found {error.actual}") from error
     return grids

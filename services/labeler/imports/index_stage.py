@@ -11,7 +11,7 @@ from pathlib import Path
 
 from sqlalchemy.orm import Session
 
-from services.domain.imports.errors import UnlabelledScenesError
+from services.domain.imports.errors import _shown
 from services.domain.imports.publication import refuse_existing
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, kept_import
 from services.labeler.imports.answers import DatasetIndexAnswer
@@ -20,12 +20,13 @@ from services.labeler.imports.indexing import index_dataset
 from services.labeler.imports.scene_parts import SCENES, DatasetOpening, scene_folder
 from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.sandbox import SandboxCrashedError
+from stone.errors import Refused
 
 
 def index_tar(context: ImportStageContext) -> Outcome:
     """Index the dataset.
 
-    Raises the `DST-*` faults, `UnlabelledScenesError`, `ExistingSequencesError`, and what `ImportStageContext.ask`
+    Raises the `DST-*` faults, `scenes_unlabelled`, `sequences_exist`, and what `ImportStageContext.ask`
     raises.
     """
     tar, imported = context.tar(), context.imported
@@ -44,7 +45,11 @@ def index_tar(context: ImportStageContext) -> Outcome:
 
 def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
     if unlabelled := [scene.name for scene in told.scenes if not scene.is_labelled]:
-        raise UnlabelledScenesError(unlabelled)
+        raise Refused(
+            "scenes_unlabelled",
+            f"{len(unlabelled)} scenes have no labels in gts/, or not of every frame: {_shown(unlabelled)}; what "
+            "has no labels is no label set: upload its recording instead, or leave these scenes out of the tables",
+        )
     with context.platform.database.reading() as session:
         refuse_existing(session, context.imported, [scene.name for scene in told.scenes])
 

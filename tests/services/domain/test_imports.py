@@ -10,7 +10,6 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.datasets.splits import current_splits
-from services.domain.imports.errors import SplitsForbiddenError
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
 from services.domain.imports.requests import (
     IMPORT,
@@ -27,7 +26,7 @@ from services.domain.imports.requests import (
     start_import,
 )
 from services.domain.sequences.processing import delete_sequence
-from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, CodeChangedError, RestartedTooOftenError
+from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, RestartedTooOftenError
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.runtime.access.storage_quota import QuotaExceededError, balance
 from services.runtime.backup.capture import backup_references
@@ -39,6 +38,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file
 from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
+from testing.refusals import refused_as
 from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
 
@@ -101,7 +101,7 @@ def test_an_upload_serves_once_and_its_owner_alone(platform: Platform, tar: Path
 def test_splits_are_set_by_administrators_alone(platform: Platform, tar: Path) -> None:
     owner_id = an_owner(platform)
     upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
-    with pytest.raises(SplitsForbiddenError):
+    with refused_as("splits_forbidden"):
         asked(platform, owner_id, upload_id, sets_splits=True)
     administrator_id = an_owner(platform, "administrator")
     assert bring_dataset(platform, tar, administrator_id, sets_splits=True).row().sets_splits
@@ -173,7 +173,7 @@ def test_a_run_is_not_begun_again_without_end(brought: BroughtDataset) -> None:
         run.arguments = {**run.arguments, RESTARTS: MOST_RESTARTS, "code_version": "0.1.0"}
     with pytest.raises(RestartedTooOftenError):
         begin_run_again(platform, attempt, "for a reason")
-    with pytest.raises(CodeChangedError):
+    with refused_as("code_changed"):
         import_of_attempt(platform, attempt)
 
 

@@ -17,7 +17,7 @@ from sqlalchemy import delete, func, select, update
 from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import EXPORT, FORMATS, delete_export, start_export
-from services.domain.sequences.recordings import RecordingInUseError, remove_recording
+from services.domain.sequences.recordings import remove_recording
 from services.domain.viewer.playback import playback_of, shown_by
 from services.labeler.export_stage import located_inputs, located_recording
 from services.labeler.exports.registry import EXPORTERS, exporter_of
@@ -31,6 +31,7 @@ from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Blob, Export, ExportPack, Job, Recording
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings, UploadSettings, ViewingSettings
+from testing.refusals import refused_as
 from testing.servers.fixtures import opened
 from testing.stone_serve import until
 from testing.worlds.drives import exported_files, labelled_platform
@@ -252,7 +253,7 @@ def test_an_export_beyond_the_owners_bytes_is_refused_and_takes_none(brought: Br
 
 def test_a_recording_stays_while_an_export_reads_it_and_afterwards_need_not(brought: Brought) -> None:
     _, job_id = asked(brought)
-    with pytest.raises(RecordingInUseError, match=job_id), brought.platform.database.transaction() as session:
+    with refused_as("recording_in_use", match=job_id), brought.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, brought.recording_ids[0]))
     run_all(brought.platform)
     with brought.platform.database.transaction() as session:

@@ -15,7 +15,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.inputs import RUN, inputs_of, locate_input, start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.domain.datasets.input_jobs import InputsImpossibleError, InputsStandError, start_version_inputs
+from services.domain.datasets.input_jobs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recordings import remove_recording
@@ -23,6 +23,7 @@ from services.runtime.orm import DatasetInput, Job, LabelledFrameRow, Phase, Pha
 from services.runtime.platform import Platform
 from services.runtime.settings import StoreSettings
 from services.runtime.store.garbage_collection import collect_garbage
+from testing.refusals import refused_as
 from testing.worlds.drives import files_at, labelled_platform
 from testing.worlds.published import dataset
 from testing.worlds.runs import Brought, run_all
@@ -123,7 +124,7 @@ def test_inputs_hold_the_frames_of_the_labels_and_no_label(asked: Asked) -> None
 def test_inputs_are_made_once(asked: Asked) -> None:
     assert asked.start() == asked.start(), "the run that is at it answers"
     run_all(asked.platform)
-    with pytest.raises(InputsStandError):
+    with refused_as("inputs_stand"):
         asked.start()
 
 
@@ -140,7 +141,7 @@ def test_inputs_outlive_the_sequence(asked: Asked) -> None:
 def test_without_a_recording_there_are_no_inputs(asked: Asked) -> None:
     with asked.platform.database.transaction() as session:
         remove_recording(session, asked.brought.recording())
-    with pytest.raises(InputsImpossibleError, match="field"):
+    with refused_as("inputs_impossible", match="field"):
         asked.start()
 
 

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.domain.sequences.processing import BOUNDS, PROFILES, ChoiceError
+from services.domain.sequences.processing import BOUNDS, PROFILES
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.map.comparison import ProfileComparison, alternative_reference, outlier_counts, outlier_findings
 from services.labeler.map.convergence import convergence_findings, convergence_of
@@ -26,6 +26,7 @@ from services.labeler.run import Tile
 from stone.labels.traversability import FeatureSums, Reference, sums_of
 from stone.sensors.calibration import Box, Footprint
 from stone.surface.screened_poisson import MOST_ROUNDS, Descent, PoissonParameters
+from testing.refusals import refused_as
 from tests.services.labeler.worlds import CALIBRATION, RayCast, World, sequence_of
 
 # A knoll beside the track: profile `local` looks at its sides, `paper` also at how high it is.
@@ -260,11 +261,11 @@ def test_a_choice_changes_that_parameter_and_no_other(name: str) -> None:
 
 def test_no_choice_is_the_profile_itself() -> None:
     assert chosen_parameters("paper", {}) == LabelParameters()
-    with pytest.raises(ChoiceError):
+    with refused_as("bad_parameter"):
         chosen_parameters("paper", {"tiling.cube_cells": 1})
 
 
 def test_the_paper_leaves_no_driven_voxel_out() -> None:
     assert chosen_parameters("paper", {"reference.outlier_ratio": 0.0}) == LabelParameters()
-    with pytest.raises(ChoiceError):
+    with refused_as("bad_parameter"):
         chosen_parameters("paper", {"reference.outlier_ratio": 0.25})

@@ -14,12 +14,13 @@ from numpy.typing import NDArray
 from sqlalchemy import Select, select, text
 from sqlalchemy.orm import Session, aliased
 
-from services.domain.benchmarks.rescores.errors import AlarmDismissedError, AlarmMissingError
+from services.domain.benchmarks.rescores.errors import AlarmDismissedError
 from services.domain.benchmarks.submissions.scoring_quota import is_charged
 from services.domain.benchmarks.visibility import ON_BOARDS
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import Alarm, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import new_id, now_ns
+from stone.errors import Refused
 
 # Similarity of scored entries by their confusion counts, and the alarms that follow.
 #
@@ -168,10 +169,10 @@ def open_alarms(phase_id: str) -> Select[Alarm]:
 
 
 def dismiss(session: Session, alarm_id: str) -> Alarm:
-    """Somebody has looked at it; it is not raised again. Raises `AlarmMissingError`, `AlarmDismissedError`."""
+    """Somebody has looked at it; it is not raised again. Raises `alarm_missing`, `AlarmDismissedError`."""
     alarm = session.get(Alarm, alarm_id, with_for_update={"key_share": True}, populate_existing=True)
     if alarm is None:
-        raise AlarmMissingError(alarm_id)
+        raise Refused("alarm_missing", f"there is no alarm {alarm_id[:80]!r}")
     if alarm.dismissed_ns is not None:
         raise AlarmDismissedError(alarm_id)
     alarm.dismissed_ns = now_ns()

@@ -14,12 +14,13 @@ import numpy as np
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import active
-from services.domain.benchmarks.submissions.result_errors import NotComparableError, NotScoredError
+from services.domain.benchmarks.submissions.result_errors import NotScoredError
 from services.domain.benchmarks.submissions.results import ScoreView, seen_score
 from services.domain.benchmarks.visibility import Viewer, rounded
 from services.runtime.orm import Blob, Phase, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
+from stone.errors import Refused
 from stone.scoring.intervals import SCOPES, WITHDRAWN, Estimate, RatioSpectra, Scope, Silence, estimates
 from stone.scoring.metric import RATIOS
 from stone.scoring.ranking import SignFlip, sign_flip
@@ -64,7 +65,7 @@ class EntryComparison:
 def compare(
     platform: Platform, phase_id: str, pair: tuple[SubmissionRow, SubmissionRow], viewer: Viewer
 ) -> EntryComparison:
-    """Two submissions that the viewer may know of. Raises `NotComparableError`, `StoreAwayError`."""
+    """Two submissions that the viewer may know of. Raises `not_comparable`, `StoreAwayError`."""
     with platform.database.reading() as session:
         phase = session.get_one(Phase, phase_id)
         a, b = (_scored(session, viewer, phase, submission) for submission in pair)
@@ -104,11 +105,11 @@ def _told(found: Estimate) -> DifferenceEstimate:
 
 def _scored(session: Session, viewer: Viewer, phase: Phase, submission: SubmissionRow) -> ScoreView:
     if submission.phase_id != phase.id or active(session, phase.id) is None:
-        raise NotComparableError(submission.id, phase.name)
+        raise not_comparable(submission.id, phase.name)
     try:
         return seen_score(session, viewer, submission)
     except NotScoredError as error:
-        raise NotComparableError(submission.id, phase.name) from error
+        raise not_comparable(submission.id, phase.name) from error
 
 
 def _totals(a: ScoreView, b: ScoreView, name: str) -> RatioDifference:
@@ -149,3 +150,11 @@ def read_spectra(store: Store, object_key: str) -> RatioSpectra | None:
             arrays["sequence_weight"],
             arrays["spread"],
         )
+
+
+def not_comparable(submission_id: str, phase: str) -> Refused:
+    return Refused(
+        "not_comparable",
+        f"submission {submission_id} has no score by the evaluation version in force of phase {phase!r}; "
+        "both must be scored entries of this phase",
+    )

@@ -11,11 +11,6 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases import evaluation_versions
-from services.domain.benchmarks.phases.errors import (
-    FramesUncomparedError,
-    OtherFramesError,
-    TruthInMakingError,
-)
 from services.domain.benchmarks.phases.phases import lock_phase, refuse_empty
 from services.domain.benchmarks.submissions.scoring_jobs import truth_spec
 from services.domain.benchmarks.teams.teams import BINDING
@@ -34,6 +29,7 @@ from services.runtime.orm import (
 )
 from services.runtime.platform import Platform
 from services.runtime.store.packs import read_index
+from stone.errors import Refused
 from stone.scoring.metric import METRIC_VERSION
 
 LABELS = "gts/"
@@ -69,7 +65,7 @@ def start_truth(
 ) -> tuple[GroundTruthRow, Job]:
     """A ground truth to be, and the job that makes it; `compared` where the version is not that of the active one.
 
-    Raises `EmptyPartError`, `TruthInMakingError`, `OtherFramesError`, `FramesUncomparedError`, `QueueDrainingError`.
+    Raises `empty_part`, `truth_in_making`, `other_frames`, `truth_changed`, `QueueDrainingError`.
     """
     phase = lock_phase(session, phase.id)
     refuse_empty(session, dataset, phase.part)
@@ -105,7 +101,9 @@ def _refuse_second(session: Session, phase: Phase) -> None:
         GroundTruthRow.phase_id == phase.id, GroundTruthRow.ready_ns.is_(None), Job.state.not_in(TERMINAL)
     )
     for number, job_id in session.execute(under_way.limit(1)):
-        raise TruthInMakingError(number, job_id)
+        raise Refused(
+            "truth_in_making", f"ground truth {number} is being made by job {job_id}; wait for it or cancel it first"
+        )
 
 
 def _refuse_other_frames(
@@ -117,9 +115,16 @@ def _refuse_other_frames(
     if not _has_entries(session, phase):
         return
     if compared is None or (compared.truth_id, compared.dataset_id) != (pair.truth_id, dataset.id):
-        raise FramesUncomparedError(phase.name)
+        raise Refused(
+            "truth_changed",
+            f"the active ground truth of phase {phase.name!r} changed in the meantime; reload and retry",
+        )
     if compared.missing or compared.extra:
-        raise OtherFramesError(compared.missing, compared.extra)
+        raise Refused(
+            "other_frames",
+            f"{compared.missing} frame(s) of the active ground truth are not in this version and {compared.extra} "
+            "are new; the entries could not be scored again, so make a new phase of this version",
+        )
 
 
 def _has_entries(session: Session, phase: Phase) -> bool:

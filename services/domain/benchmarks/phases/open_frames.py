@@ -81,7 +81,7 @@ def all_tokens(store: Store, located: ExportLocation) -> tuple[str, ...]:
 def truth_grids(store: Store, located: ExportLocation, token: str) -> tuple[Grid, Grid]:
     """The classes of a frame, and 1 where the LiDAR observed the voxel.
 
-    Raises `KeyError` for a token that is none of the part's, `GridUnreadableError`.
+    Raises `KeyError` for a token that is none of the part's, `grid_unreadable`.
     """
     stored = stored_files(store, located)
     _, ordinal = _places(stored.files)[token]

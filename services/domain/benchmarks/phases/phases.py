@@ -13,17 +13,11 @@ from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.phases.errors import (
-    BadPhaseError,
-    EmptyPartError,
-    OpenTestError,
-    PhaseEndedError,
-    PhaseFixedError,
-)
 from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, GroundTruthRow, Job, Phase, SubmissionRow
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 
 PhaseStatus = Literal["upcoming", "open", "closed"]
 Mask = Literal["all", "lidar", "camera"]
@@ -102,16 +96,16 @@ def change_benchmark_columns(session: Session, benchmark: Benchmark, changes: Ma
 
 
 def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
-    """`val` (open) and `test` (hidden), as far as the version has these parts. Raises `EmptyPartError` for neither."""
+    """`val` (open) and `test` (hidden), as far as the version has these parts. Raises `empty_part` for neither."""
     parts = set(session.scalars(select(DatasetMember.part).where(DatasetMember.dataset_id == dataset.id).distinct()))
     found = tuple(phase for phase in DEFAULTS if phase.part in parts)
     if not found:
-        raise EmptyPartError(dataset.name, "val or test")
+        raise empty_part(dataset.name, "val or test")
     return found
 
 
 def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked: NewPhase) -> Phase:
-    """Raises `NameTakenError`, `EmptyPartError`, `OpenTestError`, `BadPhaseError`."""
+    """Raises `NameTakenError`, `empty_part`, `open_test`, `bad_phase`."""
     if phase_named(session, benchmark.name, asked.name) is not None:
         raise NameTakenError("phase", asked.name)
     row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
@@ -126,15 +120,22 @@ def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked
 def change_phase(session: Session, phase_id: str, changes: Mapping[str, Any]) -> Phase:
     """Change columns of the phase and count its revision; the row is locked by `lock_phase` before its ETag is judged.
 
-    Raises `PhaseFixedError`, `PhaseEndedError`, `EmptyPartError`, `OpenTestError`, `BadPhaseError`.
+    Raises `phase_fixed`, `phase_ended`, `empty_part`, `open_test`, `bad_phase`.
     """
     phase = lock_phase(session, phase_id)
     changed = {name: value for name, value in changes.items() if getattr(phase, name) != value}
     fixed = sorted(set(changed) & set(FIXED))
     if fixed and has_truth(session, phase.id):
-        raise PhaseFixedError(phase.name, ", ".join(name.removesuffix("_id") for name in fixed))
+        raise Refused(
+            "phase_fixed",
+            f"phase {phase.name!r} has a ground truth, so "
+            f"{', '.join(name.removesuffix('_id') for name in fixed)} cannot change; add another phase instead",
+        )
     if "closes_ns" in changed and _has_told(session, phase):
-        raise PhaseEndedError(phase.name)
+        raise Refused(
+            "phase_ended",
+            f"hidden phase {phase.name!r} has ended and its results by sequence were shown; add another phase instead",
+        )
     for name, value in changed.items():
         setattr(phase, name, value)
     refuse_contradictions(session, phase, session.get_one(Dataset, phase.dataset_id))
@@ -174,25 +175,29 @@ def has_truth(session: Session, phase_id: str) -> bool:
 
 
 def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> None:
-    """Raises `OpenTestError`, `EmptyPartError`, `BadPhaseError`."""
+    """Raises `open_test`, `empty_part`, `bad_phase`."""
     if phase.part == HIDDEN_PART and not phase.is_hidden:
-        raise OpenTestError(phase.part)
+        raise Refused(
+            "open_test", f"the labels of {phase.part} are hidden, and an open phase shows exact results; make it hidden"
+        )
     refuse_empty(session, dataset, phase.part)
     for name, (least, most) in COUNTED.items():
         value = getattr(phase, name)
         if value is not None and not least <= value <= most:
-            raise BadPhaseError(name, value, f"{least} to {most}")
+            raise Refused("bad_phase", f"{name} is {str(value)[:80]!r}; expected {least} to {most}")
     if phase.opens_ns is not None and phase.closes_ns is not None and phase.opens_ns >= phase.closes_ns:
-        raise BadPhaseError("closes_ns", phase.closes_ns, f"a time after opens_ns {phase.opens_ns}")
+        raise Refused(
+            "bad_phase", f"closes_ns is {str(phase.closes_ns)[:80]!r}; expected a time after opens_ns {phase.opens_ns}"
+        )
 
 
 def refuse_empty(session: Session, dataset: Dataset, part: str) -> None:
-    """Raises `EmptyPartError` where the version has no sequence in the part."""
+    """Raises `empty_part` where the version has no sequence in the part."""
     in_part = select(DatasetMember.sequence_id).where(
         DatasetMember.dataset_id == dataset.id, DatasetMember.part == part
     )
     if session.scalar(in_part.limit(1)) is None:
-        raise EmptyPartError(dataset.name, part)
+        raise empty_part(dataset.name, part)
 
 
 def _has_told(session: Session, phase: Phase) -> bool:
@@ -209,3 +214,9 @@ def _insert(session: Session, row: Benchmark | Phase, kind: str) -> None:
         session.flush()
     except IntegrityError:  # somebody else was first
         raise NameTakenError(kind, row.name) from None
+
+
+def empty_part(dataset: str, part: str) -> Refused:
+    return Refused(
+        "empty_part", f"version {dataset!r} has no sequence in {part}; publish one that does, or choose another part"
+    )

@@ -13,18 +13,9 @@ from sqlalchemy.orm import Session
 from services.domain.benchmarks.phases.phases import lock_phase
 from services.domain.benchmarks.visibility import PERCENT_DIGITS
 from services.runtime.orm import Phase, Reported
-from stone.errors import StoneError
+from stone.errors import Refused
 
 MOST_ROWS = 200
-
-
-class ReportedTwiceError(StoneError):
-    """A method stands twice with one modality."""
-
-    code = "reported_twice"
-
-    def __init__(self, method: str, modality: str) -> None:
-        super().__init__(f"{method[:80]!r} stands twice with modality {modality}; give each once")
 
 
 @dataclass(frozen=True)
@@ -53,7 +44,7 @@ def reported_in(session: Session, phase_id: str) -> list[Reported]:
 
 
 def put_reported(session: Session, phase: Phase, rows: Sequence[ReportedRow]) -> list[Reported]:
-    """Make these, and no others, the reported rows of the phase. Raises `ReportedTwiceError`."""
+    """Make these, and no others, the reported rows of the phase. Raises `reported_twice`."""
     lock_phase(session, phase.id)
     wanted = _by_key(rows)
     for standing in reported_in(session, phase.id):
@@ -72,7 +63,9 @@ def _by_key(rows: Iterable[ReportedRow]) -> dict[tuple[str, str], ReportedRow]:
     keyed: dict[tuple[str, str], ReportedRow] = {}
     for row in rows:
         if (row.method, row.modality) in keyed:
-            raise ReportedTwiceError(row.method, row.modality)
+            raise Refused(
+                "reported_twice", f"{row.method[:80]!r} stands twice with modality {row.modality}; give each once"
+            )
         keyed[row.method, row.modality] = row
     return keyed
 

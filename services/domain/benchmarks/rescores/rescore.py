@@ -14,14 +14,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force
 from services.domain.benchmarks.phases.phases import lock_phase
-from services.domain.benchmarks.rescores.errors import (
-    AlreadyActiveError,
-    BoardMovedError,
-    ForeignTruthError,
-    RescoreIncompleteError,
-    RescoreStateError,
-    TruthNotReadyError,
-)
+from services.domain.benchmarks.rescores.errors import RescoreStateError
 from services.domain.benchmarks.rescores.progress import failed_ids, lacking_ids, rescore_progress
 from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
 from services.runtime.jobs import control
@@ -30,6 +23,7 @@ from services.runtime.jobs.enqueue import enqueue_run
 from services.runtime.jobs.specs import TERMINAL, Context
 from services.runtime.orm import Activation, GroundTruthRow, Job, Phase, Rescore
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 from stone.scoring.metric import current_metric
 
 RUN = "phase.rescore"
@@ -50,8 +44,8 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 
     By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
     shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
-    another takes up what is missing. Raises `UnknownMetricError`, `SupersededMetricError`, `ForeignTruthError`,
-    `TruthNotReadyError`, `AlreadyActiveError`, `QueueDrainingError`.
+    another takes up what is missing. Raises `UnknownMetricError`, `SupersededMetricError`, `foreign_truth`,
+    `truth_not_ready`, `already_active`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)
     pair = asked.pair
@@ -75,18 +69,27 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 def activate(session: Session, rescore: Rescore, expected_activation_id: str | None, user_id: str) -> Activation:
     """Switch the board to the evaluation version of `rescore`, at once and as a whole; the old one stays readable.
 
-    Raises `RescoreStateError`, `TruthNotReadyError`, `RescoreIncompleteError`, and `BoardMovedError` where another
+    Raises `RescoreStateError`, `truth_not_ready`, `rescore_incomplete`, and `board_moved` where another
     activation than the expected one is in force.
     """
     lock_phase(session, rescore.phase_id)
     _refuse_ended(session, rescore, "activated")
     now_there = in_force(session, rescore.phase_id)
     if (now_there.id if now_there else None) != expected_activation_id:
-        raise BoardMovedError(expected_activation_id, now_there.id if now_there else None)
+        raise Refused(
+            "board_moved",
+            f"the board is at activation {now_there.id if now_there else None}, not at {expected_activation_id}; "
+            "review the difference again",
+        )
     _ready(session, rescore.truth_id)
     progress = rescore_progress(session, rescore)
     if not progress.is_complete:
-        raise RescoreIncompleteError(progress.missing)
+        raise Refused(
+            "rescore_incomplete",
+            f"{progress.missing} entries have no score by the new evaluation version yet; wait for its run, or start "
+            "the re-score again where that has ended, which scores only what is missing"
+            " (hide an entry that cannot be scored)",
+        )
     moment_ns = max(now_ns(), now_there.activated_ns + 1 if now_there else 0)
     row = Activation(phase_id=rescore.phase_id, truth_id=rescore.truth_id, metric=rescore.metric)
     row.rescore_id, row.activated_by, row.activated_ns = rescore.id, user_id, moment_ns
@@ -122,16 +125,25 @@ def _check(session: Session, phase: Phase, pair: EvaluationVersion) -> None:
     current_metric(pair.metric)
     truth = session.get(GroundTruthRow, pair.truth_id)
     if truth is None or truth.phase_id != phase.id:
-        raise ForeignTruthError(pair.truth_id)
+        raise Refused(
+            "foreign_truth", f"this phase has no ground truth {pair.truth_id[:80]!r}; is it that of another phase?"
+        )
     _ready(session, pair.truth_id)
     if active(session, phase.id) == pair and not lacking_ids(session, phase.id, pair):
-        raise AlreadyActiveError(truth.number, pair.metric)
+        raise Refused(
+            "already_active",
+            f"the board shows ground truth {truth.number} by {pair.metric!r} now, so there is nothing to "
+            "re-score; name another ground truth, another metric, or both",
+        )
 
 
 def _ready(session: Session, truth_id: str) -> None:
     truth = session.get_one(GroundTruthRow, truth_id, populate_existing=True)
     if truth.ready_ns is None:
-        raise TruthNotReadyError(truth.number)
+        raise Refused(
+            "truth_not_ready",
+            f"ground truth {truth.number} is not ready; wait for its job, or make another where that has failed",
+        )
 
 
 def _refuse_ended(session: Session, rescore: Rescore, act: str) -> None:

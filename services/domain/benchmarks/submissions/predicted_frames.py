@@ -12,28 +12,31 @@ import numpy as np
 from numpy.typing import NDArray
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.submissions.result_errors import (
-    FramesHiddenError,
-    PredictionsGoneError,
-    WithheldError,
-)
+from services.domain.benchmarks.submissions.result_errors import UNTIL
 from services.domain.benchmarks.submissions.results import ScoreView
 from services.runtime.orm import Blob
+from stone.errors import Refused
 from stone_submissions.archive import open_submission
 from stone_submissions.npz_frame import prediction_grid
 
 
 def downloadable_zip(session: Session, seen: ScoreView) -> Blob:
-    """The zip, for whoever may have its bytes. Raises `WithheldError`, `PredictionsGoneError`."""
+    """The zip, for whoever may have its bytes. Raises `withheld`, `predictions_gone`."""
     if not seen.policy.shows("baseline" if seen.submission.kind == "baseline" else "predictions"):
-        raise WithheldError("the zip", "open")  # its sentence is true of zips whatever the phase hides
+        raise Refused(
+            "withheld", f"the zip of this submission cannot be shown: {UNTIL['open']}"
+        )  # its sentence is true of zips whatever the phase hides
     return _kept_zip(session, seen)
 
 
 def pictured_zip(session: Session, seen: ScoreView) -> Blob:
-    """The zip, to make pictures of its frames. Raises `FramesHiddenError`, `PredictionsGoneError`."""
+    """The zip, to make pictures of its frames. Raises `frames_hidden`, `predictions_gone`."""
     if not seen.policy.shows("frames"):
-        raise FramesHiddenError(seen.phase.name)
+        raise Refused(
+            "frames_hidden",
+            f"pictures of frames are shown where the ground truth is open; that of phase {seen.phase.name!r} is "
+            "hidden and stays so",
+        )
     return _kept_zip(session, seen)
 
 
@@ -48,5 +51,9 @@ def predicted_grid(path: Path, tokens: Sequence[str], token: str) -> NDArray[np.
 
 def _kept_zip(session: Session, seen: ScoreView) -> Blob:
     if seen.submission.blob_sha256 is None:
-        raise PredictionsGoneError(seen.submission.id)
+        raise Refused(
+            "predictions_gone",
+            f"the zip of submission {seen.submission.id} is not kept any more; its scores stay, its predictions "
+            "are gone",
+        )
     return session.get_one(Blob, seen.submission.blob_sha256)

@@ -2,7 +2,7 @@
 
 **Conventions.** Without a score id it is the score by the evaluation version in force. By others than administrators
 only scores can be read whose evaluation version is or was in force: a re-score that is being prepared is nobody's to
-know. What may not be seen is null in a whole, and refused (`WithheldError`) where it is all that was asked for.
+know. What may not be seen is null in a whole, and refused (`withheld`) where it is all that was asked for.
 """
 
 from collections.abc import Mapping
@@ -13,10 +13,11 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, undefer
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active
-from services.domain.benchmarks.submissions.result_errors import NotScoredError, ScoreMissingError, WithheldError
+from services.domain.benchmarks.submissions.result_errors import UNTIL, NotScoredError, ScoreMissingError
 from services.domain.benchmarks.visibility import Field, Policy, Viewer, policy_of, submissions_seen
 from services.runtime.orm import Activation, Benchmark, Blob, GroundTruthRow, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 from stone.scoring.intervals import SCOPES, WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
 
@@ -39,9 +40,9 @@ class ScoreView:
     is_active: bool
 
     def demand(self, field: Field, what: str) -> None:
-        """Raises `WithheldError` where the viewer may not see the field."""
+        """Raises `withheld` where the viewer may not see the field."""
         if not self.policy.shows(field):
-            raise WithheldError(what, self.policy.secrecy)
+            raise Refused("withheld", f"{what} of this submission cannot be shown: {UNTIL[self.policy.secrecy]}")
 
     def unless_withheld(self, field: Field, name: str) -> Any:
         """The record's value under this name, or null."""
@@ -117,7 +118,7 @@ def results(
 
 
 def breakdown(seen: ScoreView, by: By) -> tuple[BreakdownPart, ...]:
-    """The parts in the order of the record; none where no sequence is known by it. Raises `WithheldError`."""
+    """The parts in the order of the record; none where no sequence is known by it. Raises `withheld`."""
     seen.demand("breakdowns", f"results by {by}")
     parts: Mapping[str, Record] = seen.score.record["by"].get(by, {})
     return tuple(
@@ -127,7 +128,7 @@ def breakdown(seen: ScoreView, by: By) -> tuple[BreakdownPart, ...]:
 
 
 def provenance(seen: ScoreView) -> Provenance:
-    """Raises `WithheldError`."""
+    """Raises `withheld`."""
     seen.demand("provenance", "the provenance")
     is_own, is_content = seen.policy.shows("file"), seen.policy.shows("content")
     row = seen.submission
@@ -141,7 +142,7 @@ def provenance(seen: ScoreView) -> Provenance:
 
 
 def kept_confusions(session: Session, seen: ScoreView) -> Blob:
-    """The npz of the counts by frame and ring. Raises `WithheldError`."""
+    """The npz of the counts by frame and ring. Raises `withheld`."""
     seen.demand("confusions", "the confusions by frame")
     return session.get_one(Blob, seen.score.confusions_sha256)
 

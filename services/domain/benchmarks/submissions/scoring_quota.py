@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from sqlalchemy import ColumnElement, Row, case, func, select
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
+from services.domain.benchmarks.submissions.errors import scorings_exhausted
 from services.domain.benchmarks.teams.teams import lock_team
 from services.runtime.notifications.events import QUOTA_LOW, NewEvent, record
 from services.runtime.orm import Phase, ScoringEntry
@@ -48,14 +48,14 @@ def is_charged(phase: Phase, kind: str) -> bool:
 
 
 def reserve(session: Session, phase: Phase, team_id: str, submission_id: str) -> None:
-    """Take a scoring for the submission. Raises `ScoringsExhaustedError`, and takes nothing then."""
+    """Take a scoring for the submission. Raises `scorings_exhausted`, and takes nothing then."""
     lock_team(session, team_id)
     now = scoring_quota(session, phase, team_id)
     if now.total_left is not None and now.total_left <= 0:
         total = phase.scorings_total or 0
-        raise ScoringsExhaustedError(total, total, None, None)
+        raise scorings_exhausted(total, total, None, None)
     if now.limit is not None and now.used + now.reserved >= now.limit:
-        raise ScoringsExhaustedError(now.used + now.reserved, now.limit, phase.window_ns, now.next_slot_ns)
+        raise scorings_exhausted(now.used + now.reserved, now.limit, phase.window_ns, now.next_slot_ns)
     _add(session, ScoringEntry(phase_id=phase.id, team_id=team_id, submission_id=submission_id), 1, RESERVED)
     _tell_low(session, now, phase, team_id)
 

@@ -14,16 +14,13 @@ from sqlalchemy import func, select, update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases import evaluation_versions
-from services.domain.benchmarks.phases.errors import NoGroundTruthError
+from services.domain.benchmarks.phases.errors import no_ground_truth
 from services.domain.benchmarks.phases.phases import DAY_NS, phase_status
 from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.errors import (
-    HashMismatchError,
-    PhaseClosedError,
+    ExhaustedError,
     SubmissionStateError,
-    SubmissionTooLargeError,
-    TooManyOpenError,
-    ValidationsExhaustedError,
+    phase_closed,
 )
 from services.domain.benchmarks.submissions.scoring_jobs import submission_specs
 from services.domain.benchmarks.submissions.state_machine import (
@@ -36,7 +33,7 @@ from services.domain.benchmarks.submissions.state_machine import (
     settle,
 )
 from services.domain.benchmarks.submissions.sweeper_chores import settle_ended
-from services.domain.benchmarks.teams.errors import AlreadyInTeamError
+from services.domain.benchmarks.teams.errors import already_in_team
 from services.domain.benchmarks.teams.teams import enter, lock_team
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import cancel as cancel_run
@@ -49,6 +46,7 @@ from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
 from services.runtime.uploads.errors import UploadMissingError
 from services.runtime.uploads.rows import is_waiting
+from stone.errors import Refused
 
 __all__ = [
     "SubmissionDraft",
@@ -91,8 +89,8 @@ class SubmissionDraft:
 
 
 def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
-    """Announce a file. Raises `PhaseClosedError`, `NoGroundTruthError`, `SubmissionTooLargeError`, `TooManyOpenError`,
-    `ValidationsExhaustedError`, and `AlreadyInTeamError` for who takes part with another team.
+    """Announce a file. Raises `phase_closed`, `no_ground_truth`, `submission_too_large`, `too_many_open`,
+    `validations_exhausted`, and `already_in_team` for who takes part with another team.
     """
     if draft.kind not in KINDS:
         raise ValueError(f"{draft.kind!r} is no kind of submission")
@@ -100,10 +98,14 @@ def create_draft(session: Session, draft: SubmissionDraft) -> SubmissionRow:
     truth = _scored_against(session, phase)
     limit_bytes = largest_bytes(truth.frames)
     if draft.size_bytes > limit_bytes:
-        raise SubmissionTooLargeError(draft.size_bytes, limit_bytes, truth.frames)
+        raise Refused(
+            "submission_too_large",
+            f"the zip has {draft.size_bytes} bytes, but {truth.frames} frames never need more than {limit_bytes}; "
+            "does it hold anything beside one .npz a frame?",
+        )
     bound = session.get(PhaseTeam, (phase.id, draft.user_id))
     if bound is not None and bound.team_id != draft.team_id:  # finalising would refuse it once all was sent
-        raise AlreadyInTeamError(phase.name)
+        raise already_in_team(phase.name)
     lock_team(session, draft.team_id)
     _refuse_too_many(session, draft)
     if draft.kind == "validation":
@@ -124,9 +126,9 @@ def largest_bytes(frames: int) -> int:
 def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job:
     """Use up the draft's complete upload, take a scoring for what costs one, and queue the run; all of it or nothing.
 
-    The team takes part in the phase from now on. Raises `SubmissionStateError`, `PhaseClosedError`,
-    `NoGroundTruthError`, what `uploads.consume` raises, `HashMismatchError`, `AlreadyInTeamError`,
-    `ScoringsExhaustedError`, `ValidationsExhaustedError`, `QueueDrainingError`.
+    The team takes part in the phase from now on. Raises `SubmissionStateError`, `phase_closed`,
+    `no_ground_truth`, what `uploads.consume` raises, `hash_mismatch`, `already_in_team`,
+    `scorings_exhausted`, `validations_exhausted`, `QueueDrainingError`.
     """
     submission = lock_submission(session, submission.id)
     if submission.state != "draft":
@@ -237,29 +239,36 @@ def validations_left(session: Session, phase: Phase, team_id: str) -> tuple[int,
 
 
 def _scored_against(session: Session, phase: Phase) -> GroundTruthRow:
-    """The ground truth of the board of an open phase. Raises `PhaseClosedError`, `NoGroundTruthError`."""
+    """The ground truth of the board of an open phase. Raises `phase_closed`, `no_ground_truth`."""
     at_ns = now_ns()
     if phase_status(phase, at_ns) != "open":
-        raise PhaseClosedError(phase.name, phase.opens_ns, phase.closes_ns, at_ns)
+        raise phase_closed(phase.name, phase.opens_ns, phase.closes_ns, at_ns)
     pair = evaluation_versions.active(session, phase.id)
     if pair is None:
-        raise NoGroundTruthError(phase.name)
+        raise no_ground_truth(phase.name)
     return session.get_one(GroundTruthRow, pair.truth_id)
 
 
 def _refuse_too_many(session: Session, draft: SubmissionDraft) -> None:
-    """Raises `TooManyOpenError`."""
+    """Raises `too_many_open`."""
     ours = (SubmissionRow.phase_id == draft.phase_id, SubmissionRow.team_id == draft.team_id)
     opened = session.scalar(select(func.count()).select_from(SubmissionRow).where(*ours, SubmissionRow.state.in_(OPEN)))
     if (opened or 0) >= MOST_OPEN:
-        raise TooManyOpenError(MOST_OPEN)
+        raise Refused(
+            "too_many_open",
+            f"{MOST_OPEN} submissions of this team are open in this phase; finish or cancel some of them first",
+        )
 
 
 def _refuse_exhausted(session: Session, phase: Phase, team_id: str) -> None:
-    """Raises `ValidationsExhaustedError`."""
+    """Raises `validations_exhausted`."""
     left, next_ns = validations_left(session, phase, team_id)
     if not left:
-        raise ValidationsExhaustedError(phase.validations_per_day, next_ns)
+        limit = phase.validations_per_day
+        sentence = (
+            f"all {limit} validation-only submissions of the day are used ('stone validate' checks a file locally)"
+        )
+        raise ExhaustedError("validations_exhausted", sentence, next_ns)
 
 
 def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Upload:
@@ -271,7 +280,11 @@ def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Up
     if upload.target_id != submission.id:
         raise UploadMissingError(upload_id)
     if (upload.sha256, upload.length_bytes) != (submission.declared_sha256, submission.size_bytes):
-        raise HashMismatchError(upload.sha256, submission.declared_sha256)
+        raise Refused(
+            "hash_mismatch",
+            f"the upload has sha256 {upload.sha256 or 'unknown'}, declared was {submission.declared_sha256}; was "
+            "the zip written again meanwhile?",
+        )
     return upload
 
 

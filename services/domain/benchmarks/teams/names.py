@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access.errors import NameTakenError
 from services.runtime.orm import Team
-from stone.errors import StoneError
+from stone.errors import Refused
 
 LOCK = 0x5445414D  # "TEAM": the advisory lock's number, shared by every process of the platform
 LONGEST = 64
@@ -24,25 +24,18 @@ UNSEEN = re.compile(
 )
 
 
-class BadTeamNameError(StoneError):
-    """Invalid team name."""
-
-    code = "bad_team_name"
-
-    def __init__(self, kept: int, seen: int) -> None:
-        super().__init__(
-            f"the name has {kept} characters when composed and {seen} that are seen; expected 1 to {LONGEST} of each"
-        )
-
-
 def taken(session: Session, name: str) -> str:
     """The name as it is kept, composed (NFC), and nobody's else until the transaction ends.
 
-    Raises `BadTeamNameError`, `NameTakenError`.
+    Raises `bad_team_name`, `NameTakenError`.
     """
     kept, wanted = unicodedata.normalize("NFC", name), folded(name)
     if not wanted or len(kept) > LONGEST:
-        raise BadTeamNameError(len(kept), len(wanted))
+        raise Refused(
+            "bad_team_name",
+            f"the name has {len(kept)} characters when composed and {len(wanted)} that are seen; expected 1 to "
+            f"{LONGEST} of each",
+        )
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
     if any(folded(other) == wanted for other in session.scalars(select(Team.name))):

@@ -15,20 +15,12 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import DAY_NS, MOST_MEMBERS, phase_status
-from services.domain.benchmarks.teams.errors import (
-    AlreadyInTeamError,
-    AlreadyMemberError,
-    CaptainStaysError,
-    InvitationError,
-    NotCaptainError,
-    NotMemberError,
-    TeamFullError,
-    TooManyError,
-)
+from services.domain.benchmarks.teams.errors import already_in_team
 from services.domain.benchmarks.teams.names import taken
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import Phase, PhaseTeam, ScoringEntry, SubmissionRow, Team, TeamInvitation, TeamMember, User
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 
 PREFIX = "invite_"
 SECRET = re.compile(r"invite_[A-Za-z0-9_-]{43}")
@@ -39,7 +31,7 @@ BINDING = ("queued", "scoring", "scored")
 
 
 def found(session: Session, name: str, user_id: str) -> Team:
-    """A team with this user as its captain. Raises `BadTeamNameError`, `NameTakenError`, `TooManyError`."""
+    """A team with this user as its captain. Raises `bad_team_name`, `NameTakenError`, `too_many`."""
     team = Team(name=taken(session, name))
     _refuse_many_teams(session, user_id)
     session.add(team)
@@ -65,11 +57,11 @@ def invite(session: Session, team: Team, user: User, lasts_ns: int = LASTS_NS) -
 
 
 def invite_row(session: Session, team: Team, user_id: str, lasts_ns: int = LASTS_NS) -> tuple[TeamInvitation, str]:
-    """The invitation's row beside its secret. Raises `NotCaptainError`, `TooManyError`."""
+    """The invitation's row beside its secret. Raises `not_captain`, `too_many`."""
     lock_team(session, team.id)
     refuse_others(session, team.id, user_id, "invite")
     if len(open_invitations(session, team.id)) >= MOST_INVITATIONS:
-        raise TooManyError("open invitations", MOST_INVITATIONS)
+        raise too_many("open invitations", MOST_INVITATIONS)
     secret = PREFIX + token_urlsafe(32)
     row = TeamInvitation(team_id=team.id, secret_hash=_hash(secret), created_by=user_id, expires_ns=now_ns() + lasts_ns)
     session.add(row)
@@ -96,19 +88,21 @@ def withdraw(session: Session, team: Team, invitation_id: str) -> bool:
 def join(session: Session, secret: str, user: User) -> Team:
     """Let the user into the team of the invitation, and bind them to the phases that the team takes part in.
 
-    Raises `InvitationError`, `AlreadyMemberError`, `TeamFullError`, `AlreadyInTeamError`, `TooManyError`; the
+    Raises `no_invitation`, `already_member`, `team_full`, `already_in_team`, `too_many`; the
     invitation stays good then.
     """
     named = select(TeamInvitation).where(TeamInvitation.secret_hash == _hash(secret))
     row = session.scalars(named).one_or_none() if SECRET.fullmatch(secret) else None
     if row is None:
-        raise InvitationError()
+        raise no_invitation()
     team = lock_team(session, row.team_id)
     invitation = session.scalars(named.execution_options(populate_existing=True)).one_or_none()
     if invitation is None or invitation.used_ns is not None or invitation.expires_ns <= now_ns():
-        raise InvitationError()
+        raise no_invitation()
     if is_member(session, team.id, user.id):
-        raise AlreadyMemberError(user.name)
+        raise Refused(
+            "already_member", f"{user.name!r} is a member of this team already; the invitation stays as it was"
+        )
     _refuse_many_teams(session, user.id)
     phases = _entered(session, team.id)
     _refuse_full(session, team.id, phases)
@@ -123,25 +117,28 @@ def join(session: Session, secret: str, user: User) -> Team:
 def enter(session: Session, phase: Phase, team_id: str) -> None:
     """Bind every member to the team in this phase; again, it changes nothing.
 
-    Raises `AlreadyInTeamError` where one takes part with another team, `TeamFullError` where they are too many.
+    Raises `already_in_team` where one takes part with another team, `team_full` where they are too many.
     """
     lock_team(session, team_id)
     members = _member_ids(session, team_id)
     if len(members) > phase.team_members:
-        raise TeamFullError(len(members), phase.team_members)
+        raise team_full(len(members), phase.team_members)
     _bind(session, phase, team_id, members)
 
 
 def leave(session: Session, team: Team, user: User) -> None:
     """Take the user out; the last member may go, and the team goes too unless something was submitted in its name.
 
-    Raises `NotMemberError`, `CaptainStaysError`.
+    Raises `not_member`, `captain_stays`.
     """
     lock_team(session, team.id)
     member = _member(session, team.id, user)
     others = len(_member_ids(session, team.id)) - 1
     if member.is_owner and others:
-        raise CaptainStaysError()
+        raise Refused(
+            "captain_stays",
+            "the captain cannot leave while there are other members; make another member the captain first",
+        )
     session.delete(member)
     session.flush()
     _unbind(session, team.id, user.id)
@@ -151,14 +148,14 @@ def leave(session: Session, team: Team, user: User) -> None:
 
 
 def remove(session: Session, team: Team, by: str, user: User) -> None:
-    """Have the captain, whose id is `by`, take somebody else out. Raises `NotCaptainError` and as `leave`."""
+    """Have the captain, whose id is `by`, take somebody else out. Raises `not_captain` and as `leave`."""
     lock_team(session, team.id)
     refuse_others(session, team.id, by, "remove a member")
     leave(session, team, user)
 
 
 def hand_over(session: Session, team: Team, user: User) -> None:
-    """Make another member the captain. Raises `NotMemberError`."""
+    """Make another member the captain. Raises `not_member`."""
     lock_team(session, team.id)
     member = _member(session, team.id, user)
     for row in session.scalars(select(TeamMember).where(TeamMember.team_id == team.id, TeamMember.is_owner)):
@@ -174,9 +171,9 @@ def lock_team(session: Session, team_id: str) -> Team:
 
 
 def refuse_others(session: Session, team_id: str, user_id: str, act: str) -> None:
-    """Raises `NotCaptainError` for whoever does not lead the team."""
+    """Raises `not_captain` for whoever does not lead the team."""
     if captain(session, team_id) != user_id:
-        raise NotCaptainError(act)
+        raise Refused("not_captain", f"only the team's captain may {act}")
 
 
 def _bind(session: Session, phase: Phase, team_id: str, user_ids: list[str]) -> None:
@@ -185,7 +182,7 @@ def _bind(session: Session, phase: Phase, team_id: str, user_ids: list[str]) -> 
     insert_new(session, PhaseTeam, values)
     bound = select(PhaseTeam.team_id).where(PhaseTeam.phase_id == phase.id, PhaseTeam.user_id.in_(user_ids))
     if any(other != team_id for other in session.scalars(bound)):
-        raise AlreadyInTeamError(phase.name)
+        raise already_in_team(phase.name)
 
 
 def _unbind(session: Session, team_id: str, user_id: str) -> None:
@@ -206,19 +203,19 @@ def _refuse_full(session: Session, team_id: str, phases: list[Phase]) -> None:
     members = len(_member_ids(session, team_id))
     most = min((phase.team_members for phase in phases), default=MOST_MEMBERS)
     if members >= most:
-        raise TeamFullError(members, most)
+        raise team_full(members, most)
 
 
 def _refuse_many_teams(session: Session, user_id: str) -> None:
     counted = select(func.count()).select_from(TeamMember).where(TeamMember.user_id == user_id)
     if (session.scalar(counted) or 0) >= MOST_TEAMS:
-        raise TooManyError("teams of yours", MOST_TEAMS)
+        raise too_many("teams of yours", MOST_TEAMS)
 
 
 def _member(session: Session, team_id: str, user: User) -> TeamMember:
     row = session.get(TeamMember, (team_id, user.id), populate_existing=True)
     if row is None:
-        raise NotMemberError(user.name)
+        raise Refused("not_member", f"{user.name[:64]!r} is no member of this team")
     return row
 
 
@@ -234,3 +231,17 @@ def _has_records(session: Session, team_id: str) -> bool:
 
 def _hash(secret: str) -> str:
     return sha256(secret.encode()).hexdigest()
+
+
+def no_invitation() -> Refused:
+    return Refused(
+        "no_invitation", "this invitation is unknown, was used or withdrawn, or is too old; ask the captain for another"
+    )
+
+
+def team_full(members: int, most: int) -> Refused:
+    return Refused("team_full", f"the team has {members} member(s), and {most} at most may take part where it does")
+
+
+def too_many(kind: str, most: int) -> Refused:
+    return Refused("too_many", f"there are {most} {kind} already, which is the limit; remove some that are not needed")

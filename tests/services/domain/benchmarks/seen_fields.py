@@ -14,7 +14,6 @@ from services.domain.benchmarks.boards.board import LeaderboardRow, board
 from services.domain.benchmarks.boards.comparison import compare
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.submissions.predicted_frames import downloadable_zip, pictured_zip
-from services.domain.benchmarks.submissions.result_errors import FramesHiddenError, PredictionsGoneError, WithheldError
 from services.domain.benchmarks.submissions.results import (
     BY,
     ScoreView,
@@ -26,6 +25,7 @@ from services.domain.benchmarks.submissions.results import (
 )
 from services.domain.benchmarks.visibility import Viewer
 from services.runtime.orm import SubmissionRow
+from stone.errors import StoneError
 from tests.services.domain.benchmarks.boards import Scene
 
 EXPECTED = """
@@ -137,7 +137,7 @@ def _of_results(found: SubmissionResults, row: LeaderboardRow) -> dict[str, obje
 def _is_told(look: Callable[[], object]) -> bool:
     try:
         return bool(look())
-    except PredictionsGoneError:
-        return True
-    except (WithheldError, FramesHiddenError):
-        return False
+    except StoneError as error:
+        if error.code not in ("predictions_gone", "withheld", "frames_hidden"):
+            raise
+        return error.code == "predictions_gone"

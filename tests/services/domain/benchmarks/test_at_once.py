@@ -18,19 +18,15 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.alarms.alarms import open_alarms, raise_alarms
-from services.domain.benchmarks.phases.errors import TruthInMakingError
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, create_benchmark, create_phase
 from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported
-from services.domain.benchmarks.rescores.errors import BoardMovedError
 from services.domain.benchmarks.rescores.rescore import NewRescore, activate, start_rescore
 from services.domain.benchmarks.submissions import scoring_quota
-from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
 from services.domain.benchmarks.submissions.submissions import cancel, finalise, mark_scoring, reopen, settle, withdraw
 from services.domain.benchmarks.submissions.sweeper_chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.teams import teams
-from services.domain.benchmarks.teams.errors import AlreadyInTeamError, InvitationError, TeamFullError
 from services.domain.benchmarks.teams.teams import lock_team
 from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs import control
@@ -191,7 +187,7 @@ def test_of_several_who_accept_the_last_seat_at_once_one_has_it(platform_on: Pla
         row = lock_team(session, team_id)
         secrets = [first, *(teams.invite(session, row, ada) for _ in range(3))]
     acts = [partial(teams.join, secret=secret, user=laid.user(platform_on)) for secret in secrets]
-    assert sorted(laid.at_once(platform_on, *acts)) == ["", *[TeamFullError.code] * 3]
+    assert sorted(laid.at_once(platform_on, *acts)) == ["", *["team_full"] * 3]
     assert len(laid.members_of(platform_on, team_id)) == 2
 
 
@@ -199,7 +195,7 @@ def test_of_several_who_accept_one_invitation_at_once_one_is_in(platform_on: Pla
     ada = laid.user(platform_on)
     [(team_id, secret)] = entered(platform_on, laid.hidden_phase(platform_on), ada)
     acts = [partial(teams.join, secret=secret, user=laid.user(platform_on)) for _ in range(4)]
-    assert sorted(laid.at_once(platform_on, *acts)) == ["", *[InvitationError.code] * 3]
+    assert sorted(laid.at_once(platform_on, *acts)) == ["", *["no_invitation"] * 3]
     assert len(laid.members_of(platform_on, team_id)) == 2
 
 
@@ -207,7 +203,7 @@ def test_who_joins_two_teams_of_one_phase_at_once_is_in_one(platform_on: Platfor
     eve, phase = laid.user(platform_on), laid.hidden_phase(platform_on)
     of_phase = entered(platform_on, phase, *(laid.user(platform_on) for _ in range(3)))
     codes = laid.at_once(platform_on, *[partial(teams.join, secret=secret, user=eve) for _, secret in of_phase])
-    assert sorted(codes) == ["", *[AlreadyInTeamError.code] * 2]
+    assert sorted(codes) == ["", *["already_in_team"] * 2]
     memberships = laid.rows(platform_on, select(TeamMember.team_id).where(TeamMember.user_id == eve.id))
     assert {(eve.id, team_id) for team_id in memberships} == {pair for pair in bound(platform_on) if pair[0] == eve.id}
 
@@ -216,7 +212,7 @@ def test_teams_that_share_members_and_enter_at_once_do_not_both(platform_on: Pla
     ada, eve, phase = laid.user(platform_on), laid.user(platform_on), laid.hidden_phase(platform_on)
     both = [laid.team(platform_on, ada, eve), laid.team(platform_on, eve, ada)]
     codes = laid.at_once(platform_on, *[partial(teams.enter, phase=phase, team_id=one.id) for one in both])
-    assert sorted(codes) == ["", AlreadyInTeamError.code]
+    assert sorted(codes) == ["", "already_in_team"]
     assert len({team_id for _, team_id in bound(platform_on)}) == 1
 
 
@@ -234,7 +230,7 @@ def test_benchmarks_phases_and_ground_truths_are_made_one_at_a_time(platform_on:
     for make, code in (
         (lambda session: create_benchmark(session, asked), NameTakenError.code),
         (lambda session: create_phase(session, benchmark, version, laid.VAL), NameTakenError.code),
-        (lambda session: start_truth(session, first, version, version.created_by), TruthInMakingError.code),
+        (lambda session: start_truth(session, first, version, version.created_by), "truth_in_making"),
     ):
         assert sorted(laid.at_once(platform_on, *[make] * 2)) == ["", code]
     with platform_on.database.transaction() as session:
@@ -278,7 +274,7 @@ def test_of_switches_of_the_board_at_once_one_passes(platform_on: Platform) -> N
         return activate(session, session.get_one(Rescore, rescore_id), shown.id, place.user.id)
 
     codes = laid.at_once(platform_on, *[partial(switch, rescore_id=rescore_id) for rescore_id in ids])
-    assert sorted(codes) == ["", *[BoardMovedError.code] * 3]
+    assert sorted(codes) == ["", *["board_moved"] * 3]
     assert len(laid.rows(platform_on, select(Activation))) == 2
 
 
@@ -330,5 +326,5 @@ def test_of_many_scorings_at_once_exactly_as_many_pass_as_are_left(platform_on: 
         scoring_quota.reserve(session, session.get_one(Phase, entrant.phase_id), entrant.team_id, submission_id)
 
     codes = laid.at_once(platform_on, *[partial(reserve, submission_id=drafted(entrant)) for _ in range(8)])
-    assert sorted(codes) == [*[""] * 3, *[ScoringsExhaustedError.code] * 5]
+    assert sorted(codes) == [*[""] * 3, *["scorings_exhausted"] * 5]
     assert standing(entrant).reserved == 3

@@ -5,7 +5,6 @@ from dataclasses import dataclass
 import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.phases.errors import EmptyPartError, FramesUncomparedError, OtherFramesError
 from services.domain.benchmarks.phases.evaluation_versions import (
     EvaluationVersion,
     active,
@@ -24,6 +23,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
 from testing.api.serving import Person, person
+from testing.refusals import refused_as
 from testing.worlds import published
 from tests.services.domain.benchmarks import laid
 from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows
@@ -82,7 +82,7 @@ def test_a_ground_truth_takes_part_and_mask_of_its_phase_and_asks_for_a_job(at: 
 
 def test_a_version_without_the_phases_part_makes_no_ground_truth(at: World) -> None:
     other = laid.version(at.platform, at.root, val=[published.published_sequence(at.platform, at.root.user_id)])
-    with pytest.raises(EmptyPartError):
+    with refused_as("empty_part"):
         at.begun(other)
 
 
@@ -99,7 +99,7 @@ def test_equal_frames_of_another_version_make_a_ground_truth_that_entries_can_be
     at.in_force()
     at.scored()
     newer = at.version(keeps=True, adds=False)
-    with pytest.raises(FramesUncomparedError):
+    with refused_as("truth_changed"):
         at.begun(newer)
     compared = compare_frames(at.platform, at.phase.id, newer)
     assert (compared.missing, compared.extra) == (0, 0)
@@ -116,7 +116,7 @@ def test_other_frames_are_refused_with_their_number_once_there_are_entries(at: W
     at.scored()
     for newer, missing, extra in ((more, 0, 3), (other, 3, 3)):
         compared = compare_frames(at.platform, at.phase.id, newer)
-        with pytest.raises(OtherFramesError, match=rf"^{missing} frame.* {extra} are new"):
+        with refused_as("other_frames", match=rf"^{missing} frame.* {extra} are new"):
             at.begun(newer, compared)
 
 
@@ -125,7 +125,7 @@ def test_frames_compared_with_another_ground_truth_count_for_nothing(at: World) 
     at.scored()
     other = at.version(keeps=False, adds=True)
     for stale in (TruthFrameComparison("0" * 32, other.id, 0, 0), TruthFrameComparison(truth_id, at.dataset.id, 0, 0)):
-        with pytest.raises(FramesUncomparedError):
+        with refused_as("truth_changed"):
             at.begun(other, stale)
 
 

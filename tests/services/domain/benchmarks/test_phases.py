@@ -6,13 +6,6 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
-from services.domain.benchmarks.phases.errors import (
-    BadPhaseError,
-    EmptyPartError,
-    OpenTestError,
-    PhaseEndedError,
-    PhaseFixedError,
-)
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import (
@@ -25,17 +18,13 @@ from services.domain.benchmarks.phases.phases import (
     phase_named,
     phase_status,
 )
-from services.domain.benchmarks.phases.reported_results import (
-    ReportedRow,
-    ReportedTwiceError,
-    put_reported,
-    reported_in,
-)
+from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported, reported_in
 from services.domain.benchmarks.visibility import TABLE, WORDS, policy_sentences
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, Job, Phase, Reported
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
+from testing.refusals import refused_as
 from testing.worlds import published
 from tests.services.domain.benchmarks import laid
 
@@ -68,15 +57,15 @@ def test_a_version_with_val_and_test_has_an_open_and_a_hidden_phase(
 
 def test_a_version_without_val_and_test_has_no_phase_by_itself(platform: Platform, root: Person) -> None:
     only_train = laid.version(platform, root, train=[published.published_sequence(platform, root.user_id)])
-    with pytest.raises(EmptyPartError), platform.database.reading() as session:
+    with refused_as("empty_part"), platform.database.reading() as session:
         default_phases(session, only_train)
 
 
 def test_no_phase_is_made_that_would_tell_test_or_that_has_no_sequence(
     platform: Platform, root: Person, dataset: Dataset
 ) -> None:
-    for part, error in (("test", OpenTestError), ("train", EmptyPartError)):
-        with pytest.raises(error):
+    for part, error in (("test", "open_test"), ("train", "empty_part")):
+        with refused_as(error):
             laid.phase(platform, root, dataset, NewPhase("t", part, is_hidden=False))
     assert laid.rows(platform, select(Phase)) == []
     assert laid.rows(platform, select(Benchmark)) == []
@@ -101,7 +90,7 @@ def test_rules_out_of_range_are_refused_and_a_phase_may_allow_no_scoring(
     made = laid.phase(platform, root, dataset, scorings_per_window=0, scorings_total=0)
     assert (made.scorings_per_window, made.scorings_total) == (0, 0)
     for rules in OUT_OF_RANGE:
-        with pytest.raises(BadPhaseError, match="|".join(rules)):
+        with refused_as("bad_phase", match="|".join(rules)):
             laid.phase(platform, root, dataset, **rules)
 
 
@@ -118,7 +107,7 @@ def test_what_is_evaluated_changes_until_a_ground_truth_is_being_made(
     with platform.database.transaction() as session:
         assert change_phase(session, phase.id, {"mask": "lidar", "is_hidden": True}).revision == 2
         _truth, job = start_truth(session, phase, dataset, root.user_id)
-    fixed = pytest.raises(PhaseFixedError, match="is_hidden, mask, part")
+    fixed = refused_as("phase_fixed", match="is_hidden, mask, part")
     with fixed, platform.database.transaction() as session:
         change_phase(session, phase.id, {"mask": "all", "part": "test", "is_hidden": False})
     with platform.database.transaction() as session:
@@ -138,7 +127,7 @@ def test_a_hidden_phase_that_told_its_results_does_not_open_again(
     captain = laid.user(platform)
     laid.entry(platform, phase.id, laid.team(platform, captain).id, captain.id)
     for later in (now_ns() + HOUR_NS, None):
-        with pytest.raises(PhaseEndedError), platform.database.transaction() as session:
+        with refused_as("phase_ended"), platform.database.transaction() as session:
             change_phase(session, phase.id, {"closes_ns": later})
 
 
@@ -202,7 +191,7 @@ def test_what_is_put_is_what_stands_and_nothing_else(platform: Platform) -> None
 def test_a_method_that_stands_twice_with_one_modality_changes_nothing(platform: Platform) -> None:
     phase = laid.hidden_phase(platform)
     put(platform, phase, A)
-    with pytest.raises(ReportedTwiceError):
+    with refused_as("reported_twice"):
         put(platform, phase, B, A, replace(A, miou=0.9))
     with platform.database.reading() as session:
         assert [row.method for row in reported_in(session, phase.id)] == ["a method"]

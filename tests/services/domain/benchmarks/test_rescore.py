@@ -20,16 +20,7 @@ from services.domain.benchmarks.alarms.alarms import (
 )
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, active, in_force, versions_to_score
 from services.domain.benchmarks.rescores.diff import RescoreDiff, RescoreMove, RescoreSide
-from services.domain.benchmarks.rescores.errors import (
-    AlarmDismissedError,
-    AlarmMissingError,
-    AlreadyActiveError,
-    BoardMovedError,
-    ForeignTruthError,
-    RescoreIncompleteError,
-    RescoreStateError,
-    TruthNotReadyError,
-)
+from services.domain.benchmarks.rescores.errors import AlarmDismissedError, RescoreStateError
 from services.domain.benchmarks.rescores.progress import RescoreProgress, rescore_progress
 from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, activate, old_version, start_rescore
 from services.runtime.jobs.claims import claim
@@ -39,7 +30,8 @@ from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Activation, Alarm, GroundTruthRow, Job, Phase, Rescore
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, SupersededMetricError, UnknownMetricError
+from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
+from testing.refusals import refused_as
 from tests.services.domain.benchmarks.scored import (
     CELLS,
     Laid,
@@ -165,14 +157,14 @@ def test_what_cannot_be_re_scored_is_refused(platform: Platform) -> None:
     place, other = phase_of_rows(platform), phase_of_rows(platform)
     scored_entry(place, team(place))
     for pair, error in (
-        (EvaluationVersion(place.truth_id, METRIC_VERSION), AlreadyActiveError),
-        (EvaluationVersion(place.truth_id, "stone-iou-0"), UnknownMetricError),
-        (EvaluationVersion(place.truth_id, "stone-iou-1"), SupersededMetricError),
-        (EvaluationVersion(other.truth_id, METRIC_VERSION), ForeignTruthError),
-        (EvaluationVersion("0" * 32, METRIC_VERSION), ForeignTruthError),
-        (EvaluationVersion(another_truth(place, is_ready=False), METRIC_VERSION), TruthNotReadyError),
+        (EvaluationVersion(place.truth_id, METRIC_VERSION), "already_active"),
+        (EvaluationVersion(place.truth_id, "stone-iou-0"), "unknown_metric"),
+        (EvaluationVersion(place.truth_id, "stone-iou-1"), "superseded_metric"),
+        (EvaluationVersion(other.truth_id, METRIC_VERSION), "foreign_truth"),
+        (EvaluationVersion("0" * 32, METRIC_VERSION), "foreign_truth"),
+        (EvaluationVersion(another_truth(place, is_ready=False), METRIC_VERSION), "truth_not_ready"),
     ):
-        with pytest.raises(error):
+        with refused_as(error):
             _start(place, pair)
     with platform.database.reading() as session:
         assert not session.scalars(select(Rescore)).all()
@@ -201,7 +193,7 @@ def test_the_board_switches_as_a_whole_and_the_old_pair_stays_readable(platform:
     with platform.database.reading() as session:
         assert active(session, place.phase.id) == old
         assert versions_to_score(session, place.phase.id) == (old, new)
-    with pytest.raises(RescoreIncompleteError, match="1 entries"):
+    with refused_as("rescore_incomplete", match="1 entries"):
         _activate(place, started.rescore_id)
     scored(place, one, 0.4, new.truth_id)
     _activate(place, started.rescore_id)
@@ -219,7 +211,7 @@ def test_a_switch_from_a_board_that_moved_is_refused(platform: Platform) -> None
     first = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
     second = _start(place, EvaluationVersion(another_truth(place), METRIC_VERSION))
     moved = _activate(place, first.rescore_id, shown.id)
-    with pytest.raises(BoardMovedError, match=moved):
+    with refused_as("board_moved", match=moved):
         _activate(place, second.rescore_id, shown.id)
     assert _activate(place, second.rescore_id, moved)
 
@@ -230,7 +222,7 @@ def test_a_switch_to_a_ground_truth_that_is_not_ready_any_more_is_refused(platfo
     started = _start(place, EvaluationVersion(truth_id, METRIC_VERSION))
     with platform.database.transaction() as session:
         session.get_one(GroundTruthRow, truth_id).ready_ns = None
-    with pytest.raises(TruthNotReadyError):
+    with refused_as("truth_not_ready"):
         _activate(place, started.rescore_id)
 
 
@@ -450,7 +442,7 @@ def test_a_dismissed_alarm_is_not_raised_again(platform: Platform) -> None:
     assert _raised(place) == []
     with pytest.raises(AlarmDismissedError), platform.database.transaction() as session:
         dismiss(session, alarm_id)
-    with pytest.raises(AlarmMissingError), platform.database.transaction() as session:
+    with refused_as("alarm_missing"), platform.database.transaction() as session:
         dismiss(session, "0" * 32)
 
 

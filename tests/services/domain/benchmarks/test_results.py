@@ -6,7 +6,6 @@ import numpy as np
 import pytest
 
 from services.domain.benchmarks.boards.comparison import EntryComparison, compare
-from services.domain.benchmarks.submissions.result_errors import NotComparableError
 from services.domain.benchmarks.submissions.results import (
     BY,
     By,
@@ -23,6 +22,7 @@ from services.runtime.platform import Platform
 from stone.scoring.confusion import ratios
 from stone.scoring.intervals import SCOPES, Scope, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
+from testing.refusals import refused_as
 from tests.services.domain.benchmarks.boards import ADMINISTRATOR, FRAMES, SEQUENCES, Made, Scene, counts, scene
 
 LENGTHS = [one.frames for one in SEQUENCES]
@@ -115,7 +115,7 @@ def test_entries_of_another_phase_or_without_a_score_are_refused(platform: Platf
     known, foreign = at.enter(at.team(), Made()), elsewhere.enter(elsewhere.team(), Made())
     unscored = at.enter(at.team(), None, state="failed")
     for other in (foreign, unscored):
-        with pytest.raises(NotComparableError):
+        with refused_as("not_comparable"):
             compared(at, known, other)
 
 

@@ -8,10 +8,11 @@ from hypothesis import strategies as st
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions import scoring_quota
-from services.domain.benchmarks.submissions.errors import ScoringsExhaustedError
+from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.orm import Phase, ScoringEntry
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from tests.services.domain.benchmarks.drafts import (
     Entrant,
     a_submission,
@@ -41,7 +42,7 @@ def test_what_is_released_is_free_again_and_only_once(platform_on: Platform) -> 
     entrant = entrant_on(platform_on, scorings_per_window=1)
     first = reserved(entrant)
     assert (standing(entrant).used, standing(entrant).reserved) == (0, 1)
-    with pytest.raises(ScoringsExhaustedError):
+    with refused_as("scorings_exhausted"):
         reserved(entrant)
     for given_back in (1, 0):
         with platform_on.database.transaction() as session:
@@ -55,9 +56,10 @@ def test_the_window_rolls_and_says_when_it_is_open_again(
 ) -> None:
     entrant = entrant_on(platform_on, scorings_per_window=1)
     reserved(entrant)
-    with pytest.raises(ScoringsExhaustedError) as refused:
+    with pytest.raises(ExhaustedError) as refused:
         reserved(entrant)
     next_ns = refused.value.next_ns
+    assert refused.value.code == "scorings_exhausted"
     assert next_ns is not None
     assert standing(entrant).next_slot_ns == next_ns
     assert standing(entrant, next_ns - 1).next_slot_ns == next_ns
@@ -74,7 +76,7 @@ def test_a_total_that_is_used_up_has_no_next_time_until_more_are_granted(
     reserved(entrant)
     wait(monkeypatch, 300 * DAY_NS)
     assert (standing(entrant).total_left, standing(entrant).next_slot_ns) == (0, None)
-    with pytest.raises(ScoringsExhaustedError):
+    with refused_as("scorings_exhausted"):
         reserved(entrant)
     granted(entrant, 2)
     assert standing(entrant).total_left == 2
@@ -89,7 +91,7 @@ def test_a_grant_opens_the_window_too_and_is_taken_back_the_same_way(platform_on
     assert standing(entrant).limit == 2
     granted(entrant, -1)
     assert standing(entrant).limit == 1
-    with pytest.raises(ScoringsExhaustedError):
+    with refused_as("scorings_exhausted"):
         reserved(entrant)
 
 

@@ -6,21 +6,14 @@ from typing import Any
 
 import pytest
 
-from services.domain.benchmarks.phases.errors import NoGroundTruthError
 from services.domain.benchmarks.submissions import scoring_quota, sweeper_chores
 from services.domain.benchmarks.submissions.errors import (
-    HashMismatchError,
-    PhaseClosedError,
-    ScoringsExhaustedError,
+    ExhaustedError,
     SubmissionStateError,
-    SubmissionTooLargeError,
-    TooManyOpenError,
-    ValidationsExhaustedError,
 )
 from services.domain.benchmarks.submissions.scoring_jobs import OPEN
 from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel, largest_bytes, validations_left
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, tidy_submissions
-from services.domain.benchmarks.teams.errors import AlreadyInTeamError
 from services.runtime.access import storage_quota
 from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.errors import QueueDrainingError
@@ -32,9 +25,8 @@ from services.runtime.store import blobs
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.uploads import expire, upload_file
 from services.runtime.uploads.creation import UploadDeclaration, create
-from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
 from services.runtime.uploads.rows import UploadOwner
-from stone.errors import StoneError
+from testing.refusals import refused_as
 from testing.servers.fixtures import Bells
 from testing.worlds.made import NOBODY
 from tests.services.domain.benchmarks.drafts import (
@@ -69,7 +61,7 @@ def assert_untouched(entrant: Entrant, submission_id: str, upload_id: str) -> No
 
 def test_a_phase_that_is_not_open_takes_no_draft(platform: Platform) -> None:
     for rules in ({"opens_ns": now_ns() + DAY_NS}, {"closes_ns": now_ns() - DAY_NS}):
-        with pytest.raises(PhaseClosedError):
+        with refused_as("phase_closed"):
             drafted(entrant_on(platform, **rules))
 
 
@@ -79,7 +71,7 @@ def test_a_phase_that_closed_meanwhile_takes_no_file(platform: Platform) -> None
     upload_id = uploaded(entrant, submission_id)
     with platform.database.transaction() as session:
         session.get_one(Phase, entrant.phase_id).closes_ns = now_ns()
-    with pytest.raises(PhaseClosedError):
+    with refused_as("phase_closed"):
         finalised(entrant, submission_id, upload_id)
     assert_untouched(entrant, submission_id, upload_id)
 
@@ -88,7 +80,7 @@ def test_a_phase_without_a_ground_truth_takes_no_draft(platform: Platform) -> No
     entrant = entrant_on(platform)
     with platform.database.transaction() as session:
         session.query(Activation).delete()
-    with pytest.raises(NoGroundTruthError):
+    with refused_as("no_ground_truth"):
         drafted(entrant)
 
 
@@ -96,14 +88,14 @@ def test_a_file_larger_than_its_frames_is_refused_before_it_is_sent(platform: Pl
     entrant = entrant_on(platform)
     limit_bytes = largest_bytes(2000)
     assert seen(entrant, drafted(entrant, size_bytes=limit_bytes)).size_bytes == limit_bytes
-    with pytest.raises(SubmissionTooLargeError, match=f"{limit_bytes + 1} bytes, but 2000 frames"):
+    with refused_as("submission_too_large", match=f"{limit_bytes + 1} bytes, but 2000 frames"):
         drafted(entrant, size_bytes=limit_bytes + 1)
 
 
 def test_a_team_has_a_bounded_number_of_open_submissions(platform: Platform) -> None:
     entrant = entrant_on(platform)
     drafts = [drafted(entrant) for _ in range(MOST_OPEN)]
-    with pytest.raises(TooManyOpenError):
+    with refused_as("too_many_open"):
         drafted(entrant)
     drafted(another_entrant(entrant.place))
     with platform.database.transaction() as session:
@@ -143,7 +135,7 @@ def test_a_baseline_costs_a_scoring_where_the_truth_is_hidden(platform: Platform
     finalised(entrant, kind="validation")
     finalised(entrant, kind="entry")
     assert taken(entrant) == 2
-    with pytest.raises(ScoringsExhaustedError):
+    with refused_as("scorings_exhausted"):
         finalised(entrant, kind="baseline")
     assert taken(entrant) == 2
 
@@ -152,7 +144,7 @@ def test_a_quota_that_is_used_up_leaves_draft_and_upload_for_later(platform: Pla
     entrant = entrant_on(platform, scorings_per_window=0)
     submission_id = drafted(entrant)
     upload_id = uploaded(entrant, submission_id)
-    with pytest.raises(ScoringsExhaustedError):
+    with refused_as("scorings_exhausted"):
         finalised(entrant, submission_id, upload_id)
     assert_untouched(entrant, submission_id, upload_id)
     with platform.database.transaction() as session:
@@ -179,9 +171,9 @@ def test_who_takes_part_with_another_team_cannot_submit_with_this_one(platform: 
     with platform.database.transaction() as session:
         session.add(TeamMember(team_id=entrant.team_id, user_id=other.captain.user_id))
     submission_id = drafted(entrant)
-    with pytest.raises(AlreadyInTeamError):
+    with refused_as("already_in_team"):
         finalised(entrant, submission_id)
-    with pytest.raises(AlreadyInTeamError):  # the one who is bound is told so before anything is sent
+    with refused_as("already_in_team"):  # the one who is bound is told so before anything is sent
         drafted(entrant, user_id=other.captain.user_id)
     assert (seen(entrant, submission_id).state, taken(entrant)) == ("draft", 0)
 
@@ -201,20 +193,18 @@ def test_a_submission_is_finalised_once(platform: Platform) -> None:
 @pytest.mark.parametrize(
     ("columns", "refusal"),
     [
-        ({"state": "open"}, UploadStateError),
-        ({"purpose": "recording"}, UploadPurposeError),
-        ({"target_id": NOBODY}, UploadMissingError),
-        ({"sha256": "1" * 64}, HashMismatchError),
-        ({"length_bytes": len(ZIP) + 1}, HashMismatchError),
+        ({"state": "open"}, "wrong_upload_state"),
+        ({"purpose": "recording"}, "wrong_upload_purpose"),
+        ({"target_id": NOBODY}, "upload_missing"),
+        ({"sha256": "1" * 64}, "hash_mismatch"),
+        ({"length_bytes": len(ZIP) + 1}, "hash_mismatch"),
     ],
 )
-def test_only_the_announced_file_is_taken(
-    platform: Platform, columns: dict[str, Any], refusal: type[StoneError]
-) -> None:
+def test_only_the_announced_file_is_taken(platform: Platform, columns: dict[str, Any], refusal: str) -> None:
     entrant = entrant_on(platform)
     submission_id = drafted(entrant)
     upload_id = uploaded(entrant, submission_id, **columns)
-    with pytest.raises(refusal):
+    with refused_as(refusal):
         finalised(entrant, submission_id, upload_id)
     assert upload_state(entrant, upload_id) == columns.get("state", "complete")
     assert (seen(entrant, submission_id).state, taken(entrant)) == ("draft", 0)
@@ -228,9 +218,10 @@ def test_validations_are_counted_by_the_day(platform: Platform, monkeypatch: pyt
     with platform.database.transaction() as session:
         session.get_one(SubmissionRow, failed).state = "failed"
     finalised(entrant, waiting)
-    with pytest.raises(ValidationsExhaustedError) as refused:
+    with pytest.raises(ExhaustedError) as refused:
         drafted(entrant, kind="validation")
     next_ns = refused.value.next_ns
+    assert refused.value.code == "validations_exhausted"
     assert next_ns is not None
     assert next_ns > now_ns() + DAY_NS - HOUR_NS
     finalised(entrant)

@@ -8,20 +8,11 @@ from sqlalchemy import select, update
 
 from services.domain.benchmarks.teams import names as team_names
 from services.domain.benchmarks.teams import teams
-from services.domain.benchmarks.teams.errors import (
-    AlreadyInTeamError,
-    AlreadyMemberError,
-    CaptainStaysError,
-    InvitationError,
-    NotCaptainError,
-    NotMemberError,
-    TeamFullError,
-    TooManyError,
-)
 from services.runtime.access.errors import NameTakenError
 from services.runtime.orm import Phase, PhaseTeam, Team, TeamInvitation, User
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from tests.services.domain.benchmarks import laid
 
 
@@ -72,14 +63,14 @@ def test_an_invitation_lets_one_in_and_only_its_hash_is_kept(platform: Platform,
     assert laid.members_of(platform, team.id) == {ada.id, eve.id}
     row = laid.rows(platform, select(TeamInvitation))[0]
     assert (row.secret_hash, row.used_by) == (sha256(secret.encode()).hexdigest(), eve.id)
-    with pytest.raises(InvitationError):
+    with refused_as("no_invitation"):
         joined(platform, secret, laid.user(platform))
 
 
 def test_what_is_no_invitation_lets_nobody_in(platform: Platform, ada: User, eve: User) -> None:
     laid.team(platform, ada)
     for secret in ("", "invite_", "invite_" + "x" * 43, "stone_" + "x" * 43, "invite_" + "é" * 43):
-        with pytest.raises(InvitationError):
+        with refused_as("no_invitation"):
             joined(platform, secret, eve)
 
 
@@ -91,22 +82,22 @@ def test_an_invitation_that_is_too_old_or_withdrawn_lets_nobody_in(platform: Pla
         assert teams.withdraw(session, team, teams.open_invitations(session, team.id)[0].id)
         assert not teams.withdraw(session, team, "0" * 32)
     for secret in (old, void):
-        with pytest.raises(InvitationError):
+        with refused_as("no_invitation"):
             joined(platform, secret, eve)
 
 
 def test_a_member_who_accepts_again_leaves_the_invitation_good(platform: Platform, ada: User, eve: User) -> None:
     secret = invited(platform, laid.team(platform, ada), ada)
-    with pytest.raises(AlreadyMemberError):
+    with refused_as("already_member"):
         joined(platform, secret, ada)
     joined(platform, secret, eve)
 
 
 def test_only_the_captain_invites_and_removes_until_it_is_handed_over(platform: Platform, ada: User, eve: User) -> None:
     team = laid.team(platform, ada, eve)
-    with pytest.raises(NotCaptainError):
+    with refused_as("not_captain"):
         invited(platform, team, eve)
-    with pytest.raises(NotCaptainError), platform.database.transaction() as session:
+    with refused_as("not_captain"), platform.database.transaction() as session:
         teams.remove(session, team, eve.id, ada)
     with platform.database.transaction() as session:
         teams.hand_over(session, team, eve)
@@ -114,7 +105,7 @@ def test_only_the_captain_invites_and_removes_until_it_is_handed_over(platform: 
         teams.remove(session, team, eve.id, ada)
     assert laid.members_of(platform, team.id) == {eve.id}
     for stranger in (ada, laid.user(platform)):
-        with pytest.raises(NotMemberError, match=stranger.name), platform.database.transaction() as session:
+        with refused_as("not_member", match=stranger.name), platform.database.transaction() as session:
             teams.hand_over(session, team, stranger)
 
 
@@ -123,7 +114,7 @@ def test_the_captain_leaves_last_and_a_team_of_nobody_is_gone_unless_it_submitte
 ) -> None:
     idle, busy = laid.team(platform, ada, eve), laid.team(platform, ada)
     laid.entry(platform, phase.id, busy.id, ada.id)
-    with pytest.raises(CaptainStaysError):
+    with refused_as("captain_stays"):
         left(platform, idle, ada)
     for user, team in ((eve, idle), (ada, idle), (ada, busy)):
         left(platform, team, user)
@@ -139,7 +130,7 @@ def test_nobody_takes_part_with_two_teams_and_the_refusal_names_nobody(
     for _ in range(2):
         entered(platform, phase, first)
         assert bound(platform) == {(ada.id, first.id), (eve.id, first.id)}
-    with pytest.raises(AlreadyInTeamError) as refused:
+    with refused_as("already_in_team") as refused:
         entered(platform, phase, second)
     assert eve.name not in str(refused.value)
     assert first.name not in str(refused.value)
@@ -153,7 +144,7 @@ def test_who_joins_later_takes_part_at_once_or_does_not_join(
     entered(platform, phase, team)
     entered(platform, phase, other)
     secret = invited(platform, team, ada)
-    with pytest.raises(AlreadyInTeamError):
+    with refused_as("already_in_team"):
         joined(platform, secret, eve)
     assert laid.members_of(platform, team.id) == {ada.id}
     new = laid.user(platform)
@@ -182,7 +173,7 @@ def test_leaving_a_team_that_scored_leaves_nobody_free_for_another(platform: Pla
         laid.entry(platform, phase.id, team.id, ada.id, state=state)
         left(platform, team, eve)
         assert ((eve.id, team.id) in bound(platform)) == stays, state
-        with pytest.raises(AlreadyInTeamError) if stays else nullcontext():
+        with refused_as("already_in_team") if stays else nullcontext():
             entered(platform, phase, other)
 
 
@@ -192,10 +183,10 @@ def test_a_team_is_as_large_as_the_smallest_phase_it_takes_part_in_allows(
     team = laid.team(platform, ada, eve)
     entered(platform, phase, team)
     secret = invited(platform, team, ada)
-    with pytest.raises(TeamFullError, match="2 member"):
+    with refused_as("team_full", match="2 member"):
         joined(platform, secret, laid.user(platform))
     large = laid.team(platform, ada, eve, laid.user(platform))
-    with pytest.raises(TeamFullError, match="3 member"):
+    with refused_as("team_full", match="3 member"):
         entered(platform, phase, large)
 
 
@@ -205,13 +196,13 @@ def test_teams_and_invitations_are_bounded(
     monkeypatch.setattr(teams, "MOST_TEAMS", 2)
     monkeypatch.setattr(teams, "MOST_INVITATIONS", 1)
     team, _second, third = laid.team(platform, ada), laid.team(platform, ada), laid.team(platform, eve)
-    with pytest.raises(TooManyError, match="2 teams"):
+    with refused_as("too_many", match="2 teams"):
         laid.team(platform, ada)
     secret = invited(platform, third, eve)
-    with pytest.raises(TooManyError, match="2 teams"):
+    with refused_as("too_many", match="2 teams"):
         joined(platform, secret, ada)
     invited(platform, team, ada)
-    with pytest.raises(TooManyError, match="1 open invitations"):
+    with refused_as("too_many", match="1 open invitations"):
         invited(platform, team, ada)
 
 
@@ -229,5 +220,5 @@ def test_names_that_look_alike_are_one_and_others_are_kept_composed(platform: Pl
 
 def test_a_name_of_nothing_that_is_seen_or_too_long_when_composed_is_refused(platform: Platform, ada: User) -> None:
     for name, counted in (("\u3164\ufe0f", "2 .* 0 "), ("\u0958" * 33, "66 .* 66 ")):
-        with pytest.raises(team_names.BadTeamNameError, match=counted), platform.database.transaction() as session:
+        with refused_as("bad_team_name", match=counted), platform.database.transaction() as session:
             teams.found(session, name, ada.id)

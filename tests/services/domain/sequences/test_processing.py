@@ -11,7 +11,6 @@ from api.visible import newest_label_set
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.processing import (
     PROCESS,
-    ChoiceError,
     ProcessRequest,
     delete_sequence,
     register,
@@ -20,17 +19,11 @@ from services.domain.sequences.processing import (
 )
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
-    ClockOffsetError,
-    NoCalibrationError,
-    NoRecordingError,
-    RecordingNamesError,
     RecordingPendingError,
     SequenceDeletedError,
-    UnknownRecordingError,
-    UnknownStagesError,
 )
 from services.domain.sequences.profiles import keep_profile
-from services.domain.sequences.recordings import RecordingInUseError, remove_recording
+from services.domain.sequences.recordings import remove_recording
 from services.runtime.access import storage_quota
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel
@@ -39,6 +32,7 @@ from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import CalibrationRow, Job, LabelSet, ProfileRow, QuotaEntry, Recording, SequenceRow, Upload
 from services.runtime.platform import Platform
 from services.runtime.store.recipes import recipe_of
+from testing.refusals import refused_as
 from testing.worlds.rows import recording_of
 from testing.worlds.runs import Brought, bring
 
@@ -76,14 +70,14 @@ def ready_on(platform: Platform, tmp_path: Path) -> Brought:
 
 def test_what_is_missing_is_said_in_the_order_in_which_it_is_given(platform: Platform, tmp_path: Path) -> None:
     brought = bring(platform)
-    with pytest.raises(NoCalibrationError):
+    with refused_as("no_calibration"):
         brought.process()
     (tmp_path / "rig.yaml").write_text("stone_calibration: 1\n")
     brought.calibrate(tmp_path / "rig.yaml")
-    with pytest.raises(NoRecordingError):
+    with refused_as("no_recording"):
         brought.process()
     with_recording(brought, "refused")
-    with pytest.raises(NoRecordingError, match="1 could not be registered"):
+    with refused_as("no_recording", match="1 could not be registered"):
         brought.process()
     with_recording(brought, "received")
     with platform.database.transaction() as session:
@@ -92,7 +86,7 @@ def test_what_is_missing_is_said_in_the_order_in_which_it_is_given(platform: Pla
         brought.process()
     with platform.database.transaction() as session:
         cancel(session, job.id, "")
-    with pytest.raises(NoRecordingError, match="2 could not be registered"):
+    with refused_as("no_recording", match="2 could not be registered"):
         brought.process()
 
 
@@ -169,18 +163,18 @@ def test_a_recording_that_was_sent_twice_is_one(ready: Brought) -> None:
 
 def test_what_stays_ambiguous_is_refused_by_its_own_code(ready: Brought) -> None:
     with_recording(ready, name="RUN.mcap", sha256="cd" * 32)
-    with pytest.raises(RecordingNamesError):
+    with refused_as("recordings_named_alike"):
         ready.process()
-    with pytest.raises(UnknownRecordingError):
+    with refused_as("unknown_recording"):
         ready.process(recording_ids=("f" * 32,))
     first = (ready.recording_ids[0],)
-    with pytest.raises(ClockOffsetError):
+    with refused_as("bad_clock_offset"):
         ready.process(recording_ids=first, clock_offsets_ns={"run.mcap": 1})
     with_recording(ready, name="cameras.mcap", sha256="ef" * 32)
     two = (ready.recording_ids[0], ready.recording_ids[2])
-    with pytest.raises(ClockOffsetError):
+    with refused_as("bad_clock_offset"):
         ready.process(recording_ids=two, clock_offsets_ns={"other.mcap": 1})
-    with pytest.raises(ClockOffsetError):
+    with refused_as("bad_clock_offset"):
         ready.process(recording_ids=two, clock_offsets_ns={"cameras.mcap": 1, two[1]: 2})
     assert ready.process(recording_ids=two)
 
@@ -190,7 +184,7 @@ def test_no_recording_of_a_run_is_removed_while_it_is_read(ready: Brought) -> No
     with_recording(ready, name="radar.mcap", sha256="ef" * 32)
     ready.process(recording_ids=tuple(ready.recording_ids[:2]))
     for number in (0, 1):
-        with pytest.raises(RecordingInUseError), ready.platform.database.transaction() as session:
+        with refused_as("recording_in_use"), ready.platform.database.transaction() as session:
             remove_recording(session, session.get_one(Recording, ready.recording_ids[number]))
     with ready.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, ready.recording_ids[2]))
@@ -206,7 +200,7 @@ def test_a_run_that_an_earlier_version_began_names_its_one_recording(ready: Brou
     arguments = ready.job(root_id).arguments
     assert recording_ids_of(arguments) == (ready.recording_ids[0],)
     assert request_of(arguments) == ProcessRequest()
-    with pytest.raises(RecordingInUseError), ready.platform.database.transaction() as session:
+    with refused_as("recording_in_use"), ready.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, ready.recording_ids[0]))
 
 
@@ -220,12 +214,12 @@ def test_choices_out_of_bounds_and_stages_that_do_not_begin_at_the_first_are_ref
         {"reference.alpha": "0.05"},
         {"terrain.neighbours": 20.5},
     ):
-        with pytest.raises(ChoiceError):
+        with refused_as("bad_parameter"):
             brought.process(parameters=parameters)
-    with pytest.raises(ChoiceError):
+    with refused_as("bad_parameter"):
         brought.process(profile="mine")
     for stages in ((), ("label",), ("synchronise", "labels"), ("label", "synchronise")):
-        with pytest.raises(UnknownStagesError):
+        with refused_as("bad_stages"):
             brought.process(stages=stages)
 
 

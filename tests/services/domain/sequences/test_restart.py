@@ -9,11 +9,10 @@ import pytest
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.sequences.processing import PROCESS, ChoiceError, delete_sequence
+from services.domain.sequences.processing import PROCESS, delete_sequence
 from services.domain.sequences.restart import (
     MOST_RESTARTS,
     RESTARTS,
-    CodeChangedError,
     RestartedTooOftenError,
     arguments_of_run,
     begin_again,
@@ -26,6 +25,7 @@ from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Job, JobAttempt
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from testing.worlds.runs import Brought, Said
 from tests.services.domain.sequences.test_processing import ended, ready_on
 
@@ -141,7 +141,7 @@ def test_a_queue_that_takes_nothing_new_fails_the_run_with_the_way_out(ready: Br
 
 def test_choices_that_this_version_refuses_fail_the_run_with_their_reason(ready: Brought) -> None:
     root_id = begun_before(ready, parameters={"surface.width_m": 0.1})
-    with pytest.raises(ChoiceError):
+    with refused_as("bad_parameter"):
         again(ready, root_id)
     assert run_next(ready.platform, "ingest", handlers(ready.platform))
     (run,) = runs(ready)
@@ -152,7 +152,7 @@ def test_versions_that_serve_at_once_do_not_begin_it_again_for_ever(ready: Broug
     root_id = begun_before(ready, **{RESTARTS: MOST_RESTARTS})
     with pytest.raises(RestartedTooOftenError):
         again(ready, root_id)
-    with pytest.raises(CodeChangedError):
+    with refused_as("code_changed"):
         arguments_of_run(ready.platform, attempt_at(ready, root_id))
     assert [run.state for run in runs(ready)] == ["queued"]
 
@@ -164,7 +164,7 @@ def test_an_old_run_that_is_retried_beside_a_newer_one_says_so(ready: Brought) -
     newer_id = ready.process()
     with ready.platform.database.transaction() as session:
         retry(session, root_id, 3)
-    with pytest.raises(CodeChangedError, match=newer_id):
+    with refused_as("code_changed", match=newer_id):
         arguments_of_run(ready.platform, attempt_at(ready, root_id))
 
 

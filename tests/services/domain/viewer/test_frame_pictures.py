@@ -7,7 +7,7 @@ import pytest
 from numpy.typing import NDArray
 from PIL import Image
 
-from services.domain.viewer.frame_grids import GridUnreadableError, read_grids
+from services.domain.viewer.frame_grids import read_grids
 from services.domain.viewer.frame_picture import (
     GROUND_INDEX,
     LIGHTS,
@@ -25,6 +25,7 @@ from stone.labels.class_colours import CLASS_RGB, INK, PALETTES, PAPER, UNSEEN, 
 from stone.labels.grid import GRID_SHAPE
 from stone_files.npz import npz_bytes
 from testing.colour_vision import least_of_pairs
+from testing.refusals import refused_as
 
 RNG = np.random.default_rng(3)
 EVERY_INDEX = np.concatenate([np.arange(56), RNG.integers(0, 56, 56 * 9)]).astype(np.uint8).reshape(10, 56)
@@ -175,7 +176,7 @@ def test_what_is_damaged_or_of_another_form_is_named() -> None:
     small = npz_bytes({"semantics": np.zeros((2, 2, 2), np.uint8)})
     wide = npz_bytes({"semantics": np.zeros(GRID_SHAPE, np.int16)})
     for content, reason in ((bytes(flipped), "semantics"), (small, "2, 2, 2"), (wide, "<i2"), (b"no zip", "zip")):
-        with pytest.raises(GridUnreadableError, match=reason):
+        with refused_as("grid_unreadable", match=reason):
             read_grids(content, ("semantics",))
-    with pytest.raises(GridUnreadableError, match="absent"):
+    with refused_as("grid_unreadable", match="absent"):
         read_grids(payload, ("absent",))

@@ -15,7 +15,7 @@ from sqlalchemy import select
 
 from services.domain.datasets.input_jobs import located_input, start_version_inputs
 from services.domain.datasets.queries import dataset_named
-from services.domain.exports.requests import NothingToExportError, start_export
+from services.domain.exports.requests import start_export
 from services.domain.sequences.label_comparisons import start_comparison
 from services.domain.sequences.label_sources import SOURCE_INDEX, has_samples, is_imported
 from services.domain.viewer.playback import playback_of
@@ -26,6 +26,7 @@ from services.runtime.settings import ViewingSettings
 from stone_exports.frames import frames_in
 from stone_exports.labels import observed_classes
 from stone_exports.tables import exports_in
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.benchmark_world import run_eval
 from testing.worlds.brought_datasets import an_owner, bring_dataset
@@ -112,7 +113,7 @@ def test_labels_have_samples_as_long_as_their_source_is_kept(imported: Downstrea
         session.delete(session.scalars(of_set).one())
         session.flush()
         assert not has_samples(session, sequence_id, label_set_id)
-        with pytest.raises(NothingToExportError):
+        with refused_as("nothing_to_export"):
             start_export(session, session.get_one(SequenceRow, sequence_id), "kitti")
         session.rollback()
 

@@ -7,7 +7,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
-from services.domain.imports.errors import ExistingSequencesError
+from services.domain.imports.errors import existing_sequences
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import, progress_of
 from services.domain.sequences.processing import delete_sequence
 from services.labeler.imports.queue_handlers import PROFILE
@@ -231,7 +231,7 @@ def test_a_fault_in_the_last_scene_leaves_nothing_and_the_others_are_not_done_ag
         def run(attempt: Attempt) -> Outcome:
             if attempt.arguments["scene"] == 2 and done.count(2) == 0:
                 done.append(2)
-                raise ExistingSequencesError(["a fault of this scene"])
+                raise existing_sequences(["a fault of this scene"])
             done.append(attempt.arguments["scene"])
             return handler(attempt)
 

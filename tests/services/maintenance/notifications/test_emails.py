@@ -16,15 +16,10 @@ from aiosmtpd.smtp import AuthResult, LoginPassword
 from pydantic import SecretStr
 
 from services.domain.notifications.email_addresses import MOST_MAILS, set_address, verify
-from services.domain.notifications.errors import (
-    BadEmailAddressError,
-    EmailVerificationError,
-    NoEmailError,
-    TooManyVerificationsError,
-)
 from services.maintenance.notifications.channels import Letter, email_of
 from services.runtime.orm import EmailAddress, Job, User
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from testing.servers.certificates import self_signed
 from testing.servers.process import free_port
 from tests.services.maintenance.notifications.steps import a_user, all_sent, deliveries, happened, telling, turn
@@ -162,10 +157,10 @@ def test_an_address_is_written_to_once_its_link_was_followed_by_its_user(platfor
         assert found is not None
         with platform.database.transaction() as session:
             for user_id, secret in ((eve, found[1]), (ada, "x" * 43), (ada, "")):
-                with pytest.raises(EmailVerificationError):
+                with refused_as("email_not_verified"):
                     verify(session, user_id, secret)
             assert verify(session, ada, found[1]).verified_ns is not None
-            with pytest.raises(EmailVerificationError):
+            with refused_as("email_not_verified"):
                 verify(session, ada, found[1])  # it worked once
         happened(platform, ada)
         all_sent(platform)
@@ -178,12 +173,12 @@ def test_nobody_is_made_to_write_many_letters_to_a_stranger(platform: Platform) 
     with told.database.transaction() as session:
         for number in range(MOST_MAILS):
             set_address(session, user_id, f"stranger{number}@example.org", told.settings.notifications)
-        with pytest.raises(TooManyVerificationsError):
+        with refused_as("too_many_verifications"):
             set_address(session, user_id, "stranger@example.org", told.settings.notifications)
 
 
 def test_without_a_server_no_address_is_taken(platform: Platform) -> None:
-    with platform.database.transaction() as session, pytest.raises(NoEmailError):
+    with platform.database.transaction() as session, refused_as("no_email"):
         set_address(session, "0" * 32, ADDRESS, platform.settings.notifications)
 
 
@@ -198,7 +193,7 @@ def test_what_is_no_address_is_refused_and_no_header_is_made_of_it(platform: Pla
         user = User(name="ada", role="curator")
         session.add(user)
         session.flush()
-        with pytest.raises(BadEmailAddressError):
+        with refused_as("bad_email_address"):
             set_address(session, user.id, address, told.settings.notifications)
         assert session.get(EmailAddress, user.id) is None
 
