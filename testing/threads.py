@@ -5,6 +5,8 @@ from concurrent.futures import ThreadPoolExecutor
 from threading import Barrier
 from typing import TypeVar
 
+from stone.errors import StoneError
+
 PATIENCE_S = 300.0
 T = TypeVar("T")
 
@@ -21,13 +23,15 @@ def at_once(count: int, act: Callable[[int], T]) -> list[T]:
         return list(pool.map(begin, range(count)))
 
 
-def granted(count: int, act: Callable[[int], object], *refused: type[Exception]) -> int:
-    """How many of so many that act at once are not refused."""
+def granted(count: int, act: Callable[[int], object], *codes: str) -> int:
+    """Return how many of so many that act at once are not refused with one of these codes."""
 
     def is_granted(number: int) -> bool:
         try:
             act(number)
-        except refused:
+        except StoneError as error:
+            if error.code not in codes:
+                raise
             return False
         return True
 

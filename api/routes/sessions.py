@@ -21,12 +21,12 @@ from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
 from services.runtime.access import login_throttle, passwords, sessions, users
-from services.runtime.access.errors import PasswordsOffError
 from services.runtime.access.login_throttle import SignInTry
 from services.runtime.access.sessions import SessionSecrets
 from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
+from stone.errors import Refused
 
 router = APIRouter(tags=["people"])
 log = structlog.get_logger(__name__)
@@ -35,7 +35,9 @@ log = structlog.get_logger(__name__)
 @router.post("/sessions", status_code=201, summary="Sign a browser in", responses=refusals(401, 403))
 def sign_in(body: SignInBody, request: Request, response: Response, platform: PlatformDep) -> SessionItem:
     if not platform.settings.api.passwords:
-        raise PasswordsOffError()
+        raise Refused(
+            "passwords_off", "passwords are switched off here (STONE_API__PASSWORDS); sign in with the provider"
+        )
     tried = _counted_try(request, platform, body.name)
     with platform.database.reading() as session:
         user = users.find_user(session, body.name)

@@ -20,7 +20,7 @@ from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import end, settle_if_whole
 from services.runtime.uploads.creation import SUBMISSION, UploadDeclaration, create
-from services.runtime.uploads.errors import DiskFullError, UploadTooLargeError
+from services.runtime.uploads.errors import DiskFullError, upload_too_large
 from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import UploadOwner, find, find_alive
 from stone.errors import StoneError
@@ -49,7 +49,7 @@ def owner_of(caller: Caller) -> UploadOwner:
 
 
 def find_own(platform: Platform, upload_id: str, caller: Caller) -> Upload:
-    """The caller's upload, alive. Raises `UploadMissingError`, `UploadGoneError`, `ForbiddenError`."""
+    """The caller's upload, alive. Raises `upload_missing`, `upload_gone`, `ForbiddenError`."""
     upload = find_alive(platform.database, upload_id, caller.user_id)
     if upload.purpose != SUBMISSION and "upload" not in caller.scopes:
         raise ForbiddenError(f"a {upload.purpose} needs the scope 'upload'; yours are {sorted(caller.scopes)}")
@@ -94,7 +94,7 @@ FORM_TYPE = "multipart/form-data"
 async def accept_form(request: Request, platform: Platform, caller: Caller) -> Upload:
     """The complete upload that the form holds.
 
-    Raises `UnsupportedMediaTypeError`, `FormError`, `UploadTooLargeError` and what creating and receiving raise.
+    Raises `UnsupportedMediaTypeError`, `FormError`, `upload_too_large` and what creating and receiving raise.
     """
     form = await _parse(request)
     try:
@@ -104,7 +104,7 @@ async def accept_form(request: Request, platform: Platform, caller: Caller) -> U
             raise FormError(f"one file named 'file' and the fields {', '.join(FIELDS)} are expected")
         declared = _declared(files[0], fields)
         if declared.length_bytes > platform.settings.uploads.form_bytes:
-            raise UploadTooLargeError(declared.length_bytes, platform.settings.uploads.form_bytes)
+            raise upload_too_large(declared.length_bytes, platform.settings.uploads.form_bytes)
         refuse_unscoped(caller, declared)
         return await in_thread(_keep, platform, owner_of(caller), declared, files[0].file)
     finally:

@@ -31,7 +31,7 @@ from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
-from services.runtime.store.pack_reading import ExportLocation, ShortPackError, StoredFiles, stored_files
+from services.runtime.store.pack_reading import ExportLocation, StoredFiles, short_pack, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
 from stone.scoring.bitplanes import TruthPlanes
@@ -52,14 +52,14 @@ class PackedLabelFile:
     sha256: str
 
     def read(self, packs: Mapping[int, Path]) -> bytes:
-        """The npz, of packs by number. Raises `LabelsUnfitError`, `ShortPackError`."""
+        """The npz, of packs by number. Raises `LabelsUnfitError`, `short_pack`."""
         if self.length_bytes > MAX_LABELS_BYTES:
             raise LabelsUnfitError(f"file {self.name}", f"longer than {MAX_LABELS_BYTES} bytes")
         with packs[self.pack].open("rb") as pack:
             pack.seek(self.offset_bytes)
             npz = pack.read(self.length_bytes)
         if len(npz) < self.length_bytes:
-            raise ShortPackError(self.pack, self.offset_bytes + len(npz))
+            raise short_pack(self.pack, self.offset_bytes + len(npz))
         if sha256(npz).hexdigest() != self.sha256:
             raise LabelsUnfitError(f"file {self.name}", "its sha256 is another than the index says")
         return npz
@@ -93,7 +93,7 @@ class TruthInputs:
     mask: Mask
 
     def planes(self, token: str) -> TruthPlanes:
-        """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds, and `ShortPackError`."""
+        """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds, and `short_pack`."""
         file = self.files[token]
         try:
             return truth_in(file.read(self.packs), self.mask, Path(file.name))

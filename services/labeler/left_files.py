@@ -26,7 +26,7 @@ def left_file(name: str, path: Path) -> LeftFile:
 def files_left(folder: Path) -> list[LeftFile]:
     """Every file below the folder in the order of their names, but those that are still being written.
 
-    Raises `BadKeyError` for a name that no object can have.
+    Raises `bad_key` for a name that no object can have.
     """
     found = sorted(path for path in folder.rglob("[!.]*") if path.is_file() and not path.is_symlink())
     for path in found:

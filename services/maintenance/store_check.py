@@ -64,7 +64,7 @@ def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[Dama
 
 
 def fault_of(store: Store, blob: Blob, *, is_read: bool = False) -> str:
-    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing. Raises `StoreAwayError`."""
+    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing. Raises `store_away`."""
     try:
         if store.size_bytes(blob.object_key) != blob.size_bytes:
             return "size"

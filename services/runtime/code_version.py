@@ -26,7 +26,7 @@ from services.runtime.source_digests import (
     source_digests,
     sources_sha256,
 )
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone_files.atomic import atomic_file
 
 RELEASE = version("stone-platform")
@@ -35,18 +35,6 @@ KEPT = Path(__file__).with_name("__pycache__") / FIXED.name
 SHOWN_DIGITS = 12
 SHA256 = re.compile(r"[0-9a-f]{64}")
 ABSENT = "absent"
-
-
-class BrokenDigestsError(StoneError):
-    """The digests that a build wrote cannot be read."""
-
-    code = "broken_digests"
-
-    def __init__(self, path: Path) -> None:
-        super().__init__(
-            f"{path} lacks a sha256 and library versions for each of {', '.join(ENTRIES)}; build and install the wheel "
-            "again"
-        )
 
 
 def code_version(kind: ResultKind) -> str:
@@ -64,7 +52,7 @@ def version_of(digest: SourceDigest) -> str:
 def digests_in_force(fixed: Path, kept: Path) -> Digests:
     """Return the digests in the file `fixed` if there is one, else those of the sources, which `kept` may hold.
 
-    Raises `BrokenDigestsError`, `SourcesMissingError`, `UnresolvedNameError`.
+    Raises `broken_digests`, `sources_missing`, `unresolved_name`.
     """
     try:
         text = fixed.read_text("utf-8")
@@ -73,7 +61,11 @@ def digests_in_force(fixed: Path, kept: Path) -> Digests:
     try:
         return digests_from(json.loads(text))
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BrokenDigestsError(fixed) from error
+        raise Refused(
+            "broken_digests",
+            f"{fixed} lacks a sha256 and library versions for each of {', '.join(ENTRIES)}; build and install the "
+            "wheel again",
+        ) from error
 
 
 def digests_from(record: Mapping[str, Mapping[str, object]]) -> Digests:

@@ -248,14 +248,14 @@ class Settings(BaseSettings):
     def settings_customise_sources(
         cls, settings_cls: type[BaseSettings], *_: PydanticBaseSettingsSource, **sources: PydanticBaseSettingsSource
     ) -> tuple[PydanticBaseSettingsSource, ...]:
-        """First what the code says, then the environment, then secret files. Raises `UnknownSettingError`."""
+        """First what the code says, then the environment, then secret files. Raises `unknown_setting`."""
         refuse_unknown(cls, os.environ, (path.name for path in secrets_folder().glob("*")))
         known = sources["file_secret_settings"]
         files = _SecretFiles(known, secrets_dir=secrets_folder(), secrets_dir_missing="ok")
         return sources["init_settings"], _Environment(settings_cls), files
 
     def model_post_init(self, _: Any, /) -> None:
-        """Raises `ImpossibleSettingsError`."""
+        """Raises `impossible_settings`."""
         refuse_impossible(self)
 
     @cached_property

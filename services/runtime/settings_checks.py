@@ -15,7 +15,7 @@ from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
 from services.runtime.oidc.settings import provider_contradictions
-from stone.errors import StoneError
+from stone.errors import Refused
 
 if TYPE_CHECKING:
     from services.runtime.settings import Settings
@@ -55,24 +55,12 @@ OTHERS = frozenset({"STONE_SECRETS_DIR", *OF_COMMANDS, *OF_DEPLOYMENTS, *OF_TEST
 """Variables that are no settings of a process, and may well stand in its environment."""
 
 
-class UnknownSettingError(StoneError):
-    """A variable or a secret file is named like a setting, and is none: what it says would be ignored."""
-
-    code = "unknown_setting"
-
-    def __init__(self, names: Sequence[str], known: Iterable[str]) -> None:
-        meant = {name: [RETIRED[name]] for name in names if name in RETIRED}
-        nearest = {name: meant.get(name) or get_close_matches(name.upper(), known, n=1) for name in names}
-        super().__init__("; ".join(f"{name} is no setting{_meant(found)}" for name, found in nearest.items()))
-
-
-class ImpossibleSettingsError(StoneError):
-    """The platform cannot work with these settings, or not as they mean it to."""
-
-    code = "impossible_settings"
-
-    def __init__(self, sentences: Iterable[str]) -> None:
-        super().__init__("; ".join(sentences))
+def unknown_setting(names: Sequence[str], known: Iterable[str]) -> Refused:
+    meant = {name: [RETIRED[name]] for name in names if name in RETIRED}
+    nearest = {name: meant.get(name) or get_close_matches(name.upper(), known, n=1) for name in names}
+    return Refused(
+        "unknown_setting", "; ".join(f"{name} is no setting{_meant(found)}" for name, found in nearest.items())
+    )
 
 
 @dataclass(frozen=True)
@@ -142,7 +130,7 @@ def variables_of(settings: "type[Settings]") -> Iterator[str]:
 
 
 def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: Iterable[str]) -> None:
-    """Raise `UnknownSettingError` for variables of the environment and secret files that only look like settings, and
+    """Raise `unknown_setting` for variables of the environment and secret files that only look like settings, and
     for those that were some once.
 
     A group's own name is one, whose value is JSON. Of files only `stone_<group>__<name>` is meant for us.
@@ -152,14 +140,14 @@ def refuse_unknown(settings: "type[Settings]", variables: Iterable[str], files: 
     named = [*(name for name in variables if name.upper().startswith(PREFIX) or name in RETIRED), *ours]
     unknown = sorted(name for name in named if name.upper() not in known | OTHERS | RENAMED.keys())
     if unknown:
-        raise UnknownSettingError(unknown, sorted(known | OTHERS.difference(OF_TESTS)))
+        raise unknown_setting(unknown, sorted(known | OTHERS.difference(OF_TESTS)))
 
 
 def refuse_impossible(settings: "Settings") -> None:
-    """Raise `ImpossibleSettingsError` for values out of bounds, and for those that contradict each other."""
+    """Raise `impossible_settings` for values out of bounds, and for those that contradict each other."""
     sentences = [*_out_of_bounds(settings), *_contradictions(settings)]
     if sentences:
-        raise ImpossibleSettingsError(sentences)
+        raise Refused("impossible_settings", "; ".join(sentences))
 
 
 def _out_of_bounds(settings: "Settings") -> Iterator[str]:

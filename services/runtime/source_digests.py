@@ -110,7 +110,7 @@ class Reach:
     loaded: set[str] = field(default_factory=set)
 
     def add(self, entries: Sequence[Definition]) -> None:
-        """Follow all references from these definitions. Raises `UnresolvedNameError`, `SourcesMissingError`."""
+        """Follow all references from these definitions. Raises `unresolved_name`, `sources_missing`."""
         todo = [*entries, *(effect for entry in entries for effect in self._load(entry.module))]
         while todo:
             definition = todo.pop()
@@ -181,7 +181,7 @@ def record_of(digests: Digests) -> dict[str, dict[str, object]]:
 def reaches(places: Mapping[str, Path]) -> dict[ResultKind, Reach]:
     """Return all that computes results of each kind, by the folder of each of `ROOTS`.
 
-    Raises `UnresolvedNameError`, `SourcesMissingError`.
+    Raises `unresolved_name`, `sources_missing`.
     """
     tree, known = SourceTree(places, OUTSIDE), dict[Definition, Computation]()
     found = {kind: Reach(tree, known) for kind in ENTRIES}
@@ -191,14 +191,14 @@ def reaches(places: Mapping[str, Path]) -> dict[ResultKind, Reach]:
 
 
 def installed_places() -> dict[str, Path]:
-    """Return the folders of the packages that this process imports. Raises `SourcesMissingError`."""
+    """Return the folders of the packages that this process imports. Raises `sources_missing`."""
     return {root: place_of(root) for root in ROOTS}
 
 
 def source_digests(places: Mapping[str, Path]) -> Digests:
     """Return the digest of every kind of result, by the folder of each of `ROOTS`.
 
-    Raises `UnresolvedNameError`, `SourcesMissingError`.
+    Raises `unresolved_name`, `sources_missing`.
     """
     digests = dict[ResultKind, SourceDigest]()
     for kind, reach in reaches(places).items():

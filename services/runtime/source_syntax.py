@@ -45,7 +45,7 @@ class Computation:
 
 
 def computation_of(tree: SourceTree, definition: Definition) -> Computation:
-    """Return the computation of a definition. Raises `UnresolvedNameError`, `SourcesMissingError`."""
+    """Return the computation of a definition. Raises `unresolved_name`, `sources_missing`."""
     writer = _Writer(tree, definition)
     writer.write(tree.module(definition.module).statements.get(definition.name, []))
     made = writer.made

@@ -14,7 +14,7 @@ from importlib.util import find_spec
 from pathlib import Path
 from typing import NamedTuple
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 
 EFFECTS = ""
 """The name under which a module's definitions hold the statements that run at import and define nothing."""
@@ -49,24 +49,11 @@ class External(NamedTuple):
 Target = Definition | ModuleObject | External
 
 
-class SourcesMissingError(StoneError):
-    """A package or module has no source files in this installation."""
-
-    code = "sources_missing"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"no source file of {name} can be found, so its results have no version; was it installed without sources?"
-        )
-
-
-class UnresolvedNameError(StoneError):
-    """A module uses a name that nothing defines."""
-
-    code = "unresolved_name"
-
-    def __init__(self, module: str, name: str) -> None:
-        super().__init__(f"{module} defines no {name}; was it renamed or moved without those that use it?")
+def sources_missing(name: str) -> Refused:
+    return Refused(
+        "sources_missing",
+        f"no source file of {name} can be found, so its results have no version; was it installed without sources?",
+    )
 
 
 @dataclass(frozen=True)
@@ -102,11 +89,11 @@ class SourceTree:
         self._modules: dict[str, Module] = {}
 
     def module(self, name: str) -> Module:
-        """Return the module called `name`, parsed. Raises `SourcesMissingError`."""
+        """Return the module called `name`, parsed. Raises `sources_missing`."""
         if name not in self._modules:
             path = self.path_of(name)
             if path is None:
-                raise SourcesMissingError(name)
+                raise sources_missing(name)
             self._modules[name] = _parsed(name, path)
         return self._modules[name]
 
@@ -125,7 +112,7 @@ class SourceTree:
         return not is_outside and name.partition(".")[0] in self._places
 
     def resolved(self, module: str, name: str) -> Target:
-        """Return the target of `name` in a module; imports are followed. Raises `UnresolvedNameError`."""
+        """Return the target of `name` in a module; imports are followed. Raises `unresolved_name`."""
         found = self.module(module)
         if name in found.statements:
             return Definition(module, name)
@@ -135,10 +122,12 @@ class SourceTree:
             return ModuleObject(f"{module}.{name}")
         if hasattr(builtins, name) or (name.startswith("__") and name.endswith("__")):
             return External(name)
-        raise UnresolvedNameError(module, name)
+        raise Refused(
+            "unresolved_name", f"{module} defines no {name}; was it renamed or moved without those that use it?"
+        )
 
     def imported(self, found: Import) -> Target:
-        """Return the target of an import. Raises `UnresolvedNameError`, `SourcesMissingError`."""
+        """Return the target of an import. Raises `unresolved_name`, `sources_missing`."""
         root = found.module.partition(".")[0]
         if root not in self._places:
             return External(f"{found.module}.{found.name}" if found.name else found.module, root)
@@ -148,10 +137,10 @@ class SourceTree:
 
 
 def place_of(root: str) -> Path:
-    """Return the folder of a top-level package, which is not run. Raises `SourcesMissingError`."""
+    """Return the folder of a top-level package, which is not run. Raises `sources_missing`."""
     spec = find_spec(root)
     if spec is None or not spec.submodule_search_locations:
-        raise SourcesMissingError(root)
+        raise sources_missing(root)
     return Path(next(iter(spec.submodule_search_locations)))
 
 

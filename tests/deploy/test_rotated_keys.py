@@ -16,8 +16,8 @@ from services.runtime.database.migrate import upgrade
 from services.runtime.database.transactions import Database
 from services.runtime.orm import User
 from services.runtime.settings import DatabaseSettings, Settings
-from services.runtime.store.keys import StoreAwayError
 from services.runtime.store.s3 import S3Store
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 from testing.servers.postgres import PostgresServer, running_postgres
 from testing.servers.s3 import running_s3
@@ -106,5 +106,5 @@ def test_the_key_of_the_store_is_exchanged_while_both_are_valid(tmp_path: Path) 
         server.command.remove("--auth-key")
         server.start()
         assert b"".join(new.read("blobs/one")) == b"labels"
-        with pytest.raises(StoreAwayError):
+        with refused_as("store_away"):
             old.write("blobs/three", content)

@@ -8,7 +8,8 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.processes.worker import UnknownQueueError, arguments
+from services.runtime.processes.worker import arguments
+from testing.refusals import refused_as
 
 ROOT = Path(__file__).resolve().parents[2]
 ALLOCATOR = "jemalloc_bg_thd"  # pyarrow's, which starts again in the children by itself
@@ -73,5 +74,5 @@ def test_a_worker_of_one_queue_loads_no_other_service_than_what_it_imports(
 
 @pytest.mark.parametrize("queues", [(), ("ingest", "labels")])
 def test_a_worker_of_no_queue_or_of_an_unknown_one_is_refused(queues: tuple[str, ...]) -> None:
-    with pytest.raises(UnknownQueueError):
+    with refused_as("unknown_queue"):
         arguments(queues, 1)

@@ -145,7 +145,7 @@ def download_archive(
 
 
 def _finished(platform: Platform, caller: Caller, at: ExportPath) -> tuple[StoredFiles, Export, SequenceRow]:
-    """The files of an export. Raises `NotFoundError`, `ExportUnfinishedError`."""
+    """The files of an export. Raises `NotFoundError`, `export_unfinished`."""
     with platform.database.reading() as session:
         sequence = shown_sequence(session, caller, at.sequence_id)
         export = readable_export(session, caller, sequence.id, at.export_id)

@@ -32,7 +32,7 @@ from api.views.sequences import sequence_detail, sequence_facts, shown_sequence_
 from api.visible import calibration_of, hiding, sequence_of
 from services.domain.datasets.splits import lock_splits
 from services.domain.sequences.processing import PROCESS, delete_sequence, lock_sequence
-from services.runtime.access.errors import NameTakenError
+from services.runtime.access.errors import name_taken
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job, LabelSet, SequenceRow
 
@@ -168,8 +168,8 @@ def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
 
 
 def _flush_named(session: Session, name: str) -> None:
-    """The unique index decides, so that of two at once one gets the name. Raises `NameTakenError`."""
+    """The unique index decides, so that of two at once one gets the name. Raises `name_taken`."""
     try:
         session.flush()
     except IntegrityError:
-        raise NameTakenError("sequence", name) from None
+        raise name_taken("sequence", name) from None

@@ -18,7 +18,7 @@ from services.domain.datasets.catalogue import HIDDEN, OPEN, CatalogueSequence, 
 from services.domain.datasets.files import DatasetFile, files_of, packed, sums_file, sums_of
 from services.domain.datasets.splits import CurrentSplits, current_splits, errors_of, judged, lock_splits
 from services.domain.datasets.statistics import CLASSES, statistics_record
-from services.runtime.access.errors import NameTakenError
+from services.runtime.access.errors import name_taken
 from services.runtime.code_version import code_version
 from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, new_id
 from services.runtime.orm.base import now_ns
@@ -127,11 +127,11 @@ class PreparedDataset:
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version but for its rows; `folder` is where its own files are written.
 
-    Raises `no_splits`, `splits_broken`, `BadMemberError`, `NameTakenError`, `StoreFullError`.
+    Raises `no_splits`, `splits_broken`, `BadMemberError`, `name_taken`, `StoreFullError`.
     """
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
-            raise NameTakenError("dataset version", asked.name)
+            raise name_taken("dataset version", asked.name)
         current, members, warnings = members_now(session)
     return replace(assembled(platform, asked, folder, (current.revision, members)), warnings=warnings)
 
@@ -148,7 +148,7 @@ def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[
 
 
 def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
-    """The rows of the version. Raises `splits_changed`, `NameTakenError`."""
+    """The rows of the version. Raises `splits_changed`, `name_taken`."""
     row = lock_splits(session)
     if row.revision != prepared.revision:
         raise Refused(
@@ -173,7 +173,7 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
     try:
         session.flush()
     except IntegrityError:
-        raise NameTakenError("dataset version", dataset.name) from None
+        raise name_taken("dataset version", dataset.name) from None
     _write_members(session, dataset.id, prepared.members)
     for part, made in parts:
         _write_part(session, dataset.id, part, made)

@@ -102,7 +102,7 @@ def follow_labels(session: Session, sequence: SequenceRow, labels: LabelSet, for
 def write_export(session: Session, attempt: Attempt, made: ExportResult, limit_bytes: int) -> None:
     """Write down what the job has made, in the transaction of its success; the owner may have `limit_bytes` in all.
 
-    Raises `JobCancelledError` when the export was deleted or is another job's now, `QuotaExceededError`.
+    Raises `JobCancelledError` when the export was deleted or is another job's now, `quota_exceeded`.
     """
     sequence = require_sequence(session, attempt)
     export = exported_by(session, attempt)

@@ -71,7 +71,7 @@ def _new_sequence(imported: DatasetImport, scene: Mapping[str, Any]) -> Sequence
 def end_import(session: Session, imported: DatasetImport, made: Sequence[PublishedScene], limit_bytes: int) -> None:
     """Give the tar back, count what was made of it, and note which sequences that is.
 
-    Raises `QuotaExceededError`.
+    Raises `quota_exceeded`.
     """
     storage_quota.release(session, imported.upload_id, "dataset imported")
     for scene in made:

@@ -259,7 +259,7 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
     if profile not in PROFILES:
         raise Refused(
             "bad_parameter",
-            f"{'profile'[:80]!r} cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
+            f"'profile' cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
         )
     for name, value in parameters.items():
         if name not in BOUNDS:
@@ -273,7 +273,7 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
     if profile == "paper" and left_out:
         raise Refused(
             "bad_parameter",
-            f"{'reference.outlier_ratio'[:80]!r} cannot be {str(left_out)[:80]!r}; profile paper leaves none "
+            f"'reference.outlier_ratio' cannot be {str(left_out)[:80]!r}; profile paper leaves none "
             "out; profile local can",
         )
 

@@ -88,7 +88,7 @@ class PackedPairs:
     pairs: tuple[tuple[PackedLabelFile, PackedLabelFile], ...]
 
     def grids(self, index: int) -> tuple[LabelGrids, LabelGrids]:
-        """Raises `LabelsUnfitError`, `ShortPackError`, `GroundTruthError`."""
+        """Raises `LabelsUnfitError`, `short_pack`, `GroundTruthError`."""
         a, b = (label_grids(file.read(self.packs), Path(file.name)) for file in self.pairs[index])
         return a, b
 

@@ -65,7 +65,7 @@ class _SceneRows:
 def publish_scenes(context: ImportStageContext) -> Outcome:
     """Publish the dataset.
 
-    Raises `sequences_exist` and `QuotaExceededError` as it commits, `SandboxCrashedError`, and
+    Raises `sequences_exist` and `quota_exceeded` as it commits, `SandboxCrashedError`, and
     `JobCancelledError` where what scenes left is gone, once the run is begun again.
     """
     context.workspace.pull(f"{TOLD}/")

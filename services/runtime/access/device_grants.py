@@ -14,11 +14,11 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from services.runtime.access import tokens
-from services.runtime.access.errors import BusyError
 from services.runtime.access.roles import ACCOUNT, scopes_in_force
 from services.runtime.access.tokens import hash_of
 from services.runtime.orm import DeviceGrant, Token
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 
 LETTERS = "BCDFGHJKLMNPQRSTVWXZ"
 CODE_LENGTH = 8
@@ -56,9 +56,9 @@ class DevicePoll:
 
 
 def begin_grant(session: Session, request: DeviceRequest) -> DeviceCodes:
-    """A grant that waits for an approval. Raises `BusyError` where `MOST_WAITING` do already."""
+    """A grant that waits for an approval. Raises `busy` where `MOST_WAITING` do already."""
     if (session.scalar(select(func.count()).select_from(DeviceGrant)) or 0) >= MOST_WAITING:
-        raise BusyError(MOST_WAITING, "programs wait for an approval")
+        raise Refused("busy", f"{MOST_WAITING} programs wait for an approval; try again in a moment")
     letters = "".join(choice(LETTERS) for _ in range(CODE_LENGTH))
     codes = DeviceCodes(token_urlsafe(32), f"{letters[:4]}-{letters[4:]}", now_ns() + LASTS_S * 10**9)
     grant = DeviceGrant(name=request.name, address=request.address, scopes=sorted(set(request.scopes)))

@@ -37,7 +37,7 @@ HELD = (
 
 
 def erase_user(session: Session, user: User) -> None:
-    """Shut out at once, for good. Raises `LastAdministratorError`."""
+    """Shut out at once, for good. Raises `last_administrator`."""
     change_user(session, user, None, is_active=False)
     forgive_name(session, user.name)
     for held in HELD:

@@ -17,7 +17,7 @@ from threading import BoundedSemaphore
 from argon2 import PasswordHasher
 from argon2.exceptions import InvalidHashError, VerificationError
 
-from services.runtime.access.errors import BusyError, GuessablePasswordError, WeakPasswordError
+from stone.errors import Refused
 
 SHORTEST = 12
 LONGEST = 1024  # argon2 hashes any length; nobody remembers more
@@ -32,10 +32,12 @@ _places = BoundedSemaphore(MOST_WAITING)
 def hash_password(password: str, name: str = "") -> str:
     """The argon2id hash to keep for the user of this name.
 
-    Raises `WeakPasswordError` below 12 or above 1024 characters, `GuessablePasswordError`, `BusyError`.
+    Raises `weak_password` below 12 or above 1024 characters, `guessable_password`, `busy`.
     """
     if not SHORTEST <= len(password) <= LONGEST:
-        raise WeakPasswordError(len(password), SHORTEST, LONGEST)
+        raise Refused(
+            "weak_password", f"the password has {len(password)} characters; it must have {SHORTEST} to {LONGEST}"
+        )
     refuse_guessable(password, name)
     with _turn():
         return _hasher.hash(password)
@@ -44,7 +46,7 @@ def hash_password(password: str, name: str = "") -> str:
 def verify_password(password_hash: str, password: str) -> bool:
     """Whether it is the password. An empty hash (no such user, or no password) costs the same time and is false.
 
-    Raises `BusyError`.
+    Raises `busy`.
     """
     if len(password) > LONGEST:
         return False
@@ -59,7 +61,7 @@ def verify_password(password_hash: str, password: str) -> bool:
 @contextmanager
 def _turn() -> Iterator[None]:
     if not _places.acquire(blocking=False):
-        raise BusyError(MOST_WAITING)
+        raise Refused("busy", f"{MOST_WAITING} passwords are being checked at this moment; try again in a moment")
     try:
         with _turns:
             yield
@@ -91,17 +93,17 @@ BESIDE = 4
 
 
 def refuse_guessable(password: str, name: str = "") -> None:
-    """Raises `GuessablePasswordError`; `name` is that of the user who is to have it."""
+    """Raises `guessable_password`; `name` is that of the user who is to have it."""
     folded = password.casefold()
     letters = "".join(character for character in folded if character.isalpha())
     if len(set(folded)) < FEWEST_CHARACTERS:
-        raise GuessablePasswordError(f"has only {len(set(folded))} different characters")
+        raise guessable_password(f"has only {len(set(folded))} different characters")
     if _is_run(folded) or _is_run(folded[::-1]):
-        raise GuessablePasswordError("is a run over the keyboard or the alphabet")
+        raise guessable_password("is a run over the keyboard or the alphabet")
     if _is_about(letters, name):
-        raise GuessablePasswordError("is the name of its user or of this platform with little beside it")
+        raise guessable_password("is the name of its user or of this platform with little beside it")
     if {_mark(folded), _mark(_once(letters))} & common_marks():
-        raise GuessablePasswordError("is one of the commonest in the world, or one of them repeated or with numbers")
+        raise guessable_password("is one of the commonest in the world, or one of them repeated or with numbers")
 
 
 @cache
@@ -131,3 +133,9 @@ def _is_about(letters: str, name: str) -> bool:
 def _once(letters: str) -> str:
     """The shortest text that it is a repetition of."""
     return letters[: (letters + letters).find(letters, 1)] if letters else ""
+
+
+def guessable_password(reason: str) -> Refused:
+    return Refused(
+        "guessable_password", f"the password {reason}; take several words that have nothing to do with each other"
+    )

@@ -11,32 +11,23 @@ from sqlalchemy.orm import Session
 
 from services.runtime.notifications.events import QUOTA_LOW, NewEvent, record
 from services.runtime.orm import QuotaEntry, User
-from stone.errors import StoneError
+from stone.errors import Refused
 
 BYTES = "bytes"
 LOW_RATIO = 0.9
 """From this share of the limit on the owner's storage is low."""
 
 
-class QuotaExceededError(StoneError):
-    """The owner would have more than the limit."""
-
-    code = "quota_exceeded"
-
-    def __init__(self, used: int, asked: int, limit: int) -> None:
-        self.used, self.asked, self.limit = used, asked, limit
-        super().__init__(
-            f"{used} of {limit} bytes are used and {asked} more were asked for; "
-            "delete recordings or unfinished uploads that are no longer needed"
-        )
-
-
 def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reason: str, limit: int) -> None:
-    """Take `amount` bytes for the subject. Raises `QuotaExceededError`, and takes nothing then."""
+    """Take `amount` bytes for the subject. Raises `quota_exceeded`, and takes nothing then."""
     lock_owner(session, owner_id)
     used = balance(session, owner_id)
     if used + amount > limit:
-        raise QuotaExceededError(used, amount, limit)
+        raise Refused(
+            "quota_exceeded",
+            f"{used} of {limit} bytes are used and {amount} more were asked for; delete recordings or unfinished "
+            "uploads that are no longer needed",
+        )
     session.add(_entry(owner_id, amount, subject_id, reason))
     session.flush()
     if used < LOW_RATIO * limit <= used + amount:

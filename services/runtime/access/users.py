@@ -9,11 +9,12 @@ import re
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.runtime.access.errors import BadNameError, LastAdministratorError, NameTakenError, UnknownRoleError
+from services.runtime.access.errors import name_taken
 from services.runtime.access.login_throttle import forget_addresses
 from services.runtime.access.passwords import hash_password
 from services.runtime.access.roles import ROLES
 from services.runtime.orm import User, WebSession
+from stone.errors import Refused
 
 NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
 
@@ -21,14 +22,14 @@ NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
 def create_user(session: Session, name: str, role: str, password: str | None = None) -> User:
     """Add an active user; without a password they have tokens only.
 
-    Raises `BadNameError`, `UnknownRoleError`, `WeakPasswordError`, `NameTakenError`.
+    Raises `bad_name`, `unknown_role`, `weak_password`, `name_taken`.
     """
     if not NAME.fullmatch(name):
-        raise BadNameError(name)
+        raise Refused("bad_name", f"{name[:80]!r} cannot be a name; use 1 to 64 of a-z, 0-9, '.', '_', '-', '@', '+'")
     _refuse_unknown(role)
     password_hash = hash_password(password) if password is not None else ""
     if find_user(session, name) is not None:
-        raise NameTakenError("user", name)
+        raise name_taken("user", name)
     user = User(name=name, role=role, password_hash=password_hash, is_active=True)
     session.add(user)
     session.flush()
@@ -41,12 +42,12 @@ def find_user(session: Session, name: str) -> User | None:
 
 
 def change_user(session: Session, user: User, role: str | None, is_active: bool | None) -> None:
-    """Give another role, let in or shut out. Raises `UnknownRoleError`, `LastAdministratorError`."""
+    """Give another role, let in or shut out. Raises `unknown_role`, `last_administrator`."""
     if role is not None:
         _refuse_unknown(role)
     loses = (role is not None and role != "administrator") or is_active is False
     if loses and user.role == "administrator" and user.is_active and not _others(session, user):
-        raise LastAdministratorError(user.name)
+        raise Refused("last_administrator", f"{user.name!r} is the last active administrator; make another one first")
     user.role = user.role if role is None else role
     user.is_active = user.is_active if is_active is None else is_active
     session.flush()
@@ -70,4 +71,4 @@ def _others(session: Session, user: User) -> list[User]:
 
 def _refuse_unknown(role: str) -> None:
     if role not in ROLES:
-        raise UnknownRoleError(role, ROLES)
+        raise Refused("unknown_role", f"{role[:80]!r} is no role; roles are {', '.join(ROLES)}")

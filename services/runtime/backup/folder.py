@@ -14,7 +14,8 @@ from datetime import UTC, datetime
 from pathlib import Path
 from secrets import token_hex
 
-from services.runtime.backup.errors import BackupBusyError, DamagedBackupError, SnapshotMissingError, SourceDamagedError
+from services.runtime.backup.errors import DamagedBackupError, SourceDamagedError
+from stone.errors import Refused
 from stone_files.atomic import atomic_directory, flush
 
 PIECE_BYTES = 2**20
@@ -37,7 +38,7 @@ class BackupFolder:
 
     @contextmanager
     def writing(self) -> Iterator[None]:
-        """Hold the folder; what a dead writer left half goes. Raises `BackupBusyError`."""
+        """Hold the folder; what a dead writer left half goes. Raises `backup_busy`."""
         for folder in (self.root, self.root / OBJECTS, self.root / SNAPSHOTS, self.root / STAGING):
             folder.mkdir(mode=0o700, parents=True, exist_ok=True)
         descriptor = os.open(self.root / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
@@ -55,10 +56,10 @@ class BackupFolder:
         return sorted(entry.name for entry in folder.iterdir() if entry.name[0] != ".") if folder.is_dir() else []
 
     def snapshot(self, name: str = "") -> Path:
-        """The folder of a snapshot; the newest unless named. Raises `SnapshotMissingError`."""
+        """The folder of a snapshot; the newest unless named. Raises `snapshot_missing`."""
         names = self.snapshots()
         if not names or (name and name not in names):
-            raise SnapshotMissingError(self.root, name, names)
+            raise snapshot_missing(self.root, name, names)
         return self.root / SNAPSHOTS / (name or names[-1])
 
     @contextmanager
@@ -111,7 +112,9 @@ class BackupFolder:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise BackupBusyError(self.root) from None
+            raise Refused(
+                "backup_busy", f"another backup is at work in {self.root}; wait for it, or choose another folder"
+            ) from None
 
     def _place(self, staging: Path, target: Path) -> None:
         target.parent.mkdir(mode=0o700, exist_ok=True)
@@ -131,3 +134,8 @@ def pieces_of(path: Path, size_bytes: int | None = None) -> Iterator[bytes]:
         while left and (piece := file.read(min(PIECE_BYTES, left))):
             left -= len(piece)
             yield piece
+
+
+def snapshot_missing(folder: Path, name: str, found: list[str]) -> Refused:
+    wanted = f"snapshot {name!r}" if name else "snapshot"
+    return Refused("snapshot_missing", f"{folder} holds no {wanted}; there: {', '.join(found[-5:]) or 'none'}")

@@ -12,7 +12,7 @@ from pathlib import Path
 
 from sqlalchemy import inspect, text
 
-from services.runtime.backup.errors import DamagedBackupError, TargetNotEmptyError
+from services.runtime.backup.errors import DamagedBackupError
 from services.runtime.backup.folder import BackupContent, BackupFolder, pieces_of
 from services.runtime.backup.snapshot import BackupFile, BackupSnapshot, read_snapshot
 from services.runtime.backup.tables import checked_tables, dumped_rows, load
@@ -24,6 +24,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.protocol import StoredObject
 from services.runtime.uploads.files import make_file, upload_file
 from services.runtime.uploads.rows import leave
+from stone.errors import Refused
 from stone_files.atomic import flush
 
 COPIES = 4
@@ -45,8 +46,8 @@ class BackupRestoreResult:
 def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupRestoreResult:
     """Bring back the snapshot `name`, the newest unless named; no process of the platform may run meanwhile.
 
-    Raises `SnapshotMissingError`, `DamagedBackupError`, `TargetNotEmptyError`, `NewerSchemaError`, `OlderSchemaError`,
-    `StoreFullError`, `StoreAwayError`.
+    Raises `snapshot_missing`, `DamagedBackupError`, `target_not_empty`, `schema_newer`, `schema_older`,
+    `StoreFullError`, `store_away`.
     """
     place = folder.snapshot(name)
     snapshot, files = read_snapshot(place)
@@ -70,7 +71,7 @@ def restore(platform: Platform, folder: BackupFolder, name: str = "") -> BackupR
 def _refuse(platform: Platform, snapshot: BackupSnapshot) -> None:
     refuse_unknown(snapshot.revision)
     if tables := inspect(platform.database.engine).get_table_names():
-        raise TargetNotEmptyError("the database", f"{len(tables)} tables")
+        raise target_not_empty("the database", f"{len(tables)} tables")
 
 
 def _wanted(
@@ -91,12 +92,12 @@ def _refuse_foreign(
     """Whatever is there that is not of this snapshot belongs to somebody."""
     for key, stored in present.items():
         if key not in wanted or wanted[key].size_bytes != stored.size_bytes:
-            raise TargetNotEmptyError("the store", f"an object {key} that is not of this snapshot")
+            raise target_not_empty("the store", f"an object {key} that is not of this snapshot")
     folder = platform.settings.uploads_folder
     ours = {file.name for file in files if file.place == "upload"}
     for path in folder.iterdir() if folder.is_dir() else ():
         if path.name not in ours:
-            raise TargetNotEmptyError("the uploads folder", f"a file {path.name} that is not of this snapshot")
+            raise target_not_empty("the uploads folder", f"a file {path.name} that is not of this snapshot")
 
 
 def _store(platform: Platform, folder: BackupFolder, missing: dict[str, BackupContent], *, is_flawed: bool) -> int:
@@ -137,3 +138,7 @@ def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
     with platform.database.transaction() as session:
         session.execute(text("ANALYZE"))  # or the first plans are made for empty tables
     return queued_again
+
+
+def target_not_empty(place: str, found: str) -> Refused:
+    return Refused("target_not_empty", f"{place} holds {found}; a backup is restored onto an empty platform only")

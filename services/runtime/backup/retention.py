@@ -53,7 +53,7 @@ def verify(folder: BackupFolder) -> BackupVerification:
 
 
 def prune(folder: BackupFolder, kept: int) -> BackupPruneResult:
-    """Only the newest `kept` snapshots stay, and what they name. Raises `BackupBusyError`, `DamagedBackupError`."""
+    """Only the newest `kept` snapshots stay, and what they name. Raises `backup_busy`, `DamagedBackupError`."""
     with folder.writing():
         names = folder.snapshots()
         leaving, staying = names[:-kept], names[-kept:]

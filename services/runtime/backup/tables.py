@@ -20,11 +20,12 @@ from alembic import command
 from alembic.runtime.migration import MigrationContext
 from sqlalchemy import JSON, Boolean, Column, Connection, Float, Integer, LargeBinary, MetaData, String, Table, inspect
 
-from services.runtime.backup.errors import DamagedBackupError, SchemaNotCurrentError
+from services.runtime.backup.errors import DamagedBackupError
 from services.runtime.backup.folder import PIECE_BYTES, sha256_of
 from services.runtime.database.migrate import alembic_on, head_revision
 from services.runtime.database.transactions import Database
 from services.runtime.orm import Base
+from stone.errors import Refused
 
 # Rows as text, in the format of PostgreSQL's `COPY … (FORMAT text)`, read and written without PostgreSQL.
 #
@@ -130,12 +131,16 @@ class TableFacts:
 
 @contextmanager
 def snapshot_of(database: Database) -> Iterator[Connection]:
-    """A connection that sees one state of the database, that of this moment. Raises `SchemaNotCurrentError`."""
+    """A connection that sees one state of the database, that of this moment. Raises `schema_not_current`."""
     options = {} if database.is_sqlite else {"isolation_level": "REPEATABLE READ", "postgresql_readonly": True}
     with database.engine.connect().execution_options(**options) as connection:
         stands = MigrationContext.configure(connection).get_current_revision()
         if stands != head_revision():
-            raise SchemaNotCurrentError(str(stands), head_revision())
+            raise Refused(
+                "schema_not_current",
+                f"the database is at revision {str(stands)!r}, this version is of {head_revision()!r}; back up "
+                "with the version that serves it, or migrate first",
+            )
         yield connection
 
 

@@ -17,18 +17,19 @@ from alembic.script import ScriptDirectory
 from sqlalchemy import Connection, event, text
 
 from services.runtime.database.transactions import Database
-from services.runtime.errors import BrokenReferenceError, NewerSchemaError, OlderSchemaError
 from services.runtime.settings import Settings
+from stone.errors import Refused
 
 MIGRATIONS = Path(__file__).with_name("migrations")
+LAST_OF_OLDER = "1c1f180f"  # the last commit that upgrades databases from before the baseline
 LOCK = 0x53544F4E45  # "STONE": the advisory lock's number
 
 
 def upgrade(settings: Settings) -> None:
     """Bring the database of `settings` to the newest revision; nothing happens where it is there already.
 
-    Raises `NewerSchemaError` if a newer version of this code has migrated it, `OlderSchemaError` if it is from before
-    the baseline, `BrokenReferenceError` if a revision left a row that refers to nothing (and nothing is changed then).
+    Raises `schema_newer` if a newer version of this code has migrated it, `schema_older` if it is from before the
+    baseline, `schema_broken_reference` if a revision left a row that refers to nothing (and nothing is changed then).
     """
     with schema_connection(settings) as connection:
         stands = current_revision(connection)
@@ -55,10 +56,21 @@ def head_revision() -> str:
 
 
 def refuse_unknown(revision: str) -> None:
-    """Raise `OlderSchemaError` or `NewerSchemaError` if this code has no such revision."""
+    """Raise `schema_older` or `schema_newer` if this code has no such revision."""
     known = [each.revision for each in _revisions().walk_revisions()]  # the newest first
-    if revision not in known:
-        raise OlderSchemaError(revision, known[-1]) if revision < known[-1] else NewerSchemaError(revision, known[0])
+    if revision in known:
+        return
+    if revision < known[-1]:
+        raise Refused(
+            "schema_older",
+            f"the database or backup is of revision {revision!r} and this version upgrades from {known[-1]!r} on; "
+            f"restore and start it once with the sources of commit {LAST_OF_OLDER}, then start this version",
+        )
+    raise Refused(
+        "schema_newer",
+        f"the database is at revision {revision!r} and this version knows none after {known[0]!r}; "
+        "start the version that migrated it, or restore a backup",
+    )
 
 
 def _revisions() -> ScriptDirectory:
@@ -95,4 +107,8 @@ def _without_foreign_keys(connection: Any, _record: object) -> None:
 
 def _refuse_broken_references(connection: Connection) -> None:
     for table, row, parent, _number in connection.execute(text("PRAGMA foreign_key_check")):
-        raise BrokenReferenceError(str(table), str(row), str(parent))
+        raise Refused(
+            "schema_broken_reference",
+            f"row {row!s} of table {str(table)!r} refers to a row of {str(parent)!r} that does not exist; "
+            "nothing was changed",
+        )

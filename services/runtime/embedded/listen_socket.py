@@ -12,8 +12,9 @@ from contextlib import contextmanager, suppress
 from dataclasses import replace
 from pathlib import Path
 
-from services.runtime.embedded.errors import AlreadyServingError, PortTakenError
+from services.runtime.embedded.errors import PortTakenError
 from services.runtime.settings import ApiSettings
+from stone.errors import Refused
 
 BACKLOG = 1024
 EVERYWHERE = {"0.0.0.0": "127.0.0.1", "::": "::1"}
@@ -87,14 +88,14 @@ class FolderLock:
 
 @contextmanager
 def hold_folder(folder: Path) -> Iterator[FolderLock]:
-    """Hold `folder` (made where there is none, for its owner only). Raises `AlreadyServingError`."""
+    """Hold `folder` (made where there is none, for its owner only). Raises `already_serving`."""
     folder.mkdir(parents=True, exist_ok=True, mode=0o700)
     descriptor = os.open(folder / LOCK, os.O_CREAT | os.O_RDWR, 0o600)
     try:
         try:
             fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
         except BlockingIOError:
-            raise AlreadyServingError(folder, *_holder(descriptor)) from None
+            raise already_serving(folder, *_holder(descriptor)) from None
         lock = FolderLock(descriptor)
         lock.say("")
         yield lock
@@ -108,3 +109,10 @@ def _holder(descriptor: int) -> tuple[int, str]:
         return int(record["pid"]), str(record["url"])
     except (ValueError, KeyError, TypeError):  # it is writing this very moment
         return 0, ""
+
+
+def already_serving(folder: Path, pid: int, url: str) -> Refused:
+    where = f"process {pid} serves it at {url}" if url else f"process {pid} is starting on it"
+    return Refused(
+        "already_serving", f"{folder} is in use: {where}; use that server, or choose another folder with --data"
+    )

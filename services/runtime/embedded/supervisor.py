@@ -77,7 +77,7 @@ def running_platform(
 
     Who has something else to do meanwhile says `is_awaited=False` and calls `wait_until_ready` later.
 
-    Raises `AlreadyServingError`, `PortTakenError`, `RedisMissingError`, `StartFailedError`.
+    Raises `already_serving`, `PortTakenError`, `redis_missing`, `StartFailedError`.
     """
     with ExitStack() as stack:
         lock = stack.enter_context(hold_folder(settings.root))

@@ -30,15 +30,6 @@ class JobStateError(StoneError):
         super().__init__(f"job {job_id} is {state} and cannot be {act}; only {allowed} jobs can")
 
 
-class UnknownKindError(StoneError):
-    """No worker of this queue knows such a job: the services run different versions of the code."""
-
-    code = "unknown_kind"
-
-    def __init__(self, kind: str, known: list[str]) -> None:
-        super().__init__(f"no stage {kind!r} in this worker; it knows {known} (are all services of the same version?)")
-
-
 class QueueDrainingError(StoneError):
     """The queue accepts no new jobs until it is resumed."""
 

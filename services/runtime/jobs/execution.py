@@ -28,14 +28,14 @@ from services.runtime.database.transactions import wake_up_after_commit
 from services.runtime.jobs.attempt_lines import AttemptLine, AttemptWords, JobProgress, progress_now
 from services.runtime.jobs.claims import Claim, claim, start_run
 from services.runtime.jobs.completion import Failure, cancelled, fail, lose, succeed
-from services.runtime.jobs.errors import JobCancelledError, LostAttemptError, UnknownKindError
+from services.runtime.jobs.errors import JobCancelledError, LostAttemptError
 from services.runtime.jobs.instrumentation import instrumented
 from services.runtime.jobs.lease_keeper import LeaseLine
 from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.telemetry.tracing import StageSpans
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused, StoneError
 
 # The reporter of a running attempt: sends heartbeats, progress and log lines, receives cancellation.
 #
@@ -291,10 +291,14 @@ def _attempt(row: JobRow, taken: Claim, reporter: Reporter) -> AttemptEnd:
 
 
 def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
-    """The handler's answer. Raises what it raises, `UnknownKindError`, `JobCancelledError`."""
+    """The handler's answer. Raises what it raises, `unknown_kind`, `JobCancelledError`."""
     try:
         if taken.kind not in handlers:
-            raise UnknownKindError(taken.kind, sorted(handlers))
+            raise Refused(
+                "unknown_kind",
+                f"no stage {taken.kind!r} in this worker; it knows {sorted(handlers)} (are all services of the "
+                "same version?)",
+            )
         outcome = handlers[taken.kind](reporter)
         reporter.stop_if_asked()
         return outcome

@@ -320,13 +320,6 @@ def _keep(settings: Settings, listener: socket.socket, parent: int) -> None:
 # **Conventions.** Where no keeper answers, the process writes to the database itself.
 
 
-class LeaseNotRenewedError(PlatformFaultError):
-    """The keeper could not write; it is asked again in the next turn."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__("lease_not_renewed", f"the lease keeper wrote nothing: {reason}")
-
-
 class LeaseLine:
     """`renew(words)` and `close()` by one thread; another may `interrupt()` it."""
 
@@ -337,7 +330,7 @@ class LeaseLine:
         self._is_interrupted = False
 
     def renew(self, words: AttemptWords) -> LeaseAnswer:
-        """Raises `LeaseNotRenewedError`, what the database raises, `EOFError` once it is interrupted."""
+        """Raises `lease_not_renewed`, what the database raises, `EOFError` once it is interrupted."""
         if self._address is not None:
             try:
                 return self._asked(words)
@@ -370,7 +363,7 @@ class LeaseLine:
         self._stream.send(message_of(words))
         answer = self._stream.first()
         if "error" in answer:
-            raise LeaseNotRenewedError(answer["error"])
+            raise PlatformFaultError("lease_not_renewed", f"the lease keeper wrote nothing: {answer['error']}")
         return answer_of(answer)
 
 

@@ -17,11 +17,11 @@ from sqlalchemy.orm import Session
 
 from services.runtime.access.roles import Role
 from services.runtime.access.users import NAME, change_user, create_user, find_user
-from services.runtime.oidc.errors import NotAdmittedError, ShutOutError
 from services.runtime.oidc.provider import VerifiedIdentity
 from services.runtime.oidc.settings import OidcSettings, groups_in
 from services.runtime.orm import ExternalIdentity, User
 from services.runtime.orm.base import now_ns
+from stone.errors import Refused
 
 LOCK = 0x4F494443  # "OIDC": the advisory lock's number; first sign-ins are made one after another
 LONGEST_BASE = 56  # of a name, so that a number has room
@@ -39,7 +39,7 @@ class AdmittedUser:
 def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) -> AdmittedUser:
     """The active user of this identity, in the role of their groups.
 
-    Raises `NotAdmittedError`, `ShutOutError`, `LastAdministratorError`.
+    Raises `not_admitted`, `shut_out`, `LastAdministratorError`.
     """
     role = role_of(identity.claims, settings)
     _one_at_a_time(session)
@@ -59,7 +59,7 @@ def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) 
 def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
     """The highest role of somebody's groups; None where roles are given on the platform alone.
 
-    Raises `NotAdmittedError` for who is in no group, where not everybody is let in.
+    Raises `not_admitted` for who is in no group, where not everybody is let in.
     """
     groups = _groups(claims, settings.groups_claim)
     administrators, curators = groups_in(settings.administrators), groups_in(settings.curators)
@@ -69,7 +69,11 @@ def role_of(claims: Mapping[str, Any], settings: OidcSettings) -> Role | None:
         return "curator"
     admitted = groups_in(settings.participants)
     if admitted and not groups & admitted:
-        raise NotAdmittedError(settings.groups_claim)
+        raise Refused(
+            "not_admitted",
+            f"none of your groups (the claim {settings.groups_claim!r}) is admitted here; ask an administrator "
+            "which one is",
+        )
     return "participant" if administrators or curators else None
 
 
@@ -89,7 +93,7 @@ def _names(identity: VerifiedIdentity, claim: str) -> Iterator[str]:
 
 def _in_role(session: Session, user: User, role: Role | None) -> AdmittedUser:
     if not user.is_active:
-        raise ShutOutError(user.name)
+        raise Refused("shut_out", f"the account {user.name!r} is deactivated; ask an administrator of the platform")
     before = user.role
     if role is not None and role != before:
         change_user(session, user, role, None)

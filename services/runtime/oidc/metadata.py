@@ -22,7 +22,7 @@ import httpx
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from services.runtime.oidc.errors import ProviderAnswerError, ProviderAwayError
+from services.runtime.oidc.errors import provider_answer, provider_away
 from services.runtime.oidc.settings import OidcSettings, is_local
 
 # Requests to a provider, bounded in size and time whatever it answers: JSON objects only.
@@ -38,10 +38,10 @@ Json = dict[str, Any]
 
 
 def read_json(url: str, what: str, timeout_s: float) -> Json:
-    """The object at `url`, which `what` names in a refusal. Raises `ProviderAwayError`, `ProviderAnswerError`."""
+    """The object at `url`, which `what` names in a refusal. Raises `provider_away`, `provider_answer`."""
     status, content = _answer(httpx.Request("GET", url, headers=HEADERS), timeout_s)
     if status != 200:
-        raise ProviderAnswerError(what, f"is answered with status {status}")
+        raise provider_answer(what, f"is answered with status {status}")
     return _object(content, what)
 
 
@@ -58,9 +58,9 @@ def _answer(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
         with ThreadPoolExecutor(1) as apart:  # the caller's own thread may stand within an event loop
             return apart.submit(_run, request, timeout_s).result()
     except TimeoutError:
-        raise ProviderAwayError(host, f"it did not answer within {timeout_s:g} s") from None
+        raise provider_away(host, f"it did not answer within {timeout_s:g} s") from None
     except (httpx.HTTPError, httpx.InvalidURL, OSError, UnicodeError) as error:
-        raise ProviderAwayError(host, f"{type(error).__name__}: {error}") from None
+        raise provider_away(host, f"{type(error).__name__}: {error}") from None
 
 
 def _run(request: httpx.Request, timeout_s: float) -> tuple[int, bytes]:
@@ -80,12 +80,12 @@ async def _exchange(request: httpx.Request, timeout_s: float) -> tuple[int, byte
 
 async def _content(answer: httpx.Response) -> bytes:
     if answer.headers.get("content-encoding", "identity") != "identity":
-        raise ProviderAnswerError("answer", "is compressed, which was not asked for")
+        raise provider_answer("answer", "is compressed, which was not asked for")
     content = bytearray()
     async for piece in answer.aiter_raw():
         content += piece
         if len(content) > LONGEST_BYTES:
-            raise ProviderAnswerError("answer", f"is longer than {LONGEST_BYTES} bytes")
+            raise provider_answer("answer", f"is longer than {LONGEST_BYTES} bytes")
     return bytes(content)
 
 
@@ -93,9 +93,9 @@ def _object(content: bytes, what: str) -> Json:
     try:
         value = json.loads(content)
     except (ValueError, RecursionError):
-        raise ProviderAnswerError(what, "is no JSON") from None
+        raise provider_answer(what, "is no JSON") from None
     if not isinstance(value, dict):
-        raise ProviderAnswerError(what, "is no JSON object")
+        raise provider_answer(what, "is no JSON object")
     return value
 
 
@@ -131,7 +131,7 @@ class KeptMetadata:
         self._keys: tuple[float, KeySet] | None = None
 
     def metadata(self) -> ProviderMetadata:
-        """Raises `ProviderAwayError`, `ProviderAnswerError`."""
+        """Raises `provider_away`, `provider_answer`."""
         with self._lock:
             known = self._described
         if known is None or self._now_s() - known[0] > KEPT_S:
@@ -157,10 +157,10 @@ class KeptMetadata:
 
 
 def read_metadata(settings: OidcSettings) -> ProviderMetadata:
-    """Ask the issuer of these settings. Raises `ProviderAwayError`, `ProviderAnswerError`."""
+    """Ask the issuer of these settings. Raises `provider_away`, `provider_answer`."""
     described = read_json(settings.issuer.rstrip("/") + WELL_KNOWN, DESCRIPTION, settings.timeout_s)
     if described.get("issuer") != settings.issuer:
-        raise ProviderAnswerError(
+        raise provider_answer(
             DESCRIPTION, f"says the issuer {str(described.get('issuer'))[:100]!r}, not {settings.issuer!r}"
         )
     methods = described.get("token_endpoint_auth_methods_supported", ["client_secret_basic"])
@@ -173,14 +173,14 @@ def read_metadata(settings: OidcSettings) -> ProviderMetadata:
 
 
 def read_keys(url: str, timeout_s: float) -> KeySet:
-    """The keys at this address. Raises `ProviderAwayError`, `ProviderAnswerError`."""
+    """The keys at this address. Raises `provider_away`, `provider_answer`."""
     listed = read_json(url, "key set", timeout_s).get("keys")
     if not isinstance(listed, list) or not 0 < len(listed) <= MOST_KEYS:
-        raise ProviderAnswerError("key set", f"must list 1 to {MOST_KEYS} keys")
+        raise provider_answer("key set", f"must list 1 to {MOST_KEYS} keys")
     try:
         return KeySet.import_key_set({"keys": [one for one in listed if _is_for_signing(one)]})
     except (JoseError, ValueError, TypeError, KeyError, AttributeError) as error:
-        raise ProviderAnswerError("key set", f"cannot be read: {type(error).__name__}") from None
+        raise provider_answer("key set", f"cannot be read: {type(error).__name__}") from None
 
 
 def _is_for_signing(key: Any) -> bool:
@@ -195,8 +195,8 @@ def _address(settings: OidcSettings, described: Json, name: str) -> str:
     except ValueError:
         parts = None
     if parts is None or not parts.hostname or parts.username or parts.fragment:
-        raise ProviderAnswerError(DESCRIPTION, f"has no address at {name!r}")
+        raise provider_answer(DESCRIPTION, f"has no address at {name!r}")
     is_near = parts.scheme == "http" and is_local(parts) and settings.issuer.startswith("http://")
     if parts.scheme != "https" and not is_near:
-        raise ProviderAnswerError(DESCRIPTION, f"has an address at {name!r} that is not https")
+        raise provider_answer(DESCRIPTION, f"has an address at {name!r} that is not https")
     return str(address)

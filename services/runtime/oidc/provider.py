@@ -22,16 +22,10 @@ from joserfc import jws, jwt
 from joserfc.errors import JoseError
 from joserfc.jwk import KeySet
 
-from services.runtime.oidc.errors import (
-    IdTokenRefusedError,
-    NoProviderError,
-    ProviderAnswerError,
-    ProviderAwayError,
-    ProviderRefusedError,
-    SignInStateError,
-)
+from services.runtime.oidc.errors import provider_answer, provider_away
 from services.runtime.oidc.metadata import KeptMetadata, ProviderMetadata, send_form
 from services.runtime.oidc.settings import OidcSettings
+from stone.errors import PlatformFaultError, Refused
 
 # Verification of ID tokens (OpenID Connect Core 1.0, section 3.1.3.7).
 #
@@ -68,51 +62,51 @@ class VerifiedIdentity:
 def verified(
     token: str, keys: Callable[[str | None], KeySet], expected: TokenExpectation, now_s: float | None = None
 ) -> VerifiedIdentity:
-    """Who signed in. `keys` gives the provider's, for the id that the token names. Raises `IdTokenRefusedError`."""
+    """Who signed in. `keys` gives the provider's, for the id that the token names. Raises `id_token_refused`."""
     claims = _signed_claims(token, keys)
     _check_parties(claims, expected)
     _check_times(claims, time.time() if now_s is None else now_s)
     nonce, subject = claims.get("nonce"), claims.get("sub")
     if not isinstance(nonce, str) or not compare_digest(nonce.encode(), expected.nonce.encode()):
-        raise IdTokenRefusedError("answers another request: its nonce is not the one that was sent")
+        raise id_token_refused("answers another request: its nonce is not the one that was sent")
     if not isinstance(subject, str) or not 0 < len(subject) <= LONGEST_SUBJECT or not subject.isprintable():
-        raise IdTokenRefusedError(f"names nobody: sub must be 1 to {LONGEST_SUBJECT} characters")
+        raise id_token_refused(f"names nobody: sub must be 1 to {LONGEST_SUBJECT} characters")
     return VerifiedIdentity(expected.issuer, subject, claims)
 
 
 def _signed_claims(token: str, keys: Callable[[str | None], KeySet]) -> dict[str, Any]:
     if len(token) > LONGEST_TOKEN:
-        raise IdTokenRefusedError(f"is longer than {LONGEST_TOKEN} characters")
+        raise id_token_refused(f"is longer than {LONGEST_TOKEN} characters")
     try:
         header = jws.extract_compact(token.encode()).headers()
         algorithm, key_id = header.get("alg"), header.get("kid")
         if algorithm not in ALGORITHMS:
-            raise IdTokenRefusedError(f"is signed by {str(algorithm)[:20]!r}, which is not one of {ALGORITHMS}")
+            raise id_token_refused(f"is signed by {str(algorithm)[:20]!r}, which is not one of {ALGORITHMS}")
         known = keys(key_id if isinstance(key_id, str) else None)
         return jwt.decode(token, known, algorithms=list(ALGORITHMS)).claims
     except UNREADABLE as error:
-        raise IdTokenRefusedError(f"is not signed by a key of the provider ({type(error).__name__})") from None
+        raise id_token_refused(f"is not signed by a key of the provider ({type(error).__name__})") from None
 
 
 def _check_parties(claims: Mapping[str, Any], expected: TokenExpectation) -> None:
     issuer, audience, party = claims.get("iss"), claims.get("aud"), claims.get("azp")
     if issuer != expected.issuer:
-        raise IdTokenRefusedError(f"is by the issuer {str(issuer)[:100]!r}, not {expected.issuer!r}")
+        raise id_token_refused(f"is by the issuer {str(issuer)[:100]!r}, not {expected.issuer!r}")
     audiences = audience if isinstance(audience, list) else [audience]
     if expected.client_id not in audiences or not all(isinstance(one, str) for one in audiences):
-        raise IdTokenRefusedError(f"is for {str(audience)[:100]!r}, not for {expected.client_id!r}")
+        raise id_token_refused(f"is for {str(audience)[:100]!r}, not for {expected.client_id!r}")
     if party != expected.client_id and (party is not None or len(audiences) > 1):
-        raise IdTokenRefusedError(f"was given to {str(party)[:100]!r}, not to {expected.client_id!r} (azp)")
+        raise id_token_refused(f"was given to {str(party)[:100]!r}, not to {expected.client_id!r} (azp)")
 
 
 def _check_times(claims: Mapping[str, Any], now_s: float) -> None:
     ends_s, made_s, begins_s = (_instant(claims, name) for name in ("exp", "iat", "nbf"))
     if ends_s is None or made_s is None:
-        raise IdTokenRefusedError("does not say when it was made and ends (iat, exp)")
+        raise id_token_refused("does not say when it was made and ends (iat, exp)")
     if now_s > ends_s + LEEWAY_S:
-        raise IdTokenRefusedError(f"ended {now_s - ends_s:.0f} s ago; is the clock of one of the machines wrong?")
+        raise id_token_refused(f"ended {now_s - ends_s:.0f} s ago; is the clock of one of the machines wrong?")
     if not now_s - OLDEST_S <= made_s <= now_s + LEEWAY_S or (begins_s or 0.0) > now_s + LEEWAY_S:
-        raise IdTokenRefusedError(f"was made {now_s - made_s:.0f} s ago; is the clock of one of the machines wrong?")
+        raise id_token_refused(f"was made {now_s - made_s:.0f} s ago; is the clock of one of the machines wrong?")
 
 
 def _instant(claims: Mapping[str, Any], name: str) -> float | None:
@@ -172,7 +166,7 @@ class Provider:
     def begin(self) -> tuple[CodeRequest, str]:
         """A new request, and the address of the provider to which the browser goes.
 
-        Raises `NoProviderError`, `ProviderAwayError`, `ProviderAnswerError`.
+        Raises `no_provider`, `provider_away`, `provider_answer`.
         """
         with self._asking():
             where = self._kept.metadata().authorization_url
@@ -192,7 +186,7 @@ class Provider:
     def finish(self, request: CodeRequest | None, answer: CodeAnswer) -> VerifiedIdentity:
         """Who came back with this answer to the request of their browser.
 
-        Raises `SignInStateError`, `ProviderRefusedError`, `IdTokenRefusedError`, and as `begin` does.
+        Raises `sign_in_state`, `provider_refused`, `id_token_refused`, and as `begin` does.
         """
         with self._asking():
             _refuse_strange(request, answer, self._settings.issuer)
@@ -214,7 +208,7 @@ class Provider:
             raise _refusal(status, _word(said.get("error")))
         token = said.get("id_token")
         if not isinstance(token, str):
-            raise ProviderAnswerError("token endpoint", "gave no id_token")
+            raise provider_answer("token endpoint", "gave no id_token")
         return token
 
     def _credentials(self, metadata: ProviderMetadata) -> tuple[dict[str, str], dict[str, str]]:
@@ -230,10 +224,12 @@ class Provider:
     @contextmanager
     def _asking(self) -> Iterator[None]:
         if not self._settings.issuer:
-            raise NoProviderError()
+            raise Refused(
+                "no_provider", "this platform has no provider to sign in with; an administrator sets STONE_OIDC__ISSUER"
+            )
         if not self._places.acquire(blocking=False):
             host = urlsplit(self._settings.issuer).hostname or ""
-            raise ProviderAwayError(host, f"{AT_ONCE} sign-ins wait for it already")
+            raise provider_away(host, f"{AT_ONCE} sign-ins wait for it already")
         try:
             yield
         finally:
@@ -242,23 +238,23 @@ class Provider:
 
 def _refuse_strange(request: CodeRequest | None, answer: CodeAnswer, issuer: str) -> None:
     if request is None:
-        raise SignInStateError("this browser began no sign-in, or it was finished or given up")
+        raise sign_in_state("this browser began no sign-in, or it was finished or given up")
     if not compare_digest(answer.state.encode(), request.state.encode()):
-        raise SignInStateError("the answer belongs to another sign-in")
+        raise sign_in_state("the answer belongs to another sign-in")
     if answer.issuer and answer.issuer != issuer:
-        raise SignInStateError("the answer is another provider's")
+        raise sign_in_state("the answer is another provider's")
     if answer.error:
-        raise ProviderRefusedError(_word(answer.error))
+        raise provider_refused(_word(answer.error))
     if not 0 < len(answer.code) <= LONGEST_CODE:
-        raise SignInStateError("the answer brings no code")
+        raise sign_in_state("the answer brings no code")
 
 
-def _refusal(status: int, error: str) -> ProviderRefusedError | ProviderAnswerError:
+def _refusal(status: int, error: str) -> Refused | PlatformFaultError:
     """A code that is none of this sign-in is its owner's mistake; anything else is ours, in the settings."""
     if error == "invalid_grant":
-        return ProviderRefusedError(error)
+        return provider_refused(error)
     reason = f"refused us with status {status} {error!r}; are client id and secret right"
-    return ProviderAnswerError("token endpoint", reason)
+    return provider_answer("token endpoint", reason)
 
 
 def _word(error: Any) -> str:
@@ -276,3 +272,17 @@ def _derived(purpose: str, secret: str) -> str:
 
 def _url64(content: bytes) -> str:
     return urlsafe_b64encode(content).rstrip(b"=").decode()
+
+
+def sign_in_state(reason: str) -> Refused:
+    return Refused("sign_in_state", f"{reason}; begin again at the sign-in page, in one window, within ten minutes")
+
+
+def provider_refused(error: str) -> Refused:
+    return Refused(
+        "provider_refused", f"the provider answered {error[:80]!r}; sign in there as somebody who may use this platform"
+    )
+
+
+def id_token_refused(reason: str) -> Refused:
+    return Refused("id_token_refused", f"the ID token {reason[:300]}; nobody was signed in")

@@ -24,16 +24,13 @@ T = TypeVar("T")
 log = structlog.get_logger(__name__)
 
 
-class SchemaMissingError(PlatformFaultError):
-    """The database is not at the schema of this code."""
-
-    def __init__(self, stands: str, wanted: str) -> None:
-        stood = f"at revision {stands!r}" if stands else "empty"
-        super().__init__(
-            "schema_missing",
-            f"the database is {stood} and this version works on {wanted!r}; "
-            "has `python -m services.runtime.processes.prepare` of this version run?",
-        )
+def schema_missing(stands: str, wanted: str) -> PlatformFaultError:
+    stood = f"at revision {stands!r}" if stands else "empty"
+    return PlatformFaultError(
+        "schema_missing",
+        f"the database is {stood} and this version works on {wanted!r}; "
+        "has `python -m services.runtime.processes.prepare` of this version run?",
+    )
 
 
 def insist(act: Callable[[], T], within_s: float) -> T:
@@ -52,8 +49,7 @@ def insist(act: Callable[[], T], within_s: float) -> T:
 def await_schema(settings: Settings) -> None:
     """Return once the database is at the schema of this code, within `database.awaited_s`.
 
-    Raises `SchemaMissingError`, `NewerSchemaError`, `OlderSchemaError`, what the driver raises if the database stays
-    away.
+    Raises `schema_missing`, `schema_newer`, `schema_older`, what the driver raises if the database stays away.
     """
     database = Database(settings)
     try:
@@ -69,7 +65,7 @@ def _refuse_other_schema(database: Database) -> None:
         return
     if stands:
         refuse_unknown(stands)
-    raise SchemaMissingError(stands, wanted)
+    raise schema_missing(stands, wanted)
 
 
 try:

@@ -32,7 +32,7 @@ from services.runtime.platform import platform
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
-from stone.errors import StoneError
+from stone.errors import Refused
 
 # What sandboxed children of a service find loaded: compiled kernels, and the modules of their work.
 FORKED_FROM = {
@@ -57,24 +57,18 @@ FORKED_FROM = {
 log = structlog.get_logger(__name__)
 
 
-class UnknownQueueError(StoneError):
-    """A queue that no service works on."""
-
-    code = "unknown_queue"
-
-    def __init__(self, named: Sequence[str]) -> None:
-        super().__init__(f"a worker is started for some of {', '.join(QUEUES)}, not for {', '.join(named) or 'none'}")
-
-
 def services_of(queues: Sequence[str]) -> tuple[str, ...]:
     """The services that a worker of these queues loads."""
     return tuple(name for name in QUEUES if name in queues)
 
 
 def arguments(queues: Sequence[str], concurrency: int) -> list[str]:
-    """Celery's command line. Raises `UnknownQueueError`."""
+    """Celery's command line. Raises `unknown_queue`."""
     if not queues or not set(queues) <= set(QUEUES):
-        raise UnknownQueueError(queues)
+        raise Refused(
+            "unknown_queue",
+            f"a worker is started for some of {', '.join(QUEUES)}, not for {', '.join(queues) or 'none'}",
+        )
     loaded = ",".join(f"services.{name}.tasks" for name in services_of(queues))
     return [
         *("worker", "--pool", "prefork", "--loglevel", "INFO", "--concurrency", str(concurrency)),

@@ -77,7 +77,7 @@ def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False
 
     Where a blob has it and its object is gone, which only others than us can have done, the object is put back.
 
-    What is never linked is collected after the grace. Raises `StoreFullError`, `StoreAwayError`.
+    What is never linked is collected after the grace. Raises `StoreFullError`, `store_away`.
     """
     (prepared,) = prepare_all(store, database, [path], adopt=adopt)
     return prepared

@@ -31,16 +31,6 @@ RENEWED_S = 30.0
 log = structlog.get_logger(__name__)
 
 
-class GcHoldLostError(PlatformFaultError):
-    """The hold could not be put off in time, so objects may have been deleted meanwhile."""
-
-    def __init__(self, reason: str) -> None:
-        super().__init__(
-            "hold_lost",
-            f"the hold on garbage collection ({reason}) ran out after {HELD_S:g} s without the database; begin again",
-        )
-
-
 class GcHold:
     """A hold under way; `check` when the work is done."""
 
@@ -60,10 +50,14 @@ class GcHold:
             self._is_lost |= not rows_changed(session, alive.values(until_ns=database_ns() + int(HELD_S * 1e9)))
 
     def check(self) -> None:
-        """Raises `GcHoldLostError` unless it has held all the time."""
+        """Raises `hold_lost` unless it has held all the time."""
         self.renew()
         if self._is_lost:
-            raise GcHoldLostError(self._reason)
+            raise PlatformFaultError(
+                "hold_lost",
+                f"the hold on garbage collection ({self._reason}) ran out after {HELD_S:g} s without the "
+                "database; begin again",
+            )
 
     def end(self) -> None:
         with self._database.transaction() as session:

@@ -8,7 +8,7 @@ import re
 from pathlib import Path
 from typing import ClassVar
 
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused, StoneError
 
 MAX_KEY = 512
 _PART = "[a-z0-9_-][a-z0-9._-]*"
@@ -16,16 +16,12 @@ _KEY = re.compile(rf"{_PART}(/{_PART})+")
 _PREFIX = re.compile(rf"({_PART}/)*({_PART})?")
 
 
-class BadKeyError(StoneError):
-    """No object can have such a key."""
-
-    code: ClassVar[str] = "bad_key"
-
-    def __init__(self, key: str) -> None:
-        super().__init__(
-            f"{key[:200]!r} is no object key; expected at most {MAX_KEY} characters, two or more parts of "
-            "[a-z0-9._-] joined by '/', none beginning with a dot"
-        )
+def bad_key(key: str) -> Refused:
+    return Refused(
+        "bad_key",
+        f"{key[:200]!r} is no object key; expected at most {MAX_KEY} characters, two or more parts of "
+        "[a-z0-9._-] joined by '/', none beginning with a dot",
+    )
 
 
 class ObjectMissingError(StoneError):
@@ -44,29 +40,22 @@ class StoreFullError(PlatformFaultError):
         super().__init__("store_full", f"no space left at {place}; free some, or raise the quota, and try again")
 
 
-class StoreAwayError(PlatformFaultError):
-    """The store did not answer, or answered that it cannot work now."""
-
-    def __init__(self, place: str, reason: str) -> None:
-        super().__init__("store_away", f"the store at {place} failed: {reason}; try again when it answers")
-
-
 def is_key(key: str) -> bool:
     """Whether an object could have this key."""
     return len(key) <= MAX_KEY and _KEY.fullmatch(key) is not None
 
 
 def checked(key: str) -> str:
-    """`key`. Raises `BadKeyError`."""
+    """`key`. Raises `bad_key`."""
     if not is_key(key):
-        raise BadKeyError(key)
+        raise bad_key(key)
     return key
 
 
 def checked_prefix(prefix: str) -> str:
-    """`prefix`, which may be empty or end anywhere within a key. Raises `BadKeyError`."""
+    """`prefix`, which may be empty or end anywhere within a key. Raises `bad_key`."""
     if len(prefix) > MAX_KEY or not _PREFIX.fullmatch(prefix):
-        raise BadKeyError(prefix)
+        raise bad_key(prefix)
     return prefix
 
 

@@ -16,20 +16,17 @@ from sqlalchemy.orm import Session
 from services.runtime.orm import Blob, Export, ExportPack
 from services.runtime.store.packs import PackedFiles, Step, pack_path, pieces_of, read_index
 from services.runtime.store.protocol import Store
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused
 from stone_files.archives import Archive, ArchiveMemberRange, Kind, layout
 
 PIECE_BYTES = 2**18
 ReadPack = Callable[[int, int, int], Iterator[bytes]]
 
 
-class ShortPackError(PlatformFaultError):
-    """A pack ends before its index says."""
-
-    def __init__(self, number: int, place: int) -> None:
-        super().__init__(
-            "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
-        )
+def short_pack(number: int, place: int) -> PlatformFaultError:
+    return PlatformFaultError(
+        "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -90,7 +87,7 @@ class _Stream:
         self._rest = memoryview(b"")
 
     def take(self, content: ArchiveMemberRange) -> Iterator[memoryview]:
-        """The content in pieces. Raises `ShortPackError`."""
+        """The content in pieces. Raises `short_pack`."""
         number = int(self._files.packs[content.ordinal])
         place = int(self._files.offsets_bytes[content.ordinal]) + content.start
         if len(content) and (number, place) != self._at:
@@ -99,7 +96,7 @@ class _Stream:
         while left:
             self._rest = self._rest or memoryview(next(self._pieces, b""))
             if not self._rest:
-                raise ShortPackError(number, place)
+                raise short_pack(number, place)
             part, self._rest = self._rest[:left], self._rest[left:]
             left, place, self._at = left - len(part), place + len(part), (number, place + len(part))
             yield part
@@ -114,17 +111,6 @@ class _Stream:
 HELD = 4
 
 
-class ExportUnfinishedError(StoneError):
-    """The files of an export are there once its job has succeeded."""
-
-    code = "export_unfinished"
-
-    def __init__(self, export_id: str, job_id: str) -> None:
-        super().__init__(
-            f"export {export_id} has no files yet; job {job_id} makes them, ask again when it has succeeded"
-        )
-
-
 @dataclass(frozen=True)
 class ExportLocation:
     """The objects of the store that hold an export."""
@@ -134,9 +120,12 @@ class ExportLocation:
 
 
 def locate_export(session: Session, export: Export) -> ExportLocation:
-    """The places of an export's files. Raises `ExportUnfinishedError`."""
+    """The places of an export's files. Raises `export_unfinished`."""
     if export.index_sha256 is None:
-        raise ExportUnfinishedError(export.id, export.job_id)
+        raise Refused(
+            "export_unfinished",
+            f"export {export.id} has no files yet; job {export.job_id} makes them, ask again when it has succeeded",
+        )
     packs = select(Blob.object_key).join(ExportPack, ExportPack.blob_sha256 == Blob.sha256)
     of_export = packs.where(ExportPack.export_id == export.id).order_by(ExportPack.ordinal)
     index = session.get_one(Blob, export.index_sha256)

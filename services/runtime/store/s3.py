@@ -22,17 +22,11 @@ from botocore.exceptions import BotoCoreError, ClientError
 from services.runtime.settings import Settings, StoreSettings
 from services.runtime.store.cache import Cache
 from services.runtime.store.folder import refusing_full
-from services.runtime.store.keys import (
-    ObjectMissingError,
-    StoreAwayError,
-    StoreFullError,
-    checked,
-    checked_prefix,
-    checked_range,
-)
+from services.runtime.store.keys import ObjectMissingError, StoreFullError, checked, checked_prefix, checked_range
 from services.runtime.store.protocol import StoredObject
 from services.runtime.telemetry.counters import STORE_BYTES, process_counters
 from services.runtime.telemetry.tracing import span
+from stone.errors import PlatformFaultError
 
 if TYPE_CHECKING:
     from types_boto3_s3 import S3Client
@@ -58,7 +52,7 @@ CLIENT = Config(
 
 
 class S3Store:
-    """Objects of the bucket that `settings` name; raises `StoreAwayError` when it does not answer."""
+    """Objects of the bucket that `settings` name; raises `store_away` when it does not answer."""
 
     def __init__(self, settings: Settings) -> None:
         self.bucket = settings.store.s3_bucket
@@ -86,7 +80,7 @@ class S3Store:
         with self._translated(checked(key)):
             length = self._client.head_object(Bucket=self.bucket, Key=key).get("ContentLength")
         if length is None:  # the answer broke off within its header, which no layer below minds
-            raise StoreAwayError(self._place, f"it tells no length of {key}")
+            raise store_away(self._place, f"it tells no length of {key}")
         return int(length)
 
     def local(self, key: str) -> Path:
@@ -154,7 +148,7 @@ class S3Store:
                 reason = str(error)
             failures = 0 if start - before >= PIECE_BYTES else failures + 1
             if failures > RESUMES:
-                raise StoreAwayError(self._place, reason)
+                raise store_away(self._place, reason)
 
     def _opened(self, key: str, start: int, stop: int) -> "GetObjectOutputTypeDef":
         with self._translated(key):
@@ -175,9 +169,9 @@ class S3Store:
                 raise ObjectMissingError(key) from error
             if code in NO_SPACE:
                 raise StoreFullError(self._place) from error
-            raise StoreAwayError(self._place, str(error)) from error
+            raise store_away(self._place, str(error)) from error
         except (BotoCoreError, Boto3Error) as error:
-            raise StoreAwayError(self._place, str(error)) from error
+            raise store_away(self._place, str(error)) from error
 
 
 def client_of(store: StoreSettings) -> "S3Client":
@@ -205,13 +199,13 @@ EXISTING = {"BucketAlreadyOwnedByYou", "BucketAlreadyExists"}
 def ensure_bucket(store: StoreSettings) -> bool:
     """Make the bucket where there is none; whether it was made. One that may not be looked at is taken to stand.
 
-    Raises `StoreAwayError`.
+    Raises `store_away`.
     """
     client, bucket = client_of(store), store.s3_bucket
     try:
         return not _stands(client, bucket) and _made(client, store)
     except (BotoCoreError, ClientError) as error:
-        raise StoreAwayError(f"{client.meta.endpoint_url}/{bucket}", str(error)) from error
+        raise store_away(f"{client.meta.endpoint_url}/{bucket}", str(error)) from error
 
 
 def _stands(client: "S3Client", bucket: str) -> bool:
@@ -239,3 +233,7 @@ def _made(client: "S3Client", store: StoreSettings) -> bool:
 
 def _code(error: ClientError) -> str:
     return str(error.response.get("Error", {}).get("Code", ""))
+
+
+def store_away(place: str, reason: str) -> PlatformFaultError:
+    return PlatformFaultError("store_away", f"the store at {place} failed: {reason}; try again when it answers")

@@ -54,7 +54,7 @@ class Workspace:
     def push(self, *prefixes: str) -> None:
         """Store every local file whose name begins with one of the prefixes, unless it is stored already.
 
-        When it returns, the files survive a power cut. Raises `BadKeyError` for a name that no object can have.
+        When it returns, the files survive a power cut. Raises `bad_key` for a name that no object can have.
         """
         files = {
             checked(self._prefix + name): self.folder / name for prefix in prefixes for name in self._names(prefix)

@@ -8,7 +8,7 @@ bytes; the next look at it, or the sweeper, settles it.
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.backends import LockedUpload, backend_of
-from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, UploadStateError
+from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, upload_state
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find, leave, move
 
 
@@ -26,7 +26,7 @@ def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str =
         moved = move(session, upload, "complete", sha256=found, expires_ns=expiry_ns(platform))
     current = find(platform.database, upload.id, upload.owner_id)
     if not moved and current.state not in WHOLE:  # another process may have settled it: then it is complete as well
-        raise UploadStateError(upload.id, current.state, "completed", "open")
+        raise upload_state(upload.id, current.state, "completed", "open")
     return current
 
 
@@ -40,12 +40,12 @@ def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> boo
 
 
 def terminate(platform: Platform, upload: Upload) -> None:
-    """Give an upload up. Raises `UploadStateError` when it is in use, `UploadLockedError` while bytes come in."""
+    """Give an upload up. Raises `wrong_upload_state` when it is in use, `UploadLockedError` while bytes come in."""
     held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
     try:
         current = find(platform.database, upload.id, upload.owner_id)
         if current.state not in ("open", "complete") or not end(platform, current, "terminated"):
-            raise UploadStateError(upload.id, current.state, "terminated", "open or complete")
+            raise upload_state(upload.id, current.state, "terminated", "open or complete")
     finally:
         if held is not None:
             held.close()

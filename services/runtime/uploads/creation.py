@@ -18,15 +18,9 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.uploads.backends import backend_of
-from services.runtime.uploads.errors import (
-    BadMetadataError,
-    TooManyUploadsError,
-    TooManyUploadsOfDraftError,
-    UndeclaredUploadError,
-    UploadTargetMissingError,
-    UploadTooLargeError,
-)
+from services.runtime.uploads.errors import BadMetadataError, upload_too_large
 from services.runtime.uploads.rows import UploadOwner, expiry_ns, is_waiting
+from stone.errors import Refused
 
 # The client's declaration of a file to upload, validated.
 #
@@ -76,12 +70,12 @@ def check_filename(name: str) -> None:
 def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
     """A new upload, open, or complete when the owner has these bytes already.
 
-    Raises `UploadTooLargeError`, `UploadTargetMissingError`, `UndeclaredUploadError`, `TooManyUploadsOfDraftError`,
-    `QuotaExceededError`, `TooManyUploadsError`, `DiskFullError`.
+    Raises `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
+    `quota_exceeded`, `too_many_uploads`, `DiskFullError`.
     """
     limit_bytes = platform.settings.uploads.max_bytes
     if declared.length_bytes > limit_bytes:
-        raise UploadTooLargeError(declared.length_bytes, limit_bytes)
+        raise upload_too_large(declared.length_bytes, limit_bytes)
     refuse_foreign_target(platform, owner, declared)
     upload = _row(platform, owner, declared)
     backend = backend_of(platform, upload)
@@ -136,7 +130,7 @@ SUBMISSION = "submission"
 
 
 def refuse_foreign_target(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
-    """Raises `UploadTargetMissingError`, `UndeclaredUploadError`."""
+    """Raises `upload_target_missing`, `not_as_announced`."""
     if declared.purpose == SUBMISSION:
         _refuse_foreign_draft(platform, owner, declared)
     elif declared.purpose == "recording" and declared.target_id:
@@ -149,7 +143,7 @@ def _refuse_foreign_sequence(platform: Platform, owner: UploadOwner, declared: U
         sequence = session.get(SequenceRow, declared.target_id)
     is_theirs = sequence is not None and (owner.is_administrator or sequence.owner_id == owner.user_id)
     if sequence is None or not is_theirs or sequence.deleted_ns is not None:
-        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+        raise upload_target_missing(declared.purpose, declared.target_id)
 
 
 def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> None:
@@ -158,11 +152,11 @@ def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: Uplo
         draft = session.get(SubmissionRow, declared.target_id)
         is_member = draft is not None and session.get(TeamMember, (draft.team_id, owner.user_id)) is not None
     if draft is None or not is_member or draft.state != "draft":
-        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+        raise upload_target_missing(declared.purpose, declared.target_id)
     if declared.length_bytes != draft.size_bytes:
-        raise UndeclaredUploadError("length", declared.length_bytes, draft.size_bytes)
+        raise undeclared_upload("length", declared.length_bytes, draft.size_bytes)
     if declared.sha256 != draft.declared_sha256:
-        raise UndeclaredUploadError("sha256", declared.sha256, draft.declared_sha256)
+        raise undeclared_upload("sha256", declared.sha256, draft.declared_sha256)
 
 
 # Limits on how many uploads may wait: of one owner, and for one draft of a submission.
@@ -175,26 +169,48 @@ def _refuse_foreign_draft(platform: Platform, owner: UploadOwner, declared: Uplo
 def hold_draft(session: Session, settings: Settings, declared: UploadDeclaration) -> None:
     """Lock the draft that a submission is for, for which one more may wait.
 
-    Raises `UploadTargetMissingError` for one that went or was finalised meanwhile, `TooManyUploadsOfDraftError`.
+    Raises `upload_target_missing` for one that went or was finalised meanwhile, `too_many_uploads_of_draft`.
     """
     if declared.purpose != SUBMISSION:
         return
     draft = select(SubmissionRow.state).where(SubmissionRow.id == declared.target_id).with_for_update(key_share=True)
     if session.scalar(draft) != "draft":
-        raise UploadTargetMissingError(declared.purpose, declared.target_id)
+        raise upload_target_missing(declared.purpose, declared.target_id)
     limit = settings.submissions.draft_waiting
     if _waiting(session, Upload.target_id == declared.target_id, limit) >= limit:
-        raise TooManyUploadsOfDraftError(declared.target_id, limit)
+        raise Refused(
+            "too_many_uploads_of_draft",
+            f"{limit} uploads for the draft {declared.target_id[:64]!r} are unfinished or not used yet, and no "
+            "more may be: it needs one; resume that one, or delete those that were given up",
+        )
 
 
 def refuse_too_many(session: Session, settings: Settings, owner: UploadOwner) -> None:
-    """The owner, whose row the caller has locked, may have one more. Raises `TooManyUploadsError`."""
+    """The owner, whose row the caller has locked, may have one more. Raises `too_many_uploads`."""
     limit = settings.submissions.participant_waiting if owner.is_participant else settings.uploads.owner_waiting
     if _waiting(session, Upload.owner_id == owner.user_id, limit) >= limit:
-        raise TooManyUploadsError(limit)
+        raise Refused(
+            "too_many_uploads",
+            f"{limit} uploads of yours are unfinished or not used yet, and no more may be; does a client begin "
+            "anew instead of resuming? use or delete some of them (GET /api/v1/uploads) or wait until they expire",
+        )
 
 
 def _waiting(session: Session, among: ColumnElement[bool], most: int) -> int:
     """How many of these wait, none counted beyond `most`."""
     some = select(literal_column("1")).select_from(Upload).where(among, is_waiting()).limit(most).subquery()
     return session.scalar(select(func.count()).select_from(some)) or 0
+
+
+def upload_target_missing(purpose: str, target_id: str) -> Refused:
+    return Refused(
+        "upload_target_missing", f"there is no target {target_id[:64]!r} of yours for a {purpose}; create it first"
+    )
+
+
+def undeclared_upload(field: str, given: object, announced: object) -> Refused:
+    return Refused(
+        "not_as_announced",
+        f"{field} is {str(given)[:80]!r}, the draft announces {str(announced)!r}; "
+        "was the zip written again meanwhile? then make a new draft",
+    )

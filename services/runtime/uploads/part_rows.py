@@ -17,8 +17,8 @@ from services.runtime.database.inserts import insert_new
 from services.runtime.orm import Blob, LooseObject, Upload, UploadPartRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.uploads.errors import OffsetMismatchError
 from services.runtime.uploads.rows import MOST, WHOLE, expiry_ns, kept_blob, refuse_gone, uploads_like
+from stone.errors import Refused
 
 SLOW_BYTES_PER_S = 2**20
 BATCH = 500
@@ -67,7 +67,7 @@ def announce(platform: Platform, key: str, expected_bytes: int) -> None:
 def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None:
     """All of them are the upload's from now on, or none. An upload that goes on does not expire.
 
-    Raises `UploadGoneError`, and `OffsetMismatchError` when somebody else was first or the objects were collected.
+    Raises `upload_gone`, and `offset_mismatch` when somebody else was first or the objects were collected.
     """
     first = parts[0].offset_bytes
     with platform.database.transaction() as session:
@@ -76,7 +76,7 @@ def add(platform: Platform, upload_id: str, parts: Sequence[UploadPart]) -> None
             refuse_gone(upload)
         end = upload.length_bytes if upload.state in WHOLE else end_of(session, upload_id)
         if end != first or not _taken(session, [part.key for part in parts]):
-            raise OffsetMismatchError(first, end)
+            raise Refused("offset_mismatch", f"{end} bytes are here, not {first}; resume from byte {end}")
         session.add_all(_row(upload_id, part) for part in parts)
         if upload.expires_ns - now_ns() < platform.settings.uploads.expires_s * 5e8:
             upload.expires_ns = expiry_ns(platform)

@@ -28,10 +28,10 @@ from services.runtime.store.garbage_collection import UPLOADS
 from services.runtime.store.keys import ObjectMissingError, StoreFullError
 from services.runtime.store.protocol import Store
 from services.runtime.uploads import part_rows
-from services.runtime.uploads.errors import DiskFullError, TooManyUploadPartsError, UploadLockedError
+from services.runtime.uploads.errors import DiskFullError, UploadLockedError
 from services.runtime.uploads.part_rows import UploadPart
 from services.runtime.uploads.spool import Spool, split
-from stone.errors import StoneError
+from stone.errors import Refused, StoneError
 
 UNDER_WAY = 1
 OLD_S = 10.0
@@ -92,10 +92,14 @@ class LockedUploadParts:
         self._is_unverified = True
 
     def append(self, pieces: Sequence[bytes], offset_bytes: int) -> None:
-        """Raises `DiskFullError`, `TooManyUploadPartsError`, and what adding raises; what was added before counts."""
+        """Raises `DiskFullError`, `too_many_slabs`, and what adding raises; what was added before counts."""
         with self._failing():
             if self._count >= MOST_PARTS:
-                raise TooManyUploadPartsError(self._upload.id, MOST_PARTS)
+                raise Refused(
+                    "too_many_slabs",
+                    f"upload {self._upload.id} is kept in {MOST_PARTS} objects, more are not made of one file; "
+                    "create a new one and send it in larger pieces, of some MiB each",
+                )
             try:
                 self._take(pieces)
             except DiskFullError:  # of this machine: what fitted may still go to the store
@@ -222,7 +226,7 @@ AHEAD = 3
 
 
 def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
-    """Of their bytes one after the other. Raises `ObjectMissingError`, `StoreAwayError`."""
+    """Of their bytes one after the other. Raises `ObjectMissingError`, `store_away`."""
     state = hashlib.sha256()
     for content in _contents(store, parts):
         state.update(content)
@@ -230,7 +234,7 @@ def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
 
 
 def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path) -> None:
-    """Write them into the file `target`, flushed. Raises `ObjectMissingError`, `StoreAwayError`, `StoreFullError`."""
+    """Write them into the file `target`, flushed. Raises `ObjectMissingError`, `store_away`, `StoreFullError`."""
     with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(AHEAD) as pool:
         list(pool.map(lambda part: _copy(store, part, file.fileno()), parts))
         os.fsync(file.fileno())

@@ -16,15 +16,10 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.uploads.backends import LockedUpload, backend_of
 from services.runtime.uploads.completion import settle
-from services.runtime.uploads.errors import (
-    ChecksumMismatchError,
-    DiskFullError,
-    OffsetMismatchError,
-    OverLengthError,
-    UploadGoneError,
-)
+from services.runtime.uploads.errors import DiskFullError, upload_gone
 from services.runtime.uploads.files import ROLLING
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find_alive, move, refuse_gone
+from stone.errors import Refused
 
 ALGORITHMS = ("sha1", "sha256")
 
@@ -65,14 +60,14 @@ class UploadReceiver:
             held.mark_unverified()
 
     def write(self, pieces: Sequence[bytes]) -> None:
-        """Append bytes. Raises `OverLengthError` (this request's bytes are cut off again), `DiskFullError`."""
+        """Append bytes. Raises `over_length` (this request's bytes are cut off again), `DiskFullError`."""
         with self._guard:
             self._write(pieces)
 
     def end(self, last: Sequence[bytes] = ()) -> Upload:
         """All bytes of the request came, these the last: check them, flush them, complete the upload if it is whole.
 
-        Raises `ChecksumMismatchError` (they are cut off again), `FileMismatchError`, and what `write` raises.
+        Raises `checksum_mismatch` (they are cut off again), `FileMismatchError`, and what `write` raises.
         """
         with self._guard:  # once: between two holds of it the request could end, and the file be closed
             if last:
@@ -95,7 +90,7 @@ class UploadReceiver:
         reached = self.offset_bytes + sum(map(len, pieces))
         if reached > self._upload.length_bytes:
             self._cut()
-            raise OverLengthError(reached, self._upload.length_bytes)
+            raise over_length(reached, self._upload.length_bytes)
         try:
             self._held.append(pieces, self.offset_bytes)
         except OSError:
@@ -125,7 +120,11 @@ class UploadReceiver:
             return
         end = self.offset_bytes
         self._cut()
-        raise ChecksumMismatchError(self._first_byte, end, self._checksum.algorithm)
+        raise Refused(
+            "checksum_mismatch",
+            f"the {self._checksum.algorithm} of bytes {self._first_byte}-{end} differs; they were discarded, "
+            "resend them",
+        )
 
     def _give_up_unverified(self) -> None:
         if self._checksum is not None:
@@ -155,7 +154,7 @@ class UploadReceiver:
 def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChunk) -> UploadReceiver | None:
     """Make ready to take the bytes of a request; None when the upload is whole already and they are none.
 
-    Raises `UploadMissingError`, `UploadGoneError`, `UploadLockedError`, `OffsetMismatchError`, `OverLengthError`,
+    Raises `upload_missing`, `upload_gone`, `UploadLockedError`, `offset_mismatch`, `over_length`,
     `DiskFullError`.
     """
     upload = find_alive(platform.database, upload_id, owner_id)
@@ -181,12 +180,21 @@ def _held(platform: Platform, upload: Upload) -> LockedUpload:
         return backend_of(platform, upload).hold(upload)
     except FileNotFoundError:  # it ended between our look at the row and now, or a person removed the file
         refuse_gone(find_alive(platform.database, upload.id, upload.owner_id))
-        raise UploadGoneError(upload.id, "lost", "its file is not in the uploads folder") from None
+        raise upload_gone(upload.id, "lost", "its file is not in the uploads folder") from None
 
 
 def _refuse_misplaced(upload: Upload, offset_bytes: int, piece: UploadChunk) -> None:
     if piece.offset_bytes != offset_bytes:
-        raise OffsetMismatchError(piece.offset_bytes, offset_bytes)
+        raise Refused(
+            "offset_mismatch",
+            f"{offset_bytes} bytes are here, not {piece.offset_bytes}; resume from byte {offset_bytes}",
+        )
     reached = piece.offset_bytes + (piece.length_bytes or 0)
     if reached > upload.length_bytes:
-        raise OverLengthError(reached, upload.length_bytes)
+        raise over_length(reached, upload.length_bytes)
+
+
+def over_length(reached_bytes: int, length_bytes: int) -> Refused:
+    return Refused(
+        "over_length", f"the upload was declared with {length_bytes} bytes and this would make at least {reached_bytes}"
+    )

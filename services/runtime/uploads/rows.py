@@ -21,8 +21,9 @@ from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.folder import FolderStore
 from services.runtime.store.keys import ObjectMissingError
-from services.runtime.uploads.errors import UploadGoneError, UploadMissingError, UploadPurposeError, UploadStateError
+from services.runtime.uploads.errors import upload_gone, upload_state
 from services.runtime.uploads.files import upload_file
+from stone.errors import Refused
 
 WHOLE = ("complete", "consumed")
 GONE = ("failed", "expired", "terminated")
@@ -48,27 +49,27 @@ def is_waiting() -> ColumnElement[bool]:
 
 
 def find(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """The owner's upload. Raises `UploadMissingError`, also for one that is somebody else's."""
+    """The owner's upload. Raises `upload_missing`, also for one that is somebody else's."""
     with database.reading() as session:
         upload = session.get(Upload, upload_id)
     if upload is None or upload.owner_id != owner_id:
-        raise UploadMissingError(upload_id)
+        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
     return upload
 
 
 def find_alive(database: Database, upload_id: str, owner_id: str) -> Upload:
-    """The owner's upload, which has or awaits its bytes. Raises `UploadMissingError`, `UploadGoneError`."""
+    """The owner's upload, which has or awaits its bytes. Raises `upload_missing`, `upload_gone`."""
     upload = find(database, upload_id, owner_id)
     refuse_gone(upload)
     return upload
 
 
 def refuse_gone(upload: Upload) -> None:
-    """Raises `UploadGoneError`, also for one whose time is over but that was not swept yet."""
+    """Raises `upload_gone`, also for one whose time is over but that was not swept yet."""
     if upload.state in GONE:
-        raise UploadGoneError(upload.id, upload.state, upload.detail)
+        raise upload_gone(upload.id, upload.state, upload.detail)
     if upload.state == "open" and upload.expires_ns <= now_ns():
-        raise UploadGoneError(upload.id, "expired", "its time was over")
+        raise upload_gone(upload.id, "expired", "its time was over")
 
 
 def move(session: Session, upload: Upload, state: str, **columns: Any) -> bool:
@@ -89,16 +90,18 @@ def leave(session: Session, upload: Upload, state: str, detail: str = "") -> boo
 def consume(session: Session, upload_id: str, owner_id: str, purpose: str) -> Upload:
     """Take a complete upload for its purpose, once; its bytes stay where they are and its quota stays taken.
 
-    Raises `UploadMissingError`, `UploadPurposeError`, `UploadStateError`.
+    Raises `upload_missing`, `wrong_upload_purpose`, `wrong_upload_state`.
     """
     upload = session.scalar(select(Upload).where(Upload.id == upload_id, Upload.owner_id == owner_id).with_for_update())
     if upload is None:
-        raise UploadMissingError(upload_id)
+        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
     if upload.purpose != purpose:
-        raise UploadPurposeError(upload_id, upload.purpose, purpose)
+        raise Refused(
+            "wrong_upload_purpose", f"upload {upload_id} was declared to be a {upload.purpose}, not a {purpose}"
+        )
     session.refresh(upload)
     if upload.state != "complete" or not move(session, upload, "consumed"):
-        raise UploadStateError(upload_id, upload.state, "used", "complete")
+        raise upload_state(upload_id, upload.state, "used", "complete")
     session.refresh(upload)
     return upload
 

@@ -28,7 +28,7 @@ from services.domain.imports.requests import (
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, RestartedTooOftenError
 from services.labeler.imports.answers import DatasetIndexAnswer
-from services.runtime.access.storage_quota import QuotaExceededError, balance
+from services.runtime.access.storage_quota import balance
 from services.runtime.backup.capture import backup_references
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
@@ -37,7 +37,6 @@ from services.runtime.orm import DatasetImport, Job, LabelSet, SequenceRow, Uplo
 from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
 from services.runtime.uploads import expire, upload_file
-from services.runtime.uploads.errors import UploadMissingError, UploadPurposeError, UploadStateError
 from testing.refusals import refused_as
 from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
@@ -89,12 +88,12 @@ def test_stated_classes_are_kept_as_they_were_stated(platform: Platform, tar: Pa
 def test_an_upload_serves_once_and_its_owner_alone(platform: Platform, tar: Path) -> None:
     owner_id, other_id = an_owner(platform), an_owner(platform)
     upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
-    with pytest.raises(UploadMissingError):
+    with refused_as("upload_missing"):
         asked(platform, other_id, upload_id)
     asked(platform, owner_id, upload_id)
-    with pytest.raises(UploadStateError):
+    with refused_as("wrong_upload_state"):
         asked(platform, owner_id, upload_id)
-    with pytest.raises(UploadPurposeError):
+    with refused_as("wrong_upload_purpose"):
         asked(platform, owner_id, uploaded(platform, owner_id, tar))
 
 
@@ -237,7 +236,7 @@ def _ended(session: Session, import_id: str, limit_bytes: int = LIMIT_BYTES, dur
 
 def test_what_would_not_fit_is_not_published(brought: BroughtDataset) -> None:
     brought.indexed("a", "b")
-    with pytest.raises(QuotaExceededError):
+    with refused_as("quota_exceeded"):
         ended(brought, limit_bytes=15)
     with brought.platform.database.reading() as session:
         assert session.scalars(select(SequenceRow)).all() == []

@@ -13,20 +13,13 @@ from pathlib import Path
 import pytest
 
 from services.labeler.run_workspace import stage_context_of
-from services.runtime.code_version import (
-    FIXED,
-    KEPT,
-    RELEASE,
-    BrokenDigestsError,
-    code_version,
-    digests_in_force,
-    version_of,
-)
+from services.runtime.code_version import FIXED, KEPT, RELEASE, code_version, digests_in_force, version_of
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Job, LabelSet
 from services.runtime.platform import Platform
 from services.runtime.source_digests import ENTRIES, ROOTS, SourceDigest, record_of
+from testing.refusals import refused_as
 from testing.worlds.runs import Brought, Said
 from tests.services.domain.sequences.test_processing import ready_on
 
@@ -144,7 +137,7 @@ def test_what_a_build_fixed_comes_before_the_sources(tree: Tree) -> None:
 def test_digests_that_a_build_wrote_wrong_are_refused(text: str, tmp_path: Path) -> None:
     fixed = tmp_path / "source_digests.json"
     fixed.write_text(text)
-    with pytest.raises(BrokenDigestsError):
+    with refused_as("broken_digests"):
         digests_in_force(fixed, tmp_path / "kept.json")
 
 

@@ -25,13 +25,8 @@ from services.runtime.settings import (
     UploadSettings,
     old_names_in_use,
 )
-from services.runtime.settings_checks import (
-    BOUNDS,
-    OTHERS,
-    RENAMED,
-    ImpossibleSettingsError,
-    UnknownSettingError,
-)
+from services.runtime.settings_checks import BOUNDS, OTHERS, RENAMED
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -61,7 +56,7 @@ def test_a_variable_that_is_no_setting_is_refused_with_the_nearest(
     name: str, nearest: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setenv(name, "a secret")
-    with pytest.raises(UnknownSettingError, match=f"{name}.* {nearest}") as refused:
+    with refused_as("unknown_setting", match=f"{name}.* {nearest}") as refused:
         Settings()
     assert refused.value.code == "unknown_setting"
     assert "a secret" not in str(refused.value)
@@ -70,7 +65,7 @@ def test_a_variable_that_is_no_setting_is_refused_with_the_nearest(
 def test_a_name_like_no_other_is_refused_too_and_all_are_said_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setenv("STONE_QQQQQQQQ", "1")
     monkeypatch.setenv("STONE_JOBS__LEASE", "1")
-    with pytest.raises(UnknownSettingError, match=r"LEASE_S\?.*STONE_QQQQQQQQ"):
+    with refused_as("unknown_setting", match=r"LEASE_S\?.*STONE_QQQQQQQQ"):
         Settings()
 
 
@@ -88,7 +83,7 @@ def test_settings_in_small_letters_whole_groups_and_variables_of_others_are_take
 
 def test_a_secret_file_that_is_no_setting_is_refused_with_the_nearest(tmp_path: Path) -> None:
     (tmp_path / "stone_database__pasword").write_text("word")
-    with pytest.raises(UnknownSettingError, match=r"stone_database__pasword.*STONE_DATABASE__P"):
+    with refused_as("unknown_setting", match=r"stone_database__pasword.*STONE_DATABASE__P"):
         Settings()
 
 
@@ -100,7 +95,7 @@ def test_a_value_below_its_bound_is_refused_by_name(bound, by: int, monkeypatch:
     if by == 0 and not bound.is_above:
         Settings()
         return
-    with pytest.raises(ImpossibleSettingsError, match=f"{bound.variable} is {value:g} "):
+    with refused_as("impossible_settings", match=f"{bound.variable} is {value:g} "):
         Settings()
 
 
@@ -130,13 +125,13 @@ def test_values_that_contradict_each_other_are_refused(
 ) -> None:
     for name, value in told.items():
         monkeypatch.setenv(name, value)
-    with pytest.raises(ImpossibleSettingsError) as refused:
+    with refused_as("impossible_settings") as refused:
         Settings()
     assert refused.value.code == "impossible_settings"
 
 
 def test_what_is_said_in_code_is_checked_alike_and_all_at_once() -> None:
-    with pytest.raises(ImpossibleSettingsError, match=r"REQUESTS_PER_MINUTE is 0 .*HEARTBEAT_S is 2"):
+    with refused_as("impossible_settings", match=r"REQUESTS_PER_MINUTE is 0 .*HEARTBEAT_S is 2"):
         Settings(api=ApiSettings(requests_per_minute=0), jobs=JobSettings(lease_s=6.0, heartbeat_s=2.0))
 
 
@@ -279,7 +274,7 @@ def provided(is_by_password: bool = True, **oidc: Any) -> Settings:
 
 @pytest.mark.parametrize("oidc", [{}, LAB, LAB | {"administrators": " , "}])
 def test_passwords_are_not_switched_off_where_nobody_could_administer_then(oidc: dict[str, Any]) -> None:
-    with pytest.raises(ImpossibleSettingsError):
+    with refused_as("impossible_settings"):
         provided(is_by_password=False, **oidc)
 
 
@@ -303,7 +298,7 @@ def test_passwords_are_switched_off_where_a_group_administers() -> None:
     ],
 )
 def test_an_issuer_that_is_no_safe_address_is_refused(issuer: str) -> None:
-    with pytest.raises(ImpossibleSettingsError, match="STONE_OIDC__ISSUER"):
+    with refused_as("impossible_settings", match="STONE_OIDC__ISSUER"):
         provided(issuer=issuer, client_id="stone")
 
 
@@ -324,7 +319,7 @@ def test_an_issuer_is_https_or_on_this_machine(issuer: str) -> None:
     ],
 )
 def test_half_a_provider_is_refused(oidc: dict[str, Any]) -> None:
-    with pytest.raises(ImpossibleSettingsError) as refusal:
+    with refused_as("impossible_settings") as refusal:
         provided(**oidc)
     assert "hidden" not in str(refusal.value)
 

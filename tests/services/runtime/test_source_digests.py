@@ -23,7 +23,8 @@ from services.runtime.source_digests import (
     reaches,
     source_digests,
 )
-from services.runtime.source_tree import Definition, SourcesMissingError, SourceTree, UnresolvedNameError, place_of
+from services.runtime.source_tree import Definition, SourceTree, place_of
+from testing.refusals import refused_as
 
 ROOT = Path(__file__).resolve().parents[3]
 Files = Mapping[str, str]
@@ -269,15 +270,15 @@ def test_data_files_count_by_their_bytes_and_names(reader: str, tmp_path: Path) 
 
 
 def test_a_name_that_nothing_defines_is_an_error(tmp_path: Path) -> None:
-    with pytest.raises(UnresolvedNameError, match=r"pack\.run defines no missing"):
+    with refused_as("unresolved_name", match=r"pack\.run defines no missing"):
         digest(tmp_path / "pack", {"run.py": "def compute():\n    return missing()\n"})
 
 
 @pytest.mark.parametrize("entry", ["pack.gone:compute", "other.run:compute"])
 def test_a_module_that_is_not_there_is_named(entry: str, tmp_path: Path) -> None:
-    with pytest.raises(SourcesMissingError, match=f"no source file of {entry.partition(':')[0]}"):
+    with refused_as("sources_missing", match=f"no source file of {entry.partition(':')[0]}"):
         digest(tmp_path / "pack", BASE, entry)
-    with pytest.raises(SourcesMissingError, match="no source file of nothing_at_all"):
+    with refused_as("sources_missing", match="no source file of nothing_at_all"):
         place_of("nothing_at_all")
 
 

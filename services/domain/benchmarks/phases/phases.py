@@ -13,7 +13,7 @@ from sqlalchemy import select
 from sqlalchemy.exc import IntegrityError
 from sqlalchemy.orm import Session
 
-from services.runtime.access.errors import NameTakenError
+from services.runtime.access.errors import name_taken
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, GroundTruthRow, Job, Phase, SubmissionRow
 from services.runtime.orm.base import now_ns
@@ -80,9 +80,9 @@ DEFAULTS = (VAL, TEST)
 
 
 def create_benchmark(session: Session, asked: NewBenchmark) -> Benchmark:
-    """Raises `NameTakenError`."""
+    """Raises `name_taken`."""
     if session.scalar(select(Benchmark.id).where(Benchmark.name == asked.name)) is not None:
-        raise NameTakenError("benchmark", asked.name)
+        raise name_taken("benchmark", asked.name)
     row = Benchmark(name=asked.name, title=asked.title, description=asked.description, created_by=asked.user_id)
     _insert(session, row, "benchmark")
     return row
@@ -105,9 +105,9 @@ def default_phases(session: Session, dataset: Dataset) -> tuple[NewPhase, ...]:
 
 
 def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked: NewPhase) -> Phase:
-    """Raises `NameTakenError`, `empty_part`, `open_test`, `bad_phase`."""
+    """Raises `name_taken`, `empty_part`, `open_test`, `bad_phase`."""
     if phase_named(session, benchmark.name, asked.name) is not None:
-        raise NameTakenError("phase", asked.name)
+        raise name_taken("phase", asked.name)
     row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
     row.part, row.mask, row.is_hidden = asked.part, asked.mask, asked.is_hidden
     for name, value in vars(asked.rules).items():
@@ -213,7 +213,7 @@ def _insert(session: Session, row: Benchmark | Phase, kind: str) -> None:
     try:
         session.flush()
     except IntegrityError:  # somebody else was first
-        raise NameTakenError(kind, row.name) from None
+        raise name_taken(kind, row.name) from None
 
 
 def empty_part(dataset: str, part: str) -> Refused:

@@ -44,7 +44,6 @@ from services.runtime.orm import GroundTruthRow, Job, Phase, PhaseTeam, Submissi
 from services.runtime.orm.base import now_ns
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
-from services.runtime.uploads.errors import UploadMissingError
 from services.runtime.uploads.rows import is_waiting
 from stone.errors import Refused
 
@@ -275,10 +274,10 @@ def _consumed(session: Session, submission: SubmissionRow, upload_id: str) -> Up
     """The upload that was made for this draft, used up."""
     owner_id = session.scalar(select(Upload.owner_id).where(Upload.id == upload_id))
     if owner_id is None:
-        raise UploadMissingError(upload_id)
+        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
     upload = consume(session, upload_id, owner_id, PURPOSE)
     if upload.target_id != submission.id:
-        raise UploadMissingError(upload_id)
+        raise Refused("upload_missing", f"there is no upload {upload_id[:64]!r} of yours")
     if (upload.sha256, upload.length_bytes) != (submission.declared_sha256, submission.size_bytes):
         raise Refused(
             "hash_mismatch",

@@ -11,7 +11,7 @@ import unicodedata
 from sqlalchemy import select, text
 from sqlalchemy.orm import Session
 
-from services.runtime.access.errors import NameTakenError
+from services.runtime.access.errors import name_taken
 from services.runtime.orm import Team
 from stone.errors import Refused
 
@@ -27,7 +27,7 @@ UNSEEN = re.compile(
 def taken(session: Session, name: str) -> str:
     """The name as it is kept, composed (NFC), and nobody's else until the transaction ends.
 
-    Raises `bad_team_name`, `NameTakenError`.
+    Raises `bad_team_name`, `name_taken`.
     """
     kept, wanted = unicodedata.normalize("NFC", name), folded(name)
     if not wanted or len(kept) > LONGEST:
@@ -39,7 +39,7 @@ def taken(session: Session, name: str) -> str:
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
     if any(folded(other) == wanted for other in session.scalars(select(Team.name))):
-        raise NameTakenError("team", name)
+        raise name_taken("team", name)
     return kept
 
 

@@ -31,7 +31,7 @@ BINDING = ("queued", "scoring", "scored")
 
 
 def found(session: Session, name: str, user_id: str) -> Team:
-    """A team with this user as its captain. Raises `bad_team_name`, `NameTakenError`, `too_many`."""
+    """A team with this user as its captain. Raises `bad_team_name`, `name_taken`, `too_many`."""
     team = Team(name=taken(session, name))
     _refuse_many_teams(session, user_id)
     session.add(team)

@@ -28,7 +28,6 @@ from services.domain.benchmarks.submissions.submissions import cancel, finalise,
 from services.domain.benchmarks.submissions.sweeper_chores import settle_ended, tidy_submissions
 from services.domain.benchmarks.teams import teams
 from services.domain.benchmarks.teams.teams import lock_team
-from services.runtime.access.errors import NameTakenError
 from services.runtime.jobs import control
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
@@ -219,7 +218,7 @@ def test_teams_that_share_members_and_enter_at_once_do_not_both(platform_on: Pla
 def test_of_teams_founded_at_once_with_names_that_look_alike_one_stands(platform_on: Platform) -> None:
     ada = laid.user(platform_on)
     acts = [partial(teams.found, name=name, user_id=ada.id) for name in ("Gang", "GANG", "gang")]
-    assert sorted(laid.at_once(platform_on, *acts)) == ["", *[NameTakenError.code] * 2]
+    assert sorted(laid.at_once(platform_on, *acts)) == ["", *["name_taken"] * 2]
 
 
 def test_benchmarks_phases_and_ground_truths_are_made_one_at_a_time(platform_on: Platform) -> None:
@@ -228,8 +227,8 @@ def test_benchmarks_phases_and_ground_truths_are_made_one_at_a_time(platform_on:
     (benchmark,) = laid.rows(platform_on, select(Benchmark))
     asked = NewBenchmark("stone", "", "", version.created_by)
     for make, code in (
-        (lambda session: create_benchmark(session, asked), NameTakenError.code),
-        (lambda session: create_phase(session, benchmark, version, laid.VAL), NameTakenError.code),
+        (lambda session: create_benchmark(session, asked), "name_taken"),
+        (lambda session: create_phase(session, benchmark, version, laid.VAL), "name_taken"),
         (lambda session: start_truth(session, first, version, version.created_by), "truth_in_making"),
     ):
         assert sorted(laid.at_once(platform_on, *[make] * 2)) == ["", code]

@@ -8,7 +8,6 @@ from sqlalchemy import select, update
 
 from services.domain.benchmarks.teams import names as team_names
 from services.domain.benchmarks.teams import teams
-from services.runtime.access.errors import NameTakenError
 from services.runtime.orm import Phase, PhaseTeam, Team, TeamInvitation, User
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -214,7 +213,7 @@ def test_names_that_look_alike_are_one_and_others_are_kept_composed(platform: Pl
     assert team_names.folded("E\u0301QUIPE") == team_names.folded("équipe")
     alike = ("terrain gang", "TERRAIN  GANG", "\uff34errain Gang", "Terrain\u00a0Gang", "Terrain\u3164 Gang\ufe0f")
     for other in alike:
-        with pytest.raises(NameTakenError), platform.database.transaction() as session:
+        with refused_as("name_taken"), platform.database.transaction() as session:
             teams.found(session, other, ada.id)
 
 

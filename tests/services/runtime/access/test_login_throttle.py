@@ -5,11 +5,11 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.access import login_throttle
-from services.runtime.access.errors import GuessablePasswordError
 from services.runtime.access.passwords import refuse_guessable
 from services.runtime.access.users import change_password, create_user, find_user
 from services.runtime.orm import FailedSignInRow, SignInAddress
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from testing.threads import at_once
 
 HERE = {"name": "ada", "address": "address 10.0.0.1"}
@@ -175,7 +175,7 @@ def _all_text(session: Session) -> set[str]:
     ],
 )
 def test_what_would_be_tried_first_is_no_password(password: str) -> None:
-    with pytest.raises(GuessablePasswordError):
+    with refused_as("guessable_password"):
         refuse_guessable(password, "grace.hopper")
 
 

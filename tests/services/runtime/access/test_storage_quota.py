@@ -1,11 +1,11 @@
 """The ledger of bytes: what is taken is given back once, and nobody takes the last bytes twice."""
 
-import pytest
 from sqlalchemy import func, select
 
-from services.runtime.access.storage_quota import QuotaExceededError, balance, release, reserve
+from services.runtime.access.storage_quota import balance, release, reserve
 from services.runtime.orm import QuotaEntry, new_id
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from testing.threads import at_once, granted
 from tests.services.runtime.uploads.sending import make_owner
 
@@ -20,7 +20,7 @@ def test_more_than_the_limit_is_refused_and_takes_nothing(platform: Platform) ->
     with platform.database.transaction() as session:
         reserve(session, owner.user_id, 70, "a", "upload", 100)
     with (
-        pytest.raises(QuotaExceededError, match="70 of 100"),
+        refused_as("quota_exceeded", match="70 of 100"),
         platform.database.transaction() as session,
     ):
         reserve(session, owner.user_id, 31, "b", "upload", 100)
@@ -53,7 +53,7 @@ def test_concurrent_reservations_never_overshoot(platform_on: Platform) -> None:
         with platform_on.database.transaction() as session:
             reserve(session, owner.user_id, 30, new_id(), "upload", 100)
 
-    assert granted(8, take, QuotaExceededError) == 3
+    assert granted(8, take, "quota_exceeded") == 3
     assert taken(platform_on, owner.user_id) == 90
 
 

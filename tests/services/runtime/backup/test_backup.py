@@ -8,22 +8,17 @@ import pytest
 from sqlalchemy import MetaData
 
 from services.runtime.backup.capture import make_backup
-from services.runtime.backup.errors import (
-    BackupBusyError,
-    DamagedBackupError,
-    SnapshotMissingError,
-    TargetNotEmptyError,
-)
+from services.runtime.backup.errors import DamagedBackupError
 from services.runtime.backup.folder import BackupFolder
 from services.runtime.backup.restore import restore
 from services.runtime.backup.retention import prune, verify
 from services.runtime.backup.snapshot import BackupSnapshot, write_files, write_snapshot
 from services.runtime.backup.tables import dump
 from services.runtime.database.migrate import current_revision, head_revision, schema_connection, upgrade
-from services.runtime.errors import OlderSchemaError
 from services.runtime.orm import Job
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, Settings, UploadSettings
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
 from testing.servers.postgres import PostgresServer
 from tests.services.runtime.backup.laid import (
@@ -136,7 +131,7 @@ def test_a_migrated_database_is_not_restored_onto(
     make_backup(platform, folder)
     target = empty("sqlite", "folder")
     upgrade(target.settings)
-    with pytest.raises(TargetNotEmptyError):
+    with refused_as("target_not_empty"):
         restore(target, folder)
     assert objects_of(target) == {}
 
@@ -161,7 +156,7 @@ def test_a_backup_from_before_the_first_release_is_refused(
     folder: BackupFolder, empty: Emptied, tmp_path: Path
 ) -> None:
     backup_of_revision("0029", make_settings(tmp_path / "previous"), folder)
-    with pytest.raises(OlderSchemaError):
+    with refused_as("schema_older"):
         restore(empty("sqlite", "folder"), folder)
 
 
@@ -182,12 +177,12 @@ def test_foreign_objects_and_uploads_are_not_restored_beside(
     make_backup(platform, folder)
     target = empty("sqlite", "folder")
     target.store.write("blobs/aa/other", next((tmp_path / "scratch").iterdir()))
-    with pytest.raises(TargetNotEmptyError, match="blobs/aa/other"):
+    with refused_as("target_not_empty", match="blobs/aa/other"):
         restore(target, folder)
     target.store.delete("blobs/aa/other")
     target.settings.uploads_folder.mkdir(parents=True)
     (target.settings.uploads_folder / "f").write_bytes(b"")
-    with pytest.raises(TargetNotEmptyError):
+    with refused_as("target_not_empty"):
         restore(target, folder)
 
 
@@ -260,7 +255,7 @@ def test_pruning_leaves_the_newest_snapshots_whole(
 
 
 def test_one_backup_at_a_time_is_taken_into_a_folder(platform: Platform, laid: Laid, folder: BackupFolder) -> None:
-    with folder.writing(), pytest.raises(BackupBusyError):
+    with folder.writing(), refused_as("backup_busy"):
         make_backup(platform, folder)
 
 
@@ -271,5 +266,5 @@ def test_a_backup_that_breaks_off_leaves_no_snapshot(
     with pytest.raises(ZeroDivisionError):
         make_backup(platform, folder)
     assert folder.snapshots() == []
-    with pytest.raises(SnapshotMissingError):
+    with refused_as("snapshot_missing"):
         folder.snapshot()

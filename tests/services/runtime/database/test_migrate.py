@@ -10,28 +10,25 @@ from sqlalchemy import inspect, text
 
 from services.runtime.database.migrate import alembic_on, schema_connection, upgrade
 from services.runtime.database.transactions import Database
-from services.runtime.errors import BrokenReferenceError, NewerSchemaError, OlderSchemaError
 from services.runtime.orm import Base
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
-from stone.errors import StoneError
+from testing.refusals import refused_as
 
 ORDERED = "ix_jobs_ready"
 """An index with a column in descending order, which SQLite does not tell when it is asked for its indexes."""
 
 
-@pytest.mark.parametrize(("revision", "refusal"), [("9999", NewerSchemaError), ("0029", OlderSchemaError)])
-def test_a_database_of_a_revision_that_this_code_lacks_is_refused(
-    platform: Platform, revision: str, refusal: type[StoneError]
-) -> None:
+@pytest.mark.parametrize(("revision", "code"), [("9999", "schema_newer"), ("0029", "schema_older")])
+def test_a_database_of_a_revision_that_this_code_lacks_is_refused(platform: Platform, revision: str, code: str) -> None:
     with platform.database.transaction() as session:
         session.execute(text("UPDATE alembic_version SET version_num = :revision"), {"revision": revision})
-    with pytest.raises(refusal, match=revision):
+    with refused_as(code, match=revision):
         upgrade(platform.settings)
 
 
 def test_a_change_that_leaves_a_row_without_its_parent_is_undone(platform: Platform) -> None:
-    with pytest.raises(BrokenReferenceError):  # noqa: SIM117
+    with refused_as("schema_broken_reference"):  # noqa: SIM117
         with schema_connection(platform.settings) as connection:
             connection.execute(
                 text("INSERT INTO tokens VALUES ('t', 'nobody', 'n', 'h', '[]', 1, 2, NULL, NULL)"),

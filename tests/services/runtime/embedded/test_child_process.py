@@ -15,11 +15,12 @@ import pytest
 from redis import AuthenticationError, Redis
 
 from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large, last_words
-from services.runtime.embedded.errors import AlreadyServingError, PortTakenError
+from services.runtime.embedded.errors import PortTakenError
 from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
 from services.runtime.embedded.redis_child import Broker, start_redis
 from services.runtime.settings import ApiSettings
 from testing.process_states import is_running
+from testing.refusals import refused_as
 from testing.stone_serve import until
 
 FORKS = "import os, time; os.fork(); time.sleep(600)"
@@ -149,7 +150,7 @@ def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None
     with hold_folder(tmp_path / "the data") as lock:
         lock.say("http://127.0.0.1:8080")
         with (
-            pytest.raises(AlreadyServingError, match=rf"{os.getpid()} .*http://127.0.0.1:8080"),
+            refused_as("already_serving", match=rf"{os.getpid()} .*http://127.0.0.1:8080"),
             hold_folder(tmp_path / "the data"),
         ):
             pass
@@ -158,7 +159,7 @@ def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None
 def test_one_that_is_still_starting_is_named_too(tmp_path: Path) -> None:
     with (
         hold_folder(tmp_path),
-        pytest.raises(AlreadyServingError, match=str(os.getpid())),
+        refused_as("already_serving", match=str(os.getpid())),
         hold_folder(tmp_path),
     ):
         pass
@@ -175,7 +176,7 @@ def test_a_lock_that_nobody_holds_any_more_is_taken(tmp_path: Path) -> None:
 def test_a_lock_file_half_written_is_no_reason_to_fail_differently(tmp_path: Path) -> None:
     with hold_folder(tmp_path):
         (tmp_path / LOCK).write_text("{")
-        with pytest.raises(AlreadyServingError), hold_folder(tmp_path):
+        with refused_as("already_serving"), hold_folder(tmp_path):
             pass
 
 

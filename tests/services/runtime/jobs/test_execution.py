@@ -18,7 +18,7 @@ from services.runtime.orm import JobAttempt, JobLine, User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
-from services.runtime.store.keys import StoreAwayError
+from services.runtime.store.s3 import store_away
 from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all, states
 
 
@@ -182,7 +182,7 @@ def test_a_store_that_is_away_is_waited_for_and_then_named(platform: Platform) -
 
     def copy(_attempt: Attempt) -> Outcome:
         tries.append(monotonic())
-        raise StoreAwayError("s3", "connection refused")
+        raise store_away("s3", "connection refused")
 
     job_id = a_job(platform, an_owner(platform), "ingest.copy")
     run_all(platform, {"ingest.copy": copy})

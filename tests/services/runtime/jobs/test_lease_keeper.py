@@ -19,7 +19,6 @@ from services.runtime.jobs.control import cancel
 from services.runtime.jobs.lease_keeper import (
     LeaseKeeper,
     LeaseLine,
-    LeaseNotRenewedError,
     PresenceLine,
     ProcessPresence,
     message_of,
@@ -33,6 +32,7 @@ from services.runtime.platform import Platform
 from services.runtime.telemetry.counter_rows import counters_of_all_processes
 from services.runtime.telemetry.counters import LEASES_EXPIRED, process_counters
 from testing.process_states import is_running
+from testing.refusals import refused_as
 from tests.services.runtime.jobs.outages import GONE, Away
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
@@ -152,7 +152,7 @@ def test_a_database_that_is_away_is_told_and_asked_again(
     (words,) = claimed(platform_on, 1)
     away, line = Away(monkeypatch), LeaseLine(platform_on.database, PATIENCE_S)
     away.error = GONE
-    with pytest.raises(LeaseNotRenewedError, match="connection refused"):
+    with refused_as("lease_not_renewed", match="connection refused"):
         line.renew(words)
     away.error = None
     assert line.renew(words) == LeaseAnswer(True)

@@ -9,11 +9,11 @@ from services.runtime.access import users
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.errors import LastAdministratorError
 from services.runtime.oidc.accounts import AdmittedUser, admit, role_of
-from services.runtime.oidc.errors import NotAdmittedError, ShutOutError
 from services.runtime.oidc.provider import VerifiedIdentity
 from services.runtime.oidc.settings import OidcSettings
 from services.runtime.orm import ExternalIdentity, User
 from services.runtime.platform import Platform
+from testing.refusals import refused_as
 from testing.threads import at_once
 
 ISSUER = "https://id.lab.example"
@@ -52,7 +52,7 @@ def test_the_highest_role_of_somebodys_groups_is_theirs(groups: Any, role: str) 
     "groups", [None, [], ["Stone-Admins"], ["stone-admins,"], {"stone-admins": 1}, 7, [["guests"]]]
 )
 def test_who_is_in_no_group_is_not_let_in(groups: Any) -> None:
-    with pytest.raises(NotAdmittedError):
+    with refused_as("not_admitted"):
         role_of({"groups": groups}, GROUPS)
 
 
@@ -143,7 +143,7 @@ def test_who_was_shut_out_stays_out(platform: Platform) -> None:
     user = admitted(platform, who()).user
     with platform.database.transaction() as session:
         users.change_user(session, session.get_one(User, user.id), None, is_active=False)
-    with pytest.raises(ShutOutError):
+    with refused_as("shut_out"):
         admitted(platform, who())
 
 

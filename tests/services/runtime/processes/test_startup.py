@@ -16,19 +16,18 @@ from sqlalchemy.exc import OperationalError
 from services.runtime.access.passwords import verify_password
 from services.runtime.database.migrate import upgrade
 from services.runtime.database.transactions import Database
-from services.runtime.errors import NewerSchemaError, OlderSchemaError
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.orm import User
 from services.runtime.platform import Platform, open_platform
 from services.runtime.processes import startup
 from services.runtime.processes.prepare import ensure_administrator, prepare
-from services.runtime.processes.startup import SchemaMissingError, await_schema, insist
+from services.runtime.processes.startup import await_schema, insist
 from services.runtime.processes.worker import FORKED_FROM
 from services.runtime.settings import ApiSettings, DatabaseSettings, Settings
 from services.runtime.store import s3
-from services.runtime.store.keys import StoreAwayError
 from services.runtime.store.s3 import client_of, ensure_bucket
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 from testing.servers.postgres import PostgresServer
 from testing.servers.s3 import S3Server
@@ -54,22 +53,22 @@ def test_an_empty_database_is_waited_for_until_it_is_prepared(tmp_path: Path, mo
 
 
 def test_a_database_that_stays_empty_is_said_so(tmp_path: Path) -> None:
-    with pytest.raises(SchemaMissingError):
+    with refused_as("schema_missing"):
         await_schema(impatient(make_settings(tmp_path)))
 
 
 def test_a_database_of_an_older_release_is_said_so(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(startup, "head_revision", lambda: "9999")
-    with pytest.raises(SchemaMissingError):
+    with refused_as("schema_missing"):
         await_schema(impatient(platform.settings))
 
 
-@pytest.mark.parametrize(("revision", "refusal"), [("9999", NewerSchemaError), ("0029", OlderSchemaError)])
+@pytest.mark.parametrize(("revision", "code"), [("9999", "schema_newer"), ("0029", "schema_older")])
 def test_a_database_that_this_release_cannot_upgrade_is_refused_without_waiting(
-    platform: Platform, revision: str, refusal: type[StoneError]
+    platform: Platform, revision: str, code: str
 ) -> None:
     _stand_at(platform, revision)
-    with pytest.raises(refusal):
+    with refused_as(code):
         await_schema(platform.settings)
 
 
@@ -153,7 +152,7 @@ def test_a_bucket_that_stands_is_left_and_a_store_that_is_away_is_said_so(
     assert not ensure_bucket(standing)
     once = Config(retries={"mode": "standard", "total_max_attempts": 1})
     monkeypatch.setattr(s3, "CLIENT", s3.CLIENT.merge(once))
-    with pytest.raises(StoreAwayError):
+    with refused_as("store_away"):
         ensure_bucket(replace(standing, s3_endpoint="http://127.0.0.1:9"))
 
 

@@ -16,7 +16,6 @@ from services.runtime.settings import StoreSettings
 from services.runtime.store.folder import FolderStore
 from services.runtime.store.pack_reading import (
     ReadPack,
-    ShortPackError,
     StoredFiles,
     archive_pieces,
     archive_sha256,
@@ -36,6 +35,7 @@ from services.runtime.store.packs import (
 from services.runtime.store.protocol import Store
 from services.runtime.store.s3 import S3Store
 from stone_files.archives import KINDS, BadMemberError, Kind, check_names, layout
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 
 FILES = {
@@ -174,5 +174,5 @@ def test_a_pack_that_ends_early_is_noticed(tmp_path: Path) -> None:
     files = packed(tmp_path, FILES)
     path = pack_path(tmp_path / "packs", 0)
     path.write_bytes(path.read_bytes()[:-1])
-    with pytest.raises(ShortPackError):
+    with refused_as("short_pack"):
         whole(files, "tar", local_reader(tmp_path / "packs"))

@@ -27,10 +27,11 @@ from services.runtime.store import s3
 from services.runtime.store.blobs import collect_garbage, link, prepare
 from services.runtime.store.factory import open_store
 from services.runtime.store.folder import FolderStore
-from services.runtime.store.keys import BadKeyError, ObjectMissingError, StoreAwayError, StoreFullError
+from services.runtime.store.keys import ObjectMissingError, StoreFullError
 from services.runtime.store.protocol import Store
 from services.runtime.store.s3 import S3Store
 from services.runtime.store.workspace import Workspace
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 from testing.servers.process import free_port
 from testing.servers.s3 import S3Server
@@ -97,13 +98,13 @@ def test_a_key_that_could_leave_the_store_is_refused(store: Store, tmp_path: Pat
         lambda: store.local(key),
         lambda: store.delete(key),
     ):
-        with pytest.raises(BadKeyError):
+        with refused_as("bad_key"):
             act()
 
 
 @pytest.mark.parametrize("prefix", ["../", "/", "blobs/..", ".staging", "blobs//", "B"])
 def test_a_prefix_that_could_leave_the_store_is_refused(store: Store, prefix: str) -> None:
-    with pytest.raises(BadKeyError):
+    with refused_as("bad_key"):
         list(store.listed(prefix))
 
 
@@ -309,9 +310,9 @@ def test_a_bucket_that_cannot_be_reached_is_said_to_be_away(
     store = S3Store(make_settings(tmp_path, store=settings))
     source = tmp_path / "source"
     source.write_bytes(b"content")
-    with pytest.raises(StoreAwayError, match=settings.s3_endpoint):
+    with refused_as("store_away", match=settings.s3_endpoint):
         store.write("blobs/a", source)
-    with pytest.raises(StoreAwayError):
+    with refused_as("store_away"):
         list(store.listed("blobs/"))
     assert settings.s3_secret.get_secret_value() not in str(store.__dict__)
 
@@ -340,9 +341,9 @@ def test_a_read_that_never_gets_further_ends(
     S3Store(make_settings(tmp_path, store=s3_settings)).write("blobs/a", source)
     with unreliable(s3_settings, answer_bytes=answer_bytes) as (settings, _):
         store = S3Store(make_settings(tmp_path / "other", store=settings))
-        with pytest.raises(StoreAwayError):
+        with refused_as("store_away"):
             b"".join(store.read("blobs/a"))
-        with pytest.raises(StoreAwayError):
+        with refused_as("store_away"):
             store.local("blobs/a")
         store._client.close()
     assert [path for path in (tmp_path / "other").rglob("blobs/a") if path.is_file()] == []

@@ -8,8 +8,9 @@ import pytest
 from services.runtime.settings import Settings, StoreSettings
 from services.runtime.store import workspace as workspaces
 from services.runtime.store.factory import open_store
-from services.runtime.store.keys import BadKeyError, ObjectMissingError
+from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.workspace import Workspace
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
 
 RUN = "0123456789abcdef0123456789abcdef"
@@ -58,22 +59,22 @@ def contents_of(workspace: Workspace) -> dict[str, bytes]:
 
 @pytest.mark.parametrize("root_id", ["", "../other", "/absolute", "A"])
 def test_a_run_outside_the_store_is_refused(machines: tuple[Settings, Settings], root_id: str) -> None:
-    with pytest.raises(BadKeyError):
+    with refused_as("bad_key"):
         Workspace(open_store(machines[0]), machines[0], root_id)
 
 
 @pytest.mark.parametrize("prefix", ["../", "tiles/../..", ".hidden"])
 def test_a_prefix_outside_the_workspace_is_refused(here: Workspace, prefix: str) -> None:
     fill(here, a=b"1")
-    with pytest.raises(BadKeyError):
+    with refused_as("bad_key"):
         here.pull(prefix)
-    with pytest.raises(BadKeyError):
+    with refused_as("bad_key"):
         here.push(prefix)
 
 
 def test_a_name_that_no_object_can_have_is_refused_on_every_store(here: Workspace) -> None:
     fill(here, Upper=b"1")
-    with pytest.raises(BadKeyError, match="Upper"):
+    with refused_as("bad_key", match="Upper"):
         here.push("")
 
 

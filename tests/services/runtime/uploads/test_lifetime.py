@@ -5,25 +5,17 @@ from collections.abc import Iterator
 import pytest
 from sqlalchemy import select, update
 
-from services.runtime.access.storage_quota import QuotaExceededError
 from services.runtime.orm import Recording, SequenceRow, Upload, new_id
 from services.runtime.platform import Platform
 from services.runtime.uploads import consume, expire, expiry
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.completion import settle, terminate
 from services.runtime.uploads.creation import create
-from services.runtime.uploads.errors import (
-    UploadGoneError,
-    UploadLockedError,
-    UploadMissingError,
-    UploadPurposeError,
-    UploadStateError,
-    UploadTargetMissingError,
-    UploadTooLargeError,
-)
+from services.runtime.uploads.errors import UploadLockedError
 from services.runtime.uploads.expiry import UploadCursor
 from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import find
+from testing.refusals import refused_as
 from testing.servers.fixtures import having
 from testing.threads import granted
 from testing.worlds.rows import recording_of
@@ -54,14 +46,14 @@ def files(platform: Platform) -> int:
 
 def test_a_file_beyond_what_the_platform_takes_is_refused(placed: Platform) -> None:
     small = having(placed, uploads={"max_bytes": 10})
-    with pytest.raises(UploadTooLargeError, match="11 bytes"):
+    with refused_as("upload_too_large", match="11 bytes"):
         made(small, make_owner(small), b"x" * 11)
 
 
 def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed: Platform) -> None:
     small, owner = having(placed, uploads={"owner_bytes": 100}), make_owner(placed)
     made(small, owner, b"x" * 60)
-    with pytest.raises(QuotaExceededError, match="60 of 100"):
+    with refused_as("quota_exceeded", match="60 of 100"):
         made(small, owner, b"x" * 41)
     assert used(small, owner) == 60
     assert states(small) == ["open"]
@@ -70,7 +62,7 @@ def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed: 
 
 def test_creations_at_once_never_overshoot_the_quota(placed_on: Platform) -> None:
     small, owner = having(placed_on, uploads={"owner_bytes": 100}), make_owner(placed_on)
-    assert granted(8, lambda _: made(small, owner, b"x" * 30), QuotaExceededError) == 3
+    assert granted(8, lambda _: made(small, owner, b"x" * 30), "quota_exceeded") == 3
     assert used(small, owner) == 90
     assert states(small) == ["open"] * 3
     assert files(small) <= 3
@@ -80,7 +72,7 @@ def test_a_recording_for_a_sequence_that_is_not_yours_is_refused(placed: Platfor
     ada, bob, root = make_owner(placed), make_owner(placed, "bob"), make_owner(placed, "r", "administrator")
     sequence_id = make_sequence(placed, ada)
     for owner, target in ((bob, sequence_id), (ada, new_id())):
-        with pytest.raises(UploadTargetMissingError):
+        with refused_as("upload_target_missing"):
             create(placed, owner, declared(BAG, target_id=target))
     for owner in (ada, root):
         assert create(placed, owner, declared(BAG, target_id=sequence_id)).target_id == sequence_id
@@ -91,7 +83,7 @@ def test_a_deleted_sequence_is_no_target(placed: Platform) -> None:
     sequence_id = make_sequence(placed, ada)
     with placed.database.transaction() as session:
         session.get_one(SequenceRow, sequence_id).deleted_ns = 1
-    with pytest.raises(UploadTargetMissingError):
+    with refused_as("upload_target_missing"):
         create(placed, ada, declared(BAG, target_id=sequence_id))
 
 
@@ -102,7 +94,7 @@ def test_a_terminated_upload_is_gone_with_its_file_and_its_quota(placed: Platfor
         terminate(placed, upload)
         assert kept(placed, upload) == b""
         assert used(placed, owner) == 0
-        with pytest.raises(UploadGoneError):
+        with refused_as("upload_gone"):
             send(placed, upload, 0, BAG)
 
 
@@ -110,15 +102,15 @@ def test_an_upload_is_used_once_by_its_owner_for_its_purpose(placed: Platform) -
     owner, bob = make_owner(placed), make_owner(placed, "bob")
     upload = complete(placed, owner)
     refusals = (
-        (bob.user_id, "recording", UploadMissingError),
-        (owner.user_id, "submission", UploadPurposeError),
+        (bob.user_id, "recording", "upload_missing"),
+        (owner.user_id, "submission", "wrong_upload_purpose"),
     )
     for owner_id, purpose, refusal in refusals:
-        with placed.database.transaction() as session, pytest.raises(refusal):
+        with placed.database.transaction() as session, refused_as(refusal):
             consume(session, upload.id, owner_id, purpose)
     with placed.database.transaction() as session:
         assert consume(session, upload.id, owner.user_id, "recording").state == "consumed"
-    with placed.database.transaction() as session, pytest.raises(UploadStateError):
+    with placed.database.transaction() as session, refused_as("wrong_upload_state"):
         consume(session, upload.id, owner.user_id, "recording")
     assert used(placed, owner) == len(BAG)
 
@@ -126,7 +118,7 @@ def test_an_upload_is_used_once_by_its_owner_for_its_purpose(placed: Platform) -
 def test_an_upload_under_way_cannot_be_used(placed: Platform) -> None:
     owner = make_owner(placed)
     upload = made(placed, owner, BAG)
-    with placed.database.transaction() as session, pytest.raises(UploadStateError):
+    with placed.database.transaction() as session, refused_as("wrong_upload_state"):
         consume(session, upload.id, owner.user_id, "recording")
 
 
@@ -135,7 +127,7 @@ def test_an_upload_in_use_cannot_be_terminated(placed: Platform) -> None:
     upload = complete(placed, owner)
     with placed.database.transaction() as session:
         consume(session, upload.id, owner.user_id, "recording")
-    with pytest.raises(UploadStateError):
+    with refused_as("wrong_upload_state"):
         terminate(placed, find(placed.database, upload.id, owner.user_id))
     assert kept(placed, upload) == BAG
 
@@ -148,7 +140,7 @@ def test_two_uses_at_once_end_in_one(placed_on: Platform) -> None:
         with placed_on.database.transaction() as session:
             consume(session, upload.id, owner.user_id, "recording")
 
-    assert granted(6, use, UploadStateError) == 1
+    assert granted(6, use, "wrong_upload_state") == 1
 
 
 def test_what_expired_is_swept_with_its_file_and_its_quota(placed: Platform) -> None:
@@ -167,7 +159,7 @@ def test_what_expired_is_swept_with_its_file_and_its_quota(placed: Platform) -> 
 def test_an_overdue_upload_is_refused_before_it_is_swept(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), BAG)
     overdue(placed, upload)
-    with pytest.raises(UploadGoneError):
+    with refused_as("upload_gone"):
         send(placed, upload, 0, BAG)
 
 
@@ -233,7 +225,7 @@ def test_an_upload_that_was_given_up_meanwhile_is_not_called_complete(placed: Pl
     held = backend_of(placed, upload).hold(upload)
     with placed.database.transaction() as session:
         session.execute(update(Upload).where(Upload.id == upload.id).values(state="terminated"))
-    with pytest.raises(UploadStateError):
+    with refused_as("wrong_upload_state"):
         settle(placed, upload, held)
     held.close()
 

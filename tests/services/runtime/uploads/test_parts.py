@@ -21,11 +21,12 @@ from services.runtime.store.keys import StoreFullError
 from services.runtime.uploads import expire, files, part_writer
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.completion import bytes_here, terminate
-from services.runtime.uploads.errors import DiskFullError, OffsetMismatchError, TooManyUploadPartsError, UploadGoneError
+from services.runtime.uploads.errors import DiskFullError
 from services.runtime.uploads.expiry import _expire
 from services.runtime.uploads.part_rows import announce
 from services.runtime.uploads.reception import UploadChunk
 from services.runtime.uploads.rows import find
+from testing.refusals import refused_as
 from testing.servers.fixtures import having
 from tests.services.runtime.uploads.conftest import with_place
 from tests.services.runtime.uploads.living import complete, overdue, record, used
@@ -73,7 +74,7 @@ def test_of_two_replicas_that_write_at_once_one_goes_on_and_the_other_is_told_wh
     first.write([CONTENT[:2500]])
     first.break_off()
     second.write([CONTENT[:900]])
-    with pytest.raises(OffsetMismatchError, match=r"^2500 "):
+    with refused_as("offset_mismatch", match=r"^2500 "):
         second.end()
     first.close()
     second.close()
@@ -94,7 +95,7 @@ def test_a_writer_that_was_overtaken_in_the_middle_adds_nothing_more(stored: Pla
         slow.write([CONTENT[1000:3000]])
         slow.end()
 
-    with pytest.raises(OffsetMismatchError, match=r"^1400 "):
+    with refused_as("offset_mismatch", match=r"^1400 "):
         go_on()
     slow.close()
     overtaking.close()
@@ -123,7 +124,7 @@ def test_what_was_collected_before_it_was_added_is_not_said_to_be_here(stored: P
     with stored.database.transaction() as session:
         session.execute(update(LooseObject).values(expected_ns=0))
     collect_garbage(stored)
-    with pytest.raises(OffsetMismatchError, match=r"^0 "):
+    with refused_as("offset_mismatch", match=r"^0 "):
         reception.end()
     reception.close()
     assert kept(stored, upload) == b""
@@ -152,7 +153,7 @@ def test_an_upload_swept_while_another_process_writes_to_it_takes_nothing_more(
     reception.write([CONTENT[:1500]])
     overdue(stored, upload)
     assert expire(stored) == 1
-    with pytest.raises(UploadGoneError):
+    with refused_as("upload_gone"):
         reception.end()
     reception.close()
     collect_garbage(stored)
@@ -188,7 +189,7 @@ def test_a_file_in_crumbs_is_not_kept_in_ever_more_objects(stored: Platform, mon
     upload = made(stored, make_owner(stored), CONTENT)
     for offset in (0, 1):
         send(stored, upload, offset, CONTENT[offset : offset + 1])
-    with pytest.raises(TooManyUploadPartsError):
+    with refused_as("too_many_slabs"):
         send(stored, upload, 2, CONTENT[2:3])
     assert kept(stored, upload) == CONTENT[:2]
 

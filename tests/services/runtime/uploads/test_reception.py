@@ -14,19 +14,12 @@ from services.runtime.platform import Platform
 from services.runtime.uploads import expire, files, upload_file
 from services.runtime.uploads.completion import bytes_here, settle_if_whole, terminate
 from services.runtime.uploads.creation import UploadDeclaration
-from services.runtime.uploads.errors import (
-    BadMetadataError,
-    ChecksumMismatchError,
-    FileMismatchError,
-    OffsetMismatchError,
-    OverLengthError,
-    UploadGoneError,
-    UploadLockedError,
-    UploadMissingError,
-)
+from services.runtime.uploads.errors import BadMetadataError, FileMismatchError, UploadLockedError
 from services.runtime.uploads.files import LockedUploadFile, offset_of
 from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import find
+from stone.errors import StoneError
+from testing.refusals import refused_as
 from testing.threads import at_once
 from tests.services.runtime.uploads.sending import (
     CONTENT,
@@ -47,7 +40,7 @@ def test_somebody_elses_upload_does_not_exist(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     other = make_owner(placed, "bob")
     for upload_id in (upload.id, new_id()):
-        with pytest.raises(UploadMissingError):
+        with refused_as("upload_missing"):
             receive(placed, upload_id, other.user_id, UploadChunk(0, 1))
 
 
@@ -55,14 +48,14 @@ def test_somebody_elses_upload_does_not_exist(placed: Platform) -> None:
 def test_a_wrong_offset_is_refused_and_changes_nothing(placed: Platform, offset: int) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT[:100])
-    with pytest.raises(OffsetMismatchError, match="100 bytes are here"):
+    with refused_as("offset_mismatch", match="100 bytes are here"):
         send(placed, upload, offset, CONTENT[100:200])
     assert kept(placed, upload) == CONTENT[:100]
 
 
 def test_an_announced_overlength_is_refused_before_a_byte_is_written(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
-    with pytest.raises(OverLengthError, match=str(len(CONTENT))):
+    with refused_as("over_length", match=str(len(CONTENT))):
         receive(placed, upload.id, upload.owner_id, UploadChunk(0, len(CONTENT) + 1))
     assert kept(placed, upload) == b""
 
@@ -72,7 +65,7 @@ def test_an_overlength_that_was_not_announced_is_cut_off_again(placed: Platform)
     send(placed, upload, 0, CONTENT[:100])
     reception = receiving(placed, upload, UploadChunk(100))
     reception.write([CONTENT[100:200]])
-    with pytest.raises(OverLengthError):
+    with refused_as("over_length"):
         reception.write([CONTENT])
     reception.close()
     assert kept(placed, upload) == CONTENT[:100]
@@ -93,7 +86,7 @@ def test_a_second_writer_is_locked_out_while_the_first_one_writes(placed: Platfo
 def test_a_wrong_checksum_takes_its_bytes_back(placed: Platform) -> None:
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT[:100], right(CONTENT[:100]))
-    with pytest.raises(ChecksumMismatchError, match="100-200"):
+    with refused_as("checksum_mismatch", match="100-200"):
         send(placed, upload, 100, CONTENT[100:200], WRONG)
     assert kept(placed, upload) == CONTENT[:100]
     done = send(placed, upload, 100, CONTENT[100:], right(CONTENT[100:]))
@@ -132,7 +125,7 @@ def test_a_file_that_is_not_the_declared_one_fails_and_gives_its_quota_back(plac
     assert kept(placed, upload) == b""
     with placed.database.reading() as session:
         assert balance(session, owner.user_id) == 0
-    with pytest.raises(UploadGoneError):
+    with refused_as("upload_gone"):
         send(placed, upload, 0, CONTENT)
 
 
@@ -169,9 +162,9 @@ def test_a_whole_upload_takes_no_byte_but_agrees_to_none(placed: Platform) -> No
     upload = made(placed, make_owner(placed), CONTENT)
     send(placed, upload, 0, CONTENT)
     assert send(placed, upload, len(CONTENT), b"").state == "complete"
-    with pytest.raises(OverLengthError):
+    with refused_as("over_length"):
         send(placed, upload, len(CONTENT), b"x")
-    with pytest.raises(OffsetMismatchError):
+    with refused_as("offset_mismatch"):
         send(placed, upload, 0, CONTENT)
     assert kept(placed, upload) == CONTENT
 
@@ -183,7 +176,7 @@ def test_several_finishing_requests_at_once_end_in_one_complete(placed_on: Platf
     def finish(_number: int) -> str:
         try:
             return send(placed_on, upload, len(CONTENT) - 10, CONTENT[-10:]).state
-        except (UploadLockedError, OffsetMismatchError) as refusal:
+        except StoneError as refusal:
             return refusal.code
 
     outcomes = at_once(6, finish)
@@ -238,7 +231,7 @@ def test_an_upload_whose_process_died_before_its_last_step_is_completed_by_the_n
 def test_a_lost_file_is_said_to_be_lost(platform: Platform) -> None:
     upload = made(platform, make_owner(platform), CONTENT)
     path_of(platform, upload).unlink()
-    with pytest.raises(UploadGoneError):
+    with refused_as("upload_gone"):
         send(platform, upload, 0, CONTENT)
 
 
@@ -295,7 +288,7 @@ def test_what_is_cut_off_again_is_flushed_before_its_mark_goes(
         seen.append((os.fstat(descriptor).st_size, len(list(path.parent.glob("*.unverified")))))
 
     monkeypatch.setattr("os.fdatasync", noting)
-    with pytest.raises(ChecksumMismatchError):
+    with refused_as("checksum_mismatch"):
         send(platform, upload, 0, CONTENT, WRONG)
     assert seen == [(0, 1)]
     assert list(path.parent.glob("*.unverified")) == []

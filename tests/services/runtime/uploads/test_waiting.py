@@ -10,7 +10,6 @@ import pytest
 from sqlalchemy import func, select
 
 from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel
-from services.runtime.access.storage_quota import QuotaExceededError
 from services.runtime.orm import SubmissionRow, TeamMember, Upload
 from services.runtime.platform import Platform
 from services.runtime.settings import SubmissionSettings, UploadSettings
@@ -18,15 +17,10 @@ from services.runtime.store import blobs
 from services.runtime.uploads import consume, upload_file
 from services.runtime.uploads.completion import terminate
 from services.runtime.uploads.creation import UploadDeclaration, create
-from services.runtime.uploads.errors import (
-    TooManyUploadsError,
-    TooManyUploadsOfDraftError,
-    UndeclaredUploadError,
-    UploadTargetMissingError,
-)
 from services.runtime.uploads.rows import UploadOwner, is_waiting
 from stone_files.bag_fingerprint import MOST_FILES
 from testing.api.serving import Person
+from testing.refusals import refused_as
 from testing.servers.fixtures import having
 from testing.threads import granted
 from tests.services.domain.benchmarks.drafts import (
@@ -55,7 +49,7 @@ def test_an_owner_has_so_many_waiting_uploads_and_one_more_leaves_no_trace(place
     made(small, owner, b"1")
     complete(small, owner)
     before = used(small, owner)
-    with pytest.raises(TooManyUploadsError, match=r"^2 uploads"):
+    with refused_as("too_many_uploads", match=r"^2 uploads"):
         made(small, owner, b"2")
     assert (waiting(small), used(small, owner)) == (2, before)
     folder = small.settings.uploads_folder
@@ -69,7 +63,7 @@ def test_whoever_uses_or_ends_an_upload_has_its_place_again(placed: Platform) ->
         consume(session, complete(small, owner).id, owner.user_id, "recording")
     terminate(small, made(small, owner, b"1"))
     made(small, owner, b"2")
-    with pytest.raises(TooManyUploadsError):
+    with refused_as("too_many_uploads"):
         made(small, owner, b"3")
 
 
@@ -77,21 +71,21 @@ def test_a_file_that_is_here_already_takes_a_place_as_any_other(placed: Platform
     small, owner = having(placed, uploads={"owner_waiting": 2}), make_owner(placed)
     sha256 = complete(small, owner).sha256
     assert made(small, owner, BAG, sha256=sha256).state == "complete"
-    with pytest.raises(TooManyUploadsError):
+    with refused_as("too_many_uploads"):
         made(small, owner, BAG, sha256=sha256)
 
 
 def test_of_several_creations_at_once_one_takes_the_owners_last_place(placed_on: Platform) -> None:
     small, owner = having(placed_on, uploads={"owner_waiting": 2}), make_owner(placed_on)
     made(small, owner, b"0")
-    assert granted(THREADS, lambda number: made(small, owner, b"x" * number), TooManyUploadsError) == 1
+    assert granted(THREADS, lambda number: made(small, owner, b"x" * number), "too_many_uploads") == 1
     assert waiting(small) == 2
 
 
 def test_a_participant_has_a_bound_of_their_own(platform: Platform) -> None:
     entrant = entrant_on(having(platform, submissions={"participant_waiting": 1}))
     begun(entrant, drafted(entrant))
-    with pytest.raises(TooManyUploadsError, match=r"^1 uploads"):
+    with refused_as("too_many_uploads", match=r"^1 uploads"):
         begun(entrant, drafted(entrant))
 
 
@@ -104,7 +98,7 @@ def test_a_draft_has_so_many_waiting_uploads_whoever_of_its_team_made_them(platf
     begun(entrant, draft_id)
     begun(entrant, draft_id, by=member)
     for who in (entrant.captain, member):
-        with pytest.raises(TooManyUploadsOfDraftError, match=r"^2 uploads"):
+        with refused_as("too_many_uploads_of_draft", match=r"^2 uploads"):
             begun(entrant, draft_id, by=who)
     begun(entrant, drafted(entrant))
 
@@ -115,7 +109,7 @@ def test_of_a_team_that_uploads_at_once_one_takes_the_drafts_last_place(platform
     people = [entrant.captain, *members_of(entrant, THREADS - 1)]
     draft_id = drafted(entrant)
     begun(entrant, draft_id)
-    done = granted(THREADS, lambda number: begun(entrant, draft_id, by=people[number]), TooManyUploadsOfDraftError)
+    done = granted(THREADS, lambda number: begun(entrant, draft_id, by=people[number]), "too_many_uploads_of_draft")
     assert done == 1
     assert waiting(platform_on) == 2
 
@@ -132,7 +126,7 @@ def test_a_draft_that_went_while_its_upload_was_made_takes_none(
             session.delete(session.get_one(SubmissionRow, draft_id))
 
     monkeypatch.setattr("services.runtime.uploads.creation.refuse_foreign_target", look_and_lose)
-    with pytest.raises(UploadTargetMissingError):
+    with refused_as("upload_target_missing"):
         begun(entrant, draft_id)
     assert waiting(platform) == 0
 
@@ -171,7 +165,7 @@ def test_the_announced_file_of_ones_own_team_is_taken(platform: Platform) -> Non
 @pytest.mark.parametrize("said", [{"length_bytes": len(ZIP) + 1}, {"sha256": "1" * 64}, {"sha256": ""}])
 def test_any_other_file_is_refused_before_a_byte_is_sent(platform: Platform, said: dict[str, Any]) -> None:
     entrant = entrant_on(platform)
-    with pytest.raises(UndeclaredUploadError):
+    with refused_as("not_as_announced"):
         begun(entrant, drafted(entrant), **said)
 
 
@@ -179,10 +173,10 @@ def test_drafts_of_others_do_not_exist_even_for_administrators(platform: Platfor
     entrant = entrant_on(platform)
     theirs = drafted(another_entrant(entrant.place))
     for target_id in (theirs, "0" * 32, ""):
-        with pytest.raises(UploadTargetMissingError):
+        with refused_as("upload_target_missing"):
             begun(entrant, target_id)
     declared = UploadDeclaration("run.zip", "submission", len(ZIP), theirs, SHA256)
-    with pytest.raises(UploadTargetMissingError):
+    with refused_as("upload_target_missing"):
         create(platform, UploadOwner(entrant.captain.user_id, is_administrator=True), declared)
 
 
@@ -209,7 +203,7 @@ def test_what_is_no_draft_any_more_takes_no_file(platform: Platform, end: str) -
     else:
         with platform.database.transaction() as session:
             cancel(session, session.get_one(SubmissionRow, submission_id))
-    with pytest.raises(UploadTargetMissingError):
+    with refused_as("upload_target_missing"):
         begun(entrant, submission_id)
 
 
@@ -217,7 +211,7 @@ def test_participants_have_a_quota_of_their_own(platform: Platform) -> None:
     narrow = having(platform, submissions={"participant_bytes": 2 * len(ZIP) - 1})
     entrant = entrant_on(narrow)
     begun(entrant, drafted(entrant))
-    with pytest.raises(QuotaExceededError, match=f"{len(ZIP)} of {2 * len(ZIP) - 1} "):
+    with refused_as("quota_exceeded", match=f"{len(ZIP)} of {2 * len(ZIP) - 1} "):
         begun(entrant, drafted(entrant))
     declared = UploadDeclaration("run.zip", "submission", len(ZIP), drafted(entrant), SHA256)
     create(narrow, UploadOwner(entrant.captain.user_id), declared)
