@@ -18,7 +18,7 @@ from sqlalchemy import event, select, text
 from sqlalchemy.orm import Session
 
 from api.deps import Caller
-from api.errors import ReasonMissingError
+from api.errors import ApiError
 from api.middleware.context import request_id
 from services.runtime.orm import AuditAnchor, AuditEntry
 from services.runtime.orm.base import now_ns
@@ -64,9 +64,9 @@ def record_admin_act(
     reason: str,
     facts: Mapping[str, Any] | None = None,
 ) -> None:
-    """Add a line for an act that only an administrator may do. Raises `ReasonMissingError` for an empty reason."""
+    """Add a line for an act that only an administrator may do. Raises `reason_missing` for an empty reason."""
     if not reason.strip():
-        raise ReasonMissingError(act)
+        raise ApiError("reason_missing", f"{act} needs a reason, which is recorded in the audit log")
     record(session, caller, act, subject_id, reason.strip(), facts)
 
 

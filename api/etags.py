@@ -9,7 +9,7 @@ from typing import TypeVar
 
 from fastapi import Request, Response
 
-from api.errors import PreconditionFailedError, PreconditionRequiredError
+from api.errors import ApiError
 
 T = TypeVar("T")
 TAG = re.compile(r'(W/)?"([^"]*)"')
@@ -27,12 +27,17 @@ def set_head(response: Response, body: T, *, tag: int | str | None = None, locat
 
 
 def require_match(request: Request, revision: int | str) -> None:
-    """Refuse a change that means another state. Raises `PreconditionRequiredError`, `PreconditionFailedError`."""
+    """Refuse a change that means another state. Raises `precondition_required`, `precondition_failed`."""
     given = request.headers.get("if-match")
     if given is None:
-        raise PreconditionRequiredError()
+        raise ApiError(
+            "precondition_required", "If-Match is missing; send the ETag of the resource as you last read it"
+        )
     if given.strip() != "*" and ("", str(revision)) not in TAG.findall(given):
-        raise PreconditionFailedError(given, etag(revision))
+        raise ApiError(
+            "precondition_failed",
+            f"If-Match is {given[:80]} but the resource is at {etag(revision)}; read it again and retry",
+        )
 
 
 def is_unchanged(request: Request, revision: int | str) -> bool:

@@ -18,10 +18,9 @@ from sqlalchemy import CompoundSelect, Select, func, literal, select, union_all
 from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import InstrumentedAttribute, Session
 
-from api.errors import RateLimitedError
+from api.errors import ApiError
 from services.runtime.database.transactions import Database
 from services.runtime.orm import Job, SequenceRow, SubmissionRow
-from stone.errors import StoneError
 
 TICK_S = 0.5
 MAX_PER_CALLER = 8
@@ -51,14 +50,12 @@ class StreamSnapshot:
 Load = Callable[[Session, StreamSubject], tuple[str, bool]]
 
 
-class TooManyStreamsError(RateLimitedError):
-    """Too many event streams, of the caller or in total."""
-
-    code = "too_many_streams"
-
-    def __init__(self, limit: int, whose: str) -> None:
-        StoneError.__init__(self, f"{whose} follow {limit} event streams already; close one, or read the job itself")
-        self.retry_after_s = RETRY_AFTER_S
+def too_many_streams(limit: int, whose: str) -> ApiError:
+    return ApiError(
+        "too_many_streams",
+        f"{whose} follow {limit} event streams already; close one, or read the job itself",
+        {"Retry-After": str(RETRY_AFTER_S)},
+    )
 
 
 @dataclass
@@ -81,11 +78,11 @@ class Follower:
         self._task: asyncio.Task[None] | None = None
 
     def sit(self, user_id: str) -> None:
-        """Count one more stream of this user. Raises `TooManyStreamsError`."""
+        """Count one more stream of this user. Raises `too_many_streams`."""
         if self._streams[user_id] >= MAX_PER_CALLER:
-            raise TooManyStreamsError(MAX_PER_CALLER, "you")
+            raise too_many_streams(MAX_PER_CALLER, "you")
         if self._streams.total() >= MAX_STREAMS:
-            raise TooManyStreamsError(MAX_STREAMS, "all users together")
+            raise too_many_streams(MAX_STREAMS, "all users together")
         self._streams[user_id] += 1
 
     def leave(self, user_id: str) -> None:

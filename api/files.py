@@ -19,7 +19,7 @@ from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 from api.answers import Responses, refusals
-from api.errors import RangeError
+from api.errors import ApiError
 from api.etags import etag, is_unchanged
 from services.runtime.store.protocol import Store
 
@@ -82,7 +82,7 @@ def file_responses(*media_types: str) -> Responses:
 
 
 def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
-    """The file as 200, 206 or 304. Raises `RangeError` (416), `ObjectMissingError`."""
+    """The file as 200, 206 or 304. Raises `range_not_satisfiable` (416), `ObjectMissingError`."""
     begin = file.offset_bytes
 
     def read(start: int, stop: int) -> Iterator[bytes]:
@@ -93,7 +93,7 @@ def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
 
 
 def answer_made(request: Request, content: bytes, facts: GeneratedFile) -> Response:
-    """Bytes that were made just now, as `answer_bytes` answers. Raises `RangeError` (416)."""
+    """Bytes that were made just now, as `answer_bytes` answers. Raises `range_not_satisfiable` (416)."""
     digest = sha256(content).hexdigest()
 
     def read(start: int, stop: int) -> Iterator[bytes]:
@@ -105,7 +105,7 @@ def answer_made(request: Request, content: bytes, facts: GeneratedFile) -> Respo
 
 
 def answer_bytes(request: Request, file: ServedFile) -> Response:
-    """The bytes as 200, 206 or 304; to HEAD the same head alone. Raises `RangeError` (416), and what reading raises."""
+    """The bytes as 200, 206 or 304; to HEAD the head. Raises `range_not_satisfiable` (416), what reading raises."""
     headers = _headers(file)
     if is_unchanged(request, file.sha256):
         return Response(status_code=304, headers={key: headers[key] for key in ("ETag", "Cache-Control", "Vary")})
@@ -144,7 +144,7 @@ def _headers(file: ServedFile) -> dict[str, str]:
 
 
 def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
-    """The half-open range asked for; None: the whole. Raises `RangeError`."""
+    """The half-open range asked for; None: the whole. Raises `range_not_satisfiable`."""
     found = ONE_RANGE.fullmatch(request.headers.get("range", "").strip())
     if found is None or found.group() == "bytes=-" or not _is_same(request, file):
         return None
@@ -156,7 +156,11 @@ def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
         if last and int(last) < start:
             return None
     if start >= file.size_bytes:
-        raise RangeError(file.size_bytes)
+        raise ApiError(
+            "range_not_satisfiable",
+            f"the file has {file.size_bytes} bytes and the range begins behind them",
+            {"Content-Range": f"bytes */{file.size_bytes}", "Accept-Ranges": "bytes"},
+        )
     return start, stop
 
 

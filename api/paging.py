@@ -18,7 +18,7 @@ from sqlalchemy import Select, UnaryExpression
 from sqlalchemy.orm import InstrumentedAttribute, Session
 from sqlalchemy.sql.operators import desc_op
 
-from api.errors import BadCursorError
+from api.errors import bad_cursor
 
 T = TypeVar("T")
 Row = TypeVar("Row")
@@ -73,7 +73,7 @@ def page(
 ) -> PageRows[Row]:
     """One page of `statement`, ordered by the unique column `order` (`Sequence.id`, or `Sequence.id.desc()`).
 
-    Raises `BadCursorError`.
+    Raises `bad_cursor`.
     """
     is_falling = isinstance(order, UnaryExpression) and order.modifier is desc_op
     column: Any = order.element if isinstance(order, UnaryExpression) else order
@@ -89,11 +89,11 @@ def page(
 def place_of_page(total: int, query: PageQuery) -> tuple[range, str | None]:
     """Which of `total` things, whose order never changes, are on the page, and the cursor of the next one.
 
-    Raises `BadCursorError`.
+    Raises `bad_cursor`.
     """
     last = -1 if query.cursor is None else int(str(last_of(query.cursor, int)))
     if last < -1:
-        raise BadCursorError()
+        raise bad_cursor()
     places = range(min(last + 1, total), min(last + 1 + query.limit, total))
     return places, cursor_after(places[-1]) if places and places.stop < total else None
 
@@ -104,14 +104,14 @@ def cursor_after(value: object) -> str:
 
 
 def last_of(cursor: str, kind: type) -> object:
-    """The value that a cursor comes after. Raises `BadCursorError` where it is none of this kind."""
+    """The value that a cursor comes after. Raises `bad_cursor` where it is none of this kind."""
     try:
         padded = cursor.encode("ascii") + b"=" * (-len(cursor) % 4)
         value = json.loads(urlsafe_b64decode(padded))
     except (Base64Error, ValueError, RecursionError) as error:
-        raise BadCursorError() from error
+        raise bad_cursor() from error
     if type(value) is not kind or not _is_storable(value):
-        raise BadCursorError()
+        raise bad_cursor()
     return value
 
 

@@ -19,19 +19,12 @@ from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, Operationa
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
-from api.errors import (
-    ApiError,
-    BodyTooLargeError,
-    ForbiddenError,
-    InvalidRequestError,
-    NotFoundError,
-    UnauthenticatedError,
-)
+from api.errors import ApiError, ForbiddenError, NotFoundError, UnauthenticatedError, body_too_large
 from api.middleware.context import request_id
 from api.middleware.methods import allowed
 from api.schemas.base import instant
 from api.statuses import phrase_of, problem_type_of
-from api.tus.errors import UnsupportedMediaTypeError
+from api.tus.errors import unsupported_media_type
 from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.orm.base import now_ns
 from stone.errors import StoneError
@@ -103,7 +96,7 @@ def answer_to(error: StoneError) -> JSONResponse:
     if not isinstance(error, ApiError):
         return answer(body)
     body.errors = [ProblemFinding.model_validate(finding) for finding in error.findings[:MOST_FINDINGS]]
-    body.errors_total = getattr(error, "total", len(error.findings))
+    body.errors_total = error.total
     return answer(body, error.headers)
 
 
@@ -156,10 +149,10 @@ def respond(error: Exception) -> JSONResponse:
 
 def _invalid(error: Any) -> JSONResponse:
     if isinstance(error.body, bytes) and error.body:  # FastAPI leaves a body alone that does not say it is JSON
-        return answer_to(UnsupportedMediaTypeError("not JSON", "application/json"))
+        return answer_to(unsupported_media_type("not JSON", "application/json"))
     raw: Sequence[Any] = error.errors()
     findings = tuple(_finding(one) for one in raw[:MOST_FINDINGS])
-    return answer_to(InvalidRequestError(findings, len(raw)))
+    return answer_to(invalid_request(findings, len(raw)))
 
 
 def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
@@ -171,7 +164,7 @@ def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
 
 def _http(error: Any) -> JSONResponse:
     if hasattr(error, "limit_bytes"):  # raised while a body was read, where FastAPI lets no other kind of error pass
-        return answer_to(BodyTooLargeError(error.limit_bytes))
+        return answer_to(body_too_large(error.limit_bytes))
     code = phrase_of(error.status_code).lower().replace(" ", "_").replace("-", "_")
     detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
     return answer(problem(error.status_code, code, detail), error.headers)
@@ -226,3 +219,9 @@ ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (
     (InterfaceError, _database_away),
     (PoolTimeoutError, _database_away),
 )
+
+
+def invalid_request(findings: tuple[Mapping[str, Any], ...], total: int) -> ApiError:
+    return ApiError(
+        "invalid_request", f"{total} field(s) of the request are invalid; see errors", None, findings, total
+    )

@@ -99,7 +99,8 @@ def _codes_of(path: Path) -> Iterator[str]:
                 for text in _texts(said.value)
             ]
         elif isinstance(node, ast.Call) and getattr(node.func, "id", getattr(node.func, "attr", "")) in REFUSALS:
-            texts = [text for argument in node.args[:1] for text in _texts(argument)]
+            arguments = [argument for argument in node.args if ast.unparse(argument) != "self"][:1]
+            texts = [text for argument in arguments for text in _texts(argument)]
         else:
             continue
         yield from filter(CODE.fullmatch, texts)

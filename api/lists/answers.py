@@ -59,7 +59,7 @@ def newest_page(statement: Select[T], ids: InstrumentedAttribute[str], form: Pag
 
 
 def page_values(query: PageQuery) -> Values:
-    """The values of a page's statement, ordered by ids. Raises `BadCursorError`."""
+    """The values of a page's statement, ordered by ids. Raises `bad_cursor`."""
     return {} if query.cursor is None else {"last": str(last_of(query.cursor, str))}
 
 
@@ -118,7 +118,7 @@ def one_level(statement: Select[Job], *, is_within: bool) -> Select[Job]:
 def job_rows(
     session: Session, owner_id: str, filters: JobFilters, query: PageQuery
 ) -> tuple[Sequence[Row[Any]], str | None]:
-    """Rows of `with_counts`, and the cursor of the next page. Raises `BadCursorError`."""
+    """Rows of `with_counts`, and the cursor of the next page. Raises `bad_cursor`."""
     wanted = filters.wanted()
     given = {"owner": owner_id, **{f"wanted_{key}": value for key, value in wanted.items()}}
     kept = _kept(tuple(wanted), form_of(query))
@@ -175,7 +175,7 @@ def narrowed_by(statement: Select[SequenceRow], wanted: Wanted) -> Select[Sequen
 def sequence_rows(
     session: Session, caller: Caller, filters: SequenceFilters, query: PageQuery
 ) -> tuple[Sequence[Row[Any]], str | None]:
-    """Rows of `with_glances`, and the cursor of the next page. Raises `BadCursorError`."""
+    """Rows of `with_glances`, and the cursor of the next page. Raises `bad_cursor`."""
     wanted = filters.wanted
     kept = _kept_sequences(caller.is_administrator, tuple(wanted), form_of(query))
     given = {"caller": caller.user_id, **{f"wanted_{key}": value for key, value in wanted.items()}}

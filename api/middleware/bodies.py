@@ -9,7 +9,7 @@ from starlette.datastructures import Headers
 from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.errors import BodyTooLargeError
+from api.errors import body_too_large
 from api.problems import answer_to
 from services.runtime.settings import Settings
 
@@ -39,7 +39,7 @@ class BodyLimit:
             await self._app(scope, receive, send)
             return
         if _declared_bytes(scope) > limit_bytes:
-            await answer_to(BodyTooLargeError(limit_bytes))(scope, receive, send)
+            await answer_to(body_too_large(limit_bytes))(scope, receive, send)
             return
         await self._app(scope, _CountedReceive(receive, limit_bytes), send)
 

@@ -21,7 +21,7 @@ from starlette.types import ASGIApp, Message, Receive, Scope, Send
 from structlog.contextvars import bound_contextvars
 
 from api.client_wheel import OLDEST_CLIENT
-from api.errors import ClientTooOldError
+from api.errors import ApiError
 from api.metrics import RequestMetrics
 from api.middleware.context import begin
 from api.problems import Shown, respond
@@ -166,7 +166,12 @@ class Releases:
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         said = Headers(scope=scope).get(HEADER, "") if scope["type"] == "http" else ""
         if is_older(said, OLDEST_CLIENT):
-            raise ClientTooOldError(said[:40], OLDEST_CLIENT, self._install)
+            raise ApiError(
+                "client_too_old",
+                f"this client is of release {said[:40]}, this server understands {OLDEST_CLIENT} and newer; "
+                f"update the client: {self._install}",
+                {"Upgrade": f"stone-client/{OLDEST_CLIENT}"},
+            )
         await self._app(scope, receive, _telling(send) if said else send)
 
 

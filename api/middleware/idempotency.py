@@ -28,13 +28,7 @@ from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.deps import identify, platform_of
-from api.errors import (
-    BadIdempotencyKeyError,
-    KeyReusedError,
-    ReplyNotKeptError,
-    RequestInFlightError,
-    UnauthenticatedError,
-)
+from api.errors import ApiError, UnauthenticatedError
 from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply
 from services.runtime.orm.base import now_ns
@@ -76,7 +70,7 @@ class StoredReply:
 def reserve(database: Database, asked: IdempotentRequest) -> StoredReply | str:
     """The answer kept for this key, or the id of the row that is now ours to work for.
 
-    Raises `KeyReusedError`, `RequestInFlightError`, `ReplyNotKeptError`.
+    Raises `idempotency_key_reused`, `request_in_flight`, `reply_not_kept`.
     """
     fresh = IdempotentReply(user_id=asked.user_id, route=asked.route, key=asked.key, request_sha256=asked.sha256)
     try:
@@ -120,17 +114,20 @@ def _resume(database: Database, asked: IdempotentRequest) -> StoredReply | str:
         known = select(IdempotentReply).where(*same, IdempotentReply.key == asked.key).with_for_update()
         row = session.scalars(known).one_or_none()
         if row is None:  # it failed and was forgotten in this very moment
-            raise RequestInFlightError()
+            raise request_in_flight()
         if row.request_sha256 != asked.sha256:
-            raise KeyReusedError()
+            raise ApiError(
+                "idempotency_key_reused",
+                "this Idempotency-Key was used with another body or query; use a new key for a new request",
+            )
         if row.status == NOT_KEPT:
-            raise ReplyNotKeptError()
+            raise reply_not_kept()
         if row.status not in (IN_WORK, TOOK_EFFECT):
             return StoredReply(row.status, row.headers, row.body)
         if abs(now_ns() - row.created_ns) < asked.lease_ns:
-            raise RequestInFlightError()
+            raise request_in_flight()
         if row.status == TOOK_EFFECT:
-            raise ReplyNotKeptError()
+            raise reply_not_kept()
         row.created_ns = now_ns()  # its process died before anything happened
         return row.id
 
@@ -166,7 +163,10 @@ class Idempotency:
             await self._app(scope, receive, send)
             return
         if not KEY.fullmatch(key):
-            raise BadIdempotencyKeyError(len(key))
+            raise ApiError(
+                "bad_idempotency_key",
+                f"an Idempotency-Key is 1 to 128 visible ASCII characters; this one has {len(key)}",
+            )
         body = None if _is_streamed(scope) else await _read(receive)
         lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS
         asked = IdempotentRequest(caller_id, _route_of(scope), key, _fingerprint(scope, body), lease_ns)
@@ -306,3 +306,19 @@ def _fingerprint(scope: Scope, body: bytes | None) -> str:
     described = [headers.get(name, "") for name in DESCRIBING] if body is None else []
     head = "\n".join([scope["path"], scope["query_string"].decode("latin-1"), *described])
     return sha256(head.encode() + b"\0" + (body or b"")).hexdigest()
+
+
+def request_in_flight() -> ApiError:
+    return ApiError(
+        "request_in_flight",
+        "the first request with this Idempotency-Key is still being worked on; ask again in a second",
+        {"Retry-After": "1"},
+    )
+
+
+def reply_not_kept() -> ApiError:
+    return ApiError(
+        "reply_not_kept",
+        "the first request with this Idempotency-Key took effect, but its answer held a secret or was lost; "
+        "look for what it made in the list",
+    )

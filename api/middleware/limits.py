@@ -17,7 +17,7 @@ from cachetools import LRUCache
 from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
-from api.errors import RateLimitedError
+from api.errors import rate_limited
 from api.middleware.bodies import UPLOADS
 from api.middleware.context import COOKIE
 from services.runtime.access.login_throttle import SignInTry
@@ -57,7 +57,7 @@ class RequestLimits:
         self._lock = Lock()
 
     def admit(self, request: Request) -> None:
-        """Count a request, but no piece of a known caller's upload. Raises `RateLimitedError`."""
+        """Count a request, but no piece of a known caller's upload. Raises `rate_limited`."""
         with self._lock:
             known = self._known.get(credential_of(request))
         who, per_minute = known or address_of(request), self._api.requests_per_minute
@@ -67,7 +67,7 @@ class RequestLimits:
             self._take(who, per_minute)
 
     def admit_sign_in(self, request: Request, tried: SignInTry) -> None:
-        """Count an attempt at a password, by address and by name. Raises `RateLimitedError`.
+        """Count an attempt at a password, by address and by name. Raises `rate_limited`.
 
         Where the address is known for the name it is counted by both at once, apart from everybody else's.
         """
@@ -78,11 +78,11 @@ class RequestLimits:
         self._take(f"sign-in as {tried.name}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def admit_from(self, request: Request, what: str) -> None:
-        """Count `what` a stranger begins, by address, as many as sign-ins with one name. Raises `RateLimitedError`."""
+        """Count `what` a stranger begins, by address, as many as sign-ins with one name. Raises `rate_limited`."""
         self._take(f"{what} {address_of(request)}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def admit_guess(self, user_id: str) -> None:
-        """Count a code that a user typed, right or wrong. Raises `RateLimitedError`."""
+        """Count a code that a user typed, right or wrong. Raises `rate_limited`."""
         self._take(f"code by {user_id}", self._api.sign_ins_per_minute * NAME_SHARE)
 
     def know(self, request: Request, user_id: str) -> None:
@@ -93,7 +93,7 @@ class RequestLimits:
     def _take(self, key: str, per_minute: float) -> None:
         wait_s = self._buckets.take(key, per_minute)
         if wait_s:
-            raise RateLimitedError(per_minute, math.ceil(wait_s))
+            raise rate_limited(per_minute, math.ceil(wait_s))
 
 
 class RateLimit:

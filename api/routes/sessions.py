@@ -14,7 +14,7 @@ from fastapi import APIRouter, Request, Response
 from api import audit
 from api.answers import refusals
 from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
-from api.errors import ConflictError, TooManyFailedSignInsError, WrongPasswordError
+from api.errors import ApiError, wrong_password
 from api.middleware.context import COOKIE
 from api.middleware.limits import address_of
 from api.schemas.base import instant
@@ -44,10 +44,10 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
     is_right = sessions.is_password_of(user, body.password.get_secret_value())
     if user is None or not is_right:
         log.warning("sign-in refused", name=user.name if user else "")  # no name: perhaps a password in the wrong field
-        raise WrongPasswordError()
+        raise wrong_password()
     with platform.database.transaction() as session:
         if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
-            raise WrongPasswordError()
+            raise wrong_password()
         login_throttle.take_back(session, tried, user.id)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
         audit.record(session, as_caller(user), "session.open", user.id)
@@ -64,7 +64,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
 @router.delete("/sessions/current", status_code=204, summary="Sign this browser out", responses=refusals(409))
 def sign_out(caller: Anybody, response: Response, platform: PlatformDep) -> None:
     if not caller.is_session:
-        raise ConflictError("a token is no session; revoke it by DELETE /tokens/{id}")
+        raise ApiError("conflict", "a token is no session; revoke it by DELETE /tokens/{id}")
     with platform.database.transaction() as session:
         sessions.close_session(session, caller.credential_id)
         audit.record(session, caller, "session.close", caller.user_id)
@@ -97,7 +97,7 @@ def change_own_password(body: PasswordBody, caller: AccountHolder, request: Requ
     with platform.database.reading() as session:
         user = session.get_one(User, caller.user_id)
     if not sessions.is_password_of(user, body.current.get_secret_value()):
-        raise WrongPasswordError()
+        raise wrong_password()
     password_hash = passwords.hash_password(body.new.get_secret_value(), caller.name)
     with platform.database.transaction() as session:
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
@@ -106,7 +106,7 @@ def change_own_password(body: PasswordBody, caller: AccountHolder, request: Requ
 
 
 def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
-    """The try, counted. Raises `RateLimitedError`, `TooManyFailedSignInsError`."""
+    """The try, counted. Raises `rate_limited`, `guessed_too_often`."""
     with platform.database.reading() as session:
         tried = login_throttle.try_at(session, name, address_of(request))
     request.app.state.limits.admit_sign_in(request, tried)
@@ -114,7 +114,7 @@ def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:
         wait_s = login_throttle.count_try(session, tried)
     if wait_s:
         log.warning("sign-in not tried, too many were wrong", name=name)
-        raise TooManyFailedSignInsError(ceil(wait_s))
+        raise too_many_failed_sign_ins(ceil(wait_s))
     return tried
 
 
@@ -134,3 +134,11 @@ def is_https(settings: Settings) -> bool:
 def as_caller(user: User) -> Caller:
     """Somebody who signs in at this moment, as who does so."""
     return Caller(user.id, user.name, user.role, frozenset(), is_session=True)
+
+
+def too_many_failed_sign_ins(retry_after_s: int) -> ApiError:
+    return ApiError(
+        "guessed_too_often",
+        f"too many wrong passwords; try again in {retry_after_s} s, or ask an administrator",
+        {"Retry-After": str(retry_after_s)},
+    )

@@ -10,7 +10,7 @@ from fastapi import APIRouter, Request, Response
 from api import audit
 from api.answers import refusals
 from api.deps import Administrator, PlatformDep, Reader
-from api.errors import SplitRefusedError
+from api.errors import split_refused
 from api.etags import etag, require_match, set_head
 from api.schemas.splits import (
     ProposalAnswer,
@@ -52,7 +52,7 @@ def put_splits(
         labelled = labelled_sequences(session)
         findings = judged(split, labelled)
         if errors := errors_of(findings):
-            raise SplitRefusedError(errors, {one.entry.id: one.entry.name for one in labelled})
+            raise split_refused(errors, {one.entry.id: one.entry.name for one in labelled})
         replace_splits(session, row, split)
         facts = dict(zip(("train", "val", "test"), split.sizes, strict=True)) | {"revision": row.revision}
         audit.record_admin_act(session, caller, "splits.put", row.name, body.reason, facts)

@@ -130,7 +130,7 @@ def hand_over(team_id: IdPath, body: CaptainBody, caller: Participant, platform:
 
 
 def _lead(session: Session, caller: Caller, team: Team, act: tuple[str, str, dict[str, str]]) -> None:
-    """Note what the captain does, or an administrator with a reason. Raises `not_captain`, `ReasonMissingError`."""
+    """Note what the captain does, or an administrator with a reason. Raises `not_captain`, `reason_missing`."""
     name, reason, facts = act
     teams.lock_team(session, team.id)
     if caller.is_administrator and teams.captain(session, team.id) != caller.user_id:

@@ -11,7 +11,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.deps import AccountHolder, Anybody, Caller, PlatformDep, Reader
-from api.errors import ConflictError, ForbiddenError, NotFoundError, UnauthenticatedError
+from api.errors import ApiError, ForbiddenError, NotFoundError, UnauthenticatedError
 from api.paging import Page, PageDep
 from api.schemas.base import IdPath
 from api.schemas.people import IssuedToken, TokenBody, TokenItem
@@ -51,7 +51,7 @@ def listed(caller: Reader, query: PageDep, platform: PlatformDep) -> Page[TokenI
 def revoke_current(caller: Anybody, platform: PlatformDep) -> None:
     """Whatever its scopes are; with it goes all that it made."""
     if caller.is_session:
-        raise ConflictError("a session is no token; sign out by DELETE /sessions/current")
+        raise ApiError("conflict", "a session is no token; sign out by DELETE /sessions/current")
     _revoke(platform, caller, caller.credential_id)
 
 
@@ -106,4 +106,4 @@ def _end_ns(body: TokenBody, caller: Caller, longest_s: float) -> int:
 
 def _refuse_too_many(session: Session, caller: Caller) -> None:
     if tokens.token_count(session, caller.user_id) >= MOST_TOKENS:
-        raise ConflictError(f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+        raise ApiError("conflict", f"you have {MOST_TOKENS} tokens already; revoke those that are not used")

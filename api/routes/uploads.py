@@ -11,12 +11,13 @@ from fastapi import APIRouter, Depends, Header, Request, Response
 from sqlalchemy import select
 
 from api.deps import Caller, PlatformDep, require, require_one
+from api.errors import ApiError
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath, LineQuery
 from api.schemas.uploads import UploadItem, upload_item
 from api.tus.body_stream import in_thread, receive_body
 from api.tus.creation import accept_creation, accept_form, find_own
-from api.tus.errors import VERSION, TusHeaderError
+from api.tus.errors import VERSION
 from api.tus.headers import (
     CREATED,
     EXTENSIONS,
@@ -154,7 +155,9 @@ async def override_method(
         return await send_bytes(upload_id, request, platform, caller)
     if x_http_method_override == "DELETE":
         return await in_thread(give_up, upload_id, platform, caller)
-    raise TusHeaderError("X-HTTP-Method-Override", x_http_method_override, "PATCH or DELETE")
+    raise ApiError(
+        "bad_tus_header", f"X-HTTP-Method-Override is {x_http_method_override[:80]!r}; expected PATCH or DELETE"
+    )
 
 
 @router.get("", responses=GOT)

@@ -16,7 +16,7 @@ from typing import ParamSpec, TypeVar
 from fastapi import Request
 from starlette.requests import ClientDisconnect
 
-from api.tus.errors import ReceiveTimeoutError
+from api.errors import ApiError
 from services.runtime.database.transactions import UPLOADS
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
@@ -52,7 +52,7 @@ async def receive_body(
 ) -> ReceivedUpload:
     """Take the request's body into the upload (id, owner's id); the upload as it is then.
 
-    Raises what `receive`, `UploadReceiver.write` and `UploadReceiver.end` raise, `ReceiveTimeoutError`,
+    Raises what `receive`, `UploadReceiver.write` and `UploadReceiver.end` raise, `receive_timeout`,
     `ClientDisconnect`.
     """
     reception = await in_thread(receive, platform, *upload, piece)
@@ -85,7 +85,11 @@ async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> S
         await blocks.flush()
         await in_thread(reception.break_off)
         if isinstance(gone, TimeoutError):
-            raise ReceiveTimeoutError(idle_s) from gone
+            raise ApiError(
+                "receive_timeout",
+                f"nothing came for {idle_s:g} s; ask for the offset and resume from there",
+                {"Connection": "close"},
+            ) from gone
         raise
 
 

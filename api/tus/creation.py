@@ -12,9 +12,9 @@ from starlette.datastructures import FormData, UploadFile
 from starlette.formparsers import MultiPartException, MultiPartParser
 
 from api.deps import Caller
-from api.errors import ForbiddenError
+from api.errors import ApiError, ForbiddenError
 from api.tus.body_stream import BLOCK_BYTES, in_thread, receive_body
-from api.tus.errors import ExtensionError, FormError, LengthDeferredError, UnsupportedMediaTypeError
+from api.tus.errors import unsupported_media_type
 from api.tus.headers import count_of, declared_by, piece_of
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
@@ -29,9 +29,11 @@ from stone.errors import StoneError
 async def accept_creation(request: Request, platform: Platform, caller: Caller) -> Upload:
     """The upload that the request's headers declare, with what its body holds."""
     if "upload-defer-length" in request.headers:
-        raise LengthDeferredError()
+        raise ApiError("length_deferred", "Upload-Defer-Length is not supported: send Upload-Length with the creation")
     if "upload-concat" in request.headers:
-        raise ExtensionError("Upload-Concat")
+        raise ApiError(
+            "tus_extension", "Upload-Concat belongs to an extension that this server does not have; see OPTIONS"
+        )
     declared = declared_by(request, count_of(request, "Upload-Length"))
     first = piece_of(request, 0) if _brings_bytes(request) else None
     refuse_unscoped(caller, declared)
@@ -94,14 +96,14 @@ FORM_TYPE = "multipart/form-data"
 async def accept_form(request: Request, platform: Platform, caller: Caller) -> Upload:
     """The complete upload that the form holds.
 
-    Raises `UnsupportedMediaTypeError`, `FormError`, `upload_too_large` and what creating and receiving raise.
+    Raises `unsupported_media_type`, `bad_form`, `upload_too_large` and what creating and receiving raise.
     """
     form = await _parse(request)
     try:
         files = [part for part in form.getlist("file") if isinstance(part, UploadFile)]
         fields = {name: value for name in form if isinstance(value := form[name], str)}
         if len(files) != 1 or set(fields) - set(FIELDS):
-            raise FormError(f"one file named 'file' and the fields {', '.join(FIELDS)} are expected")
+            raise bad_form(f"one file named 'file' and the fields {', '.join(FIELDS)} are expected")
         declared = _declared(files[0], fields)
         if declared.length_bytes > platform.settings.uploads.form_bytes:
             raise upload_too_large(declared.length_bytes, platform.settings.uploads.form_bytes)
@@ -114,7 +116,7 @@ async def accept_form(request: Request, platform: Platform, caller: Caller) -> U
 async def _parse(request: Request) -> FormData:
     given = request.headers.get("content-type", "")
     if given.partition(";")[0].strip().lower() != FORM_TYPE:
-        raise UnsupportedMediaTypeError(given, FORM_TYPE)
+        raise unsupported_media_type(given, FORM_TYPE)
     parser = MultiPartParser(
         request.headers,
         request.stream(),
@@ -125,7 +127,7 @@ async def _parse(request: Request) -> FormData:
     try:
         return await parser.parse()
     except (MultiPartException, UnicodeDecodeError, KeyError, ValueError) as error:
-        raise FormError(str(error)[:120]) from error
+        raise bad_form(str(error)[:120]) from error
 
 
 def _declared(file: UploadFile, fields: dict[str, str]) -> UploadDeclaration:
@@ -161,3 +163,9 @@ def _keep(
         raise
     finally:
         reception.close()
+
+
+def bad_form(why: str) -> ApiError:
+    return ApiError(
+        "bad_form", f"the form is not understood: {why} (curl -F file=@NAME -F purpose=recording -F target_id=ID)"
+    )

@@ -17,7 +17,8 @@ from starlette.datastructures import MutableHeaders
 from starlette.types import Message, Receive, Scope, Send
 
 from api.answers import Responses, refusals
-from api.tus.errors import VERSION, TusHeaderError, TusVersionError, UnsupportedMediaTypeError
+from api.errors import ApiError
+from api.tus.errors import VERSION, unsupported_media_type
 from services.runtime.orm import Upload
 from services.runtime.uploads.creation import PURPOSES, UploadDeclaration
 from services.runtime.uploads.errors import BadMetadataError
@@ -34,30 +35,34 @@ KEY = re.compile(r"[A-Za-z0-9_.-]{1,64}")
 async def speak_tus(
     tus_resumable: Annotated[str, Header(description=f"`{VERSION}`", examples=[VERSION])] = "",
 ) -> None:
-    """A dependency: the client says that it speaks our version. Raises `TusVersionError`."""
+    """A dependency: the client says that it speaks our version. Raises `tus_version`."""
     if tus_resumable != VERSION:
-        raise TusVersionError(tus_resumable)
+        raise ApiError(
+            "tus_version",
+            f"Tus-Resumable is {tus_resumable[:40]!r}; this server supports {VERSION} only",
+            {"Tus-Version": VERSION},
+        )
 
 
 def count_of(request: Request, name: str) -> int:
-    """The header as a count of bytes. Raises `TusHeaderError`."""
+    """The header as a count of bytes. Raises `bad_tus_header`."""
     given = request.headers.get(name, "")
     if not COUNT.fullmatch(given):
-        raise TusHeaderError(name, given, "a count of bytes, digits only")
+        raise ApiError("bad_tus_header", f"{name} is {given[:80]!r}; expected a count of bytes, digits only")
     return int(given)
 
 
 def piece_of(request: Request, offset_bytes: int) -> UploadChunk:
-    """The request's headers about its body. Raises `TusHeaderError`, `UnsupportedMediaTypeError`."""
+    """The request's headers about its body. Raises `bad_tus_header`, `unsupported_media_type`."""
     given = request.headers.get("content-type", "")
     if given != CHUNK_TYPE:
-        raise UnsupportedMediaTypeError(given, CHUNK_TYPE)
+        raise unsupported_media_type(given, CHUNK_TYPE)
     is_sized = "content-length" in request.headers
     return UploadChunk(offset_bytes, count_of(request, "Content-Length") if is_sized else None, _checksum(request))
 
 
 def declared_by(request: Request, length_bytes: int) -> UploadDeclaration:
-    """The file that a creation declares. Raises `TusHeaderError`, `BadMetadataError`."""
+    """The file that a creation declares. Raises `bad_tus_header`, `BadMetadataError`."""
     known = _metadata(request.headers.get("upload-metadata", ""))
     for name in ("filename", "purpose"):
         if name not in known:
@@ -86,25 +91,30 @@ def _checksum(request: Request) -> Checksum | None:
     algorithm, _, encoded = given.partition(" ")
     expected = f"one of {', '.join(ALGORITHMS)}, a space, and the digest in base64"
     if algorithm not in ALGORITHMS:
-        raise TusHeaderError("Upload-Checksum", given, expected)
+        raise ApiError("bad_tus_header", f"Upload-Checksum is {given[:80]!r}; expected {expected}")
     digest = _decoded("Upload-Checksum", encoded)
     if len(digest) != {"sha1": 20, "sha256": 32}[algorithm]:
-        raise TusHeaderError("Upload-Checksum", given, expected)
+        raise ApiError("bad_tus_header", f"Upload-Checksum is {given[:80]!r}; expected {expected}")
     return Checksum(algorithm, digest)
 
 
 def _metadata(header: str) -> dict[str, str]:
-    """Comma-separated pairs of a key and a base64 value. Raises `TusHeaderError`, `BadMetadataError`."""
+    """Comma-separated pairs of a key and a base64 value. Raises `bad_tus_header`, `BadMetadataError`."""
     if len(header) > LONGEST_METADATA:
-        raise TusHeaderError("Upload-Metadata", header, f"at most {LONGEST_METADATA} characters")
+        raise ApiError(
+            "bad_tus_header", f"Upload-Metadata is {header[:80]!r}; expected at most {LONGEST_METADATA} characters"
+        )
     pairs = [pair.strip() for pair in header.split(",")] if header else []
     if len(pairs) > MOST_PAIRS:
-        raise TusHeaderError("Upload-Metadata", header, f"at most {MOST_PAIRS} pairs")
+        raise ApiError("bad_tus_header", f"Upload-Metadata is {header[:80]!r}; expected at most {MOST_PAIRS} pairs")
     known: dict[str, str] = {}
     for pair in pairs:
         key, _, encoded = pair.partition(" ")
         if not KEY.fullmatch(key) or key in known:
-            raise TusHeaderError("Upload-Metadata", pair, "keys of letters, digits, '_', '.' and '-', each once")
+            raise ApiError(
+                "bad_tus_header",
+                f"Upload-Metadata is {pair[:80]!r}; expected keys of letters, digits, '_', '.' and '-', each once",
+            )
         known[key] = _text(key, _decoded("Upload-Metadata", encoded))
     return known
 
@@ -113,7 +123,7 @@ def _decoded(header: str, encoded: str) -> bytes:
     try:
         return b64decode(encoded.encode("ascii"), validate=True)
     except (Base64Error, UnicodeEncodeError) as error:
-        raise TusHeaderError(header, encoded, "base64") from error
+        raise ApiError("bad_tus_header", f"{header} is {encoded[:80]!r}; expected base64") from error
 
 
 def _text(key: str, value: bytes) -> str:

@@ -16,7 +16,7 @@ from tempfile import TemporaryDirectory
 from threading import BoundedSemaphore
 from typing import IO
 
-from api.errors import BodyTooLargeError, CalibrationRefusedError, RateLimitedError
+from api.errors import CalibrationRefusedError, body_too_large, rate_limited
 from api.files import safe_name
 from api.schemas.base import EPOCH
 from services.domain.sequences.calibrations import ReadCalibration, Validity
@@ -42,10 +42,10 @@ _turns = BoundedSemaphore(AT_ONCE)
 
 @contextmanager
 def received(file: IO[bytes], filename: str) -> Iterator[Path]:
-    """The file under its own name in a folder that lasts as long as this. Raises `BodyTooLargeError`."""
+    """The file under its own name in a folder that lasts as long as this. Raises `body_too_large`."""
     content = file.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
-        raise BodyTooLargeError(LARGEST_BYTES)
+        raise body_too_large(LARGEST_BYTES)
     with TemporaryDirectory(prefix="stone-calibration-") as folder:
         path = Path(folder) / safe_name(filename)
         path.write_bytes(content)
@@ -64,10 +64,10 @@ def read(path: Path) -> ReadCalibration:
 def understood(path: Path) -> CalibrationRead:
     """The calibration in a file or a zip.
 
-    Raises `CalibrationRefusedError`; `RateLimitedError` when too many are being read; `ConfinedInterruptedError`.
+    Raises `CalibrationRefusedError`; `rate_limited` when too many are being read; `ConfinedInterruptedError`.
     """
     if not _turns.acquire(timeout=PATIENCE_S):
-        raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
+        raise rate_limited(PER_MINUTE, int(PATIENCE_S))
     try:
         found = _believed(path.name, sandboxed(partial(_read, path), replace(LIMITS, reads=(path,))))
         _check_names(path.name, found.calibration)

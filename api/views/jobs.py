@@ -9,7 +9,7 @@ from typing import Any, cast
 from sqlalchemy import Row, Select, bindparam, case, func, select, tuple_
 from sqlalchemy.orm import Session
 
-from api.errors import BadCursorError
+from api.errors import bad_cursor
 from api.schemas.base import instant, instant_or_none
 from api.schemas.jobs import AttemptItem, FailureItem, JobDetail, JobItem, LogLine, LogPage, StageItem
 from services.domain.runs.estimates import time_left
@@ -166,7 +166,7 @@ class LogQuery:
 
 
 def log_page(session: Session, job: Job, query: LogQuery, *, is_administrator: bool = False) -> LogPage:
-    """The next lines of a job, or of all jobs of a run. Raises `BadCursorError`.
+    """The next lines of a job, or of all jobs of a run. Raises `bad_cursor`.
 
     Tracebacks of jobs that see what their owners may not are for administrators.
     """
@@ -200,7 +200,7 @@ def _mark(after: str | None) -> tuple[int, str, int, int] | None:
         return None
     found = AFTER.fullmatch(after)
     if found is None:
-        raise BadCursorError()
+        raise bad_cursor()
     logged_ns, job_id, attempt, number = found.groups()
     return int(logged_ns), job_id, int(attempt), int(number)
 

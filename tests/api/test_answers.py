@@ -17,7 +17,6 @@ from structlog.testing import capture_logs
 
 from api.client_wheel import FILENAME, OLDEST_CLIENT, ClientWheel, client_wheel, install_line
 from api.compression import LEAST_BYTES, tagged_response, takes_gzip
-from api.errors import PreconditionFailedError, PreconditionRequiredError
 from api.etags import etag, is_unchanged, require_match
 from api.main import include, make_api
 from api.middleware.entry import template_of
@@ -27,6 +26,7 @@ from services.runtime.settings import ApiSettings
 from stone_base.releases import HEADER, is_older
 from stone_client.release import OLDEST_SERVER, own_release
 from testing.api.serving import Person, client_of, serving
+from testing.refusals import refused_as
 from testing.worlds.made import sequence
 
 
@@ -36,13 +36,13 @@ def request(**headers: str) -> Request:
 
 
 def test_a_change_that_says_nothing_is_428() -> None:
-    with pytest.raises(PreconditionRequiredError):
+    with refused_as("precondition_required"):
         require_match(request(), 7)
 
 
 @pytest.mark.parametrize("given", ["", '"6"', "7", 'W/"7"', '"77"', '"7', '"', '"6", "8"', "x" * 100_000, '"7 "'])
 def test_a_change_that_means_another_state_is_412(given: str) -> None:
-    with pytest.raises(PreconditionFailedError, match='is at "7"'):
+    with refused_as("precondition_failed", match='is at "7"'):
         require_match(request(if_match=given), 7)
 
 

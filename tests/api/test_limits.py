@@ -8,13 +8,13 @@ from fastapi import Request
 from hypothesis import given
 from hypothesis import strategies as st
 
-from api.errors import RateLimitedError
 from api.middleware import limits
 from api.middleware.limits import Buckets, RequestLimits, address_of, credential_of
 from services.runtime.access.login_throttle import SignInTry
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
 from testing.api.serving import Person, client_of
+from testing.refusals import refused_as
 
 
 class Clock:
@@ -101,7 +101,7 @@ def test_inventing_tokens_buys_no_more_requests() -> None:
     limiting = RequestLimits(strict(requests_per_minute=3), Clock())
     for number in range(3):
         limiting.admit(request(authorization=f"Bearer {number}"))
-    with pytest.raises(RateLimitedError, match="more than 3 a minute"):
+    with refused_as("rate_limited", match="more than 3 a minute"):
         limiting.admit(request(authorization="Bearer 4"))
     limiting.admit(request("10.0.0.2", authorization="Bearer 4"))
 
@@ -112,7 +112,7 @@ def test_a_known_caller_is_counted_apart_from_their_address_and_over_all_their_t
         limiting.know(request(authorization=secret), "ada")
     for secret in ("one", "two"):
         limiting.admit(request(authorization=secret))
-    with pytest.raises(RateLimitedError):
+    with refused_as("rate_limited"):
         limiting.admit(request("10.0.0.9", authorization="one"))
     limiting.admit(request())
 
@@ -121,11 +121,11 @@ def test_sign_ins_are_counted_by_address_and_by_name() -> None:
     limiting = RequestLimits(strict(sign_ins_per_minute=2), Clock())
     for _ in range(2):
         limiting.admit_sign_in(request(), SignInTry("ada", ""))
-    with pytest.raises(RateLimitedError):
+    with refused_as("rate_limited"):
         limiting.admit_sign_in(request(), SignInTry("eve", ""))
     for number in range(4):
         limiting.admit_sign_in(request(f"10.0.1.{number}"), SignInTry("ada", ""))
-    with pytest.raises(RateLimitedError, match="more than 6 a minute"):
+    with refused_as("rate_limited", match="more than 6 a minute"):
         limiting.admit_sign_in(request("10.0.2.1"), SignInTry("ada", ""))
     limiting.admit_sign_in(request("10.0.2.1"), SignInTry("bob", ""))
 

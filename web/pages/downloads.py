@@ -29,7 +29,7 @@ def send_starter(request: Request) -> Response:
 
 @router.get("/downloads/{filename}")
 def send_wheel(filename: str, request: Request) -> Response:
-    """The wheel, without sign-in: pip brings no token. Raises `NotFoundError`, `RangeError`."""
+    """The wheel, without sign-in: pip brings no token. Raises `NotFoundError`, `range_not_satisfiable`."""
     wheel: ClientWheel | None = request.app.state.client_wheel
     if wheel is None or filename != wheel.filename:
         raise NotFoundError("download", filename)

@@ -10,7 +10,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import Responses, refusals
 from api.deps import Administrator, PlatformDep
-from api.errors import ConflictError, NotFoundError
+from api.errors import ApiError, NotFoundError
 from api.etags import etag, require_match, set_head
 from api.paging import Page, PageDep, page
 from api.schemas.admin import ReasonBody
@@ -125,7 +125,7 @@ def _asked(session: Session, phase: Phase, body: NewRescoreBody) -> EvaluationVe
     """The pair that is meant; what is not said is as on the board."""
     current = active(session, phase.id)
     if current is None:
-        raise ConflictError("the phase has no board yet; it comes with the first ground truth that is ready")
+        raise ApiError("conflict", "the phase has no board yet; it comes with the first ground truth that is ready")
     return EvaluationVersion(body.truth_id or current.truth_id, body.metric or current.metric)
 
 

@@ -15,7 +15,7 @@ from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import ID_PATTERN, PLAIN, IdPath
 from api.schemas.sequences.calibrations import CalibrationDiffItem, CalibrationItem
-from api.tus.errors import UnsupportedMediaTypeError
+from api.tus.errors import unsupported_media_type
 from api.views import calibration_reading
 from api.views.calibration_changes import changes
 from api.visible import calibration_of, theirs
@@ -37,10 +37,10 @@ NameQuery = Annotated[str | None, Query(pattern=PLAIN, max_length=100)]
 
 
 async def refuse_other_types(request: Request) -> None:
-    """Raises `UnsupportedMediaTypeError` for a body that is no form."""
+    """Raises `unsupported_media_type` for a body that is no form."""
     given = request.headers.get("content-type", "")
     if given.partition(";")[0].strip().lower() != FORM:
-        raise UnsupportedMediaTypeError(given, FORM)
+        raise unsupported_media_type(given, FORM)
 
 
 async def asked_validity(valid_from: Moment = None, valid_to: Moment = None) -> Validity:

@@ -13,7 +13,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.deps import Curator, PlatformDep, Reader
-from api.errors import ConflictError, NotFoundError
+from api.errors import ApiError, NotFoundError
 from api.etags import require_match, set_head
 from api.paging import Page, PageDep, page
 from api.schemas.base import PLAIN, IdPath
@@ -92,7 +92,7 @@ def show_roles(
         sequence = sequence_of(session, caller, sequence_id)
         inspection = recording_of(session, caller, sequence_id, recording_id).inspection
         if inspection is None:
-            raise ConflictError("the recording was not read yet, or could not be: see its state and findings")
+            raise ApiError("conflict", "the recording was not read yet, or could not be: see its state and findings")
         saved, frames = topics_of(session, sequence), _channel_of_frame(session, sequence)
     made = dict(_choice(choice) for choice in choices)
     chosen = {part: topic for part, topic in saved.items() if topic not in made.values()} | made

@@ -15,7 +15,7 @@ from sqlalchemy.orm import Session
 from api import audit
 from api.answers import refusals
 from api.deps import Curator, Looker, PlatformDep, at_once
-from api.errors import ConflictError, HiddenTruthError
+from api.errors import ApiError
 from api.etags import etag, require_match, set_head
 from api.lists.answers import SequenceFilters, list_response, listed, sequence_rows
 from api.paging import Page, PageDep
@@ -154,17 +154,24 @@ def _change(sequence: SequenceRow, changes: Mapping[str, Any]) -> None:
 
 
 def _refuse_renaming(session: Session, sequence: SequenceRow) -> None:
-    """Raises `ConflictError` where frame tokens carry the old name already."""
+    """Raises `conflict` where frame tokens carry the old name already."""
     labels = select(LabelSet.id).where(LabelSet.sequence_id == sequence.id)
     runs = select(Job.id).where(Job.sequence_id == sequence.id, Job.kind == PROCESS, Job.state.not_in(TERMINAL))
     if session.scalar(labels.limit(1)) or session.scalar(runs.limit(1)):
-        raise ConflictError("the sequence has labels, or is getting them, and its frame tokens are made of its name")
+        raise ApiError(
+            "conflict", "the sequence has labels, or is getting them, and its frame tokens are made of its name"
+        )
 
 
 def _refuse_revealing_truth(session: Session, sequence: SequenceRow) -> None:
-    """Raises `HiddenTruthError`."""
+    """Raises `hidden_truth`."""
     if where := hiding(session, sequence.id):
-        raise HiddenTruthError(sequence.name, where)
+        raise ApiError(
+            "hidden_truth",
+            f"sequence {sequence.name!r} is {where}: made public, anybody could fetch the labels that entries are "
+            "scored against; make another sequence public, or take this one out of test before anything is "
+            "published of it",
+        )
 
 
 def _flush_named(session: Session, name: str) -> None:

@@ -10,14 +10,7 @@ from fastapi import APIRouter, Request, Response
 from api import audit
 from api.answers import refusals
 from api.deps import AccountHolder, Caller, PlatformDep
-from api.errors import (
-    ConflictError,
-    DeviceCodeError,
-    DeviceDeniedError,
-    DevicePendingError,
-    DeviceSlowDownError,
-    NotFoundError,
-)
+from api.errors import ApiError, NotFoundError
 from api.middleware.limits import address_of
 from api.routes.tokens import MOST_TOKENS
 from api.schemas.people import IssuedToken
@@ -27,8 +20,6 @@ from services.runtime.access.device_grants import DevicePoll, DeviceRequest
 from services.runtime.orm import User
 
 router = APIRouter(prefix="/device-grants", tags=["people"])
-
-REFUSALS = {"pending": DevicePendingError, "denied": DeviceDeniedError, "unknown": DeviceCodeError}
 
 
 @router.post("", status_code=201, summary="Ask for the codes a program signs in with", responses=refusals(400))
@@ -56,7 +47,7 @@ def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platfo
         if not body.approves:
             grant.is_denied = True
         elif tokens.token_count(session, caller.user_id) >= MOST_TOKENS:
-            raise ConflictError(f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+            raise ApiError("conflict", f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
         else:
             grant.user_id, grant.scopes = caller.user_id, device_grants.scopes_for(grant, caller.scopes)
         audit.record(session, caller, "device.approve" if body.approves else "device.deny", grant.id, facts=facts)
@@ -76,11 +67,18 @@ def take(body: DeviceTokenBody, response: Response, platform: PlatformDep) -> Is
 
 
 def _issued(told: DevicePoll) -> IssuedToken:
-    """Raises `DevicePendingError`, `DeviceSlowDownError`, `DeviceDeniedError`, `DeviceCodeError`."""
+    """Raises `authorization_pending`, `slow_down`, `access_denied`, `expired_token`."""
     if told.state == "slow_down":
-        raise DeviceSlowDownError(device_grants.INTERVAL_S)
+        wait_s = device_grants.INTERVAL_S
+        sentence = f"this program asked less than {wait_s} s ago; ask again in {wait_s} s"
+        raise ApiError("slow_down", sentence, {"Retry-After": str(wait_s)})
+    if told.state == "pending":
+        raise ApiError("authorization_pending", "this program has not been approved yet; ask again after interval_s")
+    if told.state == "denied":
+        raise ApiError("access_denied", "this program was denied; start again if that was a mistake")
     if told.token is None:
-        raise REFUSALS[told.state]()
+        sentence = "this device code is unknown, expired (ten minutes), or already used; start again"
+        raise ApiError("expired_token", sentence)
     return IssuedToken.of(told.token, secret=told.secret)
 
 

@@ -13,7 +13,7 @@ from typing import Annotated, ClassVar
 
 from pydantic import Field
 
-from api.errors import RateLimitedError
+from api.errors import rate_limited
 from services.domain.imports.requests import Meaning, StatedClasses
 from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.sandbox.answers import SandboxAnswer
@@ -35,9 +35,9 @@ class ClassMapAnswer(SandboxAnswer):
 
 
 def stated_classes(text: str) -> StatedClasses:
-    """The map in the text. Raises `DST-070`; `RateLimitedError` when too many are being read."""
+    """The map in the text. Raises `DST-070`; `rate_limited` when too many are being read."""
     if not _turns.acquire(timeout=PATIENCE_S):
-        raise RateLimitedError(PER_MINUTE, int(PATIENCE_S))
+        raise rate_limited(PER_MINUTE, int(PATIENCE_S))
     try:
         with TemporaryDirectory(prefix="stone-classes-") as folder:
             path = Path(folder) / FILE

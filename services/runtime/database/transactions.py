@@ -88,7 +88,7 @@ class Database:
 
 
 class _LookupSession(Session):
-    """Raises `InvalidRequestError` instead of writing a row."""
+    """Raises `invalid_request` instead of writing a row."""
 
     def flush(self, objects: Sequence[Any] | None = None) -> None:
         if self.new or self.dirty or self.deleted:
