@@ -26,10 +26,10 @@ from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration
 from stone_recordings.report.rig.channels import ChannelMatch, channel_findings, channel_matches
 from stone_recordings.report.rig.record import calibration_facts
-from stone_recordings.sync.errors import NoLidarError, NoPosedFramesError, NoPoseSourceError, NoUsablePoseError
 from stone_recordings.topics.profiles import TopicProfile
 
-WITHOUT_A_RUN = (NoLidarError, NoPoseSourceError, NoUsablePoseError, NoPosedFramesError)
+WITHOUT_A_RUN = ("TOP-101", "SYN-501", "SYN-502", "SYN-503")
+"""The codes of a recording that cannot be synchronised."""
 OF_CALIBRATIONS = ("CAL-", "TIM-205")
 
 
@@ -93,7 +93,7 @@ def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tupl
     try:
         sequence, _ = sequence_in(bag, path, bag.path.stem, options)
     except StoneError as error:
-        if not isinstance(error, WITHOUT_A_RUN):
+        if error.code not in WITHOUT_A_RUN:
             return (Finding(error.code, "error", "", str(error)),), None
         unmeasured = f"neither the ground nor the cameras were checked: {error}"
         return (Finding(error.code, "warning", "", unmeasured),), None

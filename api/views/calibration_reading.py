@@ -23,10 +23,10 @@ from services.domain.sequences.calibrations import ReadCalibration, Validity
 from services.runtime.sandbox import SandboxCrashedError, SandboxLimits, sandboxed
 from services.runtime.sandbox.result_files import packed, unpacked
 from services.runtime.store.protocol import Store
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
-from stone_recordings.calibrations.errors import CalibrationKeyError, ValidityError
+from stone_recordings.calibrations.errors import bad_calibration_key
 from stone_recordings.calibrations.file import CalibrationRead, read_calibration_files
 from stone_recordings.calibrations.record import calibration_of, calibration_record
 
@@ -109,9 +109,9 @@ def validity(valid_from: datetime | None, valid_to: datetime | None) -> Validity
     found = Validity(*(None if moment is None else _since_1970_ns(moment) for moment in (valid_from, valid_to)))
     reached = [moment_ns for moment_ns in (found.from_ns, found.to_ns) if moment_ns is not None]
     if any(not 0 <= moment_ns < 2**63 for moment_ns in reached):
-        raise CalibrationRefusedError(FORM, ValidityError(FORM, "its years are not within 1970 to 2262"))
+        raise CalibrationRefusedError(FORM, validity_refusal(FORM, "its years are not within 1970 to 2262"))
     if len(reached) == len((valid_from, valid_to)) and reached[0] >= reached[1]:
-        raise CalibrationRefusedError(FORM, ValidityError(FORM, "valid_from is not before valid_to"))
+        raise CalibrationRefusedError(FORM, validity_refusal(FORM, "valid_from is not before valid_to"))
     return found
 
 
@@ -120,7 +120,13 @@ def _since_1970_ns(moment: datetime) -> int:
 
 
 def _check_names(filename: str, calibration: Calibration) -> None:
-    """Names are shown and looked for. Raises `CalibrationKeyError` for one with characters nobody can see."""
+    """Names are shown and looked for. Raises `CAL-422` for one with characters nobody can see."""
     for name in (calibration.name, *(mount.name for mount in calibration.mounts)):
         if not name.isprintable():
-            raise CalibrationKeyError(filename, repr(name)[:80], "a name has printable characters only", 0)
+            raise bad_calibration_key(filename, repr(name)[:80], "a name has printable characters only", 0)
+
+
+def validity_refusal(name: str, problem: str) -> Refused:
+    return Refused(
+        "CAL-418", f"{name}: {problem}; it is valid from `valid_from` up to `valid_to`, either may be left out"
+    )

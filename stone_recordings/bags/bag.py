@@ -19,7 +19,7 @@ from stone.findings import Finding
 from stone.sensors.sequence import RecordingClock
 from stone_files.joined_file import JoinedMember, is_joined, member_path, read_joined
 from stone_recordings.bags.containers import opened_store
-from stone_recordings.bags.errors import EncodingRefusedError, UnknownTopicError
+from stone_recordings.bags.errors import IngestError, encoding_refused
 from stone_recordings.bags.joined.joined_store import MovedBag, coverage_findings, joined_store, member_findings
 from stone_recordings.bags.members import members_of
 from stone_recordings.bags.message_store import Messages, MessageStore, Topic
@@ -188,12 +188,12 @@ class Bag:
 
     def _check_known(self, topic: str) -> None:
         if topic not in self._topics:
-            raise UnknownTopicError(self.path.name, topic, tuple(self._topics))
+            raise unknown_topic(self.path.name, topic, tuple(self._topics))
 
     def _check_readable(self, topic: str) -> None:
         self._check_known(topic)
         if (encoding := self._topics[topic].encoding) != "cdr":
-            raise EncodingRefusedError(self.path.name, topic, encoding)
+            raise encoding_refused(self.path.name, topic, encoding)
 
 
 def _damage(reasons: Mapping[int, str], count: int) -> str:
@@ -239,3 +239,8 @@ def _plain_bag(path: Path) -> Bag:
         bag = Bag(path, store, members.findings)
         opened.pop_all()
     return bag
+
+
+def unknown_topic(name: str, topic: str, known: tuple[str, ...]) -> IngestError:
+    shown = ", ".join(known[:8]) + (", …" if len(known) > 8 else "")
+    return IngestError("BAG-015", f"{name} has no topic {topic!r}; it has {shown or 'no topics at all'}")

@@ -18,12 +18,7 @@ import zstandard
 from isal import isal_zlib
 from lz4.frame import LZ4FrameDecompressor  # type: ignore[import-untyped]
 
-from stone_recordings.bags.errors import (
-    ChecksumError,
-    ChunkTooLargeError,
-    CompressionRefusedError,
-    MalformedBagError,
-)
+from stone_recordings.bags.errors import ChecksumError, IngestError, MalformedBagError
 
 CHUNK_LIMIT_BYTES = 512 * 1024 * 1024
 # Below this a wrong size costs little memory; above it, growth beyond the ratio is measured before it is allocated.
@@ -110,12 +105,16 @@ def check_crc32(records: memoryview, chunk: Chunk) -> None:
 
 def _check_size(chunk: Chunk, packed_bytes: int) -> None:
     if chunk.compression not in ("", *chunk.known):
-        raise CompressionRefusedError(chunk.where, chunk.compression, chunk.known)
+        raise compression_refused(chunk.where, chunk.compression, chunk.known)
     if not chunk.compression and chunk.uncompressed_bytes != packed_bytes:
         problem = f"uncompressed, yet {packed_bytes} bytes are stored for {chunk.uncompressed_bytes} declared"
         raise MalformedBagError(chunk.where, problem)
     if chunk.compression and chunk.uncompressed_bytes > CHUNK_LIMIT_BYTES:
-        raise ChunkTooLargeError(chunk.where, chunk.uncompressed_bytes, CHUNK_LIMIT_BYTES)
+        raise IngestError(
+            "BAG-013",
+            f"{chunk.where} declares {chunk.uncompressed_bytes} bytes uncompressed, the limit is "
+            f"{CHUNK_LIMIT_BYTES}; record with a chunk size of a few MiB",
+        )
 
 
 def _inflated(packed: memoryview, chunk: Chunk) -> memoryview:
@@ -182,3 +181,8 @@ def _zstd_pieces(packed: memoryview, piece_bytes: int = PIECE_BYTES) -> Iterator
 
 def _problem(chunk: Chunk, fault: str) -> str:
     return f"{chunk.compression} data does not decompress to the declared {chunk.uncompressed_bytes} bytes ({fault})"
+
+
+def compression_refused(where: str, compression: str, known: tuple[str, ...]) -> IngestError:
+    read = ", ".join(repr(name) for name in known)
+    return IngestError("BAG-017", f"{where} is compressed with {compression!r}; {read} and none are read")

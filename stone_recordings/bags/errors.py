@@ -48,34 +48,12 @@ class MalformedBagError(IngestError):
         )
 
 
-class ChunkTooLargeError(IngestError):
-    """A chunk declares more bytes than a recorder would ever put into one."""
-
-    def __init__(self, where: str, declared_bytes: int, limit_bytes: int) -> None:
-        super().__init__(
-            "BAG-013",
-            f"{where} declares {declared_bytes} bytes uncompressed, the limit is {limit_bytes}; "
-            f"record with a chunk size of a few MiB",
-        )
-
-
-class EncodingRefusedError(IngestError):
-    """Messages are encoded otherwise than as CDR."""
-
-    def __init__(self, name: str, topic: str, encoding: str) -> None:
-        super().__init__(
-            "BAG-014",
-            f"{name}: topic {topic!r} is encoded as {encoding!r}, only 'cdr' is read; "
-            f"protobuf and JSON recordings must be converted to ROS 2 first",
-        )
-
-
-class UnknownTopicError(IngestError):
-    """No message of that topic was recorded."""
-
-    def __init__(self, name: str, topic: str, known: tuple[str, ...]) -> None:
-        shown = ", ".join(known[:8]) + (", …" if len(known) > 8 else "")
-        super().__init__("BAG-015", f"{name} has no topic {topic!r}; it has {shown or 'no topics at all'}")
+def encoding_refused(name: str, topic: str, encoding: str) -> IngestError:
+    return IngestError(
+        "BAG-014",
+        f"{name}: topic {topic!r} is encoded as {encoding!r}, only 'cdr' is read; "
+        f"protobuf and JSON recordings must be converted to ROS 2 first",
+    )
 
 
 class ChecksumError(IngestError):
@@ -86,25 +64,6 @@ class ChecksumError(IngestError):
             "BAG-016",
             f"{where}: CRC-32 is {found:08x}, declared {declared:08x}; the file was damaged after recording, "
             "stone recover writes its intact part to another file",
-        )
-
-
-class CompressionRefusedError(IngestError):
-    """Chunks are compressed with an algorithm that their container format does not have."""
-
-    def __init__(self, where: str, compression: str, known: tuple[str, ...]) -> None:
-        read = ", ".join(repr(name) for name in known)
-        super().__init__("BAG-017", f"{where} is compressed with {compression!r}; {read} and none are read")
-
-
-class EncryptedBagError(IngestError):
-    """The messages of a ROS 1 bag are encrypted."""
-
-    def __init__(self, name: str, encryptor: str) -> None:
-        super().__init__(
-            "BAG-036",
-            f"{name} is encrypted by {encryptor[:60]!r}, its key is not known here; decrypt it where the key is, "
-            f"in ROS 1: rosbag decrypt {name}",
         )
 
 
@@ -142,17 +101,6 @@ class CloudLayoutError(IngestError):
         super().__init__("MSG-303", f"sensor_msgs/msg/PointCloud2: {problem}; the driver declares a wrong layout")
 
 
-class MixedFramesError(IngestError):
-    """One topic has several pairs of frames."""
-
-    def __init__(self, type_name: str, pairs: tuple[str, ...]) -> None:
-        super().__init__(
-            "MSG-304",
-            f"{type_name} changes its frames within one topic ({', '.join(pairs[:4])}); "
-            f"two sources publish on it, so choose one",
-        )
-
-
 class PoseValueError(IngestError):
     """An invalid pose: NaN, infinity, or a quaternion of zero norm."""
 
@@ -162,37 +110,17 @@ class PoseValueError(IngestError):
         )
 
 
-class DatabaseRefusedError(IngestError):
-    """A `.db3` file is not a rosbag2 database, or nothing in it can be read."""
-
-    def __init__(self, name: str, reason: str) -> None:
-        quoted = " ".join(reason.split())  # SQLite quotes statements as they were written
-        super().__init__("BAG-018", f"{name} cannot be read as a rosbag2 database: {quoted}")
+def database_refused(name: str, reason: str) -> IngestError:
+    quoted = " ".join(reason.split())
+    return IngestError("BAG-018", f"{name} cannot be read as a rosbag2 database: {quoted}")
 
 
-class MembersRefusedError(IngestError):
-    """A folder does not say which of its files are the recording, or none of them is there."""
-
-    def __init__(self, name: str, problem: str) -> None:
-        super().__init__("BAG-019", f"{name} cannot be opened as a rosbag2 folder: {problem}")
-
-
-class RecoveryTargetError(IngestError):
-    """The output of a recovery is the file that it reads."""
-
-    def __init__(self, name: str) -> None:
-        super().__init__("BAG-026", f"{name} is the original; recover into another file, the original is never written")
-
-
-class PackedTooLargeError(IngestError):
-    """A compressed message or file decompresses to more than any recorder writes."""
-
-    def __init__(self, where: str, packed_bytes: int, limit_bytes: int) -> None:
-        super().__init__(
-            "BAG-027",
-            f"{where}: its {packed_bytes} compressed bytes decompress to more than {limit_bytes}; "
-            f"decompress it yourself if that is its true size",
-        )
+def packed_too_large(where: str, packed_bytes: int, limit_bytes: int) -> IngestError:
+    return IngestError(
+        "BAG-027",
+        f"{where}: its {packed_bytes} compressed bytes decompress to more than {limit_bytes}; "
+        f"decompress it yourself if that is its true size",
+    )
 
 
 class NoRoomError(PlatformFaultError, IngestError):

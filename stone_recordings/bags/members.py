@@ -16,7 +16,7 @@ from ruamel.yaml.events import CollectionEndEvent, CollectionStartEvent, Mapping
 
 from stone.findings import Finding
 from stone_files.joined_file import is_joined
-from stone_recordings.bags.errors import MembersRefusedError, NotABagError
+from stone_recordings.bags.errors import IngestError, NotABagError
 from stone_recordings.bags.magic import container_of, is_container
 
 # A bounded reader of rosbag2's metadata.yaml, for the files it lists.
@@ -116,7 +116,7 @@ def members_of(path: Path) -> RecordingMembers:
         container_of(path)
         return RecordingMembers((path,))
     if is_joined(path):
-        raise MembersRefusedError(path.name, "it joins several recordings: name one of them")
+        raise members_refused(path.name, "it joins several recordings: name one of them")
     names = _names(path)
     if METADATA not in names:
         return _found(path, names)
@@ -133,9 +133,7 @@ def _names(folder: Path) -> list[str]:
     names = []
     for number, entry in enumerate(folder.iterdir()):
         if number >= MOST_MEMBERS:
-            raise MembersRefusedError(
-                folder.name, f"it holds more than {MOST_MEMBERS} entries, more than any recording"
-            )
+            raise members_refused(folder.name, f"it holds more than {MOST_MEMBERS} entries, more than any recording")
         if entry.is_file() and not entry.name.startswith("."):
             names.append(entry.name)
     return sorted(names, key=_natural)
@@ -154,7 +152,7 @@ def _found(folder: Path, names: list[str]) -> RecordingMembers:
         raise NotABagError(folder.name, b"", "a folder without metadata.yaml, .mcap, .db3 or .bag file")
     if len({Path(name.removesuffix(".zstd").removesuffix(".active")).suffix for name in files}) > 1:
         shown = ", ".join(files[:4])
-        raise MembersRefusedError(folder.name, f"it has no metadata.yaml to say which files are the recording: {shown}")
+        raise members_refused(folder.name, f"it has no metadata.yaml to say which files are the recording: {shown}")
     message = f"No metadata.yaml: the {len(files)} files of the folder are taken as one recording."
     return RecordingMembers(tuple(folder / name for name in files), (Finding("BAG-025", "info", "", message),))
 
@@ -167,7 +165,7 @@ def _listed(folder: Path, names: list[str], metadata: BagMetadata) -> RecordingM
         message = f"metadata.yaml lists {len(wanted)} files, {len(missing)} are missing or empty: {_shown(missing)}."
         findings.append(Finding("BAG-021", "error", missing[0], message))
     if not present:
-        raise MembersRefusedError(folder.name, f"none of the {len(wanted)} files that metadata.yaml lists is there")
+        raise members_refused(folder.name, f"none of the {len(wanted)} files that metadata.yaml lists is there")
     known = {*present, METADATA, *(f"{name}{suffix}" for name in present for suffix in SIDECARS)}
     if others := [name for name in names if name not in known and is_container(folder / name)]:
         message = f"metadata.yaml does not list {_shown(others)}: left out."
@@ -182,3 +180,7 @@ def _has_bytes(path: Path) -> bool:
 
 def _shown(names: list[str]) -> str:
     return ", ".join(names[:4]) + (f" and {len(names) - 4} more" if len(names) > 4 else "")
+
+
+def members_refused(name: str, problem: str) -> IngestError:
+    return IngestError("BAG-019", f"{name} cannot be opened as a rosbag2 folder: {problem}")

@@ -13,7 +13,7 @@ from pathlib import Path
 
 import zstandard
 
-from stone_recordings.bags.errors import MalformedBagError, NoRoomError, PackedTooLargeError
+from stone_recordings.bags.errors import MalformedBagError, NoRoomError, packed_too_large
 
 # What a temporary copy must leave free on its disk.
 SPARED_BYTES = 256 * 2**20
@@ -96,7 +96,7 @@ def unpacked_file(path: Path, folder: PrivateFolder) -> Path:
         for piece in _pieces(path):
             size_bytes += len(piece)
             if size_bytes > limit_bytes:
-                raise PackedTooLargeError(path.name, packed_bytes, limit_bytes)
+                raise packed_too_large(path.name, packed_bytes, limit_bytes)
             folder.check_room(path.name, len(piece))
             file.write(piece)
     return target

@@ -10,7 +10,7 @@ import numpy as np
 import zstandard
 
 from stone_recordings.bags.chunks import DOUBTED_RATIO, UNDOUBTED_BYTES, pieces_of
-from stone_recordings.bags.errors import MalformedBagError, PackedTooLargeError
+from stone_recordings.bags.errors import MalformedBagError, packed_too_large
 from stone_recordings.bags.message_store import HEAD_BYTES
 
 ZSTD_MAGIC = b"\x28\xb5\x2f\xfd"
@@ -57,5 +57,5 @@ def _size_of(payload: memoryview, where: str) -> int:
     for piece in pieces_of(payload, "zstd"):
         size_bytes += len(piece)
         if size_bytes > MESSAGE_LIMIT_BYTES:
-            raise PackedTooLargeError(where, len(payload), MESSAGE_LIMIT_BYTES)
+            raise packed_too_large(where, len(payload), MESSAGE_LIMIT_BYTES)
     return size_bytes

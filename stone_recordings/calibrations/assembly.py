@@ -6,18 +6,20 @@ how it is turned: a link (x forward, z up) is turned to its optical frame, and a
 """
 
 import re
+from collections.abc import Iterable
 from dataclasses import replace
 from pathlib import PurePath
 
 import numpy as np
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
 from stone.sensors.calibration_checks import Findings, check_intrinsics, check_translation, warning
 from stone.sensors.calibration_errors import DisconnectedSensorError
 from stone_recordings.calibrations.draft import EGO_FRAMES, RigDraft, channel_of, is_optical, words_of
-from stone_recordings.calibrations.errors import AmbiguousRigError, CalibrationKeyError, HalfRigError
+from stone_recordings.calibrations.errors import bad_calibration_key, half_rig
 from stone_recordings.calibrations.native import RigDocument, RigSensor, boxes_of, footprint_of
 
 ADD_RIG = "send it in a zip with a rig.yaml (`stone_rig: 1`)"
@@ -53,7 +55,7 @@ def _check_kits(draft: RigDraft) -> None:
     for frame in draft.frames:
         if "kit" in words_of(frame) and frame not in parents:
             missing = f"it has the transform to {frame}, but none to the sensors on it"
-            raise HalfRigError(draft.name, missing, "send sensor_kit_calibration.yaml along in a zip")
+            raise half_rig(draft.name, missing, "send sensor_kit_calibration.yaml along in a zip")
 
 
 def _lidar(draft: RigDraft, rig: RigDocument) -> str:
@@ -61,14 +63,14 @@ def _lidar(draft: RigDraft, rig: RigDocument) -> str:
         return _known(draft, "lidar", rig.lidar)
     found = draft.sensors_of("lidar")
     if len(found) > 1:
-        raise AmbiguousRigError(draft.name, "the LiDAR", found, f"{ADD_RIG} that has `lidar: {found[0]}`, say")
+        raise ambiguous_rig(draft.name, "the LiDAR", found, f"{ADD_RIG} that has `lidar: {found[0]}`, say")
     if found:
         return found[0]
     if not draft.frames and not draft.lenses:
-        raise HalfRigError(draft.name, "it has no extrinsics (only an IMU's noise model?)", "send the camchain with it")
+        raise half_rig(draft.name, "it has no extrinsics (only an IMU's noise model?)", "send the camchain with it")
     placed = ", ".join(list(dict.fromkeys((*draft.lenses, *draft.frames)))[:6])
     missing = f"it has extrinsics of {placed}, but no LiDAR" if draft.frames else f"it has {placed} without extrinsics"
-    raise HalfRigError(draft.name, missing, f"{ADD_RIG} whose transforms place the LiDAR relative to one of them")
+    raise half_rig(draft.name, missing, f"{ADD_RIG} whose transforms place the LiDAR relative to one of them")
 
 
 def _ego(draft: RigDraft, rig: RigDocument, lidar: str) -> str:
@@ -81,13 +83,13 @@ def _ego(draft: RigDraft, rig: RigDocument, lidar: str) -> str:
     has_kit = any("kit" in words_of(frame) for frame in draft.frames)
     others = "send Autoware's sensors_calibration.yaml too, or " if has_kit else "send "
     remedy = f"{others}the robot's tf_static, or a rig.yaml whose transforms place {lidar} on base_link, in a zip"
-    raise HalfRigError(draft.name, missing, remedy)
+    raise half_rig(draft.name, missing, remedy)
 
 
 def _known(draft: RigDraft, key: str, frame: str) -> str:
     if frame not in draft.frames:
         known = ", ".join(draft.frames[:8])
-        raise CalibrationKeyError(
+        raise bad_calibration_key(
             draft.name, f"rig {key}", f"no transform names the frame {frame!r}; there are {known}", 0
         )
     return frame
@@ -163,3 +165,8 @@ def _lens(draft: RigDraft, frame: str, of: tuple[str, RigSensor | None]) -> tupl
     if not lens.width_px:
         return None, (warning("CAL-426", channel, "no file gives the size of its images; its intrinsics are not used"),)
     return lens, check_intrinsics(channel, lens)
+
+
+def ambiguous_rig(name: str, what: str, choices: Iterable[str], remedy: str) -> Refused:
+    shown = ", ".join(list(choices)[:8])
+    return Refused("CAL-425", f"{name}: {what} could be any of {shown}; {remedy}")

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
-from stone_recordings.calibrations.errors import ConflictingFilesError
+from stone_recordings.calibrations.errors import conflicting_files
 from stone_recordings.calibrations.part import CalibrationPart, Edge
 from stone_recordings.poses.static_tree import StaticTree
 
@@ -72,7 +72,7 @@ def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
         for lens, intrinsics in part.lenses.items():
             known, file = lenses.setdefault(lens, (intrinsics, part.file))
             if known != intrinsics:
-                raise ConflictingFilesError(name, f"the intrinsics of {lens}", (file, part.file))
+                raise conflicting_files(name, f"the intrinsics of {lens}", (file, part.file))
         offsets_ns |= part.offsets_ns
         kinds |= part.kinds
         optical |= part.optical
@@ -91,7 +91,7 @@ def _add_edge(name: str, edges: dict[frozenset[str], tuple[Edge, str]], edge: Ed
     apart = np.abs(same.as_matrix() - edge.parent_from_child.as_matrix()).max()
     if apart > SAME_M_OR_RATIO or len(pair) == 1:
         files = tuple(dict.fromkeys((before, file)))
-        raise ConflictingFilesError(name, f"the transform from {edge.child} to {edge.parent}", files)
+        raise conflicting_files(name, f"the transform from {edge.child} to {edge.parent}", files)
 
 
 # Names of frames on robots: the kind of sensor each means, which two mean one sensor, its channel.

@@ -11,7 +11,7 @@ import numpy as np
 
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, checked_transform
-from stone_recordings.calibrations.errors import LensModelError
+from stone_recordings.calibrations.errors import unread_lens_model
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, distortion_of, intrinsics
 
 CAMERA = re.compile(r"cam(\d{1,3})")
@@ -64,7 +64,7 @@ def _edges(name: str, number: int, camera: Node) -> list[tuple[Edge, Findings]]:
 def _lens(name: str, camera: Node) -> CameraIntrinsics:
     model, distorted = camera.at("camera_model").text(), camera.at("distortion_model").text()
     if model != "pinhole":
-        raise LensModelError(camera.file, name, model)
+        raise unread_lens_model(camera.file, name, model)
     numbers = camera.at("intrinsics").vector()
     if numbers.shape != (4,):
         raise camera.at("intrinsics").refused("four numbers fu, fv, pu, pv are expected")

@@ -22,7 +22,7 @@ from numpy.typing import NDArray
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, rotation_and_translation
 from stone_recordings.calibrations.draft import words_of
-from stone_recordings.calibrations.errors import HalfRigError
+from stone_recordings.calibrations.errors import half_rig
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 REFERENCE, RECTIFIED, LIDAR, IMU, RADAR = "reference", "rectified", "velodyne", "imu", "radar"
@@ -94,7 +94,7 @@ def _raw_pair(document: Node) -> tuple[str, str]:
     if name.endswith("imu_to_velo"):
         return LIDAR, IMU
     missing = "the frames of its R and T are unknown"
-    raise HalfRigError(document.file, missing, "keep KITTI's file name, calib_imu_to_velo.txt or the like")
+    raise half_rig(document.file, missing, "keep KITTI's file name, calib_imu_to_velo.txt or the like")
 
 
 def _projections(document: Node) -> dict[str, NDArray[np.float64]]:

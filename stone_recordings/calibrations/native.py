@@ -8,6 +8,7 @@ from typing import Annotated, Literal
 import numpy as np
 from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_validator
 
+from stone.errors import Refused
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, SensorKind
 from stone.sensors.calibration_checks import (
@@ -19,7 +20,7 @@ from stone.sensors.calibration_checks import (
     quaternion_and_translation,
     rotation_and_translation,
 )
-from stone_recordings.calibrations.errors import CalibrationKeyError
+from stone_recordings.calibrations.errors import bad_calibration_key
 
 # The keys of a native calibration file, and of the rig document that completes others, as their authors write them.
 #
@@ -144,14 +145,14 @@ def native(file: str, content: object) -> tuple[Calibration, Findings]:
     return Calibration(document.name, ego_from_lidar, tuple(mounts), footprint, boxes), findings
 
 
-def key_error(name: str, error: ValidationError) -> CalibrationKeyError:
+def key_error(name: str, error: ValidationError) -> Refused:
     """The first complaint, with the key as the author would find it."""
     first = error.errors(include_url=False, include_context=False)[0]
     key = ".".join(str(part) for part in first["loc"])[:120]
     problem = first["msg"].removeprefix("Value error, ")
     if not isinstance(first["input"], (dict, list)):
         problem += f", not {str(first['input'])[:40]!r}"
-    return CalibrationKeyError(name, key, problem, error.error_count() - 1)
+    return bad_calibration_key(name, key, problem, error.error_count() - 1)
 
 
 def transform_of(name: str, kind: SensorKind | None, document: TransformDocument) -> tuple[SE3, Findings]:

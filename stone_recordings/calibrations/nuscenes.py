@@ -11,7 +11,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, quaternion_and_translation, rotation_and_translation, warning
 from stone_recordings.calibrations.draft import kind_of
-from stone_recordings.calibrations.errors import ConflictingFilesError, HalfRigError
+from stone_recordings.calibrations.errors import conflicting_files, half_rig
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 EGO = "ego"
@@ -29,9 +29,7 @@ def is_sensors(content: list[object]) -> bool:
 def nuscenes(document: Node, sensors: Node | None) -> CalibrationPart:
     """Every row of the table. Raises HalfRigError without sensor.json, ConflictingFilesError for a channel twice."""
     if sensors is None:
-        raise HalfRigError(
-            document.file, "its rows name their sensors by token only", "send sensor.json along in a zip"
-        )
+        raise half_rig(document.file, "its rows name their sensors by token only", "send sensor.json along in a zip")
     named = {row.at("token").text(): (row.at("channel").text(), row.at("modality").text()) for row in sensors.items()}
     edges, findings = dict[str, Edge](), Findings()
     lenses, kinds = dict[str, CameraIntrinsics](), dict[str, SensorKind]()
@@ -65,4 +63,4 @@ def _transform(channel: str, kind: SensorKind, row: Node) -> tuple[SE3, Findings
 
 def _check_same(file: str, before: Edge | None, transform: SE3, channel: str) -> None:
     if before is not None and not np.allclose(before.parent_from_child.as_matrix(), transform.as_matrix(), atol=1e-6):
-        raise ConflictingFilesError(file, f"the extrinsics of {channel}", ("two of its rows",))
+        raise conflicting_files(file, f"the extrinsics of {channel}", ("two of its rows",))

@@ -26,7 +26,7 @@ from stone.sensors.calibration import CameraIntrinsics, SensorKind
 from stone.sensors.calibration_checks import Findings, checked_transform, rotation_and_translation, warning
 from stone.sensors.camera_views import UPRIGHT_LEAST
 from stone_recordings.calibrations.draft import kind_of
-from stone_recordings.calibrations.errors import LensModelError
+from stone_recordings.calibrations.errors import unread_lens_model
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 from stone_recordings.calibrations.plain_yaml import OpenCvMatrix
 
@@ -97,7 +97,7 @@ def _lens(document: Node, camera: _OpenCvCamera) -> CameraIntrinsics:
     models = {0: "none", 4: "radtan", 5: "plumb_bob", RATIONAL: "rational_polynomial"}
     model = "equidistant" if is_fisheye else models.get(len(given))
     if model is None:
-        raise LensModelError(document.file, camera.name, f"OpenCV's with {len(given)} coefficients")
+        raise unread_lens_model(document.file, camera.name, f"OpenCV's with {len(given)} coefficients")
     text = LensText(document.file, camera.name, model, given)
     return intrinsics(text, _sized(camera.matrix, 3, 3), _size_px(document))
 

@@ -11,11 +11,12 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel, SensorKind
 from stone.sensors.calibration_checks import Findings
 from stone.sensors.calibration_errors import DistortionLengthError, NotFiniteError
-from stone_recordings.calibrations.errors import CalibrationKeyError, LensModelError
+from stone_recordings.calibrations.errors import bad_calibration_key, unread_lens_model
 
 Format = Literal[
     "native", "ros_camera_info", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "tf_static"
@@ -60,9 +61,9 @@ class Node:
     key: str
     value: object
 
-    def refused(self, problem: str) -> CalibrationKeyError:
+    def refused(self, problem: str) -> Refused:
         shown = "" if isinstance(self.value, (dict, list)) else f", not {str(self.value)[:40]!r}"
-        return CalibrationKeyError(self.file, self.key[:120], problem + shown, 0)
+        return bad_calibration_key(self.file, self.key[:120], problem + shown, 0)
 
     def entries(self) -> dict[str, "Node"]:
         """The entries of a mapping, in order, by key."""
@@ -81,7 +82,7 @@ class Node:
     def at(self, key: str) -> "Node":
         entries = self.entries()
         if key not in entries:
-            raise CalibrationKeyError(self.file, f"{self.key}.{key}".lstrip(".")[:120], "Field required", 0)
+            raise bad_calibration_key(self.file, f"{self.key}.{key}".lstrip(".")[:120], "Field required", 0)
         return entries[key]
 
     def number(self) -> float:
@@ -167,7 +168,7 @@ def intrinsics(lens: LensText, matrix: NDArray[np.float64], size_px: tuple[int, 
     """Raises LensModelError, DistortionLengthError, NotFiniteError, CalibrationKeyError (skew)."""
     model = MODELS.get(lens.model or ("plumb_bob" if lens.distortion else "none"))
     if model is None:
-        raise LensModelError(lens.file, lens.sensor, lens.model)
+        raise unread_lens_model(lens.file, lens.sensor, lens.model)
     if not np.isfinite(matrix).all():
         raise NotFiniteError(lens.sensor, "the camera matrix")
     distortion = lens.distortion

@@ -8,9 +8,10 @@ from collections.abc import Callable
 from dataclasses import dataclass
 from pathlib import PurePath
 
+from stone.errors import Refused
 from stone_files.calibration_bundle import Bundle
 from stone_recordings.calibrations import autoware, kalibr, kitti, nuscenes, opencalib, opencv, rellis, rig, ros
-from stone_recordings.calibrations.errors import CalibrationFormatError, ConflictingFilesError
+from stone_recordings.calibrations.errors import conflicting_files
 from stone_recordings.calibrations.native import RigDocument, is_native
 from stone_recordings.calibrations.part import CalibrationPart, Node
 from stone_recordings.calibrations.plain_yaml import parse_documents
@@ -51,7 +52,7 @@ def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
     whole = [(file, found[0]) for file, found in documents if isinstance(found[0], dict) and is_native(found[0])]
     if whole:
         if len(documents) > 1:
-            raise ConflictingFilesError(
+            raise conflicting_files(
                 name, "the rig, which a native file describes completely", [file for file, _ in documents]
             )
         return RecognisedBundle(whole[0], (), RigDocument(stone_rig=1))
@@ -64,7 +65,7 @@ def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
             parts.append(_part(file, found))
     parts += _tables(tables)
     if len(rigs) > 1:
-        raise ConflictingFilesError(name, "the rest of the rig", [file for file, _ in rigs])
+        raise conflicting_files(name, "the rest of the rig", [file for file, _ in rigs])
     parts += [rig.rig_part(file, document) for file, document in rigs]
     return RecognisedBundle(None, tuple(parts), rigs[0][1] if rigs else RigDocument(stone_rig=1))
 
@@ -78,16 +79,16 @@ def _part(file: str, documents: tuple[object, ...]) -> CalibrationPart:
     if rellis.is_camera_text(content):
         return rellis.camera_text(Node(file, "", content))
     if not isinstance(content, dict):
-        raise CalibrationFormatError(file, "an empty file" if content is None else "plain text")
+        raise unknown_calibration_format(file, "an empty file" if content is None else "plain text")
     if any(not isinstance(key, str) for key in content):
-        raise CalibrationFormatError(file, "another YAML file (a key is not text)")
+        raise unknown_calibration_format(file, "another YAML file (a key is not text)")
     if "transforms" in content:
         return ros.tf_message([Node(file, "", document) for document in documents])
     for is_it, read in READERS:
         if is_it(content):
             return read(Node(file, "", content))
     looks_like = next((named for key, named in OTHERS.items() if key in content), "another YAML file")
-    raise CalibrationFormatError(file, looks_like)
+    raise unknown_calibration_format(file, looks_like)
 
 
 def _tables(tables: dict[str, object]) -> list[CalibrationPart]:
@@ -98,6 +99,15 @@ def _tables(tables: dict[str, object]) -> list[CalibrationPart]:
     for file in rows:
         if file not in calibrated and (file not in sensors or not calibrated):
             looks_like = "a nuScenes sensor table without its calibrated_sensor" if file in sensors else "a list"
-            raise CalibrationFormatError(file, looks_like)
+            raise unknown_calibration_format(file, looks_like)
     named = Node(sensors[0], "", rows[sensors[0]]) if sensors else None
     return [nuscenes.nuscenes(Node(file, "", rows[file]), named) for file in calibrated]
+
+
+def unknown_calibration_format(name: str, looks_like: str) -> Refused:
+    return Refused(
+        "CAL-423",
+        f"{name} looks like {looks_like}; read are the native format (`stone_calibration: 1`, see examples/), ROS "
+        "camera_info, Kalibr camchain, OpenCalib, nuScenes calibrated_sensor, Autoware sensor_kit, KITTI calib, "
+        "RELLIS-3D transforms, OpenCV matrices and /tf_static",
+    )

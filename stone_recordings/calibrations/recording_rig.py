@@ -10,7 +10,7 @@ from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.calibration_checks import Findings, check_translation
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.magic import is_container
-from stone_recordings.calibrations.errors import HalfRigError
+from stone_recordings.calibrations.errors import half_rig
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, intrinsics
 from stone_recordings.messages import camera_info, tf
 from stone_recordings.poses.extrinsics import plain
@@ -35,7 +35,7 @@ def recorded_part(bag: Bag) -> CalibrationPart:
     edges, findings = _edges(bag, static)
     lenses = _lenses(bag, cameras)
     if not edges:
-        raise HalfRigError(bag.path.name, "it recorded no /tf_static", "give the calibration as a file of its own")
+        raise half_rig(bag.path.name, "it recorded no /tf_static", "give the calibration as a file of its own")
     return CalibrationPart(bag.path.name, "tf_static", edges, lenses, optical=frozenset(lenses), findings=findings)
 
 

@@ -16,7 +16,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import SensorKind
 from stone.sensors.calibration_checks import Findings, check_translation, checked_norm
 from stone_recordings.calibrations.draft import kind_of
-from stone_recordings.calibrations.errors import CalibrationKeyError
+from stone_recordings.calibrations.errors import bad_calibration_key
 from stone_recordings.calibrations.part import CalibrationPart, Edge, LensText, Node, intrinsics
 
 PARENT_CHILD = re.compile(r"(\w+)-(\w+)")
@@ -69,4 +69,4 @@ def _pair(file: str, key: str) -> tuple[str, str]:
         return f"{found[2]}_cloud_node", f"{found[1]}_cloud_node"
     if found := PARENT_CHILD.fullmatch(key):
         return found[1], found[2]
-    raise CalibrationKeyError(file, key[:120], "two frames are expected, as in os1_cloud_node-pylon_camera_node", 0)
+    raise bad_calibration_key(file, key[:120], "two frames are expected, as in os1_cloud_node-pylon_camera_node", 0)

@@ -10,13 +10,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.sensors.sequence import ExcludedFrame
 from stone_recordings.bags.bag import Bag
 from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem, majority
 from stone_recordings.messages.sweep_clouds import cloud_at
-from stone_recordings.sync.errors import NoUsableSweepError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
 # The first and the last sweep may be cut short; a few from beginning to end show the true length.
@@ -51,7 +51,7 @@ def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int =
         recorded.problems[topic],
     )
     if not len(usable):
-        raise NoUsableSweepError(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
+        raise no_usable_sweep(topic, len(stamps_ns), next((one.reason for one in problems.values()), ""))
     ordered = in_order(topic, stamps_ns, usable)
     points = np.array([recorded.cloud_size(topic, index) for index in ordered.index.tolist()], np.int64)
     _check_returns(bag, topic, ordered.index[points > 0])
@@ -116,9 +116,15 @@ def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
     """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
     clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
-        raise NoUsableSweepError(topic, len(rows), "it has points, but none is a return")
+        raise no_usable_sweep(topic, len(rows), "it has points, but none is a return")
 
 
 def _no_time(topic: str) -> Finding:
     sentence = "its points have no readable time; sweeps are not deskewed (a turning robot smears them)"
     return Finding("TOP-102", "warning", topic, sentence)
+
+
+def no_usable_sweep(topic: str, count: int, reason: str) -> Refused:
+    return Refused(
+        "SYN-509", f"{topic}: none of its {count} sweeps can be used (the first: {reason}); check the driver"
+    )

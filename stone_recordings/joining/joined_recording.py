@@ -41,43 +41,19 @@ def write_joined(joined: JoinedRecording, folder: Path, sha256s: Mapping[str, st
 OPTION = "--clock-offset {name}=SECONDS, what is added to its stamps"
 
 
-class UnmeasuredOffsetError(IngestError):
-    """The clock offset of a recording cannot be determined."""
-
-    def __init__(self, names: Sequence[str], reasons: Sequence[str]) -> None:
-        why = "; ".join(dict.fromkeys(reasons)) or "it holds no camera, radar or IMU"
-        super().__init__(
-            "SYN-523",
-            f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
-            f"give it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)",
-        )
+def unmeasured_offset(names: Sequence[str], reasons: Sequence[str]) -> IngestError:
+    why = "; ".join(dict.fromkeys(reasons)) or "it holds no camera, radar or IMU"
+    return IngestError(
+        "SYN-523",
+        f"the clock of {' and '.join(names)} cannot be compared with the other recordings': {why}; "
+        f"give it: {OPTION.format(name=names[0])} (0 where the clocks were synchronised)",
+    )
 
 
-class ContradictoryOffsetsError(IngestError):
-    """The sensors of a recording disagree about its clock offset."""
-
-    def __init__(self, name: str, told: Sequence[str]) -> None:
-        super().__init__(
-            "SYN-524",
-            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the "
-            f"calibration wrong, or one of them stamped by another clock? Give it: {OPTION.format(name=name)}",
-        )
-
-
-class NoCommonTimeError(IngestError):
-    """A recording does not overlap the others in time."""
-
-    def __init__(self, name: str, apart_s: float, reference: str) -> None:
-        when = "after the end" if apart_s > 0 else "before the beginning"
-        super().__init__(
-            "SYN-525",
-            f"{name} lies {abs(apart_s):.3f} s {when} of {reference}, on its clock: is it of another run, or is its "
-            f"offset wrong? {OPTION.format(name=name)}",
-        )
-
-
-class NotJoinedError(IngestError):
-    """The named files cannot be the recordings of one run."""
-
-    def __init__(self, problem: str) -> None:
-        super().__init__("SYN-526", f"{problem}; name each recording of the run once, one of them with the LiDAR")
+def no_common_time(name: str, apart_s: float, reference: str) -> IngestError:
+    when = "after the end" if apart_s > 0 else "before the beginning"
+    return IngestError(
+        "SYN-525",
+        f"{name} lies {abs(apart_s):.3f} s {when} of {reference}, on its clock: is it of another run, or is its "
+        f"offset wrong? {OPTION.format(name=name)}",
+    )

@@ -23,15 +23,6 @@ class DefinitionRefusedError(IngestError):
         )
 
 
-class PacketError(IngestError):
-    """The lengths or counts of a radar packet contradict the ARS 548 interface."""
-
-    def __init__(self, problem: str) -> None:
-        super().__init__(
-            "MSG-308", f"nebula_msgs/msg/NebulaPackets: {problem}; the packet is damaged or of another sensor"
-        )
-
-
 class LidarPacketError(IngestError):
     """LiDAR packets are of a model that is not decoded here, or are damaged."""
 

@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
-from stone_recordings.bags.errors import MixedFramesError
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.batch import StampedMessage, poses_in
 from stone_recordings.messages.types.table import STAMP, decode_table
 
@@ -56,7 +56,7 @@ def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -
     counts = Counter(pairs).most_common()
     others = len(pairs) - (counts[0][1] if counts else 0)
     if others > MOST_OTHERS * len(pairs):
-        raise MixedFramesError(type_name, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
+        raise mixed_frames(type_name, tuple(f"{parent} → {child}" for parent, child in sorted(dict(counts))))
     parent, child = counts[0][0] if counts else ("", "")
     own = np.array([row for row, pair in enumerate(pairs) if pair == (parent, child)], np.int64)
     places_m, turns = table.vectors(f"{place}.position"), table.vectors(f"{place}.orientation", "xyzw")
@@ -75,3 +75,11 @@ def other_frames_finding(topic: str, samples: OdometrySamples) -> tuple[Finding,
         "and are left out; does another source publish on the topic?"
     )
     return (Finding("MSG-304", "warning", topic, sentence),)
+
+
+def mixed_frames(type_name: str, pairs: tuple[str, ...]) -> IngestError:
+    return IngestError(
+        "MSG-304",
+        f"{type_name} changes its frames within one topic ({', '.join(pairs[:4])}); "
+        f"two sources publish on it, so choose one",
+    )

@@ -7,6 +7,7 @@ from itertools import islice
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.jumps import Jumps, jumps_of, split
 from stone.geometry.se3 import SE3, rotate, shortest_turn_to_z, steps_of
@@ -28,7 +29,7 @@ from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_fro
 from stone_recordings.poses.sources import PoseTrack, RigMounts, track_from_odometry, track_from_tf
 from stone_recordings.sync.association import mount_of
 from stone_recordings.sync.clock_offsets import ClockOffsets
-from stone_recordings.sync.errors import NoUsablePoseError, StillPosesError
+from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics
 from stone_recordings.topics.sources import Sources
 
@@ -302,7 +303,12 @@ def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibrati
         return ()
     moved_m = moved_by_sweeps_m(sweeps, calibration)
     if moved_m > MOVED_M:
-        raise StillPosesError(track.source, len(track.trajectory), moved_m)
+        raise Refused(
+            "SYN-510",
+            f"{track.source}: its {len(track.trajectory)} poses never change, but the sweeps show {moved_m:.1f} m "
+            "of motion; was the source initialised? Choose another one, or estimate them from the sweeps: "
+            "--odometry kiss-icp",
+        )
     sentence = (
         f"its {len(track.trajectory)} poses never change, and the sweeps show no motion either: the robot stood still"
     )

@@ -16,6 +16,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
@@ -25,7 +26,6 @@ from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
 from stone_recordings.sync.clock_offsets import shifted_finding
-from stone_recordings.sync.errors import PoseFileError, PoseFileMismatchError
 
 # Files of poses beside a recording: TUM (stamped) and KITTI (one pose a sweep), told apart by their numbers a line.
 #
@@ -58,7 +58,7 @@ def read_pose_file(path: Path) -> FilePoses:
     """Raises PoseFileError with the line for whatever is no pose, OSError."""
     digest, numbers, lines, stamps = sha256(), list[list[float]](), list[int](), list[int]()
     if path.stat().st_size > LARGEST_BYTES:
-        raise PoseFileError(path.name, 0, f"it has more than {LARGEST_BYTES} bytes")
+        raise bad_pose_file(path.name, 0, f"it has more than {LARGEST_BYTES} bytes")
     for number, raw in _lines(path):
         digest.update(raw)
         words = _words(path.name, number, raw)
@@ -70,9 +70,9 @@ def read_pose_file(path: Path) -> FilePoses:
         if len(words) == 8:
             stamps.append(_stamp_ns(path.name, number, words[0]))
         if len(numbers) > MOST_POSES:
-            raise PoseFileError(path.name, number, f"it has more than {MOST_POSES} poses")
+            raise bad_pose_file(path.name, number, f"it has more than {MOST_POSES} poses")
     if not numbers:
-        raise PoseFileError(path.name, 0, "it holds no pose")
+        raise bad_pose_file(path.name, 0, "it holds no pose")
     table, at = np.array(numbers, np.float64), np.array(lines, np.int64)
     if table.shape[1] == 12:
         return FilePoses(path.name, "KITTI", _kitti(path.name, table, at), None, digest.hexdigest())
@@ -88,7 +88,7 @@ def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
         while raw := file.readline(LONGEST_LINE + 1):
             number += 1
             if len(raw) > LONGEST_LINE:
-                raise PoseFileError(path.name, number, f"the line has more than {LONGEST_LINE} characters")
+                raise bad_pose_file(path.name, number, f"the line has more than {LONGEST_LINE} characters")
             yield number, raw
 
 
@@ -96,20 +96,20 @@ def _words(name: str, number: int, raw: bytes) -> list[str]:
     try:
         return raw.decode("utf-8-sig" if number == 1 else "utf-8").partition("#")[0].split()
     except UnicodeDecodeError:
-        raise PoseFileError(name, number, "the line is not text; is this a file of poses?") from None
+        raise bad_pose_file(name, number, "the line is not text; is this a file of poses?") from None
 
 
 def _row(name: str, number: int, words: list[str], expected: int | None) -> list[float]:
     if expected is None and len(words) not in COLUMNS:
-        raise PoseFileError(name, number, f"the line has {len(words)} words; TUM has 8 numbers, KITTI 12")
+        raise bad_pose_file(name, number, f"the line has {len(words)} words; TUM has 8 numbers, KITTI 12")
     if expected is not None and len(words) != expected:
-        raise PoseFileError(name, number, f"the line has {len(words)} words, the lines before it {expected}")
+        raise bad_pose_file(name, number, f"the line has {len(words)} words, the lines before it {expected}")
     wrong = [word for word in words if not NUMBER.fullmatch(word)]
     if wrong:
-        raise PoseFileError(name, number, f"{wrong[0][:40]!r} is not a number")
+        raise bad_pose_file(name, number, f"{wrong[0][:40]!r} is not a number")
     row = [float(word) for word in words]
     if not np.isfinite(row).all():
-        raise PoseFileError(name, number, "a number is not finite")
+        raise bad_pose_file(name, number, "a number is not finite")
     return row
 
 
@@ -117,21 +117,21 @@ def _stamp_ns(name: str, number: int, word: str) -> int:
     """All digits of a time, which float64 does not keep."""
     seconds = Decimal(word)
     if not 0 < seconds <= LAST_S:
-        raise PoseFileError(name, number, f"the time {word[:40]} is not in seconds since 1970 (0 to {LAST_S})")
+        raise bad_pose_file(name, number, f"the time {word[:40]} is not in seconds since 1970 (0 to {LAST_S})")
     return int((seconds * NS_PER_S).to_integral_value())
 
 
 def _check_order(name: str, stamps_ns: NDArray[np.int64], lines: NDArray[np.int64]) -> None:
     late = np.flatnonzero(np.diff(stamps_ns) <= 0)
     if len(late):
-        raise PoseFileError(name, int(lines[late[0] + 1]), f"its time is not after that of line {lines[late[0]]}")
+        raise bad_pose_file(name, int(lines[late[0] + 1]), f"its time is not after that of line {lines[late[0]]}")
 
 
 def _check_places(name: str, places_m: NDArray[np.float64], lines: NDArray[np.int64]) -> None:
     far = np.flatnonzero((np.abs(places_m) > MOST_POSITION_M).any(axis=1))
     if len(far):
         worst_m = np.abs(places_m[far[0]]).max()
-        raise PoseFileError(
+        raise bad_pose_file(
             name, int(lines[far[0]]), f"its position of {worst_m:.3g} m is beyond {MOST_POSITION_M:g} m"
         )
 
@@ -142,7 +142,7 @@ def _tum(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> SE3
         norm = np.linalg.norm(table[:, 4:], axis=1)
     off = np.flatnonzero(~(np.abs(norm - 1) <= MOST_OFF_NORM))
     if len(off):
-        raise PoseFileError(name, int(lines[off[0]]), f"its quaternion has the norm {norm[off[0]]:.4g}, it must be 1")
+        raise bad_pose_file(name, int(lines[off[0]]), f"its quaternion has the norm {norm[off[0]]:.4g}, it must be 1")
     return SE3.from_parts(table[:, [7, 4, 5, 6]], table[:, 1:4])
 
 
@@ -156,7 +156,7 @@ def _kitti(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> S
     off = np.flatnonzero(~is_turn)
     if len(off):
         why = f"its 3 × 3 part is not a rotation (off by {apart[off[0]]:.3g})"
-        raise PoseFileError(name, int(lines[off[0]]), why)
+        raise bad_pose_file(name, int(lines[off[0]]), why)
     left, _, right = np.linalg.svd(turn)
     whole = np.tile(np.eye(4), (len(table), 1, 1))
     whole[:, :3, :3], whole[:, :3, 3] = left @ right, matrix[:, :, 3]
@@ -183,7 +183,7 @@ def track_from_file(file: PoseFile, clock: LidarClock, rig: RigMounts) -> PoseTr
         return PoseTrack(trajectory, source, read.name, findings, inputs=inputs)
     stamps_ns = clock.ordered.stamps_ns
     if len(stamps_ns) != len(read.poses):
-        raise PoseFileMismatchError(read.name, _counts(read, clock))
+        raise Refused("SYN-517", f"{read.name}: {_counts(read, clock)}")
     first_from_child = read.poses[0].inverse() @ read.poses
     trajectory = Trajectory(stamps_ns, step.inverse() @ first_from_child @ step)
     return PoseTrack(trajectory, source, read.name, findings, inputs=inputs)
@@ -200,7 +200,7 @@ def _child_from_ego(name: str, frame: str, rig: RigMounts) -> tuple[SE3, tuple[F
     if assumed:
         known = [mount.name for mount in rig.calibration.mounts] + [m.frame_id for m in rig.calibration.mounts]
         names = ", ".join(dict.fromkeys([*BASE_FRAMES[:1], plain(rig.lidar_frame), *known][:8]))
-        raise PoseFileMismatchError(name, f"unknown frame {frame[:60]!r}; known are {names}")
+        raise Refused("SYN-517", f"{name}: unknown frame {frame[:60]!r}; known are {names}")
     return step, ()
 
 
@@ -209,3 +209,8 @@ def _counts(read: FilePoses, clock: LidarClock) -> str:
         f"it has {len(read.poses)} poses, {clock.topic} has {len(clock.ordered.stamps_ns)} usable sweeps; a KITTI file "
         "has no stamps and needs one pose a sweep: write the poses as TUM (time x y z qx qy qz qw)"
     )
+
+
+def bad_pose_file(name: str, line: int, fault: str) -> Refused:
+    where = f"{name}, line {line}" if line else name
+    return Refused("SYN-516", f"{where}: {fault}; a line is `time x y z qx qy qz qw` (TUM) or a 3 × 4 matrix (KITTI)")

@@ -15,6 +15,7 @@ import numpy as np
 import pymap3d
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
@@ -27,7 +28,7 @@ from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
 from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
 from stone_recordings.sync.clock_offsets import shifted_finding
-from stone_recordings.sync.errors import NoAttitudeError, NoUsablePoseError
+from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import in_order
 
 ENU = "enu"
@@ -95,7 +96,13 @@ def _attitudes(topic: str, attitude: AttitudeSamples) -> tuple[Trajectory, tuple
     """The orientations as poses without a place. Raises NoAttitudeError where the IMU tells none."""
     rows = np.flatnonzero(attitude.is_told & (attitude.stamps_ns != 0)).astype(np.int64)
     if not len(rows):
-        raise NoAttitudeError(topic, len(attitude.stamps_ns))
+        raise Refused(
+            "GNS-306",
+            f"{topic}: none of its {len(attitude.stamps_ns)} messages gives an orientation "
+            "(orientation_covariance[0] is -1, or no rotation), so positions of NavSatFix alone are not poses; "
+            "record the filtered IMU (imu_filter_madgwick, the driver's /imu/data), or estimate them from the "
+            "sweeps: --odometry kiss-icp",
+        )
     ordered = in_order(topic, attitude.stamps_ns, rows)
     wxyz = attitude.enu_from_imu_xyzw[ordered.index][:, [3, 0, 1, 2]]
     return Trajectory(ordered.stamps_ns, SE3.from_parts(wxyz, np.zeros((len(wxyz), 3)))), ordered.findings

@@ -25,7 +25,7 @@ from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
 from stone_recordings.poses.static_tree import StaticTree
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
-from stone_recordings.sync.errors import NoPoseSourceError, NoUsablePoseError
+from stone_recordings.sync.errors import NoUsablePoseError, no_pose_source
 from stone_recordings.sync.recorded_messages import in_order
 
 FIXED_FRAMES = ("odom", "map", "world")
@@ -88,7 +88,7 @@ def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts
     found = {(plain(pair.parent), plain(pair.child)): pair for pair in samples}
     chosen: TransformSamples | None = next((found[pair] for pair in wanted if pair in found), None)
     if chosen is None:
-        raise NoPoseSourceError([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
+        raise no_pose_source([f"{topic} {pair.parent} to {pair.child}" for pair in samples])
     source = f"{topic} ({chosen.parent} to {chosen.child}, tf2_msgs/msg/TFMessage)"
     pair = (chosen.parent, chosen.child)
     track = _track((source, topic), pair, (chosen.stamps_ns, chosen.parent_from_child), rig)

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.geometry.se3 import SE3
 from stone.sensors.deskew import BIN_NS, SweepMount, deskew, sweep_motion
 from stone.sensors.radar_motion import compensated, radar_motion
@@ -90,27 +90,6 @@ INTENSITY_NAMES = ("intensity", "reflectivity", "i")
 JPEG_QUALITY = 95
 
 
-class NotRecordedError(StoneError):
-    """The frames of a sequence name no messages."""
-
-    code = "not_recorded"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(f"the frames of sequence {name} name no LiDAR messages; was it made without a recording?")
-
-
-class RecordingMismatchError(StoneError):
-    """The recording is not the one that was labelled."""
-
-    code = "recording_changed"
-
-    def __init__(self, path: Path, found: str, sequence: Sequence) -> None:
-        super().__init__(
-            f"{path} has sha256 {found}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
-            "label it again, or say where the recording of these labels is"
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class BagSamples:
     """A SampleSource over a recording and the sequence that was made of it. Picklable: it carries the path only."""
@@ -150,7 +129,10 @@ class BagSamples:
     def _sweeps(self) -> BagSweeps:
         frames, sequence = self.sequence.frames, self.sequence
         if frames.sweeps is None:
-            raise NotRecordedError(sequence.name)
+            raise Refused(
+                "not_recorded",
+                f"the frames of sequence {sequence.name} name no LiDAR messages; was it made without a recording?",
+            )
         mount = None
         if sequence.track is not None:
             mount = SweepMount(sequence.track, sequence.calibration.ego_from_lidar, sequence.max_pose_gap_ns)
@@ -177,7 +159,11 @@ def checked_samples(path: Path, sequence: Sequence) -> BagSamples:
     """
     found = recording_sha256(path)
     if found not in sequence.inputs.values():
-        raise RecordingMismatchError(path, found, sequence)
+        raise Refused(
+            "recording_changed",
+            f"{path} has sha256 {found}, but sequence {sequence.name} was made from {dict(sequence.inputs)}; "
+            "label it again, or say where the recording of these labels is",
+        )
     return BagSamples(path, sequence)
 
 

@@ -10,6 +10,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.segments import split_at_gaps
 from stone.geometry.smooth_interpolation import with_between
@@ -19,7 +20,7 @@ from stone.sensors.pose_quality import quality_at, unknown_quality
 from stone.sensors.sequence import Association, ExcludedFrame, Frames, frame_token
 from stone_recordings.clocks.lidar_clock import LidarClock
 from stone_recordings.poses.sources import PoseTrack
-from stone_recordings.sync.errors import NoPosedFramesError, NoUsablePoseError, SparsePosesError
+from stone_recordings.sync.errors import NoUsablePoseError, no_posed_frames
 
 EXCLUSIONS = {
     PoseStatus.BEFORE_FIRST: "no_pose_before_first",
@@ -65,8 +66,14 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
     excluded = tuple(sorted((*clock.excluded, *unposed), key=lambda one: one.stamp_ns))
     if not len(rows):
         if sparse_finding(track, max_gap_ns):
-            raise SparsePosesError(track.source, typical_period_ns(trajectory.stamps_ns) / 1e9, max_gap_ns / 1e9)
-        raise NoPosedFramesError(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
+            raise Refused(
+                "SYN-511",
+                f"{track.source}: its poses come every "
+                f"{typical_period_ns(trajectory.stamps_ns) / 1e9:.3f} s, and nothing is interpolated "
+                f"across more than {max_gap_ns / 1e9:.3f} s, so no sweep has a pose; record them at a "
+                "higher rate, or estimate them from the sweeps: --odometry kiss-icp",
+            )
+        raise no_posed_frames(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
     frames = Frames(
         stamps_ns[rows],
         tuple(frame_token(name, stamp_ns) for stamp_ns in stamps_ns[rows].tolist()),

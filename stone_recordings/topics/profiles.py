@@ -13,7 +13,7 @@ from typing import Literal
 
 from ruamel.yaml import YAML
 
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.findings import Finding, Severity
 from stone_files.atomic import atomic_file
 from stone_recordings.calibrations.errors import CalibrationYamlError
@@ -43,16 +43,16 @@ class TopicProfile:
 
     def __post_init__(self) -> None:
         if len(self.topics) > MOST_TOPICS:
-            raise BadProfileError(f"{len(self.topics)} topics", f"at most {MOST_TOPICS}")
+            raise bad_profile(f"{len(self.topics)} topics", f"at most {MOST_TOPICS}")
         for part, topic in self.topics.items():
             if part not in PARTS and not CHANNEL.fullmatch(part):
-                raise BadProfileError(f"the role {part[:40]!r}", "lidar, pose, imu, CAM_… or RADAR_… (CAM_FRONT_LEFT)")
+                raise bad_profile(f"the role {part[:40]!r}", "lidar, pose, imu, CAM_… or RADAR_… (CAM_FRONT_LEFT)")
             if not 0 < len(topic) <= LONGEST_TOPIC or not topic.isprintable() or topic != topic.strip():
-                raise BadProfileError(f"the topic {topic[:40]!r}", f"a name of 1 to {LONGEST_TOPIC} plain characters")
+                raise bad_profile(f"the topic {topic[:40]!r}", f"a name of 1 to {LONGEST_TOPIC} plain characters")
         for topic in self.topics.values():
             parts = [part for part, named in self.topics.items() if named == topic]
             if len(parts) > 1:
-                raise BadProfileError(f"the topic {topic[:40]!r} as {' and '.join(parts)}", "one role for each topic")
+                raise bad_profile(f"the topic {topic[:40]!r} as {' and '.join(parts)}", "one role for each topic")
 
 
 @dataclass(frozen=True)
@@ -202,24 +202,14 @@ def _nameless(free: Sequence[Candidate], channel_of_frame: Mapping[str, str]) ->
 # **Conventions.** TOP-1xx is about which topics there are and what for.
 
 
-class BadProfileError(StoneError):
-    """A topic profile names an unknown role, an impossible topic, or one topic twice."""
-
-    code = "TOP-113"
-
-    def __init__(self, found: str, expected: str) -> None:
-        super().__init__(f"a topic profile cannot hold {found}; expected is {expected}")
+def bad_profile(found: str, expected: str) -> Refused:
+    return Refused("TOP-113", f"a topic profile cannot hold {found}; expected is {expected}")
 
 
-class ProfileFileError(StoneError):
-    """The file is not a topic profile."""
-
-    code = "TOP-114"
-
-    def __init__(self, name: str, fault: str) -> None:
-        super().__init__(
-            f"{name} is not a topic profile: {fault}; expected are `stone_profile: 1` and `topics:` by role"
-        )
+def bad_profile_file(name: str, fault: str) -> Refused:
+    return Refused(
+        "TOP-114", f"{name} is not a topic profile: {fault}; expected are `stone_profile: 1` and `topics:` by role"
+    )
 
 
 # A profile of topics as a small YAML file, so that the choice made for one recording serves the next.
@@ -238,21 +228,21 @@ def read_profile(path: Path) -> TopicProfile:
     with path.open("rb") as stream:
         content = stream.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:
-        raise ProfileFileError(path.name, f"it has more than {LARGEST_BYTES} bytes")
+        raise bad_profile_file(path.name, f"it has more than {LARGEST_BYTES} bytes")
     try:
         document = parse_documents(path.name, content)[0]
     except CalibrationYamlError as error:
-        raise ProfileFileError(path.name, str(error)) from None
+        raise bad_profile_file(path.name, str(error)) from None
     if not isinstance(document, dict) or document.get("stone_profile") != 1:
-        raise ProfileFileError(path.name, "it does not begin with `stone_profile: 1`")
+        raise bad_profile_file(path.name, "it does not begin with `stone_profile: 1`")
     unknown = [str(key)[:40] for key in document if key not in KEYS]
     if unknown:
-        raise ProfileFileError(path.name, f"it has the unknown key {unknown[0]!r}")
+        raise bad_profile_file(path.name, f"it has the unknown key {unknown[0]!r}")
     platform, topics = document.get("platform", ""), document.get("topics")
     if not isinstance(platform, str) or len(platform) > LONGEST_PLATFORM:
-        raise ProfileFileError(path.name, f"its platform is not text of at most {LONGEST_PLATFORM} characters")
+        raise bad_profile_file(path.name, f"its platform is not text of at most {LONGEST_PLATFORM} characters")
     if not isinstance(topics, dict) or not all(isinstance(name, str) for pair in topics.items() for name in pair):
-        raise ProfileFileError(path.name, "its topics are not names by role")
+        raise bad_profile_file(path.name, "its topics are not names by role")
     return TopicProfile(topics, platform)
 
 

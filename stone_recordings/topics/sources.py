@@ -13,15 +13,11 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.types.cdr import NS_PER_S
-from stone_recordings.sync.errors import (
-    AmbiguousTopicsError,
-    NoLidarError,
-    NoPoseSourceError,
-    WrongTopicError,
-)
+from stone_recordings.sync.errors import ambiguous_topics, no_lidar, no_pose_source
 from stone_recordings.topics.cloud_samples import sample_cloud
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import (
@@ -140,7 +136,7 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
         return _asked(roles, asked, fitting, f"{POINT_CLOUD} or packets that are decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise NoLidarError([(topic.name, topic.type) for topic in roles if holds_other_packets(topic)])
+        raise no_lidar([(topic.name, topic.type) for topic in roles if holds_other_packets(topic)])
     return _only("lidar", likely_lidars(lidars), "--lidar")
 
 
@@ -154,7 +150,7 @@ def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
         topics = of_pose_role(wanted, [topic for topic in fitting if topic.role == wanted])
         if topics and (wanted != "gnss" or has_imu):
             return _only(wanted, topics, "--odometry")
-    raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
+    raise no_pose_source([f"{topic.name} ({topic.type})" for topic in roles])
 
 
 def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
@@ -163,7 +159,7 @@ def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
     if asked is not None:
         return _asked(roles, asked, imus, "sensor_msgs/msg/Imu")
     if not imus:
-        raise NoPoseSourceError([f"{topic.name} ({topic.type})" for topic in roles])
+        raise no_pose_source([f"{topic.name} ({topic.type})" for topic in roles])
     return _only("imu", with_plausible_rate("imu", imus), "--topic imu=TOPIC")
 
 
@@ -173,10 +169,10 @@ def _asked(roles: list[Candidate], asked: str, fitting: list[Candidate], expecte
             return topic
     found = next((f"is of type {topic.type}" for topic in roles if topic.name == asked), "has no messages here")
     names = ", ".join(topic.name for topic in fitting[:6]) or "there is none"
-    raise WrongTopicError(asked, found, f"{expected} ({names})")
+    raise Refused("TOP-104", f"topic {asked!r} {found}; expected {expected} ({names})")
 
 
 def _only(role: Role, topics: Sequence[Candidate], option: str) -> Candidate:
     if len(topics) > 1:
-        raise AmbiguousTopicsError(role, [topic.name for topic in topics], option)
+        raise ambiguous_topics(role, [topic.name for topic in topics], option)
     return topics[0]

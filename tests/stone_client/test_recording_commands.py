@@ -21,7 +21,7 @@ from stone_client.tables import clock_table
 from stone_local.topic_choices import chosen_offsets
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
-from stone_recordings.sync.errors import NoPosedFramesError
+from stone_recordings.sync.errors import no_posed_frames
 from testing.worlds.pose_files import tum_text
 from tests.stone_client.participating import stone
 from tests.stone_recordings import rigs
@@ -288,7 +288,7 @@ STARTS_S = (18.0, -37.2, 999.9, 7200.0, 0.1, -1.7e9)
 
 @pytest.mark.parametrize("apart_s", STARTS_S)
 def test_where_no_sweep_has_a_pose_each_option_named_is_one_of_stone_label(apart_s: float) -> None:
-    sentence = str(NoPosedFramesError("8 pose_gap", (apart_s, apart_s + 1), (0.0, 1.0)))
+    sentence = str(no_posed_frames("8 pose_gap", (apart_s, apart_s + 1), (0.0, 1.0)))
     command = typer.main.get_command(app)
     label = command.get_command(typer.Context(command), "label")  # type: ignore[attr-defined]
     known = {name for parameter in label.params for name in parameter.opts}

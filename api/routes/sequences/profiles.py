@@ -21,7 +21,7 @@ from api.schemas.sequences.calibrations import FindingItem, ProfileBody, Profile
 from api.visible import recording_of, sequence_of
 from services.domain.sequences.profiles import keep_profile, lock_profile, profile_of, topics_of
 from services.runtime.orm import CalibrationRow, ProfileRow, SequenceRow
-from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, BadProfileError, Candidate, resolve
+from stone_recordings.topics.profiles import LONGEST_TOPIC, MOST_TOPICS, Candidate, bad_profile, resolve
 from stone_recordings.topics.profiles import TopicProfile as Chosen
 
 router = APIRouter(tags=["profiles"])
@@ -108,7 +108,7 @@ def show_roles(
 def _choice(text: str) -> tuple[str, str]:
     part, sign, topic = text.partition("=")
     if not sign:
-        raise BadProfileError(f"the choice {text[:40]!r}", "PART=TOPIC, such as lidar=/lidar_points")
+        raise bad_profile(f"the choice {text[:40]!r}", "PART=TOPIC, such as lidar=/lidar_points")
     return part, topic
 
 

@@ -31,23 +31,23 @@ from stone_files.joined_file import (
     is_member_name,
 )
 from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.bags.joined.joined_store import check_types
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.clocks.triggers import bearing_rad, lidar_look
 from stone_recordings.joining.clock_links import ClockOffset, HeldMessages, held_by, left_out, linked
 from stone_recordings.joining.joined_recording import (
-    ContradictoryOffsetsError,
+    OPTION,
     JoinedRecording,
-    NoCommonTimeError,
-    NotJoinedError,
-    UnmeasuredOffsetError,
+    no_common_time,
+    unmeasured_offset,
     write_joined,
 )
 from stone_recordings.joining.sensor_evidence import RobotMotion, camera_turns, gyro_turns, radar_speeds, stamps_of
 from stone_recordings.report.inspection import frame_id_of
 from stone_recordings.sync.association import mount_of
-from stone_recordings.sync.errors import NoLidarError
+from stone_recordings.sync.errors import no_lidar
 from stone_recordings.sync.lag_check import MOST_SIGMA_NS, measured_lag
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import Candidate
@@ -93,7 +93,7 @@ def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: Synchron
         with open_at(ClockOffset(offset_ns, None, (SWEEPS,))) as bag:
             lag = _lag(bag, calibration, options)
         if lag is None or lag.sigma_ns > MOST_SIGMA_NS:
-            raise UnmeasuredOffsetError([name], ["its poses and the sweeps turn too little to be compared"])
+            raise unmeasured_offset([name], ["its poses and the sweeps turn too little to be compared"])
         offset_ns, sigma_ns = offset_ns - lag.lag_ns, lag.sigma_ns
         if 2 * abs(lag.lag_ns) < lag.sigma_ns:
             break
@@ -145,7 +145,7 @@ def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> Ru
     rig, _ = read_calibration(calibration, bag)
     sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
     if sequence.track is None or len(sequence.frames) < 2:
-        raise UnmeasuredOffsetError([bag.path.name], ["it has too few sweeps with a pose to compare others with"])
+        raise unmeasured_offset([bag.path.name], ["it has too few sweeps with a pose to compare others with"])
     look = lidar_look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
     return RunReference(bag.path.name, sequence, RobotMotion(sequence.track, rig, sequence.max_pose_gap_ns), look)
 
@@ -165,7 +165,7 @@ def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset
         elif own:
             reasons.append(f"{len(own)} topics of its {role}s tell no time: the robot turned and sped up too little")
     if not found:
-        raise UnmeasuredOffsetError([name], reasons)
+        raise unmeasured_offset([name], reasons)
     offset = _weighed(name, found)
     return _triggered(bag, [topic for topic in topics if topic.role == "camera"], reference, offset) or offset
 
@@ -186,7 +186,11 @@ def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
     mean_s = float(np.sum(weights * offsets) / weights.sum())
     if (np.abs(offsets - mean_s) > SIGMAS * sigmas + EXPOSURE_S).any():
         told = [f"{fit.offset_s:+.4f} ± {fit.sigma_s:.4f} s by {kind}" for kind, fit in found.items()]
-        raise ContradictoryOffsetsError(name, told)
+        raise IngestError(
+            "SYN-524",
+            f"the sensors in {name} give different clock offsets: {', '.join(told)}; is a mount in the "
+            f"calibration wrong, or one of them stamped by another clock? Give it: {OPTION.format(name=name)}",
+        )
     return ClockOffset(round(mean_s * 1e9), round(float(weights.sum()) ** -0.5 * 1e9), tuple(found))
 
 
@@ -239,14 +243,14 @@ def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
     """In order of their names, so that it does not matter in which they were named. Raises: NotJoinedError."""
     names = sorted(path.name for path in asked.paths)
     if not 2 <= len(names) <= MOST_MEMBERS:
-        raise NotJoinedError(f"these are {len(names)} recordings, 2 to {MOST_MEMBERS} are joined")
+        raise not_joined(f"these are {len(names)} recordings, 2 to {MOST_MEMBERS} are joined")
     if len({name.casefold() for name in names}) < len(names):
-        raise NotJoinedError(f"two of the recordings have one name: {', '.join(names)}")
+        raise not_joined(f"two of the recordings have one name: {', '.join(names)}")
     for path in asked.paths:
         if not is_member_name(path.name) or is_joined(path):
-            raise NotJoinedError(f"{path.name!r} is joined of others already, or has no name that a file can have")
+            raise not_joined(f"{path.name!r} is joined of others already, or has no name that a file can have")
     if unknown := sorted(set(asked.given_ns) - set(names)):
-        raise NotJoinedError(f"an offset is given for {unknown[0]!r}, which is none of {', '.join(names)}")
+        raise not_joined(f"an offset is given for {unknown[0]!r}, which is none of {', '.join(names)}")
     return tuple(sorted(asked.paths, key=lambda path: path.name))
 
 
@@ -263,7 +267,7 @@ def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[He
     having = [one for one in held if any(topic.name == name for topic in one.topics)]
     if not having:
         packets = [topic for one in held for topic in one.topics if holds_other_packets(topic)]
-        raise NoLidarError([(topic.name, topic.type) for topic in packets])
+        raise no_lidar([(topic.name, topic.type) for topic in packets])
     reference = min(having, key=lambda one: (one.start_ns, one.name))
     return (reference, *(one for one in held if one is not reference))
 
@@ -274,7 +278,7 @@ def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
     for number, one in enumerate(held):
         has_lidar = not number or any(topic.name in lidars for topic in one.topics)
         if has_lidar and asked.given_ns.get(one.name):
-            raise NotJoinedError(f"{one.name} has the LiDAR, whose clock is the run's: its offset is 0")
+            raise not_joined(f"{one.name} has the LiDAR, whose clock is the run's: its offset is 0")
 
 
 Held = Sequence[HeldMessages]
@@ -316,7 +320,7 @@ def _measured(asked: JoinRequest, held: Held, known: Mapping[int, ClockOffset]) 
     waiting = [number for number in range(len(held)) if number not in known]
     if asked.calibration is None:
         names = [held[number].name for number in waiting]
-        raise UnmeasuredOffsetError(names, ["no calibration says where its sensors sit"])
+        raise unmeasured_offset(names, ["no calibration says where its sensors sit"])
     posed = {} if has_poses((held[number] for number in known), asked.options) else _with_poses(asked, held, known)
     found = {number: offset for number, offset in posed.items() if SWEEPS in offset.known_by}
     with _on_one_clock(asked, held, {**posed, **known}) as run:
@@ -377,7 +381,7 @@ def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
         end_ns = max(held[other].end_ns + offsets[other].offset_ns for other in group)
         apart_ns = max(start_ns - last_ns, 0) or min(end_ns - first_ns, 0)
         if apart_ns:
-            raise NoCommonTimeError(held[number].name, apart_ns / 1e9, held[0].name)
+            raise no_common_time(held[number].name, apart_ns / 1e9, held[0].name)
 
 
 # Joins several recordings of one run: whose clock is off by how much, and which messages two of them hold.
@@ -400,3 +404,7 @@ def join_recordings(asked: JoinRequest) -> JoinedRecording:
     check_given(asked, held)
     members = members_of_run(held, clock_offsets(asked, held))
     return JoinedRecording(tuple(asked.path_of[member.name] for member in members), members)
+
+
+def not_joined(problem: str) -> IngestError:
+    return IngestError("SYN-526", f"{problem}; name each recording of the run once, one of them with the LiDAR")

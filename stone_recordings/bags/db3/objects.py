@@ -11,7 +11,7 @@ from dataclasses import dataclass
 
 from stone_recordings.bags.db3.pages import INTERIOR, LEAF, Cell, Db3Pages
 from stone_recordings.bags.db3.records import integer, layout_of, text
-from stone_recordings.bags.errors import DatabaseRefusedError
+from stone_recordings.bags.errors import database_refused
 
 MOST_OBJECTS = 200
 MOST_SQL_BYTES = 64 * 1024
@@ -47,13 +47,13 @@ def tables_of(pages: Db3Pages, name: str) -> dict[str, Db3Table]:
     tables: dict[str, Db3Table] = {}
     for number, cell in enumerate(_schema_cells(pages)):
         if number >= MOST_OBJECTS:
-            raise DatabaseRefusedError(name, f"its schema has more than {MOST_OBJECTS} entries, a recorder's has ten")
+            raise database_refused(name, f"its schema has more than {MOST_OBJECTS} entries, a recorder's has ten")
         kind, object_name, root_page, sql = _entry(pages, cell, name)
         if object_name in READ_TABLES:
             _check_plain(kind, object_name, sql, name)
             tables[object_name] = Db3Table(object_name, root_page)
     if missing := [table for table in ("topics", "messages") if table not in tables]:
-        raise DatabaseRefusedError(name, f"it has no table {missing[0]!r}; another program's database?")
+        raise database_refused(name, f"it has no table {missing[0]!r}; another program's database?")
     return tables
 
 
@@ -84,7 +84,7 @@ def _schema_cells(pages: Db3Pages) -> Iterator[Cell]:
 def _entry(pages: Db3Pages, cell: Cell, name: str) -> tuple[str, str, int, str]:
     """Kind, name, root page and SQL of one line of the schema."""
     if cell.payload_bytes > MOST_SQL_BYTES:
-        raise DatabaseRefusedError(name, f"a line of its schema has {cell.payload_bytes} bytes")
+        raise database_refused(name, f"a line of its schema has {cell.payload_bytes} bytes")
     payload = pages.payload(cell)
     layout = None if payload is None else layout_of(payload, cell.payload_bytes)
     if payload is None or layout is None or len(layout.types) < 5 or not (layout.is_text(0) and layout.is_text(1)):
@@ -97,9 +97,9 @@ def _entry(pages: Db3Pages, cell: Cell, name: str) -> tuple[str, str, int, str]:
 
 def _check_plain(kind: str, object_name: str, sql: str, name: str) -> None:
     if kind != "table":
-        raise DatabaseRefusedError(name, f"its {object_name!r} is a {kind}, not a table")
+        raise database_refused(name, f"its {object_name!r} is a {kind}, not a table")
     plain = PLAIN_TABLE.fullmatch(sql)
     has_columns = set(READ_TABLES[object_name]) <= set(re.findall(r"\w+", sql.lower()))
     if plain is None or plain[1].lower() != object_name or COMPUTING.search(sql) or not has_columns:
         shown = " ".join(sql.split())[:120]
-        raise DatabaseRefusedError(name, f"its table {object_name!r} is not a recorder's: {shown}")
+        raise database_refused(name, f"its table {object_name!r} is not a recorder's: {shown}")

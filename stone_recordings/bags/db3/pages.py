@@ -10,7 +10,7 @@ from collections.abc import Iterator
 from dataclasses import dataclass
 from struct import Struct
 
-from stone_recordings.bags.errors import DatabaseRefusedError
+from stone_recordings.bags.errors import database_refused
 
 MAGIC = b"SQLite format 3\x00"
 HEADER_BYTES = 100
@@ -38,11 +38,11 @@ class Db3Pages:
         self._main, self._wal = main, wal
         header = bytes(main[:HEADER_BYTES]) or _wal_first_page(wal)
         if len(header) < HEADER_BYTES or not header.startswith(MAGIC):
-            raise DatabaseRefusedError(name, "its first page is not an SQLite header")
+            raise database_refused(name, "its first page is not an SQLite header")
         self.page_bytes = 65536 if header[16:18] == b"\x00\x01" else int(_U16.unpack_from(header, 16)[0])
         self.usable_bytes = self.page_bytes - header[20]
         if self.page_bytes < 512 or self.page_bytes & (self.page_bytes - 1) or self.usable_bytes < 480:
-            raise DatabaseRefusedError(name, f"its page size is {self.page_bytes} with {header[20]} bytes reserved")
+            raise database_refused(name, f"its page size is {self.page_bytes} with {header[20]} bytes reserved")
         self.encoding = ENCODINGS.get(int(_U32.unpack_from(header, 56)[0]), "utf-8")
         self._logged = dict(_logged_pages(wal, self.page_bytes))
         self.count = max(len(main) // self.page_bytes, max(self._logged, default=0))

@@ -19,7 +19,7 @@ from stone_recordings.bags.db3.pages import Db3Pages
 from stone_recordings.bags.db3.records import layout_of
 from stone_recordings.bags.db3.rows import RowIndex
 from stone_recordings.bags.db3.sql import Db3Location
-from stone_recordings.bags.errors import DatabaseRefusedError, MalformedBagError
+from stone_recordings.bags.errors import MalformedBagError, database_refused
 
 DATA = 3
 
@@ -32,7 +32,7 @@ class SalvagedRows:
         self._pages = opened_pages(place, name)
         found = collect(self._pages, name)
         if not found.topics:
-            raise DatabaseRefusedError(name, f"{problem}, and no topic can be found in its pages")
+            raise database_refused(name, f"{problem}, and no topic can be found in its pages")
         self.topics = tuple(found.topics[topic_id] for topic_id in sorted(found.topics))
         self.definitions = found.definitions
         table = _unique(found)

@@ -18,7 +18,7 @@ import numpy as np
 
 from stone.findings import Finding
 from stone_recordings.bags.db3.rows import Db3Topic, RowIndex
-from stone_recordings.bags.errors import DatabaseRefusedError
+from stone_recordings.bags.errors import database_refused
 from stone_recordings.bags.magic import has_wal
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.bags.unpacked_messages import MESSAGE_LIMIT_BYTES
@@ -79,7 +79,7 @@ def _with_wal(path: Path) -> Db3Location:
 
 def _with_journal(path: Path, journal: Path) -> Db3Location:
     if _names_other_files(journal):
-        raise DatabaseRefusedError(path.name, "the -journal beside it names other files, no recorder's does")
+        raise database_refused(path.name, "the -journal beside it names other files, no recorder's does")
     folder = PrivateFolder()
     try:
         placed = folder.copy(path)
@@ -224,7 +224,7 @@ def _topics(connection: sqlite3.Connection, name: str) -> tuple[Db3Topic, ...]:
                WHERE typeof(name) = 'text' AND typeof(type) = 'text' AND typeof(serialization_format) = 'text'"""
     rows = connection.execute(query).fetchmany(MOST_TOPICS + 1)
     if len(rows) > MOST_TOPICS:
-        raise DatabaseRefusedError(name, f"it has more than {MOST_TOPICS} topics")
+        raise database_refused(name, f"it has more than {MOST_TOPICS} topics")
     return tuple(Db3Topic(*row) for row in rows)
 
 

@@ -16,7 +16,7 @@ from stone_recordings.bags.db3.objects import DamagedSchemaError, tables_of
 from stone_recordings.bags.db3.rows import Db3Rows, Db3Topic
 from stone_recordings.bags.db3.salvage import SalvagedRows, opened_pages
 from stone_recordings.bags.db3.sql import DamagedDatabaseError, Db3Location, SqlRows, db3_location_of
-from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
+from stone_recordings.bags.errors import MalformedBagError, encoding_refused
 from stone_recordings.bags.message_store import HEAD_BYTES, NO_MESSAGES, Messages, Topic
 
 # Small messages are read so many at a time, while they are read in order.
@@ -43,7 +43,7 @@ class SqliteStore:
         self.findings: tuple[Finding, ...] = (*place.findings, *self._rows.findings, *self._left_out())
         if self.topics and all(topic.encoding != "cdr" for topic in self.topics):
             self.close()
-            raise EncodingRefusedError(path.name, self.topics[0].name, self.topics[0].encoding)
+            raise encoding_refused(path.name, self.topics[0].name, self.topics[0].encoding)
 
     def log_times_ns(self, topic: str) -> NDArray[np.int64]:
         return self._rows.index.time_ns[self._order[topic]]

@@ -120,17 +120,6 @@ def _named(finding: Finding, member: str) -> Finding:
     return finding if finding.topic else replace(finding, topic=member)
 
 
-class JoinedTopicError(IngestError):
-    """A topic of one name is of two types in the recordings that are to be joined."""
-
-    def __init__(self, topic: str, types: Sequence[str]) -> None:
-        super().__init__(
-            "BAG-041",
-            f"topic {topic!r} is {' in one recording and '.join(dict.fromkeys(types))} in another; recordings of one "
-            "run name their topics alike: leave one out, or rename the topic when it is recorded",
-        )
-
-
 def check_types(topics: Iterable[tuple[str, str]]) -> None:
     """`topics` of all recordings, by name and type. Raises: JoinedTopicError (BAG-041)."""
     types: dict[str, list[str]] = {}
@@ -138,7 +127,11 @@ def check_types(topics: Iterable[tuple[str, str]]) -> None:
         types.setdefault(name, []).append(type_name)
     for name, found in types.items():
         if len(set(found)) > 1:
-            raise JoinedTopicError(name, found)
+            raise IngestError(
+                "BAG-041",
+                f"topic {name!r} is {' in one recording and '.join(dict.fromkeys(found))} in another; recordings "
+                "of one run name their topics alike: leave one out, or rename the topic when it is recorded",
+            )
 
 
 def joined_store(name: str, parts: Sequence[MovedBag]) -> SplitStore:

@@ -9,7 +9,7 @@ from struct import Struct
 
 from stone.findings import Finding
 from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages, behind_end
-from stone_recordings.bags.errors import EncodingRefusedError, MalformedBagError
+from stone_recordings.bags.errors import MalformedBagError, encoding_refused
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.catalogue import Catalogue, message_head, read_catalogue, sealed_bytes
 from stone_recordings.bags.message_places import Entries, GrowingEntries, in_log_order
@@ -68,7 +68,7 @@ class McapStore(ChunkedStore):
     def _refuse_other_encodings(self) -> None:
         other = [topic for topic in self.topics if topic.encoding != "cdr"]
         if other and len(other) == len(self.topics):
-            raise EncodingRefusedError(self._file.name, other[0].name, other[0].encoding)
+            raise encoding_refused(self._file.name, other[0].name, other[0].encoding)
 
 
 def _damaged_start(view: memoryview, name: str) -> tuple[Finding, ...]:

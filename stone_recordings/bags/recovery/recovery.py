@@ -17,7 +17,7 @@ import numpy as np
 from stone.findings import Finding, Severity
 from stone_files.atomic import atomic_file
 from stone_recordings.bags.db3.store import SqliteStore
-from stone_recordings.bags.errors import IngestError, RecoveryTargetError
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.bags.magic import container_of
 from stone_recordings.bags.mcap.catalogue import sealed_bytes
 from stone_recordings.bags.mcap.copy import Copy, opened_copy
@@ -192,7 +192,9 @@ def recover(path: Path, out: Path) -> Recovery:
     """
     members = members_of(path)
     if out.exists() and any(out.samefile(file) for file in members.files):
-        raise RecoveryTargetError(out.name)
+        raise IngestError(
+            "BAG-026", f"{out.name} is the original; recover into another file, the original is never written"
+        )
     with ExitStack() as opened:
         sources = [opened.enter_context(opened_source(file)) for file in members.files]
         staging = opened.enter_context(atomic_file(out))

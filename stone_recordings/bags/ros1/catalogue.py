@@ -15,7 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.chunks import UNDOUBTED_BYTES, Chunk, inflate, pieces_of
-from stone_recordings.bags.errors import CutBagError, EncryptedBagError, IngestError, MalformedBagError
+from stone_recordings.bags.errors import CutBagError, IngestError, MalformedBagError
 from stone_recordings.bags.message_places import Entries, GrowingEntries
 from stone_recordings.bags.ros1 import records as wire
 from stone_recordings.bags.ros1.records import Ros1Record
@@ -271,7 +271,11 @@ def _bag_header(view: memoryview, name: str) -> Ros1Record:
     if header.op != wire.BAG_HEADER:
         raise MalformedBagError(name, f"its first record is of op {header.op}, not the header of a bag")
     if encryptor := header.fields.text("encryptor"):
-        raise EncryptedBagError(name, encryptor)
+        raise IngestError(
+            "BAG-036",
+            f"{name} is encrypted by {encryptor[:60]!r}, its key is not known here; decrypt it where the key is, "
+            f"in ROS 1: rosbag decrypt {name}",
+        )
     return header
 
 

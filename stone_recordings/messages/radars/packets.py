@@ -11,9 +11,8 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.bags.errors import MessageLayoutError
+from stone_recordings.bags.errors import IngestError, MessageLayoutError
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.errors import PacketError
 from stone_recordings.messages.radars.detections import (
     INVALID_MASK,
     RadarDetections,
@@ -97,7 +96,7 @@ def detection_lists(messages: Iterable[StampedMessage], schema: str = "") -> Det
     raw = [content[offsets[place] : offsets[place + 1]] for place in ours]
     lists = np.frombuffer(b"".join(part.tobytes() for part in raw), DETECTION_LIST)
     if len(lists) and lists["number_of_detections"].max() > PLACES:
-        raise PacketError(
+        raise packet_refusal(
             f"{lists['number_of_detections'].max()} detections are declared, a list has {PLACES} elements"
         )
     return DetectionLists(table.stamps_ns(), rows[ours], lists)
@@ -115,8 +114,14 @@ def _detection_packets(offsets: NDArray[np.int64], content: NDArray[np.uint8]) -
         if head is None or head["service_id"] != 0 or head["method_id"] != DETECTION_METHOD:
             continue
         if sizes[place] != DETECTION_LIST.itemsize or head["length"] != DETECTION_LIST.itemsize - HEADER.itemsize:
-            raise PacketError(
+            raise packet_refusal(
                 f"a detection list of {sizes[place]} bytes declares {head['length']}; it has {DETECTION_LIST.itemsize}"
             )
         ours.append(place)
     return ours
+
+
+def packet_refusal(problem: str) -> IngestError:
+    return IngestError(
+        "MSG-308", f"nebula_msgs/msg/NebulaPackets: {problem}; the packet is damaged or of another sensor"
+    )

@@ -19,6 +19,7 @@ from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.sources import RigMounts, track_from_odometry
 from stone_recordings.report.inspection import inspect
 from stone_recordings.sync import errors
+from testing.refusals import refused_as
 from testing.worlds.pose_files import kitti_text, tum_text
 from tests.stone_recordings import rigs
 from tests.stone_recordings.pose_messages import POSED, WITH_COVARIANCE, attitude_message, fix_message, pose_message
@@ -159,7 +160,7 @@ LATE_NS = 18 * 10**9
 def test_a_lidar_on_another_clock_is_put_right_by_the_calibration_or_the_command(tmp_path):
     late = [rigs.plain_sweep(int(stamp) + LATE_NS) for stamp in STAMPS_NS]
     path = rigs.written(tmp_path / "a.mcap", late, odometry())
-    with pytest.raises(errors.NoPosedFramesError, match=r"\+18\.000 s apart at the start"):
+    with refused_as("SYN-501", match=r"\+18\.000 s apart at the start"):
         synchronised(path)
     lidar = Mount("LIDAR_TOP", "lidar", SE3.identity(), rigs.LIDAR_FRAME, -LATE_NS)
     known = replace(rigs.calibration(), mounts=(*rigs.calibration().mounts, lidar))
@@ -191,24 +192,22 @@ def test_poses_on_another_clock_are_put_right_by_the_calibration_or_the_command(
 def test_the_topic_asked_for_wins(tmp_path):
     other = odometry(TRUTH @ rigs.placed([0, 0, 0], [5.0, 0, 0]), topic="/wheel")
     path = rigs.written(tmp_path / "a.mcap", sweeps(), odometry(), other)
-    with pytest.raises(
-        errors.AmbiguousTopicsError, match="2 topics fit the role odometry: /odom, /wheel; choose one with"
-    ):
+    with refused_as("TOP-110", match="2 topics fit the role odometry: /odom, /wheel; choose one with"):
         synchronised(path)
     sequence, _ = synchronised(path, odometry_topic=rigs.ODOM_TOPIC)
     assert_path(sequence)
     for asked in ("/nothing", rigs.LIDAR_TOPIC):
-        with pytest.raises(errors.WrongTopicError):
+        with refused_as("TOP-104"):
             synchronised(path, odometry_topic=asked)
 
 
 def test_a_recording_without_poses_or_with_those_of_other_days_is_refused(tmp_path):
-    with pytest.raises(errors.NoPoseSourceError):
+    with refused_as("SYN-502"):
         synchronised(rigs.written(tmp_path / "a.mcap", sweeps()))
     wheel = [rigs.transform("/tf", rigs.T0_NS, "base_link", "wheel", SE3.identity())]
-    with pytest.raises(errors.NoPoseSourceError):
+    with refused_as("SYN-502"):
         synchronised(rigs.written(tmp_path / "b.mcap", sweeps(), wheel))
-    with pytest.raises(errors.NoPosedFramesError, match="8 no_pose_after_last"):
+    with refused_as("SYN-501", match="8 no_pose_after_last"):
         synchronised(rigs.written(tmp_path / "a.mcap", sweeps(STAMPS_NS + 3_600_000_000_000), odometry()))
     rig = RigMounts(rigs.calibration(), static_tree(()), rigs.LIDAR_FRAME)
     with pytest.raises(errors.NoUsablePoseError):
@@ -216,12 +215,12 @@ def test_a_recording_without_poses_or_with_those_of_other_days_is_refused(tmp_pa
 
 
 def test_a_recording_without_lidar_is_refused(tmp_path):
-    with pytest.raises(errors.NoLidarError):
+    with refused_as("TOP-101"):
         synchronised(rigs.written(tmp_path / "a.mcap", odometry()))
     two = [rigs.plain_sweep(int(s)) for s in STAMPS_NS]
     second = [type(m)("/lidar_rear", m.type, m.log_time_ns, m.payload) for m in two]
     path = rigs.written(tmp_path / "b.mcap", two, second, odometry())
-    with pytest.raises(errors.AmbiguousTopicsError, match="role lidar: /lidar_points, /lidar_rear"):
+    with refused_as("TOP-110", match="role lidar: /lidar_points, /lidar_rear"):
         synchronised(path)
     assert len(synchronised(path, lidar_topic="/lidar_rear")[0].frames) == 8
 
@@ -249,7 +248,7 @@ def test_an_empty_sweep_is_excluded(tmp_path):
     sequence, _ = synchronised(rigs.written(tmp_path / "a.mcap", some, odometry()))
     assert [(e.code, e.stamp_ns) for e in sequence.excluded] == [("empty_sweep", STAMPS_NS[2])]
     only = [rigs.plain_sweep(int(s), count=0) for s in STAMPS_NS]
-    with pytest.raises(errors.NoPosedFramesError, match="8 empty_sweep"):
+    with refused_as("SYN-501", match="8 empty_sweep"):
         synchronised(rigs.written(tmp_path / "b.mcap", only, odometry()), lidar_topic=rigs.LIDAR_TOPIC)
 
 
@@ -342,7 +341,7 @@ def test_stamped_poses_are_taken_where_nothing_better_is_and_goals_never_before_
     better = sequence_of(rigs.written(tmp_path / "b.mcap", sweeps(), posed(TRUTH), odometry))
     assert better.pose_source.startswith("/odom ")
     two = rigs.written(tmp_path / "c.mcap", sweeps(), posed(TRUTH), posed(TRUTH, topic="/other_pose"))
-    with pytest.raises(errors.AmbiguousTopicsError, match=r"role pose: /(pose|other_pose), /"):
+    with refused_as("TOP-110", match=r"role pose: /(pose|other_pose), /"):
         sequence_of(two)
     assert_path(sequence_of(two, odometry_topic="/other_pose"))
 
@@ -374,14 +373,12 @@ def test_an_antenna_that_nobody_knows_and_positions_without_a_fix_are_said(tmp_p
 
 
 def test_positions_without_an_attitude_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(
-        errors.NoAttitudeError, match=r"/imu/data: none of its 100 messages.*covariance\[0\] is -1"
-    ) as refused:
+    with refused_as("GNS-306", match=r"/imu/data: none of its 100 messages.*covariance\[0\] is -1") as refused:
         sequence_of(rigs.written(tmp_path / "a.mcap", sweeps(), fixes(), attitudes(first_covariance=-1.0)))
     assert refused.value.code == "GNS-306"
-    with pytest.raises(errors.NoPoseSourceError):
+    with refused_as("SYN-502"):
         sequence_of(rigs.written(tmp_path / "b.mcap", sweeps(), fixes()))
-    with pytest.raises(errors.NoPoseSourceError):
+    with refused_as("SYN-502"):
         sequence_of(rigs.written(tmp_path / "c.mcap", sweeps(), fixes()), odometry_topic="/fix")
     with pytest.raises(errors.NoUsablePoseError, match="8 without a fix"):
         sequence_of(rigs.written(tmp_path / "d.mcap", sweeps(), fixes(status=-1), attitudes()))
@@ -394,12 +391,12 @@ def test_positions_without_an_attitude_are_refused(tmp_path: Path) -> None:
 
 def test_of_two_imus_the_attitude_s_is_chosen(tmp_path: Path) -> None:
     path = rigs.written(tmp_path / "a.mcap", sweeps(), fixes(), attitudes(), attitudes(-1.0, "/imu/raw"))
-    with pytest.raises(errors.AmbiguousTopicsError, match="role imu"):
+    with refused_as("TOP-110", match="role imu"):
         sequence_of(path)
     assert "/imu/data" in sequence_of(path, topics={"imu": "/imu/data"}).pose_source
-    with pytest.raises(errors.NoAttitudeError):
+    with refused_as("GNS-306"):
         sequence_of(path, topics={"imu": "/imu/raw"})
-    with pytest.raises(errors.WrongTopicError):
+    with refused_as("TOP-104"):
         sequence_of(path, topics={"imu": "/fix"})
 
 
@@ -430,7 +427,7 @@ def test_the_hash_of_the_file_is_among_the_inputs_and_an_unknown_frame_refused(t
     assert found[0]["poses p.txt"] != found[1]["poses p.txt"]
     bag, path = rigs.written(tmp_path / "a.mcap", sweeps()), tmp_path / "p.txt"
     path.write_text(tum_text(STAMPS_NS, TRUTH))
-    with pytest.raises(errors.PoseFileMismatchError):
+    with refused_as("SYN-517"):
         sequence_of(bag, poses=PoseFile(path, "chassis"))
 
 
@@ -441,6 +438,6 @@ def test_a_kitti_file_has_a_pose_for_every_sweep_and_a_map_that_begins_at_the_fi
     sequence = sequence_of(bag, poses=PoseFile(path, "CAM_FRONT"))
     assert_path(sequence, TRUTH[0].inverse() @ TRUTH)
     path.write_text(kitti_text(TRUTH[:7]))
-    with pytest.raises(errors.PoseFileMismatchError) as refused:
+    with refused_as("SYN-517") as refused:
         sequence_of(bag, poses=PoseFile(path, "base_link"))
     assert refused.value.code == "SYN-517"

@@ -22,10 +22,11 @@ from stone.errors import StoneError
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.db3 import sql
 from stone_recordings.bags.db3.pages import INTERIOR, LEAF, MAGIC, Db3Pages
-from stone_recordings.bags.errors import DatabaseRefusedError, MalformedBagError, PackedTooLargeError
+from stone_recordings.bags.errors import MalformedBagError
 from stone_recordings.bags.message_store import HEAD_BYTES
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.report.inspection import inspect
+from testing.refusals import refused_as
 from tests.stone_recordings.bags.memory_growth import GROWTH_LIMIT_BYTES, growth_of
 from tests.stone_recordings.databases import SCHEMAS, insert, write_db3
 from tests.stone_recordings.writing import Recorded
@@ -129,7 +130,7 @@ def test_a_journal_that_names_another_file_is_refused_and_the_file_stays(tmp_pat
     journal = path.with_name("run.db3-journal")
     tail = name + len(name).to_bytes(4, "big") + sum(name).to_bytes(4, "big") + b"\xd9\xd5\x05\xf9\x20\xa1\x63\xd7"
     journal.write_bytes(journal.read_bytes() + (2**30 // PAGE_BYTES + 1).to_bytes(4, "big") + tail)
-    with pytest.raises(DatabaseRefusedError):
+    with refused_as("BAG-018"):
         open_bag(path)
     assert victim.read_bytes() == b"precious"
 
@@ -240,7 +241,7 @@ def test_a_database_that_was_cut_gives_the_rows_before_the_cut(tmp_path: Path, s
 def test_a_database_without_a_readable_page_is_refused(tmp_path: Path) -> None:
     path = write_db3(tmp_path / "run.db3", _messages(20))
     path.write_bytes(path.read_bytes()[:100] + b"\x00" * 20_000)
-    with pytest.raises(DatabaseRefusedError):
+    with refused_as("BAG-018"):
         open_bag(path)
 
 
@@ -288,7 +289,7 @@ REFUSED = {
 def test_a_schema_that_is_no_recorders_is_refused_before_sqlite_sees_it(tmp_path, kind, monkeypatch):
     path = _changed(tmp_path / "run.db3", REFUSED[kind])
     monkeypatch.setattr(sql, "_connected", lambda _place: pytest.fail("SQLite was asked"))
-    with pytest.raises(DatabaseRefusedError) as caught:
+    with refused_as("BAG-018") as caught:
         open_bag(path)
     assert caught.value.code == "BAG-018"
 
@@ -371,7 +372,7 @@ def test_a_message_that_unpacks_without_measure_or_was_cut_is_refused(tmp_path: 
     with open_bag(path) as bag:
         ((_name, _index, head),) = bag.heads(("/a",))
         assert HEAD_BYTES <= len(head) <= 2**20
-        with pytest.raises(PackedTooLargeError):
+        with refused_as("BAG-027"):
             bag.message("/a", 0)
     frame = zstandard.compress(b"\x00\x01\x00\x00" + np.random.default_rng(0).bytes(300_000))
     for size in (5, 12, 1000, len(frame) - 1):

@@ -11,12 +11,13 @@ from simulator.pipeline import simulate
 from stone_files.bag_fingerprint import bag_paths, recording_inputs, recording_sha256
 from stone_files.joined_file import GIVEN, JOINED, REFERENCE, SAME_TOPICS, JoinedFileError, JoinedMember, joined_bytes
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.errors import MembersRefusedError, NotABagError
-from stone_recordings.bags.joined.joined_store import JoinedTopicError, moved, stamp_places
+from stone_recordings.bags.errors import NotABagError
+from stone_recordings.bags.joined.joined_store import moved, stamp_places
 from stone_recordings.bags.message_store import Topic
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sweeps import opened
+from testing.refusals import refused_as
 from testing.worlds.recording_parts import RecordingPart, split_into
 from tests.stone_recordings.writing import Recorded, write_mcap
 
@@ -147,7 +148,7 @@ def test_a_topic_of_two_types_is_refused(run: Path, tmp_path: Path) -> None:
     folder = joined(tmp_path, run, RecordingPart("one.mcap", of("lidar")), RecordingPart("two.mcap", of("imu")))
     path = (folder / "two.mcap").resolve()
     write_mcap(path, [Recorded("/lidar_points", "a/msg/B", 1, b"\0\1\0\0\1")])
-    with pytest.raises(JoinedTopicError, match="a/msg/B"):
+    with refused_as("BAG-041", match="a/msg/B"):
         open_bag(folder)
 
 
@@ -168,7 +169,7 @@ def test_a_folder_that_is_none_is_refused(three: Path, spoil: Callable[[Path], o
 
 
 def test_joined_recordings_are_recovered_one_by_one_and_a_member_that_is_no_bag_is_refused(three, tmp_path):
-    with pytest.raises(MembersRefusedError, match="name one of them"):
+    with refused_as("BAG-019", match="name one of them"):
         recover(three, tmp_path / "whole.mcap")
     (three / "imu.mcap").unlink()
     (three / "imu.mcap").write_bytes(b"root:x:0:0")

@@ -11,12 +11,11 @@ from scipy.spatial import cKDTree
 
 from stone.errors import StoneError
 from stone.geometry.se3 import SE3
-from stone.sensors import calibration_errors
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from stone.sensors.projection import project
 from stone_files.errors import CalibrationSizeError
-from stone_recordings.calibrations.errors import CalibrationKeyError, HalfRigError
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration
+from testing.refusals import refused_as
 from tests.stone_recordings.calibrations import robots
 
 POINTS = np.random.default_rng(5).uniform((4.0, -3.0, -1.0), (30.0, 3.0, 1.0), (200, 3)) @ np.array(
@@ -113,13 +112,13 @@ def test_the_three_files_of_a_raw_day_say_the_same_and_the_size(tmp_path: Path) 
 
 def test_a_transform_that_lost_its_frames_is_refused(tmp_path: Path) -> None:
     numbers = {"calib_time": "now", "R": "1 0 0 0 1 0 0 0 1", "T": "0 0 1"}
-    with pytest.raises(HalfRigError):
+    with refused_as("CAL-424"):
         read_any_calibration(written(tmp_path, {"000000.txt": lines(), "calib.txt": numbers}))
     files = robots.rellis()
     placed = files["transforms.yaml"]
     assert isinstance(placed, dict)
     files["transforms.yaml"] = {"hesai_lidar": placed["hesai_lidar-camera_front"]}
-    with pytest.raises(CalibrationKeyError):
+    with refused_as("CAL-422"):
         read_any_calibration(robots.write(tmp_path / "mule", files))
 
 
@@ -147,22 +146,22 @@ def test_the_radar_of_view_of_delft_is_told_by_its_folder(tmp_path: Path) -> Non
 @pytest.mark.parametrize(
     ("key", "value", "leaf"),
     [
-        ("P2", "1 2 3", CalibrationKeyError),
-        ("P2", "721 0 609 44 0 721 172 0 0 0 2 0", CalibrationKeyError),
-        ("P2", "0 0 609 44 0 0 172 0 0 0 1 0", CalibrationKeyError),
-        ("P2", "nan 0 609 44 0 721 172 0 0 0 1 0", calibration_errors.NotFiniteError),
-        ("P2", "721 0 609 nan 0 721 172 0 0 0 1 0", calibration_errors.NotFiniteError),
-        ("P2", "many 0 609 44 0 721 172 0 0 0 1 0", CalibrationKeyError),
-        ("R0_rect", "1 0 0 0 1 0 0 0 -1", calibration_errors.MirrorError),
-        ("R0_rect", "", CalibrationKeyError),
-        ("Tr_velo_to_cam", "1 0 0 0 0 1.1 0 0 0 0 1 0", calibration_errors.NotARotationError),
-        ("Tr_velo_to_cam", "1 0 0 inf 0 1 0 0 0 0 1 0", calibration_errors.NotFiniteError),
-        ("Tr_velo_to_cam", "1 0 0 151 0 1 0 0 0 0 1 0", calibration_errors.TranslationError),
-        ("Tr_velo_to_cam", "7", CalibrationKeyError),
+        ("P2", "1 2 3", "CAL-422"),
+        ("P2", "721 0 609 44 0 721 172 0 0 0 2 0", "CAL-422"),
+        ("P2", "0 0 609 44 0 0 172 0 0 0 1 0", "CAL-422"),
+        ("P2", "nan 0 609 44 0 721 172 0 0 0 1 0", "CAL-416"),
+        ("P2", "721 0 609 nan 0 721 172 0 0 0 1 0", "CAL-416"),
+        ("P2", "many 0 609 44 0 721 172 0 0 0 1 0", "CAL-422"),
+        ("R0_rect", "1 0 0 0 1 0 0 0 -1", "CAL-408"),
+        ("R0_rect", "", "CAL-422"),
+        ("Tr_velo_to_cam", "1 0 0 0 0 1.1 0 0 0 0 1 0", "CAL-401"),
+        ("Tr_velo_to_cam", "1 0 0 inf 0 1 0 0 0 0 1 0", "CAL-416"),
+        ("Tr_velo_to_cam", "1 0 0 151 0 1 0 0 0 0 1 0", "CAL-409"),
+        ("Tr_velo_to_cam", "7", "CAL-422"),
     ],
 )
-def test_a_wrong_line_is_refused_by_its_key(tmp_path: Path, key: str, value: str, leaf: type[StoneError]) -> None:
-    with pytest.raises(leaf) as reason:
+def test_a_wrong_line_is_refused_by_its_key(tmp_path: Path, key: str, value: str, leaf: str) -> None:
+    with refused_as(leaf) as reason:
         read_any_calibration(written(tmp_path, {"000000.txt": lines() | {key: value}}))
     assert "\n" not in str(reason.value)
 
@@ -274,5 +273,5 @@ def test_four_numbers_that_are_no_lens_are_refused(tmp_path: Path, text: str) ->
     assert isinstance(rig, dict)
     rig["transforms"].append({"parent": "base_link", "child": "pylon_camera_node", "matrix": np.eye(4).tolist()})
     rig["sensors"] = {"CAM_BACK": {"frame": "pylon_camera_node", "width_px": 10, "height_px": 10}}
-    with pytest.raises((CalibrationKeyError, calibration_errors.CameraMatrixError)):
+    with pytest.raises(StoneError, check=lambda error: error.code in ("CAL-411", "CAL-422")):
         read_any_calibration(robots.write(tmp_path / "mule", files))

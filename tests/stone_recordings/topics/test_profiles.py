@@ -12,9 +12,7 @@ from stone_recordings.topics.profiles import (
     LONGEST_TOPIC,
     MOST_TOPICS,
     Assignment,
-    BadProfileError,
     Candidate,
-    ProfileFileError,
     TopicProfile,
     channel_of,
     channel_of_words,
@@ -23,6 +21,7 @@ from stone_recordings.topics.profiles import (
     write_profile,
 )
 from stone_recordings.topics.roles import INSPVAX, POINT_CLOUD, Role
+from testing.refusals import refused_as
 
 IMU, IMAGE, ODOMETRY = "sensor_msgs/msg/Imu", "sensor_msgs/msg/Image", "nav_msgs/msg/Odometry"
 INSPVA = "novatel_oem7_msgs/msg/INSPVA"
@@ -135,7 +134,7 @@ def test_the_order_of_topics_does_not_matter(topics: list[Candidate]) -> None:
     ],
 )  # fmt: skip
 def test_a_profile_that_cannot_be_is_refused(topics: dict[str, str]) -> None:
-    with pytest.raises(BadProfileError):
+    with refused_as("TOP-113"):
         TopicProfile(topics)
 
 
@@ -190,13 +189,13 @@ HEAD = b"stone_profile: 1\n"
 )  # fmt: skip
 def test_what_is_no_profile_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "rover.yaml").write_bytes(content)
-    with pytest.raises(ProfileFileError):
+    with refused_as("TOP-114"):
         read_profile(tmp_path / "rover.yaml")
 
 
 def test_a_part_there_is_none_is_refused(tmp_path: Path) -> None:
     (tmp_path / "rover.yaml").write_bytes(HEAD + b"topics: {lidarr: /points}")
-    with pytest.raises(BadProfileError):
+    with refused_as("TOP-113"):
         read_profile(tmp_path / "rover.yaml")
 
 

@@ -14,15 +14,8 @@ from services.ingest.pipeline import SynchroniseOptions
 from simulator.pipeline import calibration_path
 from stone_files.joined_file import GIVEN, GYRO, RADARS, REFERENCE, SAME_MESSAGES, SAME_TOPICS, JoinedMember
 from stone_recordings.bags.bag import open_bag
-from stone_recordings.bags.joined.joined_store import JoinedTopicError
-from stone_recordings.joining.joined_recording import (
-    ContradictoryOffsetsError,
-    NoCommonTimeError,
-    NotJoinedError,
-    UnmeasuredOffsetError,
-    write_joined,
-)
-from stone_recordings.sync.errors import NoLidarError
+from stone_recordings.joining.joined_recording import write_joined
+from testing.refusals import refused_as
 from testing.worlds.drives import drive
 from testing.worlds.recording_parts import RecordingPart, split_into
 from testing.worlds.runs import SMALL
@@ -213,27 +206,27 @@ def test_sensors_that_contradict_each_other_are_refused(long: Path, tmp_path: Pa
             "/imu/data",
             [(message.log_time_ns, bytes(message.payload)) for message in bag.messages("/imu/data")],
         )
-    with pytest.raises(ContradictoryOffsetsError, match=r"--clock-offset both\.mcap"):
+    with refused_as("SYN-524", match=r"--clock-offset both\.mcap"):
         join_recordings(JoinRequest(paths[:2], calibration_path(long)))
 
 
 def test_a_recording_whose_sensors_tell_no_time_is_refused(short: Path, tmp_path: Path) -> None:
     """A second is too short to tell one lag from another."""
-    with pytest.raises(UnmeasuredOffsetError, match=r"--clock-offset radar\.bag=SECONDS"):
+    with refused_as("SYN-523", match=r"--clock-offset radar\.bag=SECONDS"):
         join(short, tmp_path, NAV, RADAR)
     paths = split_into(short, tmp_path, (NAV, RADAR))
-    with pytest.raises(UnmeasuredOffsetError, match="no calibration"):
+    with refused_as("SYN-523", match="no calibration"):
         join_recordings(JoinRequest(paths))
 
 
 def test_a_recording_of_another_time_is_refused(short: Path, tmp_path: Path) -> None:
     for apart_ns, when in ((10**11, "after the end"), (-(10**11), "before the beginning")):
-        with pytest.raises(NoCommonTimeError, match=when):
+        with refused_as("SYN-525", match=when):
             join(short, tmp_path, NAV, RADAR, radar=apart_ns)
 
 
 def test_recordings_without_a_lidar_are_refused(short: Path, tmp_path: Path) -> None:
-    with pytest.raises(NoLidarError):
+    with refused_as("TOP-101"):
         join(short, tmp_path, RecordingPart("imu.mcap", of("imu")), RADAR)
 
 
@@ -242,7 +235,7 @@ def test_a_topic_of_two_types_is_refused(short: Path, tmp_path: Path) -> None:
     other = tmp_path / "other.mcap"
     other.write_bytes(paths[0].read_bytes())
     added(other, "/radar/front/detections", [(1, b"\0\1\0\0")])
-    with pytest.raises(JoinedTopicError):
+    with refused_as("BAG-041"):
         join_recordings(JoinRequest((*paths, other)))
 
 
@@ -263,7 +256,7 @@ def test_what_cannot_be_a_run_is_refused(
     paths = split_into(short, tmp_path, (NAV, RADAR))
     (tmp_path / "joined").mkdir()
     write_joined(join_recordings(JoinRequest(paths, given_ns={"radar.bag": 0})), tmp_path / "joined")
-    with pytest.raises(NotJoinedError, match=why):
+    with refused_as("SYN-526", match=why):
         join_recordings(change(paths))
 
 

@@ -17,6 +17,7 @@ from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.bags.ros1.records import MAGIC
 from stone_recordings.report.inspection import inspect
+from testing.refusals import refused_as
 from tests.stone_recordings.bags.memory_growth import GROWTH_LIMIT_BYTES, growth_of
 
 DESCRIPTION = {"topic": b"/text", "type": b"std_msgs/String", "md5sum": b"0", "message_definition": b"string data\n"}
@@ -76,26 +77,26 @@ def test_messages_outside_of_chunks_are_read_and_an_index_that_agrees_with_itsel
 @pytest.mark.parametrize(
     ("content", "refusal"),
     [
-        (MAGIC[:7], errors.CutBagError),
-        (MAGIC, errors.CutBagError),
-        (bag_header()[:60], errors.CutBagError),
-        (bag_header(), errors.CutBagError),
-        (bag_header() + connection(), errors.CutBagError),
-        (bag_header(encryptor=b"rosbag/AesCbcEncryptor") + connection() + text(), errors.EncryptedBagError),
-        (b"#ROSBAG V1.2\n" + bytes(100), errors.NotABagError),
-        (b"#ROSRECORD V1.1\n" + bytes(100), errors.NotABagError),
-        (MAGIC + record(5, bytes(9)), errors.MalformedBagError),
-        (MAGIC + record(3, bytes(9)), errors.MalformedBagError),
-        (MAGIC + u32(3) + bytes(5000), errors.MalformedBagError),
-        (MAGIC + u32(1 << 30) + bytes(5000), errors.MalformedBagError),
-        (bag_header() + text(), errors.MalformedBagError),
-        (bag_header() + connection() + connection(type=b"std_msgs/Int8") + text(), errors.MalformedBagError),
-        (bag_header(700, 1, 1) + connection() + bytes(900), errors.MalformedBagError),
-        (bag_header() + connection() + record(2, bytes(9)), errors.MalformedBagError),
+        (MAGIC[:7], "BAG-010"),
+        (MAGIC, "BAG-010"),
+        (bag_header()[:60], "BAG-010"),
+        (bag_header(), "BAG-010"),
+        (bag_header() + connection(), "BAG-010"),
+        (bag_header(encryptor=b"rosbag/AesCbcEncryptor") + connection() + text(), "BAG-036"),
+        (b"#ROSBAG V1.2\n" + bytes(100), "BAG-001"),
+        (b"#ROSRECORD V1.1\n" + bytes(100), "BAG-001"),
+        (MAGIC + record(5, bytes(9)), "BAG-012"),
+        (MAGIC + record(3, bytes(9)), "BAG-012"),
+        (MAGIC + u32(3) + bytes(5000), "BAG-012"),
+        (MAGIC + u32(1 << 30) + bytes(5000), "BAG-012"),
+        (bag_header() + text(), "BAG-012"),
+        (bag_header() + connection() + connection(type=b"std_msgs/Int8") + text(), "BAG-012"),
+        (bag_header(700, 1, 1) + connection() + bytes(900), "BAG-012"),
+        (bag_header() + connection() + record(2, bytes(9)), "BAG-012"),
     ],
 )  # fmt: skip
-def test_each_refusal_has_its_code_and_its_words(tmp_path: Path, content: bytes, refusal: type[StoneError]) -> None:
-    with pytest.raises(refusal):
+def test_each_refusal_has_its_code_and_its_words(tmp_path: Path, content: bytes, refusal: str) -> None:
+    with refused_as(refusal):
         open_bag(written(tmp_path, content))
 
 
@@ -108,7 +109,7 @@ def test_a_chunk_that_inflates_to_another_size_is_refused(tmp_path, compression,
 
 
 def test_a_compression_that_is_none_of_ros1_is_named(tmp_path: Path) -> None:
-    with pytest.raises(errors.CompressionRefusedError):
+    with refused_as("BAG-017"):
         open_bag(written(tmp_path, bag_header() + chunk(b"zstd", 10, b"0123456789") + connection()))
 
 
