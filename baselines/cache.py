@@ -88,7 +88,7 @@ def cached_frames(
 ) -> tuple[CachedFrame, ...]:
     """Every frame in the cache, in order; what is not in it yet is read and put there.
 
-    Raises `DamagedExportError`, `SensorMissingError`.
+    Raises `DamagedExportError`, `sensor_missing`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     wanted = tuple(sources)

@@ -17,8 +17,8 @@ from safetensors import SafetensorError, safe_open
 from safetensors.torch import load_file, save_file
 from torch import Tensor, nn
 
-from baselines.errors import BadRunError
 from baselines.layers.resnet import ResNet
+from stone.errors import Refused
 from stone_files.atomic import atomic_file
 
 # What torch and safetensors raise for files that are none, `AttributeError` for one that holds no dictionary.
@@ -62,7 +62,7 @@ def write_checkpoint(
 
 
 def read_checkpoint(folder: Path, model: nn.Module, optimizer: torch.optim.Optimizer) -> WeightsProvenance:
-    """Put model, optimiser and random numbers into the state of the checkpoint. Raises `BadRunError`."""
+    """Put model, optimiser and random numbers into the state of the checkpoint. Raises `bad_run`."""
     path = folder / CHECKPOINT
     provenance = provenance_of(path)
     tensors = load_file(path)
@@ -85,39 +85,41 @@ def write_weights(folder: Path, model: nn.Module, provenance: WeightsProvenance)
 
 
 def read_weights(folder: Path, model: nn.Module) -> WeightsProvenance:
-    """Put the weights into the model. Raises `BadRunError`."""
+    """Put the weights into the model. Raises `bad_run`."""
     provenance = provenance_of(folder / WEIGHTS)
     _load_model(folder, model, load_file(folder / WEIGHTS))
     return provenance
 
 
 def provenance_of(path: Path) -> WeightsProvenance:
-    """What the file says of itself. Raises `BadRunError`."""
+    """What the file says of itself. Raises `bad_run`."""
     if not path.is_file():
-        raise BadRunError(path.parent, f"there is no {path.name}; did the run end before its first checkpoint?")
+        raise Refused(
+            "bad_run", f"{path.parent}: there is no {path.name}; did the run end before its first checkpoint?"
+        )
     try:
         with safe_open(path, "pt") as file:
             said = json.loads((file.metadata() or {})[SAID])
         return WeightsProvenance(**{**said, "position": Position(**said["position"])})
     except (SafetensorError, KeyError, TypeError, ValueError) as error:
-        raise BadRunError(path.parent, f"{path.name} is not a file of a run") from error
+        raise Refused("bad_run", f"{path.parent}: {path.name} is not a file of a run") from error
 
 
 def load_backbone(model: nn.Module, path: Path) -> None:
     """Pretrained weights of the model's image backbone, from a safetensors or torch file with torchvision's keys.
 
-    A classifier in it is passed over. Raises `BadRunError` where a weight of the backbone is not in it, or of another
+    A classifier in it is passed over. Raises `bad_run` where a weight of the backbone is not in it, or of another
     shape, where the file holds anything but tensors, and where the model has no such backbone.
     """
     backbone = next((part for part in model.modules() if isinstance(part, ResNet)), None)
     if backbone is None:
-        raise BadRunError(path.parent, f"{path.name} is of an image backbone, and this row has none")
+        raise Refused("bad_run", f"{path.parent}: {path.name} is of an image backbone, and this row has none")
     try:
         tensors = load_file(path) if path.suffix == ".safetensors" else torch.load(path, weights_only=True)
         backbone.load_pretrained({name: value for name, value in tensors.items() if isinstance(value, Tensor)})
     except UNREADABLE as error:
         why = (str(error).splitlines() or [type(error).__name__])[0]
-        raise BadRunError(path.parent, f"{path.name} lacks the weights: {why}") from error
+        raise Refused("bad_run", f"{path.parent}: {path.name} lacks the weights: {why}") from error
 
 
 def _optimizer_tensors(model: nn.Module, optimizer: torch.optim.Optimizer) -> dict[str, Tensor]:
@@ -133,7 +135,7 @@ def _load_model(folder: Path, model: nn.Module, tensors: Mapping[str, Tensor]) -
         model.load_state_dict(dict(tensors))
     except RuntimeError as error:
         why = str(error).splitlines()[1].strip() if "\n" in str(error) else str(error)
-        raise BadRunError(folder, f"its weights are of another model: {why[:200]}") from error
+        raise Refused("bad_run", f"{folder}: its weights are of another model: {why[:200]}") from error
 
 
 def _write(path: Path, tensors: Mapping[str, Tensor], provenance: WeightsProvenance) -> None:

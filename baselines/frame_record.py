@@ -13,8 +13,8 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from baselines.errors import SensorMissingError
 from baselines.inputs import InputConfig
+from stone.errors import Refused
 from stone.geometry.se3 import SE3
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import ExportFileSpan
@@ -50,7 +50,7 @@ class FrameRecord:
 
 
 def read_record(frame: ExportedFrame, labels: ExportFileSpan | None, inputs: InputConfig) -> FrameRecord:
-    """What `inputs` wants of a frame. Raises `DamagedExportError`, `SensorMissingError`."""
+    """What `inputs` wants of a frame. Raises `DamagedExportError`, `sensor_missing`."""
     returns, detections = np.zeros((0, 4), np.float32), np.zeros((0, 6), np.float32)
     if inputs.sees("L") or inputs.with_depth:
         lidar = frame.lidar
@@ -72,7 +72,7 @@ def within_reach(returns: NDArray[np.float32]) -> NDArray[np.float32]:
 def _detections(frame: ExportedFrame, inputs: InputConfig) -> NDArray[np.float32]:
     scans = [(datum, detections_ego(datum)) for datum in frame.of_modality("radar")]
     if not scans:
-        raise SensorMissingError(frame.token, frame.sequence, "radar", inputs.modality)
+        raise sensor_missing(frame.token, frame.sequence, "radar", inputs.modality)
     placed = [_at_lidar_stamp(frame, datum, rows) for datum, rows in scans]
     return np.concatenate(placed).astype(np.float32)
 
@@ -90,7 +90,7 @@ def _pictures(frame: ExportedFrame, inputs: InputConfig) -> Iterator[PictureReco
     for channel in inputs.channels:
         datum = frame.data.get(channel)
         if datum is None or datum.sensor.intrinsics is None:
-            raise SensorMissingError(frame.token, frame.sequence, channel, inputs.modality)
+            raise sensor_missing(frame.token, frame.sequence, channel, inputs.modality)
         lens = datum.sensor.intrinsics
         pixels = undistorted_picture(datum.span, lens, (width_px, height_px))
         across, down = width_px / lens.width_px, height_px / lens.height_px
@@ -109,3 +109,11 @@ def _jpeg(pixels: NDArray[np.uint8]) -> bytes:
     buffer = BytesIO()
     Image.fromarray(pixels).save(buffer, "JPEG", quality=JPEG_QUALITY)
     return buffer.getvalue()
+
+
+def sensor_missing(token: str, sequence: str, sensor: str, modality: str) -> Refused:
+    return Refused(
+        "sensor_missing",
+        f"frame {token} of {sequence} has no {sensor}, and the row is of modality {modality}: give a row of the "
+        "sensors that are there, or leave this sequence out",
+    )

@@ -18,10 +18,10 @@ from typing import cast
 import torch
 from torch import Tensor
 
-from baselines.errors import NotDeployableError
 from baselines.models.column_net import ColumnNet
 from baselines.models.column_net_program import ColumnNetProgram, program_inputs
 from baselines.predict import LoadedRun, loaded_run
+from stone.errors import Refused
 from stone_files.atomic import atomic_file
 
 CLASSES = ("free", "traversable", "potentially_traversable", "non_traversable")
@@ -49,11 +49,16 @@ class WrittenOnnx:
 
 
 def write_onnx(run: Path, output: Path) -> WrittenOnnx:
-    """Write the run's network. Raises `BadRunError`, `BadRowError`, `NotDeployableError`, `OutputExistsError`."""
+    """Write the run's network. Raises `bad_run`, `bad_row`, `not_deployable`, `output_exists`."""
     loaded = loaded_run(run, "cpu")
     model = loaded.predictor.model
     if not isinstance(model, ColumnNet):
-        raise NotDeployableError(loaded.row.method, loaded.row.model.architecture, ["column_net"])
+        raise Refused(
+            "not_deployable",
+            f"{loaded.row.method} is of architecture {loaded.row.model.architecture}, whose shapes follow each "
+            "frame, and cannot be written as ONNX; of those that there are, this one can: "
+            f"{', '.join(['column_net'])}",
+        )
     inputs = program_inputs(model, len(loaded.row.inputs.channels), loaded.row.inputs.image_size_px)
     with atomic_file(output) as staging:
         _export(model, inputs, _metadata(loaded, inputs), staging)

@@ -78,7 +78,7 @@ class WrittenPrediction:
 def predict(plan: PredictionPlan, progress: Progress) -> WrittenPrediction:
     """Predict every frame of the manifest.
 
-    Raises `BadRunError`, `BadRowError`, `ManifestError`, what reading exports raises, `FramesMissingError`.
+    Raises `bad_run`, `bad_row`, `bad_manifest`, what reading exports raises, `frames_missing`.
     """
     loaded = loaded_run(plan.run, plan.device)
     manifest = read_manifest(plan.manifest)
@@ -139,7 +139,7 @@ class LoadedRun:
 
 
 def loaded_run(run: Path, device: str) -> LoadedRun:
-    """The run's row and model. Raises `BadRunError`, `BadRowError`, `NoAcceleratorError`."""
+    """The run's row and model. Raises `bad_run`, `bad_row`, `no_accelerator`."""
     row, own = read_run_row(run), usable_device(device)
     model = build_model(row.model).to(own)
     provenance = read_weights(run, model)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 import torch
 from torch import distributed
 
-from baselines.errors import NoAcceleratorError
+from stone.errors import Refused
 
 
 @dataclass(frozen=True)
@@ -31,7 +31,7 @@ class ProcessShare:
 
 @contextmanager
 def joined_processes(device: str) -> Iterator[ProcessShare]:
-    """This process among those of its `torchrun`, or alone. Raises `NoAcceleratorError`."""
+    """This process among those of its `torchrun`, or alone. Raises `no_accelerator`."""
     rank, world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
     own = usable_device(device, int(os.environ.get("LOCAL_RANK", "0")))
     if world == 1:
@@ -45,9 +45,13 @@ def joined_processes(device: str) -> Iterator[ProcessShare]:
 
 
 def usable_device(name: str, place: int = 0) -> torch.device:
-    """The CPU, or of the GPUs the one at `place`. Raises `NoAcceleratorError`."""
+    """The CPU, or of the GPUs the one at `place`. Raises `no_accelerator`."""
     if name != "cuda":
         return torch.device(name)
     if place >= torch.cuda.device_count():
-        raise NoAcceleratorError(f"cuda:{place}", torch.__version__)
+        raise Refused(
+            "no_accelerator",
+            f"cuda:{place} cannot be used here by torch {torch.__version__}: use --device cpu, or install the "
+            "torch that matches the machine's driver",
+        )
     return torch.device(name, place)

@@ -5,7 +5,7 @@
 """
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import asdict, dataclass, field, fields, is_dataclass, replace
 from pathlib import Path
 from typing import Annotated, Any, Literal
@@ -15,11 +15,11 @@ from ruamel.yaml import YAML
 from ruamel.yaml.error import YAMLError
 
 from baselines.augment import AugmentConfig
-from baselines.errors import BadRowError
 from baselines.inputs import CountedVoxels, InputConfig, refuse_below_one
 from baselines.lattice import grid_part
 from baselines.models.architectures import ModelConfig
 from baselines.models.column_net_config import ColumnNetConfig
+from stone.errors import Refused
 
 CONFIGS = Path(__file__).with_name("configs")
 MOST_CONFIG_BYTES = 65536
@@ -88,40 +88,40 @@ def known_rows() -> tuple[str, ...]:
 
 
 def read_row(name: str, changes: Mapping[str, Any] | None = None) -> RowConfig:
-    """The row of this name, or of this YAML file, with `changes` of its training. Raises `BadRowError`."""
+    """The row of this name, or of this YAML file, with `changes` of its training. Raises `bad_row`."""
     path = CONFIGS / f"{name}.yaml" if name in known_rows() else Path(name)
     if not path.is_file():
-        raise BadRowError(name, "there is no such row", known_rows())
+        raise bad_row(name, "there is no such row", known_rows())
     if path.stat().st_size > MOST_CONFIG_BYTES:
-        raise BadRowError(name, f"the file is larger than {MOST_CONFIG_BYTES} bytes")
+        raise bad_row(name, f"the file is larger than {MOST_CONFIG_BYTES} bytes")
     try:
         said = YAML(typ="safe").load(path.read_text("utf-8"))
     except (YAMLError, UnicodeDecodeError) as error:
-        raise BadRowError(name, f"it is not YAML: {str(error).splitlines()[0]}") from error
+        raise bad_row(name, f"it is not YAML: {str(error).splitlines()[0]}") from error
     row = row_of(name, said)
     kept = {key: value for key, value in (changes or {}).items() if value is not None}
     return replace(row, training=replace(row.training, **kept))
 
 
 def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
-    """The row with less memory for more time: activations are computed anew in backward. Raises `BadRowError`."""
+    """The row with less memory for more time: activations are computed anew in backward. Raises `bad_row`."""
     if isinstance(row.model, ColumnNetConfig):
-        raise BadRowError(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
+        raise bad_row(row.name, "it has no blocks large enough for --checkpoint-gradients to be of use")
     return replace(row, model=replace(row.model, checkpoint_gradients=True))
 
 
 def row_of(name: str, said: object) -> RowConfig:
-    """The row that a mapping describes. Raises `BadRowError`."""
+    """The row that a mapping describes. Raises `bad_row`."""
     try:
         row = ROW.validate_python(said)
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
         why = first["msg"].removeprefix("Value error, ")  # pydantic's, before a sentence of our own
-        raise BadRowError(name, f"{place}: {why}, found {str(first['input'])[:80]!r}") from error
+        raise bad_row(name, f"{place}: {why}, found {str(first['input'])[:80]!r}") from error
     unknown = next(_unknown_keys(said, row, ""), None)
     if unknown is not None:
-        raise BadRowError(name, f"{unknown} is not a field")
+        raise bad_row(name, f"{unknown} is not a field")
     return row
 
 
@@ -135,3 +135,8 @@ def _unknown_keys(said: object, value: object, path: str) -> Iterator[str]:
             yield f"{path}{key}"
         else:
             yield from _unknown_keys(part, getattr(value, str(key)), f"{path}{key}.")
+
+
+def bad_row(name: str, why: str, known: Sequence[str] = ()) -> Refused:
+    hint = f"; the rows that are there: {', '.join(known)}, or a path of a YAML file" if known else ""
+    return Refused("bad_row", f"row {name!r}: {why}{hint}")

@@ -10,8 +10,8 @@ from typing import Any, Self
 from torch.utils.tensorboard.writer import SummaryWriter
 
 from baselines.checkpoint import CHECKPOINT
-from baselines.errors import BadRunError, RunExistsError
 from baselines.row_config import RowConfig, row_of
+from stone.errors import Refused
 from stone_files.atomic import atomic_file
 
 ROW_FILE = "row.json"
@@ -20,19 +20,23 @@ ROW_FILE = "row.json"
 def opened_run(folder: Path, row: RowConfig, resume: bool) -> tuple[RowConfig, bool]:
     """The row that the run trains, and whether it has a checkpoint to go on from; nothing is written yet.
 
-    A run that was killed before its first checkpoint begins again. Raises `RunExistsError` where one is there and is
-    not to be resumed, `BadRunError` where it trains another row.
+    A run that was killed before its first checkpoint begins again. Raises `run_exists` where one is there and is
+    not to be resumed, `bad_run` where it trains another row.
     """
     named = folder / ROW_FILE
     if not named.exists():
         if resume:
-            raise BadRunError(folder, f"there is no {ROW_FILE}, so there is no run to resume; leave out --resume")
+            raise Refused(
+                "bad_run", f"{folder}: there is no {ROW_FILE}, so there is no run to resume; leave out --resume"
+            )
         return row, False
     if not resume:
-        raise RunExistsError(folder)
+        raise Refused("run_exists", f"{folder} holds a run: continue it with --resume, or name another folder")
     begun = read_run_row(folder)
     if begun.as_json() != row.as_json():
-        raise BadRunError(folder, f"it trains {differences(begun, row)}; resume it with the same row and options")
+        raise Refused(
+            "bad_run", f"{folder}: it trains {differences(begun, row)}; resume it with the same row and options"
+        )
     return begun, (folder / CHECKPOINT).exists()
 
 
@@ -44,11 +48,11 @@ def say_row(folder: Path, row: RowConfig) -> None:
 
 
 def read_run_row(folder: Path) -> RowConfig:
-    """The row of a run. Raises `BadRunError`, `BadRowError`."""
+    """The row of a run. Raises `bad_run`, `bad_row`."""
     try:
         said = json.loads((folder / ROW_FILE).read_text("utf-8"))
     except (OSError, ValueError) as error:
-        raise BadRunError(folder, f"it is not a run of `stone train`: {ROW_FILE} cannot be read") from error
+        raise Refused("bad_run", f"{folder}: it is not a run of `stone train`: {ROW_FILE} cannot be read") from error
     return row_of(str(folder), said)
 
 

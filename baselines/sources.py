@@ -8,7 +8,7 @@ from collections.abc import Iterable, Iterator, Sequence
 from pathlib import Path
 
 from baselines.cache import FrameSource
-from baselines.errors import NothingToTrainOnError
+from stone.errors import Refused
 from stone_exports.files import Files, FolderFiles, TarFiles
 from stone_exports.frames import ExportedFrame, frames_in
 from stone_exports.tables import EXPORTED, NotExportedError, exports_in
@@ -20,7 +20,7 @@ LABELS = "gts"
 def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
     """Every frame with samples, with its labels where there are some.
 
-    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, and `NothingToTrainOnError` where no frame has
+    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, and `nothing_to_train_on` where no frame has
     labels.
     """
     exports, stores = list[Files](), list[Files]()
@@ -34,7 +34,7 @@ def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
         stores += found
     sources = tuple(_with_labels(frame, stores) for frame in frames_of(exports))
     if all(source.labels is None for source in sources):
-        raise NothingToTrainOnError(paths)
+        raise nothing_to_train_on(paths)
     return sources
 
 
@@ -64,3 +64,12 @@ def _label_stores(path: Path) -> Iterator[Files]:
         places = tar_spans_of(path, lambda name: EXPORTED.fullmatch(name) is not None)
         roots = {name[: name.index(f"{LABELS}/")] for name in places if f"{LABELS}/" in name}
         yield from (TarFiles(path, places, root) for root in sorted(roots))
+
+
+def nothing_to_train_on(exports: Sequence[Path]) -> Refused:
+    named = ", ".join(str(path) for path in exports[:3])
+    return Refused(
+        "nothing_to_train_on",
+        f"{named} hold no frame with labels: expected are exports of `stone export --format nuscenes`, or inputs "
+        "beside the tars of a dataset version (was an export of format inputs given alone?)",
+    )

@@ -25,7 +25,6 @@ from baselines.batch import Batch, CameraViews, Points, moved
 from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
 from baselines.data import EpochSampler, FrameDataset, FrameRequest
-from baselines.errors import TooFewFramesError, TooLittleMemoryError, TrainingDivergedError
 from baselines.metrics import RateSchedule, confusion_of, scores_of, take_step
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare, joined_processes
@@ -33,6 +32,7 @@ from baselines.row_config import RowConfig
 from baselines.run_folder import RunLog, TrainingReport, opened_run, say_row
 from baselines.sources import labelled_frames
 from baselines.training_state import TrainingState, begun_state, resumed_state
+from stone.errors import Refused
 
 # One batch of several frames: the collate function of loaders.
 
@@ -132,8 +132,8 @@ class TrainedRun:
 def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRun:
     """Train to the end of the plan, from the beginning or from the run's checkpoint.
 
-    Raises what reading exports raises, `NothingToTrainOnError`, `RunExistsError`, `BadRunError`,
-    `TooFewFramesError`, `TrainingDivergedError`, `TooLittleMemoryError`, `NoAcceleratorError`.
+    Raises what reading exports raises, `nothing_to_train_on`, `run_exists`, `bad_run`,
+    `too_few_frames`, `training_diverged`, `too_little_memory`, `no_accelerator`.
     """
     with joined_processes(plan.device) as share:
         row, goes_on = opened_run(plan.run, plan.row, plan.resume)
@@ -152,7 +152,11 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
         except RuntimeError as error:
             if not isinstance(error, torch.OutOfMemoryError) and CPU_IS_FULL not in str(error):
                 raise
-            raise TooLittleMemoryError(str(share.device), row.training.batch) from error
+            raise Refused(
+                "too_little_memory",
+                f"{share.device!s} has too little memory for a step of {row.training.batch} frames: lower "
+                "--batch, use --checkpoint-gradients, or train a smaller row",
+            ) from error
     said = state.provenance
     return TrainedRun(str(plan.run), said.position.step, said.frames, said.data_sha256, said.best_miou)
 
@@ -201,7 +205,11 @@ class _Run:
         )
         a_step = self.config.batch * self.config.accumulate
         if len(self.sampler) < a_step:
-            raise TooFewFramesError(len(self.sampler), a_step)
+            raise Refused(
+                "too_few_frames",
+                f"each process has {len(self.sampler)} frames to train on, a step takes {a_step}: lower --batch, "
+                "--accumulate or --stride, or give more exports",
+            )
         self.steps_an_epoch = len(self.sampler) // a_step
         self.schedule = RateSchedule(self.config, self.steps_an_epoch * self.config.epochs)
 
@@ -256,10 +264,10 @@ class _Run:
                 confusion = counts if confusion is None else confusion + counts
         rate = self.config.learning_rate * self.schedule.ratio(step)
         if not all(abs(value) < float("inf") for value in terms.values()):
-            raise TrainingDivergedError(step, terms, rate)
+            raise training_diverged(step, terms, rate)
         norm = take_step(self.state.parameters(), self.state.optimizer, rate, self.config.clip_norm)
         if not math.isfinite(norm):
-            raise TrainingDivergedError(step, {**terms, "norm of gradients": norm}, rate)
+            raise training_diverged(step, {**terms, "norm of gradients": norm}, rate)
         scores = {} if confusion is None else scores_of(confusion)
         return TrainingReport(step + 1, self.schedule.steps, 0, terms, scores, rate)
 
@@ -306,3 +314,12 @@ def scores_on(
                 whole += confusion_of(model.logits(outputs, batch), batch.labels)
     model.train(was_training)
     return scores_of(whole)
+
+
+def training_diverged(step: int, terms: dict[str, float], rate: float) -> Refused:
+    said = ", ".join(f"{name} {value:.3g}" for name, value in terms.items())
+    return Refused(
+        "training_diverged",
+        f"step {step}: the losses are {said} at a learning rate of {rate:.2e}; lower learning_rate or "
+        "clip_norm, or train in float32 (--precision float32); the last checkpoint is intact",
+    )

@@ -12,12 +12,12 @@ from torch.nn.parallel import DistributedDataParallel
 
 from baselines.cache import CachedFrame, data_hash
 from baselines.checkpoint import WeightsProvenance, read_checkpoint, write_checkpoint
-from baselines.errors import BadRunError
 from baselines.metrics import BatchLosses, build_optimizer
 from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare
 from baselines.row_config import RowConfig
+from stone.errors import Refused
 from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import METRIC_VERSION
 
@@ -59,7 +59,7 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
 
 
 def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
-    """The state of the run's checkpoint. Raises `BadRunError` where that is of another row or other data."""
+    """The state of the run's checkpoint. Raises `bad_run` where that is of another row or other data."""
     read = read_checkpoint(folder, state.model, state.optimizer)
     same: Mapping[str, tuple[object, object]] = {
         "row": (read.config, state.provenance.config),
@@ -68,5 +68,5 @@ def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
     }
     for name, (then, now) in same.items():
         if then != now:
-            raise BadRunError(folder, f"its {name} has changed: {str(then)[:64]} then, {str(now)[:64]} now")
+            raise Refused("bad_run", f"{folder}: its {name} has changed: {str(then)[:64]} then, {str(now)[:64]} now")
     return replace(state, provenance=read)

@@ -8,7 +8,7 @@ from dataclasses import dataclass
 from typing import Literal, get_args
 
 from simulator.sensors import rig
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.splits.surroundings import ILLUMINATIONS
 
 Compression = Literal["none", "lz4", "zstd"]
@@ -36,15 +36,6 @@ MAX_COLUMNS = 7200
 MAX_SECONDS = 3600.0
 MIN_CAMERA_WIDTH_PX, MAX_CAMERA_WIDTH_PX = 32, 4096
 MAX_TRANSPORT_JITTER_NS = 4_000_000  # less than the IMU's period: no message overtakes another of its topic
-
-
-class SimulationOptionError(StoneError):
-    """An option lies outside what the simulated rig can do."""
-
-    code = "bad_simulation_option"
-
-    def __init__(self, name: str, value: object, limit: str) -> None:
-        super().__init__(f"{name} is {value!r}; it must be {limit}")
 
 
 @dataclass(frozen=True)
@@ -95,23 +86,33 @@ class SimulateOptions:
         _within("world_width_m", self.world_width_m, 30.0, 400.0)
         _within("speed_m_s", self.speed_m_s, 0.1, 10.0)
         if self.lidar_hz not in LIDAR_HZ:
-            raise SimulationOptionError("lidar_hz", self.lidar_hz, f"one of {', '.join(map(str, LIDAR_HZ))}")
+            raise Refused(
+                "bad_simulation_option",
+                f"lidar_hz is {self.lidar_hz!r}; it must be one of {', '.join(map(str, LIDAR_HZ))}",
+            )
         if self.compression not in ("none", "lz4", "zstd"):
-            raise SimulationOptionError("compression", self.compression, "none, lz4 or zstd")
+            raise Refused("bad_simulation_option", f"compression is {self.compression!r}; it must be none, lz4 or zstd")
         _within("noise_ratio", self.noise_ratio, 0.0, 10.0)
         _within("host_delay_max_ns", self.host_delay_max_ns, 0, 45_000_000)
         _within("transport_jitter_ns", self.transport_jitter_ns, 0, MAX_TRANSPORT_JITTER_NS)
         if self.traffic not in get_args(Traffic):
-            raise SimulationOptionError("traffic", self.traffic, f"one of {', '.join(get_args(Traffic))}")
+            raise Refused(
+                "bad_simulation_option",
+                f"traffic is {self.traffic!r}; it must be one of {', '.join(get_args(Traffic))}",
+            )
         if self.camera_detail not in get_args(CameraDetail):
-            raise SimulationOptionError(
-                "camera_detail", self.camera_detail, f"one of {', '.join(get_args(CameraDetail))}"
+            raise Refused(
+                "bad_simulation_option",
+                f"camera_detail is {self.camera_detail!r}; it must be one of {', '.join(get_args(CameraDetail))}",
             )
         if self.illumination not in ILLUMINATIONS:
-            raise SimulationOptionError("illumination", self.illumination, f"one of {', '.join(ILLUMINATIONS)}")
+            raise Refused(
+                "bad_simulation_option",
+                f"illumination is {self.illumination!r}; it must be one of {', '.join(ILLUMINATIONS)}",
+            )
         for fault in self.faults:
             if fault not in FAULT_NAMES:
-                raise SimulationOptionError("faults", fault, f"of {', '.join(FAULT_NAMES)}")
+                raise Refused("bad_simulation_option", f"faults is {fault!r}; it must be of {', '.join(FAULT_NAMES)}")
 
     @property
     def sweep_ns(self) -> int:
@@ -126,7 +127,7 @@ class SimulateOptions:
 
 def _within(name: str, value: float, low: float, high: float) -> None:
     if not low <= value <= high:
-        raise SimulationOptionError(name, value, f"from {low:g} to {high:g}")
+        raise Refused("bad_simulation_option", f"{name} is {value!r}; it must be from {low:g} to {high:g}")
 
 
 # The topics of the simulated rig and what each one carries.

@@ -56,7 +56,7 @@ def simulate(out: Path, options: SimulateOptions, truth_dir: Path | None = None,
     """Write the bag at `out`, `calibration_path(out)` beside it, and the truth folder if one is asked for.
 
     `stone label OUT.mcap --calibration OUT.calibration.yaml` then works. Each of the three is whole or absent.
-    Raises `OutputExistsError` when something that is not ours stands in the way.
+    Raises `output_exists` when something that is not ours stands in the way.
     """
     progress("build world", 0, 1)
     world = build_world(options)

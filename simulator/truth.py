@@ -20,7 +20,7 @@ from simulator.scenery.objects import OBSTACLE
 from simulator.scenery.path import POSE_NS, DriveTrajectory
 from simulator.scenery.terrain import bilinear
 from simulator.scenery.world import ORIGIN_DEG_M, SimulatedWorld, drivability
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.geometry.se3 import SE3, Array
 
 TRUTH_MARK = "world.json"
@@ -30,24 +30,10 @@ OBSTACLE_MARGIN_M = 0.1
 OBSTACLE_CELL_M = 0.1
 
 
-class TruthStampError(StoneError):
-    """A pose was asked for outside the simulated drive."""
-
-    code = "stamp_outside_truth"
-
-    def __init__(self, stamp_ns: int, first_ns: int, last_ns: int) -> None:
-        super().__init__(
-            f"stamp {stamp_ns} ns lies outside the simulated drive {first_ns}..{last_ns} ns; another recording's truth?"
-        )
-
-
-class TruthFolderError(StoneError):
-    """The folder does not hold a simulated truth."""
-
-    code = "not_a_truth_folder"
-
-    def __init__(self, folder: Path, reason: str) -> None:
-        super().__init__(f"{folder} holds no simulated truth ({reason}); write one with stone simulate --truth")
+def truth_folder(folder: Path, reason: str) -> Refused:
+    return Refused(
+        "not_a_truth_folder", f"{folder} holds no simulated truth ({reason}); write one with stone simulate --truth"
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -65,10 +51,14 @@ class SimulationTruth:
     resolution_m: float
 
     def map_from_ego(self, stamp_ns: int) -> SE3:
-        """The exact pose at this stamp. Raises `TruthStampError` outside the drive."""
+        """The exact pose at this stamp. Raises `stamp_outside_truth` outside the drive."""
         stamps = self.trajectory.stamps_ns
         if not stamps[0] <= stamp_ns <= stamps[-1]:
-            raise TruthStampError(stamp_ns, int(stamps[0]), int(stamps[-1]))
+            raise Refused(
+                "stamp_outside_truth",
+                f"stamp {stamp_ns} ns lies outside the simulated drive {int(stamps[0])}..{int(stamps[-1])} ns; "
+                "another recording's truth?",
+            )
         return self.trajectory.at(np.array([stamp_ns], np.int64))[0]
 
     def elevation_m(self, xy: Array) -> Array:
@@ -180,7 +170,7 @@ def write_truth(truth: SimulationTruth, options: SimulateOptions, folder: Path) 
 
 
 def read_truth(folder: Path) -> SimulationTruth:
-    """The truth `stone simulate --truth` wrote. Raises `TruthFolderError` when it is not one."""
+    """The truth `stone simulate --truth` wrote. Raises `not_a_truth_folder` when it is not one."""
     try:
         json.loads((folder / TRUTH_MARK).read_text(encoding="utf-8"))["stone_truth"]
         with np.load(folder / "heightfield.npz") as ground, np.load(folder / "poses.npz") as drive:
@@ -189,7 +179,7 @@ def read_truth(folder: Path) -> SimulationTruth:
             trajectory = DriveTrajectory(int(stamps[0]), SE3(drive["map_from_ego"]))
             return truth_over(_ground(ground), trajectory, drive["sweep_stamps_ns"])
     except (OSError, KeyError, TypeError, ValueError, BadZipFile) as error:
-        raise TruthFolderError(folder, str(error)) from error
+        raise truth_folder(folder, str(error)) from error
 
 
 def _ground(fields: Mapping[str, NDArray[Any]]) -> TruthGround:
@@ -200,4 +190,4 @@ def _ground(fields: Mapping[str, NDArray[Any]]) -> TruthGround:
 
 def _check_stamps(folder: Path, stamps_ns: NDArray[np.int64]) -> None:
     if len(stamps_ns) < 2 or np.any(np.diff(stamps_ns) != POSE_NS):
-        raise TruthFolderError(folder, f"poses are not {POSE_NS} ns apart")
+        raise truth_folder(folder, f"poses are not {POSE_NS} ns apart")

@@ -115,7 +115,7 @@ class DatasetTar:
 
 
 def open_dataset(path: Path) -> DatasetFiles:
-    """The dataset in a folder or tar, also one folder below. Raises a `DatasetFaultError`, `BadTarError`."""
+    """The dataset in a folder or tar, also one folder below. Raises a `DatasetFaultError`, `bad_tar`."""
     return _in_tar(path) if path.is_file() else _in_folder(path)
 
 

@@ -168,7 +168,7 @@ class DatasetReading:
 def read_dataset(path: Path) -> DatasetIndex:
     """The index of the dataset in a folder or tar; its files are not opened.
 
-    Raises the first `DatasetFaultError` that is found, `BadTarError`.
+    Raises the first `DatasetFaultError` that is found, `bad_tar`.
     """
     return read_tables_of(path).index
 
@@ -186,7 +186,7 @@ def read_tables_of(path: Path) -> DatasetReading:
 def check_dataset(
     path: Path, classes: ClassMap = OWN_CLASSES, most: int = MOST_SHOWN, progress: Progress = lambda _done, _of: None
 ) -> DatasetCheck:
-    """Everything read; `progress` is told frames done and all. Raises `BadTarError` where no file can be found."""
+    """Everything read; `progress` is told frames done and all. Raises `bad_tar` where no file can be found."""
     faults = DatasetFaults(most)
     try:
         reached, reading = _read(open_dataset(path), faults)

@@ -39,7 +39,7 @@ class NotExportedError(StoneError):
 def exports_in(path: Path) -> tuple[Files, ...]:
     """The exports that a path names: a folder, a tar, or a folder of folders and tars.
 
-    Raises `NotExportedError`, `BadTarError`.
+    Raises `NotExportedError`, `bad_tar`.
     """
     if path.is_file():
         found = tuple(_exports_in_tar(path))

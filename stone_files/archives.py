@@ -14,12 +14,12 @@ import struct
 from collections.abc import Callable, Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Literal, TypeVar
+from typing import Literal, TypeVar
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 
 # Tar headers: one ustar block per file, preceded by a pax record for long names and large sizes.
 #
@@ -192,13 +192,8 @@ _PART = r"[A-Za-z0-9_+=@-][A-Za-z0-9._+=@-]*"
 NAME = re.compile(rf"{_PART}(/{_PART})*")
 
 
-class BadMemberError(StoneError):
-    """A file cannot have this name in an archive."""
-
-    code = "bad_member"
-
-    def __init__(self, name: str, why: str) -> None:
-        super().__init__(f"{name[:200]!r} cannot be a file of an archive: {why}")
+def bad_member(name: str, why: str) -> Refused:
+    return Refused("bad_member", f"{name[:200]!r} cannot be a file of an archive: {why}")
 
 
 @dataclass(frozen=True)
@@ -261,21 +256,21 @@ def layout(members: ArchiveMembers, kind: Kind) -> Archive:
 
 
 def check_names(names: Iterable[str]) -> None:
-    """Raises `BadMemberError` for a name that is no plain path, stands twice or is both a file and a folder.
+    """Raises `bad_member` for a name that is no plain path, stands twice or is both a file and a folder.
 
     Names are compared as on a disk that does not tell cases apart.
     """
     files, folders = set[str](), set[str]()
     for name in names:
         if len(name) > MOST_NAME or not NAME.fullmatch(name):
-            raise BadMemberError(name, f"it is not a relative path of letters, digits and ._+=@- below {MOST_NAME}")
+            raise bad_member(name, f"it is not a relative path of letters, digits and ._+=@- below {MOST_NAME}")
         folded = name.casefold()
         if folded in files:
-            raise BadMemberError(name, "there is another file of that name")
+            raise bad_member(name, "there is another file of that name")
         files.add(folded)
         folders |= {folded[:place] for place, sign in enumerate(folded) if sign == "/"}
     for both in sorted(files & folders):
-        raise BadMemberError(both, "a folder has the same name")
+        raise bad_member(both, "a folder has the same name")
 
 
 def _tar(members: ArchiveMembers) -> Archive:
@@ -337,13 +332,10 @@ FILE, FOLDER, PAX, PAX_OF_ALL, LONG_NAME = (b"0", b"\0", b"7"), b"5", b"x", b"g"
 RECORD = re.compile(rb"(\d{1,6}) ([^=\n]{1,200})=")
 
 
-class BadTarError(StoneError):
-    """The file is not a tar that could be an export."""
-
-    code: ClassVar[str] = "bad_tar"
-
-    def __init__(self, path: Path, why: str) -> None:
-        super().__init__(f"{path} cannot be read as a tar: {why} (is it compressed, or cut off? download it again)")
+def bad_tar(path: Path, why: str) -> Refused:
+    return Refused(
+        "bad_tar", f"{path} cannot be read as a tar: {why} (is it compressed, or cut off? download it again)"
+    )
 
 
 @dataclass(frozen=True)
@@ -358,13 +350,13 @@ class _Head:
 def tar_spans_of(path: Path, is_wanted: Callable[[str], bool]) -> dict[str, tuple[int, int]]:
     """Offset and size of each file that is wanted, by name; of two of one name the last, as tar unpacks them.
 
-    Raises `BadTarError`.
+    Raises `bad_tar`.
     """
     return {name: place for name, place in tar_members(path) if NAME.fullmatch(name) and is_wanted(name)}
 
 
 def tar_members(path: Path) -> Iterator[tuple[str, tuple[int, int]]]:
-    """Every file with its offset and size, whatever its name. Raises `BadTarError`."""
+    """Every file with its offset and size, whatever its name. Raises `bad_tar`."""
     with path.open("rb") as file:
         yield from _files(path, file.fileno())
 
@@ -379,7 +371,7 @@ def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]
         length = int(said["size"]) if head.kind in FILE and "size" in said else head.size_bytes
         begin = place + BLOCK_BYTES
         if begin + length > size_bytes:
-            raise BadTarError(path, f"{head.name[:100]!r} should end at byte {begin + length} of {size_bytes}")
+            raise bad_tar(path, f"{head.name[:100]!r} should end at byte {begin + length} of {size_bytes}")
         place = begin + length + -length % BLOCK_BYTES
         if head.kind in (PAX, LONG_NAME, PAX_OF_ALL):
             said |= _extension(path, head, _content(path, descriptor, begin, length))
@@ -387,17 +379,17 @@ def _files(path: Path, descriptor: int) -> Iterator[tuple[str, tuple[int, int]]]
         if head.kind in FILE:
             yield (said.get("path", head.name).removeprefix("./"), (begin, length))
         elif head.kind != FOLDER:
-            raise BadTarError(path, f"{head.name[:100]!r} is a link or a device")
+            raise bad_tar(path, f"{head.name[:100]!r} is a link or a device")
         said = {}
-    raise BadTarError(path, f"it has more than {MOST_FILES} files")
+    raise bad_tar(path, f"it has more than {MOST_FILES} files")
 
 
 def _head(path: Path, place: int, block: bytes) -> _Head:
     if len(block) < BLOCK_BYTES:
-        raise BadTarError(path, f"it ends in the header at byte {place}")
+        raise bad_tar(path, f"it ends in the header at byte {place}")
     blank = block[:148] + b" " * 8 + block[156:]
     if _number(path, block[148:156]) != sum(blank):
-        raise BadTarError(path, f"the checksum of the header at byte {place} is wrong")
+        raise bad_tar(path, f"the checksum of the header at byte {place} is wrong")
     prefix = block[345:500].split(b"\0")[0] if block[257:263] == b"ustar\0" else b""
     parts = [part.decode("utf-8", "replace") for part in (prefix, block[:100].split(b"\0")[0]) if part]
     return _Head("/".join(parts), _number(path, block[124:136]), block[156:157])
@@ -409,13 +401,13 @@ def _number(path: Path, field: bytes) -> int:
         return int.from_bytes(field[1:], "big")
     digits = field.strip(b" \0")
     if not re.fullmatch(rb"[0-7]*", digits):
-        raise BadTarError(path, f"{field!r} is not a number")
+        raise bad_tar(path, f"{field!r} is not a number")
     return int(digits or b"0", 8)
 
 
 def _content(path: Path, descriptor: int, begin: int, length: int) -> bytes:
     if length > MOST_EXTENSION_BYTES:
-        raise BadTarError(path, f"a name of {length} bytes")
+        raise bad_tar(path, f"a name of {length} bytes")
     return os.pread(descriptor, length, begin)
 
 
@@ -428,9 +420,9 @@ def _extension(path: Path, head: _Head, content: bytes) -> dict[str, str]:
         found = RECORD.match(content, place)
         end = place + int(found[1]) if found else 0
         if found is None or not found.end() < end <= len(content) or content[end - 1 : end] != b"\n":
-            raise BadTarError(path, f"the record at byte {place} of {head.name[:100]!r} is malformed")
+            raise bad_tar(path, f"the record at byte {place} of {head.name[:100]!r} is malformed")
         said[found[2].decode("utf-8", "replace")] = content[found.end() : end - 1].decode("utf-8", "replace")
         place = end
     if "size" in said and not re.fullmatch(r"[0-9]{1,18}", said["size"]):
-        raise BadTarError(path, f"{said['size'][:40]!r} is not a size")
+        raise bad_tar(path, f"{said['size'][:40]!r} is not a size")
     return {key: value for key, value in said.items() if key in ("path", "size")}

@@ -22,7 +22,7 @@ from secrets import token_hex
 from types import FrameType
 from typing import NoReturn
 
-from stone_files.errors import OutputExistsError
+from stone_files.errors import output_exists
 
 FLUSHES = 8
 
@@ -31,11 +31,11 @@ FLUSHES = 8
 def atomic_file(path: Path) -> Iterator[Path]:
     """Yield an empty file to write; at the end it becomes `path`, in place of an earlier file of that name.
 
-    Raises `OutputExistsError` before any work when `path` is a folder or a device.
+    Raises `output_exists` before any work when `path` is a folder or a device.
     """
     target = Path(os.path.realpath(path))
     if target.exists() and not target.is_file():
-        raise OutputExistsError(path, "a folder" if target.is_dir() else "no regular file")
+        raise output_exists(path, "a folder" if target.is_dir() else "no regular file")
     with _staging(target) as staging:
         with _held(staging, os.open(staging, os.O_CREAT | os.O_EXCL | os.O_RDONLY, 0o666)):
             yield staging
@@ -51,7 +51,7 @@ def atomic_directory(path: Path, *, replaces: str | None = None) -> Iterator[Pat
     An earlier non-empty `path` is replaced only where it holds an entry named `replaces`, the mark of an earlier
     output of the same kind: a mistyped `-o ~` must not cost a home. It is moved aside, the new folder moved in, then
     the old one deleted; a crash between the two moves is undone by the next run.
-    Raises `OutputExistsError`, before any work and again at the end, when `path` is a file or a folder not ours.
+    Raises `output_exists`, before any work and again at the end, when `path` is a file or a folder not ours.
     """
     target = Path(os.path.realpath(path))
     _refuse_foreign(path, target, replaces)
@@ -69,9 +69,9 @@ def _refuse_foreign(path: Path, target: Path, replaces: str | None) -> None:
     if not target.exists():
         return
     if not target.is_dir():
-        raise OutputExistsError(path, "a file, not a folder")
+        raise output_exists(path, "a file, not a folder")
     if any(target.iterdir()) and (replaces is None or not (target / replaces).exists()):
-        raise OutputExistsError(path, "a folder that is not empty")
+        raise output_exists(path, "a folder that is not empty")
 
 
 @contextmanager

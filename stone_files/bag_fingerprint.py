@@ -14,7 +14,7 @@ from pathlib import Path
 from threading import Event
 from types import MappingProxyType
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_files.joined_file import JOINED, is_joined, member_path, read_joined
 
 HASH_BLOCK_BYTES = 1 << 20
@@ -135,14 +135,9 @@ JOURNAL = re.compile(r"(.+\.db3)-(wal|journal)", re.IGNORECASE)
 DEFINITION = re.compile(r"[a-z][a-z0-9_]{0,99}\.[A-Z][A-Za-z0-9]{0,99}\.msg")
 
 
-class BadBagFilesError(StoneError):
-    """The files cannot be one bag."""
-
-    code = "bad_recording_files"
-
-    def __init__(self, why: str) -> None:
-        files = "its .mcap, .db3 or .bag files, and the metadata.yaml of a rosbag2 folder"
-        super().__init__(f"{why}; send the files of one recording: {files}")
+def bad_bag_files(why: str) -> Refused:
+    files = "its .mcap, .db3 or .bag files, and the metadata.yaml of a rosbag2 folder"
+    return Refused("bad_recording_files", f"{why}; send the files of one recording: {files}")
 
 
 def is_bag_part(name: str) -> bool:
@@ -151,26 +146,24 @@ def is_bag_part(name: str) -> bool:
 
 
 def check_bag_files(names: Sequence[str]) -> None:
-    """Raises `BadBagFilesError` where files so called are not one bag of several files."""
+    """Raises `bad_recording_files` where files so called are not one bag of several files."""
     if not 2 <= len(names) <= MOST_FILES:
-        raise BadBagFilesError(f"these are {len(names)} files, a bag of several has 2 to {MOST_FILES}")
+        raise bad_bag_files(f"these are {len(names)} files, a bag of several has 2 to {MOST_FILES}")
     for name in names:
         if not is_bag_part(name):
-            raise BadBagFilesError(f"{name[:100]!r} is not part of a bag")
+            raise bad_bag_files(f"{name[:100]!r} is not part of a bag")
     folded = {name.casefold() for name in names}
     if len(folded) < len(names):
-        raise BadBagFilesError(f"{len(names)} files have only {len(folded)} names")
+        raise bad_bag_files(f"{len(names)} files have only {len(folded)} names")
     storages = {form[1].casefold() for name in names if (form := BAG_FILE.fullmatch(name))}
     if not storages:
-        raise BadBagFilesError("there is no .mcap, no .db3 and no .bag file")
+        raise bad_bag_files("there is no .mcap, no .db3 and no .bag file")
     if len(storages) > 1:
-        raise BadBagFilesError(
-            f"files of several kinds are there: {', '.join(f'.{kind}' for kind in sorted(storages))}"
-        )
+        raise bad_bag_files(f"files of several kinds are there: {', '.join(f'.{kind}' for kind in sorted(storages))}")
     for name in names:
         journal = JOURNAL.fullmatch(name)
         if journal and journal[1].casefold() not in folded:
-            raise BadBagFilesError(f"{name[:100]!r} has no {journal[1][:100]!r} beside it")
+            raise bad_bag_files(f"{name[:100]!r} has no {journal[1][:100]!r} beside it")
 
 
 def whole_sha256(files: Iterable[tuple[str, str]]) -> str:

@@ -16,7 +16,7 @@ from pathlib import Path
 from typing import IO
 from zipfile import ZIP_DEFLATED, ZIP_STORED, BadZipFile, ZipFile, ZipInfo
 
-from stone_files.errors import CalibrationBundleError, CalibrationSizeError
+from stone_base.errors import Refused
 
 SIZE_LIMIT_BYTES = 1_000_000
 BUNDLE_LIMIT_BYTES = 4_000_000
@@ -41,20 +41,20 @@ class Bundle:
 
 
 def read_bundle(path: Path) -> Bundle:
-    """Raises OSError, CalibrationSizeError, CalibrationBundleError (no document, too many, a zip that is not one)."""
+    """Raises OSError, `CAL-420`, `CAL-428` (no document, too many, a zip that is not one)."""
     if path.is_dir():
         return _folder(path)
     with path.open("rb") as file:
         content = file.read(SIZE_LIMIT_BYTES + 1)
     if len(content) > SIZE_LIMIT_BYTES:
-        raise CalibrationSizeError(path.name, SIZE_LIMIT_BYTES)
+        raise calibration_size(path.name, SIZE_LIMIT_BYTES)
     return _zip(path.name, content) if content.startswith(ZIP_MAGIC) else Bundle(((path.name, content),))
 
 
 def _folder(path: Path) -> Bundle:
     entries = list(islice(path.rglob("*"), MOST_ENTRIES + 1))
     if len(entries) > MOST_ENTRIES:
-        raise CalibrationBundleError(path.name, f"it holds more than {MOST_ENTRIES} entries")
+        raise calibration_bundle(path.name, f"it holds more than {MOST_ENTRIES} entries")
     files = sorted(file for file in entries if file.is_file() and not file.is_symlink())
     names = [file.relative_to(path).as_posix() for file in files]
     wanted = _wanted(path.name, names)
@@ -63,7 +63,7 @@ def _folder(path: Path) -> Bundle:
 
 
 def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None]]) -> Bundle:
-    """Raises CalibrationBundleError for files that are too large together, and for none that is a document."""
+    """Raises `CAL-428` for files that are too large together, and for none that is a document."""
     documents, total_bytes = list[tuple[str, bytes]](), 0
     for file, content in found:
         if content is not None:
@@ -71,7 +71,7 @@ def _bundle(name: str, names: list[str], found: Iterable[tuple[str, bytes | None
             total_bytes += len(content)
         _check_total(name, total_bytes)
     if not documents:
-        raise CalibrationBundleError(name, NO_DOCUMENT)
+        raise calibration_bundle(name, NO_DOCUMENT)
     read = {file for file, _ in documents}
     return Bundle(tuple(documents), tuple(file for file in names if file not in read))
 
@@ -82,13 +82,13 @@ def _content(file: Path) -> bytes | None:
 
 
 def _read(name: str, stream: IO[bytes]) -> bytes | None:
-    """The whole file, None for a text that is no calibration. Raises CalibrationSizeError."""
+    """The whole file, None for a text that is no calibration. Raises `CAL-420`."""
     head = stream.read(TEXT_HEAD_BYTES)
     if name.lower().endswith(TEXT_SUFFIX) and not TEXT_HEAD.match(head):
         return None
     content = head + stream.read(SIZE_LIMIT_BYTES + 1 - len(head))
     if len(content) > SIZE_LIMIT_BYTES:
-        raise CalibrationSizeError(name[:80], SIZE_LIMIT_BYTES)
+        raise calibration_size(name[:80], SIZE_LIMIT_BYTES)
     return content
 
 
@@ -102,7 +102,7 @@ def _zip(name: str, content: bytes) -> Bundle:
             wanted = _wanted(name, names)
             return _bundle(name, names, _unpacked(archive, [one for one in members if one.filename in wanted]))
     except (BadZipFile, NotImplementedError, RuntimeError, EOFError, OSError, ValueError, zlib.error) as error:
-        raise CalibrationBundleError(name, f"the zip is damaged ({str(error)[:80]})") from None
+        raise calibration_bundle(name, f"the zip is damaged ({str(error)[:80]})") from None
 
 
 def _unpacked(archive: ZipFile, members: list[ZipInfo]) -> Iterator[tuple[str, bytes | None]]:
@@ -116,32 +116,32 @@ def _check_member(name: str, member: ZipInfo) -> None:
     shown = repr(member.filename[:60])
     parts = member.filename.split("/")
     if member.filename.startswith("/") or ".." in parts or "\\" in member.filename or not member.filename.isprintable():
-        raise CalibrationBundleError(name, f"the zip holds a file called {shown}, which leads outside the bundle")
+        raise calibration_bundle(name, f"the zip holds a file called {shown}, which leads outside the bundle")
     if member.flag_bits & ENCRYPTED:
-        raise CalibrationBundleError(name, f"{shown} in the zip is encrypted")
+        raise calibration_bundle(name, f"{shown} in the zip is encrypted")
     if member.compress_type not in (ZIP_STORED, ZIP_DEFLATED):
-        raise CalibrationBundleError(
+        raise calibration_bundle(
             name, f"{shown} in the zip is compressed by method {member.compress_type}, not deflate"
         )
 
 
 def _wanted(name: str, names: list[str]) -> frozenset[str]:
-    """Raises CalibrationBundleError for none, too many, or two of one name."""
+    """Raises `CAL-428` for none, too many, or two of one name."""
     if len(names) > MOST_FILES:
-        raise CalibrationBundleError(name, f"it holds {len(names)} files, the limit is {MOST_FILES}")
+        raise calibration_bundle(name, f"it holds {len(names)} files, the limit is {MOST_FILES}")
     if len(set(names)) < len(names):
-        raise CalibrationBundleError(name, "two files in it have the same name")
+        raise calibration_bundle(name, "two files in it have the same name")
     hidden = [file for file in names if file.rsplit("/", 1)[-1].startswith(".") or file.startswith("__MACOSX/")]
     suffixes = (*SUFFIXES, TEXT_SUFFIX)
     wanted = frozenset(file for file in names if file.lower().endswith(suffixes) and file not in hidden)
     if not wanted:
-        raise CalibrationBundleError(name, NO_DOCUMENT)
+        raise calibration_bundle(name, NO_DOCUMENT)
     return wanted
 
 
 def _check_total(name: str, total_bytes: int) -> None:
     if total_bytes > BUNDLE_LIMIT_BYTES:
-        raise CalibrationBundleError(name, f"its files together are larger than {BUNDLE_LIMIT_BYTES} bytes")
+        raise calibration_bundle(name, f"its files together are larger than {BUNDLE_LIMIT_BYTES} bytes")
 
 
 def zipped(bundle: Bundle) -> bytes:
@@ -151,3 +151,13 @@ def zipped(bundle: Bundle) -> bytes:
         for name, content in bundle.documents:
             archive.writestr(ZipInfo(name), content, ZIP_DEFLATED)
     return packed.getvalue()
+
+
+def calibration_size(name: str, limit_bytes: int) -> Refused:
+    return Refused(
+        "CAL-420", f"{name} is larger than {limit_bytes} bytes; a calibration is a few kilobytes (another file?)"
+    )
+
+
+def calibration_bundle(name: str, problem: str) -> Refused:
+    return Refused("CAL-428", f"{name} is not a bundle of calibration files: {problem}")

@@ -54,7 +54,7 @@ class BaselinePlan:
 def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report) -> WrittenBaseline:
     """Predict every frame of the manifest from its own sweep in one of the sources.
 
-    Raises `ManifestError`, `NotExportedError`, `BadTarError`, `DamagedExportError`, `FramesMissingError`.
+    Raises `bad_manifest`, `NotExportedError`, `bad_tar`, `DamagedExportError`, `frames_missing`.
     """
     manifest = read_manifest(plan.manifest)
     sweeps = find_sweeps(sources, manifest)
@@ -70,7 +70,7 @@ def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report
 def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, SweepFile]:
     """The sweep of every frame of the manifest; of several exports that have it, the first named.
 
-    Raises `NotExportedError`, `BadTarError`, `DamagedExportError`, `FramesMissingError`.
+    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `frames_missing`.
     """
     found, tokens = dict[str, SweepFile](), frozenset(manifest.tokens)
     for source in sources:

@@ -7,7 +7,7 @@ those fits.
 
 from pathlib import Path
 
-from stone_base.errors import PlatformFaultError, StoneError
+from stone_base.errors import Refused, StoneError
 
 TO_XYZ = {
     "(32, 256, 256)": "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
@@ -57,13 +57,10 @@ class SubmissionError(StoneError):
         super().__init__(f"expected {expected}, found {actual} ({mistake})")
 
 
-class ManifestError(StoneError):
-    """The list of frames to predict is not as `stone_submissions.manifest` describes."""
-
-    code = "bad_manifest"
-
-    def __init__(self, path: Path, fault: str) -> None:
-        super().__init__(f"manifest {path}: {fault}; a manifest is written from the ground truth by this program")
+def bad_manifest(path: Path, fault: str) -> Refused:
+    return Refused(
+        "bad_manifest", f"manifest {path}: {fault}; a manifest is written from the ground truth by this program"
+    )
 
 
 class GroundTruthError(StoneError):
@@ -82,19 +79,3 @@ class UnreadableInputError(StoneError):
 
     def __init__(self, path: Path, reason: str) -> None:
         super().__init__(f"{path} cannot be read: {reason}; is the path right?")
-
-
-class ScoringCrashedError(StoneError):
-    """Reading or scoring a submission crashed its process or exceeded its limits; a retry would do the same."""
-
-    code = "scoring_crashed"
-
-    def __init__(self, fate: str) -> None:
-        super().__init__(f"the process that read the submission {fate}; was it written by numpy.savez_compressed?")
-
-
-class ScoringInterruptedError(PlatformFaultError):
-    """Reading or scoring a submission was interrupted by the machine; the input is probably not the cause."""
-
-    def __init__(self, fate: str) -> None:
-        super().__init__("scoring_interrupted", f"the process that read the submission {fate}; it is tried again")

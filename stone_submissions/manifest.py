@@ -14,7 +14,7 @@ from pathlib import Path
 from stone_base.errors import StoneError
 from stone_base.names import NAME
 from stone_files.atomic import atomic_file
-from stone_submissions.errors import ManifestError, UnreadableInputError
+from stone_submissions.errors import UnreadableInputError, bad_manifest
 
 VERSION = 1
 TOKEN = re.compile(r"[0-9a-f]{32}")
@@ -40,16 +40,16 @@ class Manifest:
 def read_manifest(path: Path) -> Manifest:
     """The manifest in this file.
 
-    Raises `UnreadableInputError` where it cannot be opened and `ManifestError` where it is not as described above.
+    Raises `UnreadableInputError` where it cannot be opened and `bad_manifest` where it is not as described above.
     """
-    raw = read_bounded(path, MAX_MANIFEST_BYTES, ManifestError)
+    raw = read_bounded(path, MAX_MANIFEST_BYTES, bad_manifest)
     try:
         record = json.loads(raw)
     except (ValueError, RecursionError) as error:
-        raise ManifestError(path, "not JSON") from error
+        raise bad_manifest(path, "not JSON") from error
     fault = next(_faults(record), None)
     if fault is not None:
-        raise ManifestError(path, fault)
+        raise bad_manifest(path, fault)
     return Manifest({name: tuple(tokens) for name, tokens in record["sequences"].items()})
 
 

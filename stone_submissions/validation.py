@@ -35,7 +35,7 @@ def silent(stage: str, done: int, total: int) -> None:
 def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, progress: Progress = silent) -> Validation:
     """Everything that is wrong with a submission, short of what only the ground truth knows.
 
-    Raises `UnreadableInputError` for a path that cannot be opened and `ManifestError` for a broken manifest.
+    Raises `UnreadableInputError` for a path that cannot be opened and `bad_manifest` for a broken manifest.
     """
     manifest = read_manifest(manifest_path)
     with open_submission(zip_path, manifest.tokens) as submission:

@@ -29,15 +29,11 @@ from services.runtime.sandbox import (
     sandboxed_with_progress,
 )
 from services.runtime.sandbox.fork_client import warm_unless_served
+from stone.errors import PlatformFaultError, Refused
 from stone.scoring.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
-from stone_submissions.errors import (
-    ScoringCrashedError,
-    ScoringInterruptedError,
-    SubmissionError,
-    UnreadableInputError,
-)
+from stone_submissions.errors import SubmissionError, UnreadableInputError
 from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
 from stone_submissions.verdict import Validation, ValidationProblem, merged, validation_of, verdict
 
@@ -194,19 +190,21 @@ class Examination:
 def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """Look at the range, in a child.
 
-    Raises `ScoringCrashedError` where the child broke its limits, `ScoringInterruptedError`, and what `watch` raises.
+    Raises `scoring_crashed` where the child broke its limits, `scoring_interrupted`, and what `watch` raises.
     """
     warm_unless_served(warm)
     try:
         answer = sandboxed_with_progress(partial(count_submission, examination), examination.limits, watch)
     except SandboxCrashedError as error:
-        raise ScoringCrashedError(error.fate) from error
+        raise scoring_crashed(error.fate) from error
     except SandboxInterruptedError as error:
-        raise ScoringInterruptedError(error.fate) from error
+        raise PlatformFaultError(
+            "scoring_interrupted", f"the process that read the submission {error.fate}; it is tried again"
+        ) from error
     try:
         return _believed(answer, examination)
     except (ValueError, TypeError, KeyError, AttributeError, struct.error) as error:
-        raise ScoringCrashedError("answered something else than counts") from error
+        raise scoring_crashed("answered something else than counts") from error
 
 
 def unpacked(packed: bytes, frames: int) -> Counts:
@@ -261,3 +259,9 @@ def _believed(answer: bytes, examination: Examination) -> ExaminedRange:
     if not found.ok or examination.pack_path is None:
         return ExaminedRange(found)
     return ExaminedRange(found, counts_of(answer[stop:], frames))
+
+
+def scoring_crashed(fate: str) -> Refused:
+    return Refused(
+        "scoring_crashed", f"the process that read the submission {fate}; was it written by numpy.savez_compressed?"
+    )

@@ -113,7 +113,7 @@ def made_score(
 ) -> NewScore:
     """The score of these counts, its files stored; it bears the version of the code that counted.
 
-    Raises `UnknownMetricError`, and what the store raises.
+    Raises `unknown_metric`, and what the store raises.
     """
     counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
     spectra = counts_of_frames.spectra(evaluation_version.metric)

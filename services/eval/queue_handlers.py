@@ -49,7 +49,7 @@ def handlers(platform: Platform) -> Handlers:
 def open_submission(context: EvalStageContext) -> Outcome:
     """The file is kept and its directory checked; what has one part's worth of frames is looked at at once.
 
-    Raises `JobCancelledError`, `UploadDamagedError`, `TruthUnreadyError`, `ScoringCrashedError`.
+    Raises `JobCancelledError`, `UploadDamagedError`, `TruthUnreadyError`, `scoring_crashed`.
     """
     with context.platform.database.reading() as session:
         submission = live_submission(session, context.submission_id)

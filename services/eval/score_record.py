@@ -59,7 +59,7 @@ class SubmissionCounts:
         return tuple(sequence.frames for sequence in self.sequences)
 
     def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
-        """What tells the uncertainty of the ratios. Raises `UnknownMetricError`, and `ShapeError`."""
+        """What tells the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
         return spectra_of(self.confusions, self.frames_of_sequence, metric_of(metric))
 
     def cells(self) -> NDArray[np.int64]:
@@ -96,7 +96,7 @@ def record_of(
 ) -> Record:
     """All that is said of a score; `spectra` are those of the same counts and metric.
 
-    Raises `UnknownMetricError`.
+    Raises `unknown_metric`.
     """
     cells = counts_of_frames.cells()
     total = cells.sum(axis=(0, 1))

@@ -43,7 +43,7 @@ class EvalStageContext:
     def examined(self, case: Case, span: Span) -> ExaminedRange:
         """The frames [start, stop) of the submission, counted unless it is only to be checked.
 
-        Raises `PurgedError`, `ScoringCrashedError`, `ScoringInterruptedError`, `JobCancelledError`.
+        Raises `PurgedError`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`.
         """
         store = self.platform.store
         tokens = case.truth.manifest(self.platform).tokens

@@ -96,7 +96,7 @@ def label(
 ) -> LabelReport:
     """Label every frame of `sequence` into `directory`, replacing an earlier label set there.
 
-    Raises `NoUsableFramesError` for a sequence without usable frames, `NoReferenceError` when the track touches
+    Raises `NoUsableFramesError` for a sequence without usable frames, `no_reference` when the track touches
     no surface.
     """
     options = options or LabelOptions()

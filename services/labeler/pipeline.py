@@ -78,7 +78,7 @@ def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
 
 
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
-    """Sums of all tiles → what driven ground is like. Raises `NoReferenceError`."""
+    """Sums of all tiles → what driven ground is like. Raises `no_reference`."""
     reference = reference_from(load_summaries(run), run.parameters)
     save_reference(run, reference)
     return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})

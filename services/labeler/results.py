@@ -21,8 +21,8 @@ from services.labeler.run import LabelRun, Part, Step, Tile
 from services.labeler.scratch import Arrays, load, save, tile_name, whole
 from stone.labels.traversability import (
     FeatureSums,
-    NoReferenceError,
     Reference,
+    no_reference,
     reference_of,
     robust_reference_of,
     total_of,
@@ -116,9 +116,9 @@ def load_reference(run: LabelRun) -> Reference:
 
 
 def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
-    """The reference of all tiles, in their order. Raises `NoReferenceError`, also where there is no tile."""
+    """The reference of all tiles, in their order. Raises `no_reference`, also where there is no tile."""
     if not tiles:
-        raise NoReferenceError(0)
+        raise no_reference(0)
     if parameters.reference.outlier_ratio:
         return robust_reference_of(np.concatenate([tile.driven for tile in tiles]), parameters.reference)
     return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)

@@ -11,25 +11,13 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone.errors import Refused
 
 BIAS = 1 << 20
 MASK = (1 << 21) - 1
 EMPTY = -1
 
 Keys = NDArray[np.int64]
-
-
-class OffLatticeError(StoneError):
-    """Coordinates that no voxel key can hold: not finite, or further out than the lattice."""
-
-    code = "off_lattice"
-
-    def __init__(self, reach_m: float, limit_m: float) -> None:
-        super().__init__(
-            f"coordinates reach {reach_m:g} m from the map origin; the lattice ends at {limit_m:g} m: "
-            "is a pose broken or given in global (UTM, ECEF) coordinates?"
-        )
 
 
 @njit(inline="always")
@@ -99,7 +87,7 @@ def _keys_of(points: NDArray[np.float64], size_m: float, out: Keys) -> None:
 def keys_of(points: NDArray[np.float64], size_m: float) -> Keys:
     """The voxel key of each point (N, 3), metres.
 
-    Raises `OffLatticeError` where a coordinate is not finite or off the lattice.
+    Raises `off_lattice` where a coordinate is not finite or off the lattice.
     """
     check_reach(points, size_m)
     keys = np.empty(len(points), np.int64)
@@ -108,11 +96,15 @@ def keys_of(points: NDArray[np.float64], size_m: float) -> Keys:
 
 
 def check_reach(points: NDArray[np.float64], size_m: float) -> None:
-    """Every coordinate fits the lattice of this voxel size; else `OffLatticeError`."""
+    """Every coordinate fits the lattice of this voxel size; else `off_lattice`."""
     reach_m = float(np.max(np.abs(points), initial=0.0))
     limit_m = (BIAS - 2) * size_m
     if not reach_m < limit_m:  # NaN fails this too
-        raise OffLatticeError(reach_m, limit_m)
+        raise Refused(
+            "off_lattice",
+            f"coordinates reach {reach_m:g} m from the map origin; the lattice ends at {limit_m:g} m: is a pose "
+            "broken or given in global (UTM, ECEF) coordinates?",
+        )
 
 
 def indices_of(keys: Keys) -> NDArray[np.int64]:

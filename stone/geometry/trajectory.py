@@ -14,7 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import ShapeError, StoneError
+from stone.errors import Refused, ShapeError
 from stone.geometry.se3 import SE3, interpolate
 
 DEFAULT_MAX_GAP_NS = 250_000_000
@@ -28,27 +28,6 @@ class PoseStatus(IntEnum):
     AFTER_LAST = 2
     GAP = 3
     SPLIT = 4
-
-
-class TrajectoryStampsError(StoneError):
-    """A trajectory's stamps do not strictly increase."""
-
-    code = "trajectory_stamps"
-
-    def __init__(self, index: int, step_ns: int) -> None:
-        super().__init__(
-            f"pose {index} is {step_ns} ns after the pose before it; "
-            "a trajectory's stamps strictly increase (sort them, drop repeats)"
-        )
-
-
-class EmptyTrajectoryError(StoneError):
-    """A trajectory without any pose answers nothing."""
-
-    code = "empty_trajectory"
-
-    def __init__(self) -> None:
-        super().__init__("a trajectory has 0 poses; at least 1 is needed (did the pose topic record anything?)")
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +52,7 @@ class Interpolated:
 class Trajectory:
     """`map_from_ego` (K,) at `stamps_ns` (K,), K ≥ 1; `segment` (K,) numbers the unbroken stretches, None for one.
 
-    Raises EmptyTrajectoryError, TrajectoryStampsError, and ShapeError when the lengths differ.
+    Raises `empty_trajectory`, `trajectory_stamps`, and ShapeError when the lengths differ.
     """
 
     stamps_ns: NDArray[np.int64]
@@ -86,11 +65,18 @@ class Trajectory:
         if self.segment is not None and self.segment.shape != self.stamps_ns.shape:
             raise ShapeError("segment", self.segment.shape, f"one number per stamp {self.stamps_ns.shape}")
         if self.stamps_ns.size == 0:
-            raise EmptyTrajectoryError
+            raise Refused(
+                "empty_trajectory",
+                "a trajectory has 0 poses; at least 1 is needed (did the pose topic record anything?)",
+            )
         steps_ns = np.diff(self.stamps_ns)
         if steps_ns.size and steps_ns.min() <= 0:
             at = int(np.argmax(steps_ns <= 0))
-            raise TrajectoryStampsError(at + 1, int(steps_ns[at]))
+            raise Refused(
+                "trajectory_stamps",
+                f"pose {at + 1} is {int(steps_ns[at])} ns after the pose before it; a trajectory's stamps "
+                "strictly increase (sort them, drop repeats)",
+            )
 
     def __len__(self) -> int:
         return int(self.stamps_ns.size)

@@ -80,7 +80,7 @@ class Carver:
     def carve(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
         """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
 
-        Raises `OffLatticeError` for a pose that is not finite or off the lattice.
+        Raises `off_lattice` for a pose that is not finite or off the lattice.
         """
         p = self._parameters
         sensor = map_from_ego @ sensor_ego

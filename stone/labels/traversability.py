@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.labels.robust_scatter import robust_scatter
 
 FREE, TRAVERSABLE, POTENTIAL, NON_TRAVERSABLE = 0, 1, 2, 3
@@ -22,16 +22,12 @@ SINGULAR_RATIO = 1e-10
 Array = NDArray[np.float64]
 
 
-class NoReferenceError(StoneError):
-    """Fewer voxels under the robot's track than a Gaussian in three features needs."""
-
-    code = "no_reference"
-
-    def __init__(self, voxels: int, needed: int = 4) -> None:
-        super().__init__(
-            f"the track covers {voxels} surface voxels and the reference needs at least {needed}: "
-            "is the ego origin on the ground, and does the LiDAR see the ground the robot drove on?"
-        )
+def no_reference(voxels: int, needed: int = 4) -> Refused:
+    return Refused(
+        "no_reference",
+        f"the track covers {voxels} surface voxels and the reference needs at least {needed}: "
+        "is the ego origin on the ground, and does the LiDAR see the ground the robot drove on?",
+    )
 
 
 @dataclass(frozen=True)
@@ -86,19 +82,19 @@ def total_of(parts: Sequence[FeatureSums]) -> FeatureSums:
 
 
 def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Reference:
-    """Mean and unbiased covariance of F over T. Raises `NoReferenceError` below 4 voxels."""
+    """Mean and unbiased covariance of F over T. Raises `no_reference` below 4 voxels."""
     if sums.count < 4:
-        raise NoReferenceError(sums.count)
+        raise no_reference(sums.count)
     mean = sums.total / sums.count
     covariance = (sums.outer - sums.count * np.outer(mean, mean)) / (sums.count - 1)
     return _floored(sums.origin + mean, covariance, sums.count, parameters)
 
 
 def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
-    """Mean and covariance of F (n, 3) over T as `outlier_ratio` of them may not shift it. Raises `NoReferenceError`
+    """Mean and covariance of F (n, 3) over T as `outlier_ratio` of them may not shift it. Raises `no_reference`
     below 5 voxels, which leave none to leave out."""
     if len(features) < FEWEST_ROBUST:
-        raise NoReferenceError(len(features), FEWEST_ROBUST)
+        raise no_reference(len(features), FEWEST_ROBUST)
     found = robust_scatter(features, parameters.outlier_ratio)
     return _floored(found.mean, found.covariance, len(features), parameters)
 

@@ -41,7 +41,7 @@ class Extras:
 def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
     """(..., 5) of confusions (..., 4, 4), NaN where undefined.
 
-    Raises `ShapeError` for other shapes and `UnknownMetricError`.
+    Raises `ShapeError` for other shapes and `unknown_metric`.
     """
     unions, hits = unions_and_hits(confusions, metric)
     of_parts = _ratio(hits, unions)
@@ -51,7 +51,7 @@ def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
 def unions_and_hits(confusions: Counts, metric: str = METRIC_VERSION) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
     """Denominators and numerators (..., 4) of IoU_occ and of IoU of T, P, N, of confusions (..., 4, 4).
 
-    Raises `ShapeError` for other shapes and `UnknownMetricError`.
+    Raises `ShapeError` for other shapes and `unknown_metric`.
     """
     counts = _checked(confusions)
     of_classes = within_occupied(counts) if metric_of(metric).is_within_occupied else counts

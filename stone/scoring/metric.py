@@ -10,7 +10,7 @@ This module loads nothing, so that every process may.
 from collections.abc import Mapping
 from dataclasses import dataclass
 
-from stone.errors import StoneError
+from stone.errors import Refused
 
 CLASS_NAMES = ("free", "T", "P", "N")
 CLASSES = len(CLASS_NAMES)
@@ -19,27 +19,9 @@ METRIC_VERSION = "stone-iou-2"
 OCCUPIED_VERSION = "stone-iou-occupied-2"
 
 
-class UnknownMetricError(StoneError):
-    """No metric has this version."""
-
-    code = "unknown_metric"
-
-    def __init__(self, version: str) -> None:
-        known = ", ".join(METRICS)
-        super().__init__(f"there is no metric {version[:64]!r}; there are {known} (misspelt?)")
-
-
-class SupersededMetricError(StoneError):
-    """By this version nothing is scored anew."""
-
-    code = "superseded_metric"
-
-    def __init__(self, metric: "Metric") -> None:
-        super().__init__(
-            f"by {metric.version!r} nothing is scored any more, since its intervals are withdrawn; "
-            f"its ratios are those of"
-            f" {metric.successor!r}, which is what to name"
-        )
+def unknown_metric(version: str) -> Refused:
+    known = ", ".join(METRICS)
+    return Refused("unknown_metric", f"there is no metric {version[:64]!r}; there are {known} (misspelt?)")
 
 
 @dataclass(frozen=True)
@@ -58,17 +40,21 @@ class Metric:
 
 
 def current_metric(version: str) -> Metric:
-    """The metric, if scores are made by it. Raises `UnknownMetricError`, `SupersededMetricError`."""
+    """The metric, if scores are made by it. Raises `unknown_metric`, `superseded_metric`."""
     metric = metric_of(version)
     if metric.successor is not None:
-        raise SupersededMetricError(metric)
+        raise Refused(
+            "superseded_metric",
+            f"by {metric.version!r} nothing is scored any more, since its intervals are withdrawn; its ratios are "
+            f"those of {metric.successor!r}, which is what to name",
+        )
     return metric
 
 
 def metric_of(version: str) -> Metric:
-    """Raises `UnknownMetricError`."""
+    """Raises `unknown_metric`."""
     if version not in METRICS:
-        raise UnknownMetricError(version)
+        raise unknown_metric(version)
     return METRICS[version]
 
 

@@ -10,22 +10,13 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone.errors import Refused
 
 Stamps = NDArray[np.int64]
 
 # A camera triggered where the sweep begins jitters around the sweep's stamp; its phase is then near zero rather than
 # near a whole period (design §3: a residual of 2 ms is the limit of what counts as on time).
 PHASE_GUARD_NS = 2_000_000
-
-
-class UnsortedStampsError(StoneError):
-    """Stamps go back in time where they must not."""
-
-    code = "unsorted_stamps"
-
-    def __init__(self, name: str, index: int, step_ns: int) -> None:
-        super().__init__(f"{name}[{index}] steps by {step_ns} ns from the stamp before it; sort the stamps first")
 
 
 @dataclass(frozen=True, eq=False)
@@ -37,18 +28,22 @@ class Nearest:
 
 
 def require_sorted(name: str, stamps_ns: Stamps) -> None:
-    """Raises UnsortedStampsError at the first stamp that is earlier than the one before it."""
+    """Raises `unsorted_stamps` at the first stamp that is earlier than the one before it."""
     back = np.flatnonzero(stamps_ns[1:] < stamps_ns[:-1])
     if back.size:
         at = int(back[0])
-        raise UnsortedStampsError(name, at + 1, int(stamps_ns[at + 1]) - int(stamps_ns[at]))
+        raise Refused(
+            "unsorted_stamps",
+            f"{name}[{at + 1}] steps by {int(stamps_ns[at + 1]) - int(stamps_ns[at])} ns from the stamp before "
+            "it; sort the stamps first",
+        )
 
 
 def nearest_samples(queries_ns: Stamps, stamps_ns: Stamps, tolerance_ns: int) -> Nearest:
     """The sample nearest to each query within ±`tolerance_ns`, limits included; of two equally near, the earlier.
 
     Queries may come in any order; of samples with equal stamps the first is taken. No samples: every index is −1.
-    Raises UnsortedStampsError when `stamps_ns` go back.
+    Raises `unsorted_stamps` when `stamps_ns` go back.
     """
     require_sorted("stamps_ns", stamps_ns)
     if stamps_ns.size == 0:
@@ -74,7 +69,7 @@ def trigger_phase_ns(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> in
 
     In [−2 ms, period − 2 ms); 0 when no sample falls into a frame's period. Phases on both sides of the turn average to
     the turn, not to half a period, because the median is taken around the circular mean.
-    Raises UnsortedStampsError when `frames_ns` go back.
+    Raises `unsorted_stamps` when `frames_ns` go back.
     """
     require_sorted("frames_ns", frames_ns)
     frame = np.searchsorted(frames_ns, stamps_ns, side="right") - 1
@@ -93,7 +88,7 @@ def triggered_samples(frames_ns: Stamps, stamps_ns: Stamps, period_ns: int) -> t
     """The sample each frame triggered, and the learnt phase: nearest to stamp + phase within half a period.
 
     The nearest sample to the stamp itself would be the neighbour's for a phase beyond half a period. `dt_ns` is
-    sample − frame stamp, so `dt_ns` − phase is the residual. Raises UnsortedStampsError when either side goes back.
+    sample − frame stamp, so `dt_ns` − phase is the residual. Raises `unsorted_stamps` when either side goes back.
     """
     phase_ns = trigger_phase_ns(frames_ns, stamps_ns, period_ns)
     found = nearest_samples(frames_ns + phase_ns, stamps_ns, max(period_ns // 2 - 1, 0))

@@ -5,27 +5,16 @@ topic = sensor) or raises a leaf of `calibration_errors`. Thresholds: design §2
 rotation 1e-6…1e-4 off; of 17 extrinsics published with OpenCalib three are beyond 5e-3 (determinants 0, 0.97, 0.999).
 """
 
+from collections.abc import Sequence
+
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import ShapeError
+from stone.errors import Refused, ShapeError
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
-from stone.sensors.calibration_errors import (
-    CameraMatrixError,
-    DistortionLengthError,
-    FootprintError,
-    ImageSizeError,
-    LastRowError,
-    MirrorError,
-    MissingSensorError,
-    NotARotationError,
-    NotFiniteError,
-    QuaternionNormError,
-    RepeatedSensorError,
-    TranslationError,
-)
+from stone.sensors.calibration_errors import ImageSizeError, MissingSensorError, distortion_length, not_finite
 from stone.sensors.projection import is_folded
 
 Array = NDArray[np.float64]
@@ -44,14 +33,14 @@ def warning(code: str, sensor: str, sentence: str) -> Finding:
 def checked_transform(sensor: str, matrix: Array) -> tuple[SE3, Findings]:
     """A homogeneous matrix (4, 4) as SE3.
 
-    Raises ShapeError, NotFiniteError, LastRowError and what `checked_rotation` and `check_translation` raise.
+    Raises ShapeError, `CAL-416`, `CAL-407` and what `checked_rotation` and `check_translation` raise.
     """
     if matrix.shape != (4, 4):
         raise ShapeError(f"{sensor} matrix", matrix.shape, "(4, 4)")
     if not np.isfinite(matrix).all():
-        raise NotFiniteError(sensor, "the matrix")
+        raise not_finite(sensor, "the matrix")
     if np.abs(matrix[3] - (0, 0, 0, 1)).max() > ROTATION_FINE:
-        raise LastRowError(sensor, matrix[3].tolist())
+        raise last_row(sensor, matrix[3].tolist())
     return rotation_and_translation(sensor, matrix[:3, :3], matrix[:3, 3])
 
 
@@ -69,7 +58,7 @@ def quaternion_and_translation(
 ) -> tuple[SE3, Findings]:
     """A quaternion (4,) declared `wxyz` and a translation (3,) as SE3, with a doubt about the order where there is one.
 
-    Raises NotFiniteError, QuaternionNormError and what `check_translation` raises.
+    Raises `CAL-416`, `CAL-402` and what `check_translation` raises.
     """
     findings = checked_norm(sensor, wxyz) + check_translation(sensor, translation_m)
     return SE3.from_parts(wxyz, translation_m), findings + order_doubt(sensor, kind, wxyz)
@@ -78,19 +67,27 @@ def quaternion_and_translation(
 def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
     """The rotation (3, 3) itself when ‖RᵀR−I‖ and |det−1| ≤ 1e-4; up to 5e-3 the nearest rotation (SVD) and a warning.
 
-    Raises ShapeError, NotFiniteError, MirrorError (det < 0), NotARotationError.
+    Raises ShapeError, `CAL-416`, `CAL-408` (det < 0), `CAL-401`.
     """
     if rotation.shape != (3, 3):
         raise ShapeError(f"{sensor} rotation", rotation.shape, "(3, 3)")
     if not np.isfinite(rotation).all():
-        raise NotFiniteError(sensor, "the rotation")
+        raise not_finite(sensor, "the rotation")
     with np.errstate(over="ignore", invalid="ignore"):
         determinant = float(np.linalg.det(rotation))
         residual = max(float(np.linalg.norm(rotation.T @ rotation - np.eye(3))), abs(determinant - 1))
     if determinant < 0:
-        raise MirrorError(sensor, determinant)
+        raise Refused(
+            "CAL-408",
+            f"{sensor}: the rotation has determinant {determinant:.4g}, so it mirrors; it must be +1 (one axis "
+            "has the wrong sign, or two are swapped)",
+        )
     if not residual <= ROTATION_LIMIT:
-        raise NotARotationError(sensor, determinant, residual, ROTATION_LIMIT)
+        raise Refused(
+            "CAL-401",
+            f"{sensor}: the rotation is not a rotation (determinant {determinant:.4g}, error {residual:.3g}, "
+            f"limit {ROTATION_LIMIT:g}); was it scaled, or typed by hand?",
+        )
     if residual <= ROTATION_FINE:
         return rotation, ()
     u, _, vt = np.linalg.svd(rotation)
@@ -99,14 +96,18 @@ def checked_rotation(sensor: str, rotation: Array) -> tuple[Array, Findings]:
 
 
 def checked_norm(sensor: str, wxyz: Array) -> Findings:
-    """Fine within ±1e-3 of 1, a warning within ±1e-2. Raises ShapeError, NotFiniteError, QuaternionNormError beyond."""
+    """Fine within ±1e-3 of 1, a warning within ±1e-2. Raises ShapeError, `CAL-416`, `CAL-402` beyond."""
     if wxyz.shape != (4,):
         raise ShapeError(f"{sensor} quaternion", wxyz.shape, "(4,)")
     if not np.isfinite(wxyz).all():
-        raise NotFiniteError(sensor, "the quaternion")
+        raise not_finite(sensor, "the quaternion")
     norm = float(np.hypot.reduce(wxyz))
     if abs(norm - 1) > NORM_LIMIT:
-        raise QuaternionNormError(sensor, norm, NORM_LIMIT)
+        raise Refused(
+            "CAL-402",
+            f"{sensor}: the quaternion has norm {norm:.4g}; it must be 1 ± {NORM_LIMIT:g} (a component missing or "
+            "mistyped?)",
+        )
     if abs(norm - 1) <= NORM_FINE:
         return ()
     return (warning("CAL-402", sensor, f"the quaternion has norm {norm:.4f} and is normalised (rounded in the file?)"),)
@@ -129,14 +130,18 @@ def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
 
 
 def check_translation(sensor: str, translation_m: Array) -> Findings:
-    """A warning beyond 10 m. Raises ShapeError, NotFiniteError, TranslationError beyond 100 m."""
+    """A warning beyond 10 m. Raises ShapeError, `CAL-416`, `CAL-409` beyond 100 m."""
     if translation_m.shape != (3,):
         raise ShapeError(f"{sensor} translation", translation_m.shape, "(3,)")
     if not np.isfinite(translation_m).all():
-        raise NotFiniteError(sensor, "the translation")
+        raise not_finite(sensor, "the translation")
     distance_m = float(np.hypot.reduce(translation_m))
     if distance_m > TRANSLATION_LIMIT_M:
-        raise TranslationError(sensor, distance_m, TRANSLATION_LIMIT_M)
+        raise Refused(
+            "CAL-409",
+            f"{sensor}: the translation is {distance_m:.4g} m long; the limit is {TRANSLATION_LIMIT_M:g} m (in "
+            "millimetres?)",
+        )
     if distance_m <= TRANSLATION_FINE_M:
         return ()
     return (warning("CAL-409", sensor, f"the sensor sits {distance_m:.1f} m from the LiDAR (unit not metres?)"),)
@@ -152,20 +157,22 @@ def require_mounts(calibration: Calibration, names: tuple[str, ...], why: str) -
 def check_calibration(calibration: Calibration) -> Findings:
     """What only the whole shows: unique channels, a footprint and self boxes with extent, mounts that are not copies.
 
-    Raises RepeatedSensorError, FootprintError.
+    Raises `CAL-413`, `CAL-415`.
     """
     names = [mount.name for mount in calibration.mounts]
     for name in names:
         if names.count(name) > 1:
-            raise RepeatedSensorError(name)
+            raise Refused("CAL-413", f"{name} is in the calibration twice; channels are unique")
     for key, value_m in (("length_m", calibration.footprint.length_m), ("width_m", calibration.footprint.width_m)):
         if not 0 < value_m <= FOOTPRINT_LIMIT_M:
-            raise FootprintError(
-                f"footprint {key}", f"{value_m:g} m", f"more than 0 and at most {FOOTPRINT_LIMIT_M:g} m"
+            raise Refused(
+                "CAL-415", f"footprint {key} is {value_m:g} m; expected more than 0 and at most {FOOTPRINT_LIMIT_M:g} m"
             )
     for index, box in enumerate(calibration.self_boxes_ego):
         if not all(low < high for low, high in zip(box.min_m, box.max_m, strict=True)):
-            raise FootprintError(f"self box {index}", f"{box.min_m} to {box.max_m}", "min below max on every axis")
+            raise Refused(
+                "CAL-415", f"self box {index} is {box.min_m} to {box.max_m}; expected min below max on every axis"
+            )
     return _unmeasured_mounts(calibration) + _sunken_lidar(calibration)
 
 
@@ -202,13 +209,13 @@ ASPECT_TOLERANCE_RATIO = 0.05
 def check_intrinsics(sensor: str, camera: CameraIntrinsics) -> Findings:
     """Warnings for unusual focal lengths and principal points, and for a lens that folds its image over.
 
-    Raises NotFiniteError, DistortionLengthError, CameraMatrixError (focal length ≤ 0, principal point off the image).
+    Raises `CAL-416`, `CAL-410`, `CAL-411` (focal length ≤ 0, principal point off the image).
     """
     expected = DISTORTION_LENGTHS[camera.model]
     if len(camera.distortion) != expected:
-        raise DistortionLengthError(sensor, camera.model, len(camera.distortion), expected)
+        raise distortion_length(sensor, camera.model, len(camera.distortion), expected)
     if not np.isfinite((camera.fx_px, camera.fy_px, camera.cx_px, camera.cy_px, *camera.distortion)).all():
-        raise NotFiniteError(sensor, "the intrinsics")
+        raise not_finite(sensor, "the intrinsics")
     findings = _check_axis(sensor, "x", camera.fx_px, camera.cx_px, camera.width_px)
     findings += _check_axis(sensor, "y", camera.fy_px, camera.cy_px, camera.height_px)
     if abs(camera.fx_px / camera.fy_px - 1) > ASPECT_TOLERANCE_RATIO:
@@ -229,12 +236,21 @@ def check_image_size(mount: Mount, width_px: int, height_px: int) -> None:
 
 def _check_axis(sensor: str, axis: str, focal_px: float, centre_px: float, size_px: int) -> Findings:
     if focal_px <= 0:
-        raise CameraMatrixError(sensor, f"f{axis}_px", focal_px, "a positive focal length")
+        raise camera_matrix(sensor, f"f{axis}_px", focal_px, "a positive focal length")
     if not 0 < centre_px < size_px:
-        raise CameraMatrixError(sensor, f"c{axis}_px", centre_px, f"inside the image, 0 to {size_px}")
+        raise camera_matrix(sensor, f"c{axis}_px", centre_px, f"inside the image, 0 to {size_px}")
     findings: Findings = ()
     if not FOCAL_RATIO_USUAL[0] <= focal_px / size_px <= FOCAL_RATIO_USUAL[1]:
         findings += (warning("CAL-411", sensor, f"f{axis}_px {focal_px:.1f} is unusual for {size_px} px"),)
     if abs(centre_px / size_px - 0.5) > OFF_CENTRE_RATIO_LIMIT:
         findings += (warning("CAL-411", sensor, f"c{axis}_px {centre_px:.1f} is far from the middle of {size_px} px"),)
     return findings
+
+
+def last_row(sensor: str, row: Sequence[float]) -> Refused:
+    shown = ", ".join(f"{value:.4g}" for value in row)
+    return Refused("CAL-407", f"{sensor}: the last row of the matrix is ({shown}), not (0, 0, 0, 1); is it transposed?")
+
+
+def camera_matrix(sensor: str, key: str, value: float, expected: str) -> Refused:
+    return Refused("CAL-411", f"{sensor}: {key} is {value:.6g} px; expected {expected} (rows and columns swapped?)")

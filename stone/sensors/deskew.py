@@ -17,7 +17,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.errors import ShapeError, StoneError
+from stone.errors import Refused, ShapeError
 from stone.geometry.quaternions import conjugate, product, slerped, turned, unit
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
@@ -29,16 +29,12 @@ BIN_NS = 100_000
 MAX_OFFSET_NS = 1_000_000_000
 
 
-class PointOffsetError(StoneError):
-    """Point times lie implausibly far from the stamp of their sweep."""
-
-    code = "point_offset"
-
-    def __init__(self, first_ns: int, last_ns: int) -> None:
-        super().__init__(
-            f"point times reach from {first_ns} ns to {last_ns} ns around the sweep's stamp; the limit is "
-            f"±{MAX_OFFSET_NS} ns (absolute times taken for relative ones?)"
-        )
+def point_offset(first_ns: int, last_ns: int) -> Refused:
+    return Refused(
+        "point_offset",
+        f"point times reach from {first_ns} ns to {last_ns} ns around the sweep's stamp; the limit is "
+        f"±{MAX_OFFSET_NS} ns (absolute times taken for relative ones?)",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -63,10 +59,10 @@ class SweepMount:
 def sweep_motion(mount: SweepMount, stamp_ns: int, span_ns: tuple[int, int]) -> SweepMotion:
     """The transforms of all bins that hold offsets in `span_ns` = (first, last), both included.
 
-    No bin has a pose when the stamp itself has none. Raises PointOffsetError beyond ±1 s.
+    No bin has a pose when the stamp itself has none. Raises `point_offset` beyond ±1 s.
     """
     if not -MAX_OFFSET_NS <= span_ns[0] <= span_ns[1] <= MAX_OFFSET_NS:
-        raise PointOffsetError(*span_ns)
+        raise point_offset(*span_ns)
     first_bin, last_bin = _bin_of(span_ns[0]), _bin_of(span_ns[1])
     times_ns = stamp_ns + np.arange(first_bin, last_bin + 1, dtype=np.int64) * BIN_NS
     bins = last_bin - first_bin + 1
@@ -85,7 +81,7 @@ def deskew(
 ) -> NDArray[np.float32]:
     """Points (N, 3) moved to the sweep's stamp, in their order, without those (≤ N) whose time has no pose.
 
-    Raises ShapeError when points and offsets do not pair up, PointOffsetError when an offset is beyond ±1 s.
+    Raises ShapeError when points and offsets do not pair up, `point_offset` when an offset is beyond ±1 s.
     """
     if points_lidar.ndim != 2 or points_lidar.shape[1] != 3:
         raise ShapeError("points_lidar", points_lidar.shape, "(N, 3)")

@@ -12,7 +12,7 @@ from typing import Protocol
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS, Trajectory
@@ -23,16 +23,12 @@ from stone.sensors.pose_quality import PoseQuality
 from stone_base.names import NAME as NAME
 
 
-class SequenceNameError(StoneError):
-    """A sequence name becomes a folder name, so it must be a plain one."""
-
-    code = "bad_sequence_name"
-
-    def __init__(self, name: str) -> None:
-        super().__init__(
-            f"{name[:120]!r} cannot name a sequence: 1 to 100 letters, digits, dots, dashes and underscores, "
-            "beginning with a letter or digit (is it a path?)"
-        )
+def bad_sequence_name(name: str) -> Refused:
+    return Refused(
+        "bad_sequence_name",
+        f"{name[:120]!r} cannot name a sequence: 1 to 100 letters, digits, dots, dashes and underscores, "
+        "beginning with a letter or digit (is it a path?)",
+    )
 
 
 @dataclass(frozen=True, eq=False)
@@ -139,7 +135,7 @@ class Sequence:
 
     def __post_init__(self) -> None:
         if not NAME.fullmatch(self.name):
-            raise SequenceNameError(self.name)
+            raise bad_sequence_name(self.name)
 
 
 class SweepSource(Protocol):

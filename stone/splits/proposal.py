@@ -11,6 +11,7 @@ thread, bounded by nodes and not by seconds: equal catalogues give equal proposa
 from collections.abc import Iterable
 from dataclasses import dataclass
 
+from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry, sums_of
 from stone.splits.model import COSTS, Model, Rule, SolverLimits, SplitTask, rules_of
 from stone.splits.rules import check_split
@@ -21,9 +22,6 @@ from stone.splits.splits import (
     REGIONS,
     SIZES,
     WHOLE,
-    BadSizesError,
-    CatalogueTooLargeError,
-    EmptyCatalogueError,
     RuleFinding,
     Split,
     is_long_enough,
@@ -71,15 +69,22 @@ def propose(
 ) -> Proposal:
     """The best split of `catalogue` into parts of these sizes (train, val, test); what is left over is in none.
 
-    Raises `BadSizesError`, `EmptyCatalogueError`, `CatalogueTooLargeError`.
+    Raises `bad_split_sizes`, `empty_catalogue`, `catalogue_too_large`.
     """
     entries = tuple(sorted(catalogue, key=lambda entry: (entry.name, entry.id)))
     if not all(0 <= size <= MOST_SEQUENCES for size in sizes) or not any(sizes):
-        raise BadSizesError(sizes)
+        raise Refused(
+            "bad_split_sizes",
+            f"sizes {sizes} are invalid; expected three whole numbers (train, val, test) from 0 to "
+            f"{MOST_SEQUENCES}, and not all 0",
+        )
     if not entries:
-        raise EmptyCatalogueError()
+        raise Refused("empty_catalogue", "there is no labelled sequence to divide; process some first")
     if len(entries) > MOST_SEQUENCES:
-        raise CatalogueTooLargeError(len(entries))
+        raise Refused(
+            "catalogue_too_large",
+            f"{len(entries)} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out",
+        )
     model = Model(SplitTask(entries, sizes), limits or SolverLimits())
     bent = model.least_bent()
     conflict = _clash(model) if bent.cost > 0 else ()

@@ -13,7 +13,6 @@ from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
 from typing import Literal
 
-from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from stone_base.counts import counted
@@ -33,36 +32,6 @@ SEPARATED_PLACES = "every_environment"
 SIZES = "split_sizes"
 UNSAID = "not_said"
 EXPOSED = "test_is_public"
-
-
-class BadSizesError(StoneError):
-    """The sizes of the parts cannot be those of a split."""
-
-    code = "bad_split_sizes"
-
-    def __init__(self, sizes: tuple[int, ...]) -> None:
-        super().__init__(
-            f"sizes {sizes} are invalid; expected three whole numbers (train, val, test) from 0 to "
-            f"{MOST_SEQUENCES}, and not all 0"
-        )
-
-
-class EmptyCatalogueError(StoneError):
-    """There is nothing to divide."""
-
-    code = "empty_catalogue"
-
-    def __init__(self) -> None:
-        super().__init__("there is no labelled sequence to divide; process some first")
-
-
-class CatalogueTooLargeError(StoneError):
-    """There are more sequences than a proposal is made for."""
-
-    code = "catalogue_too_large"
-
-    def __init__(self, sequences: int) -> None:
-        super().__init__(f"{sequences} sequences are to be divided; the most is {MOST_SEQUENCES}, leave some out")
 
 
 @dataclass(frozen=True)

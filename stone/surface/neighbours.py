@@ -38,7 +38,7 @@ class PlaneFits:
 
 
 def cells_of(points: NDArray[np.float64], size_m: float) -> Cells:
-    """Sort points (N, 3) into cells; raises `OffLatticeError` as `keys_of` does."""
+    """Sort points (N, 3) into cells; raises `off_lattice` as `keys_of` does."""
     keys = keys_of(points, size_m)
     order = np.argsort(keys, kind="stable")
     ordered = keys[order]

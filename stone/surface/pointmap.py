@@ -107,7 +107,7 @@ class PointMapBuilder:
         """Add one sweep (N, 3) seen from `sensor_ego` (3,): its points in the half-open box `reach` of the ego frame,
         nearer than `FARTHEST_POINT_M`.
 
-        Raises `OffLatticeError` for a pose that is not finite or off the lattice.
+        Raises `off_lattice` for a pose that is not finite or off the lattice.
         """
         sensor_map = map_from_ego @ sensor_ego
         check_reach(

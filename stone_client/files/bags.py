@@ -13,14 +13,7 @@ from pathlib import Path
 
 from stone_client.files.tus import LocalFile, hashed
 from stone_client.progress import Report
-from stone_files.bag_fingerprint import (
-    LEFT_BESIDE,
-    METADATA,
-    BadBagFilesError,
-    bag_parts,
-    check_bag_files,
-    whole_sha256,
-)
+from stone_files.bag_fingerprint import LEFT_BESIDE, METADATA, bad_bag_files, bag_parts, check_bag_files, whole_sha256
 
 NUMBERED = re.compile(r"(?P<stem>.+)_\d+\.(?P<kind>mcap|db3|bag)(\.active|\.zstd)?", re.IGNORECASE)
 
@@ -69,7 +62,7 @@ def called(path: Path) -> str:
 def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
     """The recordings that were named, in that order; parts of one split bag are one.
 
-    Raises `BadBagFilesError` where two of them have one name, by which nobody could tell them apart.
+    Raises `bad_recording_files` where two of them have one name, by which nobody could tell them apart.
     """
     beside = {path.with_name(path.name + suffix) for path in paths for suffix in LEFT_BESIDE}
     described = {path.resolve().parent for path in paths if path.name == METADATA}
@@ -85,7 +78,7 @@ def bags_among(paths: Sequence[Path]) -> tuple[BagPaths, ...]:
     for bag in bags:
         if names.count(bag.name.casefold()) > 1:
             problem = "they are told apart by their names: rename one"
-            raise BadBagFilesError(f"two of the recordings are called {bag.name}; {problem}")
+            raise bad_bag_files(f"two of the recordings are called {bag.name}; {problem}")
     return bags
 
 
@@ -98,7 +91,7 @@ def _bag_of(path: Path, described: Collection[Path]) -> tuple[Path, str]:
 
 
 def hashed_bag(path: Path, progress: Report) -> LocalBag:
-    """The bag at `path` with its hashes. Raises `BadBagFilesError` (no bag in the folder), `FileChangedError`."""
+    """The bag at `path` with its hashes. Raises `bad_recording_files` (no bag in the folder), `FileChangedError`."""
     return hashed_parts(BagPaths(path.resolve().name, (path,)), progress)
 
 
@@ -106,7 +99,7 @@ def hashed_parts(bag: BagPaths, progress: Report) -> LocalBag:
     """The bag with its hashes. Raises as `hashed_bag`."""
     parts = sorted({part for path in bag.paths for part in bag_parts(path)}, key=lambda part: part.name)
     if not parts:
-        raise BadBagFilesError(f"{bag.paths[0]} holds no file of a bag")
+        raise bad_bag_files(f"{bag.paths[0]} holds no file of a bag")
     if len(parts) > 1:
         check_bag_files([part.name for part in parts])
     sizes = [part.stat().st_size for part in parts]

@@ -82,7 +82,7 @@ def dataset_name(path: Path) -> str:
 def hashed_dataset(path: Path, progress: Report) -> LocalContent:
     """The dataset in a folder or a tar with its hash.
 
-    Raises a `DatasetFaultError`, `BadTarError`, `FileChangedError`.
+    Raises a `DatasetFaultError`, `bad_tar`, `FileChangedError`.
     """
     if path.is_dir():
         return _hashed_folder(path, progress)

@@ -29,7 +29,7 @@ FILES = {
 def download_labels(api: Api, sequence: Item, output: Path, progress: Report) -> dict[str, Any]:
     """Fill `output` with the files of the label set and the labels of every frame; what came.
 
-    Raises `NoLabelsError`, `DamagedDownloadError`, `OutputExistsError`, and what `Api.send` raises.
+    Raises `NoLabelsError`, `DamagedDownloadError`, `output_exists`, and what `Api.send` raises.
     """
     if sequence["labels"] is None:
         raise NoLabelsError(sequence["name"])

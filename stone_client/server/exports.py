@@ -23,7 +23,7 @@ from stone_client.server.job_following import follow
 from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table
 from stone_files.atomic import flush
-from stone_files.errors import OutputExistsError
+from stone_files.errors import output_exists
 
 ARCHIVES = ("tar", "zip")
 
@@ -67,10 +67,10 @@ def download_archive(api: Api, export: Item, output: Path, progress: Report) -> 
 def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> int:
     """Fetch what is at `path`, whose `size_bytes` and `sha256` are known; how much of it was there already.
 
-    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `OutputExistsError`, and what `fetch` raises.
+    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `output_exists`, and what `fetch` raises.
     """
     if output.exists() and not output.is_file():
-        raise OutputExistsError(output, "a folder")
+        raise output_exists(output, "a folder")
     with _partial(output, wanted["sha256"]) as partial:
         arriving = PartialFile(partial, wanted["sha256"])
         begun_bytes = arriving.size_bytes

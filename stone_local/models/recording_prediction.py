@@ -86,7 +86,7 @@ class RecordedStore:
         return self.sequence.name, int(self.sequence.frames.stamps_ns[index]) // NS_PER_US
 
     def read(self, index: int) -> FrameRecord:
-        """Raises `SensorMissingError`, `DamagedSampleError`, and what reading samples raises (BAG-*, MSG-*)."""
+        """Raises `sensor_missing`, `DamagedSampleError`, and what reading samples raises (BAG-*, MSG-*)."""
         return read_record(self.frame(index), None, self.inputs)
 
     def frame(self, index: int) -> ExportedFrame:
@@ -192,8 +192,8 @@ class RecordingPrediction:
 def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> RecordingPrediction:
     """Predict each frame, or those of the manifest, and tell the pace after each.
 
-    Raises what reading samples raises (BAG-*, MSG-*), `ManifestError`, `NotOfRecordingError`, `SensorMissingError`,
-    `DamagedSampleError`, `OutputExistsError`.
+    Raises what reading samples raises (BAG-*, MSG-*), `bad_manifest`, `NotOfRecordingError`, `sensor_missing`,
+    `DamagedSampleError`, `output_exists`.
     """
     sequence = plan.sequence
     store = RecordedStore(sequence, BagSamples(plan.bag, sequence), loaded.row.inputs)
@@ -223,7 +223,7 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
 
 
 def _asked(plan: RecordingPlan) -> tuple[int, ...]:
-    """Indices of the frames to predict, in the order of time. Raises `ManifestError`, `NotOfRecordingError`."""
+    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `NotOfRecordingError`."""
     tokens = plan.sequence.frames.tokens
     if plan.manifest is None:
         return tuple(range(len(tokens)))

@@ -123,7 +123,7 @@ class Bag:
         return max((int(times[-1]) for times in self._all_times()), default=0)
 
     def type_of(self, topic: str) -> str:
-        """The type of a topic's messages. Raises: UnknownTopicError."""
+        """The type of a topic's messages. Raises: `BAG-015`."""
         self._check_known(topic)
         return self._topics[topic].type
 
@@ -135,7 +135,7 @@ class Bag:
     def messages(self, topic: str, start: int = 0, stop: int | None = None) -> Iterator[RawMessage]:
         """Messages `start` to `stop` (half-open indices within the topic) in log-time order.
 
-        Raises: UnknownTopicError, EncodingRefusedError, and where the container lies, its coded refusals.
+        Raises: `BAG-015`, `BAG-014`, and where the container lies, its coded refusals.
         """
         self._check_readable(topic)
         times = self._store.log_times_ns(topic)
@@ -210,7 +210,7 @@ def open_bag(path: Path) -> Bag:
     Split and joined bags are one recording; files and messages that were compressed by the recorder are unpacked as
     they are read. What was noticed is in `findings` (BAG-021 … BAG-031, of joined bags SYN-520 … SYN-528).
     Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (BAG-010), MalformedBagError (BAG-012),
-    MembersRefusedError (BAG-019), JoinedFileError (BAG-040), JoinedTopicError (BAG-041) and the other `BAG-*` refusals.
+    `BAG-019`, JoinedFileError (BAG-040), `BAG-041` and the other `BAG-*` refusals.
     """
     return _joined_bag(path) if is_joined(path) else _plain_bag(path)
 

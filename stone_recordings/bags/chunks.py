@@ -53,7 +53,7 @@ class Chunk:
 def inflate(view: memoryview, chunk: Chunk) -> memoryview:
     """The chunk's records, read-only; a slice of `view` where nothing is compressed.
 
-    Raises: ChunkTooLargeError, CompressionRefusedError, MalformedBagError (other size than declared, or no such data),
+    Raises: `BAG-013`, `BAG-017`, MalformedBagError (other size than declared, or no such data),
     ChecksumError.
     """
     packed = view[chunk.start : chunk.stop]
@@ -72,7 +72,7 @@ def inflate(view: memoryview, chunk: Chunk) -> memoryview:
 def inflate_head(view: memoryview, chunk: Chunk, stop: int) -> memoryview:
     """The first `stop` bytes of a compressed chunk's records, without its checksum, which is of them all.
 
-    Raises: ChunkTooLargeError, CompressionRefusedError, MalformedBagError (fewer bytes, or no such data).
+    Raises: `BAG-013`, `BAG-017`, MalformedBagError (fewer bytes, or no such data).
     """
     packed = view[chunk.start : chunk.stop]
     _check_size(chunk, len(packed))

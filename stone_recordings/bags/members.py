@@ -111,7 +111,7 @@ class RecordingMembers:
 
 
 def members_of(path: Path) -> RecordingMembers:
-    """Raises: FileNotFoundError, NotABagError (BAG-001), MembersRefusedError (BAG-019), CutBagError."""
+    """Raises: FileNotFoundError, NotABagError (BAG-001), `BAG-019`, CutBagError."""
     if not path.is_dir():
         container_of(path)
         return RecordingMembers((path,))

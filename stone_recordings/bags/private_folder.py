@@ -87,7 +87,7 @@ def first_bytes(path: Path, size_bytes: int) -> bytes:
 def unpacked_file(path: Path, folder: PrivateFolder) -> Path:
     """The file in `folder`; of one that was cut off, what came out before the cut.
 
-    Raises: MalformedBagError (damaged), PackedTooLargeError, NoRoomError.
+    Raises: MalformedBagError (damaged), `BAG-027`, NoRoomError.
     """
     packed_bytes = path.stat().st_size
     limit_bytes = max(SMALL_BYTES, RATIO_LIMIT * packed_bytes)

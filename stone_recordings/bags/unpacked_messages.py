@@ -23,7 +23,7 @@ def is_packed(payload: memoryview) -> bool:
 
 
 def unpacked(payload: memoryview, where: str) -> memoryview:
-    """The message in a frame that is whole. Raises: MalformedBagError, PackedTooLargeError (BAG-027)."""
+    """The message in a frame that is whole. Raises: MalformedBagError, `BAG-027`."""
     size_bytes = _size_of(payload, where)
     message = np.empty(size_bytes, np.uint8)
     try:

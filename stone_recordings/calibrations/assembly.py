@@ -17,7 +17,6 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, SensorKind
 from stone.sensors.calibration_checks import Findings, check_intrinsics, check_translation, warning
-from stone.sensors.calibration_errors import DisconnectedSensorError
 from stone_recordings.calibrations.draft import EGO_FRAMES, RigDraft, channel_of, is_optical, words_of
 from stone_recordings.calibrations.errors import bad_calibration_key, half_rig
 from stone_recordings.calibrations.native import RigDocument, RigSensor, boxes_of, footprint_of
@@ -30,13 +29,13 @@ KINDS: tuple[SensorKind, ...] = ("camera", "radar", "ins", "imu", "lidar")
 
 
 def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]:
-    """Raises HalfRigError, AmbiguousRigError, DisconnectedSensorError, CalibrationKeyError, and the checks' leaves."""
+    """Raises `CAL-424`, `CAL-425`, `CAL-405`, `CAL-422`, and the checks' leaves."""
     _check_kits(draft)
     lidar = _lidar(draft, rig)
     ego = _ego(draft, rig, lidar)
     ego_from_lidar = draft.tree.transform(ego, lidar)
     if ego_from_lidar is None:
-        raise DisconnectedSensorError("ego_from_lidar", ego, lidar)
+        raise disconnected_sensor("ego_from_lidar", ego, lidar)
     findings = check_translation("ego_from_lidar", ego_from_lidar.translation_m)
     mounts = list[Mount]()
     for channel, frame, sensor in _sensors(draft, rig, lidar):
@@ -50,7 +49,7 @@ def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]
 
 
 def _check_kits(draft: RigDraft) -> None:
-    """Raises HalfRigError where a sensor kit is placed on the robot and its own sensors are not there."""
+    """Raises `CAL-424` where a sensor kit is placed on the robot and its own sensors are not there."""
     parents = {parent for parent, _ in draft.tree.down}
     for frame in draft.frames:
         if "kit" in words_of(frame) and frame not in parents:
@@ -120,7 +119,7 @@ def _mount(
     (lidar_frame, ego_from_lidar), (channel, frame) = lidar, called
     lidar_from_sensor = draft.tree.transform(lidar_frame, frame)
     if lidar_from_sensor is None:
-        raise DisconnectedSensorError(channel, frame, lidar_frame)
+        raise disconnected_sensor(channel, frame, lidar_frame)
     mount = Mount(channel, _kind(draft, frame), lidar_from_sensor, frame, _offset_ns(draft, frame, sensor))
     findings = check_translation(channel, lidar_from_sensor.translation_m)
     if mount.kind == "camera":
@@ -170,3 +169,11 @@ def _lens(draft: RigDraft, frame: str, of: tuple[str, RigSensor | None]) -> tupl
 def ambiguous_rig(name: str, what: str, choices: Iterable[str], remedy: str) -> Refused:
     shown = ", ".join(list(choices)[:8])
     return Refused("CAL-425", f"{name}: {what} could be any of {shown}; {remedy}")
+
+
+def disconnected_sensor(sensor: str, frame: str, lidar_frame: str) -> Refused:
+    return Refused(
+        "CAL-405",
+        f"{sensor}: its frame {frame!r} has no path to the LiDAR's frame {lidar_frame!r} "
+        "(a transform missing, or a frame called differently in two files?)",
+    )

@@ -62,7 +62,7 @@ class RigDraft:
 
 
 def draft_of(name: str, parts: Iterable[CalibrationPart]) -> RigDraft:
-    """Raises ConflictingFilesError."""
+    """Raises `CAL-429`."""
     edges: dict[frozenset[str], tuple[Edge, str]] = {}
     lenses: dict[str, tuple[CameraIntrinsics, str]] = {}
     offsets_ns, kinds, optical = dict[str, int](), dict[str, SensorKind](), frozenset[str]()

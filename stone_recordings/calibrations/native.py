@@ -130,7 +130,7 @@ def is_native(content: dict[str, object]) -> bool:
 
 
 def native(file: str, content: object) -> tuple[Calibration, Findings]:
-    """Raises CalibrationKeyError and what the checks of single transforms and lenses raise."""
+    """Raises `CAL-422` and what the checks of single transforms and lenses raise."""
     try:
         document = CalibrationDocument.model_validate(content)
     except ValidationError as error:

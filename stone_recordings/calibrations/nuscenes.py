@@ -27,7 +27,7 @@ def is_sensors(content: list[object]) -> bool:
 
 
 def nuscenes(document: Node, sensors: Node | None) -> CalibrationPart:
-    """Every row of the table. Raises HalfRigError without sensor.json, ConflictingFilesError for a channel twice."""
+    """Every row of the table. Raises `CAL-424` without sensor.json, `CAL-429` for a channel twice."""
     if sensors is None:
         raise half_rig(document.file, "its rows name their sensors by token only", "send sensor.json along in a zip")
     named = {row.at("token").text(): (row.at("channel").text(), row.at("modality").text()) for row in sensors.items()}

@@ -60,7 +60,7 @@ class _OpenCvCamera:
 
 
 def opencv(document: Node, stem: str) -> CalibrationPart:
-    """Lenses and transforms of one file. Raises CalibrationKeyError where it has neither."""
+    """Lenses and transforms of one file. Raises `CAL-422` where it has neither."""
     cameras = _cameras(document, stem)
     lenses = {camera.name: _lens(document, camera) for camera in cameras}
     edges, findings = list[Edge](), Findings()

@@ -15,7 +15,7 @@ from stone.errors import Refused
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel, SensorKind
 from stone.sensors.calibration_checks import Findings
-from stone.sensors.calibration_errors import DistortionLengthError, NotFiniteError
+from stone.sensors.calibration_errors import distortion_length, not_finite
 from stone_recordings.calibrations.errors import bad_calibration_key, unread_lens_model
 
 Format = Literal[
@@ -54,7 +54,7 @@ class CalibrationPart:
 class Node:
     """A value inside a document, and the way to it; every reading checks and names it in its refusal.
 
-    Raises CalibrationKeyError throughout.
+    Raises `CAL-422` throughout.
     """
 
     file: str
@@ -165,16 +165,16 @@ class LensText:
 
 
 def intrinsics(lens: LensText, matrix: NDArray[np.float64], size_px: tuple[int, int]) -> CameraIntrinsics:
-    """Raises LensModelError, DistortionLengthError, NotFiniteError, CalibrationKeyError (skew)."""
+    """Raises `CAL-427`, `CAL-410`, `CAL-416`, `CAL-422` (skew)."""
     model = MODELS.get(lens.model or ("plumb_bob" if lens.distortion else "none"))
     if model is None:
         raise unread_lens_model(lens.file, lens.sensor, lens.model)
     if not np.isfinite(matrix).all():
-        raise NotFiniteError(lens.sensor, "the camera matrix")
+        raise not_finite(lens.sensor, "the camera matrix")
     distortion = lens.distortion
     if lens.model in SHORT_BY_ONE:
         if len(distortion) != 4:
-            raise DistortionLengthError(lens.sensor, lens.model, len(distortion), 4)
+            raise distortion_length(lens.sensor, lens.model, len(distortion), 4)
         distortion = (*distortion, 0.0)
     if model == "pinhole" and not any(distortion):
         distortion = ()

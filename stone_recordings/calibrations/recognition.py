@@ -47,7 +47,7 @@ class RecognisedBundle:
 
 
 def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
-    """Raises what reading YAML and the formats raise; ConflictingFilesError for two files that each claim the whole."""
+    """Raises what reading YAML and the formats raise; `CAL-429` for two files that each claim the whole."""
     documents = [(file, parse_documents(file, content)) for file, content in bundle.documents]
     whole = [(file, found[0]) for file, found in documents if isinstance(found[0], dict) and is_native(found[0])]
     if whole:

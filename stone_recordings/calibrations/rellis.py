@@ -31,7 +31,7 @@ def is_rellis(content: dict[str, object]) -> bool:
 
 
 def rellis(document: Node) -> CalibrationPart:
-    """One edge for each pair. Raises CalibrationKeyError for a key that names no two frames."""
+    """One edge for each pair. Raises `CAL-422` for a key that names no two frames."""
     edges, findings = list[Edge](), Findings()
     for key, node in document.entries().items():
         parent, child = _pair(document.file, key)

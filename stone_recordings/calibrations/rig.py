@@ -27,7 +27,7 @@ def is_rig(content: dict[str, object]) -> bool:
 
 
 def rig_document(document: Node) -> RigDocument:
-    """Raises CalibrationKeyError."""
+    """Raises `CAL-422`."""
     try:
         return RigDocument.model_validate(document.value)
     except ValidationError as error:

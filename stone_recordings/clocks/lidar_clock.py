@@ -43,7 +43,7 @@ class LidarClock:
 
 
 def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int = 0) -> LidarClock:
-    """The clock with `offset_ns` added to every stamp. Raises NoUsableSweepError."""
+    """The clock with `offset_ns` added to every stamp. Raises `SYN-509`."""
     recorded = with_sweep_problems(recorded, topic)
     stamps_ns, usable, problems = (
         recorded.stamps_ns(topic) + offset_ns,
@@ -113,7 +113,7 @@ def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] |
 
 
 def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
-    """Raises NoUsableSweepError where no cloud holds a return; the first that does ends the search."""
+    """Raises `SYN-509` where no cloud holds a return; the first that does ends the search."""
     clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
         raise no_usable_sweep(topic, len(rows), "it has points, but none is a return")

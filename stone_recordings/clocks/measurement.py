@@ -55,7 +55,7 @@ Oriented = tuple[NDArray[np.int64], NDArray[np.float64]]
 def imu_lag(scan: Scan, topics: Sequence[tuple[Topic, Role]]) -> ImuLag | None:
     """None without an IMU or a pose source, and where the robot turned too little to tell.
 
-    Raises: MessageLayoutError, ByteOrderError, MixedFramesError, PoseValueError.
+    Raises: MessageLayoutError, ByteOrderError, `MSG-304`, PoseValueError.
     """
     imu = _fullest(scan, topics, "imu")
     source = _fullest(scan, topics, "ins") or _fullest(scan, topics, "odometry")

@@ -46,7 +46,7 @@ class OdometrySamples:
 def decode_odometry(messages: Iterable[StampedMessage], type_name: str = TYPE) -> OdometrySamples:
     """Of one topic of one of POSE_PLACES.
 
-    Raises: MessageLayoutError, ByteOrderError, MixedFramesError (two sources on one topic), and PoseValueError where no
+    Raises: MessageLayoutError, ByteOrderError, `MSG-304` (two sources on one topic), and PoseValueError where no
     message holds a pose.
     """
     place, named = POSE_PLACES[type_name], (CHILD,) if type_name == TYPE else ()

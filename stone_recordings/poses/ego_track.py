@@ -298,7 +298,7 @@ MOST_SWEEPS = 40
 
 
 def motion_findings(track: PoseTrack, sweeps: SweepTopic, calibration: Calibration) -> tuple[Finding, ...]:
-    """SYN-510 for poses that never change. Raises StillPosesError where the sweeps do."""
+    """SYN-510 for poses that never change. Raises `SYN-510` where the sweeps do."""
     if track.topic == sweeps.clock.topic or not is_still(track.trajectory):
         return ()
     moved_m = moved_by_sweeps_m(sweeps, calibration)

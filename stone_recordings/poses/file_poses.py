@@ -55,7 +55,7 @@ class FilePoses:
 
 
 def read_pose_file(path: Path) -> FilePoses:
-    """Raises PoseFileError with the line for whatever is no pose, OSError."""
+    """Raises `SYN-516` with the line for whatever is no pose, OSError."""
     digest, numbers, lines, stamps = sha256(), list[list[float]](), list[int](), list[int]()
     if path.stat().st_size > LARGEST_BYTES:
         raise bad_pose_file(path.name, 0, f"it has more than {LARGEST_BYTES} bytes")
@@ -82,7 +82,7 @@ def read_pose_file(path: Path) -> FilePoses:
 
 
 def _lines(path: Path) -> Iterator[tuple[int, bytes]]:
-    """Numbered from 1. Raises PoseFileError for one that no pose is as long as."""
+    """Numbered from 1. Raises `SYN-516` for one that no pose is as long as."""
     with path.open("rb") as file:
         number = 0
         while raw := file.readline(LONGEST_LINE + 1):
@@ -172,7 +172,7 @@ class PoseFile:
 
 
 def track_from_file(file: PoseFile, clock: LidarClock, rig: RigMounts) -> PoseTrack:
-    """Raises PoseFileError, PoseFileMismatchError (another number of poses than sweeps, a frame nobody knows)."""
+    """Raises `SYN-516`, `SYN-517` (another number of poses than sweeps, a frame nobody knows)."""
     read = read_pose_file(file.path)
     source, inputs = f"{read.name} ({read.format})", {f"poses {read.name}": read.sha256}
     step, findings = _child_from_ego(read.name, file.frame, rig)

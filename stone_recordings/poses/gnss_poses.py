@@ -46,7 +46,7 @@ class GnssTopics:
 
 
 def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
-    """Raises NoUsablePoseError (no position, or none while there is an attitude), NoAttitudeError, and what decoding
+    """Raises NoUsablePoseError (no position, or none while there is an attitude), `GNS-306`, and what decoding
     raises."""
     samples, unread = read_readable(topics.fix_topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
     attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
@@ -93,7 +93,7 @@ def _positions(samples: GnssSamples, source: str) -> NDArray[np.int64]:
 
 
 def _attitudes(topic: str, attitude: AttitudeSamples) -> tuple[Trajectory, tuple[Finding, ...]]:
-    """The orientations as poses without a place. Raises NoAttitudeError where the IMU tells none."""
+    """The orientations as poses without a place. Raises `GNS-306` where the IMU tells none."""
     rows = np.flatnonzero(attitude.is_told & (attitude.stamps_ns != 0)).astype(np.int64)
     if not len(rows):
         raise Refused(

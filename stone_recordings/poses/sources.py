@@ -81,7 +81,7 @@ def track_from_odometry(
 def track_from_tf(messages: Iterable[StampedMessage], topic: str, rig: RigMounts) -> PoseTrack:
     """The robot's base, or its LiDAR, in odom, map or world, in that order.
 
-    Raises NoPoseSourceError when no such pair is published, and what `decode_transforms` raises.
+    Raises `SYN-502` when no such pair is published, and what `decode_transforms` raises.
     """
     samples, unread = read_readable(topic, messages, decode_transforms)
     wanted = [(fixed, child) for fixed in FIXED_FRAMES for child in (*BASE_FRAMES, rig.lidar_frame)]

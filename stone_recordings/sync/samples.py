@@ -98,7 +98,7 @@ class BagSamples:
     sequence: Sequence
 
     def lidar(self, index: int) -> LidarSample:
-        """Raises IndexError, NotRecordedError, PointOffsetError, what opening and decoding raise (BAG-*, MSG-*)."""
+        """Raises IndexError, `not_recorded`, `point_offset`, what opening and decoding raise (BAG-*, MSG-*)."""
         sweeps = self._sweeps
         cloud = cloud_at(opened(self.path), sweeps.topic, int(sweeps.message_index[index]))
         found = lidar_points(cloud)

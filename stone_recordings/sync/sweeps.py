@@ -47,7 +47,7 @@ class BagSweeps:
     def sweep(self, index: int) -> Sweep:
         """The sweep of frame `index`; it may have no points.
 
-        Raises IndexError; what opening and decoding raise (BAG-*, MSG-*); PointOffsetError of `stone.sensors.deskew`.
+        Raises IndexError; what opening and decoding raise (BAG-*, MSG-*); `point_offset` of `stone.sensors.deskew`.
         """
         return self.sweep_in(opened(self.path), index)
 

@@ -47,7 +47,7 @@ class PosedFrames:
 def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int) -> PosedFrames:
     """Every LiDAR stamp, as a frame or as an exclusion with its reason.
 
-    Raises where none has a pose: NoUsablePoseError (a single pose), SparsePosesError, NoPosedFramesError.
+    Raises where none has a pose: NoUsablePoseError (a single pose), `SYN-511`, `SYN-501`.
     """
     stamps_ns, trajectory = clock.ordered.stamps_ns, track.trajectory
     if len(trajectory) < 2:

@@ -36,7 +36,7 @@ MOST_TOPICS, LONGEST_TOPIC, SHOWN = 64, 256, 6
 
 @dataclass(frozen=True)
 class TopicProfile:
-    """The topics chosen for a platform, by part. Raises BadProfileError for a part or a name that cannot be."""
+    """The topics chosen for a platform, by part. Raises `TOP-113` for a part or a name that cannot be."""
 
     topics: Mapping[str, str] = field(default_factory=dict)
     platform: str = ""
@@ -224,7 +224,7 @@ KEYS = {"stone_profile", "platform", "topics"}
 
 
 def read_profile(path: Path) -> TopicProfile:
-    """Raises ProfileFileError for what is no profile, BadProfileError for one that cannot be; OSError."""
+    """Raises `TOP-114` for what is no profile, `TOP-113` for one that cannot be; OSError."""
     with path.open("rb") as stream:
         content = stream.read(LARGEST_BYTES + 1)
     if len(content) > LARGEST_BYTES:

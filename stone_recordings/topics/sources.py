@@ -86,7 +86,7 @@ class Sources:
 
 
 def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
-    """Raises NoLidarError, NoPoseSourceError, AmbiguousTopicsError, WrongTopicError; what decoding a cloud raises."""
+    """Raises `TOP-101`, `SYN-502`, `TOP-110`, `TOP-104`; what decoding a cloud raises."""
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
     roles = [candidate_of(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, asked.lidar)
@@ -154,7 +154,7 @@ def _pose(roles: list[Candidate], asked: str | None) -> Candidate:
 
 
 def _attitude(roles: list[Candidate], asked: str | None) -> Candidate:
-    """The IMU beside a receiver. Raises NoPoseSourceError, AmbiguousTopicsError, WrongTopicError."""
+    """The IMU beside a receiver. Raises `SYN-502`, `TOP-110`, `TOP-104`."""
     imus = [topic for topic in roles if topic.role == "imu"]
     if asked is not None:
         return _asked(roles, asked, imus, "sensor_msgs/msg/Imu")

@@ -17,6 +17,7 @@ from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply, Team
 from services.runtime.platform import Platform
 from testing.api.serving import Person, at_once, person, serving
+from testing.refusals import refused_as
 
 TEAMS = "/api/v1/teams"
 Faulty = tuple[httpx.Client, list[str]]
@@ -199,7 +200,7 @@ def test_a_request_whose_process_died_before_its_commit_is_worked_on_again_after
 ) -> None:
     database = platform_on.database
     row_id = idempotency.reserve(database, asked_by(ada))
-    with pytest.raises(idempotency.RequestInFlightError):
+    with refused_as("request_in_flight"):
         idempotency.reserve(database, asked_by(ada))
     assert idempotency.reserve(database, asked_by(ada, lease_ns=0)) == row_id
 
@@ -214,9 +215,9 @@ def test_a_request_whose_process_died_after_its_commit_is_never_worked_on_again(
     with database.transaction() as session:
         session.add(Team(name="made"))
     idempotency.working_for.reset(mark)
-    with pytest.raises(idempotency.RequestInFlightError):
+    with refused_as("request_in_flight"):
         idempotency.reserve(database, asked_by(ada))
-    with pytest.raises(idempotency.ReplyNotKeptError):
+    with refused_as("reply_not_kept"):
         idempotency.reserve(database, asked_by(ada, lease_ns=0))
 
 

@@ -22,7 +22,6 @@ from typer.testing import CliRunner, Result
 from baselines.batch import Batch
 from baselines.checkpoint import WEIGHTS, WeightsProvenance, write_weights
 from baselines.data import RECORDS_KEPT
-from baselines.errors import BadRunError
 from baselines.frame_record import FrameRecord, read_record
 from baselines.lattice import grid_part
 from baselines.layers.efficient_vit import relu_attention
@@ -40,7 +39,6 @@ from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample
 from stone.sensors.sequence import Sequence
 from stone_client.main import app
-from stone_exports.files import FramesMissingError
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
 from stone_local.models.recording_prediction import (
@@ -55,6 +53,7 @@ from stone_recordings.sync.samples import BagSamples
 from stone_submissions.archive import open_submission
 from stone_submissions.manifest import Manifest, write_manifest
 from stone_submissions.npz_frame import prediction_grid
+from testing.refusals import refused_as
 from testing.worlds.small_export import SmallExport, write_small_export
 from tests.baselines.boxes_frame import IMAGE, SMALL, boxes_frame
 from tests.baselines.recorded_run import DRIVE, ROW, made_run
@@ -382,20 +381,20 @@ def test_later_frames_change_no_prediction(plan: PredictionPlan, meadow: Path, t
 
 def test_frames_that_are_missing_are_refused_and_nothing_is_written(plan: PredictionPlan, tmp_path: Path) -> None:
     other = write_small_export(tmp_path / "other", SmallExport("quarry", 3))
-    with pytest.raises(FramesMissingError, match=r"\b6 frames"):
+    with refused_as("frames_missing", match=r"\b6 frames"):
         predict(replace(plan, exports=(other,)), lambda *_: None)
     assert not plan.output.exists()
 
 
 def test_a_folder_that_is_no_run_is_refused(plan: PredictionPlan, meadow: Path) -> None:
-    with pytest.raises(BadRunError):
+    with refused_as("bad_run"):
         predict(replace(plan, run=meadow), lambda *_: None)
 
 
 def test_a_run_without_weights_is_refused(plan: PredictionPlan, trained_run: Path, tmp_path: Path) -> None:
     (tmp_path / "trained_run").mkdir()
     (tmp_path / "trained_run" / "row.json").write_text((trained_run / "row.json").read_text())
-    with pytest.raises(BadRunError):
+    with refused_as("bad_run"):
         predict(replace(plan, run=tmp_path / "trained_run"), lambda *_: None)
 
 
@@ -405,6 +404,6 @@ def test_weights_of_another_model_are_refused(plan: PredictionPlan, trained_run:
     (tmp_path / "trained_run").mkdir()
     (tmp_path / "trained_run" / "row.json").write_text(other.as_json())
     (tmp_path / "trained_run" / WEIGHTS).write_bytes((trained_run / WEIGHTS).read_bytes())
-    with pytest.raises(BadRunError) as refused:
+    with refused_as("bad_run") as refused:
         predict(replace(plan, run=tmp_path / "trained_run"), lambda *_: None)
     assert "\n" not in str(refused.value)

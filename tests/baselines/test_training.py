@@ -14,21 +14,13 @@ from baselines import training_state
 from baselines.batch import Batch
 from baselines.cache import cached_frames
 from baselines.checkpoint import CHECKPOINT, provenance_of
-from baselines.errors import (
-    BadRunError,
-    NoAcceleratorError,
-    NothingToTrainOnError,
-    RunExistsError,
-    TooFewFramesError,
-    TooLittleMemoryError,
-    TrainingDivergedError,
-)
 from baselines.metrics import RateSchedule, take_step
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.row_config import RowConfig, TrainingConfig
 from baselines.run_folder import LOG, TENSORBOARD
 from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan
+from testing.refusals import refused_as
 from testing.worlds.small_export import SmallExport, write_small_export
 from tests.baselines.small_training import (
     is_same_run,
@@ -119,26 +111,26 @@ def test_a_log_that_a_kill_cut_is_read_to_its_last_whole_line(plan: TrainingPlan
 
 def test_a_folder_that_holds_a_run_is_not_written_over(plan: TrainingPlan) -> None:
     stopped_after(plan, 2)
-    with pytest.raises(RunExistsError):
+    with refused_as("run_exists"):
         trained(plan)
 
 
 def test_nothing_is_resumed_where_nothing_began(plan: TrainingPlan) -> None:
-    with pytest.raises(BadRunError):
+    with refused_as("bad_run"):
         trained(replace(plan, resume=True))
     assert not plan.run.exists()
 
 
 def test_a_run_goes_on_with_its_own_row_only(plan: TrainingPlan) -> None:
     stopped_after(plan, 2)
-    with pytest.raises(BadRunError, match="learning_rate"):
+    with refused_as("bad_run", match="learning_rate"):
         trained(replace(plan, resume=True, row=small_row(learning_rate=0.1)))
 
 
 def test_a_run_goes_on_with_its_own_data_only(plan: TrainingPlan, tmp_path: Path) -> None:
     stopped_after(plan, 3)
     other = write_small_export(tmp_path / "other", SmallExport("other", 9))
-    with pytest.raises(BadRunError, match="data"):
+    with refused_as("bad_run", match="data"):
         trained(replace(plan, resume=True, exports=(other,)))
 
 
@@ -146,24 +138,24 @@ def test_a_run_goes_on_with_its_own_data_only(plan: TrainingPlan, tmp_path: Path
 def test_a_checkpoint_that_is_none_is_refused(plan: TrainingPlan, content: bytes) -> None:
     stopped_after(plan, 2)
     (plan.run / CHECKPOINT).write_bytes(content)
-    with pytest.raises(BadRunError):
+    with refused_as("bad_run"):
         trained(replace(plan, resume=True))
 
 
 def test_exports_without_labels_are_refused(plan: TrainingPlan, tmp_path: Path) -> None:
     bare = write_small_export(tmp_path / "bare", SmallExport(is_labelled=False))
-    with pytest.raises(NothingToTrainOnError):
+    with refused_as("nothing_to_train_on"):
         trained(replace(plan, exports=(bare,)))
 
 
 def test_fewer_frames_than_a_step_takes_are_refused(plan: TrainingPlan) -> None:
-    with pytest.raises(TooFewFramesError, match=r"\b9 .* 12\b"):
+    with refused_as("too_few_frames", match=r"\b9 .* 12\b"):
         trained(replace(plan, row=small_row(batch=4, accumulate=3)))
 
 
 @pytest.mark.skipif(torch.cuda.is_available(), reason="there is a GPU here")
 def test_a_gpu_that_is_not_there_is_refused(plan: TrainingPlan) -> None:
-    with pytest.raises(NoAcceleratorError):
+    with refused_as("no_accelerator"):
         trained(replace(plan, device="cuda"))
     assert not plan.run.exists()
 
@@ -222,7 +214,7 @@ def test_a_run_that_diverges_ends_with_the_step_and_a_sound_checkpoint(
     plan: TrainingPlan, small_net: pytest.MonkeyPatch, illness: str
 ) -> None:
     small_net.setattr(training_state, "build_model", lambda config: SmallNet(config, 3, illness))
-    with pytest.raises(TrainingDivergedError, match="step 3"):
+    with refused_as("training_diverged", match="step 3"):
         trained(plan)
     assert provenance_of(plan.run / CHECKPOINT).position.step == 2
     assert all(
@@ -245,7 +237,7 @@ def test_too_little_memory_is_said_with_what_to_do(
         raise error
 
     small_net.setattr(training, "take_step", full)
-    with pytest.raises(TooLittleMemoryError):
+    with refused_as("too_little_memory"):
         trained(plan)
 
 

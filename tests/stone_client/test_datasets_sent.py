@@ -18,14 +18,14 @@ from hypothesis import strategies as st
 
 from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file as stored_file
+from stone.errors import StoneError
 from stone_client.api import Api
 from stone_client.credentials import Server
 from stone_client.errors import FileChangedError
 from stone_client.files.datasets import dataset_name, hashed_dataset
 from stone_client.files.tus import LocalContent, Purpose, upload_file
 from stone_datasets.reading import check_dataset
-from stone_files.archives import BadTarError, tar_members
-from stone_files.dataset_faults import DatasetFaultError
+from stone_files.archives import tar_members
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person
 from testing.stone_serve import until
@@ -63,7 +63,7 @@ def whole(local: LocalContent) -> bytes:
 
 
 def code_of(path: Path) -> str:
-    with pytest.raises((DatasetFaultError, BadTarError)) as caught:
+    with pytest.raises(StoneError) as caught:
         hashed_dataset(path, quiet)
     return caught.value.code
 

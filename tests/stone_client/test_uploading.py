@@ -25,9 +25,10 @@ from stone_client.errors import FileChangedError
 from stone_client.files.bags import bags_among, called, hashed_bag
 from stone_client.files.tus import Purpose, hashed, upload_file
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
-from stone_files.bag_fingerprint import BadBagFilesError, recording_sha256
+from stone_files.bag_fingerprint import recording_sha256
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person
+from testing.refusals import refused_as
 from testing.stone_serve import until
 from testing.worlds.recording_parts import RecordingPart, split_into
 from tests.stone_client.participating import ingesting, quiet, refused, stone
@@ -100,7 +101,7 @@ def test_a_folder_without_a_bag_is_refused_before_anything_is_asked(
     as_owner: str, calibration: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "empty").mkdir()
-    with pytest.raises(BadBagFilesError, match="holds no file of a bag"):
+    with refused_as("bad_recording_files", match="holds no file of a bag"):
         hashed_bag(tmp_path / "empty", quiet)
     assert refused(stone("upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
     for name in ("a.mcap", "b.db3"):
@@ -160,7 +161,7 @@ def test_files_whose_names_count_on_are_one_bag_and_others_are_their_own(tmp_pat
 
 
 def test_two_recordings_of_one_name_are_refused_before_anything_is_sent(tmp_path: Path) -> None:
-    with pytest.raises(BadBagFilesError, match=r"two of the recordings are called RUN\.mcap|called run\.mcap"):
+    with refused_as("bad_recording_files", match=r"two of the recordings are called RUN\.mcap|called run\.mcap"):
         bags_among((tmp_path / "lidar" / "run.mcap", tmp_path / "cameras" / "RUN.mcap"))
 
 

@@ -13,7 +13,7 @@ from typing import NoReturn
 import pytest
 
 from stone_files.atomic import atomic_directory, atomic_file
-from stone_files.errors import OutputExistsError
+from testing.refusals import refused_as
 from testing.signals import hear_signals
 
 ROOT = Path(__file__).resolve().parents[2]
@@ -102,12 +102,12 @@ def test_a_file_respects_the_umask(tmp_path: Path) -> None:
 
 
 def test_a_folder_or_device_in_place_of_a_file_and_the_reverse_are_refused(tmp_path: Path) -> None:
-    with pytest.raises(OutputExistsError), atomic_file(tmp_path):
+    with refused_as("output_exists"), atomic_file(tmp_path):
         pytest.fail("work began")
-    with pytest.raises(OutputExistsError), atomic_file(Path(os.devnull)):
+    with refused_as("output_exists"), atomic_file(Path(os.devnull)):
         pytest.fail("work began")
     (tmp_path / "out").write_text("")
-    with pytest.raises(OutputExistsError), atomic_directory(tmp_path / "out"):
+    with refused_as("output_exists"), atomic_directory(tmp_path / "out"):
         pytest.fail("work began")
 
 
@@ -136,7 +136,7 @@ def test_an_empty_folder_is_taken_over(tmp_path: Path) -> None:
 @pytest.mark.parametrize("replaces", [None, "report.json"])
 def test_a_folder_that_is_not_ours_is_never_replaced(tmp_path: Path, replaces: str | None) -> None:
     (tmp_path / "thesis.tex").write_text("years of work")
-    with pytest.raises(OutputExistsError), atomic_directory(tmp_path, replaces=replaces):
+    with refused_as("output_exists"), atomic_directory(tmp_path, replaces=replaces):
         pytest.fail("work began")
     assert (tmp_path / "thesis.tex").exists()
 
@@ -145,7 +145,7 @@ def test_a_folder_filled_by_somebody_else_meanwhile_is_not_replaced(tmp_path: Pa
     theirs = tmp_path / "source"
     theirs.mkdir()
     (theirs / "theirs").write_text("")
-    with pytest.raises(OutputExistsError), atomic_directory(tmp_path / "out"):
+    with refused_as("output_exists"), atomic_directory(tmp_path / "out"):
         shutil.copytree(theirs, tmp_path / "out")
     assert leftovers(tmp_path) == []
     assert (tmp_path / "out" / "theirs").exists()

@@ -12,7 +12,8 @@ from sqlalchemy import select
 from services.ingest.queue_handlers import handlers
 from services.runtime.orm import CalibrationRow, SequenceRow
 from simulator.pipeline import calibration_path
-from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, is_bag_part
+from stone.errors import StoneError
+from stone_files.bag_fingerprint import check_bag_files, is_bag_part
 from stone_recordings.bags.errors import CutBagError, NotABagError
 from stone_recordings.bags.magic import container_of
 from testing.api.serving import Person
@@ -222,7 +223,9 @@ def ask(page: Page, body: str, given: object, module: str = "bags") -> Any:
 def is_refused(names: list[str]) -> bool:
     try:
         check_bag_files(names)
-    except BadBagFilesError:
+    except StoneError as error:
+        if error.code != "bad_recording_files":
+            raise
         return True
     return False
 

@@ -7,7 +7,7 @@ from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
 from services.domain.sequences.processing import ProcessRequest
-from stone.sensors.sequence import NAME, SequenceNameError
+from stone.sensors.sequence import NAME, bad_sequence_name
 from stone.splits.surroundings import (
     ENVIRONMENTS,
     ILLUMINATIONS,
@@ -34,7 +34,7 @@ class PreviewItem(Answer):
 
 def _plain_name(name: str) -> str:
     if not NAME.fullmatch(name):
-        raise ValueError(str(SequenceNameError(name)))
+        raise ValueError(str(bad_sequence_name(name)))
     return name
 
 

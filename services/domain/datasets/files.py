@@ -37,7 +37,7 @@ class DatasetFile:
 
 
 def files_of(session: Session, labelled: Iterable[CatalogueSequence]) -> tuple[DatasetFile, ...]:
-    """The files of these sequences, without their sums. Raises `BadMemberError`."""
+    """The files of these sequences, without their sums. Raises `bad_member`."""
     files = tuple(file for one in labelled for file in (*_labels(session, one), *_others(session, one)))
     check_names([*(file.name for file in files), SUMS])
     return files

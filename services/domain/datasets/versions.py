@@ -127,7 +127,7 @@ class PreparedDataset:
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version but for its rows; `folder` is where its own files are written.
 
-    Raises `no_splits`, `splits_broken`, `BadMemberError`, `name_taken`, `StoreFullError`.
+    Raises `no_splits`, `splits_broken`, `bad_member`, `name_taken`, `StoreFullError`.
     """
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
@@ -137,7 +137,7 @@ def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> Prep
 
 
 def assembled(platform: Platform, asked: NewDataset, folder: Path, found: tuple[int, Members]) -> PreparedDataset:
-    """A version of these members of the splits at that revision. Raises `BadMemberError`, `StoreFullError`."""
+    """A version of these members of the splits at that revision. Raises `bad_member`, `StoreFullError`."""
     created_ns, (revision, members) = now_ns(), found
     with platform.database.reading() as session:
         files = {part: files_of(session, labelled) for part, labelled in members.items()}

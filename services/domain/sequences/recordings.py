@@ -26,7 +26,7 @@ from services.runtime.store.named_objects import NAMES_FOLDER, described_folder,
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
 from stone.errors import Refused
-from stone_files.bag_fingerprint import BadBagFilesError, check_bag_files, whole_sha256
+from stone_files.bag_fingerprint import bad_bag_files, check_bag_files, whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 
@@ -52,12 +52,12 @@ def add_recording(
 ) -> tuple[Recording, Job]:
     """Use up complete uploads of the uploader's, all or none: their recording, and the job that reads and keeps it.
 
-    Raises `SequenceDeletedError`, what `uploads.consume` raises, `wrong_upload_target`, `BadBagFilesError`,
+    Raises `SequenceDeletedError`, what `uploads.consume` raises, `wrong_upload_target`, `bad_recording_files`,
     `QueueDrainingError`.
     """
     sequence = lock_sequence(session, sequence.id)
     if len(set(received.upload_ids)) < len(received.upload_ids):
-        raise BadBagFilesError("an upload is named twice")
+        raise bad_bag_files("an upload is named twice")
     ordered = sorted(received.upload_ids)  # of two that want some of the same, one waits for the other
     uploads = [_consumed(session, upload_id, uploader_id, sequence.id) for upload_id in ordered]
     uploads.sort(key=lambda upload: upload.filename)

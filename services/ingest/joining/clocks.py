@@ -86,7 +86,7 @@ def bears_gps_time(held: HeldMessages) -> bool:
 def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: SynchroniseOptions) -> ClockOffset:
     """Of the recording `name`; `open_at` opens the run with it at an offset.
 
-    Raises: UnmeasuredOffsetError (SYN-523), and what synchronising raises.
+    Raises: `SYN-523`, and what synchronising raises.
     """
     offset_ns, sigma_ns = 0, 0
     for _ in range(ROUNDS):
@@ -141,7 +141,7 @@ class RunReference:
 
 
 def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> RunReference:
-    """Raises: UnmeasuredOffsetError, and what `read_calibration` and `unjoined_sequence` raise."""
+    """Raises: `SYN-523`, and what `read_calibration` and `unjoined_sequence` raise."""
     rig, _ = read_calibration(calibration, bag)
     sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
     if sequence.track is None or len(sequence.frames) < 2:
@@ -153,7 +153,7 @@ def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> Ru
 def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset:
     """Of the recording `name`, or of several of one clock with it.
 
-    Raises: UnmeasuredOffsetError (SYN-523), ContradictoryOffsetsError (SYN-524), and what decoding raises.
+    Raises: `SYN-523`, `SYN-524`, and what decoding raises.
     """
     topics = [candidate_of(bag, topic) for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     found, reasons = dict[str, LagFit](), list[str]()
@@ -179,7 +179,7 @@ def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -
 
 
 def _weighed(name: str, found: dict[str, LagFit]) -> ClockOffset:
-    """The mean by inverse variance. Raises: ContradictoryOffsetsError."""
+    """The mean by inverse variance. Raises: `SYN-524`."""
     fits = list(found.values())
     offsets, sigmas = (np.array(column) for column in zip(*((fit.offset_s, fit.sigma_s) for fit in fits), strict=True))
     weights = 1 / sigmas**2
@@ -240,7 +240,7 @@ class JoinRequest:
 
 
 def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
-    """In order of their names, so that it does not matter in which they were named. Raises: NotJoinedError."""
+    """In order of their names, so that it does not matter in which they were named. Raises: `SYN-526`."""
     names = sorted(path.name for path in asked.paths)
     if not 2 <= len(names) <= MOST_MEMBERS:
         raise not_joined(f"these are {len(names)} recordings, 2 to {MOST_MEMBERS} are joined")
@@ -257,7 +257,7 @@ def checked_paths(asked: JoinRequest) -> tuple[Path, ...]:
 def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[HeldMessages, ...]:
     """The recording with the LiDAR (or the topic that is named) in front, of several the one that begins first.
 
-    Raises: NoLidarError.
+    Raises: `TOP-101`.
     """
     counts: dict[str, int] = {}
     for recording in held:
@@ -273,7 +273,7 @@ def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[He
 
 
 def check_given(asked: JoinRequest, held: Sequence[HeldMessages]) -> None:
-    """Raises: NotJoinedError for an offset of what has the LiDAR, whose points bear times of their own."""
+    """Raises: `SYN-526` for an offset of what has the LiDAR, whose points bear times of their own."""
     lidars = {topic.name for topic in held[0].of_role("lidar")}
     for number, one in enumerate(held):
         has_lidar = not number or any(topic.name in lidars for topic in one.topics)
@@ -287,7 +287,7 @@ Held = Sequence[HeldMessages]
 def clock_offsets(asked: JoinRequest, held: Held) -> tuple[ClockOffset, ...]:
     """In the order of `held`.
 
-    Raises: UnmeasuredOffsetError, ContradictoryOffsetsError, NoCommonTimeError, and what synchronising raises.
+    Raises: `SYN-523`, `SYN-524`, `SYN-525`, and what synchronising raises.
     """
     known = _known(asked, held)
     if len(known) < len(held):
@@ -372,7 +372,7 @@ def _on_one_clock(asked: JoinRequest, held: Held, offsets: Mapping[int, ClockOff
 
 
 def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
-    """Raises: NoCommonTimeError for what lies wholly outside the run."""
+    """Raises: `SYN-525` for what lies wholly outside the run."""
     run = set(linked(held, 0))
     first_ns, last_ns = min(held[number].start_ns for number in run), max(held[number].end_ns for number in run)
     for number in sorted(set(offsets) - run):
@@ -394,8 +394,8 @@ def _check_common_time(held: Held, offsets: Mapping[int, ClockOffset]) -> None:
 
 
 def join_recordings(asked: JoinRequest) -> JoinedRecording:
-    """Raises: NotJoinedError (SYN-526), NoLidarError, JoinedTopicError (BAG-041), UnmeasuredOffsetError (SYN-523),
-    ContradictoryOffsetsError (SYN-524), NoCommonTimeError (SYN-525), and what opening and decoding raise."""
+    """Raises: `SYN-526`, `TOP-101`, `BAG-041`, `SYN-523`,
+    `SYN-524`, `SYN-525`, and what opening and decoding raise."""
     asked = replace(asked, paths=checked_paths(asked))
     with ExitStack() as opened:
         held = held_by({path.name: opened.enter_context(open_bag(path)) for path in asked.paths})

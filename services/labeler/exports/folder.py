@@ -72,7 +72,7 @@ class ExportRequest:
 def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], step: Step) -> ExportOutcome:
     """Export a sequence into the folder, where further sequences may be already; opens it only when it must.
 
-    Raises `UnknownFormatError`, `NotAnExportError`, `DamagedLabelsError`, `ExportClashError`, `OutputExistsError`, and
+    Raises `UnknownFormatError`, `NotAnExportError`, `DamagedLabelsError`, `ExportClashError`, `output_exists`, and
     what opening and exporting raise.
     """
     exporter, (name, frames) = exporter_of(request.format), _described(request.report)

@@ -32,7 +32,7 @@ UNKNOWN = "unknown"  # what our own exports say of a place that nobody named
 def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
     """Leave `scenes/<ordinal>/` in the folder; a `DatasetIndexAnswer`.
 
-    Raises the first `DatasetFaultError` that is found, `BadTarError`.
+    Raises the first `DatasetFaultError` that is found, `bad_tar`.
     """
     progress("check", 0, 1)
     reading = read_tables_of(opening.dataset)

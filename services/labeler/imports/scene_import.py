@@ -68,7 +68,7 @@ Told = Callable[[int, int], None]
 
 
 def write_source(parts: SceneParts, out: Path, told: Told) -> None:
-    """The index and the packs below `out`. Raises a `DatasetFaultError`, `BadMemberError`, `StoreFullError`."""
+    """The index and the packs below `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
     tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
     places = {name: number for number, name in enumerate(parts.spans.names)}
     names = sorted({*tables, *places})
@@ -176,7 +176,7 @@ SCRATCH = "scratch"
 def import_scene(opening: SceneOpening, folder: Path, progress: ProgressCallback) -> bytes:
     """Leave the artefacts of the scene in `scenes/<ordinal>/out`; a `PublicationAnswer`.
 
-    Raises the first `DatasetFaultError` that is found, `SceneDamagedError`, `BadMemberError`, `StoreFullError`.
+    Raises the first `DatasetFaultError` that is found, `SceneDamagedError`, `bad_member`, `StoreFullError`.
     """
     scene = folder / scene_folder(opening.ordinal)
     parts, out = read_scene_parts(scene, opening.dataset), scene / OUT

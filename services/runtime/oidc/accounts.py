@@ -39,7 +39,7 @@ class AdmittedUser:
 def admit(session: Session, identity: VerifiedIdentity, settings: OidcSettings) -> AdmittedUser:
     """The active user of this identity, in the role of their groups.
 
-    Raises `not_admitted`, `shut_out`, `LastAdministratorError`.
+    Raises `not_admitted`, `shut_out`, `last_administrator`.
     """
     role = role_of(identity.claims, settings)
     _one_at_a_time(session)

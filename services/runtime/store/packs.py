@@ -110,7 +110,7 @@ class PackWriter:
 def pack_folder(folder: Path, packs: Path, step: Step, pack_bytes: int = PACK_BYTES) -> PackedFiles:
     """Move every file of `folder` into packs of the empty folder `packs`; each is gone once it is in its pack.
 
-    Raises `BadMemberError`, before anything is moved, and `StoreFullError`.
+    Raises `bad_member`, before anything is moved, and `StoreFullError`.
     """
     names = sorted(path.relative_to(folder).as_posix() for path in folder.rglob("*") if path.is_file())
     check_names([*names, SUMS])

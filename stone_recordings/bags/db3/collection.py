@@ -50,7 +50,7 @@ class Db3CollectedRows:
 
 
 def collect(pages: Db3Pages, name: str) -> Db3CollectedRows:
-    """Everything that can be found. Raises DatabaseRefusedError for a schema that is no recorder's."""
+    """Everything that can be found. Raises `BAG-018` for a schema that is no recorder's."""
     found = Db3CollectedRows(pages, bytearray(pages.count + 1))
     with suppress(DamagedSchemaError):
         tables = tables_of(pages, name)

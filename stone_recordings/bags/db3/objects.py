@@ -42,7 +42,7 @@ class DamagedSchemaError(Exception):
 def tables_of(pages: Db3Pages, name: str) -> dict[str, Db3Table]:
     """The tables that hold a recording.
 
-    Raises: DatabaseRefusedError (BAG-018: not a rosbag2 schema), DamagedSchemaError.
+    Raises: `BAG-018` (not a rosbag2 schema), DamagedSchemaError.
     """
     tables: dict[str, Db3Table] = {}
     for number, cell in enumerate(_schema_cells(pages)):

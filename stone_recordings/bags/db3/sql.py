@@ -54,7 +54,7 @@ class Db3Location:
 
 
 def db3_location_of(path: Path) -> Db3Location:
-    """Raises: DatabaseRefusedError, NoRoomError."""
+    """Raises: `BAG-018`, NoRoomError."""
     journal = _beside(path, "-journal")
     if has_wal(path):
         return _with_wal(path)

@@ -121,7 +121,7 @@ def _named(finding: Finding, member: str) -> Finding:
 
 
 def check_types(topics: Iterable[tuple[str, str]]) -> None:
-    """`topics` of all recordings, by name and type. Raises: JoinedTopicError (BAG-041)."""
+    """`topics` of all recordings, by name and type. Raises: `BAG-041`."""
     types: dict[str, list[str]] = {}
     for name, type_name in topics:
         types.setdefault(name, []).append(type_name)
@@ -135,7 +135,7 @@ def check_types(topics: Iterable[tuple[str, str]]) -> None:
 
 
 def joined_store(name: str, parts: Sequence[MovedBag]) -> SplitStore:
-    """Raises: JoinedTopicError (BAG-041)."""
+    """Raises: `BAG-041`."""
     check_types((topic.name, topic.type) for part in parts for topic in part.topics)
     return SplitStore(name, parts)
 

@@ -234,7 +234,7 @@ class Ros1Catalogue:
 def read_ros1_catalogue(view: memoryview, name: str, *, is_tolerant: bool = False) -> Ros1Catalogue:
     """Places in a file that begins with the magic; with `is_tolerant` what is broken is told and passed over.
 
-    Raises: CutBagError (no message is whole), EncryptedBagError, MalformedBagError and the refusals of `inflate`.
+    Raises: CutBagError (no message is whole), `BAG-036`, MalformedBagError and the refusals of `inflate`.
     """
     header = _bag_header(view, name)
     index_at, draft = header.fields.u64("index_pos"), Ros1Draft()

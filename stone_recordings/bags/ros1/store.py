@@ -28,7 +28,7 @@ class Ros1Store(ChunkedStore):
 
     `compression` is that of the first chunk. With `is_tolerant` what is broken in the middle of the bag is passed over,
     and `state.losses` says so.
-    Raises: CutBagError (no message is whole), EncryptedBagError, MalformedBagError and the refusals of chunks.
+    Raises: CutBagError (no message is whole), `BAG-036`, MalformedBagError and the refusals of chunks.
     """
 
     head_bytes = RECORD_HEAD_BYTES + ROS1_HEAD_BYTES

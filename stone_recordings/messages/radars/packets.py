@@ -61,7 +61,7 @@ class DetectionLists(NamedTuple):
 
 
 def decode_packets(messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
-    """N = messages. Raises: MessageLayoutError, ByteOrderError, PacketError (a detection list of another size, or of
+    """N = messages. Raises: MessageLayoutError, ByteOrderError, `MSG-308` (a detection list of another size, or of
     more detections than it has places)."""
     read = detection_lists(messages, schema)
     counts_of_lists = read.lists["number_of_detections"].astype(np.int64)

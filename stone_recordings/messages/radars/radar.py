@@ -28,7 +28,7 @@ RADAR_TYPES = frozenset(_DECODERS)
 def decode_radar(topic_type: str, messages: Iterable[StampedMessage], schema: str = "") -> RadarDetections:
     """`schema` is the definition that the recording embeds, "" for none.
 
-    Raises: DefinitionMissingError (no radar type), MessageLayoutError, ByteOrderError, CloudLayoutError, PacketError.
+    Raises: DefinitionMissingError (no radar type), MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-308`.
     """
     if topic_type not in _DECODERS:
         raise DefinitionMissingError(topic_type, tuple(sorted(RADAR_TYPES)))

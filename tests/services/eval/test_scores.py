@@ -21,7 +21,8 @@ from services.eval.score_record import (
 from stone.errors import ShapeError
 from stone.scoring.confusion import extras, named_ratios
 from stone.scoring.intervals import SCOPES, Estimate, estimates
-from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS, UnknownMetricError
+from stone.scoring.metric import METRIC_VERSION, METRICS, OCCUPIED_VERSION, RATIOS
+from testing.refusals import refused_as
 
 SEQUENCES = (
     SequenceFacts("hill", 4, "forest", "day"),
@@ -112,7 +113,7 @@ def test_counts_beyond_32_bits_are_added_exactly() -> None:
 def test_an_unknown_metric_has_no_record() -> None:
     spectra = counts_of_frames().spectra()
     for ask in (counts_of_frames().spectra, lambda metric: record_of(counts_of_frames(), spectra, metric)):
-        with pytest.raises(UnknownMetricError):
+        with refused_as("unknown_metric"):
             ask("best")
 
 

@@ -21,11 +21,10 @@ from services.labeler.map.ply import FACE, HEADER, VERTEX
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
 from stone.labels.class_colours import CLASS_RGB
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.traversability import NoReferenceError
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import ExcludedFrame
-from stone_files.errors import OutputExistsError
+from testing.refusals import refused_as
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 ROOT = Path(__file__).resolve().parents[3]
@@ -249,7 +248,7 @@ def test_an_earlier_label_set_is_replaced_and_a_foreign_folder_is_refused(tmp_pa
     world = replace(BARE, frames=2, boxes=())
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("years of work")
-    with pytest.raises(OutputExistsError):
+    with refused_as("output_exists"):
         labelled(world, tmp_path / "home")
     assert [path.name for path in (tmp_path / "home").iterdir()] == ["thesis.txt"]
     (tmp_path / "earlier" / "gts" / "old").mkdir(parents=True)
@@ -275,7 +274,7 @@ def test_a_track_that_touches_no_surface_leaves_no_folder(tmp_path, width_m, rea
     world = replace(BARE, frames=2, boxes=(), reach_m=reach_m)
     sequence = sequence_of(world)
     rig = replace(sequence.calibration, footprint=replace(sequence.calibration.footprint, width_m=width_m))
-    with pytest.raises(NoReferenceError):
+    with refused_as("no_reference"):
         label(replace(sequence, calibration=rig), RayCast(world), tmp_path / "out")
     assert list(tmp_path.iterdir()) == []
 

@@ -23,20 +23,8 @@ from stone.sensors.calibration_checks import (
     require_mounts,
 )
 from stone.sensors.calibration_diff import ValueChange, difference, transform_change
-from stone.sensors.calibration_errors import (
-    CameraMatrixError,
-    DistortionLengthError,
-    FootprintError,
-    ImageSizeError,
-    LastRowError,
-    MirrorError,
-    MissingSensorError,
-    NotARotationError,
-    NotFiniteError,
-    QuaternionNormError,
-    RepeatedSensorError,
-    TranslationError,
-)
+from stone.sensors.calibration_errors import ImageSizeError, MissingSensorError
+from testing.refusals import refused_as
 
 seeds = st.integers(0, 2**32)
 CAMERA = CameraIntrinsics("plumb_bob", 1920, 1200, 1000.0, 1000.0, 960.0, 600.0, (0.0,) * 5)
@@ -78,7 +66,7 @@ def test_a_rotation_slightly_off_is_projected_to_the_nearest_and_said(seed):
 @settings(max_examples=30, deadline=None)
 @given(seeds, st.sampled_from([0.0, 0.9687, 0.9990, 1.1, 1e200]))
 def test_scaled_and_collapsed_rotations_are_refused(seed, factor):
-    with pytest.raises(NotARotationError):
+    with refused_as("CAL-401"):
         checked_rotation("CAM", a_rotation(seed) * [1, 1, factor if factor != 0.999 else 0.99])
 
 
@@ -87,14 +75,14 @@ def test_scaled_and_collapsed_rotations_are_refused(seed, factor):
 def test_a_mirror_is_refused_whatever_the_axis(seed, axis):
     mirrored = a_rotation(seed)
     mirrored[:, axis] *= -1
-    with pytest.raises(MirrorError):
+    with refused_as("CAL-408"):
         checked_rotation("LIDAR", mirrored)
 
 
 def test_a_transposed_matrix_is_refused_by_its_last_row():
     matrix = np.eye(4)
     matrix[:3, 3] = 1, 2, 3
-    with pytest.raises(LastRowError):
+    with refused_as("CAL-407"):
         checked_transform("CAM", matrix.T)
 
 
@@ -117,7 +105,7 @@ def test_what_is_not_finite_is_refused_everywhere(bad):
         (check_translation, np.full(3, bad)),
         (check_intrinsics, changed(fx_px=bad)),
     ):
-        with pytest.raises(NotFiniteError):
+        with refused_as("CAL-416"):
             check("CAM", given_values)
 
 
@@ -137,7 +125,7 @@ def test_the_norm_of_a_quaternion_is_graded(norm, count):
 
 @pytest.mark.parametrize("norm", [0.0, 0.98, 1.02, 1e300])
 def test_a_quaternion_far_from_unit_is_refused(norm):
-    with pytest.raises(QuaternionNormError):
+    with refused_as("CAL-402"):
         checked_norm("INS", np.array([norm, 0, 0, 0]))
 
 
@@ -175,16 +163,16 @@ def test_an_upright_camera_is_not_doubted_and_its_xyzw_is_when_it_tips(yaw_deg):
 def test_a_long_lever_is_graded():
     assert check_translation("GNSS", np.array([9.9, 0, 0])) == ()
     assert check_translation("GNSS", np.array([0, 11.0, 0]))[0].code == "CAL-409"
-    with pytest.raises(TranslationError):
+    with refused_as("CAL-409"):
         check_translation("GNSS", np.array([0, 0, 1200.0]))
 
 
 def test_intrinsics_are_checked_against_model_and_image():
     assert check_intrinsics("CAM", CAMERA) == ()
-    with pytest.raises(DistortionLengthError):
+    with refused_as("CAL-410"):
         check_intrinsics("CAM", changed(distortion=(0.0,) * 4))
     for wrong in ({"fy_px": -5.0}, {"cy_px": 1200.0}):
-        with pytest.raises(CameraMatrixError):
+        with refused_as("CAL-411"):
             check_intrinsics("CAM", changed(**wrong))
 
 
@@ -209,10 +197,10 @@ def moved(name, x_m=1.0):
 
 def test_a_whole_calibration_is_checked():
     assert check_calibration(Calibration("a", SE3.identity(), (moved("A"), moved("B", 0.0)))) == ()
-    with pytest.raises(RepeatedSensorError):
+    with refused_as("CAL-413"):
         check_calibration(Calibration("a", SE3.identity(), (moved("A"), moved("A", 2.0))))
     for wrong in ({"footprint": Footprint(1.0, 0.0)}, {"self_boxes_ego": (Box((0, 0, 0), (1, 1, 0)),)}):
-        with pytest.raises(FootprintError):
+        with refused_as("CAL-415"):
             check_calibration(Calibration("a", SE3.identity(), **wrong))
     copies = check_calibration(Calibration("a", SE3.identity(), (moved("A", 0.0), moved("B", 0.0))))
     assert [finding.code for finding in copies] == ["CAL-417"]

@@ -44,7 +44,7 @@ def start_rescore(session: Session, phase: Phase, asked: NewRescore) -> tuple[Re
 
     By the evaluation version of the board it is refused, unless an entry lacks that (one that was hidden, say, and is
     shown again). Where one by this evaluation version is pending, it is that one: its run goes on, or, has that ended,
-    another takes up what is missing. Raises `UnknownMetricError`, `SupersededMetricError`, `foreign_truth`,
+    another takes up what is missing. Raises `unknown_metric`, `superseded_metric`, `foreign_truth`,
     `truth_not_ready`, `already_active`, `QueueDrainingError`.
     """
     lock_phase(session, phase.id)

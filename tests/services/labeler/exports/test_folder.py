@@ -13,7 +13,7 @@ from services.labeler.exports.errors import DamagedLabelsError, ExportClashError
 from services.labeler.exports.folder import ExportOutcome, ExportRequest, export
 from services.labeler.exports.source import LabelledSequence
 from stone.sensors.sequence import frame_token
-from stone_files.errors import OutputExistsError
+from testing.refusals import refused_as
 from tests.services.labeler.exports.made import Labelled, files_of, unheard
 
 SHIFT_NS = 3_600_000_000_000
@@ -142,7 +142,7 @@ def test_an_export_that_fails_leaves_nothing(drive: Labelled, tmp_path: Path) ->
 def test_other_peoples_folders_and_formats_are_left_alone(drive: Labelled, tmp_path: Path) -> None:
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.tex").write_text("years")
-    with pytest.raises(OutputExistsError):
+    with refused_as("output_exists"):
         exported(drive, tmp_path / "home", format_name="mesh")
     exported(drive, tmp_path / "mesh", format_name="mesh")
     with pytest.raises(NotAnExportError):
