@@ -109,6 +109,8 @@ def _codes_of(path: Path) -> Iterator[str]:
 def _texts(node: ast.expr | None) -> list[str]:
     if isinstance(node, ast.IfExp):
         return _texts(node.body) + _texts(node.orelse)
+    if isinstance(node, ast.BoolOp):
+        return [text for value in node.values for text in _texts(value)]
     return [node.value] if isinstance(node, ast.Constant) and isinstance(node.value, str) else []
 
 

@@ -13,7 +13,7 @@ from tempfile import TemporaryDirectory
 
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import no_usable_frames
 from services.labeler.local_run import tasks_of
 from services.labeler.parameters import LabelParameters, parameters_for
 from services.labeler.report import LabelReport, report_of
@@ -45,7 +45,7 @@ def labelled(arrays: Arrays, folder: Path) -> LabelReport:
     bag, calibration = write_drive(arrays, folder)
     with opened_sequence(bag, calibration, "run", SynchroniseOptions(ground="given")) as opened:
         if len(opened.sequence.frames) == 0:
-            raise NoUsableFramesError(opened.sequence)
+            raise no_usable_frames(opened.sequence)
         found = (*opened.sequence.findings, *opened.late_findings())
         sequence = replace(opened.sequence, inputs=opened.recording_inputs(), findings=found)
         run = LabelRun(sequence, opened.sweeps, parameters(), folder / "scratch")

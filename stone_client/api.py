@@ -14,9 +14,10 @@ from uuid import uuid4
 
 import httpx
 
+from stone_base.errors import Refused
 from stone_base.releases import HEADER, is_older
 from stone_client.credentials import Server, is_local
-from stone_client.errors import ServerFaultError, ServerRefusedError, ServerTooOldError, ServerUnreachableError
+from stone_client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
 from stone_client.release import OLDEST_SERVER, own_release
 
 PREFIX = "/api/v1"
@@ -77,7 +78,7 @@ class Api:
     def send(self, method: str, path: str, **request: Any) -> httpx.Response:
         """Send a request until it is answered. `path` is below `/api/v1`, or a whole URL of this server.
 
-        Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`, `ServerTooOldError`.
+        Raises `ServerRefusedError`, `ServerFaultError`, `ServerUnreachableError`, `server_too_old`.
         """
         is_repeatable = method in SAFE or "Idempotency-Key" in request.get("headers", {})
         patience = Patience(self._patience_s)
@@ -113,10 +114,14 @@ class Api:
         return path if path.startswith(PREFIX) else PREFIX + path
 
     def _check_release(self, answer: httpx.Response) -> None:
-        """A server that says none is of a release before it was said, and understood. Raises `ServerTooOldError`."""
+        """A server that says none is of a release before it was said, and understood. Raises `server_too_old`."""
         release = answer.headers.get(HEADER, "")
         if is_older(release, OLDEST_SERVER):
-            raise ServerTooOldError(self.url, release, OLDEST_SERVER)
+            raise Refused(
+                "server_too_old",
+                f"{self.url} is of release {release[:40]}, this client understands {OLDEST_SERVER} and newer; its "
+                f"administrator may update it, or install the client that it offers at {self.url}/downloads/",
+            )
 
     def _wait_after(self, error: httpx.TransportError, patience: "Patience", is_repeatable: bool) -> None:
         was_sent = not isinstance(error, httpx.ConnectError | httpx.ConnectTimeout)

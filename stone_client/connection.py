@@ -11,7 +11,7 @@ from stone_client.credentials import choose_server
 def connected(server: str | None) -> Iterator[Api]:
     """Yield the API of `server`, else of the one that is meant where none is named.
 
-    Raises `NoServerError`, `NotSignedInError`, `BadUrlError`, `BadCredentialsFileError`.
+    Raises `no_server`, `not_signed_in`, `bad_url`, `bad_credentials_file`.
     """
     with Api(choose_server(server)) as api:
         yield api

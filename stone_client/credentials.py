@@ -11,7 +11,7 @@ from dataclasses import dataclass, field
 from pathlib import Path
 from urllib.parse import urlsplit
 
-from stone_client.errors import BadCredentialsFileError, BadUrlError, NoServerError, NotSignedInError
+from stone_base.errors import Refused
 from stone_files.atomic import atomic_file
 
 FILE = "credentials.json"
@@ -42,7 +42,7 @@ def configuration_folder() -> Path:
 
 
 def read_credentials() -> Credentials:
-    """The stored credentials; none where there is no file. Raises `BadCredentialsFileError`."""
+    """The stored credentials; none where there is no file. Raises `bad_credentials_file`."""
     path = configuration_folder() / FILE
     if not path.exists():
         return Credentials()
@@ -51,11 +51,14 @@ def read_credentials() -> Credentials:
         servers = {str(url): str(known["token"]) for url, known in record["servers"].items()}
         return Credentials(str(record.get("default", "")), servers)
     except (ValueError, KeyError, TypeError, AttributeError) as error:
-        raise BadCredentialsFileError(path, f"{type(error).__name__}: {error}") from None
+        raise Refused(
+            "bad_credentials_file",
+            f"{path} cannot be read as credentials: {type(error).__name__}: {error}; remove it and run `stone login`",
+        ) from None
 
 
 def remember(url: str, token: str, *, as_default: bool) -> None:
-    """Keep the token of a server. Raises `BadCredentialsFileError`."""
+    """Keep the token of a server. Raises `bad_credentials_file`."""
     known = read_credentials()
     default = url if as_default or not known.default else known.default
     servers = {name: {"token": secret} for name, secret in {**known.token_of, url: token}.items()}
@@ -68,30 +71,32 @@ def remember(url: str, token: str, *, as_default: bool) -> None:
 def choose_server(url: str | None = None) -> Server:
     """The server named here, by `STONE_URL`, or remembered, with its token.
 
-    Raises `NoServerError`, `NotSignedInError`, `BadUrlError`, `BadCredentialsFileError`.
+    Raises `no_server`, `not_signed_in`, `bad_url`, `bad_credentials_file`.
     """
     token = os.environ.get("STONE_TOKEN", "")
     named = url or os.environ.get("STONE_URL", "")
     known = Credentials() if named and token else read_credentials()
     chosen = plain_url(named) if named else known.default
     if not chosen:
-        raise NoServerError
+        raise Refused("no_server", "no server configured; run `stone serve` here, `stone login URL`, or set STONE_URL")
     token = token or known.token_of.get(chosen, "")
     if not token:
-        raise NotSignedInError(chosen)
+        raise Refused(
+            "not_signed_in", f"there is no token for {chosen}; run `stone login {chosen}`, or set STONE_TOKEN"
+        )
     return Server(chosen, token)
 
 
 def plain_url(url: str) -> str:
-    """Scheme, host and port of what was typed; `http` where it names no scheme. Raises `BadUrlError`."""
+    """Scheme, host and port of what was typed; `http` where it names no scheme. Raises `bad_url`."""
     typed = url if "://" in url else f"http://{url}"
     try:
         parts = urlsplit(typed)
         port = parts.port
     except ValueError:
-        raise BadUrlError(url) from None
+        raise bad_url(url) from None
     if parts.scheme not in ("http", "https") or not parts.hostname or parts.username or parts.path.strip("/"):
-        raise BadUrlError(url)
+        raise bad_url(url)
     host = f"[{parts.hostname}]" if ":" in parts.hostname else parts.hostname
     return f"{parts.scheme}://{host}" + (f":{port}" if port else "")
 
@@ -100,3 +105,7 @@ def is_local(url: str) -> bool:
     """Whether the URL is of this very machine."""
     host = urlsplit(url).hostname or ""
     return host in ("localhost", "::1") or host.startswith("127.")
+
+
+def bad_url(url: str) -> Refused:
+    return Refused("bad_url", f"{url!r} is not a server URL; expected for example http://127.0.0.1:8080")

@@ -11,7 +11,7 @@ from typing import Any, NoReturn
 
 import typer
 
-from stone_client.errors import PlatformNotInstalledError
+from stone_base.errors import Refused
 from stone_client.lazy_commands import CommandPlace
 
 PACKAGE = "stone_local"
@@ -36,9 +36,9 @@ def platform_commands() -> tuple[Places, Places]:
 
 
 def platform_module(name: str, command: str) -> Any:
-    """A module of the platform that `command` needs. Raises `PlatformNotInstalledError`."""
+    """A module of the platform that `command` needs. Raises `platform_not_installed`."""
     if not is_platform_installed():
-        raise PlatformNotInstalledError(command)
+        raise platform_not_installed(command)
     return import_module(f"{PACKAGE}.{name}")
 
 
@@ -51,6 +51,14 @@ def add_refusals(app: typer.Typer) -> None:
 
 def _refusal_of(name: str) -> Callable[[], NoReturn]:
     def refuse_it() -> NoReturn:
-        raise PlatformNotInstalledError(name)
+        raise platform_not_installed(name)
 
     return refuse_it
+
+
+def platform_not_installed(command: str) -> Refused:
+    return Refused(
+        "platform_not_installed",
+        f"`stone {command}` needs the platform, and here is only its client: install the distribution "
+        "stone-platform beside it, or run the command in a checkout of the platform (`make install`)",
+    )

@@ -156,7 +156,7 @@ class Stone:
         return [Path(file["output"]) for file in files]
 
     def baseline(self, sources: Iterable[StrPath], manifest: StrPath, output: StrPath) -> Path:
-        """Write the geometric baseline's predictions; the platform's own work. Raises `PlatformNotInstalledError`."""
+        """Write the geometric baseline's predictions; the platform's own work. Raises `platform_not_installed`."""
         from stone_client.options import cores
 
         local = platform_module("baseline", "baseline")

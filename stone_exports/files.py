@@ -9,7 +9,7 @@ import os
 from collections.abc import Container, Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from pathlib import Path
-from typing import ClassVar, Protocol
+from typing import Protocol
 
 from stone.errors import Refused, StoneError
 from stone_files.archives import NAME
@@ -21,7 +21,7 @@ LONGEST_LINE_BYTES = 2**20
 class DamagedExportError(StoneError):
     """A file of an export is damaged or incomplete."""
 
-    code: ClassVar[str] = "damaged_export"
+    code = "damaged_export"
 
     def __init__(self, path: Path, name: str, why: str) -> None:
         super().__init__(f"{path}: {name[:200]!r} cannot be read: {why}; make the export again, or download it again")

@@ -8,7 +8,7 @@ import json
 import re
 from collections.abc import Iterable, Iterator, Mapping
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
 import numpy as np
 
@@ -27,7 +27,7 @@ EXPORTED = re.compile(
 class NotExportedError(StoneError):
     """The given path is not an export with LiDAR sweeps."""
 
-    code: ClassVar[str] = "not_an_export"
+    code = "not_an_export"
 
     def __init__(self, path: Path) -> None:
         super().__init__(

@@ -18,7 +18,7 @@ from fastapi import APIRouter, Request, Response
 
 from api.compression import takes_gzip
 from api.errors import NotFoundError
-from stone.errors import StoneError
+from stone.errors import Refused
 
 router = APIRouter()
 FOLDER = Path(__file__).parent
@@ -102,7 +102,7 @@ def send(digest: str, path: str, request: Request) -> Response:
 
 
 def built_assets() -> Assets:
-    """The files of this checkout. Raises `PagesNotBuiltError`."""
+    """The files of this checkout. Raises `pages_not_built`."""
     return Assets(dict(_files()))
 
 
@@ -115,12 +115,12 @@ def _files() -> Iterator[tuple[str, Asset]]:
     for place in LIBRARIES.values():
         yield f"libraries/{place}", _asset(PACKAGES / place)
     if not (BUILT / "app.js").exists():
-        raise PagesNotBuiltError(BUILT / "app.js")
+        raise pages_not_built(BUILT / "app.js")
 
 
 def _asset(path: Path) -> Asset:
     if not path.exists():
-        raise PagesNotBuiltError(path)
+        raise pages_not_built(path)
     return Asset(path.read_bytes(), MEDIA_TYPES[path.suffix])
 
 
@@ -133,10 +133,5 @@ def _style_sheet() -> bytes:
 # Errors of the pages themselves.
 
 
-class PagesNotBuiltError(StoneError):
-    """What browsers load is not there."""
-
-    code = "pages_not_built"
-
-    def __init__(self, missing: Path) -> None:
-        super().__init__(f"{missing} is not there: the pages' modules were not built; run `make install`")
+def pages_not_built(missing: Path) -> Refused:
+    return Refused("pages_not_built", f"{missing} is not there: the pages' modules were not built; run `make install`")

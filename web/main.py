@@ -78,7 +78,7 @@ ROUTERS: tuple[APIRouter, ...] = (
 
 
 def make_site(platform: Platform) -> FastAPI:
-    """The API of this platform with its pages. Raises `PagesNotBuiltError`."""
+    """The API of this platform with its pages. Raises `pages_not_built`."""
     site = make_api(platform, faults.shown)
     site.state.pages = PageTemplates(assets.built_assets())
     for router in ROUTERS:

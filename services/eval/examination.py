@@ -18,7 +18,6 @@ from numpy.typing import NDArray
 
 from services.domain.benchmarks.submissions.scoring_jobs import Span
 from services.eval.kernel_warmup import warm
-from services.eval.scoring_errors import TruthDamagedError
 from services.eval.truth_pack import TruthPack, TruthPackError
 from services.runtime.sandbox import (
     ProgressCallback,
@@ -244,7 +243,10 @@ def _counted(
         with TruthPack(pack_path) as pack:
             return examined(submission, tokens, pack.planes_of, threads=1, progress=progress)
     except (TruthPackError, UnreadableInputError) as error:
-        raise TruthDamagedError from error
+        raise PlatformFaultError(
+            "ground_truth_damaged",
+            "the ground truth that is kept cannot be read; was the store changed by hand, or is it away?",
+        ) from error
 
 
 def _answer(found: Validation, counts: bytes) -> bytes:

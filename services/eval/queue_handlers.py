@@ -22,7 +22,7 @@ from services.domain.sequences.label_comparisons import COMPARE
 from services.eval.comparison.stage import compare_label_sets
 from services.eval.join import Stage, concluded, join, refuse, settling
 from services.eval.scored_case import live_submission
-from services.eval.scoring_errors import TruthUnreadyError, UploadDamagedError
+from services.eval.scoring_errors import truth_unready
 from services.eval.scoring_workspace import EvalStageContext
 from services.eval.truth_build import build_truth
 from services.runtime.code_version import code_version
@@ -32,6 +32,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.blobs import PreparedBlob, link, prepare
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.uploads.backends import backend_of, remove_bytes
+from stone.errors import Refused
 
 
 def handlers(platform: Platform) -> Handlers:
@@ -49,7 +50,7 @@ def handlers(platform: Platform) -> Handlers:
 def open_submission(context: EvalStageContext) -> Outcome:
     """The file is kept and its directory checked; what has one part's worth of frames is looked at at once.
 
-    Raises `JobCancelledError`, `UploadDamagedError`, `TruthUnreadyError`, `scoring_crashed`.
+    Raises `JobCancelledError`, `upload_damaged`, `ground_truth_unready`, `scoring_crashed`.
     """
     with context.platform.database.reading() as session:
         submission = live_submission(session, context.submission_id)
@@ -57,7 +58,7 @@ def open_submission(context: EvalStageContext) -> Outcome:
     context.attempt.progress("keep", 0, 1)
     keep_file(context.platform, submission)
     if evaluation_version is None:
-        raise TruthUnreadyError(f"phase {submission.phase_id}")
+        raise truth_unready(f"phase {submission.phase_id}")
     case = context.case(evaluation_version.truth_id)
     if not case.is_under_way:
         return Outcome({"state": case.state})
@@ -72,7 +73,7 @@ def open_submission(context: EvalStageContext) -> Outcome:
 
 
 def count_part(context: EvalStageContext) -> Outcome:
-    """The counts of a range of frames, kept until the join. Raises as `open_submission` does, and `PurgedError`."""
+    """The counts of a range of frames, kept until the join. Raises as `open_submission`, and `submission_purged`."""
     truth_id, start, stop = (context.attempt.arguments[name] for name in ("truth_id", "start", "stop"))
     case = context.case(truth_id)
     if case.is_over or case.kept is not None:
@@ -103,7 +104,7 @@ def _with_context(platform: Platform, stage: Stage, attempt: Attempt) -> Outcome
 def keep_file(platform: Platform, submission: SubmissionRow) -> None:
     """Have the file as a blob, and the submission in scoring; nothing happens where that is so.
 
-    Raises `UploadDamagedError`, `JobCancelledError` where it ended meanwhile, and what the store raises.
+    Raises `upload_damaged`, `JobCancelledError` where it ended meanwhile, and what the store raises.
     """
     if submission.blob_sha256 is None:
         _keep(platform, submission)
@@ -119,19 +120,19 @@ def _keep(platform: Platform, submission: SubmissionRow) -> None:
     with ExitStack() as copies:
         prepared = prepare(platform.store, platform.database, _received(platform, submission, copies), adopt=True)
         if prepared.sha256 != declared:
-            raise UploadDamagedError(prepared.sha256, declared)
+            raise upload_damaged(prepared.sha256, declared)
         with platform.database.transaction() as session:
             _write(session, submission.id, prepared)
 
 
 def _received(platform: Platform, submission: SubmissionRow, copies: ExitStack) -> Path:
-    """The file on this machine. Raises `UploadDamagedError` when it is gone."""
+    """The file on this machine. Raises `upload_damaged` when it is gone."""
     with platform.database.reading() as session:
         upload = session.get(Upload, submission.upload_id or "")
     if upload is not None:
         with suppress(FileNotFoundError, ObjectMissingError):
             return copies.enter_context(backend_of(platform, upload).local(upload))
-    raise UploadDamagedError("", submission.declared_sha256)
+    raise upload_damaged("", submission.declared_sha256)
 
 
 def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None:
@@ -139,3 +140,11 @@ def _write(session: Session, submission_id: str, prepared: PreparedBlob) -> None
     blob = link(session, prepared)
     unkept = update(SubmissionRow).where(SubmissionRow.id == submission_id, SubmissionRow.blob_sha256.is_(None))
     session.execute(unkept.values(blob_sha256=blob.sha256), execution_options={"synchronize_session": False})
+
+
+def upload_damaged(found: str, declared: str) -> Refused:
+    what = f"a file of sha256 {found}" if found else "no file"
+    return Refused(
+        "upload_damaged",
+        f"{what} stands where {declared} was declared; was it changed after it was sent? Send it again",
+    )

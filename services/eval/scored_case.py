@@ -12,11 +12,12 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.submissions.state_machine import LIVE
-from services.eval.scoring_errors import PurgedError, TruthUnreadyError
+from services.eval.scoring_errors import truth_unready
 from services.runtime.code_version import code_version
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, GroundTruthRow, Score, SubmissionRow
 from services.runtime.platform import Platform
+from stone.errors import Refused
 from stone_submissions.manifest import Manifest, read_manifest
 
 VALIDATION = "validation"
@@ -71,9 +72,12 @@ class Case:
         return self.state not in (*LIVE, "scored")
 
     def kept_key(self) -> str:
-        """Raises `PurgedError`."""
+        """Raises `submission_purged`."""
         if not self.zip_key:
-            raise PurgedError(self.submission_id)
+            raise Refused(
+                "submission_purged",
+                f"the file of submission {self.submission_id} was purged and cannot be counted again; send it anew",
+            )
         return self.zip_key
 
 
@@ -86,7 +90,7 @@ def live_submission(session: Session, submission_id: str) -> SubmissionRow:
 
 
 def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
-    """Raises `JobCancelledError`, `TruthUnreadyError`."""
+    """Raises `JobCancelledError`, `ground_truth_unready`."""
     row = live_submission(session, submission_id)
     zip_key = session.scalar(select(Blob.object_key).where(Blob.sha256 == row.blob_sha256)) or ""
     return Case(
@@ -101,10 +105,10 @@ def case_of(session: Session, submission_id: str, truth_id: str) -> Case:
 
 
 def truth_of(session: Session, truth_id: str) -> ReadyTruth:
-    """Raises `TruthUnreadyError`."""
+    """Raises `ground_truth_unready`."""
     row = session.get(GroundTruthRow, truth_id)
     if row is None or row.ready_ns is None:
-        raise TruthUnreadyError(f"ground truth {truth_id}")
+        raise truth_unready(f"ground truth {truth_id}")
     manifest, pack = (session.get_one(Blob, sha256).object_key for sha256 in (row.manifest_sha256, row.pack_sha256))
     return ReadyTruth(row.id, row.sha256, row.mask, row.frames, row.facts, manifest, pack)
 

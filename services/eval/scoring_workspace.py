@@ -36,14 +36,14 @@ class EvalStageContext:
         return Workspace(self.platform.store, self.platform.settings, self.attempt.root_id).folder
 
     def case(self, truth_id: str) -> Case:
-        """As the rows have it now. Raises `JobCancelledError`, `TruthUnreadyError`."""
+        """As the rows have it now. Raises `JobCancelledError`, `ground_truth_unready`."""
         with self.platform.database.reading() as session:
             return case_of(session, self.submission_id, truth_id)
 
     def examined(self, case: Case, span: Span) -> ExaminedRange:
         """The frames [start, stop) of the submission, counted unless it is only to be checked.
 
-        Raises `PurgedError`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`.
+        Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`.
         """
         store = self.platform.store
         tokens = case.truth.manifest(self.platform).tokens

@@ -20,7 +20,6 @@ from sqlalchemy.orm import Session
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
 from services.eval.ground_truth import MAX_LABELS_BYTES, Mask, truth_in
 from services.eval.kernel_warmup import warm
-from services.eval.scoring_errors import LabelsUnfitError
 from services.eval.scoring_workspace import EvalStageContext
 from services.eval.truth_pack import write_truth_pack
 from services.runtime.jobs.errors import JobCancelledError
@@ -34,6 +33,7 @@ from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.pack_reading import ExportLocation, StoredFiles, short_pack, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
+from stone.errors import Refused
 from stone.scoring.bitplanes import TruthPlanes
 from stone_submissions.errors import GroundTruthError
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
@@ -52,16 +52,16 @@ class PackedLabelFile:
     sha256: str
 
     def read(self, packs: Mapping[int, Path]) -> bytes:
-        """The npz, of packs by number. Raises `LabelsUnfitError`, `short_pack`."""
+        """The npz, of packs by number. Raises `labels_unfit`, `short_pack`."""
         if self.length_bytes > MAX_LABELS_BYTES:
-            raise LabelsUnfitError(f"file {self.name}", f"longer than {MAX_LABELS_BYTES} bytes")
+            raise labels_unfit(f"file {self.name}", f"longer than {MAX_LABELS_BYTES} bytes")
         with packs[self.pack].open("rb") as pack:
             pack.seek(self.offset_bytes)
             npz = pack.read(self.length_bytes)
         if len(npz) < self.length_bytes:
             raise short_pack(self.pack, self.offset_bytes + len(npz))
         if sha256(npz).hexdigest() != self.sha256:
-            raise LabelsUnfitError(f"file {self.name}", "its sha256 is another than the index says")
+            raise labels_unfit(f"file {self.name}", "its sha256 is another than the index says")
         return npz
 
 
@@ -93,12 +93,12 @@ class TruthInputs:
     mask: Mask
 
     def planes(self, token: str) -> TruthPlanes:
-        """Of one frame. Raises `LabelsUnfitError`, which says nothing of what the file holds, and `short_pack`."""
+        """Of one frame. Raises `labels_unfit`, which says nothing of what the file holds, and `short_pack`."""
         file = self.files[token]
         try:
             return truth_in(file.read(self.packs), self.mask, Path(file.name))
         except GroundTruthError as error:
-            raise LabelsUnfitError(f"file {file.name}", "no label file with the arrays that the phase needs") from error
+            raise labels_unfit(f"file {file.name}", "no label file with the arrays that the phase needs") from error
 
 
 def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:
@@ -132,7 +132,7 @@ class BuiltTruth:
 def build_truth(context: EvalStageContext) -> Outcome:
     """Build the ground truth the job is for; the first of a phase is put in force.
 
-    Raises `JobCancelledError` when it was deleted, `LabelsUnfitError`, `SandboxCrashedError`,
+    Raises `JobCancelledError` when it was deleted, `labels_unfit`, `SandboxCrashedError`,
     `SandboxInterruptedError`, and what the store raises.
     """
     truth_id = context.attempt.arguments["truth_id"]
@@ -189,7 +189,7 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
 
 
 def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> TruthInputs:
-    """The label files, and of the packs those in which some lie, on this machine. Raises `LabelsUnfitError`."""
+    """The label files, and of the packs those in which some lie, on this machine. Raises `labels_unfit`."""
     ordinals, manifest = _frames(stored, source.said)
     files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
     packs = {number: store.local(stored.object_keys[number]) for number in sorted({one.pack for one in files.values()})}
@@ -202,7 +202,7 @@ def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:
 
 
 def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple[dict[str, int], Manifest]:
-    """The place of each frame's label file in the index, by token, and the manifest. Raises `LabelsUnfitError`."""
+    """The place of each frame's label file in the index, by token, and the manifest. Raises `labels_unfit`."""
     ordinals: dict[str, int] = {}
     sequences: dict[str, list[str]] = {}
     for ordinal, name in enumerate(stored.files.names):
@@ -210,12 +210,12 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
             continue
         _, sequence, token, file = name.split("/")
         if not (is_token(token) and SEQUENCE_NAME.fullmatch(sequence) and file == "labels.npz") or token in ordinals:
-            raise LabelsUnfitError(f"file {name[:300]!r}", "not the one label file of a frame")
+            raise labels_unfit(f"file {name[:300]!r}", "not the one label file of a frame")
         ordinals[token] = ordinal
         sequences.setdefault(sequence, []).append(token)
     counted = {name: len(tokens) for name, tokens in sequences.items()}
     if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
-        raise LabelsUnfitError("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
+        raise labels_unfit("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
 
 
@@ -233,3 +233,7 @@ def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:
     )
     session.execute(made, execution_options={"synchronize_session": False})
     first_activation(session, session.get_one(GroundTruthRow, truth_id, populate_existing=True))
+
+
+def labels_unfit(where: str, fault: str) -> Refused:
+    return Refused("labels_unfit", f"{where} of the dataset version: {fault}; was it labelled by this program?")

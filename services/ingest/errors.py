@@ -1,6 +1,6 @@
 """Why a received recording cannot be kept."""
 
-from stone.errors import StoneError
+from stone.errors import Refused, StoneError
 
 
 class RecordingChangedError(StoneError):
@@ -14,22 +14,9 @@ class RecordingChangedError(StoneError):
         )
 
 
-class RecordingFileMissingError(StoneError):
-    """The uploaded file is not where the workers look for it."""
-
-    code = "recording_file_missing"
-
-    def __init__(self, filename: str, upload_id: str) -> None:
-        super().__init__(
-            f"the file of {filename} (upload {upload_id}) is not on this machine; "
-            "do API and ingest workers share the uploads folder?"
-        )
-
-
-class RecordingRefusedError(StoneError):
-    """The recording was refused before, for the reason given."""
-
-    code = "recording_refused"
-
-    def __init__(self, filename: str, reason: str) -> None:
-        super().__init__(f"{filename} was refused: {reason}")
+def recording_file_missing(filename: str, upload_id: str) -> Refused:
+    return Refused(
+        "recording_file_missing",
+        f"the file of {filename} (upload {upload_id}) is not on this machine; "
+        "do API and ingest workers share the uploads folder?",
+    )

@@ -21,7 +21,7 @@ from services.domain.sequences.recordings import kept_recording, locate, locate_
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left, require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
-from services.ingest.errors import RecordingChangedError, RecordingFileMissingError
+from services.ingest.errors import RecordingChangedError, recording_file_missing
 from services.ingest.kernel_warmup import warm
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.registration import register
@@ -164,7 +164,7 @@ def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) 
 
 
 def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
-    """Keep the tar. Raises `JobCancelledError`, `RecordingFileMissingError`, `RecordingChangedError`, what the store
+    """Keep the tar. Raises `JobCancelledError`, `recording_file_missing`, `RecordingChangedError`, what the store
     raises."""
     imported = import_of_attempt(platform, attempt)
     if imported.blob_sha256 is None:
@@ -182,7 +182,7 @@ def _keep(platform: Platform, attempt: Attempt, imported: DatasetImport) -> None
             prepared = prepare(platform.store, platform.database, path, adopt=True)
             _write(platform, attempt, imported, prepared)
     except FileNotFoundError as error:
-        raise RecordingFileMissingError(upload.filename, upload.id) from error
+        raise recording_file_missing(upload.filename, upload.id) from error
     remove_bytes(platform, [upload.id])
 
 

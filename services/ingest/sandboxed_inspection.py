@@ -17,7 +17,7 @@ from typing import Any
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.profiles import topics_of
-from services.ingest.errors import RecordingFileMissingError, RecordingRefusedError
+from services.ingest.errors import recording_file_missing
 from services.ingest.pipeline import SynchroniseOptions, synchronise_in, unjoined_sequence
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, Recording, RecordingFile, SequenceRow, Upload
@@ -28,7 +28,7 @@ from services.runtime.sandbox.result_files import File, SandboxResult, packed, u
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.named_objects import NAMES_FOLDER, named, named_folder
 from services.runtime.uploads.backends import backend_of
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
@@ -154,7 +154,7 @@ class _StoredFile:
 def received(platform: Platform, recording_id: str) -> Iterator[ReceivedBag]:
     """The recording with its files on this machine; copies that were made for it go with the block.
 
-    Raises `JobCancelledError` (deleted), `RecordingRefusedError`, `RecordingFileMissingError`, what the store raises.
+    Raises `JobCancelledError` (deleted), `recording_refused`, `recording_file_missing`, what the store raises.
     """
     with platform.database.reading() as session:
         recording = session.get(Recording, recording_id)
@@ -188,8 +188,8 @@ def _file(recording: Recording, row: RecordingFile, path: Path | None) -> Receiv
     if path is not None:
         return ReceivedFile(row.id, row.upload_id or "", row.filename, row.sha256, path)
     if recording.state == "refused":  # by an attempt that was killed before it could say so
-        raise RecordingRefusedError(recording.filename, recording.findings[0]["message"])
-    raise RecordingFileMissingError(row.filename, row.upload_id or "")
+        raise Refused("recording_refused", f"{recording.filename} was refused: {recording.findings[0]['message']}")
+    raise recording_file_missing(row.filename, row.upload_id or "")
 
 
 # Recovery of truncated recording files: what is whole is written to a new file, the original stays as it is.

@@ -48,7 +48,7 @@ from services.runtime.store.blobs import PreparedBlob, prepare_all
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace, fresh_folder
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED, JoinedMember, read_joined
 from stone_recordings.sync.stored_recording import StoredRecording
@@ -121,7 +121,7 @@ def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabel
     """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of;
     of several, joined as `joined.json` beside it says.
 
-    Raises `RecordingDeletedError`, `JoinedFileError`.
+    Raises `recording_deleted`, `JoinedFileError`.
     """
     platform = sandbox.platform
     with platform.database.reading() as session:
@@ -197,38 +197,35 @@ def _made(platform: Platform, attempt: Attempt, folder: Path, files: PackedFiles
 # The recordings that labels are made of, located for exports.
 
 
-class RecordingDeletedError(StoneError):
-    """The recording that labels were made of is no longer kept."""
-
-    code = "recording_deleted"
-
-    def __init__(self, recording: str) -> None:
-        super().__init__(f"recording {recording} was deleted, so what it holds cannot be exported any more")
+def recording_deleted(recording: str) -> Refused:
+    return Refused(
+        "recording_deleted", f"recording {recording} was deleted, so what it holds cannot be exported any more"
+    )
 
 
 def located_recording(platform: Platform, sequence_id: str, sha256s: Collection[str]) -> Path:
     """The bag of the sequence with one of these hashes, on this machine; it may have been deleted and sent again.
 
-    Raises `RecordingDeletedError`.
+    Raises `recording_deleted`.
     """
     with platform.database.reading() as session:
         kept = _kept(session, sequence_id, sha256s)
     if kept is None:
-        raise RecordingDeletedError(", ".join(sorted(sha256s)))
+        raise recording_deleted(", ".join(sorted(sha256s)))
     return locate(platform, kept)
 
 
 def located_members(platform: Platform, sequence_id: str, described: Path) -> Path:
     """The recordings that the `joined.json` in the folder `described` names, joined on this machine as it says.
 
-    Raises `RecordingDeletedError`, `JoinedFileError` (BAG-040).
+    Raises `recording_deleted`, `JoinedFileError` (BAG-040).
     """
     members = read_joined(described)
     with platform.database.reading() as session:
         found = {member.name: _kept(session, sequence_id, (member.sha256,)) for member in members}
     kept = {name: recording for name, recording in found.items() if recording is not None}
     if len(kept) < len(found):
-        raise RecordingDeletedError(_names(member for member in members if member.name not in kept))
+        raise recording_deleted(_names(member for member in members if member.name not in kept))
     return locate_joined(platform, kept, described)
 
 
@@ -254,7 +251,7 @@ def _names(members: Iterable[JoinedMember]) -> str:
 def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     """Write the input that the job is for.
 
-    Raises `JobCancelledError` when its phase or version was deleted, `inputs_impossible`, `RecordingDeletedError`,
+    Raises `JobCancelledError` when its phase or version was deleted, `inputs_impossible`, `recording_deleted`,
     and what the exporter raises.
     """
     is_of_version = "dataset_id" in attempt.arguments

@@ -18,7 +18,7 @@ from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import no_usable_frames
 from services.labeler.exports.source import SOURCE
 from services.labeler.map.map_files import map_folder
 from services.labeler.map.refinement import refined
@@ -96,12 +96,12 @@ def label(
 ) -> LabelReport:
     """Label every frame of `sequence` into `directory`, replacing an earlier label set there.
 
-    Raises `NoUsableFramesError` for a sequence without usable frames, `no_reference` when the track touches
+    Raises `no_frames` for a sequence without usable frames, `no_reference` when the track touches
     no surface.
     """
     options = options or LabelOptions()
     if len(sequence.frames) == 0:
-        raise NoUsableFramesError(sequence)
+        raise no_usable_frames(sequence)
     with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
         stages, refinement, own = _Stages(workers, progress, CostMeter()), None, len(sequence.findings)
         if options.parameters.refinement is not None:

@@ -43,7 +43,7 @@ def list_jobs(context: LabelStageContext) -> Outcome:
     """All the jobs of the run; publishing waits for the checks of its sequence too.
 
     Where the recording is at hand the child is given it too: it is kept for the first job, which reads sweeps.
-    Raises `NoUsableFramesError`, and what `LabelStageContext.ask` and `opening_with_sweeps` raise.
+    Raises `no_frames`, and what `LabelStageContext.ask` and `opening_with_sweeps` raise.
     """
     opening = context.opening_with_sweeps() if context.workspace.is_in_place else context.opening
     graph = context.ask(GraphAnswer, partial(planned, opening), "plan", opening)

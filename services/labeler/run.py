@@ -16,8 +16,9 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.errors import FootprintOffGroundError
+from services.labeler.errors import footprint_off_ground
 from services.labeler.parameters import LabelParameters
+from stone.errors import Refused
 from stone.geometry.lattice import Keys, indices_of
 from stone.labels.grid import Bounds
 from stone.labels.voxels import VOXEL_M
@@ -86,7 +87,7 @@ class LabelRun:
         return int(self.maps[part[0]])
 
 
-def ground_refusal(sequence: Sequence, band_m: float) -> FootprintOffGroundError | None:
+def ground_refusal(sequence: Sequence, band_m: float) -> Refused | None:
     """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it, or whose halves do
     one each; None where they do not."""
     ground, footprint = sequence.ground, sequence.calibration.footprint
@@ -96,11 +97,11 @@ def ground_refusal(sequence: Sequence, band_m: float) -> FootprintOffGroundError
     lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
     if max(abs(ground.height_m), lean_m) <= band_m:
         return None
-    return FootprintOffGroundError(ground.height_m, ground.tilt_rad, band_m)
+    return footprint_off_ground(ground.height_m, ground.tilt_rad, band_m)
 
 
 def require_ground(run: LabelRun) -> None:
-    """Raises `FootprintOffGroundError` where the footprint is not on the ground."""
+    """Raises `footprint_off_ground` where the footprint is not on the ground."""
     refusal = ground_refusal(run.sequence, run.parameters.footprint_band_m)
     if refusal is not None:
         raise refusal

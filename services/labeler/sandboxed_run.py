@@ -15,7 +15,7 @@ from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE
 from services.labeler.child_answers import FilesAnswer, GraphAnswer, JobAnswer, WorkAnswer
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import no_usable_frames
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
@@ -80,10 +80,10 @@ class StageTask:
 
 
 def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """All the jobs of the run. Raises `NoUsableFramesError`."""
+    """All the jobs of the run. Raises `no_frames`."""
     run = opening.run()
     if len(run.sequence.frames) == 0:
-        raise NoUsableFramesError(run.sequence)
+        raise no_usable_frames(run.sequence)
     jobs = label_graph(run)
     parts, tiles = (sum(job.kind == kind for job in jobs) for kind in (FUSE, SURFACE))
     return GraphAnswer(jobs=[_answer_of(job) for job in jobs], parts=parts, tiles=tiles).packed()

@@ -7,7 +7,7 @@ import typer
 
 from stone_base.codes.catalogue import CATALOGUE
 from stone_base.codes.meaning import HARM_SENTENCES, HARM_WORDS, CodeMeaning
-from stone_client.errors import UnknownCodeError
+from stone_base.errors import Refused
 from stone_client.streams import JsonOption, echo_json
 
 
@@ -20,7 +20,9 @@ def explain(
         return _list(as_json)
     one = CATALOGUE.get(code) or CATALOGUE.get(code.upper())
     if one is None:
-        raise UnknownCodeError(code)
+        raise Refused(
+            "unknown_code", f"{code[:80]!r} is no code of a finding or of a failed run; `stone explain` lists them"
+        )
     if as_json:
         return echo_json(_record(one))
     typer.echo(f"{one.code}: {HARM_WORDS[one.harm]}\n")

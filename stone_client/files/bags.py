@@ -91,7 +91,7 @@ def _bag_of(path: Path, described: Collection[Path]) -> tuple[Path, str]:
 
 
 def hashed_bag(path: Path, progress: Report) -> LocalBag:
-    """The bag at `path` with its hashes. Raises `bad_recording_files` (no bag in the folder), `FileChangedError`."""
+    """The bag at `path` with its hashes. Raises `bad_recording_files` (no bag in the folder), `file_changed`."""
     return hashed_parts(BagPaths(path.resolve().name, (path,)), progress)
 
 

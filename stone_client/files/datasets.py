@@ -14,7 +14,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_client.errors import FileChangedError
+from stone_client.errors import file_changed
 from stone_client.files.tus import PIECE_BYTES, LocalContent, hashed, refuse_change
 from stone_client.progress import Report
 from stone_files.archives import (
@@ -71,7 +71,7 @@ class DatasetFolderTar:
                 file.seek(segment.start)
                 return file.read(len(segment))
         except FileNotFoundError:
-            raise FileChangedError(path) from None
+            raise file_changed(path) from None
 
 
 def dataset_name(path: Path) -> str:
@@ -82,7 +82,7 @@ def dataset_name(path: Path) -> str:
 def hashed_dataset(path: Path, progress: Report) -> LocalContent:
     """The dataset in a folder or a tar with its hash.
 
-    Raises a `DatasetFaultError`, `bad_tar`, `FileChangedError`.
+    Raises a `DatasetFaultError`, `bad_tar`, `file_changed`.
     """
     if path.is_dir():
         return _hashed_folder(path, progress)

@@ -11,7 +11,7 @@ from pathlib import Path
 import httpx
 
 from stone_client.api import BUSY, Api, Patience
-from stone_client.errors import DamagedDownloadError, ServerRefusedError, ServerUnreachableError
+from stone_client.errors import ServerRefusedError, ServerUnreachableError, damaged_download
 
 PATIENCE_S = 60.0
 PIECE_BYTES = 2**20
@@ -62,11 +62,11 @@ class PartialFile:
         return bool(self.promised) and self._found.hexdigest() == self.promised
 
     def check(self, path: str) -> None:
-        """Raises `DamagedDownloadError`; nothing of the file is kept then, or it would never become whole."""
+        """Raises `damaged_download`; nothing of the file is kept then, or it would never become whole."""
         if not self.is_whole:
             found, promised = self._found.hexdigest(), self.promised
             self.begin("")
-            raise DamagedDownloadError(path, found, promised)
+            raise damaged_download(path, found, promised)
 
     def _count(self, piece: bytes) -> None:
         self._found.update(piece)
@@ -85,7 +85,7 @@ def save(api: Api, path: str, target: Path) -> None:
 def fetch(api: Api, path: str, arriving: PartialFile, on_bytes: ByteListener = ignore_bytes) -> None:
     """Fetch what is missing of a file, again after a broken connection or when the server is busy.
 
-    Raises `DamagedDownloadError`, `ServerUnreachableError`, `ServerRefusedError`.
+    Raises `damaged_download`, `ServerUnreachableError`, `ServerRefusedError`.
     """
     patience, before = Patience(PATIENCE_S), arriving.size_bytes
     while not arriving.is_whole:

@@ -7,8 +7,8 @@ from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
+from stone_base.errors import Refused
 from stone_client.api import Api
-from stone_client.errors import NoLabelsError
 from stone_client.files.fetch import save
 from stone_client.progress import Report
 from stone_client.server.sequences import Item
@@ -29,10 +29,10 @@ FILES = {
 def download_labels(api: Api, sequence: Item, output: Path, progress: Report) -> dict[str, Any]:
     """Fill `output` with the files of the label set and the labels of every frame; what came.
 
-    Raises `NoLabelsError`, `DamagedDownloadError`, `output_exists`, and what `Api.send` raises.
+    Raises `no_labels`, `damaged_download`, `output_exists`, and what `Api.send` raises.
     """
     if sequence["labels"] is None:
-        raise NoLabelsError(sequence["name"])
+        raise no_labels(sequence["name"])
     own = f"/sequences/{sequence['id']}"
     with atomic_directory(output, replaces=MARK) as folder:
         made = {artefact["name"] for artefact in sequence["artefacts"]}
@@ -52,3 +52,7 @@ def download_labels(api: Api, sequence: Item, output: Path, progress: Report) ->
 
 def _tokens(api: Api, own: str) -> Iterator[str]:
     yield from (str(frame["token"]) for frame in api.pages(f"{own}/frames"))
+
+
+def no_labels(name: str) -> Refused:
+    return Refused("no_labels", f"sequence {name!r} has no labels yet; run `stone process {name} --watch`")

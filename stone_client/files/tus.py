@@ -12,7 +12,7 @@ from pathlib import Path
 from typing import BinaryIO, Protocol
 
 from stone_client.api import Api, Patience
-from stone_client.errors import FileChangedError, ServerRefusedError, ServerUnreachableError
+from stone_client.errors import ServerRefusedError, ServerUnreachableError, file_changed
 from stone_client.progress import Report
 
 TUS = {"Tus-Resumable": "1.0.0"}
@@ -42,7 +42,7 @@ class LocalContent(Protocol):
     def sha256(self) -> str: ...
 
     def read(self, offset: int, most_bytes: int) -> bytes:
-        """At most so many bytes from there on. Raises `FileChangedError`."""
+        """At most so many bytes from there on. Raises `file_changed`."""
         ...
 
 
@@ -67,16 +67,16 @@ class LocalFile:
 
 
 def refuse_change(path: Path, file: BinaryIO, before: tuple[int, int]) -> None:
-    """Compare size and time of change (ns) with what they were. Raises `FileChangedError`."""
+    """Compare size and time of change (ns) with what they were. Raises `file_changed`."""
     now = os.fstat(file.fileno())
     if (now.st_size, now.st_mtime_ns) != before:
-        raise FileChangedError(path)
+        raise file_changed(path)
 
 
 def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Report) -> str:
     """Send the bytes, or what of them the server does not have yet; the id of the complete upload.
 
-    Raises what `Api.send` raises, and `FileChangedError`.
+    Raises what `Api.send` raises, and `file_changed`.
     """
     upload_id, offset = _begun(api, local, purpose) or _create(api, local, purpose)
     _send_rest(api, f"/uploads/{upload_id}", _Rest(local, offset), progress)
@@ -84,7 +84,7 @@ def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Repor
 
 
 def hashed(path: Path, progress: Report) -> LocalFile:
-    """The file with its sha256. Raises `FileChangedError`."""
+    """The file with its sha256. Raises `file_changed`."""
     with path.open("rb") as file:
         now = os.fstat(file.fileno())
         whole, done = sha256(), 0

@@ -48,7 +48,7 @@ def fetch_manifest(api: Api, of: tuple[str, str], output: Path) -> dict[str, Any
 def download_inputs(api: Api, of: tuple[str, str], folder: Path, progress: Report) -> list[dict[str, Any]]:
     """Fetch the tar of each sequence of this phase (benchmark, name) as far as it is not there; what is there now.
 
-    Raises `DamagedDownloadError`, `DownloadUnderWayError`, and what `fetch` raises.
+    Raises `damaged_download`, `download_under_way`, and what `fetch` raises.
     """
     own = f"/phases/{read_phase(api, *of)['id']}/inputs"
     made = []

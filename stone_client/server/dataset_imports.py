@@ -37,7 +37,7 @@ class DatasetWishes:
 def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) -> Item:
     """The import of the dataset in a folder or a tar, asked for once all of it is on the server.
 
-    Raises a `DatasetFaultError`, `bad_tar`, `FileChangedError`, and what `Api.send` raises.
+    Raises a `DatasetFaultError`, `bad_tar`, `file_changed`, and what `Api.send` raises.
     """
     local = hashed_dataset(path, progress)
     standing = _standing(api, local, wishes)

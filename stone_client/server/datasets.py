@@ -32,7 +32,7 @@ def publish_dataset(api: Api, version: str, licence: str, reason: str) -> dict[s
 def download_dataset(api: Api, dataset: Item, folder: Path, progress: Report) -> list[dict[str, Any]]:
     """Fetch the manifest and the tar of each part that is open, as far as they are not there; what is there now.
 
-    Raises `DamagedDownloadError`, `DownloadUnderWayError`, and what `fetch` raises.
+    Raises `damaged_download`, `download_under_way`, and what `fetch` raises.
     """
     own, name = f"/datasets/{dataset['name']}", dataset["name"]
     manifest = {"size_bytes": dataset["manifest_bytes"], "sha256": dataset["manifest_sha256"]}

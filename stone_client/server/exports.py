@@ -15,8 +15,9 @@ from typing import Any
 
 from rich.table import Table
 
+from stone_base.errors import Refused
 from stone_client.api import Api
-from stone_client.errors import DamagedDownloadError, DownloadUnderWayError, NoExportError
+from stone_client.errors import damaged_download
 from stone_client.files.fetch import PartialFile, fetch
 from stone_client.progress import Report
 from stone_client.server.job_following import follow
@@ -44,12 +45,12 @@ def exports_of(api: Api, sequence: Item) -> list[Item]:
 
 
 def finished_export(api: Api, sequence: Item, form: str) -> Item:
-    """The export of the labels that count. Raises `NoExportError`."""
+    """The export of the labels that count. Raises `no_export`."""
     fresh = [one for one in exports_of(api, sequence) if one["format"] == form and not one["is_stale"]]
     for export in fresh:
         if export["state"] == "succeeded":
             return export
-    raise NoExportError(sequence["name"], form, fresh[0]["state"] if fresh else "")
+    raise no_export(sequence["name"], form, fresh[0]["state"] if fresh else "")
 
 
 def download_archive(api: Api, export: Item, output: Path, progress: Report) -> dict[str, Any]:
@@ -67,7 +68,7 @@ def download_archive(api: Api, export: Item, output: Path, progress: Report) -> 
 def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Report) -> int:
     """Fetch what is at `path`, whose `size_bytes` and `sha256` are known; how much of it was there already.
 
-    Raises `DamagedDownloadError`, `DownloadUnderWayError`, `output_exists`, and what `fetch` raises.
+    Raises `damaged_download`, `download_under_way`, `output_exists`, and what `fetch` raises.
     """
     if output.exists() and not output.is_file():
         raise output_exists(output, "a folder")
@@ -76,7 +77,7 @@ def download_file(api: Api, path: str, wanted: Item, output: Path, progress: Rep
         begun_bytes = arriving.size_bytes
         fetch(api, path, arriving, lambda arrived: progress(output.name, arrived, wanted["size_bytes"]))
         if arriving.promised != wanted["sha256"]:
-            raise DamagedDownloadError(path, arriving.promised, wanted["sha256"])
+            raise damaged_download(path, arriving.promised, wanted["sha256"])
         flush(partial)
         os.replace(partial, output)
     flush(output.parent)
@@ -113,7 +114,7 @@ def _sha256(path: Path) -> str:
 def _partial(output: Path, sha256: str) -> Iterator[Path]:
     """The partial file for this sha256, for us alone; those of others that nobody downloads any more are removed.
 
-    Raises `DownloadUnderWayError`.
+    Raises `download_under_way`.
     """
     output.parent.mkdir(parents=True, exist_ok=True)
     partial = output.with_name(f".{output.name}.{sha256[:32]}.partial")
@@ -125,7 +126,9 @@ def _partial(output: Path, sha256: str) -> Iterator[Path]:
         with _held(partial, os.O_CREAT):
             yield partial
     except BlockingIOError:
-        raise DownloadUnderWayError(output) from None
+        raise Refused(
+            "download_under_way", f"another process is downloading {output}; wait for it, or choose another output path"
+        ) from None
 
 
 @contextmanager
@@ -136,3 +139,10 @@ def _held(path: Path, flags: int = 0) -> Iterator[None]:
         yield
     finally:
         os.close(descriptor)
+
+
+def no_export(name: str, form: str, state: str) -> Refused:
+    why = f"its {form} export is {state}" if state else f"it has no {form} export of its labels"
+    return Refused(
+        "no_export", f"sequence {name!r} cannot be downloaded so: {why}; run `stone exports {name} --format {form}`"
+    )

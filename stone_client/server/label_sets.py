@@ -1,11 +1,10 @@
 """Label sets of a sequence on a server: listed, compared by a job there."""
 
 from pathlib import Path
-from typing import ClassVar
 
 from rich.table import Table
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.job_following import follow
@@ -13,18 +12,6 @@ from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
 from stone_client.tables import plain_table, safe_text
 from stone_files.atomic import atomic_file
-
-
-class NoLabelSetError(StoneError):
-    """The sequence has no such label set."""
-
-    code: ClassVar[str] = "no_label_set"
-
-    def __init__(self, named: str, count: int) -> None:
-        super().__init__(
-            f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {count} of this sequence"
-            " (`stone label-sets list` shows them)"
-        )
 
 
 def label_sets_of(api: Api, sequence_id: str) -> list[Item]:
@@ -35,7 +22,7 @@ def label_sets_of(api: Api, sequence_id: str) -> list[Item]:
 def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progress: Report) -> Item:
     """The finished comparison of A and B; one that stands already is not made again.
 
-    Raises `NoLabelSetError`, `JobFailedError`, and what `Api.send` raises.
+    Raises `no_label_set`, `JobFailedError`, and what `Api.send` raises.
     """
     ids = [str(one["id"]) for one in label_sets_of(api, sequence["id"])]
     a_id, b_id = (_id_named(name, ids) for name in named)
@@ -69,10 +56,14 @@ def label_set_table(name: str, sets: list[Item]) -> Table:
 
 
 def _id_named(named: str, ids: list[str]) -> str:
-    """The id, or that at its place from the newest of `ids`. Raises `NoLabelSetError`."""
+    """The id, or that at its place from the newest of `ids`. Raises `no_label_set`."""
     if is_id(named):
         return named
     place = place_from_newest(named)
     if place is None or place >= len(ids):
-        raise NoLabelSetError(named, len(ids))
+        raise Refused(
+            "no_label_set",
+            f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {len(ids)} of this "
+            "sequence (`stone label-sets list` shows them)",
+        )
     return ids[place]

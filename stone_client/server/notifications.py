@@ -1,22 +1,13 @@
 """What the caller is told of by a server, and what was delivered."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.sequences import Item
 
 CHANNELS = ("email", "webhook")
-
-
-class UnknownEventError(StoneError):
-    """The server tells of no such event."""
-
-    code: ClassVar[str] = "unknown_event"
-
-    def __init__(self, named: Sequence[str], known: Sequence[str]) -> None:
-        super().__init__(f"{', '.join(named)[:100]!r}: no such event; this server has {', '.join(known)}")
 
 
 def read_notifications(api: Api) -> Item:
@@ -25,11 +16,13 @@ def read_notifications(api: Api) -> Item:
 
 
 def choose_events(api: Api, channel: str, kinds: Sequence[str], *, is_wanted: bool) -> Item:
-    """Be told of these events by the channel, or no more; other choices stay. Raises `UnknownEventError`."""
+    """Be told of these events by the channel, or no more; other choices stay. Raises `unknown_event`."""
     now = read_notifications(api)
     known = [str(event["kind"]) for event in now["events"]]
     if unknown := [kind for kind in kinds if kind not in known]:
-        raise UnknownEventError(unknown, known)
+        raise Refused(
+            "unknown_event", f"{', '.join(unknown)[:100]!r}: no such event; this server has {', '.join(known)}"
+        )
     chosen = {name: list(now[name]) for name in CHANNELS}
     others = [kind for kind in chosen[channel] if kind not in kinds]
     chosen[channel] = [*others, *kinds] if is_wanted else others

@@ -6,11 +6,11 @@ that stands otherwise is an error, unless it is to be replaced: somebody wrote i
 
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
-from typing import Any, ClassVar
+from typing import Any
 
 from rich.table import Table
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.benchmarks import read_phase
 from stone_client.server.published_tables import PublishedTable
@@ -22,17 +22,13 @@ TEXTS = {"source": "source", "note": "note", "percent_digits": "number of decima
 DONE = {"put": "put", "left": "stood already", "replaced": "replaced"}
 
 
-class ReportedDiffersError(StoneError):
-    """Rows of the table stand on the board already, but with other numbers or words."""
-
-    code: ClassVar[str] = "reported_differs"
-
-    def __init__(self, pairs: Iterable[tuple[Item, Item]]) -> None:
-        said = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
-        super().__init__(
-            f"rows of these methods stand there already and are not as published, so none was put: {said}; see which "
-            "are right, and give --replace to have the published ones"
-        )
+def reported_differs(pairs: Iterable[tuple[Item, Item]]) -> Refused:
+    said = "; ".join(f"{_named(new)}: {_difference(old, new)}" for old, new in pairs)
+    return Refused(
+        "reported_differs",
+        f"rows of these methods stand there already and are not as published, so none was put: {said}; see which "
+        "are right, and give --replace to have the published ones",
+    )
 
 
 @dataclass(frozen=True)
@@ -46,7 +42,7 @@ class Putting:
 
 
 def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
-    """Put the rows that do not stand there yet; what became of each. Raises `ReportedDiffersError`."""
+    """Put the rows that do not stand there yet; what became of each. Raises `reported_differs`."""
     path = f"/admin/phases/{read_phase(api, how.benchmark, how.phase)['id']}/reported"
     answer = api.send("GET", path)
     standing: dict[tuple[str, str], Item] = {_key(row): row for row in answer.json()}
@@ -54,7 +50,7 @@ def put_table(api: Api, table: PublishedTable, how: Putting) -> dict[str, Any]:
     done = [_done(standing.get(_key(row)), row) for row in rows]
     differing = [(standing[_key(row)], row) for row, what in zip(rows, done, strict=True) if what == "replaced"]
     if differing and not how.replaces:
-        raise ReportedDiffersError(differing)
+        raise reported_differs(differing)
     if set(done) != {"left"}:
         whole = standing | {_key(row): row for row in rows}
         body = {"rows": list(whole.values()), "reason": how.reason}

@@ -4,11 +4,11 @@
 """
 
 from collections.abc import Mapping, Sequence
-from typing import Any, ClassVar
+from typing import Any
 
 from rich.table import Table
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.newest import is_id, place_from_newest
@@ -23,26 +23,18 @@ EXTRAS = {
 }
 
 
-class NoSubmissionError(StoneError):
-    """The caller's teams have no such submission."""
-
-    code: ClassVar[str] = "no_submission"
-
-    def __init__(self, named: str, count: int) -> None:
-        super().__init__(
-            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {count} of your teams "
-            "(`stone results` lists them)"
-        )
-
-
 def submission_id(api: Api, named: str) -> str:
-    """The id, or that of the newest but so many of the caller's that are scored. Raises `NoSubmissionError`."""
+    """The id, or that of the newest but so many of the caller's that are scored. Raises `no_submission`."""
     if is_id(named):
         return named
     place = place_from_newest(named)
     own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if place is not None else []
     if place is None or place >= len(own):
-        raise NoSubmissionError(named, len(own))
+        raise Refused(
+            "no_submission",
+            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {len(own)} of "
+            "your teams (`stone results` lists them)",
+        )
     return str(own[place])
 
 

@@ -9,13 +9,9 @@ from collections.abc import Callable, Iterable, Mapping
 from pathlib import Path
 from typing import Any
 
+from stone_base.errors import Refused
 from stone_client.api import Api, Patience
-from stone_client.errors import (
-    NoSuchRecordingError,
-    ServerRefusedError,
-    ServerRefusedRecordingError,
-    UnknownSubjectError,
-)
+from stone_client.errors import ServerRefusedError, unknown_subject
 from stone_client.files.bags import LocalBag, part_of
 from stone_client.files.tus import Purpose, upload_file
 from stone_client.progress import Report
@@ -47,23 +43,23 @@ def ensure_sequence(api: Api, name: str) -> Item:
 
 
 def find_sequence(api: Api, subject: str) -> Item:
-    """The sequence with that name or id, in full. Raises `UnknownSubjectError`."""
+    """The sequence with that name or id, in full. Raises `not_found`."""
     found = _by_id(api, "/sequences", subject)
     if found is None:
         named = sequence_named(api, subject)
         if named is None:
-            raise UnknownSubjectError(subject)
+            raise unknown_subject(subject)
         found = api.read(f"/sequences/{named['id']}")
     return found
 
 
 def find_job(api: Api, subject: str) -> Item:
-    """The job with that id, or the newest run of the sequence so called. Raises `UnknownSubjectError`."""
+    """The job with that id, or the newest run of the sequence so called. Raises `not_found`."""
     job = job_by_id(api, subject)
     if job is None:
         newest = find_sequence(api, subject)["job"]
         if newest is None:
-            raise UnknownSubjectError(subject)
+            raise unknown_subject(subject)
         job = api.read(f"/jobs/{newest['id']}")
     return job
 
@@ -87,7 +83,7 @@ def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
 def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -> Item:
     """Send the files of the bag and have it read; a bag that the sequence has already is not sent again.
 
-    Raises `ServerRefusedRecordingError`, `JobFailedError`, and what `upload_file` raises.
+    Raises the code of a refused recording's first finding, `JobFailedError`, and what `upload_file` raises.
     """
     recording = _recorded(api, sequence, local)
     if recording is None:
@@ -111,12 +107,16 @@ def has_other_recording(api: Api, sequence: Item, local: LocalBag) -> bool:
 
 
 def recordings_named(api: Api, sequence: Item, subjects: Iterable[str]) -> list[str]:
-    """The ids of the sequence's recordings with these names or ids. Raises `NoSuchRecordingError`."""
+    """The ids of the sequence's recordings with these names or ids. Raises `not_found`."""
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
     ids = {recording[key]: str(recording["id"]) for recording in recordings for key in ("filename", "id")}
     for subject in subjects:
         if subject not in ids:
-            raise NoSuchRecordingError(subject, sorted(recording["filename"] for recording in recordings))
+            raise Refused(
+                "not_found",
+                f"the sequence has no recording {subject!r}; it has "
+                f"{', '.join(sorted(recording['filename'] for recording in recordings)) or 'none'}",
+            )
     return [ids[subject] for subject in subjects]
 
 
@@ -134,12 +134,12 @@ def _recorded(api: Api, sequence: Item, local: LocalBag) -> Item | None:
 
 
 def _registered(api: Api, sequence: Item, recording: Item) -> Item:
-    """The recording once it has been read. Raises `ServerRefusedRecordingError`."""
+    """The recording once it has been read. Raises the code of its first finding."""
     path = f"/sequences/{sequence['id']}/recordings/{recording['id']}"
     read = _until(lambda: api.read(path), lambda item: item["state"] != "received")
     if read["state"] == "refused":
         reason = next(iter(read["findings"]), {"code": "", "message": "it cannot be read"})
-        raise ServerRefusedRecordingError(read["filename"], reason["code"], reason["message"])
+        raise Refused(reason["code"] or "recording_refused", f"{read['filename']}: {reason['message']}")
     return read
 
 

@@ -7,13 +7,13 @@ ids, or objects with `sequence_id`, as the server's own answers. A file with a `
 import json
 from collections.abc import Mapping, Sequence
 from pathlib import Path
-from typing import Any, ClassVar
+from typing import Any
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_base.findings import Finding
 from stone_base.names import PARTS
 from stone_client.api import Api
-from stone_client.errors import UnknownSubjectError
+from stone_client.errors import unknown_subject
 from stone_client.server.sequences import Item
 from stone_client.streams import echo_findings
 from stone_client.tables import DASH, plain_table, safe_text, show
@@ -21,25 +21,12 @@ from stone_client.tables import DASH, plain_table, safe_text, show
 MOST_BYTES = 16 * 2**20
 
 
-class BadSplitsFileError(StoneError):
-    """The file does not say which sequences are in train, val and test."""
-
-    code: ClassVar[str] = "bad_splits_file"
-
-    def __init__(self, path: Path, why: str) -> None:
-        super().__init__(
-            f"{path} holds no splits: {why}; expected is an object with lists train, val and test of sequences' names "
-            "or ids (`stone splits --propose 31,7,5 --json` prints one)"
-        )
-
-
-class AmbiguousNameError(StoneError):
-    """Sequences of several owners have this name."""
-
-    code: ClassVar[str] = "ambiguous_name"
-
-    def __init__(self, name: str, ids: Sequence[str]) -> None:
-        super().__init__(f"{name[:100]!r} is the name of {len(ids)} sequences; say which by id: {', '.join(ids[:4])}")
+def bad_splits_file(path: Path, why: str) -> Refused:
+    return Refused(
+        "bad_splits_file",
+        f"{path} holds no splits: {why}; expected is an object with lists train, val and test of sequences' names "
+        "or ids (`stone splits --propose 31,7,5 --json` prints one)",
+    )
 
 
 def current(api: Api) -> dict[str, Any]:
@@ -47,7 +34,7 @@ def current(api: Api) -> dict[str, Any]:
 
 
 def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> dict[str, Any]:
-    """A split proposed by the server, not saved. Raises `UnknownSubjectError`, `AmbiguousNameError`."""
+    """A split proposed by the server, not saved. Raises `not_found`, `ambiguous_name`."""
     ids = _ids_of(current(api), left_out) if left_out else []
     return api.create("/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids})
 
@@ -55,7 +42,7 @@ def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> 
 def put_file(api: Api, path: Path, reason: str) -> dict[str, Any]:
     """Put the splits of a file in the place of those there are.
 
-    Raises `BadSplitsFileError`, `UnknownSubjectError`, `AmbiguousNameError`, and what `Api.send` raises.
+    Raises `bad_splits_file`, `not_found`, `ambiguous_name`, and what `Api.send` raises.
     """
     wanted = _read(path)
     split_now = current(api)
@@ -82,13 +69,13 @@ def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
 
 def _read(path: Path) -> dict[str, Any]:
     if path.stat().st_size > MOST_BYTES:
-        raise BadSplitsFileError(path, f"it is larger than {MOST_BYTES} bytes")
+        raise bad_splits_file(path, f"it is larger than {MOST_BYTES} bytes")
     try:
         found = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError):
-        raise BadSplitsFileError(path, "it is no JSON") from None
+        raise bad_splits_file(path, "it is no JSON") from None
     if not isinstance(found, dict) or not all(isinstance(found.get(part), list) for part in PARTS):
-        raise BadSplitsFileError(path, "a list is missing")
+        raise bad_splits_file(path, "a list is missing")
     named: dict[str, Any] = {part: [_named(path, one) for one in found[part]] for part in PARTS}
     revision = found.get("revision")
     return {**named, "revision": revision} if isinstance(revision, int) else named
@@ -97,7 +84,7 @@ def _read(path: Path) -> dict[str, Any]:
 def _named(path: Path, one: Any) -> str:
     named = one.get("sequence_id") if isinstance(one, dict) else one
     if not isinstance(named, str):
-        raise BadSplitsFileError(path, "a sequence is neither a name nor an id")
+        raise bad_splits_file(path, "a sequence is neither a name nor an id")
     return named
 
 
@@ -113,9 +100,12 @@ def _ids_of(split_now: Mapping[str, Any], named: Sequence[str]) -> list[str]:
 
 def _only(name: str, ids: list[str]) -> str:
     if not ids:
-        raise UnknownSubjectError(name)
+        raise unknown_subject(name)
     if len(ids) > 1:
-        raise AmbiguousNameError(name, ids)
+        raise Refused(
+            "ambiguous_name",
+            f"{name[:100]!r} is the name of {len(ids)} sequences; say which by id: {', '.join(ids[:4])}",
+        )
     return ids[0]
 
 

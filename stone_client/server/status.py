@@ -26,7 +26,7 @@ class ServerStatus:
 
 
 def server_status_of(api: Api, subject: str | None) -> ServerStatus:
-    """The status of all sequences the caller may see, of one, or of a job. Raises `UnknownSubjectError`."""
+    """The status of all sequences the caller may see, of one, or of a job. Raises `not_found`."""
     if subject is None:
         items = list(api.pages("/sequences"))
         return ServerStatus({"sequences": items}, (_sequences_table(api.url, items),))

@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from pathlib import Path
 from time import sleep
-from typing import Any, ClassVar
+from typing import Any
 
 from stone_base.errors import StoneError
 from stone_client.api import Api
@@ -39,12 +39,12 @@ class SubmissionDescription:
 class SubmissionInvalidError(StoneError):
     """The file was checked and is not valid; `code` is that of the first problem, `report` the server's own."""
 
-    code: ClassVar[str] = "invalid"
+    code = "invalid"
 
     def __init__(self, report: Mapping[str, Any]) -> None:
         self.report = dict(report)
         first: Mapping[str, Any] = next(iter(report["errors"]), {})
-        self.code = str(first.get("code") or type(self).code)  # type: ignore[misc] # the problem names the reason
+        self.code = str(first.get("code") or type(self).code)  # the problem names the reason
         where = (
             f"; the first is {first['file']}: expected {first['expected']}, found {first['actual']}" if first else ""
         )
@@ -54,12 +54,12 @@ class SubmissionInvalidError(StoneError):
 class SubmissionEndedError(StoneError):
     """The submission failed for no fault of the file, or was cancelled; `code` is that of its failure."""
 
-    code: ClassVar[str] = "not_scored"
+    code = "not_scored"
 
     def __init__(self, submission: Item) -> None:
         self.submission = dict(submission)
         failure = submission["failure"] or {}
-        self.code = str(failure.get("code") or submission["state"])  # type: ignore[misc] # the failure names the reason
+        self.code = str(failure.get("code") or submission["state"])  # the failure names the reason
         why = failure.get("sentence") or f"it was {submission['state']}"
         super().__init__(
             f"submission {submission['id']} {submission['state']}: {why}; it does not count towards the quota"
@@ -69,7 +69,7 @@ class SubmissionEndedError(StoneError):
 def submit(api: Api, path: Path, entry: SubmissionDescription, progress: Report, *, again: bool = False) -> Item:
     """The submission of the file at `path`, sent and finalised; one that stands is gone on with, unless `again`.
 
-    Raises what `Api.send` raises, and `FileChangedError`.
+    Raises what `Api.send` raises, and `file_changed`.
     """
     local = hashed(path, progress)
     submission = (None if again else _existing_submission(api, entry, local)) or _announced(api, entry, local)

@@ -1,21 +1,18 @@
 """One's teams on a server: found by name, founded, entered by invitation."""
 
 from collections.abc import Sequence
-from typing import Any, ClassVar
+from typing import Any
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.sequences import Item
 
 
-class UnknownTeamError(StoneError):
-    """None of the caller's teams is called so."""
-
-    code: ClassVar[str] = "unknown_team"
-
-    def __init__(self, name: str, known: Sequence[str]) -> None:
-        yours = f"yours are {', '.join(known)}" if known else "you are in none"
-        super().__init__(f"{name[:100]!r} is no team of yours; {yours} (`stone teams create NAME` creates one)")
+def unknown_team(name: str, known: Sequence[str]) -> Refused:
+    yours = f"yours are {', '.join(known)}" if known else "you are in none"
+    return Refused(
+        "unknown_team", f"{name[:100]!r} is no team of yours; {yours} (`stone teams create NAME` creates one)"
+    )
 
 
 def read_teams(api: Api) -> list[Item]:
@@ -24,12 +21,12 @@ def read_teams(api: Api) -> list[Item]:
 
 
 def find_team(api: Api, named: str) -> Item:
-    """The team of that name, however it is written, or id. Raises `UnknownTeamError`."""
+    """The team of that name, however it is written, or id. Raises `unknown_team`."""
     teams = read_teams(api)
     for team in teams:
         if named == team["id"] or named.strip().casefold() == str(team["name"]).casefold():
             return team
-    raise UnknownTeamError(named, [str(team["name"]) for team in teams])
+    raise unknown_team(named, [str(team["name"]) for team in teams])
 
 
 def found_team(api: Api, name: str) -> Item:

@@ -13,7 +13,6 @@ from dataclasses import asdict, dataclass, replace
 from functools import cached_property
 from pathlib import Path
 from time import monotonic
-from typing import ClassVar
 
 import numpy as np
 
@@ -22,7 +21,7 @@ from baselines.inputs import InputConfig
 from baselines.predict import LoadedRun
 from services.labeler.exports.nuscenes.plan import NS_PER_US, NuscenesChannel, channels_of
 from services.labeler.exports.nuscenes.samples import sample_file
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import SampleSource
 from stone.sensors.sequence import Sequence
@@ -40,15 +39,6 @@ from stone_submissions.manifest import read_manifest
 # What grows with the recording is the frame table; pictures and points are there for one frame at a time.
 
 
-class DamagedSampleError(StoneError):
-    """The data of a sensor in a recording are damaged or incomplete."""
-
-    code: ClassVar[str] = "damaged_sample"
-
-    def __init__(self, channel: str, frame: int, why: str) -> None:
-        super().__init__(f"frame {frame} cannot be predicted from what {channel} recorded: {why}")
-
-
 @dataclass(frozen=True, eq=False)
 class RecordedContent:
     """The file that an export would have of a channel's `place`-th datum."""
@@ -58,14 +48,18 @@ class RecordedContent:
     place: int
 
     def read(self, most_bytes: int) -> bytes:
-        """Raises `DamagedSampleError`, and what `sample_file` raises."""
+        """Raises `damaged_sample`, and what `sample_file` raises."""
         content, _ = sample_file(self.samples, self.channel, self.place)
         if len(content) > most_bytes:
             raise self.damaged(f"it has {len(content)} bytes, at most {most_bytes} are expected")
         return content
 
-    def damaged(self, why: str) -> DamagedSampleError:
-        return DamagedSampleError(self.channel.name, int(self.channel.frames[self.place]), why)
+    def damaged(self, why: str) -> Refused:
+        return Refused(
+            "damaged_sample",
+            f"frame {int(self.channel.frames[self.place])} cannot be predicted from what {self.channel.name} "
+            f"recorded: {why}",
+        )
 
     def identity(self) -> list[str | int]:
         return [self.channel.name, int(self.channel.stamps_ns[self.place])]
@@ -86,7 +80,7 @@ class RecordedStore:
         return self.sequence.name, int(self.sequence.frames.stamps_ns[index]) // NS_PER_US
 
     def read(self, index: int) -> FrameRecord:
-        """Raises `sensor_missing`, `DamagedSampleError`, and what reading samples raises (BAG-*, MSG-*)."""
+        """Raises `sensor_missing`, `damaged_sample`, and what reading samples raises (BAG-*, MSG-*)."""
         return read_record(self.frame(index), None, self.inputs)
 
     def frame(self, index: int) -> ExportedFrame:
@@ -150,19 +144,6 @@ PREDICTION = "prediction.json"
 Paces = Callable[[PredictionPace], None]
 
 
-class NotOfRecordingError(StoneError):
-    """A manifest asks for frames that the recording does not have."""
-
-    code: ClassVar[str] = "not_of_recording"
-
-    def __init__(self, missing: int, first: str, name: str) -> None:
-        super().__init__(
-            f"{missing} frames of the manifest are not of this recording as sequence {name} (the first is {first}): "
-            "tokens follow the sequence's name (--sequence), and a bag gives one sequence; several are predicted from "
-            "their exports"
-        )
-
-
 @dataclass(frozen=True, eq=False)
 class RecordingPlan:
     """Which recording, synchronised, and where to: a folder, or with a manifest the submission of its frames."""
@@ -192,8 +173,8 @@ class RecordingPrediction:
 def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> RecordingPrediction:
     """Predict each frame, or those of the manifest, and tell the pace after each.
 
-    Raises what reading samples raises (BAG-*, MSG-*), `bad_manifest`, `NotOfRecordingError`, `sensor_missing`,
-    `DamagedSampleError`, `output_exists`.
+    Raises what reading samples raises (BAG-*, MSG-*), `bad_manifest`, `not_of_recording`, `sensor_missing`,
+    `damaged_sample`, `output_exists`.
     """
     sequence = plan.sequence
     store = RecordedStore(sequence, BagSamples(plan.bag, sequence), loaded.row.inputs)
@@ -223,7 +204,7 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
 
 
 def _asked(plan: RecordingPlan) -> tuple[int, ...]:
-    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `NotOfRecordingError`."""
+    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `not_of_recording`."""
     tokens = plan.sequence.frames.tokens
     if plan.manifest is None:
         return tuple(range(len(tokens)))
@@ -231,7 +212,12 @@ def _asked(plan: RecordingPlan) -> tuple[int, ...]:
     asked = read_manifest(plan.manifest).tokens
     missing = [token for token in asked if token not in places]
     if missing:
-        raise NotOfRecordingError(len(missing), missing[0], plan.sequence.name)
+        raise Refused(
+            "not_of_recording",
+            f"{len(missing)} frames of the manifest are not of this recording as sequence {plan.sequence.name} "
+            f"(the first is {missing[0]}): tokens follow the sequence's name (--sequence), and a bag gives one "
+            "sequence; several are predicted from their exports",
+        )
     return tuple(sorted(places[token] for token in asked))
 
 

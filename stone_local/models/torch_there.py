@@ -3,18 +3,22 @@
 from collections.abc import Iterator
 from contextlib import contextmanager
 
-from stone_local.errors import NoTorchError
+from stone_base.errors import Refused
 
 NEEDED = ("torch", "safetensors", "tensorboard", "onnx", "onnxscript")
 
 
 @contextmanager
 def torch_needed() -> Iterator[None]:
-    """Around imports of `baselines`. Raises `NoTorchError` where what they need is not there."""
+    """Around imports of `baselines`. Raises `no_torch` where what they need is not there."""
     try:
         yield
     except ModuleNotFoundError as error:
         missing = (error.name or "").partition(".")[0]
         if missing not in NEEDED:
             raise
-        raise NoTorchError(missing) from error
+        raise Refused(
+            "no_torch",
+            f"{missing} is not installed here: run `make baselines`, then .venv-baselines/bin/stone with the same "
+            "arguments (or pip install 'stone-platform[baselines]')",
+        ) from error

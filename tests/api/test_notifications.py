@@ -3,7 +3,6 @@
 import httpx
 
 from services.domain.notifications.email_addresses import new_secret
-from services.maintenance.notifications.channels import UnknownDeliveryError
 from services.runtime.jobs.control import retry
 from services.runtime.orm import EmailAddress, Job, NotificationDelivery
 from services.runtime.platform import Platform
@@ -96,4 +95,4 @@ def test_the_retry_of_a_delivery_that_is_forgotten_says_so(platform: Platform, p
         retry(session, job_id, 3)
     turn(told)
     with told.database.reading() as session:
-        assert session.get_one(Job, job_id).failure_code == UnknownDeliveryError.code
+        assert session.get_one(Job, job_id).failure_code == "unknown_delivery"

@@ -43,7 +43,6 @@ from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
 from stone_local.models.recording_prediction import (
     PREDICTION,
-    DamagedSampleError,
     PredictionPace,
     RecordedStore,
     RecordingPlan,
@@ -184,7 +183,7 @@ def test_a_picture_that_is_not_as_large_as_its_message_says_is_refused(driven: D
             taken = super().camera(channel, index)
             return replace(taken, width_px=taken.width_px // 2) if taken else None
 
-    with pytest.raises(DamagedSampleError):
+    with refused_as("damaged_sample"):
         replace(driven.store, samples=ShrunkenPictures(driven.bag, driven.sequence)).read(0)
 
 

@@ -21,13 +21,13 @@ from services.runtime.uploads import upload_file as stored_file
 from stone.errors import StoneError
 from stone_client.api import Api
 from stone_client.credentials import Server
-from stone_client.errors import FileChangedError
 from stone_client.files.datasets import dataset_name, hashed_dataset
 from stone_client.files.tus import LocalContent, Purpose, upload_file
 from stone_datasets.reading import check_dataset
 from stone_files.archives import tar_members
 from testing.api.process import ApiProcess, running_api
 from testing.api.serving import Person
+from testing.refusals import refused_as
 from testing.stone_serve import until
 from testing.worlds.published_datasets import (
     VERSION,
@@ -146,7 +146,7 @@ def test_a_file_that_changes_meanwhile_ends_the_upload(good: Path, tmp_path: Pat
         table.write_text("[]")
     else:
         table.unlink()
-    with pytest.raises(FileChangedError, match=r"scene\.json changed"):
+    with refused_as("file_changed", match=r"scene\.json changed"):
         whole(local)
 
 

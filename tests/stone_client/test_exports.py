@@ -14,10 +14,11 @@ import pytest
 from services.runtime.platform import Platform
 from stone_client.api import Api
 from stone_client.credentials import Server
-from stone_client.errors import DamagedDownloadError, ServerUnreachableError
+from stone_client.errors import ServerUnreachableError
 from stone_client.files import fetch as fetching
 from stone_client.files.fetch import PartialFile, fetch, save
 from testing.api.serving import Person, client_of
+from testing.refusals import refused_as
 from testing.worlds import made
 from tests.stone_client.participating import refused, stone
 
@@ -156,6 +157,6 @@ def test_bytes_that_are_not_the_promised_ones_are_refused_and_not_kept(
     with breaking(10**9, monkeypatch) as (api, _):
         (tmp_path / "file").write_bytes(b"x" * 10)
         arriving = PartialFile(tmp_path / "file", sha256(CONTENT).hexdigest())
-        with pytest.raises(DamagedDownloadError, match="download it again"):
+        with refused_as("damaged_download", match="download it again"):
             fetch(api, "/file", arriving)
     assert (tmp_path / "file").read_bytes() == b""

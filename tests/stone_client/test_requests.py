@@ -22,18 +22,10 @@ from stone_client.credentials import (
     plain_url,
     remember,
 )
-from stone_client.errors import (
-    BadCredentialsFileError,
-    BadUrlError,
-    NoServerError,
-    NotSignedInError,
-    ServerFaultError,
-    ServerRefusedError,
-    ServerTooOldError,
-    ServerUnreachableError,
-)
+from stone_client.errors import ServerFaultError, ServerRefusedError, ServerUnreachableError
 from stone_client.release import OLDEST_SERVER, own_release
 from stone_client.server.job_following import Event, events
+from testing.refusals import refused_as
 
 Answer = tuple[int, dict[str, str], bytes]
 DONE: Answer = (200, {}, b'{"items": [1], "next": null}')
@@ -210,9 +202,9 @@ def test_a_server_that_is_new_enough_or_says_nothing_is_understood_and_told_our_
 
 def test_a_server_that_is_too_old_is_refused_whether_read_at_once_or_as_it_comes() -> None:
     with server_of("0.0.9", []) as url, Api(Server(url, "token")) as api:
-        with pytest.raises(ServerTooOldError, match=rf"release 0\.0\.9, .* {OLDEST_SERVER} and newer; .*/downloads/"):
+        with refused_as("server_too_old", match=rf"release 0\.0\.9, .* {OLDEST_SERVER} and newer; .*/downloads/"):
             api.read("/me")
-        with pytest.raises(ServerTooOldError), api.stream("/events"):
+        with refused_as("server_too_old"), api.stream("/events"):
             pass
 
 
@@ -246,12 +238,12 @@ def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_any_server_the_refusal_says_how_to_name_one() -> None:
-    with pytest.raises(NoServerError, match="stone login URL"):
+    with refused_as("no_server", match="stone login URL"):
         choose_server()
 
 
 def test_a_server_without_a_token_is_refused_by_name() -> None:
-    with pytest.raises(NotSignedInError, match=f"stone login {ELSEWHERE}"):
+    with refused_as("not_signed_in", match=f"stone login {ELSEWHERE}"):
         choose_server(ELSEWHERE)
 
 
@@ -260,14 +252,14 @@ def test_a_file_changed_by_hand_is_refused_not_overwritten(content: str) -> None
     path = configuration_folder() / "credentials.json"
     path.parent.mkdir(parents=True)
     path.write_text(content)
-    with pytest.raises(BadCredentialsFileError, match=r"credentials\.json"):
+    with refused_as("bad_credentials_file", match=r"credentials\.json"):
         remember(HOME, "stone_1", as_default=True)
     assert path.read_text() == content
 
 
 @pytest.mark.parametrize("url", ["ftp://stone.example", "http://", "http://a:b@c", "http://host:port", "http://h/path"])
 def test_what_is_no_servers_address_is_refused(url: str) -> None:
-    with pytest.raises(BadUrlError):
+    with refused_as("bad_url"):
         plain_url(url)
 
 

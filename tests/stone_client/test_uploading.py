@@ -21,7 +21,6 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone_client.api import Api
 from stone_client.credentials import Server
-from stone_client.errors import FileChangedError
 from stone_client.files.bags import bags_among, called, hashed_bag
 from stone_client.files.tus import Purpose, hashed, upload_file
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
@@ -287,5 +286,5 @@ def test_a_file_that_is_still_being_written_is_refused(server: ApiProcess, owner
     local = hashed(file, quiet)
     with file.open("ab") as recorder:
         recorder.write(b"more")
-    with Api(Server(server.url, owner.secret)) as api, pytest.raises(FileChangedError, match="still being written"):
+    with Api(Server(server.url, owner.secret)) as api, refused_as("file_changed", match="still being written"):
         upload_file(api, local, RECORDING, quiet)

@@ -41,7 +41,7 @@ from services.runtime.orm import LabelSet
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.scoring.bitplanes import RINGS, VOXELS
 from stone.scoring.metric import CLASSES
 
@@ -88,7 +88,7 @@ class PackedPairs:
     pairs: tuple[tuple[PackedLabelFile, PackedLabelFile], ...]
 
     def grids(self, index: int) -> tuple[LabelGrids, LabelGrids]:
-        """Raises `LabelsUnfitError`, `short_pack`, `GroundTruthError`."""
+        """Raises `labels_unfit`, `short_pack`, `GroundTruthError`."""
         a, b = (label_grids(file.read(self.packs), Path(file.name)) for file in self.pairs[index])
         return a, b
 
@@ -99,7 +99,7 @@ class PackedPairs:
 def compare_label_sets(context: EvalStageContext) -> Outcome:
     """Count the comparison the job is for.
 
-    Raises `JobCancelledError`, `NothingInCommonError`, `SandboxCrashedError`, and what the store raises.
+    Raises `JobCancelledError`, `nothing_in_common`, `SandboxCrashedError`, and what the store raises.
     """
     attempt = context.attempt
     with context.platform.database.reading() as session:
@@ -111,7 +111,7 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
         a, b = (session.get_one(LabelSet, label_set_id) for label_set_id in (comparison.a_id, comparison.b_id))
         totals = (a.frames, b.frames)
     if not pairs:
-        raise NothingInCommonError(comparison.a_id, comparison.b_id, totals)
+        raise nothing_in_common(comparison.a_id, comparison.b_id, totals)
     counts = _counted(context, pairs)
     frames = ComparedFrames([pair.a.token for pair in pairs], totals[0] - len(pairs), totals[1] - len(pairs))
     record = comparison_record(frames, counts)
@@ -156,13 +156,9 @@ def _by_ring(cells: list[int]) -> Counted:
 # Why two label sets cannot be compared.
 
 
-class NothingInCommonError(StoneError):
-    """The two label sets share no frame."""
-
-    code = "nothing_in_common"
-
-    def __init__(self, a: str, b: str, frames: tuple[int, int]) -> None:
-        super().__init__(
-            f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token; tokens are made of the"
-            " sequence's name and the stamp, so are these labels of one run, labelled under one name?"
-        )
+def nothing_in_common(a: str, b: str, frames: tuple[int, int]) -> Refused:
+    return Refused(
+        "nothing_in_common",
+        f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token; tokens are made of the"
+        " sequence's name and the stamp, so are these labels of one run, labelled under one name?",
+    )

@@ -15,7 +15,7 @@ from hashlib import file_digest
 from pathlib import Path, PurePosixPath
 from typing import Any
 
-from services.labeler.exports.errors import DamagedLabelsError, ExportClashError, NotAnExportError
+from services.labeler.exports.errors import damaged_labels
 from services.labeler.exports.kitti import SEQUENCES, write_config
 from services.labeler.exports.nuscenes.tables import (
     SPLITS,
@@ -29,6 +29,7 @@ from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
 from services.runtime.store.recipes import recipe_of
+from stone.errors import Refused
 from stone.sensors.sequence import NAME
 from stone_files.atomic import atomic_directory
 
@@ -72,7 +73,7 @@ class ExportRequest:
 def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], step: Step) -> ExportOutcome:
     """Export a sequence into the folder, where further sequences may be already; opens it only when it must.
 
-    Raises `UnknownFormatError`, `NotAnExportError`, `DamagedLabelsError`, `ExportClashError`, `output_exists`, and
+    Raises `unknown_format`, `not_an_export`, `damaged_labels`, `export_clash`, `output_exists`, and
     what opening and exporting raise.
     """
     exporter, (name, frames) = exporter_of(request.format), _described(request.report)
@@ -107,21 +108,19 @@ def _described(report: Mapping[str, Any]) -> tuple[str, int]:
     """The sequence that a report is of, and its frames."""
     name, frames = report.get("sequence"), report.get("frames")
     if not isinstance(name, str) or not NAME.fullmatch(name) or not isinstance(frames, int):
-        raise DamagedLabelsError(Path("report.json"), "it names no sequence, or not how many frames there are")
+        raise damaged_labels(Path("report.json"), "it names no sequence, or not how many frames there are")
     return name, frames
 
 
 def _opened(open_source: Callable[[], LabelledSequence], name: str) -> LabelledSequence:
     source = open_source()
     if source.sequence.name != name:
-        raise DamagedLabelsError(
-            Path("sequence.npz"), f"it is of sequence {source.sequence.name}, the report of {name}"
-        )
+        raise damaged_labels(Path("sequence.npz"), f"it is of sequence {source.sequence.name}, the report of {name}")
     return source
 
 
 def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
-    """The sequences in a folder by name; none where there is no export yet. Raises `NotAnExportError`."""
+    """The sequences in a folder by name; none where there is no export yet. Raises `not_an_export`."""
     path = out / MANIFEST
     if not path.exists():
         return {}
@@ -131,11 +130,11 @@ def read_manifest(out: Path, format_name: str) -> dict[str, ExportFolderEntry]:
         found = str(content["format"])
         is_ours = all(NAME.fullmatch(name) and isinstance(entry.number, int) for name, entry in entries.items())
     except (ValueError, KeyError, TypeError, AttributeError, RecursionError) as error:
-        raise NotAnExportError(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
+        raise not_an_export(out, f"{MANIFEST} cannot be read ({error})"[:200]) from error
     if not is_ours:
-        raise NotAnExportError(out, f"{MANIFEST} cannot be read (a sequence has no plain name or no number)")
+        raise not_an_export(out, f"{MANIFEST} cannot be read (a sequence has no plain name or no number)")
     if found != format_name:
-        raise NotAnExportError(out, f"it holds an export in format {found}, not {format_name}")
+        raise not_an_export(out, f"it holds an export in format {found}, not {format_name}")
     return entries
 
 
@@ -158,7 +157,11 @@ def _move_in(fresh: Path, staging: Path, name: str) -> tuple[int, int]:
     for path in sorted(path for path in fresh.rglob("*") if path.is_file()):
         relative = path.relative_to(fresh)
         if (staging / relative).exists():
-            raise ExportClashError(relative.as_posix(), name)
+            raise Refused(
+                "export_clash",
+                f"{relative.as_posix()[:200]} of sequence {name} is another sequence's file in this export "
+                "already; was one recording labelled under two names?",
+            )
         (staging / relative).parent.mkdir(parents=True, exist_ok=True)
         with path.open("rb") as file:
             lines.append(f"{file_digest(file, 'sha256').hexdigest()}  {relative.as_posix()}\n")
@@ -177,12 +180,12 @@ def _link_kept(out: Path, staging: Path, name: str) -> None:
     try:
         files = [line[66:] for line in (out / listing).read_text("utf-8").splitlines()]
     except (OSError, ValueError) as error:
-        raise NotAnExportError(out, f"{listing} cannot be read ({error})"[:200]) from error
+        raise not_an_export(out, f"{listing} cannot be read ({error})"[:200]) from error
     for relative in (*files, listing):
         if PurePosixPath(relative).is_absolute() or ".." in PurePosixPath(relative).parts:
-            raise NotAnExportError(out, f"{listing} names {relative[:80]!r}")
+            raise not_an_export(out, f"{listing} names {relative[:80]!r}")
         if not (out / relative).is_file():
-            raise NotAnExportError(out, f"{relative[:120]} of sequence {name} is gone")
+            raise not_an_export(out, f"{relative[:120]} of sequence {name} is gone")
         (staging / relative).parent.mkdir(parents=True, exist_ok=True)
         _link(out / relative, staging / relative)
 
@@ -244,3 +247,9 @@ def _join_table(folder: Path, table: str, numbers: Mapping[str, int]) -> None:
                     seen.add(token)
                 rows.add(line)
         rows.end()
+
+
+def not_an_export(out: Path, reason: str) -> Refused:
+    return Refused(
+        "not_an_export", f"{out} cannot take this export in: {reason}; choose another --output, or remove the folder"
+    )

@@ -42,7 +42,7 @@ FACES = ((1, 0, 0), (-1, 0, 0), (0, 1, 0), (0, -1, 0), (0, 0, 1), (0, 0, -1))
 def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
     """Write the sequence as number 00 into the empty folder `out`.
 
-    Raises what reading samples raises (BAG-*, MSG-*), `DamagedLabelsError`.
+    Raises what reading samples raises (BAG-*, MSG-*), `damaged_labels`.
     """
     sequence, folder = source.sequence, out / SEQUENCES / "00"
     for name in ("voxels", "velodyne"):

@@ -18,10 +18,11 @@ from typing import IO, Any
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.exports.errors import DamagedLabelsError, MeshTooLargeError
+from services.labeler.exports.errors import damaged_labels
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.map.ply import FACE, VERTEX, VERTEX_RGB, header_of
 from services.labeler.run import Step
+from stone.errors import Refused
 from stone.labels.class_colours import PALETTES
 
 # The map's mesh in parts of bounded size, so that no format has to hold it whole.
@@ -40,7 +41,7 @@ class MeshPart:
 
 
 def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[MeshPart]:
-    """The mesh in the file's order; nothing for an empty one. Raises `DamagedLabelsError`."""
+    """The mesh in the file's order; nothing for an empty one. Raises `damaged_labels`."""
     mesh = open_mesh(path)
     for begin in range(0, len(mesh.faces), most_triangles):
         corners = mesh.faces["indices"][begin : begin + most_triangles]
@@ -82,7 +83,7 @@ class MeshFile:
 
 
 def open_mesh(path: Path) -> MeshFile:
-    """Raises `DamagedLabelsError` where the file is not one of ours."""
+    """Raises `damaged_labels` where the file is not one of ours."""
     try:
         with path.open("rb") as file:
             written = file.read(MOST_HEADER_BYTES).partition(END)[0]
@@ -90,11 +91,11 @@ def open_mesh(path: Path) -> MeshFile:
         counts = [int(line.split()[2]) for line in head.splitlines() if line.startswith("element ")]
         header = header_of(counts[0], counts[1])
     except (OSError, ValueError, IndexError) as error:
-        raise DamagedLabelsError(path, str(error) or "it is no mesh of ours") from error
+        raise damaged_labels(path, str(error) or "it is no mesh of ours") from error
     start = len(written) + len(END)
     expected = start + counts[0] * VERTEX.itemsize + counts[1] * FACE.itemsize
     if _facts(head) != _facts(header.removesuffix(END).decode()) or path.stat().st_size != expected:
-        raise DamagedLabelsError(path, f"its header promises {expected} bytes")
+        raise damaged_labels(path, f"its header promises {expected} bytes")
     return MeshFile(
         _mapped(path, VERTEX, start, counts[0]),
         _mapped(path, FACE, start + counts[0] * VERTEX.itemsize, counts[1]),
@@ -120,7 +121,7 @@ POSITION_BYTES, COLOUR_BYTES, TRIANGLE_BYTES = 12, 4, 12
 
 
 def write_meshes(source: LabelledSequence, out: Path, step: Step) -> None:
-    """Write both into the empty folder `out`. Raises `DamagedLabelsError`, `MeshTooLargeError`."""
+    """Write both into the empty folder `out`. Raises `damaged_labels`, `mesh_too_large`."""
     mesh, folder = open_mesh(source.mesh), out / source.sequence.name
     folder.mkdir()
     shutil.copyfile(source.mesh, folder / "mesh.ply")
@@ -131,14 +132,17 @@ def write_meshes(source: LabelledSequence, out: Path, step: Step) -> None:
 
 
 def write_glb(file: IO[bytes], mesh: MeshFile) -> None:
-    """Raises `MeshTooLargeError` beyond the 4 GiB that the format can say."""
+    """Raises `mesh_too_large` beyond the 4 GiB that the format can say."""
     vertices, triangles = (len(mesh.vertices), len(mesh.faces)) if len(mesh.faces) else (0, 0)
     lengths = (vertices * POSITION_BYTES, vertices * COLOUR_BYTES, triangles * TRIANGLE_BYTES)
     document = json.dumps(_document(mesh, lengths), separators=(",", ":")).encode()
     document += b" " * (-len(document) % 4)
     total = 12 + 8 + len(document) + (8 + sum(lengths) if sum(lengths) else 0)
     if total > MOST_BYTES:
-        raise MeshTooLargeError(total, MOST_BYTES)
+        raise Refused(
+            "mesh_too_large",
+            f"the mesh takes {total} bytes as binary glTF, the format ends at {MOST_BYTES}; use the PLY",
+        )
     file.write(struct.pack("<3I", MAGIC, VERSION, total))
     file.write(struct.pack("<2I", len(document), JSON_CHUNK) + document)
     if sum(lengths):

@@ -11,9 +11,9 @@ from importlib import import_module
 from pathlib import Path
 from typing import cast
 
-from services.labeler.exports.errors import UnknownFormatError
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
+from stone.errors import Refused
 
 Write = Callable[[LabelledSequence, Path, Step], None]
 
@@ -47,7 +47,7 @@ EXPORTERS: Mapping[str, Exporter] = {
 
 
 def exporter_of(name: str) -> Exporter:
-    """Raises `UnknownFormatError`."""
+    """Raises `unknown_format`."""
     if name not in EXPORTERS:
-        raise UnknownFormatError(name, EXPORTERS)
+        raise Refused("unknown_format", f"{name[:80]!r} is no format of an export; known are {', '.join(EXPORTERS)}")
     return EXPORTERS[name]

@@ -19,7 +19,7 @@ from pydantic import Field
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.exports.dataset_source import DatasetSource, DatasetSourceFiles
-from services.labeler.exports.errors import DamagedLabelsError
+from services.labeler.exports.errors import damaged_labels
 from services.labeler.exports.nuscenes.layout import blank_mask, write_mask
 from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
 from services.labeler.exports.nuscenes.samples import write_samples
@@ -73,13 +73,13 @@ class PackedLabels:
     ranges: tuple[LabelRange, ...]
 
     def __call__(self, index: int) -> bytes:
-        """Raises `DamagedLabelsError`."""
+        """Raises `damaged_labels`."""
         at = self.ranges[index]
         with self.packs[at.pack].open("rb") as file:
             file.seek(at.offset_bytes)
             payload = file.read(at.length_bytes)
         if sha256(payload).hexdigest() != at.sha256:
-            raise DamagedLabelsError(Path(at.token) / "labels.npz", "its sha256 is another")
+            raise damaged_labels(Path(at.token) / "labels.npz", "its sha256 is another")
         return payload
 
 

@@ -16,7 +16,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.exports.dataset_source import DatasetSourceFiles
-from services.labeler.exports.errors import DamagedLabelsError, NotLabelsError, RecordingGoneError
+from services.labeler.exports.errors import damaged_labels
+from stone.errors import Refused
 from stone.labels.grid import GRID_SHAPE
 from stone.sensors.samples import SampleSource
 from stone.sensors.sequence import Sequence
@@ -45,7 +46,7 @@ class LabelledSequence:
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
         """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
 
-        Raises `DamagedLabelsError`.
+        Raises `damaged_labels`.
         """
         payload = self.labels(index)
         try:
@@ -55,7 +56,7 @@ class LabelledSequence:
                 return grids
         except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             token = self.sequence.frames.tokens[index]
-            raise DamagedLabelsError(Path(token) / "labels.npz", str(error)) from error
+            raise damaged_labels(Path(token) / "labels.npz", str(error)) from error
 
 
 @dataclass(frozen=True)
@@ -70,7 +71,7 @@ class _FrameFiles:
         try:
             return path.read_bytes()
         except FileNotFoundError as error:
-            raise DamagedLabelsError(path, "it is missing") from error
+            raise damaged_labels(path, "it is missing") from error
 
 
 def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
@@ -83,12 +84,12 @@ def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None =
     """The sequence in a folder of `stone label`; the recording is where it was then, or at `bag`.
 
     `open_samples` opens the recording at a path for a sequence (`stone_recordings.sync.samples.checked_samples`).
-    Raises `NotLabelsError`, `DamagedLabelsError`, `RecordingGoneError`, and what `open_samples` raises.
+    Raises `not_labels`, `damaged_labels`, `recording_gone`, and what `open_samples` raises.
     """
     report, sequence = read_report(directory), _sequence(directory)
     recording = bag or recorded_at(directory)
     if recording is None or not recording.exists():
-        raise RecordingGoneError(recording)
+        raise recording_gone(recording)
     return LabelledSequence(
         sequence,
         open_samples(recording, sequence),
@@ -100,15 +101,19 @@ def folder_source(directory: Path, open_samples: OpenSamples, bag: Path | None =
 
 
 def read_report(directory: Path) -> Mapping[str, Any]:
-    """The report of the labels in a folder. Raises `NotLabelsError`, `DamagedLabelsError`."""
+    """The report of the labels in a folder. Raises `not_labels`, `damaged_labels`."""
     for name in (REPORT, SEQUENCE, TABLE, "gts"):
         if not (directory / name).exists():
-            raise NotLabelsError(directory, name)
+            raise Refused(
+                "not_labels",
+                f"{directory} has no {name}, so it is not a folder that `stone label` of this version wrote; give "
+                "the folder that was named with --output, or label the recording again",
+            )
     return _json(directory / REPORT)
 
 
 def recorded_at(directory: Path) -> Path | None:
-    """Where the recording lay when it was labelled; None where nothing says. Raises `DamagedLabelsError`."""
+    """Where the recording lay when it was labelled; None where nothing says. Raises `damaged_labels`."""
     if not (directory / SOURCE).exists():
         return None
     recording = _json(directory / SOURCE).get("recording")
@@ -120,16 +125,21 @@ def _sequence(directory: Path) -> Sequence:
     try:
         return read_sequence(path.read_bytes())
     except (ValueError, OSError, KeyError, EOFError, TypeError, zipfile.BadZipFile) as error:
-        raise DamagedLabelsError(path, str(error)) from error
+        raise damaged_labels(path, str(error)) from error
 
 
 def _json(path: Path) -> Mapping[str, Any]:
     try:
         if path.stat().st_size > MOST_JSON_BYTES:
-            raise DamagedLabelsError(path, f"it has more than {MOST_JSON_BYTES} bytes")
+            raise damaged_labels(path, f"it has more than {MOST_JSON_BYTES} bytes")
         content = json.loads(path.read_text("utf-8"))
     except (ValueError, RecursionError) as error:
-        raise DamagedLabelsError(path, str(error)) from error
+        raise damaged_labels(path, str(error)) from error
     if not isinstance(content, dict):
-        raise DamagedLabelsError(path, "it is no JSON object")
+        raise damaged_labels(path, "it is no JSON object")
     return content
+
+
+def recording_gone(path: Path | None) -> Refused:
+    where = f"the recording {path} is gone" if path else "nothing says where the recording of these labels is"
+    return Refused("recording_gone", f"{where}; say with --bag where it is now")

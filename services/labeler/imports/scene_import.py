@@ -29,10 +29,10 @@ from services.labeler.imports.map_products import PROFILE, MapFacts, write_map_p
 from services.labeler.imports.scene_parts import (
     OUT,
     TABLES,
-    SceneDamagedError,
     SceneOpening,
     SceneParts,
     read_scene_parts,
+    scene_damaged,
     scene_folder,
 )
 from services.labeler.report import CLASS_NAMES
@@ -101,7 +101,7 @@ def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor])
     if not channel:
         return span
     if channel not in sensors:
-        raise SceneDamagedError(f"{span.name} is of {channel!r}, which the rig does not have")
+        raise scene_damaged(f"{span.name} is of {channel!r}, which the rig does not have")
     table = ANNOTATIONS if row < 0 else f"{parts.version}/sample_data.json"
     check_sample(span, sensors[channel], DatasetPlace(table, None if row < 0 else row + 1))
     return span
@@ -176,7 +176,7 @@ SCRATCH = "scratch"
 def import_scene(opening: SceneOpening, folder: Path, progress: ProgressCallback) -> bytes:
     """Leave the artefacts of the scene in `scenes/<ordinal>/out`; a `PublicationAnswer`.
 
-    Raises the first `DatasetFaultError` that is found, `SceneDamagedError`, `bad_member`, `StoreFullError`.
+    Raises the first `DatasetFaultError` that is found, `scene_damaged`, `bad_member`, `StoreFullError`.
     """
     scene = folder / scene_folder(opening.ordinal)
     parts, out = read_scene_parts(scene, opening.dataset), scene / OUT

@@ -18,7 +18,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.sensors.sequence import Sequence
 from stone_datasets.classes import ClassMap
 from stone_datasets.scene_spans import SceneSpans
@@ -49,7 +49,7 @@ def write_scene_parts(folder: Path, version: str, sequence: Sequence, spans: Sce
 
 
 def read_scene_parts(folder: Path, tar: Path) -> SceneParts:
-    """Raises `SceneDamagedError`."""
+    """Raises `scene_damaged`."""
     try:
         sequence = read_sequence((folder / SEQUENCE_FILE).read_bytes())
         version = str(json.loads((folder / ABOUT).read_bytes())["version"])
@@ -57,7 +57,7 @@ def read_scene_parts(folder: Path, tar: Path) -> SceneParts:
             numbers = [arrays[key].astype(np.int64) for key in ("places", "rows", "labels")]
             names, channels = (_parted(arrays[key]) for key in ("names", "channels"))
     except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
-        raise SceneDamagedError(f"{folder.name} cannot be read ({error})") from error
+        raise scene_damaged(f"{folder.name} cannot be read ({error})") from error
     places, rows, labels = numbers
     parts = SceneParts(folder, tar, version, sequence, SceneSpans(names, places, channels, rows, labels))
     _check(parts)
@@ -68,10 +68,10 @@ def _check(parts: SceneParts) -> None:
     spans, size_bytes = parts.spans, parts.tar.stat().st_size
     counts = {len(spans.names), len(spans.channels), len(spans.places), len(spans.rows)}
     if len(counts) > 1 or spans.places.shape[1:] != (2,) or spans.labels.shape != (len(parts.sequence.frames), 2):
-        raise SceneDamagedError(f"{parts.folder.name} has not as many spans as files, or as labels as frames")
+        raise scene_damaged(f"{parts.folder.name} has not as many spans as files, or as labels as frames")
     for offset, size in np.concatenate([spans.places, spans.labels]).tolist():
         if offset < 0 or size < 0 or offset + size > size_bytes:
-            raise SceneDamagedError(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the tar")
+            raise scene_damaged(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the tar")
 
 
 def _joined(words: tuple[str, ...]) -> NDArray[np.uint8]:
@@ -125,10 +125,5 @@ def scene_folder(ordinal: int) -> PurePosixPath:
 # What is refused of what an index left of a scene.
 
 
-class SceneDamagedError(StoneError):
-    """What the index of a dataset left of a scene, or the tar that it is of, is not what it was."""
-
-    code = "scene_damaged"
-
-    def __init__(self, what: str) -> None:
-        super().__init__(f"{what[:200]}: was the dataset, or what its index left, changed? import it again")
+def scene_damaged(what: str) -> Refused:
+    return Refused("scene_damaged", f"{what[:200]}: was the dataset, or what its index left, changed? import it again")

@@ -17,15 +17,7 @@ from services.domain.notifications.email_addresses import new_secret
 from services.domain.notifications.messages import EventWords, message_of
 from services.domain.notifications.spread import DELIVER, QUEUE, is_to_be_told, missed
 from services.domain.notifications.webhooks import note_refused, note_taken, switch_off
-from services.maintenance.notifications.channels import (
-    DeliveryFailedError,
-    Letter,
-    NotTakenError,
-    UnknownDeliveryError,
-    WebhookTarget,
-    send_email,
-    send_webhook,
-)
+from services.maintenance.notifications.channels import Letter, NotTakenError, WebhookTarget, send_email, send_webhook
 from services.runtime.jobs.claims import wake_ups_wanted
 from services.runtime.jobs.control import give_up
 from services.runtime.jobs.execution import run_next
@@ -35,6 +27,7 @@ from services.runtime.orm import EmailAddress, NotificationDelivery, Notificatio
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
+from stone.errors import Refused
 
 # A delivery made ready to be sent: judged and worded by the database as it is now.
 #
@@ -123,12 +116,12 @@ def handlers(platform: Platform) -> Handlers:
 
 
 def deliver(platform: Platform, attempt: Attempt) -> Outcome:
-    """One try. Raises `DeliveryFailedError` where it was the last, `UnknownDeliveryError`."""
+    """One try. Raises `delivery_failed` where it was the last, `unknown_delivery`."""
     delivery_id = str(attempt.arguments["delivery_id"])
     with platform.database.transaction() as session:
         row = session.get(NotificationDelivery, delivery_id)
         if row is None:
-            raise UnknownDeliveryError(delivery_id)
+            raise unknown_delivery(delivery_id)
         if row.state == "delivered":
             return Outcome({"state": "delivered"})
         ready = prepared(session, row, platform.settings)
@@ -148,7 +141,7 @@ def _is_any_ready(platform: Platform) -> bool:
 
 
 def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error: NotTakenError) -> Outcome:
-    """Wait for the next try. Raises `DeliveryFailedError` after the last.
+    """Wait for the next try. Raises `delivery_failed` after the last.
 
     Written at once, not with the job's end: a job that fails commits nothing. Done twice it counts one try too many.
     """
@@ -156,7 +149,7 @@ def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error
     with platform.database.transaction() as session:
         row = session.get(NotificationDelivery, delivery_id, with_for_update=True)
         if row is None:
-            raise UnknownDeliveryError(delivery_id)
+            raise unknown_delivery(delivery_id)
         missed(row, str(error), settings.retry_s)
         if error.is_final:
             row.state, row.ended_ns = "dead", now_ns()
@@ -168,7 +161,10 @@ def _missed(platform: Platform, attempt: Attempt, ready: PreparedDelivery, error
             give_up(session, attempt.job_id)
         channel, tries, state = row.channel, row.tries, row.state
     if state == "dead":
-        raise DeliveryFailedError(channel, tries, str(error))
+        raise Refused(
+            "delivery_failed",
+            f"the {channel} did not accept it in {tries} attempts; the last: {error!s}; retry the job to try again",
+        )
     return Outcome({"state": state, "answer": str(error)})
 
 
@@ -189,3 +185,9 @@ def _end(session: Session, delivery_id: str, state: str, answer: str) -> Notific
     if row is not None:  # else its user was erased meanwhile
         row.state, row.answer, row.ended_ns = state, answer[:300], now_ns()
     return row
+
+
+def unknown_delivery(delivery_id: str) -> Refused:
+    return Refused(
+        "unknown_delivery", f"delivery {delivery_id[:40]} no longer exists: it expired, or its user was removed"
+    )

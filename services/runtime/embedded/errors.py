@@ -1,7 +1,6 @@
 """Why the embedded platform does not start."""
 
 from pathlib import Path
-from typing import ClassVar
 
 from stone.errors import StoneError
 
@@ -9,7 +8,7 @@ from stone.errors import StoneError
 class PortTakenError(StoneError):
     """The address to listen on is somebody else's, or not this machine's."""
 
-    code: ClassVar[str] = "port_taken"
+    code = "port_taken"
 
     def __init__(self, host: str, port: int, reason: str) -> None:
         super().__init__(f"cannot listen on {host} port {port}: {reason}; choose another with --host and --port")
@@ -18,7 +17,7 @@ class PortTakenError(StoneError):
 class StartFailedError(StoneError):
     """A process of the platform ended, or was not ready in time; its own last words are quoted."""
 
-    code: ClassVar[str] = "start_failed"
+    code = "start_failed"
 
     def __init__(self, name: str, fate: str, log: Path, last_words: str) -> None:
         said = f": {last_words}" if last_words else ""

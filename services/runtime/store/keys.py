@@ -6,7 +6,6 @@ characters. So no key leaves the store's folder, none is hidden, and none means 
 
 import re
 from pathlib import Path
-from typing import ClassVar
 
 from stone.errors import PlatformFaultError, Refused, StoneError
 
@@ -27,7 +26,7 @@ def bad_key(key: str) -> Refused:
 class ObjectMissingError(StoneError):
     """There is no object of this key."""
 
-    code: ClassVar[str] = "object_missing"
+    code = "object_missing"
 
     def __init__(self, key: str) -> None:
         super().__init__(f"the store holds no object {key!r}; it was deleted, or this is another installation's store")

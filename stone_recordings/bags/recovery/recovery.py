@@ -187,7 +187,8 @@ def recover(path: Path, out: Path) -> Recovery:
     """Write `out`, an MCAP file, from whatever is whole of `path`: a file, or all the files of a folder.
 
     One file gives the same bytes whenever it is recovered.
-    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (not even the magic is whole), `BAG-026` (`out` is part of the original), `BAG-018`, `BAG-019`, OSError.
+    Raises: FileNotFoundError, NotABagError (BAG-001), CutBagError (not even the magic is whole),
+    `BAG-026` (`out` is part of the original), `BAG-018`, `BAG-019`, OSError.
     """
     members = members_of(path)
     if out.exists() and any(out.samefile(file) for file in members.files):

@@ -10,7 +10,6 @@ from sqlalchemy import func, select
 from services.domain.benchmarks.submissions import scoring_jobs
 from services.eval.pipeline import score
 from services.eval.scored_case import truth_of
-from services.eval.scoring_errors import TruthUnreadyError
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.specs import Context, JobSpec
 from services.runtime.orm import Blob, GroundTruthRow, Job, Upload, UploadPartRow
@@ -18,6 +17,7 @@ from services.runtime.settings import Settings, StoreSettings
 from services.runtime.uploads.backends import StoreUploadBackend
 from services.runtime.uploads.files import remove_file, upload_file
 from stone.scoring.metric import RATIOS
+from testing.refusals import refused_as
 from testing.servers.fixtures import opened
 from testing.worlds.benchmark_world import World, benchmark_world, run_eval
 from testing.worlds.sending import (
@@ -204,7 +204,7 @@ def test_nothing_is_scored_against_a_ground_truth_that_is_not_ready(world: World
         session.add(unready)
         session.flush()
         for truth_id in (unready.id, NOBODY):
-            with pytest.raises(TruthUnreadyError):
+            with refused_as("ground_truth_unready"):
                 truth_of(session, truth_id)
     submission_id = send(world, zipped(world, guess(world, turn=41)))
     run_eval(world.platform)

@@ -7,7 +7,7 @@ import pytest
 
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import OpenedSequence, open_sequence, opened_sequence, with_sequence
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import no_usable_frames
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.report import LabelReport
 from simulator.options import SimulateOptions
@@ -17,6 +17,7 @@ from stone.findings import Finding
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import ChecksumError
 from stone_recordings.sync.sequence_file import read_sequence
+from testing.refusals import refused_as
 from testing.worlds.drives import SEEN_BY_CAMERAS, drive
 from testing.worlds.faults.other_edits import bad_checksum, bad_chunk
 
@@ -118,8 +119,8 @@ def test_what_fails_of_a_sound_recording_fails_once(recorded: Path) -> None:
 
     def fails(opened: OpenedSequence) -> None:
         tries.append(opened)
-        raise NoUsableFramesError(opened.sequence)
+        raise no_usable_frames(opened.sequence)
 
-    with pytest.raises(NoUsableFramesError):
+    with refused_as("no_frames"):
         with_sequence(bag, calibration, "run", SynchroniseOptions(), fails)
     assert len(tries) == 1

@@ -16,7 +16,7 @@ from sqlalchemy import select
 from services.domain.sequences.processing import SYNCHRONISE
 from services.domain.sequences.recordings import kept_recording, locate_run, remove_recording
 from services.ingest.sandboxed_synchronisation import StoredBags, SynchronisationResult, with_description
-from services.labeler.export_stage import RecordingDeletedError, located_members
+from services.labeler.export_stage import located_members
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import Artefact, Blob, Job, Recording
@@ -24,6 +24,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox import SandboxCrashedError
 from simulator.pipeline import calibration_path
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
+from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.drives import (
     AHEAD_NS,
@@ -170,7 +171,7 @@ def test_an_export_is_that_of_the_one_file_however_its_recordings_are_called_by_
 def test_an_export_whose_recordings_are_not_all_there_names_what_is_missing(brought: Brought, tmp_path: Path) -> None:
     with brought.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, brought.recording_ids[1]))
-    with pytest.raises(RecordingDeletedError, match=r"lidar_1\.mcap"):
+    with refused_as("recording_deleted", match=r"lidar_1\.mcap"):
         located_members(brought.platform, brought.sequence_id, described(brought, tmp_path / "described"))
 
 

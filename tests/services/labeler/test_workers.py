@@ -16,7 +16,7 @@ import numpy as np
 import pytest
 
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
-from services.labeler.errors import NoUsableFramesError
+from services.labeler.errors import no_usable_frames
 from services.labeler.frames import _sight_of, compute_sight_lines
 from services.labeler.kernel_warmup import warmup_sequence
 from services.labeler.parameters import LabelParameters
@@ -31,6 +31,7 @@ from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Frames, Sequence
 from stone_base.process_tuning import COMMAND_COLLECTS_AFTER, keep_freed_memory
 from stone_recordings.sync.sequence_file import sequence_bytes
+from testing.refusals import refused_as
 from testing.signals import hear_signals
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, RayCast, World, sequence_of
 
@@ -61,7 +62,7 @@ def refuse(name: str) -> None:
     import numpy as np
 
     frames = Frames(np.zeros(0, np.int64), (), SE3.identity((0,)))
-    raise NoUsableFramesError(Sequence(name, frames, (), Calibration("rig", SE3.identity()), "none"))
+    raise no_usable_frames(Sequence(name, frames, (), Calibration("rig", SE3.identity()), "none"))
 
 
 def test_every_task_is_done_and_says_what_it_came_to() -> None:
@@ -71,7 +72,7 @@ def test_every_task_is_done_and_says_what_it_came_to() -> None:
 
 
 def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
-    with Workers(1) as workers, pytest.raises(NoUsableFramesError, match="run"):
+    with Workers(1) as workers, refused_as("no_frames", match="run"):
         list(workers.run([Task(("refused",), refuse, ("run",))]))
 
 
@@ -79,7 +80,7 @@ def test_a_refusal_in_a_worker_reaches_the_caller_as_it_was() -> None:
 def test_a_failure_does_not_wait_for_the_other_tasks() -> None:
     begin = time.monotonic()
     tasks = [Task((seconds,), _refuse_or_sleep, (seconds,)) for seconds in (0.0, 600.0)]
-    with pytest.raises(NoUsableFramesError), Workers(2) as workers:
+    with refused_as("no_frames"), Workers(2) as workers:
         list(workers.run(tasks))
     assert time.monotonic() - begin < 300
 

@@ -17,19 +17,19 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.exports.errors import MapTooLargeError
 from services.labeler.exports.meshes import MeshFile, open_mesh
 from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
 from services.labeler.exports.nuscenes.samples import write_samples
 from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
+from stone.errors import Refused
 from stone.labels.voxels import VOXEL_M
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
     """Write the sequence into the empty folder `out`.
 
-    Raises what `write_samples` raises, `DamagedLabelsError`, `MapTooLargeError`, `DamagedExportError`.
+    Raises what `write_samples` raises, `damaged_labels`, `map_too_large`, `DamagedExportError`.
     """
     sequence, frames = source.sequence, source.sequence.frames
 
@@ -81,7 +81,7 @@ class Mask:
 
 
 def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
-    """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `MapTooLargeError`."""
+    """The mask of a mesh, as large as it and what is seen from `places_m` (N, 2). Raises `map_too_large`."""
     corners = list(places_m)
     for rows in _parts(mesh):
         xy = mesh.vertices["xyz"][rows, :2]
@@ -95,7 +95,7 @@ def mask_of(mesh: MeshFile, places_m: NDArray[np.float64]) -> Mask:
 
 
 def blank_mask(places_m: NDArray[np.float64]) -> Mask:
-    """A mask that says of nothing seen from `places_m` (N, 2) whether one can drive. Raises `MapTooLargeError`."""
+    """A mask that says of nothing seen from `places_m` (N, 2) whether one can drive. Raises `map_too_large`."""
     return _blank(places_m, places_m)
 
 
@@ -105,7 +105,11 @@ def _blank(places_m: NDArray[np.float64], corners_m: NDArray[np.float64]) -> Mas
     high_m = np.maximum(places_m.max(axis=0) + VIEW_M, corners_m.max(axis=0))
     low, high = np.floor(low_m).astype(np.int64) - MARGIN_M, np.ceil(high_m).astype(np.int64) + MARGIN_M
     if (high - low > MOST_SIDE_M).any():
-        raise MapTooLargeError(float(high[0] - low[0]), float(high[1] - low[1]), MOST_SIDE_M)
+        raise Refused(
+            "map_too_large",
+            f"the map spans {float(high[0] - low[0]):.0f} × {float(high[1] - low[1]):.0f} m, the limit is "
+            f"{MOST_SIDE_M:.0f} m a side; did a pose of the recording jump?",
+        )
     size = np.round((high - low) / VOXEL_M).astype(np.int64)
     return Mask((int(low[0]), int(low[1])), np.zeros((int(size[0]), int(size[1])), np.bool_))
 

@@ -25,24 +25,15 @@ from services.labeler.exports.nuscenes.tables import (
     write_splits,
     written_tables,
 )
-from stone.errors import StoneError
+from stone.errors import Refused
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import LidarSample, RadarSample, SampleSource
-
-
-class SampleGoneError(StoneError):
-    """A message that the frame table names is not in the recording."""
-
-    code = "sample_gone"
-
-    def __init__(self, channel: str, frame: int) -> None:
-        super().__init__(f"frame {frame} takes a message of {channel} that the recording does not have")
 
 
 def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written: Callable[[int], None]) -> None:
     """Write tables and samples of the plan's sequence; `written(index)` is called after each frame.
 
-    Raises `SampleGoneError`, and what reading samples raises (BAG-*, MSG-*).
+    Raises `sample_gone`, and what reading samples raises (BAG-*, MSG-*).
     """
     for channel in plan.channels:
         (out / "samples" / channel.name).mkdir(parents=True)
@@ -58,7 +49,7 @@ def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written:
 def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> tuple[bytes, tuple[int, int]]:
     """The file of the `place`-th datum of a channel, and a picture's size (width, height), (0, 0) of anything else.
 
-    Raises `SampleGoneError`, and what reading samples raises (BAG-*, MSG-*).
+    Raises `sample_gone`, and what reading samples raises (BAG-*, MSG-*).
     """
     index, size_px = int(channel.frames[place]), (0, 0)
     if channel.modality == "lidar":
@@ -71,7 +62,9 @@ def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> 
         content = b"" if picture is None else picture.content
         size_px = (0, 0) if picture is None else (picture.width_px, picture.height_px)
     if not content:
-        raise SampleGoneError(channel.name, index)
+        raise Refused(
+            "sample_gone", f"frame {index} takes a message of {channel.name} that the recording does not have"
+        )
     return content, size_px
 
 

@@ -12,10 +12,10 @@ import pytest
 import trimesh
 
 from services.labeler.exports import meshes
-from services.labeler.exports.errors import DamagedLabelsError, MeshTooLargeError
 from services.labeler.exports.meshes import MeshFile, mesh_parts, open_mesh, write_glb, write_meshes
 from services.labeler.exports.nuscenes.layout import mask_of
 from services.labeler.map.ply import FACE, VERTEX, write_mesh
+from testing.refusals import refused_as
 from tests.services.labeler.exports.made import Labelled, unheard
 
 
@@ -90,7 +90,7 @@ def test_a_map_without_surface_is_an_empty_scene() -> None:
 
 def test_a_mesh_beyond_what_the_format_can_say_is_refused(monkeypatch: pytest.MonkeyPatch) -> None:
     monkeypatch.setattr(meshes, "MOST_BYTES", 100)
-    with pytest.raises(MeshTooLargeError):
+    with refused_as("mesh_too_large"):
         write_glb(io.BytesIO(), MeshFile(np.zeros(3, VERTEX), np.zeros(1, FACE)))
 
 
@@ -167,5 +167,5 @@ def test_exports_of_an_earlier_mesh_have_today_s_colours(earlier: Path, today: P
 )
 def test_a_file_that_is_laid_out_otherwise_cut_off_or_not_ours_is_refused(tmp_path: Path, content: bytes) -> None:
     (tmp_path / "mesh.ply").write_bytes(content)
-    with pytest.raises(DamagedLabelsError):
+    with refused_as("damaged_labels"):
         open_mesh(tmp_path / "mesh.ply")
