@@ -1,4 +1,4 @@
-"""Why a submission, a manifest or a ground truth is refused: one leaf a code.
+"""Why a submission, a manifest or a ground truth is refused.
 
 **Conventions.** What is wrong with one file of a submission is a `SubmissionError`: it knows what was expected and what
 was found; whoever reads knows the file and the frame. Codes are those of the design's §9, and a few more where none of

@@ -66,7 +66,7 @@ def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem |
 
 
 def frame_grid(submission: SubmissionZip, token: str) -> Grid:
-    """The grid of one frame, its values not yet looked at. Raises leaves of `SubmissionError`."""
+    """The grid of one frame, its values not yet looked at. Raises `SubmissionError`."""
     return prediction_grid(submission.read(token))
 
 

@@ -1,4 +1,4 @@
-"""Why a submission that may be sound is not scored, or a ground truth not built: one leaf a code.
+"""Why a submission that may be sound is not scored.
 
 **Conventions.** Sentences go to whoever sent the submission in: none says anything about a label.
 """

@@ -88,7 +88,7 @@ def synchronise(
 ) -> tuple[Sequence, BagSweeps]:
     """The sequence called `name`, and where its deskewed sweeps come from.
 
-    Raises what opening and decoding raise (BAG-*, MSG-*), the leaves of `stone_recordings.sync.errors`
+    Raises what opening and decoding raise (BAG-*, MSG-*), what `stone_recordings.sync.errors` has
     (no LiDAR, no pose source, no usable pose, no frame), and MissingSensorError when an INS has no mount.
     """
     with open_bag(bag_path) as bag:

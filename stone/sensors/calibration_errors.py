@@ -1,4 +1,4 @@
-"""Why a calibration is refused: one leaf per fact, coded CAL-4xx as findings about calibrations are.
+"""Why a calibration is refused: coded CAL-4xx as findings about calibrations are.
 
 **Conventions.** `sensor` is the channel (CAM_FRONT, INS, …) or the transform (ego_from_lidar) the fact is about.
 """

@@ -1,7 +1,7 @@
-"""Why a recording or a message is refused: one leaf per reason, one sentence each.
+"""Why a recording or a message is refused: one code per reason, one sentence each.
 
 **Conventions.** `BAG-*` is about the container, `MSG-*` about one message in it. Offsets are bytes from the start
-of the file unless the sentence names a chunk. A leaf takes the facts and quotes them.
+of the file unless the sentence names a chunk.
 """
 
 from stone.errors import PlatformFaultError, Refused

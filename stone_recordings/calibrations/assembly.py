@@ -29,7 +29,7 @@ KINDS: tuple[SensorKind, ...] = ("camera", "radar", "ins", "imu", "lidar")
 
 
 def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]:
-    """Raises `CAL-424`, `CAL-425`, `CAL-405`, `CAL-422`, and the checks' leaves."""
+    """Raises `CAL-424`, `CAL-425`, `CAL-405`, `CAL-422`, and what the checks raise."""
     _check_kits(draft)
     lidar = _lidar(draft, rig)
     ego = _ego(draft, rig, lidar)

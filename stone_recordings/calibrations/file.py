@@ -74,8 +74,7 @@ def _recorded(part: CalibrationPart, name: str) -> CalibrationRead:
 def read_calibration_files(path: Path) -> CalibrationRead:
     """The calibration in a YAML or JSON file, or in a zip or folder of them.
 
-    Raises OSError; the leaves of `stone_recordings.calibrations.errors` (the files) and of
-    `stone.sensors.calibration_errors` (the numbers); ShapeError for a vector of another length.
+    Raises OSError; CAL-42x for the files, CAL-40x and CAL-41x for the numbers; ShapeError for another length.
     """
     return read_files(read_bundle(path), path.name)
 

@@ -28,7 +28,7 @@ def is_recording(path: Path) -> bool:
 
 
 def recorded_part(bag: Bag) -> CalibrationPart:
-    """Raises `CAL-424` without /tf_static; what decoding raises (BAG-*, MSG-*); the lenses' leaves."""
+    """Raises `CAL-424` without /tf_static; what decoding raises (BAG-*, MSG-*); what the lenses raise."""
     topics = [topic for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     static = [topic.name for topic in topics if topic.type == tf.TYPE and topic.name.endswith(TF_STATIC)]
     cameras = [topic.name for topic in topics if topic.type == camera_info.TYPE]

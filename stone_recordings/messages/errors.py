@@ -1,4 +1,4 @@
-"""Why a picture, a packet or a definition is refused: one leaf per reason, one sentence each."""
+"""Why a picture, a packet or a definition is refused: one sentence each."""
 
 from stone_recordings.bags.errors import IngestError
 

@@ -91,7 +91,7 @@ class ForkedChild(Protocol):
 def sandboxed(work: Callable[[], bytes], limits: SandboxLimits = LIMITS, watch: SandboxWatch = UNWATCHED) -> bytes:
     """The answer of `work()`, run apart.
 
-    Raises the `StoneError` leaf that `work` raises (code and sentence; its facts stay behind), `SandboxCrashedError`,
+    Raises the `StoneError` that `work` raises (class, code and sentence; its facts stay behind), `SandboxCrashedError`,
     `SandboxInterruptedError`, and what `watch` raises.
     """
     return sandboxed_with_progress(partial(_without_progress, work), limits, watch)
