@@ -83,7 +83,7 @@ def scene(tmp_path_factory: pytest.TempPathFactory, redis_url: str) -> Iterator[
     platform.database.close()
 
 
-@pytest.mark.parametrize("role", [*(pytest.param(role, marks=pytest.mark.release) for role in ROLES[:2]), *ROLES[2:]])
+@pytest.mark.parametrize("role", [*(pytest.param(role, marks=pytest.mark.release) for role in ROLES[:-1]), ROLES[-1]])
 def test_every_answer_is_documented_and_none_is_a_fault(scene: Scene, role: str) -> None:
     schema = schemathesis.openapi.from_dict(scene.document, config=schemathesis.Config.from_dict(CONFIG))
     answered = Answered()

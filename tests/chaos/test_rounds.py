@@ -109,7 +109,7 @@ def test_nor_when_something_of_a_cluster_is(kind: Kind, inputs: Inputs, tmp_path
     found_good(play(suite(inputs, tmp_path, told), kind), told)
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_what_is_really_destroyed_is_told_and_its_place_kept(inputs: Inputs, tmp_path: Path) -> None:
     """Catches alone a round that ends well whatever was lost in it."""
     told: list[str] = []

@@ -39,10 +39,14 @@ def labels(out: Path) -> dict[str, bytes]:
     return {str(file.relative_to(out)): file.read_bytes() for file in sorted(out.rglob("labels.npz"))}
 
 
+@pytest.mark.release
 def test_three_files_with_clocks_of_their_own_give_the_labels_of_one(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:
-    """Byte for byte with offsets known to 2 ms: no label asks when a picture was taken to the microsecond."""
+    """Catches alone a joined run whose labels differ from those of its one file.
+
+    Byte for byte with offsets known to 2 ms: no label asks when a picture was taken to the microsecond.
+    """
     whole = drive(tmp_path_factory, THREE_CLOCKS)
     calibration = calibration_path(whole)
     paths = split_into(whole, tmp_path, OF_THREE_CLOCKS)

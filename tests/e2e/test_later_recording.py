@@ -56,7 +56,9 @@ def runs_of(platform: Serving, sequence: Mapping[str, Any]) -> list[Mapping[str,
         return list(api.pages("/jobs", sequence_id=sequence["id"], kind="sequence.process"))
 
 
+@pytest.mark.release
 def test_recordings_that_come_later_are_labelled_once_though_the_platform_is_killed_three_times(tmp_path: Path) -> None:
+    """Catches alone a recording that is lost or labelled twice if the platform is killed while it is joined."""
     simulate(tmp_path / "run.mcap", RUN)
     first, *later = split_into(tmp_path / "run.mcap", tmp_path, PARTS)
     with serving(tmp_path / "data") as platform:

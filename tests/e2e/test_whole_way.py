@@ -43,7 +43,9 @@ def recording(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return drive(tmp_path_factory)
 
 
+@pytest.mark.release
 def test_the_command_ends_with_a_url_that_stays_up_when_asked_to(tmp_path: Path) -> None:
+    """Catches alone a demo that ends its platform although it was told to go on serving."""
     options = ("--seconds", "2", "-o", tmp_path / "demo", "--data", tmp_path / "data", "--keep-serving", "--json")
     process = subprocess.Popen(
         [STONE, "demo", *options],

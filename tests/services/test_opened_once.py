@@ -23,7 +23,7 @@ from stone_recordings.sync import sweeps
 from testing.worlds.drives import SHORT, drive
 from testing.worlds.runs import bring, run_all
 
-pytestmark = pytest.mark.whole
+pytestmark = pytest.mark.release
 
 Opens = Callable[[], int]
 

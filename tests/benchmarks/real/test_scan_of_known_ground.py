@@ -53,9 +53,11 @@ def cast() -> tuple[np.ndarray, np.ndarray]:
     return points.reshape(-1, 4), kinds.ravel()
 
 
+@pytest.mark.release
 def test_a_plane_before_a_wall_is_told_from_it(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, capsys: pytest.CaptureFixture[str]
 ) -> None:
+    """Catches alone a figure of `make bench-real` that takes a wall for ground."""
     points, kinds = cast()
     points.astype("<f4").tofile(tmp_path / "scan.bin")
     kinds.astype("<u4").tofile(tmp_path / "scan.label")

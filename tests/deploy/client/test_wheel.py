@@ -97,8 +97,12 @@ def test_a_submission_is_validated_and_scored_by_a_running_platform(
     assert "mIoU" in submitted.stdout
 
 
+@pytest.mark.release
 def test_a_client_of_another_release_is_understood_or_told_what_to_install(empty: Path, tmp_path: Path) -> None:
-    """A real process of the server; the client's release is what pip wrote down when it installed it."""
+    """Catches alone a wheel whose release the server does not read.
+
+    A real process of the server; the client's release is what pip wrote down when it installed it.
+    """
     (metadata,) = empty.glob(f"lib/python*/site-packages/stone_client-{own_release()}.dist-info/METADATA")
     ours = metadata.read_text("utf-8")
     with serving_process(tmp_path / "data") as running:

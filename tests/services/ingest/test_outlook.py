@@ -78,7 +78,7 @@ def test_a_plain_inspection_names_what_labelling_will_do(simulated: SoundDrive, 
     check(simulated, BY_NAME[name], tmp_path)
 
 
-@pytest.mark.whole
+@pytest.mark.release
 @pytest.mark.parametrize("which", ["simulated", "kitti"])
 def test_whatever_is_refused_or_left_out_was_named(which: str, request: pytest.FixtureRequest, tmp_path: Path) -> None:
     """Catches alone a fault of one kind of message that inspection and labelling see differently; on the real drive of

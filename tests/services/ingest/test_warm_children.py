@@ -41,7 +41,7 @@ for name in sorted(set(sys.modules) - loaded):
 """
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_a_child_that_registers_synchronises_or_checks_loads_no_module(tmp_path: Path) -> None:
     """Catches alone a library that every child loads anew, 0.1 s each, because the warm-up forgets it."""
     bag = tmp_path / "run.mcap"

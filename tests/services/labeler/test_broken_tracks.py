@@ -64,6 +64,7 @@ def made(tmp_path_factory):
     return folder, whole.frames, (report, alone)
 
 
+@pytest.mark.whole
 def test_each_part_is_mapped_as_if_it_were_alone(made):
     folder, frames, _ = made
     alone = [*grids(folder / "first", frames.tokens[:BREAK]), *grids(folder / "second", frames.tokens[BREAK:])]
@@ -73,6 +74,7 @@ def test_each_part_is_mapped_as_if_it_were_alone(made):
         assert np.array_equal(ours["mask_lidar"], theirs["mask_lidar"])
 
 
+@pytest.mark.whole
 def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(made):
     folder, frames, _ = made
     footprint, poses = Footprint(), frames.map_from_ego
@@ -85,6 +87,7 @@ def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(made):
         assert gaps_m.max() < reach_m + VOXEL_M
 
 
+@pytest.mark.whole
 def test_a_jump_in_height_is_no_relief(made):
     """Both halves climb the same hill, and the second was put 0.8 m higher."""
     *_, (report, alone) = made

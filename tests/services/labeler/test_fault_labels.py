@@ -46,7 +46,10 @@ def kitti(field_data: Path, tmp_path_factory: pytest.TempPathFactory) -> Sound:
     return drive, sound(drive, folder / "labels")
 
 
-@pytest.mark.parametrize(("which", "name"), LABELLED)
+@pytest.mark.parametrize(
+    ("which", "name"),
+    [pytest.param(*case, marks=pytest.mark.release if case[0] == "simulated" else ()) for case in LABELLED],
+)
 def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(
     request: pytest.FixtureRequest, tmp_path: Path, which: str, name: str
 ) -> None:

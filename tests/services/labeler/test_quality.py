@@ -61,7 +61,7 @@ class Crossing:
         return RayCast(replace(SLOW, boxes=(KERB, self.box(index), *wall))).sweep(index)
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_somebody_who_walks_across_leaves_no_label(tmp_path):
     """Catches alone labels of what moved, through all stages."""
     blind = replace(parameters_for("paper"), dynamic=DynamicParameters(max_range_m=0.0))

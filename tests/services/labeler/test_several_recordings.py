@@ -134,6 +134,7 @@ def described(brought: Brought, folder: Path) -> Path:
     return folder
 
 
+@pytest.mark.whole
 def test_labels_of_three_files_are_those_of_the_one(brought: Brought, of_one: tuple[dict[str, bytes], ...]) -> None:
     ours, theirs = brought.files(), of_one[0]
     assert set(differing(ours, theirs)) == TOLD
@@ -144,6 +145,7 @@ def frames_in(files: dict[str, bytes]) -> list[dict[str, object]]:
     return list(pq.read_table(io.BytesIO(files["frames.parquet"])).to_pylist())
 
 
+@pytest.mark.whole
 def test_the_offsets_are_published_with_the_labels_and_told_by_the_job(brought: Brought, tmp_path: Path) -> None:
     members = read_joined(described(brought, tmp_path / "described"))
     assert {member.name: member.offset_ns for member in members} == {"lidar_0.mcap": 0, "lidar_1.mcap": 0, **OFFSETS_NS}
@@ -154,10 +156,11 @@ def test_the_offsets_are_published_with_the_labels_and_told_by_the_job(brought: 
     assert {finding["code"] for finding in told["findings"]} >= {"SYN-520", "SYN-521"}
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_an_export_is_that_of_the_one_file_however_its_recordings_are_called_by_then(
     brought: Brought, parts: tuple[Path, ...], of_one: tuple[dict[str, bytes], ...]
 ) -> None:
+    """Catches alone an export that finds the recordings of a run by their names."""
     with brought.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, brought.recording_ids[0]))
     ins = parts[2]
@@ -168,6 +171,7 @@ def test_an_export_is_that_of_the_one_file_however_its_recordings_are_called_by_
     assert set(differing(made, of_one[1])) == TOLD_IN_EXPORT
 
 
+@pytest.mark.whole
 def test_an_export_whose_recordings_are_not_all_there_names_what_is_missing(brought: Brought, tmp_path: Path) -> None:
     with brought.platform.database.transaction() as session:
         remove_recording(session, session.get_one(Recording, brought.recording_ids[1]))

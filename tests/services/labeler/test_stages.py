@@ -149,6 +149,7 @@ def finished(made: tuple[Brought, str], tmp_path: Path) -> Iterator[tuple[Brough
     platform.database.close()
 
 
+@pytest.mark.whole
 def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupted(
     made: tuple[Brought, str], expected: dict[str, bytes]
 ) -> None:
@@ -170,6 +171,7 @@ def run(made: tuple[Brought, str]) -> LabelRun:
     return RunOpening(brought.platform.settings.root / "store" / "work" / root_id, "paper", {}).run()
 
 
+@pytest.mark.whole
 def test_the_queue_runs_the_jobs_of_the_graph(made: tuple[Brought, str], run: LabelRun) -> None:
     brought, root_id = made
     nodes = label_graph(run)
@@ -185,6 +187,7 @@ def test_the_queue_runs_the_jobs_of_the_graph(made: tuple[Brought, str], run: La
     assert needs == within | {(of_key[nodes[-1].key], check)}, "and publishing waits for the checks"
 
 
+@pytest.mark.whole
 def test_jobs_read_the_files_that_they_declare_and_answer_with_those_that_they_wrote(
     run: LabelRun, bag: Path, tmp_path: Path
 ) -> None:
@@ -273,6 +276,7 @@ def test_two_machines_with_s3_and_postgres_make_the_same(
         platform.database.close()
 
 
+@pytest.mark.whole
 def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> None:
     brought, root_id = made
     (label_set,) = brought.label_sets()
@@ -290,6 +294,7 @@ def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> 
     assert {"synchronised", "fused", "reconstructed", "reference", "labelled", "stored"} <= set(lines)
 
 
+@pytest.mark.whole
 def test_the_row_says_what_the_frame_table_adds_up_to(made: tuple[Brought, str], expected: dict[str, bytes]) -> None:
     brought, _root_id = made
     (label_set,) = brought.label_sets()
@@ -302,7 +307,7 @@ def test_the_row_says_what_the_frame_table_adds_up_to(made: tuple[Brought, str],
     assert label_set.duration_ns == pytest.approx(len(frames) * 1e8, rel=1e-3)
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_zombies_beside_a_finished_run_change_no_byte(finished: tuple[Brought, str]) -> None:
     """Catches alone a stage that writes once more after its run has ended."""
     brought, root_id = finished
@@ -414,7 +419,7 @@ def server() -> Iterator[ForkServer]:
     made.close()
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_jobs_that_share_a_child_leave_what_the_command_makes(
     bag: Path, expected: dict[str, bytes], server: ForkServer, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -103,9 +103,9 @@ def test_other_code_and_another_numpy_are_other_versions(other: SourceDigest) ->
     assert version_of(other) != version_of(SourceDigest("a" * 64, {"numpy": "2.4"}))
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_equal_sources_in_another_folder_are_of_one_version_and_changed_ones_are_not(tree: Tree) -> None:
-    """The second time the digests that were kept are used, and not after a change."""
+    """Catches alone kept digests that survive a change of their source."""
     assert tree.versions() == here()
     kept = tree.folder / "services" / "runtime" / "__pycache__" / KEPT.name
     written = kept.stat().st_mtime_ns

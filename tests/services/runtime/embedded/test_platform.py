@@ -79,7 +79,9 @@ def outcomes(serving: Serving, run_id: str) -> set[str]:
     return {attempt["outcome"] for job in jobs for attempt in job["attempts"]}
 
 
+@pytest.mark.release
 def test_a_taken_port_is_refused_by_name_and_nothing_is_started(up: Up, tmp_path: Path) -> None:
+    """Catches alone a platform that begins processes before it has its port."""
     port = up().url.rpartition(":")[2]
     command = [*STONE, "serve", "--data", tmp_path / "other", "--port", port]
     refused = subprocess.run(

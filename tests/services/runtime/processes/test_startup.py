@@ -79,7 +79,10 @@ def test_a_database_that_is_away_is_waited_for_and_then_reported(tmp_path: Path)
 
 
 def test_outages_are_waited_out_and_nothing_else_is() -> None:
-    left: list[Exception] = [PlatformFaultError("store away"), OperationalError("SELECT 1", {}, OSError("gone"))]
+    left: list[Exception] = [
+        PlatformFaultError("store_away", "the store is away"),
+        OperationalError("SELECT 1", {}, OSError("gone")),
+    ]
 
     def act() -> str:
         if left:
