@@ -22,7 +22,7 @@ from chaos.turns import OwnerRound
 from services.runtime.orm import Artefact, Blob
 
 SEED = 3
-EVERYDAY = next(kind for kind in KINDS if kind.name == "worker")
+WORKER = next(kind for kind in KINDS if kind.name == "worker")
 
 
 @dataclass(frozen=True)
@@ -82,15 +82,16 @@ def found_good(series: RoundSeries, told: Sequence[str]) -> None:
     assert series.is_proven
 
 
+@pytest.mark.release
 def test_nothing_is_lost_doubled_or_different_when_a_worker_is_killed(inputs: Inputs, tmp_path: Path) -> None:
     """Catches alone what a `kill -9` of a real process loses between the queue, database and store."""
     told: list[str] = []
-    found_good(play(suite(inputs, tmp_path, told), EVERYDAY), told)
+    found_good(play(suite(inputs, tmp_path, told), WORKER), told)
     assert list((tmp_path / "places").iterdir()) == [], "the place of a good round is cleared away"
 
 
 @pytest.mark.release
-@of([kind for kind in KINDS if kind != EVERYDAY and not kind.on_postgres])
+@of([kind for kind in KINDS if kind != WORKER and not kind.on_postgres])
 def test_nor_when_something_else_of_the_embedded_platform_is(
     kind: Kind, inputs: Inputs, stand: Stand, tmp_path: Path
 ) -> None:

@@ -92,7 +92,9 @@ def test_a_reader_that_leaves_early_is_no_fault(tmp_path: Path) -> None:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("number", "code"), [(signal.SIGINT, 130), (signal.SIGTERM, 143)])
+@pytest.mark.parametrize(
+    ("number", "code"), [(signal.SIGINT, 130), pytest.param(signal.SIGTERM, 143, marks=pytest.mark.release)]
+)
 def test_an_interrupted_command_says_so_and_leaves_nothing_half_written(tmp_path: Path, number: int, code: int) -> None:
     """Catches alone what a signal leaves of a file that a real process writes."""
     process = subprocess.Popen(

@@ -132,11 +132,15 @@ def as_cloud(packets: Recorded, log_time_ns: int) -> Recorded:
     return Recorded(LIDAR, "sensor_msgs/msg/PointCloud2", log_time_ns, cloud_payload(points, said))
 
 
+@pytest.mark.release
 def test_a_run_recorded_as_packets_is_labelled_as_the_points_they_hold(
     run: OneRun, record_property: Callable[..., None]
 ) -> None:
-    """From the points before they were packed it differs by steps of 4 mm and of up to 0.6 ms, which on a reference of
-    a few metres of way moves voxels near its limit to the other class: that is recorded, and bounded loosely."""
+    """Catches alone packets whose points lie or are timed otherwise than those that a driver publishes.
+
+    From the points before they were packed it differs by steps of 4 mm and of up to 0.6 ms, which on a reference of
+    a few metres of way moves voxels near its limit to the other class: that is recorded, and bounded loosely.
+    """
     poses = odometry(run.stamps_ns, run.truth(run.stamps_ns))
     made = run.labelled("packets", run.packets + poses)
     clouds = [as_cloud(one, one.log_time_ns) for one in run.packets]

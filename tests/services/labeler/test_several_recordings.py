@@ -205,7 +205,7 @@ def test_a_child_that_describes_another_run_is_not_believed(brought: Brought, tm
         with_description(made, folder, StoredBags((), (), sha256s, {}))
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_clocks_that_nobody_knows_are_measured_in_the_sandbox(
     tmp_path: Path, tmp_path_factory: pytest.TempPathFactory
 ) -> None:

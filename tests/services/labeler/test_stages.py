@@ -74,7 +74,10 @@ def expected(tmp_path_factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("done", [0, 5], ids=["before synchronising", "amid the stages"])
+@pytest.mark.parametrize(
+    "done",
+    [pytest.param(0, id="before synchronising", marks=pytest.mark.release), pytest.param(5, id="amid the stages")],
+)
 def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, done: int
 ) -> None:

@@ -97,6 +97,7 @@ print(max(held))
 """
 
 
+@pytest.mark.release
 def test_memory_does_not_grow_with_the_length_of_the_recording(tmp_path):
     """Catches alone sweeps that are kept: four times as many, what a process holds beside the mapped file, KiB."""
     held_kib = []

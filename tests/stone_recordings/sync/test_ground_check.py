@@ -234,7 +234,7 @@ def test_a_wrong_mount_is_not_taken_for_drift(long_drive):
         assert drift_codes(sequence) == []
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_of_200_m_that_climb_by_one_in_a_hundred_98_percent_of_the_way_are_t(tmp_path):
     """Catches alone: drift that is followed in the poses and not in the labels."""
     long_drive = driven(tmp_path, LONG)

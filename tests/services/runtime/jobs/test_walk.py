@@ -117,7 +117,14 @@ def test_every_history_of_one_job_ends_and_loses_nothing(
 
 @pytest.mark.whole
 @pytest.mark.parametrize(
-    ("kind", "controls", "faults"), [("a job of its own", 1, 1), *((kind, 0, 1) for kind in (*RUNS,)[1:])]
+    ("kind", "controls", "faults"),
+    [
+        pytest.param("a job of its own", 1, 1, marks=pytest.mark.release),
+        *(
+            pytest.param(kind, 0, 1, marks=pytest.mark.release if kind != "one that waits for another" else ())
+            for kind in (*RUNS,)[1:]
+        ),
+    ],
 )
 def test_every_history_of_a_small_run_ends_and_loses_nothing(
     prepared: Callable[[str], Prepared], kind: str, controls: int, faults: int
