@@ -92,6 +92,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("schema_broken_reference", "A revision left a row whose foreign key refers to nothing; the upgrade was undone."),
     ("schema_missing", "The database is not at the schema of this code."),
     ("schema_newer", "The database was migrated by a newer version of the platform than this one."),
+    ("schema_older", "The database or the backup is of a revision from before the first release."),
     ("schema_not_current", "The database is not at the revision whose rows this code knows."),
     (
         "scoring_crashed",

@@ -51,7 +51,7 @@ def test_every_code_that_is_raised_is_in_one_table_and_every_code_of_a_table_is_
 
 def test_no_problem_type_stands_twice() -> None:
     table = Path(statuses.__file__).read_text("utf-8").partition("PROBLEM_TYPES = {")[2].partition("\n}\n")[0]
-    codes = re.findall(r'^    "(\w+)": ProblemType\(', table, re.MULTILINE)
+    codes = re.findall(r'^    "([\w-]+)": ProblemType\(', table, re.MULTILINE)
     assert sorted(codes) == sorted(statuses.PROBLEM_TYPES)
 
 
