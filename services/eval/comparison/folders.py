@@ -9,7 +9,7 @@ from typing import Any
 from services.domain.viewer.frame_picture import comparison_picture
 from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pairs, label_grids
 from services.eval.comparison.record import ComparedFrames, comparison_record
-from services.eval.comparison.stage import nothing_in_common
+from services.eval.comparison.stage import no_shared_frame
 from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
 from stone_files.atomic import atomic_file
 from stone_submissions.errors import GroundTruthError
@@ -41,7 +41,7 @@ def open_folders(a: Path, b: Path) -> LabelFolders:
     of_a, of_b = (find_ground_truth(folder).paths() for folder in (a, b))
     shared = [token for token in of_a if token in of_b]
     if not shared:
-        raise nothing_in_common(str(a), str(b), (len(of_a), len(of_b)))
+        raise no_shared_frame(str(a), str(b), (len(of_a), len(of_b)))
     return LabelFolders(of_a, of_b, ComparedFrames(shared, len(of_a) - len(shared), len(of_b) - len(shared)))
 
 

@@ -111,7 +111,7 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
         a, b = (session.get_one(LabelSet, label_set_id) for label_set_id in (comparison.a_id, comparison.b_id))
         totals = (a.frames, b.frames)
     if not pairs:
-        raise nothing_in_common(comparison.a_id, comparison.b_id, totals)
+        raise no_shared_frame(comparison.a_id, comparison.b_id, totals)
     counts = _counted(context, pairs)
     frames = ComparedFrames([pair.a.token for pair in pairs], totals[0] - len(pairs), totals[1] - len(pairs))
     record = comparison_record(frames, counts)
@@ -156,7 +156,7 @@ def _by_ring(cells: list[int]) -> Counted:
 # Why two label sets cannot be compared.
 
 
-def nothing_in_common(a: str, b: str, frames: tuple[int, int]) -> Refused:
+def no_shared_frame(a: str, b: str, frames: tuple[int, int]) -> Refused:
     return Refused(
         "nothing_in_common",
         f"{a} ({frames[0]} frames) and {b} ({frames[1]} frames) share no frame token; tokens are made of the"

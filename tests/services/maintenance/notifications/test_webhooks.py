@@ -179,7 +179,7 @@ def test_texts_of_others_call_nobody_and_are_no_markup() -> None:
     assert not set(hostile.translate(HARMLESS)) & set("<>@[]*`|")
 
 
-QUICK = JobSettings(lease_s=0.6, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.02, rest_s=0.1)
+QUICK = JobSettings(lease_s=0.6, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.02, rest_s=0.1, max_attempts=100)
 EVENTS, KILLS, PATIENCE_S = 20, 6, 900.0
 
 
