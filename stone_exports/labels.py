@@ -8,6 +8,7 @@ import zipfile
 import zlib
 from io import BytesIO
 from math import prod
+from tokenize import TokenError
 from typing import Any
 
 import numpy as np
@@ -68,7 +69,10 @@ def _array(span: ExportFileSpan, key: str, npy: bytes) -> Classes:
 def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:
     """Shape, whether in Fortran order, dtype, and where the data begins. Raises `ValueError`, `KeyError`."""
     file = BytesIO(npy)
-    shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
+    try:
+        shape, is_fortran, dtype = HEADS[np.lib.format.read_magic(file)](file)
+    except TokenError as error:  # of a bracket that is not closed, which numpy lets through
+        raise ValueError(f"its header is cut short: {error}") from error
     return shape, is_fortran, dtype, file.tell()
 
 
