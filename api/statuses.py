@@ -1,7 +1,7 @@
 """The problem types: the HTTP status and the title of every code that the API answers with.
 
-**Conventions.** Statuses are of RFC 9110, RFC 6585, RFC 4918 (423) and tus 1.0 (460). A code that the table lacks is no
-refusal but a fault of ours: 500, and its sentence goes only to the log. Whoever adds a refusal adds its line here.
+**Conventions.** Statuses are of RFC 9110, RFC 6585, RFC 4918 (423) and tus 1.0 (460). A code that the table lacks is
+a fault of the platform: 500, and its sentence goes only to the log. A new refusal needs a line here.
 """
 
 from collections.abc import Iterator

@@ -92,7 +92,7 @@ def read_weights(folder: Path, model: nn.Module) -> WeightsProvenance:
 
 
 def provenance_of(path: Path) -> WeightsProvenance:
-    """What the file says of itself. Raises `bad_run`."""
+    """Read the description that the file carries. Raises `bad_run`."""
     if not path.is_file():
         raise Refused(
             "bad_run", f"{path.parent}: there is no {path.name}; did the run end before its first checkpoint?"

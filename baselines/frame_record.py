@@ -50,7 +50,7 @@ class FrameRecord:
 
 
 def read_record(frame: ExportedFrame, labels: ExportFileSpan | None, inputs: InputConfig) -> FrameRecord:
-    """What `inputs` wants of a frame. Raises `DamagedExportError`, `sensor_missing`."""
+    """Return the parts of a frame that `inputs` names. Raises `DamagedExportError`, `sensor_missing`."""
     returns, detections = np.zeros((0, 4), np.float32), np.zeros((0, 6), np.float32)
     if inputs.sees("L") or inputs.with_depth:
         lidar = frame.lidar

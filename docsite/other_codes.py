@@ -1,4 +1,4 @@
-"""What the codes mean that are neither the API's, nor a finding's, nor a dataset's: of submissions, jobs and commands.
+"""Meanings of codes of submissions, jobs and commands; other codes have tables elsewhere.
 
 **Conventions.** A code of two refusals stands twice. `tests/docsite/test_codes.py` holds that every code is raised.
 """

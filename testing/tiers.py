@@ -3,7 +3,7 @@
 
 **Conventions.** A test is `whole` if it costs more than a CPU second (`pytest --costs FILE`): it says so itself, lies
 below one of `WHOLE_FOLDERS`, asks for one of `DEAR_FIXTURES`, or runs on PostgreSQL or S3 what runs on SQLite and in a
-folder too. `everyday` keeps such a test in every tier. `release` marks a test of more than ten CPU seconds that repeats
+folder too. `everyday` keeps such a test in every tier. `release` marks a test of several CPU seconds that repeats
 a program of its own (`make chaos`, `make bench-movers`) or one behaviour for further kinds; its docstring, or its
 module's, names what it alone would catch, and who makes a release runs it. Files with costly tests come first, so that
 none of them begins late. A file that is `whole` or `release` as one is not even loaded under `-m "not whole"`.

@@ -59,7 +59,7 @@ class SubmissionCounts:
         return tuple(sequence.frames for sequence in self.sequences)
 
     def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
-        """What tells the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
+        """Return the sums that give the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
         return spectra_of(self.confusions, self.frames_of_sequence, metric_of(metric))
 
     def cells(self) -> NDArray[np.int64]:

@@ -93,7 +93,7 @@ class TruthInputs:
     mask: Mask
 
     def planes(self, token: str) -> TruthPlanes:
-        """Of one frame. Raises `labels_unfit`, which says nothing of what the file holds, and `short_pack`."""
+        """Read one frame. Raises `labels_unfit`, whose sentence quotes nothing of the file, and `short_pack`."""
         file = self.files[token]
         try:
             return truth_in(file.read(self.packs), self.mask, Path(file.name))

@@ -70,7 +70,7 @@ class FilesAnswer(SandboxAnswer):
 
 
 class WorkAnswer(SandboxAnswer):
-    """What a job's row and its log are told, and the files that it wrote."""
+    """The result for a job's row, the facts for its log, and the files that the job wrote."""
 
     asked: ClassVar[str] = "what a job did"
     written: tuple[Name, ...]

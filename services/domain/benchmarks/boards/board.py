@@ -155,7 +155,7 @@ _OUTCOMES: LRUCache[tuple[RankedScore, ...], RankConfidence] = LRUCache(MOST_OUT
 
 @cached(_OUTCOMES, key=lambda store, ranked, key_of: tuple(ranked), lock=Lock())
 def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapping[str, str]) -> RankConfidence:
-    """Of entries in the order of the board; `key_of` tells each blob's key. Raises `store_away`."""
+    """Return how certain the ranks of a board are; `key_of` gives the key of each blob. Raises `store_away`."""
     compared = ranked[:MOST_COMPARED]
     with ThreadPoolExecutor(READERS) as readers:
         found = list(readers.map(lambda one: _spectra(store, one.spectra_sha256, key_of[one.spectra_sha256]), compared))

@@ -21,7 +21,7 @@ from stone_submissions.npz_frame import prediction_grid
 
 
 def downloadable_zip(session: Session, seen: ScoreView) -> Blob:
-    """The zip, for whoever may have its bytes. Raises `withheld`, `predictions_gone`."""
+    """Return the zip if the caller may have its bytes. Raises `withheld`, `predictions_gone`."""
     if not seen.policy.shows("baseline" if seen.submission.kind == "baseline" else "predictions"):
         raise Refused(
             "withheld", f"the zip of this submission cannot be shown: {UNTIL['open']}"

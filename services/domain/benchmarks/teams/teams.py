@@ -171,7 +171,7 @@ def lock_team(session: Session, team_id: str) -> Team:
 
 
 def refuse_others(session: Session, team_id: str, user_id: str, act: str) -> None:
-    """Raises `not_captain` for whoever does not lead the team."""
+    """Raise `not_captain` if the user does not lead the team."""
     if captain(session, team_id) != user_id:
         raise Refused("not_captain", f"only the team's captain may {act}")
 
