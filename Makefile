@@ -99,7 +99,8 @@ test-kernels: develop
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest --rerun-failed-once -m "not release" $(KERNELS)
 
 # What models need is in an environment of its own: the platform's tests run without torch.
-test-baselines: baselines
+# After `static` if both are made: they share mypy's cache.
+test-baselines: baselines | $(filter static,$(MAKECMDGOALS))
 	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_local.models -p stone_local.commands.models
 	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
 
@@ -109,8 +110,7 @@ stress: develop
 
 check: test-clients
 	@rm -f build/flaky-tests
-	$(MAKE) --no-print-directory --jobs=2 --output-sync=target static test-kernels
-	$(MAKE) --no-print-directory test-baselines
+	$(MAKE) --no-print-directory --jobs=2 --output-sync=target static test-kernels test-baselines
 	$(BIN)/pytest $(BESIDE) -m "not release"
 	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
 
