@@ -1,7 +1,8 @@
 """People at a browser: the site on a real socket, Debian's Chromium, and who is signed in.
 
 **Conventions.** Signing in by cookie is what a test does that is not about signing in. Whatever a page writes to the
-console as an error, and whatever it asks of another host, fails the test that looked at it.
+console as an error, and whatever it asks of another host, fails the test that looked at it. A browser that is kept
+loads scripts and styles once for all tests of a process; between visits its cookies and all that pages stored go.
 """
 
 from collections.abc import Iterator
@@ -50,6 +51,8 @@ class Site:
     url: str
     platform: Platform
     browser: Browser
+    kept: BrowserContext | None = None
+    """For this address; the first visit at a time that asks for no options is made with it."""
 
     @contextmanager
     def visit(self, who: Person | None = None, **options: Any) -> Iterator[Page]:
@@ -57,12 +60,9 @@ class Site:
 
         `expected=["401"]` names errors of the console that the test provokes; the rest are options of the context.
         """
-        expected = options.pop("expected", [])
-        context: BrowserContext = self.browser.new_context(
-            base_url=self.url, **{"viewport": DESKTOP, "reduced_motion": "reduce", **options}
-        )
-        context.set_default_timeout(PATIENCE_MS)
-        watch = Watch(self.url, expected=list(expected))
+        watch = Watch(self.url, expected=list(options.pop("expected", [])))
+        is_kept = self.kept is not None and not options and not self.kept.pages
+        context = self.kept if self.kept is not None and is_kept else context_for(self.browser, self.url, **options)
         if who is not None:
             context.add_cookies([{"name": COOKIE, "value": secret_of(self.platform, who), "url": self.url}])
         page = context.new_page()
@@ -73,7 +73,27 @@ class Site:
             yield page
             assert watch.unexpected() == [], watch.unexpected()
         finally:
-            context.close()
+            if is_kept:
+                forget(context, self.url)
+            else:
+                context.close()
+
+
+def context_for(browser: Browser, url: str, **options: Any) -> BrowserContext:
+    """A browser of its own for the site at `url`."""
+    usual: dict[str, Any] = {"viewport": DESKTOP, "reduced_motion": "reduce"}
+    context = browser.new_context(base_url=url, **usual | options)
+    context.set_default_timeout(PATIENCE_MS)
+    return context
+
+
+def forget(context: BrowserContext, url: str) -> None:
+    """Close its pages, and forget all that they stored but the files that they loaded."""
+    kinds = {"origin": url, "storageTypes": "local_storage,indexeddb,cache_storage,service_workers"}
+    for page in context.pages:
+        context.new_cdp_session(page).send("Storage.clearDataForOrigin", kinds)
+        page.close()
+    context.clear_cookies()
 
 
 def decide(page: Page, button: str, reason: str, submit: str = "") -> None:
