@@ -28,8 +28,12 @@ class Found:
     shape: str
     source: str
     status: int
-    is_page: bool
-    size: int
+    html: str
+    """Of a page; empty of whatever else."""
+
+    @property
+    def is_page(self) -> bool:
+        return self.status == 200 and self.html != ""
 
 
 def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") -> Iterator[Found]:
@@ -44,7 +48,7 @@ def crawled(client: httpx.Client, headers: Mapping[str, str], start: str = "/") 
         with client.stream("GET", path, headers={"Accept": "text/html, */*", **headers}) as answer:
             is_page = answer.headers.get("content-type", "").startswith("text/html")
             text = "".join(answer.iter_text()) if is_page else ""
-            yield Found(path, shape, source, answer.status_code, is_page and answer.status_code == 200, len(text))
+            yield Found(path, shape, source, answer.status_code, text)
             if not is_page:
                 continue
         for link in links(path, text):
