@@ -19,8 +19,8 @@ from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import Run, viewed
-from tests.web.test_viewer_data import IMPORTS, changed
+from testing.worlds.viewer_world import Grid, Run, viewed
+from tests.web.test_viewer_data import IMPORTS
 
 RUN, SHORT = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=3.0)
 VIEWER = "const viewer = (await load('mount')).viewerOf(document.querySelector('[data-viewer]'));"
@@ -89,83 +89,85 @@ def expected(place: str) -> dict[str, str]:
     }
 
 
-def test_keys_step_through_the_frames_and_the_address_follows_but_not_while_they_play(
-    at_viewer: Page, seen: dict[str, Any]
-) -> None:
-    """Browsers refuse more than a hundred changes of an address in half a minute."""
-    expect(host(at_viewer)).to_have_attribute("data-frame", "1")
-    canvas(at_viewer).focus()
-    at_viewer.keyboard.press(".")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "2")
-    expect(at_viewer).to_have_url(f"/sequences/{seen['id']}/view?frame={seen['tokens'][2]}")
-    at_viewer.keyboard.press("End")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
-    at_viewer.keyboard.press(",")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "4")
-    at_viewer.get_by_label("Frame", exact=True).press("Home")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "0")
-    at_viewer.evaluate(
+def test_frames_are_stepped_through_picked_in_and_shown_by_layers(at_viewer: Page, seen: dict[str, Any]) -> None:
+    """One page, one world: each step goes on where the last one left the viewer."""
+    step_by_keys(at_viewer, seen)
+    picked_by_keys_is_picked_by_mouse(at_viewer)
+    choose_layers(at_viewer)
+    miss_a_frame(at_viewer, seen)
+
+
+def step_by_keys(page: Page, seen: dict[str, Any]) -> None:
+    """The address follows, but not while they play: browsers refuse more than a hundred changes in half a minute."""
+    expect(host(page)).to_have_attribute("data-frame", "1")
+    canvas(page).focus()
+    page.keyboard.press(".")
+    expect(host(page)).to_have_attribute("data-frame", "2")
+    expect(page).to_have_url(f"/sequences/{seen['id']}/view?frame={seen['tokens'][2]}")
+    page.keyboard.press("End")
+    expect(host(page)).to_have_attribute("data-frame", "5")
+    page.keyboard.press(",")
+    expect(host(page)).to_have_attribute("data-frame", "4")
+    page.get_by_label("Frame", exact=True).press("Home")
+    expect(host(page)).to_have_attribute("data-frame", "0")
+    page.evaluate(
         """() => { window.writes = 0; const replace = history.replaceState.bind(history);
           history.replaceState = (...given) => { window.writes += 1; replace(...given); }; }"""
     )
-    canvas(at_viewer).press("Space")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
-    expect(at_viewer.get_by_role("button", name="Play")).to_be_visible()
-    token = at_viewer.evaluate(TOKEN)
-    until(lambda: at_viewer.evaluate("location.href").endswith(f"frame={token}"))
-    assert 1 <= at_viewer.evaluate("window.writes") <= 5
-    heights_m = at_viewer.evaluate(HEIGHTS)
+    canvas(page).press("Space")
+    expect(host(page)).to_have_attribute("data-frame", "5")
+    expect(page.get_by_role("button", name="Play")).to_be_visible()
+    token = page.evaluate(TOKEN)
+    until(lambda: page.evaluate("location.href").endswith(f"frame={token}"))
+    assert 1 <= page.evaluate("window.writes") <= 5
+    heights_m = page.evaluate(HEIGHTS)
     assert len(heights_m) == 280
     assert min(heights_m) >= 0.5 - 1e-6
 
 
-def test_a_crosshair_picks_by_keys_what_a_click_picks_and_says_what_the_tile_says(at_viewer: Page) -> None:
-    canvas(at_viewer).focus()
-    at_viewer.keyboard.press("c")
-    at_viewer.keyboard.press("Shift+ArrowDown")
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    until(lambda: readout(at_viewer) == expected(readout(at_viewer)["Map position"]))
-    by_keys = readout(at_viewer)
-    at_viewer.keyboard.press("Escape")
-    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
-    box = canvas(at_viewer).bounding_box()
+def picked_by_keys_is_picked_by_mouse(page: Page) -> None:
+    """And is said as the tile has it."""
+    page.goto(page.url.partition("?")[0])
+    expect(host(page)).to_have_attribute("data-state", "ready")
+    canvas(page).focus()
+    page.keyboard.press("c")
+    page.keyboard.press("Shift+ArrowDown")
+    expect(page.locator(".viewer-readout")).to_be_visible()
+    until(lambda: readout(page) == expected(readout(page)["Map position"]))
+    by_keys = readout(page)
+    page.keyboard.press("Escape")
+    expect(page.locator(".viewer-readout")).to_be_hidden()
+    box = canvas(page).bounding_box()
     assert box is not None
-    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 40)
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    assert readout(at_viewer) == by_keys
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 40)
+    expect(page.locator(".viewer-readout")).to_be_visible()
+    assert readout(page) == by_keys
 
 
-def test_layers_points_and_the_whole_run_are_chosen_in_the_panel(at_viewer: Page) -> None:
-    at_viewer.get_by_label("Show", exact=True).select_option("map")
-    with at_viewer.expect_response(lambda answer: "/scene/meshes/0_0" in answer.url) as surface:
-        at_viewer.get_by_label("Surface").check()
-    with at_viewer.expect_response(lambda answer: "/cloud" in answer.url) as cloud:
-        at_viewer.get_by_label("Point cloud").check()
+def choose_layers(page: Page) -> None:
+    page.get_by_label("Show", exact=True).select_option("map")
+    with page.expect_response(lambda answer: "/scene/meshes/0_0" in answer.url) as surface:
+        page.get_by_label("Surface").check()
+    with page.expect_response(lambda answer: "/cloud" in answer.url) as cloud:
+        page.get_by_label("Point cloud").check()
     assert surface.value.ok
     assert cloud.value.ok
-    at_viewer.get_by_label("Points by").select_option("time")
-    until(lambda: at_viewer.evaluate(SWEEPS) == 1)
+    page.get_by_label("Points by").select_option("time")
+    until(lambda: page.evaluate(SWEEPS) == 1)
     for shown in (2, 3):
-        canvas(at_viewer).press(".")
-        until(lambda shown=shown: at_viewer.evaluate(SWEEPS) == shown)  # type: ignore[misc]
-    at_viewer.get_by_label("Points by").select_option("intensity")
-    until(lambda: at_viewer.evaluate(SWEEPS) == 1)
-    expect(at_viewer.locator(".viewer-corner")).not_to_be_empty()
+        canvas(page).press(".")
+        until(lambda shown=shown: page.evaluate(SWEEPS) == shown)  # type: ignore[misc]
+    page.get_by_label("Points by").select_option("intensity")
+    until(lambda: page.evaluate(SWEEPS) == 1)
+    expect(page.locator(".viewer-corner")).not_to_be_empty()
 
 
-def test_a_frame_that_does_not_come_is_said_and_the_page_and_its_viewer_tell_each_other_the_frame(
-    at_viewer: Page, seen: dict[str, Any]
-) -> None:
-    last = f"**/frames/{seen['tokens'][-1]}/voxels?*"
-    at_viewer.route(last, lambda route: route.fulfill(body=b"not zstd"))
-    at_viewer.reload()  # it may have been fetched ahead
-    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
-    at_viewer.get_by_label("Frame", exact=True).press("End")
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("Frame 6")
-    at_viewer.unroute(last)
-    at_viewer.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
-    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
-    told = at_viewer.evaluate(
+def miss_a_frame(page: Page, seen: dict[str, Any]) -> None:
+    """A frame that does not come is said; the page and its viewer tell each other the frame."""
+    page.route(f"**/frames/{seen['tokens'][-1]}/voxels?*", lambda route: route.fulfill(body=b"not zstd"))
+    page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")  # it may have been fetched ahead
+    expect(host(page)).to_have_attribute("data-state", "ready")
+    told = page.evaluate(
         """() => new Promise(tell => {
             const host = document.querySelector("[data-viewer]");
             host.addEventListener("frame", ({ detail }) => tell(detail), { once: true });
@@ -173,6 +175,8 @@ def test_a_frame_that_does_not_come_is_said_and_the_page_and_its_viewer_tell_eac
         })"""
     )
     assert told == {"index": 3, "token": seen["tokens"][3]}
+    page.get_by_label("Frame", exact=True).press("End")
+    expect(page.locator(".viewer-said")).to_contain_text("Frame 6")
 
 
 def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Person) -> None:
@@ -252,6 +256,15 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
         other.goto(f"{plain}&{nonsense}")
         expect(host(other)).to_have_attribute("data-frame", "0")
         expect(other).to_have_url(plain)
+
+
+def changed(grid: Grid) -> Grid:
+    """Of every class a part is free, and a part of another class; something stands where nothing was."""
+    other = np.where(np.random.default_rng(5).random(grid.shape) < 0.3, grid % 3 + 1, grid).astype(np.uint8)
+    other[grid == 0] = 0
+    other[:, :120] = 0
+    other[100:104, 126:130, 20:22] = 3
+    return other
 
 
 def legend(page: Page) -> list[str]:

@@ -154,42 +154,80 @@ def block_hides(ids: list[Any]) -> None:
     assert hits
 
 
-def test_a_click_in_a_picture_and_one_in_3d_explain_the_same_voxel_and_both_mark_it(at_viewer: Page) -> None:
-    """The journey: a voxel chosen in a picture is marked in 3D and in the pictures; chosen in 3D it is the same one."""
-    press(at_viewer, "Front")
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    by_picture = readout(at_viewer)
+def test_pictures_and_3d_explain_the_same_voxel_and_are_enlarged_switched_off_and_left_plain(at_viewer: Page) -> None:
+    """One page, one world: each step goes on where the last one left the viewer."""
+    explain_from_both(at_viewer)
+    enlarge_by_keys(at_viewer)
+    leave_plain(at_viewer)
+    switch_classes_off(at_viewer)
+
+
+def explain_from_both(page: Page) -> None:
+    """A voxel chosen in a picture is marked in 3D and in the pictures; chosen in 3D it is the same one."""
+    press(page, "Front")
+    expect(page.locator(".viewer-readout")).to_be_visible()
+    by_picture = readout(page)
     assert set(by_picture) == {"Elevation", "Slope", "Roughness", "D²", "Map position", "class"}
-    marked = at_viewer.locator(".viewer-camera-row canvas[data-marked]:not([data-marked='0'])")
+    marked = page.locator(".viewer-camera-row canvas[data-marked]:not([data-marked='0'])")
     expect(marked.first).to_be_visible()
-    across, down = at_viewer.evaluate(MARKED_IN_3D)
-    canvas(at_viewer).press("Escape")
-    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
+    across, down = page.evaluate(MARKED_IN_3D)
+    canvas(page).press("Escape")
+    expect(page.locator(".viewer-readout")).to_be_hidden()
     expect(marked).to_have_count(0)
-    box = canvas(at_viewer).bounding_box()
+    box = canvas(page).bounding_box()
     assert box is not None
-    at_viewer.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
-    expect(at_viewer.locator(".viewer-readout")).to_be_visible()
-    assert readout(at_viewer) == by_picture
+    page.mouse.click(box["x"] + across * box["width"], box["y"] + down * box["height"])
+    expect(page.locator(".viewer-readout")).to_be_visible()
+    assert readout(page) == by_picture
     expect(marked.first).to_be_visible()
+    canvas(page).press("Escape")
 
 
-def test_a_class_that_is_switched_off_still_hides_and_says_so(at_viewer: Page) -> None:
-    at_viewer.get_by_label("Non-traversable").uncheck()
-    at_viewer.get_by_label("Potentially").uncheck()
-    at_viewer.get_by_label("Traversable", exact=True).uncheck()
+def enlarge_by_keys(page: Page) -> None:
+    picture(page, "Front left").focus()
+    page.keyboard.press("Enter")
+    large = page.get_by_role("region", name="Camera picture, large")
+    expect(large.locator("canvas")).to_have_attribute("width", "640")
+    expect(large.get_by_role("button", name="Close")).to_be_focused()
+    page.keyboard.press("Escape")
+    expect(large).to_be_hidden()
+    expect(picture(page, "Front left")).to_be_focused()
+
+
+def leave_plain(page: Page) -> None:
+    """Without labels, or not shown at all."""
+    names = page.locator(".viewer-camera-row figcaption > span").all_inner_texts()
+    assert names == ["Front left", "Front", "Front right", "Back left", "Back", "Back right"], "as on the rig"
+    page.get_by_label("Cameras").select_option("plain")
+    expect(page.locator(".viewer-camera-row canvas:visible")).to_have_count(0)
+    expect(page.locator(".viewer-camera-row img")).to_have_count(6)
+    press(page, "Front")
+    expect(page.locator(".viewer-said")).to_contain_text("No labels are drawn in this picture")
+    canvas(page).press("v")
+    expect(strip(page)).to_be_hidden()
+    canvas(page).press("v")
+    expect(page.locator(".viewer-camera-row canvas:visible")).to_have_count(6)
+
+
+def switch_classes_off(page: Page) -> None:
+    """What is switched off still hides, and says so."""
+    page.get_by_label("Non-traversable").uncheck()
+    page.get_by_label("Potentially").uncheck()
+    page.get_by_label("Traversable", exact=True).uncheck()
     painted = "canvas => canvas.getContext('2d').getImageData(0, 0, canvas.width, canvas.height).data.some(v => v)"
-    front = picture(at_viewer, "Front").locator("canvas").first
+    front = picture(page, "Front").locator("canvas").first
     until(lambda: not front.evaluate(painted))
-    box = picture(at_viewer, "Front").bounding_box()
+    box = picture(page, "Front").bounding_box()
     assert box is not None
-    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.8)
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("Switched off: ")
-    at_viewer.mouse.click(box["x"] + box["width"] / 2, box["y"] + 3)
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("No label there")
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] * 0.8)
+    expect(page.locator(".viewer-said")).to_contain_text("Switched off: ")
+    page.mouse.click(box["x"] + box["width"] / 2, box["y"] + 3)
+    expect(page.locator(".viewer-said")).to_contain_text("No label there")
 
 
-def test_pictures_labels_and_slider_change_together(at_viewer: Page, seen: dict[str, Any]) -> None:
+def test_pictures_labels_and_slider_change_together_unless_a_picture_takes_too_long(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
     """One picture of the next frame is late: nothing of that frame is shown before it."""
     late: list[Route] = []
     at_viewer.route(f"**/frames/{seen['tokens'][4]}/camera/CAM_BACK.jpg*", lambda route: late.append(route))
@@ -212,46 +250,24 @@ def test_pictures_labels_and_slider_change_together(at_viewer: Page, seen: dict[
     assert len(sources) == 6
     assert all(seen["tokens"][4] in source for source in sources)
     assert at_viewer.evaluate("window.told")[-1] == ["4", "4"]
+    too_long(at_viewer, seen)
 
 
-def test_a_picture_that_takes_too_long_does_not_hold_the_frame(at_viewer: Page, seen: dict[str, Any]) -> None:
+def too_long(page: Page, seen: dict[str, Any]) -> None:
+    """The frame is shown without its picture, and nothing is picked in those of the frame before."""
     late: list[Route] = []
-    at_viewer.route(f"**/frames/{seen['tokens'][5]}/camera/CAM_BACK.jpg*", lambda route: late.append(route))
-    at_viewer.get_by_label("Frame", exact=True).press("End")
-    expect(host(at_viewer)).to_have_attribute("data-frame", "5")
-    expect(strip(at_viewer)).to_have_attribute("aria-busy", "true")
-    press(at_viewer, "Front")  # a voxel of frame 1, which would be explained as one of frame 5
-    expect(at_viewer.locator(".viewer-said")).to_have_text("The pictures of this frame are still loading.")
-    expect(at_viewer.locator(".viewer-readout")).to_be_hidden()
+    page.route(f"**/frames/{seen['tokens'][5]}/camera/CAM_BACK.jpg*", lambda route: late.append(route))
+    page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")  # it may have been fetched ahead
+    expect(strip(page)).to_have_attribute("data-frame", "1")
+    page.get_by_label("Frame", exact=True).press("End")
+    expect(host(page)).to_have_attribute("data-frame", "5")
+    expect(strip(page)).to_have_attribute("aria-busy", "true")
+    press(page, "Front")
+    expect(page.locator(".viewer-said")).to_have_text("The pictures of this frame are still loading.")
+    expect(page.locator(".viewer-readout")).to_be_hidden()
     late[0].continue_()
-    expect(strip(at_viewer)).to_have_attribute("data-frame", "5")
-    expect(strip(at_viewer)).not_to_have_attribute("aria-busy", "true")
-
-
-def test_a_camera_is_enlarged_by_keys_and_esc_leads_back(at_viewer: Page) -> None:
-    picture(at_viewer, "Front left").focus()
-    at_viewer.keyboard.press("Enter")
-    large = at_viewer.get_by_role("region", name="Camera picture, large")
-    expect(large.locator("canvas")).to_have_attribute("width", "640")
-    expect(large.get_by_role("button", name="Close")).to_be_focused()
-    large.get_by_role("button", name="Close").focus()
-    at_viewer.keyboard.press("Escape")
-    expect(large).to_be_hidden()
-    expect(picture(at_viewer, "Front left")).to_be_focused()
-
-
-def test_cameras_are_shown_as_on_the_rig_without_labels_or_not_at_all(at_viewer: Page) -> None:
-    names = at_viewer.locator(".viewer-camera-row figcaption > span").all_inner_texts()
-    assert names == ["Front left", "Front", "Front right", "Back left", "Back", "Back right"]
-    at_viewer.get_by_label("Cameras").select_option("plain")
-    expect(at_viewer.locator(".viewer-camera-row canvas:visible")).to_have_count(0)
-    expect(at_viewer.locator(".viewer-camera-row img")).to_have_count(6)
-    press(at_viewer, "Front")
-    expect(at_viewer.locator(".viewer-said")).to_contain_text("No labels are drawn in this picture")
-    canvas(at_viewer).press("v")
-    expect(strip(at_viewer)).to_be_hidden()
-    canvas(at_viewer).press("v")
-    expect(at_viewer.locator(".viewer-camera-row canvas:visible")).to_have_count(6)
+    expect(strip(page)).to_have_attribute("data-frame", "5")
+    expect(strip(page)).not_to_have_attribute("aria-busy", "true")
 
 
 def test_a_playback_that_lacks_a_picture_or_labels_is_shown_as_far_as_it_goes(
@@ -260,16 +276,10 @@ def test_a_playback_that_lacks_a_picture_or_labels_is_shown_as_far_as_it_goes(
     """One picture is missing; pictures of an earlier release have no cameras; and there may be none at all."""
     lacking, plain, bare = (viewed(platform, curator, RUN, name=name) for name in ("lacking", "plain", "bare"))
     files = camera_files(lacking["tokens"], without=("CAM_BACK", 2))
-    played(
-        platform, curator, lacking["id"], {**files, INDEX: index_record(PlaybackChannels(tuple(CHANNELS), False, True))}
-    )
     pictures = {name: content for name, content in camera_files(plain["tokens"]).items() if name.endswith(".jpg")}
-    played(
-        platform,
-        curator,
-        plain["id"],
-        {**pictures, INDEX: index_record(PlaybackChannels(tuple(CHANNELS), False, False))},
-    )
+    for one, content, has_cameras in ((lacking, files, True), (plain, pictures, False)):
+        index = index_record(PlaybackChannels(tuple(CHANNELS), False, has_cameras))
+        played(platform, curator, one["id"], {**content, INDEX: index})
     with site.visit(curator, expected=["409"]) as page:
         page.goto(f"/sequences/{lacking['id']}/view?frame={lacking['tokens'][2]}")
         expect(strip(page)).to_have_attribute("data-frame", "2")

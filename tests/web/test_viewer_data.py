@@ -14,13 +14,10 @@ import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
 
-from stone.scoring.agreement import differences
 from testing.api.serving import person, serving
 from testing.servers.fixtures import make_settings, opened
 from testing.web.browsing import Site
-from testing.worlds import made
-from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import SHAPE, Grid, Run, observed_of, viewed
+from testing.worlds.viewer_world import Grid, Run, observed_of, viewed
 from web.main import make_site
 
 RUN = Run(frames=2, reach_m=3.0)
@@ -36,16 +33,11 @@ const fetched = async path => {
 
 @dataclass(frozen=True)
 class Loaded:
-    """A page that may import the viewer's modules, of the owner of a run, and of another that was labelled twice.
-
-    `comparison` is where the first frame of that is told as differences of `a` and the run's own labels.
-    """
+    """A page that may import the viewer's modules, of the owner of a run."""
 
     page: Page
     sequence_id: str
     tokens: list[str]
-    comparison: str
-    a: Grid
 
 
 @pytest.fixture(scope="module")
@@ -56,23 +48,10 @@ def loaded(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path, bro
     platform = opened(settings, [])
     curator = person(platform, "curator")
     facts = viewed(platform, curator, RUN)
-    a, pair = changed(RUN.grids[0]), viewed(platform, curator, RUN, name="labelled-twice")
-    earlier = made.labels(platform, pair, contents=[labels_npz(a), labels_npz(a)], seed=b"earlier")
-    comparison_id = made.label_comparison(platform, pair["id"], (earlier.id, pair["label_set_id"]))
-    comparison = f"/api/v1/sequences/{pair['id']}/label-comparisons/{comparison_id}/frames/{pair['tokens'][0]}/voxels"
     with serving(platform, make_site(platform)) as url, Site(url, platform, browser).visit(curator) as page:
         page.goto("/sign-in", wait_until="domcontentloaded")
-        yield Loaded(page, facts["id"], facts["tokens"], comparison, a)
+        yield Loaded(page, facts["id"], facts["tokens"])
     platform.database.close()
-
-
-def changed(grid: Grid) -> Grid:
-    """Of every class a part is free, and a part of another class; something stands where nothing was."""
-    other = np.where(np.random.default_rng(5).random(grid.shape) < 0.3, grid % 3 + 1, grid).astype(np.uint8)
-    other[grid == 0] = 0
-    other[:, :120] = 0
-    other[100:104, 126:130, 20:22] = 3
-    return other
 
 
 def run(loaded: Loaded, script: str, given: object = None) -> Any:
@@ -185,35 +164,6 @@ def _stepped(grid: Any, start: Any, direction: Any) -> Any:
     return steps[met[0]].tolist() if len(met) else None
 
 
-def test_the_grid_of_the_modules_is_the_grid_of_the_labels(loaded: Loaded) -> None:
-    script = "const { SHAPE, VOXEL_M, GRID_MIN_M } = await load('data/formats'); return [SHAPE, VOXEL_M, GRID_MIN_M];"
-    assert run(loaded, script) == [list(SHAPE), 0.2, [-25.6, -25.6, -2]]
-
-
-def test_a_place_just_below_zero_has_no_minus_before_its_zero(loaded: Loaded) -> None:
-    script = """
-    const { Readout } = await load("controls/readout");
-    const readout = new Readout({ profile: "imported" }, () => undefined);
-    const picked = { id: 1, index: [0, 0, 0], centre_m: [-0.04, 0.04, -12.34], kind: 3, seen: true, found: null };
-    readout.say({ ...picked, scope: "frame", difference: null });
-    return readout.element.querySelector("dd").textContent;
-    """
-    assert run(loaded, script) == "0.0, 0.0, -12.3 m"
-
-
-def test_a_slope_beyond_upright_is_called_an_overhang(loaded: Loaded) -> None:
-    script = """
-    const { valuesOf } = await load("controls/explanation");
-    const covariance = [[1, 0, 0], [0, .01, 0], [0, 0, 1]];
-    const scene = { profile: "paper", reference: { mean: [0, .09, -9], covariance, d2_limit: 7.8 } };
-    const found = slope_rad => ({ elevation_m: 0, slope_rad, roughness: -9, d2: 300 });
-    return given.map(slope => Object.fromEntries(valuesOf(found(slope), scene)).Slope);
-    """
-    over, upright = run(loaded, script, [1.95, 1.5707963705])
-    assert over.startswith("111.7° (overhang")
-    assert upright == "90.0°"
-
-
 def test_the_floor_is_the_lowest_label_of_each_square(loaded: Loaded) -> None:
     script = """
     const { columnsOf, lowestOf } = await load("data/columns"), { planesOf } = await load("data/formats");
@@ -223,18 +173,6 @@ def test_the_floor_is_the_lowest_label_of_each_square(loaded: Loaded) -> None:
     squares = np.asarray(RUN.grids[1].reshape(64, 4, 64, 4, 32).any(axis=(1, 3)))
     lowest = np.where(squares.any(axis=2), squares.argmax(axis=2), -1)
     assert run(loaded, script, loaded.tokens[1]) == lowest.ravel().tolist()
-
-
-def test_the_codes_of_a_comparison_decode_to_how_the_voxels_differ(loaded: Loaded) -> None:
-    script = """
-    const { planesOf, coded, codeAt } = await load("data/formats");
-    const planes = planesOf(await fetched(given), "STD1");
-    return [...coded(planes)].map(index => [index, codeAt(planes, index)]);
-    """
-    codes = differences(loaded.a, RUN.grids[0]).ravel()
-    at = np.flatnonzero(codes)
-    found = run(loaded, script, loaded.comparison)
-    np.testing.assert_array_equal(found, np.stack([at, codes[at]], axis=1))
 
 
 CLOCKS = [
