@@ -4,11 +4,7 @@ import asyncio
 import base64
 import hashlib
 import json
-import os
 import re
-import socket
-import subprocess
-import sys
 from collections.abc import Coroutine
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import replace
@@ -25,40 +21,36 @@ from api.middleware.limits import FILES, FILES_SHARE, PROBES, RequestLimits
 from services.runtime.database.migrate import upgrade
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, Settings
-from testing.api.serving import Person, serving
+from testing.api.process import running_api
+from testing.api.serving import Person
 from testing.refusals import refused_as
-from testing.stone_serve import environment, until
 from testing.web.browsing import Site
+from testing.web.reading import Reading
 from web.assets import BUNDLED, LIBRARIES, built_assets
 from web.main import make_site
 from web.pages import docs
 
 
-def test_every_asset_of_a_page_is_there_for_ever_and_compressed(platform: Platform) -> None:
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url) as client:
-        html = client.get("/sign-in", headers={"Accept": "text/html"}).text
-        paths = re.findall(r'(?:src|href)="(/assets/[^"]+)"', html)
-        assert len(paths) >= 4
-        for path in paths:
-            answer = client.get(path, headers={"Accept-Encoding": "gzip"})
-            assert (answer.status_code, answer.headers["content-encoding"]) == (200, "gzip")
-            assert "immutable" in answer.headers["cache-control"]
-            assert client.get(path, headers={"Accept-Encoding": "identity"}).content == answer.content
-        other = re.sub(r"/assets/[0-9a-f]+/", "/assets/0000000000000000/", paths[0])
-        assert client.get(other).status_code == 404
+def test_every_asset_of_a_page_is_there_for_ever_and_compressed(reading: Reading) -> None:
+    client = reading.client
+    paths = re.findall(r'(?:src|href)="(/assets/[^"]+)"', reading.html("/sign-in"))
+    assert len(paths) >= 4
+    for path in paths:
+        answer = client.get(path, headers={"Accept-Encoding": "gzip"})
+        assert (answer.status_code, answer.headers["content-encoding"]) == (200, "gzip")
+        assert "immutable" in answer.headers["cache-control"]
+        assert client.get(path, headers={"Accept-Encoding": "identity"}).content == answer.content
+    other = re.sub(r"/assets/[0-9a-f]+/", "/assets/0000000000000000/", paths[0])
+    assert client.get(other).status_code == 404
 
 
-@pytest.mark.parametrize(
-    "path", ["../main.py", "..%2fmain.py", "libraries/../../main.py", "libraries/three/package.json"]
-)
-def test_nothing_else_of_the_folder_is_served(platform: Platform, path: str) -> None:
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url) as client:
-        assert client.get(f"/assets/{built_assets().digest}/{path}").status_code == 404
+def test_nothing_else_of_the_folder_is_served(reading: Reading) -> None:
+    for path in ("../main.py", "..%2fmain.py", "libraries/../../main.py", "libraries/three/package.json"):
+        assert reading.client.get(f"/assets/{built_assets().digest}/{path}").status_code == 404, path
 
 
-def test_the_import_map_names_our_copies_and_the_policy_lets_only_it_through(platform: Platform) -> None:
-    with serving(platform, make_site(platform)) as url, httpx.Client(base_url=url) as client:
-        answer = client.get("/sign-in", headers={"Accept": "text/html"})
+def test_the_import_map_names_our_copies_and_the_policy_lets_only_it_through(reading: Reading) -> None:
+    answer = reading.answer("/sign-in")
     (text,) = re.findall(r'<script type="importmap">(.*?)</script>', answer.text)
     imports = json.loads(text)["imports"]
     assert set(imports) == {*LIBRARIES, *BUNDLED}
@@ -178,28 +170,11 @@ def test_the_files_of_pages_are_counted_apart(limited: FastAPI) -> None:
     assert answers == [200, *[200] * FILES_SHARE, LIMITED]
 
 
-def test_probes_are_not_counted(limited: FastAPI) -> None:
-    assert apart(statuses(limited, [("GET", "/healthz")] * 5)) == [200] * 5
-
-
 @pytest.mark.whole
-@pytest.mark.parametrize(("pages", "status"), [("true", 200), ("false", 404)])
-def test_pages_are_served_unless_they_are_switched_off(tmp_path: Path, pages: str, status: int) -> None:
+def test_pages_that_are_switched_off_are_not_served(tmp_path: Path) -> None:
     """Catches alone a process that serves pages though it was told not to."""
-    data = tmp_path / "data"
-    upgrade(Settings(data_folder=data))
-    with socket.create_server(("127.0.0.1", 0)) as listening:
-        process = subprocess.Popen(
-            [sys.executable, "-m", "services.runtime.embedded.api_process", str(listening.fileno()), "1"],
-            pass_fds=[listening.fileno()],
-            env=environment(data, STONE_DATA_FOLDER=str(data), STONE_API__PAGES=pages, PYTHONPATH=os.getcwd()),
-            stdout=subprocess.DEVNULL,
-        )
-        try:
-            with httpx.Client(base_url=f"http://127.0.0.1:{listening.getsockname()[1]}", timeout=300.0) as client:
-                until(lambda: client.get("/healthz").status_code == 200)
-                assert client.get("/", headers={"Accept": "text/html"}).status_code == status
-                assert client.get("/api/v1/sequences").json()["items"] == []
-        finally:
-            process.terminate()
-            assert process.wait(300) is not None
+    settings = Settings(data_folder=tmp_path / "data", api=ApiSettings(pages=False))
+    upgrade(settings)
+    with running_api(settings, tmp_path / "log") as api:
+        assert httpx.get(api.url, headers={"Accept": "text/html"}).status_code == 404
+        assert httpx.get(f"{api.url}/api/v1/sequences").json()["items"] == []

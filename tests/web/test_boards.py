@@ -15,7 +15,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 import pytest
-from playwright.sync_api import expect
+from playwright.sync_api import Page, expect
 from sqlalchemy import select
 
 from services.runtime.orm import Activation, Benchmark, Dataset, Score
@@ -46,10 +46,11 @@ def board(platform: Platform) -> Season:
     return season(platform)
 
 
-def test_the_slider_shows_the_board_as_it_stood(site: Site, board: Season) -> None:
-    with site.visit() as page:
+def test_the_board_is_shown_as_it_stood_compared_and_copied_for_a_paper(site: Site, board: Season) -> None:
+    with site.visit(permissions=["clipboard-read", "clipboard-write"]) as page:
         page.goto(board.path)
         expect(page.locator(METHODS)).to_have_text(IN_ORDER)
+        assert r"\toprule" in copied(page)
         page.get_by_text("History", exact=True).click()
         slider = page.get_by_label("Leaderboard as of", exact=True)
         slider.focus()
@@ -60,30 +61,12 @@ def test_the_slider_shows_the_board_as_it_stood(site: Site, board: Season) -> No
         expect(page.locator(METHODS)).to_have_text(["RadarScout"])
         expect(page).to_have_url(re.compile("as_of="))
         expect(slider).to_be_focused()
+        page.add_init_script("delete Navigator.prototype.clipboard")
         page.reload()
         expect(page.locator(METHODS)).to_have_text(["RadarScout"])
+        assert "RadarScout" in copied(page)
         page.get_by_label("Leaderboard as of", exact=True).press("End")
         expect(page.locator(METHODS)).to_have_text(IN_ORDER)
-
-
-@pytest.mark.parametrize("has_clipboard", [True, False])
-def test_the_table_is_copied_for_a_paper(site: Site, board: Season, has_clipboard: bool) -> None:
-    with site.visit(permissions=["clipboard-read", "clipboard-write"]) as page:
-        if not has_clipboard:
-            page.add_init_script("delete Navigator.prototype.clipboard")
-        page.goto(board.path)
-        page.get_by_role("button", name="Copy LaTeX").click()
-        expect(page.locator("#toasts")).not_to_be_empty()
-        page.evaluate("document.body.append(Object.assign(document.createElement('textarea'), {id: 'here'}))")
-        page.locator("#here").press("Control+V")
-        copied = page.locator("#here").input_value()
-        assert copied == page.request.get(page.locator("a", has_text="LaTeX").get_attribute("href") or "").text()
-        assert r"\toprule" in copied
-
-
-def test_two_entries_picked_from_the_board_are_compared(site: Site, board: Season) -> None:
-    with site.visit() as page:
-        page.goto(board.path)
         for method in ("RadarScout", "GroundNet++", "VoxTrav"):
             page.get_by_label(f"Compare {method}", exact=True).check()
         expect(page.get_by_label("Compare RadarScout")).not_to_be_checked()
@@ -92,18 +75,32 @@ def test_two_entries_picked_from_the_board_are_compared(site: Site, board: Seaso
         expect(page).to_have_url(re.compile(f"a={board.mine}&b={board.entries['VoxTrav']}"))
 
 
-@pytest.mark.parametrize("scheme", ["light", "dark"])
-def test_on_a_phone_the_sticky_cell_is_highlighted_with_its_row(site: Site, board: Season, scheme: str) -> None:
+def copied(page: Page) -> str:
+    """What the clipboard holds once the table was copied: the file that the page links to."""
+    page.get_by_role("button", name="Copy LaTeX").click()
+    expect(page.locator("#toasts")).not_to_be_empty()
+    page.evaluate("document.body.append(Object.assign(document.createElement('textarea'), {id: 'here'}))")
+    page.locator("#here").press("Control+V")
+    text = page.locator("#here").input_value()
+    page.locator("#here").evaluate("here => here.remove()")
+    assert text == page.request.get(page.locator("a", has_text="LaTeX").get_attribute("href") or "").text()
+    return text
+
+
+def test_on_a_phone_the_sticky_cell_is_highlighted_with_its_row(site: Site, board: Season) -> None:
     """Catches alone a highlight that stops at the cell which stays in view."""
-    with site.visit(board.member, color_scheme=scheme, viewport=PHONE) as page:
+    with site.visit(board.member, viewport=PHONE) as page:
         page.goto(board.path)
         plain = page.locator("tbody[data-standing='ranked'] tr:not(.is-yours)").last
         yours = page.locator("tr.is-yours").first
-        resting = plain.evaluate(BACKGROUNDS)
-        plain.locator(".method").hover()
-        hovered, own = plain.evaluate(BACKGROUNDS), yours.evaluate(BACKGROUNDS)
-        assert [len(set(cells)) for cells in (resting, hovered, own)] == [1, 1, 1], (resting, hovered, own)
-        assert len({resting[0], hovered[0], own[0]}) == 3
+        for scheme in ("light", "dark"):
+            page.emulate_media(color_scheme=scheme)  # type: ignore[arg-type]
+            page.mouse.move(0, 0)
+            resting = plain.evaluate(BACKGROUNDS)
+            plain.locator(".method").hover()
+            hovered, own = plain.evaluate(BACKGROUNDS), yours.evaluate(BACKGROUNDS)
+            assert [len(set(cells)) for cells in (resting, hovered, own)] == [1, 1, 1], (resting, hovered, own)
+            assert len({resting[0], hovered[0], own[0]}) == 3
 
 
 def order(html: str) -> list[str]:

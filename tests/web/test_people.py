@@ -27,32 +27,20 @@ def with_password(platform: Platform, who: Person) -> None:
         users.change_password(session, session.get_one(User, who.user_id), hashed)
 
 
-def test_a_token_is_made_shown_once_works_and_is_revoked(site: Site, participant: Person) -> None:
-    with site.visit(participant) as page:
-        page.goto("/account")
-        page.get_by_role("button", name="New token…").click()
-        page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
-        page.get_by_role("dialog").get_by_role("button", name="Create").click()
-        secret = page.locator("[data-secret]")
-        expect(secret).to_have_text(re.compile("^stone_"))
-        headers = {"Authorization": f"Bearer {secret.inner_text()}"}
-        me = httpx.get(f"{site.url}/api/v1/me", headers=headers)
-        assert (me.status_code, me.json()["scopes"]) == (200, ["read"])
-        expect(page.get_by_role("heading", name="training cluster", exact=True)).to_be_visible()
-        page.get_by_role("button", name="Done").click()
-        expect(secret).to_be_hidden()
-        page.get_by_role("button", name="Revoke training cluster…").click()
-        page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
-        expect(page.get_by_role("heading", name="training cluster", exact=True)).to_have_count(0)
-        assert httpx.get(f"{site.url}/api/v1/me", headers=headers).status_code == 401
-
-
-def test_the_password_is_changed_and_other_browsers_are_signed_out(site: Site, participant: Person) -> None:
+def test_an_account_has_tokens_events_a_webhook_an_address_and_a_password(site: Site, participant: Person) -> None:
+    """One page: what is shown once, what is confirmed, and who is signed out by what."""
     with_password(site.platform, participant)
-    with site.visit(participant) as page:
-        with site.platform.database.transaction() as session:
-            other = sessions.open_session(session, session.get_one(User, participant.user_id), 3600.0)
-        page.goto("/account")
+    with site.platform.database.transaction() as session:
+        other = sessions.open_session(session, session.get_one(User, participant.user_id), 3600.0)
+        address = EmailAddress(user_id=participant.user_id, address="ada@example.org")
+        session.add(address)
+        session.flush()
+        mailed = new_secret(session, address)
+    with site.visit(participant, expected=["422"]) as page:
+        page.goto(f"/account?email_secret={mailed}#notifications")
+        verify_the_address(page)
+        choose_events_and_webhook(page)
+        make_and_revoke_a_token(page, site)
         page.get_by_role("button", name="Sign out other browsers").click()
         expect(page.locator("#browsers li")).to_have_count(1)
         cookie = {"Cookie": f"stone_session={other.secret}"}
@@ -62,6 +50,51 @@ def test_the_password_is_changed_and_other_browsers_are_signed_out(site: Site, p
         page.get_by_label("Repeat the new password").fill("another horse, another battery")
         page.get_by_role("button", name="Change password").click()
         expect(page.get_by_role("heading", name="Sign in")).to_be_visible()
+    with site.platform.database.reading() as session:
+        chosen = session.query(NotificationChoice).all()
+    assert [(row.user_id, row.kind, row.channel) for row in chosen] == [(participant.user_id, "run.failed", "webhook")]
+
+
+def verify_the_address(page: Page) -> None:
+    """The mailed link leads to a button that does."""
+    expect(page.locator("#email").get_by_text("not verified")).to_be_visible()
+    page.get_by_role("button", name="Confirm address").click()
+    expect(page.locator("#email").get_by_text("verified", exact=True)).to_be_visible()
+    expect(page.get_by_role("button", name="Confirm address")).to_have_count(0)
+
+
+def choose_events_and_webhook(page: Page) -> None:
+    page.get_by_label("One of my runs failed: by webhook").check()
+    page.locator("#choices").get_by_role("button", name="Save").click()
+    expect(page.locator("#toasts")).not_to_be_empty()
+    url = page.get_by_label(re.compile("^URL"))
+    url.fill("https://127.0.0.1/hooks/abc")
+    page.locator("#webhook").get_by_role("button", name="Save").click()
+    expect(page.locator("#webhook .said")).not_to_be_empty()
+    url.fill("https://chat.example.org/hooks/abc")
+    page.locator("#webhook").get_by_role("button", name="Save").click()
+    expect(page.locator("[data-secret]")).to_have_text(re.compile("^whsec_"))
+    expect(page.locator("#webhook code")).to_have_text("https://chat.example.org/hooks/abc")
+
+
+def make_and_revoke_a_token(page: Page, site: Site) -> None:
+    """It is shown once, and works until then."""
+    page.goto("/account")
+    page.get_by_role("button", name="New token…").click()
+    page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
+    page.get_by_role("dialog").get_by_role("button", name="Create").click()
+    secret = page.locator("[data-secret]")
+    expect(secret).to_have_text(re.compile("^stone_"))
+    headers = {"Authorization": f"Bearer {secret.inner_text()}"}
+    me = httpx.get(f"{site.url}/api/v1/me", headers=headers)
+    assert (me.status_code, me.json()["scopes"]) == (200, ["read"])
+    expect(page.get_by_role("heading", name="training cluster", exact=True)).to_be_visible()
+    page.get_by_role("button", name="Done").click()
+    expect(secret).to_be_hidden()
+    page.get_by_role("button", name="Revoke training cluster…").click()
+    page.get_by_role("dialog").get_by_role("button", name="Revoke").click()
+    expect(page.get_by_role("heading", name="training cluster", exact=True)).to_have_count(0)
+    assert httpx.get(f"{site.url}/api/v1/me", headers=headers).status_code == 401
 
 
 def test_a_user_is_added_with_a_password_that_is_shown_once(site: Site, administrator: Person) -> None:
@@ -99,39 +132,6 @@ def test_somebody_signs_in_comes_back_to_where_they_were_and_signs_out(site: Sit
         expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
 
 
-def test_events_are_chosen_and_a_webhook_is_set_whose_secret_is_shown_once(site: Site, participant: Person) -> None:
-    with site.visit(participant, expected=["422"]) as page:
-        page.goto("/account#notifications")
-        page.get_by_label("One of my runs failed: by webhook").check()
-        page.locator("#choices").get_by_role("button", name="Save").click()
-        expect(page.locator("#toasts")).not_to_be_empty()
-        url = page.get_by_label(re.compile("^URL"))
-        url.fill("https://127.0.0.1/hooks/abc")
-        page.locator("#webhook").get_by_role("button", name="Save").click()
-        expect(page.locator("#webhook .said")).not_to_be_empty()
-        url.fill("https://chat.example.org/hooks/abc")
-        page.locator("#webhook").get_by_role("button", name="Save").click()
-        expect(page.locator("[data-secret]")).to_have_text(re.compile("^whsec_"))
-        expect(page.locator("#webhook code")).to_have_text("https://chat.example.org/hooks/abc")
-    with site.platform.database.reading() as session:
-        chosen = session.query(NotificationChoice).all()
-    assert [(row.user_id, row.kind, row.channel) for row in chosen] == [(participant.user_id, "run.failed", "webhook")]
-
-
-def test_the_mailed_link_leads_to_a_button_that_verifies_the_address(site: Site, participant: Person) -> None:
-    with site.platform.database.transaction() as session:
-        row = EmailAddress(user_id=participant.user_id, address="ada@example.org")
-        session.add(row)
-        session.flush()
-        secret = new_secret(session, row)
-    with site.visit(participant) as page:
-        page.goto(f"/account?email_secret={secret}#notifications")
-        expect(page.locator("#email").get_by_text("not verified")).to_be_visible()
-        page.get_by_role("button", name="Confirm address").click()
-        expect(page.locator("#email").get_by_text("verified", exact=True)).to_be_visible()
-        expect(page.get_by_role("button", name="Confirm address")).to_have_count(0)
-
-
 ELSEWHERE = ["asked another host: http://127.0.0.1", "cdn.jsdelivr.net", "favicon.ico"]
 """The provider's own page, to which the browser goes, and what that asks for."""
 
@@ -154,7 +154,9 @@ def sign_in_at_the_provider(page: Page, subject: str) -> None:
     page.get_by_role("button", name="Authorize").click()
 
 
-def test_somebody_signs_in_with_the_provider_comes_back_and_signs_out(lab_site: Site, oidc_server: OidcServer) -> None:
+def test_somebody_signs_in_with_the_provider_takes_an_ended_session_up_in_another_tab_and_signs_out(
+    lab_site: Site, oidc_server: OidcServer
+) -> None:
     oidc_server.know("s-ada", preferred_username="Ada", groups=["field-team"])
     with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
         page.goto("/account")
@@ -163,20 +165,6 @@ def test_somebody_signs_in_with_the_provider_comes_back_and_signs_out(lab_site: 
         expect(page).to_have_url(f"{lab_site.url}/account")
         expect(page.get_by_role("heading", name="ada", exact=True)).to_be_visible()
         expect(page.get_by_text("Curator.")).to_be_visible()
-        page.get_by_role("button", name="Sign out").click()
-        expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
-        page.goto("/account")
-        expect(page.get_by_role("heading", name="Sign in", exact=True)).to_be_visible()
-
-
-def test_a_session_that_ends_is_taken_up_again_with_the_provider_in_another_tab(
-    lab_site: Site, oidc_server: OidcServer
-) -> None:
-    oidc_server.know("s-ada", preferred_username="Ada", groups=["field-team"])
-    with lab_site.visit(expected=["401", *ELSEWHERE]) as page:
-        page.goto("/account")
-        sign_in_at_the_provider(page, "s-ada")
-        expect(page.get_by_role("heading", name="ada", exact=True)).to_be_visible()
         page.get_by_role("button", name="New token").click()
         page.get_by_role("dialog").get_by_label("Name").fill("training cluster")
         page.context.clear_cookies()
@@ -191,6 +179,11 @@ def test_a_session_that_ends_is_taken_up_again_with_the_provider_in_another_tab(
         expect(opened.value.get_by_role("link", name="ada")).to_be_visible()
         asking.get_by_role("button", name="I have signed in").click()
         expect(page.locator("[data-secret]")).to_have_text(re.compile("^stone_"))
+        page.reload()
+        page.get_by_role("button", name="Sign out", exact=True).click()
+        expect(page.get_by_role("banner").get_by_role("link", name="Sign in")).to_be_visible()
+        page.goto("/account")
+        expect(page.get_by_role("heading", name="Sign in", exact=True)).to_be_visible()
 
 
 def test_with_passwords_off_the_page_asks_for_none(platform: Platform, oidc_server: OidcServer) -> None:

@@ -15,7 +15,7 @@ from services.runtime.platform import Platform
 from stone.labels.class_colours import CLASS_RGB, PALETTES, hex_of
 from stone_recordings.topics.roles import POSE_ROLES, POSITIONS
 from testing.api.serving import Person
-from testing.web.browsing import Site, decide
+from testing.web.browsing import Site
 from testing.web.reading import Reading
 from testing.worlds import made
 from testing.worlds.benchmark_world import run_eval
@@ -43,7 +43,7 @@ def token_of(page: Page, name: str) -> str:
     return found.strip()
 
 
-def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
+def test_somebody_moves_along_frames_and_track_by_keys_in_the_colours_they_chose(
     site: Site, platform: Platform, curator: Person, shown: dict[str, Any]
 ) -> None:
     playback(platform, shown)
@@ -65,31 +65,10 @@ def test_somebody_moves_along_the_frames_by_keys_and_all_pictures_follow(
         )
         slider.press("PageDown")
         expect(slider).to_have_value(str(FRAMES - 11))
-        slider.press("Space")
+        choose_the_papers_colours(page)
+        page.get_by_role("slider", name="Frame").press("Space")
         expect(slider).to_have_value(str(FRAMES - 1))
         expect(page.get_by_role("button", name="Play")).to_be_visible()
-
-
-def test_the_papers_colours_are_chosen_once_and_kept(site: Site, curator: Person, shown: dict[str, Any]) -> None:
-    with site.visit(curator) as page:
-        to(page, shown, "/frames")
-        assert token_of(page, "--t") == hex_of(CLASS_RGB[1])
-        page.get_by_label("Class colours").select_option("paper")
-        expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
-        assert token_of(page, "--t") == hex_of(PALETTES["paper"][1])
-        page.get_by_label("Next frame").click()
-        expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
-        page.reload()
-        expect(page.get_by_label("Class colours")).to_have_value("paper")
-        assert token_of(page, "--n") == hex_of(PALETTES["paper"][3])
-        page.get_by_label("Class colours").select_option("default")
-        expect(page.locator("html")).not_to_have_attribute("data-colours", re.compile(".*"))
-
-
-def test_the_track_tells_where_the_robot_was_at_every_moment(
-    site: Site, curator: Person, shown: dict[str, Any]
-) -> None:
-    with site.visit(curator) as page:
         to(page, shown, "/track")
         slider = page.get_by_role("slider", name="Position along the track")
         slider.focus()
@@ -99,6 +78,21 @@ def test_the_track_tells_where_the_robot_was_at_every_moment(
         expect(page.get_by_role("link", name="Open frame")).to_have_attribute(
             "href", f"/sequences/{shown['id']}/frames?frame={shown['tokens'][1]}"
         )
+
+
+def choose_the_papers_colours(page: Page) -> None:
+    """They are kept by page and pictures, also where the page is loaded again."""
+    assert token_of(page, "--t") == hex_of(CLASS_RGB[1])
+    page.get_by_label("Class colours").select_option("paper")
+    expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
+    assert token_of(page, "--t") == hex_of(PALETTES["paper"][1])
+    page.get_by_label("Next frame").click()
+    expect(page.locator(BEV)).to_have_attribute("src", re.compile(r"[?&]colours=paper"))
+    page.reload()
+    expect(page.get_by_label("Class colours")).to_have_value("paper")
+    assert token_of(page, "--n") == hex_of(PALETTES["paper"][3])
+    page.get_by_label("Class colours").select_option("default")
+    expect(page.locator("html")).not_to_have_attribute("data-colours", re.compile(".*"))
 
 
 def test_the_owner_has_pictures_and_an_export_made_edits_shares_and_deletes_it(
@@ -136,9 +130,7 @@ def advance(platform: Platform, run_id: str, kind: str, state: str) -> None:
             row.revision += 1
 
 
-def test_stages_move_on_without_loading_the_page_again_also_after_a_busy_answer_and_the_run_is_cancelled(
-    site: Site, curator: Person
-) -> None:
+def test_a_run_is_followed_without_loading_the_page_again_also_after_a_busy_answer(site: Site, curator: Person) -> None:
     """A browser gives a stream up for good when the answer to it is none; the page would stand still without a word."""
     shown = new_sequence(site.platform, curator)
     run_id = made.run(site.platform, curator, "ingest.synchronise", "labeler.parts", sequence_id=shown["id"])
@@ -157,38 +149,29 @@ def test_stages_move_on_without_loading_the_page_again_also_after_a_busy_answer_
         synchronising = page.locator(".run-steps li", has_text="Synchronise sensors")
         expect(synchronising).to_have_attribute("data-state", "waiting")
         page.evaluate("window.isSame = true")
-        advance(site.platform, run_id, "ingest.synchronise", "running")
-        expect(synchronising).to_have_attribute("data-state", "running")
-        advance(site.platform, run_id, "ingest.synchronise", "succeeded")
-        expect(synchronising).to_have_attribute("data-state", "succeeded")
+        for state in ("running", "succeeded"):
+            advance(site.platform, run_id, "ingest.synchronise", state)
+            expect(synchronising).to_have_attribute("data-state", state)
         assert page.evaluate("window.isSame")
         page.get_by_role("button", name="Cancel this run").click()
         page.get_by_label("Reason").fill("the wrong calibration")
         page.get_by_role("dialog").get_by_role("button", name="Cancel this run").click()
         expect(page.locator("#runs .state").first).to_have_attribute("data-state", "cancelled")
+        follow_the_next_run(page, site, curator, shown)
     assert len(refused) >= 2
 
 
-def test_a_run_that_starts_while_the_page_is_open_is_followed_until_its_labels_count(
-    site: Site, curator: Person
-) -> None:
-    shown = new_sequence(site.platform, curator)
-    before = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
-    advance(site.platform, before, "ingest.synchronise", "failed")
-    with site.platform.database.transaction() as session:
-        session.get_one(Job, before).state = "failed"
-    with site.visit(curator) as page:
-        to(page, shown, "/processing")
-        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{before}/logs")
-        expect(page.get_by_role("button", name="Cancel this run")).to_have_count(0)
-        now = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
-        expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{now}/logs")
-        expect(page.get_by_role("button", name="Cancel this run")).to_be_visible()
-        to(page, shown)
-        expect(page.locator(".run-dashes")).to_be_visible()
-        made.labels(site.platform, shown, contents=[made.frame_labels()] * 3)
-        advance(site.platform, now, "ingest.synchronise", "succeeded")
-        expect(page.get_by_role("heading", name="Summary")).to_be_visible()
+def follow_the_next_run(page: Page, site: Site, curator: Person, shown: dict[str, Any]) -> None:
+    """It starts while the page is open, and is followed until its labels count."""
+    expect(page.get_by_role("button", name="Cancel this run")).to_have_count(0)
+    now = made.run(site.platform, curator, "ingest.synchronise", sequence_id=shown["id"])
+    expect(page.locator("#run-log")).to_have_attribute("data-log", f"/api/v1/jobs/{now}/logs")
+    expect(page.get_by_role("button", name="Cancel this run")).to_be_visible()
+    to(page, shown)
+    expect(page.locator(".run-dashes")).to_be_visible()
+    made.labels(site.platform, shown, contents=[made.frame_labels()] * 3)
+    advance(site.platform, now, "ingest.synchronise", "succeeded")
+    expect(page.get_by_role("heading", name="Summary")).to_be_visible()
 
 
 def test_a_run_that_fails_is_said_without_loading_the_page_again_and_its_log_is_read(
@@ -208,13 +191,12 @@ def test_a_run_that_fails_is_said_without_loading_the_page_again_and_its_log_is_
 
 
 def test_an_owner_reads_why_an_administrator_cancelled(
-    site: Site, reading: Reading, curator: Person, administrator: Person, shown: dict[str, Any]
+    reading: Reading, platform: Platform, curator: Person, administrator: Person
 ) -> None:
-    run_id = made.run(site.platform, curator, *STAGES, sequence_id=shown["id"])
-    with site.visit(administrator) as page:
-        page.goto(f"/admin/jobs/{run_id}")
-        decide(page, "Cancel", "disk maintenance at noon")
-        expect(page.locator("#job")).to_have_attribute("data-state", "cancelled")
+    shown = new_sequence(platform, curator)
+    run_id = made.run(platform, curator, *STAGES, sequence_id=shown["id"])
+    body, headers = {"reason": "disk maintenance at noon"}, administrator.headers
+    assert reading.client.post(f"/api/v1/admin/jobs/{run_id}/cancel", json=body, headers=headers).is_success
     for part in ("", "/processing"):
         assert "disk maintenance at noon" in reading.html(f"/sequences/{shown['id']}{part}", curator), part
 

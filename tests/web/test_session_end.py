@@ -61,7 +61,7 @@ def sign_in(page: Page, password: str = PASSWORD) -> None:
 def test_a_session_that_ends_while_a_form_is_filled_in_costs_one_password(
     site: Site, platform: Platform, tmp_path: Path, hashed: str
 ) -> None:
-    world = benchmark_world(platform)
+    world = benchmark_world(platform, frames=1)
     captain = world.captains[0]
     archive = submission_zip(tmp_path / "run.zip", predicted(world.truth("val"), 0.1))
     with site.visit(captain, expected=ENDED) as page:

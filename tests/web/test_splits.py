@@ -32,12 +32,12 @@ def standing(platform: Platform) -> Split:
         return current_splits(session).split
 
 
-def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
+def test_sequences_are_moved_by_keys_judged_at_once_and_saved_unless_somebody_else_did(
     site: Site, administrator: Person, sequences: tuple[Driven, ...]
 ) -> None:
-    put_apart(site.platform, sequences)
+    split = put_apart(site.platform, sequences)
     plot = next(one for one in sequences if one.name == "farmland-03")
-    with site.visit(administrator) as page:
+    with site.visit(administrator, expected=["412"]) as page:
         page.goto(URL)
         verdict = page.locator("[data-verdict]")
         expect(verdict).to_have_text("All rules satisfied")
@@ -47,29 +47,42 @@ def test_sequences_are_moved_by_keys_judged_at_once_and_saved_with_a_reason(
         expect(page.locator("[data-findings]")).to_contain_text("Gyeonggi")
         expect(column(page, "Test").filter(has_text="farmland-03")).to_have_count(1)
         expect(page.get_by_role("button", name="Save…")).to_be_disabled()
-        page.get_by_role("button", name="Test and train regions disjoint").click()
         page.get_by_role("button", name="farmland-03").press("0")
         expect(verdict).to_have_text("All rules satisfied")
         page.get_by_role("button", name="Save…").click()
         expect(page.get_by_role("dialog")).to_contain_text("farmland-03: train → unassigned")
         page.get_by_label("Reason").fill("the lake was dry")
+        body = {"train": split.train, "val": split.val, "test": split.test, "reason": "as it was"}
+        headers = {**administrator.headers, "If-Match": '"1"'}
+        assert httpx.put(f"{site.url}/api/v1/splits", json=body, headers=headers).status_code == 200
         page.get_by_role("dialog").get_by_role("button", name="Save").click()
-        expect(page.locator("[data-changes]")).to_have_text("Revision 2")
+        notice = page.get_by_role("alert").filter(has_text="saved the splits while you worked")
+        expect(notice).to_contain_text(administrator.name)
+        expect(notice).to_contain_text("farmland-03 (unassigned here, train there)")
+        notice.get_by_role("button", name="Keep mine").click()
+        page.get_by_role("button", name="Save…").click()
+        page.get_by_label("Reason").fill("the lake was dry")
+        page.get_by_role("dialog").get_by_role("button", name="Save").click()
+        expect(page.locator("[data-changes]")).to_have_text("Revision 3")
     assert plot.id not in {one for ids in standing(site.platform).parts.values() for one in ids}
 
 
-def test_arrows_walk_space_picks_several_and_undo_takes_back(
+def test_cards_are_moved_by_arrows_by_mouse_and_by_select_and_leaving_asks_first(
     site: Site, administrator: Person, sequences: tuple[Driven, ...]
 ) -> None:
+    names = sorted(one.name for one in sequences)
+    asked: list[str] = []
+
+    def leave(dialog: Dialog) -> None:
+        asked.append(dialog.type)
+        dialog.accept()
+
     with site.visit(administrator) as page:
         page.goto(URL)
         expect(page.locator("[data-verdict]")).to_have_text("No sequence is in a split yet")
-        names = sorted(one.name for one in sequences)
         page.get_by_role("button", name=names[0]).focus()
-        page.keyboard.press("Space")
-        page.keyboard.press("ArrowDown")
-        page.keyboard.press("Space")
-        page.keyboard.press("2")
+        for key in ("Space", "ArrowDown", "Space", "2"):
+            page.keyboard.press(key)
         expect(column(page, "Val")).to_have_text(names[:2])
         expect(page.get_by_role("button", name=names[2])).to_be_focused()
         page.keyboard.press("Shift+ArrowLeft")
@@ -81,22 +94,17 @@ def test_arrows_walk_space_picks_several_and_undo_takes_back(
         page.keyboard.press("Control+z")
         expect(column(page, "Unassigned")).to_have_text(names)
         expect(page.get_by_role("button", name="Undo")).to_be_disabled()
-
-
-def test_a_card_is_dragged_or_chosen_by_its_select(
-    site: Site, administrator: Person, sequences: tuple[Driven, ...]
-) -> None:
-    first, second, *_ = sorted(one.name for one in sequences)
-    with site.visit(administrator) as page:
-        page.goto(URL)
         train = page.get_by_role("region", name="Train", exact=True)
-        page.locator(f'[data-name="{first}"]').drag_to(train, target_position={"x": 60, "y": 60})  # in sight
-        expect(column(page, "Train")).to_have_text([first])
-        page.get_by_role("button", name=second).focus()
-        page.get_by_label(f"Split of {second}").select_option("test")
-        expect(column(page, "Test")).to_have_text([second])
+        page.locator(f'[data-name="{names[0]}"]').drag_to(train, target_position={"x": 60, "y": 60})  # in sight
+        expect(column(page, "Train")).to_have_text(names[:1])
+        page.get_by_role("button", name=names[1]).focus()
+        page.get_by_label(f"Split of {names[1]}").select_option("test")
+        expect(column(page, "Test")).to_have_text(names[1:2])
         page.get_by_role("searchbox").fill("lake night")
         expect(page.locator(".split-card:visible")).to_have_count(1)
+        page.on("dialog", leave)
+        page.goto("/sign-in")
+        assert asked == ["beforeunload"]
 
 
 def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
@@ -116,47 +124,6 @@ def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(
             expect(column(page, part)).to_have_count(wanted)
         expect(page.locator("[data-changes]")).to_have_text("13 moved, not saved")
     assert standing(site.platform) == Split()
-
-
-def test_who_saves_second_is_told_by_whom_and_decides(
-    site: Site, administrator: Person, sequences: tuple[Driven, ...]
-) -> None:
-    split = put_apart(site.platform, sequences)
-    with site.visit(administrator, expected=["412"]) as page:
-        page.goto(URL)
-        page.get_by_role("button", name="farmland-03").press("0")
-        expect(page.locator("[data-verdict]")).to_have_text("All rules satisfied")
-        page.get_by_role("button", name="Save…").click()
-        page.get_by_label("Reason").fill("the lake was dry")
-        body = {"train": split.train, "val": split.val, "test": split.test, "reason": "as it was"}
-        headers = {**administrator.headers, "If-Match": '"1"'}
-        assert httpx.put(f"{site.url}/api/v1/splits", json=body, headers=headers).status_code == 200
-        page.get_by_role("dialog").get_by_role("button", name="Save").click()
-        notice = page.get_by_role("alert").filter(has_text="saved the splits while you worked")
-        expect(notice).to_contain_text(administrator.name)
-        expect(notice).to_contain_text("farmland-03 (unassigned here, train there)")
-        notice.get_by_role("button", name="Keep mine").click()
-        page.get_by_role("button", name="Save…").click()
-        page.get_by_label("Reason").fill("the lake was dry")
-        page.get_by_role("dialog").get_by_role("button", name="Save").click()
-        expect(page.locator("[data-changes]")).to_have_text("Revision 3")
-
-
-def test_leaving_with_moves_that_are_not_saved_asks_first(
-    site: Site, administrator: Person, sequences: tuple[Driven, ...]
-) -> None:
-    with site.visit(administrator) as page:
-        page.goto(URL)
-        page.get_by_role("button", name=sequences[0].name).press("1")
-        asked: list[str] = []
-
-        def leave(dialog: Dialog) -> None:
-            asked.append(dialog.type)
-            dialog.accept()
-
-        page.on("dialog", leave)
-        page.goto("/sign-in")
-        assert asked == ["beforeunload"]
 
 
 def test_an_administrator_sees_what_a_version_will_hold_and_publishes_it(
