@@ -9,7 +9,7 @@ from hypothesis import strategies as st
 
 from web.plots.paths import dots, known_runs, line, thinned
 from web.plots.scales import Scale, duration_text, nice_ends, nice_step, signed_log_ticks, tick_text, ticks
-from web.plots.time_plot import HEIGHT_PX, WIDTH, PlotDescription, PlotSeries, stacked_shares, time_plot
+from web.plots.time_plot import HEIGHT_PX, WIDTH, stacked_shares
 
 finite = st.floats(-1e9, 1e9, allow_nan=False)
 spans = st.floats(1e-6, 1e9)
@@ -110,17 +110,3 @@ def test_stacked_shares_fill_the_whole_height_wherever_there_is_something(counts
         assert y == pytest.approx(0.0 if total else HEIGHT_PX, abs=0.1)
     assert {y for _, y in lower_of_bottom} == {HEIGHT_PX}
     assert pairs(middle.path)[: len(counts)] == list(reversed(pairs(top.path)[len(counts) :]))
-
-
-def test_a_plot_says_in_words_what_it_shows() -> None:
-    times_s = np.arange(5.0)
-    plot = time_plot(PlotDescription("Speed", "m/s", floor=0.0), 4.0, [PlotSeries(times_s, times_s * 2)])
-    assert plot.said == "Speed: from 0 to 8 m/s, median 4"
-    assert [tick.text for tick in plot.y_ticks] == ["0", "2", "4", "6", "8"]
-    assert (plot.x_ticks[0].at, plot.x_ticks[-1].at) == (0.0, 100.0)
-
-
-def test_a_plot_of_nothing_known_is_an_empty_one_that_says_so() -> None:
-    plot = time_plot(PlotDescription("Speed", "m/s"), 4.0, [PlotSeries(np.arange(2.0), np.full(2, np.nan))])
-    assert plot.said == "Speed: no data"
-    assert plot.curves[0].path == ""

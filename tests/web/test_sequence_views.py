@@ -5,27 +5,18 @@ from typing import Any
 import numpy as np
 import pytest
 
-from api.schemas.base import example_of
-from api.schemas.jobs import STAGES_EXAMPLE, JobDetail, JobItem, StageItem
-from api.schemas.sequences.exports import ExportItem
 from services.labeler.tables import CLASS_COLUMNS, POSE_COLUMNS, STDEV_COLUMNS
 from stone.splits.composition import duration_ns, path_length_m
 from testing.worlds.frame_tables import frame_columns
 from tests.web.sequence_world import inspection, quality
-from web.sequence import export_formats, frame_table, recording
+from web.sequence import frame_table, recording
 from web.sequence.frame_table import FrameTable, table_of
-from web.sequence.recording import recording_view, spark_of
-from web.sequence.report import report_of
-from web.sequence.sections import LABELLING, steps_of
+from web.sequence.recording import recording_view
 from web.sequence.timeline import timeline_of
 from web.sequence.track import ground_of, is_sure, speeds_m_s, track_of
 
 START_NS = 1_777_800_000_000_000_000
 TOKENS = [f"{number:032x}" for number in range(12)]
-STAGES = [
-    StageItem(**STAGES_EXAMPLE[1]),
-    StageItem(**STAGES_EXAMPLE[0]),
-]
 ABOUT = {"pose_source": "/ins", "map_origin_deg_m": [48.0, 11.5, 559.0]}
 
 
@@ -142,37 +133,3 @@ def test_a_recording_is_shown_with_its_gaps_and_without_a_quality_report_by_its_
     bare = recording_view(inspection(), None)
     assert (bare.score, bare.sensors, bare.rtk) == (None, (), None)
     assert bare.clocks is not None
-
-
-def test_a_spark_of_nothing_is_none_and_an_even_one_is_level() -> None:
-    assert spark_of([]) is None
-    even = spark_of([10.0, 10.0, 10.0], 0.0)
-    assert even is not None
-    assert len({part.split(" ")[1] for part in even.path.removeprefix("M").split("L")}) == 1
-
-
-def test_a_report_that_says_little_is_shown_as_far_as_it_goes() -> None:
-    assert report_of({"frames": 3}).shares is None
-    assert report_of({"observed_ratio": {"lidar": 0.4}}).observed_ratio == 0.4
-
-
-def test_a_run_shows_the_stages_to_come_and_an_ended_one_only_those_it_had() -> None:
-    running = JobDetail(**example_of(JobItem), stages=STAGES, attempts=[], attempts_left=0, result=None)
-    steps = steps_of(running)
-    assert [step.kind for step in steps] == ["ingest.synchronise", "ingest.check", *LABELLING]
-    assert {step.kind: step.state for step in steps}["labeler.surface"] == "running"
-    assert steps[-1].state == "waiting"
-    ended = running.model_copy(update={"state": "failed"})
-    assert [(step.kind, step.state) for step in steps_of(ended)] == [
-        ("labeler.fuse", "succeeded"),
-        ("labeler.surface", "cancelled"),
-    ]
-    assert steps_of(ended)[0].lasted_s == 20.69
-
-
-def test_formats_are_offered_that_the_labels_are_not_written_in_already() -> None:
-    fresh = ExportItem(**example_of(ExportItem))
-    stale = fresh.model_copy(update={"format": "mesh", "is_stale": True})
-    failed = fresh.model_copy(update={"format": "mcap", "state": "failed"})
-    offered = {offer.format for offer in export_formats.offers_beside([fresh, stale, failed])}
-    assert {offer.format for offer in export_formats.OFFERS} - offered == {"nuscenes"}
