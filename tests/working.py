@@ -8,7 +8,7 @@ from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Handlers
 from services.runtime.platform import Platform
 
-IDLE_S = 0.02
+IDLE_S = 0.05
 
 
 @contextmanager

@@ -1,5 +1,6 @@
 """A demo, as `stone demo` leaves it, made once for all processes of a test run."""
 
+from dataclasses import replace
 from pathlib import Path
 
 import pytest
@@ -7,11 +8,15 @@ import pytest
 from services.runtime.embedded.supervisor import running_platform
 from services.runtime.settings import ApiSettings, Settings, ViewingSettings
 from simulator.options import SimulateOptions
+from stone_local.demo import pipeline
 from stone_local.demo.pipeline import DemoPlan, run_demo
 from testing.once import made_once
 from testing.servers.fixtures import make_settings
 
-SMALL = SimulateOptions(seconds=20.0, seed=3, channels=24, columns=240, cameras=False)
+SMALL = SimulateOptions(seconds=20.0, seed=3, channels=16, columns=180, cameras=False, lidar_hz=2)
+"""As short as a split's rule lets a run be, with few sweeps."""
+SPARSER = replace(pipeline.SPARSE, channels=16, columns=225, lidar_hz=1)
+"""The demo's other two runs as long as they are, for only many metres give an interval, with half of their sweeps."""
 
 
 def demo_settings(folder: Path) -> Settings:
@@ -25,5 +30,7 @@ def made_demo(factory: pytest.TempPathFactory) -> Path:
 
 def _make(folder: Path) -> None:
     (folder / "demo").mkdir()
-    with running_platform(demo_settings(folder), is_awaited=False) as running:
+    running_demo = running_platform(demo_settings(folder), is_awaited=False)
+    with pytest.MonkeyPatch.context() as patch, running_demo as running:
+        patch.setattr(pipeline, "SPARSE", SPARSER)
         run_demo(folder / "demo", DemoPlan(SMALL, running), lambda *_: None)

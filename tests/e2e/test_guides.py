@@ -41,7 +41,7 @@ from tests.working import working
 
 pytestmark = pytest.mark.whole
 
-RUN = SimulateOptions(seconds=1.5, channels=16, columns=180, cameras=False)
+RUN = SimulateOptions(seconds=1.5, channels=16, columns=180, cameras=False, lidar_hz=5)
 PARTS = {"train": "meadow", "val": "forest", "test": "lake"}
 SAID_S = 25.0  # how long the catalogue says that each run lasted: the dataset's rules ask for 20 s
 SERVE = ".venv/bin/stone serve"
@@ -141,7 +141,7 @@ def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, shor
             stack.enter_context(working(platform, queue, handlers))
         said = {ADDRESS: url, "--propose 31,7,5": "--propose 1,1,1"}
         if short:
-            said["simulate run.mcap"] = "simulate run.mcap --seconds 2 --channels 16 --columns 180"
+            said["simulate run.mcap"] = "simulate run.mcap --seconds 1.5 --channels 16 --columns 180 --camera-width 160"
         shell = stack.enter_context(shell_in(folder, said, patch))
         token = (platform.settings.root / "local-token").read_text().strip()
         remember(url, token, as_default=True)  # as `stone serve` does
