@@ -24,16 +24,10 @@ from testing.api.serving import Person, person, serving
 ROOT = Path(__file__).resolve().parents[2]
 PAGES = ROOT / "docs" / "operations"
 OURS = (
-    "runbook",
-    "disk-full",
-    "lost-redis",
-    "stuck-queue",
-    "poisoned-job",
-    "full-quota",
-    "lost-objects",
-    "upgrade",
+    "runbook", "disk-full", "lost-redis", "stuck-queue", "poisoned-job", "full-quota", "lost-objects", "upgrade",
     "keys",
-)
+)  # fmt: skip
+TRIED = ("disk-full", "stuck-queue", "keys")  # by a test of its own, with what comes of it
 ROLES = {"api", "ingest", "labeler", "eval", "beat", "redis", "prepare", "backup", "restore"}
 Trouble = tuple[Platform, Person, str]
 FENCED = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
@@ -90,7 +84,7 @@ def troubled(platform: Platform, redis_url: str) -> Iterator[Trouble]:
         yield platform, administrator, url
 
 
-@pytest.mark.parametrize("page", OURS)
+@pytest.mark.parametrize("page", [page for page in OURS if page not in TRIED])
 def test_every_line_that_asks_the_platform_can_be_pasted(troubled: tuple[Platform, Person, str], page: str) -> None:
     _, administrator, url = troubled
     shell(asked(page), url, administrator)

@@ -49,12 +49,6 @@ def test_every_code_that_is_raised_is_in_one_table_and_every_code_of_a_table_is_
     assert raised_codes() - set(CATALOGUE) == told - set(CATALOGUE)
 
 
-def test_no_problem_type_stands_twice() -> None:
-    table = Path(statuses.__file__).read_text("utf-8").partition("PROBLEM_TYPES = {")[2].partition("\n}\n")[0]
-    codes = re.findall(r'^    "([\w-]+)": ProblemType\(', table, re.MULTILINE)
-    assert sorted(codes) == sorted(statuses.PROBLEM_TYPES)
-
-
 def test_every_code_is_in_one_family_and_every_harm_has_its_words() -> None:
     assert sorted(one.code for family in by_family().values() for one in family) == sorted(CATALOGUE)
     assert set(HARM_ORDER) == set(HARM_WORDS) == set(HARM_SENTENCES)

@@ -1,4 +1,4 @@
-"""What pages say of commands, settings, routes, codes and files is so: made of the code, or held against it."""
+"""What pages say of commands, settings, routes and codes is so: made of the code, or held against it."""
 
 import re
 from pathlib import Path
@@ -23,8 +23,6 @@ SOURCES = (
     "services", "simulator", "stone_client", "stone_local", "api", "web", "testing", "benchmarks",
     "chaos", "fuzz", "docsite", "deploy", "tests",
 )  # fmt: skip
-# `deploy/stone-…` is what kubectl calls a deployment.
-PATHS = re.compile(rf"`(?!deploy/stone-)((?:{'|'.join(SOURCES)}|examples)/[\w./-]+)`")
 VARIABLE = re.compile(r"\bSTONE_[A-Z0-9_]*[A-Z0-9]\b")
 
 
@@ -64,14 +62,10 @@ def test_every_command_and_code_is_on_its_page(made: dict[str, str]) -> None:
     assert [one for one in raised_codes() if f"`{one}`" not in made["reference/codes.md"]] == []
 
 
-@pytest.mark.parametrize("page", WRITTEN, ids=lambda path: path.relative_to(ROOT).as_posix())
-def test_a_page_names_only_settings_files_and_modules_that_exist(page: Path, known_variables: set[str]) -> None:
-    text = page.read_text("utf-8")
-    named = {name for name in VARIABLE.findall(text) if not name.endswith("__")}
-    assert {name for name in named if not _is_known(name, known_variables)} == set()
-    assert [path for path in PATHS.findall(text) if not (ROOT / path).exists()] == []
-    modules = re.findall(r"python -m ((?:benchmarks|chaos|fuzz|services|simulator)[\w.]*\w)", text)
-    assert [name for name in modules if not _is_module(name)] == []
+def test_pages_name_only_settings_that_exist(known_variables: set[str]) -> None:
+    """Of files and modules: tests/test_references.py."""
+    named = {(page.name, name) for page in WRITTEN for name in VARIABLE.findall(page.read_text("utf-8"))}
+    assert {one for one in named if not one[1].endswith("__") and not _is_known(one[1], known_variables)} == set()
 
 
 def test_a_page_from_elsewhere_leads_to_pages_of_the_site_and_keeps_only_the_words_of_what_is_none() -> None:
@@ -85,8 +79,3 @@ def test_a_page_from_elsewhere_leads_to_pages_of_the_site_and_keeps_only_the_wor
 def _is_known(name: str, known: set[str]) -> bool:
     """A group alone (`STONE_JOBS`) stands for its settings."""
     return name in known or any(one.startswith(f"{name}__") for one in known)
-
-
-def _is_module(name: str) -> bool:
-    path = ROOT.joinpath(*name.split("."))
-    return path.with_suffix(".py").is_file() or (path / "__main__.py").is_file()

@@ -14,7 +14,7 @@ from urllib.parse import unquote, urlsplit
 import pytest
 from playwright.sync_api import Browser, expect
 
-from testing.web.browsing import DESKTOP, PATIENCE_MS, Watch
+from testing.web.browsing import Watch, context_for
 from tests.docsite.conftest import Built
 from tests.web.looking import look
 
@@ -73,32 +73,24 @@ def test_nothing_is_loaded_from_another_host(built: Built) -> None:
 
 @pytest.mark.parametrize("path", LOOKED_AT)
 def test_the_pages_are_looked_at(url: str, browser: Browser, path: str) -> None:
-    context = browser.new_context(base_url=url, viewport=DESKTOP, reduced_motion="reduce")  # type: ignore[arg-type]
-    context.set_default_timeout(PATIENCE_MS)
     watch = Watch(url)
-    page = context.new_page()
-    page.on("console", watch.console)
-    page.on("request", watch.request)
-    try:
+    with context_for(browser, url) as context:
+        page = context.new_page()
+        page.on("console", watch.console)
+        page.on("request", watch.request)
         page.goto(f"/{path}")
         expect(page.locator("h1").first).to_be_visible()
         look(page, f"docs-{Path(path).with_suffix('').as_posix().replace('/', '-')}")
-        assert watch.unexpected() == []
-    finally:
-        context.close()
+    assert watch.unexpected() == []
 
 
 def test_the_search_finds_a_word_where_the_site_is_opened_from_a_folder(built: Built, browser: Browser) -> None:
-    context = browser.new_context(viewport=DESKTOP)  # type: ignore[arg-type]
-    context.set_default_timeout(PATIENCE_MS)
     asked: list[str] = []
-    page = context.new_page()
-    page.on("request", lambda request: asked.append(request.url))
-    try:
+    with context_for(browser, built.folder.as_uri()) as context:
+        page = context.new_page()
+        page.on("request", lambda request: asked.append(request.url))
         page.goto((built.folder / "index.html").as_uri())
         page.locator("[data-md-component='search-query']").press_sequentially("STONE_JOBS__LEASE_S")
         found = page.locator(".md-search-result__item a[href*='reference/configuration.html']")
         expect(found.first).to_be_attached()
-        assert {url.partition(":")[0] for url in asked} <= {"file", "data", "blob"}
-    finally:
-        context.close()
+    assert {url.partition(":")[0] for url in asked} <= {"file", "data", "blob"}

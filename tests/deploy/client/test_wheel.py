@@ -77,15 +77,19 @@ def test_the_wheel_is_small_and_holds_the_clients_packages_and_the_licence(wheel
     assert not [name for name in names if "__pycache__" in name]
 
 
+@pytest.mark.release
 def test_few_packages_come_along_and_none_of_the_platforms(empty: Path) -> None:
+    """Catches alone a requirement that brings the platform's packages to every participant."""
     found = packages_of(empty)
     assert len(found) <= MOST_PACKAGES, found
     assert not found & BARRED
 
 
+@pytest.mark.release
 def test_a_submission_is_validated_and_scored_by_a_running_platform(
     empty: Path, served: Served, tmp_path: Path
 ) -> None:
+    """Catches alone a module that the client needs and its wheel lacks."""
     known = {"token": served.captain.secret, "url": served.url}
     predictions = zipped(served, tmp_path / "run.zip")
     checked = stone(empty, tmp_path, "validate", predictions, *served.at("val"), **known)

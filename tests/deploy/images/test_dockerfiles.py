@@ -1,5 +1,6 @@
 """The images' recipes: sound by hadolint, run by nobody in particular, probed, sent neither data nor secrets."""
 
+import os
 import re
 import subprocess
 import sys
@@ -38,3 +39,10 @@ def test_a_build_is_sent_neither_data_nor_secrets() -> None:
     assert rules[0] == "*", "what is not named is not sent"
     sent = {rule.removeprefix("!") for rule in rules if rule.startswith("!")}
     assert not {"deploy", "deploy/compose", ".git", "stone-data", "build"} & sent
+
+
+def test_every_script_is_one_and_those_that_are_called_may_be() -> None:
+    scripts = sorted(DEPLOY.rglob("*.sh"))
+    outcome = [subprocess.run(["sh", "-n", script], check=False, capture_output=True).stderr for script in scripts]
+    assert outcome == [b""] * len(scripts)
+    assert [script.name for script in scripts if script.parent == DEPLOY and not os.access(script, os.X_OK)] == []
