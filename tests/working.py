@@ -8,17 +8,19 @@ from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Handlers
 from services.runtime.platform import Platform
 
-IDLE_S = 0.05
+SHORTEST_REST_S, LONGEST_REST_S = 0.02, 0.25
 
 
 @contextmanager
 def working(platform: Platform, queue: str, handlers: Callable[[Platform], Handlers]) -> Iterator[None]:
-    """A worker of the queue meanwhile."""
+    """A worker of the queue meanwhile; it asks for work the more seldom the longer there is none."""
     is_over = threading.Event()
 
     def work() -> None:
-        while not is_over.wait(IDLE_S):
-            run_next(platform, queue, handlers(platform))
+        rest_s = SHORTEST_REST_S
+        while not is_over.wait(rest_s):
+            has_worked = run_next(platform, queue, handlers(platform))
+            rest_s = SHORTEST_REST_S if has_worked else min(2 * rest_s, LONGEST_REST_S)
 
     thread = threading.Thread(target=work)
     thread.start()
