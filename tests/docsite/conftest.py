@@ -18,7 +18,6 @@ class Page(HTMLParser):
 
     path: Path
     links: list[str] = field(default_factory=list)
-    navigation: list[str] = field(default_factory=list)
     loaded: list[str] = field(default_factory=list)
     places: set[str] = field(default_factory=set)
     classes: set[str] = field(default_factory=set)
@@ -33,7 +32,6 @@ class Page(HTMLParser):
         self.classes |= set(said.get("class", "").split())
         if tag == "a" and "href" in said:
             self.links.append(said["href"])
-            self.navigation += [said["href"]] if "md-nav__link" in said.get("class", "").split() else []
         elif tag == "link" and said.get("rel") not in ("canonical", "prev", "next", "alternate"):
             self.loaded.append(said.get("href", ""))
         elif "src" in said:

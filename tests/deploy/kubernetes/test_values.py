@@ -4,6 +4,7 @@ import pytest
 
 from tests.deploy.kubernetes.rendering import BACKUPS, template
 
+ELSEWHERE = "bells of a Redis elsewhere"
 REFUSED = {
     "a value that nothing reads": ("api.replica=3", "replica"),
     "an image without a fixed version": ("image.tag=latest", "tag"),
@@ -14,24 +15,14 @@ REFUSED = {
     "a restore under a platform that works": (f"backup.restore=true,{BACKUPS}", "stopped"),
     "a size without a unit": ("api.scratch=100", "scratch"),
     "a database that everybody would be": ("network.database.to=null", "network.database"),
+    "peers that nobody named": ("network.store.to=", "network"),
+    ELSEWHERE: ("autoscaling.by=redis", "autoscaling.by"),
 }
 
 
 @pytest.mark.parametrize("case", REFUSED)
 def test_what_would_do_harm_is_refused(case: str) -> None:
     value, named = REFUSED[case]
-    outcome = template("small", value)
+    outcome = template("production" if case == ELSEWHERE else "small", value)
     assert outcome.returncode != 0
     assert named in outcome.stderr
-
-
-def test_bells_of_a_redis_elsewhere_are_not_counted() -> None:
-    outcome = template("production", "autoscaling.by=redis")
-    assert outcome.returncode != 0
-    assert "autoscaling.by" in outcome.stderr
-
-
-def test_peers_that_nobody_named_are_asked_for() -> None:
-    outcome = template("small", "network.store.to=")
-    assert outcome.returncode != 0
-    assert "network" in outcome.stderr
