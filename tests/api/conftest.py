@@ -4,10 +4,22 @@ from collections.abc import Iterator
 
 import httpx
 import pytest
+from argon2 import PasswordHasher
 
+from services.runtime.access import passwords
 from services.runtime.platform import Platform
 from testing.api.serving import Person, client_of, person
 from tests.services.runtime.uploads.conftest import with_place
+
+
+@pytest.fixture(scope="package", autouse=True)
+def _light_passwords() -> Iterator[None]:
+    """Argon2 that costs little; what it must cost is asserted in tests/services/runtime/access."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(passwords, "_hasher", PasswordHasher(time_cost=1, memory_cost=8, parallelism=1))
+        passwords._nobodys.cache_clear()
+        yield
+    passwords._nobodys.cache_clear()
 
 
 @pytest.fixture

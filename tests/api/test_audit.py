@@ -1,7 +1,5 @@
 """The audit log grows by whole links, whoever writes at once, and shows what was changed."""
 
-import threading
-
 import httpx
 import pytest
 from sqlalchemy import delete, select, text, update
@@ -13,6 +11,7 @@ from services.runtime.orm import AuditEntry, Team
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
 from testing.refusals import refused_as
+from testing.threads import at_once
 
 LOG = "/api/v1/admin/audit-log"
 ADA = Caller("a" * 32, "ada", "administrator", frozenset({"read", "admin"}), is_session=False)
@@ -106,25 +105,13 @@ def test_the_database_itself_refuses_to_change_a_line(platform_on: Platform, sta
 
 
 def test_eight_writers_at_once_make_one_chain(platform_on: Platform) -> None:
-    faults: list[BaseException] = []
-    together = threading.Barrier(8)
-
     def work(number: int) -> None:
-        try:
-            together.wait(300)
-            for turn in range(6):
-                with platform_on.database.transaction() as session:
-                    audit.record(session, ADA, f"act.{number}.{turn}", "subject")
-                    session.add(Team(name=f"{number} {turn}"))
-        except BaseException as error:
-            faults.append(error)
+        for turn in range(6):
+            with platform_on.database.transaction() as session:
+                audit.record(session, ADA, f"act.{number}.{turn}", "subject")
+                session.add(Team(name=f"{number} {turn}"))
 
-    threads = [threading.Thread(target=work, args=(number,)) for number in range(8)]
-    for thread in threads:
-        thread.start()
-    for thread in threads:
-        thread.join()
-    assert faults == []
+    at_once(8, work)
     written = lines(platform_on)
     assert [line.number for line in written] == list(range(1, 49))
     assert len({line.act for line in written}) == 48

@@ -17,7 +17,6 @@ from stone.scoring.metric import METRIC_VERSION, METRICS
 from stone_submissions.manifest import read_manifest
 from testing.api.serving import Person
 from testing.worlds.benchmark_world import benchmark_world
-from testing.worlds.made import NOBODY
 from tests.api.benchmark_calls import ADMIN, PAPER, V1, WHY, change, made, make, problem
 from tests.services.domain.benchmarks import laid
 
@@ -72,31 +71,6 @@ def test_what_makes_no_benchmark_is_refused_and_leaves_none(
     for said, refusal in NO_BENCHMARKS:
         assert problem(make(api, administrator, version, **said)) == refusal, said
         assert api.get(f"{V1}/benchmarks", headers=administrator.headers).json()["items"] == []
-
-
-def test_a_name_is_given_once(api: httpx.Client, administrator: Person, version: str) -> None:
-    made(api, administrator, version)
-    assert problem(make(api, administrator, version)) == (409, "name_taken")
-    body = {"name": "val", "part": "val", "is_hidden": False, "dataset": version, **WHY}
-    again = api.post(f"{ADMIN}/benchmarks/stone/phases", json=body, headers=administrator.headers)
-    assert problem(again) == (409, "name_taken")
-
-
-def test_a_hidden_phase_over_val_is_made_with_a_warning(api: httpx.Client, administrator: Person, version: str) -> None:
-    made(api, administrator, version)
-    body = {"name": "val-hidden", "part": "val", "is_hidden": True, "dataset": version, **WHY}
-    added = api.post(f"{ADMIN}/benchmarks/stone/phases", json=body, headers=administrator.headers)
-    assert added.status_code == 201
-    assert [finding["code"] for finding in added.json()["findings"]] == ["labels_are_public"]
-    shown = api.get(f"{ADMIN}/phases/{added.json()['id']}", headers=administrator.headers)
-    assert (shown.json(), shown.headers["etag"]) == (added.json(), added.headers["etag"])
-
-
-def test_what_does_not_exist_is_404(api: httpx.Client, participant: Person, administrator: Person) -> None:
-    for path in ("benchmarks/nothing", "benchmarks/nothing/phases/test", f"phases/{NOBODY}"):
-        assert problem(api.get(f"{V1}/{path}", headers=participant.headers)) == (404, "not_found")
-    for path in (f"phases/{NOBODY}/ground-truths", f"phases/{NOBODY}/reported"):
-        assert problem(api.get(f"{ADMIN}/{path}", headers=administrator.headers)) == (404, "not_found")
 
 
 def test_a_phase_is_changed_by_whom_has_read_it(api: httpx.Client, administrator: Person, version: str) -> None:

@@ -40,39 +40,17 @@ def kept(api: httpx.Client, caller: Person, content: bytes = PLAIN, filename: st
     return item
 
 
-def test_a_file_beyond_a_mebibyte_is_not_read(api: httpx.Client, curator: Person) -> None:
-    answer = posted(api, curator, b"#" * (2**20 + 1))
-    assert (answer.status_code, answer.json()["code"]) == (413, "body_too_large")
-
-
-def test_what_is_no_form_is_not_understood(api: httpx.Client, curator: Person) -> None:
-    plain = api.post(URL, content=PLAIN, headers=curator.headers | {"Content-Type": "application/yaml"})
-    assert plain.status_code == 415, plain.text
-    empty = api.post(URL, files={"other": ("rig.yaml", PLAIN)}, headers=curator.headers)
-    assert empty.status_code == 422
-
-
 BOMB = b"a: &a [x, x, x, x, x, x, x, x, x]\n" + b"".join(
     b"%c: &%c [*%c, *%c, *%c, *%c, *%c, *%c]\n" % ((i, i) + (i - 1,) * 6) for i in range(98, 108)
 )
 
 
-@pytest.mark.whole
 def test_what_is_no_calibration_is_refused_with_its_code(api: httpx.Client, curator: Person) -> None:
     for content, code in [
         (b"", "CAL-423"),
-        (b"\x93NUMPY\xff", "CAL-421"),
         (b"#" * 1_000_001, "CAL-420"),
         (BOMB, "CAL-421"),
-        (b"a:\n" + b"".join(b" " * i + b"a:\n" for i in range(1, 40)), "CAL-421"),
-        (b"[" * 100_000, "CAL-421"),
-        (b"- a\n" * 100_000, "CAL-421"),
-        (b"!!python/object/apply:os.system ['true']", "CAL-421"),
         (b"stone_calibration: 1\nnmae: rig\n", "CAL-422"),
-        (PLAIN.replace(b"ego_from_lidar", b"lidar_from_ego"), "CAL-422"),
-        (b"stone_calibration: 1\nname: " + b"9" * 900_000, "CAL-421"),
-        (b"cam0: {}\n", "CAL-422"),
-        (b"colour: red\n", "CAL-423"),
     ]:
         answer = posted(api, curator, content)
         body = answer.json()
@@ -83,15 +61,14 @@ def test_what_is_no_calibration_is_refused_with_its_code(api: httpx.Client, cura
 
 
 def test_a_name_that_nobody_can_see_is_refused(api: httpx.Client, curator: Person) -> None:
-    for before in [b"kitti-2011_09_26", b"RADAR_FRONT"]:
-        for name in [b'"a\\0b"', b'"\\e[2J"', b'"a\\u202eb"']:
-            answer = posted(api, curator, PLAIN.replace(before, name))
-            assert answer.status_code == 422, answer.text
-            assert [error["code"] for error in answer.json()["errors"]] == ["CAL-422"]
+    for before, name in ((b"kitti-2011_09_26", b'"a\\u202eb"'), (b"RADAR_FRONT", b'"\\e[2J"')):
+        answer = posted(api, curator, PLAIN.replace(before, name))
+        assert answer.status_code == 422, answer.text
+        assert [error["code"] for error in answer.json()["errors"]] == ["CAL-422"]
 
 
 def test_a_hostile_file_name_becomes_a_plain_one(api: httpx.Client, curator: Person) -> None:
-    for filename in ["../../etc/passwd", 'a"; x=".yaml', "a\r\nX: y", "é.yaml", "." * 300, "\\\\"]:
+    for filename in ["../../etc/passwd", 'a"; x=".yaml', "a\r\nX: é", "." * 300]:
         item = kept(api, curator, PLAIN + f"# {filename!a}\n".encode(), filename)
         assert item["filename"]
         assert set(item["filename"]) <= set("abcdefghijklmnopqrstuvwxyzABCDEFGHIJKLMNOPQRSTUVWXYZ0123456789._-")
@@ -142,13 +119,6 @@ def test_the_same_bytes_at_once_are_kept_once(api_on: httpx.Client, platform_on:
     assert len({answer.json()["id"] for answer in answers}) == 1
 
 
-def test_what_was_mended_is_said(api: httpx.Client, curator: Person) -> None:
-    item = kept(api, curator, slightly_off(PLAIN))
-    assert item["findings"]
-    assert all(finding["severity"] == "warning" for finding in item["findings"])
-    assert api.get(f"{URL}/{item['id']}", headers=curator.headers).json()["findings"] == item["findings"]
-
-
 def test_a_sequence_pins_its_calibration(api: httpx.Client, curator: Person) -> None:
     item, made = kept(api, curator), sequence(api, curator)
     path = f"/api/v1/sequences/{made['id']}/calibration"
@@ -162,13 +132,6 @@ def test_a_sequence_pins_its_calibration(api: httpx.Client, curator: Person) -> 
     first = pinned(**{"If-Match": '"1"'})
     assert (first["calibration_id"], first["revision"]) == (item["id"], 2)
     assert pinned() == first, "a second time changes nothing"
-
-
-def slightly_off(content: bytes) -> bytes:
-    """The first translation moved so far that it is doubted: 20 m."""
-    head, key, rest = content.partition(b"translation_m: [")
-    _, comma, tail = rest.partition(b",")
-    return head + key + b"20.0" + comma + tail
 
 
 def test_a_file_that_takes_over_its_reader_reaches_nothing(

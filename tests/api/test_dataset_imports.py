@@ -6,7 +6,6 @@ import httpx
 import pytest
 from sqlalchemy import select
 
-from services.runtime.jobs.completion import Failure, fail_run
 from services.runtime.orm import AuditEntry, DatasetImport, Job
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
@@ -36,16 +35,6 @@ def begun(platform: Platform, api: httpx.Client, owner: Person, **said: Any) -> 
     return made
 
 
-def test_an_upload_that_is_no_dataset_is_refused(platform: Platform, api: httpx.Client, owner: Person) -> None:
-    for columns, status, code in [
-        ({"purpose": "recording"}, 409, "wrong_upload_purpose"),
-        ({"state": "open"}, 409, "wrong_upload_state"),
-        ({"state": "consumed"}, 409, "wrong_upload_state"),
-    ]:
-        answer = asked(api, owner, sent(platform, owner, **columns))
-        assert (answer.status_code, answer.json()["code"]) == (status, code)
-
-
 def test_an_import_says_what_it_was_asked_for(platform: Platform, api: httpx.Client, owner: Person) -> None:
     facts = {"environment": "mountain", "illumination": "day", "region": "Gyeonggi", "platform": "warthog-1"}
     facts |= {"is_public": True}
@@ -67,47 +56,9 @@ def test_an_import_says_what_it_was_asked_for(platform: Platform, api: httpx.Cli
     assert acts == ["dataset_import.create"]
 
 
-def test_how_far_it_is_is_said_scene_by_scene(platform: Platform, api: httpx.Client, owner: Person) -> None:
-    import_id = begun(platform, api, owner)["id"]
-    with platform.database.transaction() as session:
-        row = session.get_one(DatasetImport, import_id)
-        row.scenes = [{"name": f"field-{n}", "frames": 3 + n, "splits": ["val"]} for n in range(2)]
-        for scene, state in enumerate(("succeeded", "running")):
-            job = Job(root_id=row.job_id, owner_id=owner.user_id, kind="labeler.import_scene", queue="labeler")
-            job.state, job.arguments = state, {"scene": scene}
-            session.add(job)
-    shown = api.get(f"{PATH}/{import_id}", headers=owner.headers).json()
-    assert [(one["name"], one["frames"], one["state"]) for one in shown["scenes"]] == [
-        ("field-0", 3, "succeeded"),
-        ("field-1", 4, "running"),
-    ]
-    assert (shown["scenes_total"], shown["scenes_done"], shown["frames"]) == (2, 1, 7)
-    (listed,) = api.get(PATH, headers=owner.headers).json()["items"]
-    assert listed == {key: value for key, value in shown.items() if key not in ("scenes", "splits_refused")}
-
-
 def test_why_the_draft_splits_stayed_as_they_were_is_told(platform: Platform, api: httpx.Client, owner: Person) -> None:
     made = begun(platform, api, owner)
     assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json()["splits_refused"] is None
     with platform.database.transaction() as session:
         session.get_one(Job, made["job_id"]).result = {"splits_refused": ["test_regions"]}
     assert api.get(f"{PATH}/{made['id']}", headers=owner.headers).json()["splits_refused"] == ["test_regions"]
-
-
-def test_what_was_wrong_is_the_failure_with_its_code_and_place(
-    platform: Platform, api: httpx.Client, owner: Person
-) -> None:
-    made = begun(platform, api, owner)
-    with platform.database.transaction() as session:
-        run = session.get_one(Job, made["job_id"])
-        index = session.scalars(select(Job).where(Job.root_id == run.id, Job.id != run.id)).one()
-        index.state = "failed"
-        fail_run(session, run, index.id, Failure("DST-018", "v1.0-trainval/sample.json row 3 (token 00ff): twice"))
-    for one in (api.get(f"{PATH}/{made['id']}", headers=owner.headers).json(), *listed(api, owner)):
-        assert one["failure"]["code"] == "DST-018"
-        assert one["failure"]["sentence"].startswith("v1.0-trainval/sample.json row 3")
-
-
-def listed(api: httpx.Client, owner: Person) -> list[dict[str, Any]]:
-    items: list[dict[str, Any]] = api.get(PATH, headers=owner.headers).json()["items"]
-    return items

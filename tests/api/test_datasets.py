@@ -225,15 +225,6 @@ def test_what_a_version_names_cannot_be_deleted_while_it_stands(platform_on: Pla
                 session.execute(delete(Blob).where(Blob.sha256 == sha256))
 
 
-def test_a_name_is_given_once(api: httpx.Client, release: Release) -> None:
-    again = publish(api, release.administrator, release.name)
-    assert (again.status_code, again.json()["code"]) == (409, "name_taken")
-    assert publish(api, release.administrator, "stone-1.1").status_code == 201
-    listed = api.get(URL, headers=release.reader.headers).json()["items"]
-    assert [one["name"] for one in listed] == ["stone-1.1", "stone-1.0"]
-    assert listed[0]["sizes"] == {"train": 1, "val": 1, "test": 1}
-
-
 def test_nothing_can_be_published_without_splits_that_keep_the_rules(
     api: httpx.Client, platform: Platform, release: Release
 ) -> None:

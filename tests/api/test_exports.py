@@ -277,7 +277,7 @@ def collect_all(platform: Platform) -> None:
 
 
 MIB = 2**20
-LARGE = 96 * MIB
+LARGE = 64 * MIB
 MORE_BYTES = 40 * MIB
 
 

@@ -113,15 +113,6 @@ def place(request: pytest.FixtureRequest, platform: Platform, administrator: Per
     return made_place
 
 
-def test_what_is_not_there_is_not_found(api: httpx.Client, administrator: Person, place: Place) -> None:
-    nowhere = place.path.replace(place.path.partition("/")[2], "0" * 32)
-    for path in ("inputs", "inputs/drive.tar"):
-        assert api.get(f"{V1}/{nowhere}/{path}", headers=administrator.headers).status_code == 404
-    assert api.post(f"{V1}/admin/{nowhere}/inputs", json=REASON, headers=administrator.headers).status_code == 404
-    for name in ("..%2f..%2fetc%2fpasswd", "%00", "a" * 101, ".hidden", "never-there"):
-        assert api.get(f"{place.inputs}/{name}.tar", headers=administrator.headers).status_code in (404, 422), name
-
-
 def test_what_has_no_recording_is_named_and_what_has_is_one_run_in_the_log(
     api: httpx.Client, platform: Platform, administrator: Person, place: Place
 ) -> None:

@@ -72,13 +72,6 @@ def ids(page: Mapping[str, Any]) -> list[str]:
     return [item["id"] for item in page["items"]]
 
 
-def test_what_has_ended_is_not_cancelled(api: httpx.Client, platform: Platform, curator: Person) -> None:
-    root_id = run(platform, curator, "ingest.speak")
-    run_all(platform)
-    answer = api.post(f"{JOBS}/{root_id}/cancel", headers=curator.headers)
-    assert (answer.status_code, answer.json()["code"]) == (409, "wrong_state")
-
-
 def test_a_run_says_how_far_its_stages_are(api: httpx.Client, platform: Platform) -> None:
     ada = person(platform, "curator")
     root_id = run(platform, ada, "ingest.fan_out")

@@ -1,6 +1,5 @@
 """Label sets and their comparisons over HTTP: counted once by a job, shown to their owner alone."""
 
-import io
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -8,7 +7,6 @@ from typing import Any
 import httpx
 import numpy as np
 import pytest
-from PIL import Image
 from sqlalchemy import select
 
 from services.runtime.orm import AuditEntry, Job, LabelComparison, LabelledFrameRow, LabelSet, new_id
@@ -119,18 +117,6 @@ def change_stamps(platform: Platform, label_set_id: str, later_ns: Callable[[int
             row.stamp_ns, row.token = row.stamp_ns + later_ns(row.ordinal), new_id()
 
 
-def test_the_picture_of_a_frame_shows_both_and_the_difference(
-    api: httpx.Client, curator: Person, forest: Compared
-) -> None:
-    made = ask(api, curator, forest).json()["comparison"]["id"]
-    answer = api.get(f"{forest.url}/{made}/frames/{forest.tokens[0]}.png", headers=curator.headers)
-    assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
-    with Image.open(io.BytesIO(answer.content)) as picture:
-        assert picture.size == (1568, 540)
-    gone = api.get(f"{forest.url}/{made}/frames/{NOBODY}.png", headers=curator.headers)
-    assert (gone.status_code, gone.json()["code"]) == (404, "not_found")
-
-
 def test_what_cannot_be_compared_is_refused_with_its_reason(
     api: httpx.Client, platform: Platform, curator: Person, forest: Compared
 ) -> None:
@@ -140,17 +126,6 @@ def test_what_cannot_be_compared_is_refused_with_its_reason(
     for unknown in (foreign.id, NOBODY):
         refused = ask(api, curator, forest, b_id=unknown)
         assert (refused.status_code, refused.json()["code"]) == (422, "unknown_label_set")
-
-
-def test_a_label_file_that_was_changed_in_the_store_is_not_counted(
-    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
-) -> None:
-    broken = labels(platform, forest.sequence, contents=[label_file(T)[:-9]] * 3, seed=b"c")
-    asked = ask(api, curator, forest, b_id=broken.id).json()
-    run_eval(platform)
-    shown = api.get(f"{forest.url}/{asked['comparison']['id']}", headers=curator.headers).json()
-    assert (shown["state"], shown["record"]) == ("failed", None)
-    assert shown["failure"]["code"] == "bad_ground_truth"
 
 
 def test_comparisons_go_with_their_label_sets_and_are_in_the_audit_log(

@@ -18,6 +18,7 @@ Catches alone a route, of all there are, that tells what is hidden.
 
 import ast
 import inspect
+import json
 import textwrap
 from collections.abc import Iterator, Mapping
 from dataclasses import replace
@@ -27,6 +28,9 @@ from typing import Any
 import pytest
 from sqlalchemy import select
 
+from api.main import make_api
+from api.routes import statistics
+from services.domain.datasets.composition_figure import composition_png
 from services.runtime.orm import GroundTruthRow
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
@@ -55,8 +59,23 @@ VOLATILE = {"date", "x-request-id", "ratelimit-remaining", "ratelimit-reset"}
 
 @pytest.fixture(scope="module")
 def stage(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Iterator[Stage]:
-    with staged(tmp_path_factory.mktemp("crawl"), _sqlite_template) as made:
+    """Figures are drawn once for each record that they show."""
+    drawn: dict[str, bytes] = {}
+
+    def drawn_once(*shown: Any) -> bytes:
+        key = json.dumps(shown, sort_keys=True)
+        drawn[key] = drawn.get(key) or composition_png(*shown)
+        return drawn[key]
+
+    with pytest.MonkeyPatch.context() as patch, staged(tmp_path_factory.mktemp("crawl"), _sqlite_template) as made:
+        patch.setattr(statistics, "composition_png", drawn_once)
         yield made
+
+
+@pytest.fixture(scope="module")
+def document(stage: Stage) -> dict[str, Any]:
+    described: dict[str, Any] = make_api(stage.world.platform).openapi()
+    return described
 
 
 def unbound(platform: Platform) -> Platform:
@@ -64,15 +83,14 @@ def unbound(platform: Platform) -> Platform:
     return replace(platform, settings=platform.settings.model_copy(update={"api": UNBOUND}))
 
 
-def _crawled(stage: Stage, caller: Person) -> dict[str, Answer]:
+def _crawled(stage: Stage, caller: Person, document: dict[str, Any]) -> dict[str, Answer]:
     with client_of(unbound(stage.world.platform), caller) as client:
-        document = client.get("/api/v1/openapi.json").json()
         return Crawl(client, document, known(stage.world)).run()
 
 
 @pytest.fixture(scope="module")
-def crawls(stage: Stage) -> dict[str, dict[str, Answer]]:
-    return {name: _crawled(stage, caller) for name, caller in stage.callers.items()}
+def crawls(stage: Stage, document: dict[str, Any]) -> dict[str, dict[str, Answer]]:
+    return {name: _crawled(stage, caller, document) for name, caller in stage.callers.items()}
 
 
 def test_every_route_answers_and_none_fails(crawls: dict[str, dict[str, Answer]]) -> None:
@@ -109,7 +127,7 @@ def test_an_administrator_is_told_so_the_search_sees(stage: Stage) -> None:
             assert stage.secrets.found_in(str(answer.headers), answer.content), route
 
 
-def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> None:
+def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage, document: dict[str, Any]) -> None:
     """Status, headers and sentence, but for the id."""
     with stage.world.platform.database.reading() as session:
         hidden = hidden_label_sets(session, stage.world)[0].sequence_id
@@ -119,7 +137,6 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
         )
     token = next(iter(stage.world.truth("test")))
     with client_of(unbound(stage.world.platform), stage.world.member) as client:
-        document = client.get("/api/v1/openapi.json").json()
         for kind, subject in (("sequence_id", hidden), ("token", token), ("job_id", job)):
             others = {one: [NOBODYS] for one in OTHERS} | {"path": [EXPORTED], "name": ["bev.png"]}
             others |= {"tile_name": ["0_-1"], "channel": ["CAM_FRONT"]}
@@ -133,10 +150,12 @@ def test_what_is_hidden_is_answered_like_what_does_not_exist(stage: Stage) -> No
             assert asked == ({403, 404} if kind == "job_id" else {404})
 
 
-def test_no_answer_depends_on_what_is_hidden(stage: Stage, crawls: dict[str, dict[str, Answer]]) -> None:
+def test_no_answer_depends_on_what_is_hidden(
+    stage: Stage, crawls: dict[str, dict[str, Answer]], document: dict[str, Any]
+) -> None:
     with stage.world.platform.database.transaction() as session:
         change_what_is_hidden(session, stage.world)
-    before, later = crawls["a captain"], _crawled(stage, stage.callers["a captain"])
+    before, later = crawls["a captain"], _crawled(stage, stage.callers["a captain"], document)
     assert later.keys() == before.keys()
     told = [asked for asked, answer in before.items() if _lasting(answer) != _lasting(later[asked])]
     assert [asked for asked in told if not asked.endswith(TELLING_THE_TIME)] == []

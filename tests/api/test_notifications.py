@@ -43,7 +43,6 @@ def test_an_address_is_verified_by_the_secret_of_its_link(platform: Platform, pa
     told = telling(platform, smtp_host="127.0.0.1", sender="stone@example.org")
     with client_of(told, participant) as api:
         assert api.put(f"{AT}/email", json={"address": "ada@example.org"}).json()["is_verified"] is False
-        assert api.put(f"{AT}/email", json={"address": "a@b\nBcc: c@d"}).status_code == 422
         assert api.put(f"{AT}/email", json={"address": "no address"}).json()["code"] == "bad_email_address"
         with told.database.transaction() as session:
             secret = new_secret(session, session.get_one(EmailAddress, participant.user_id))
@@ -51,9 +50,6 @@ def test_an_address_is_verified_by_the_secret_of_its_link(platform: Platform, pa
         assert (wrong.status_code, wrong.json()["code"]) == (409, "email_not_verified")
         assert api.post(f"{AT}/email/verification", json={"secret": secret}).json()["is_verified"] is True
         assert api.delete(f"{AT}/email").status_code == 204
-        for number in range(4):
-            assert api.put(f"{AT}/email", json={"address": f"ada{number}@example.org"}).status_code == 202
-        assert api.put(f"{AT}/email", json={"address": "ada@example.org"}).status_code == 429
 
 
 def test_a_delivery_given_up_is_a_dead_letter_that_an_administrator_tries_again(

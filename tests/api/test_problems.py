@@ -1,7 +1,6 @@
 """Whatever is not answered as asked is answered by a problem, which says why and nothing of our insides."""
 
 import errno
-import json
 import re
 import sqlite3
 from collections.abc import Iterator, MutableMapping
@@ -17,9 +16,7 @@ from structlog.testing import capture_logs
 
 from api import statuses
 from api.main import make_api
-from api.problems import MEDIA_TYPE, Problem, answer_to
-from services.domain.benchmarks.rescores.errors import AlarmDismissedError
-from services.runtime.jobs.errors import JobStateError
+from api.problems import MEDIA_TYPE, Problem
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings
 from stone.errors import StoneError
@@ -264,18 +261,6 @@ def test_every_refusal_of_ours_has_a_status_and_a_title() -> None:
         assert 400 <= status < 600, code
         assert statuses.phrase_of(status)
         assert title, code
-
-
-def test_refusals_of_one_code_keep_their_titles() -> None:
-    assert problem_title(AlarmDismissedError("a" * 32)) == "The alarm was already dismissed"
-    assert (
-        problem_title(JobStateError("a" * 32, "done", "cancelled", "queued"))
-        == statuses.PROBLEM_TYPES["wrong_state"].title
-    )
-
-
-def problem_title(error: StoneError) -> str:
-    return str(json.loads(bytes(answer_to(error).body))["title"])
 
 
 def test_a_problem_says_where_its_kind_is_described(api: httpx.Client) -> None:

@@ -171,8 +171,6 @@ def test_files_that_are_not_one_bag_are_refused_and_kept(
 ) -> None:
     for files, why in [
         ({"a.mcap": b"1", "b.db3": b"2"}, "several kinds are there: .db3, .mcap"),
-        ({"a.mcap": b"1", "notes.txt": b"2"}, "notes.txt"),
-        ({"metadata.yaml": b"1", "a.db3-wal": b"2"}, "no .mcap, no .db3 and no .bag"),
         ({"a.mcap": b"1", "b.db3-wal": b"2"}, "has no 'b.db3' beside it"),
     ]:
         upload_ids = uploads(platform, curator, files)
@@ -180,33 +178,6 @@ def test_files_that_are_not_one_bag_are_refused_and_kept(
         assert (answer.status_code, answer.json()["code"]) == (422, "bad_recording_files")
         assert why in answer.json()["detail"]
         assert states(platform, upload_ids) == {"complete"}
-
-
-def test_two_files_of_one_name_are_refused(
-    api: httpx.Client, platform: Platform, curator: Person, forest: Mapping[str, Any]
-) -> None:
-    upload_ids = [upload(platform, curator, content, filename="a.mcap") for content in (b"1", b"2")]
-    answer = sealed(api, curator, forest["id"], {"upload_ids": upload_ids, "name": "run"})
-    assert answer.json()["code"] == "bad_recording_files"
-    twice = sealed(api, curator, forest["id"], {"upload_ids": upload_ids[:1] * 2, "name": "run"})
-    assert "named twice" in twice.json()["detail"]
-    assert states(platform, upload_ids) == {"complete"}
-
-
-def test_one_file_that_cannot_serve_keeps_them_all(api: httpx.Client, platform: Platform) -> None:
-    for columns, status, code in [
-        ({"state": "open"}, 409, "wrong_upload_state"),
-        ({"purpose": "submission"}, 409, "wrong_upload_purpose"),
-        ({"target_id": NOBODY}, 409, "wrong_upload_target"),
-    ]:
-        ada = person(platform, "curator")
-        made, upload_ids = sequence(api, ada), uploads(platform, ada)
-        spoilt = upload(platform, ada, b"3", filename="run_2.mcap", **columns)
-        answer = sealed(api, ada, made["id"], {"upload_ids": [*upload_ids, spoilt], "name": "run"})
-        assert (answer.status_code, answer.json()["code"]) == (status, code)
-        assert states(platform, upload_ids) == {"complete"}
-        with platform.database.reading() as session:
-            assert session.query(Recording).count() == session.query(Job).count() == 0
 
 
 def test_somebody_elses_file_in_the_group_does_not_exist(

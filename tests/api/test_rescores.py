@@ -10,7 +10,7 @@ from sqlalchemy import select
 from services.domain.benchmarks.alarms.alarms import raise_alarms
 from services.runtime.orm import AuditEntry, Score
 from services.runtime.platform import Platform
-from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION
+from stone.scoring.metric import METRIC_VERSION
 from testing.api.serving import Person
 from testing.worlds.benchmark_world import World, benchmark_world, new_truth, predicted, run_eval, submission_zip
 from testing.worlds.made import NOBODY
@@ -115,14 +115,6 @@ def test_the_page_escapes_what_strangers_wrote(place: Place, admin: Administrati
     assert "0 of 1 submissions on the board are scored by the new evaluation version; 1 are still missing." in page.text
 
 
-def test_a_switch_that_would_lose_an_entry_is_refused(place: Place, admin: Administrating) -> None:
-    lacking = scored_entry(place, team(place))
-    started = admin.start(truth_id=another_truth(place))
-    assert started["missing_submission_ids"] == [lacking]
-    tag = admin.ask("GET", f"/{started['id']}/diff").headers["ETag"]
-    assert refused(admin.activate(started["id"], tag)) == (409, "rescore_incomplete")
-
-
 def test_a_switch_names_the_board_it_means(place: Place, admin: Administrating) -> None:
     first, second = (admin.start(truth_id=another_truth(place)) for _ in range(2))
     tag = admin.ask("GET", f"/{first['id']}/diff").headers["ETag"]
@@ -131,19 +123,6 @@ def test_a_switch_names_the_board_it_means(place: Place, admin: Administrating) 
     answered(admin.activate(first["id"], tag), 200)
     assert refused(admin.activate(second["id"], tag)) == (412, "precondition_failed")
     assert refused(admin.activate(first["id"], "*")) == (409, "wrong_state")
-
-
-def test_what_cannot_be_re_scored_is_refused(place: Place, admin: Administrating) -> None:
-    for asked, expected in (
-        ({}, (409, "already_active")),
-        ({"truth_id": NOBODY}, (404, "foreign_truth")),
-        ({"truth_id": another_truth(place, is_ready=False)}, (409, "truth_not_ready")),
-        ({"metric": "stone-iou-0"}, (422, "unknown_metric")),
-        ({"metric": "stone-iou-1"}, (422, "superseded_metric")),
-    ):
-        assert refused(admin.ask("POST", "", {"reason": "why not", **asked})) == expected
-    assert refused(admin.ask("POST", "", {"metric": OCCUPIED_VERSION})) == (422, "invalid_request")
-    assert answered(admin.ask("GET", ""), 200)["items"] == []
 
 
 def test_a_re_score_of_another_phase_is_none_of_this_one(place: Place, admin: Administrating) -> None:

@@ -105,16 +105,17 @@ class Answered:
     wrong: list[str] = field(default_factory=list)
     succeeding: set[str] = field(default_factory=set)
     world: World | None = None
+    version: str = ""
 
     def ask(self, scene: Scene, session: requests.Session, operation: Operation) -> None:
         """Requests of this operation until one is answered wrongly, or as many as there are to be.
 
-        A world serves until something in it was changed.
+        A world serves until something in it was changed; its published version, which nothing changes, serves on.
         """
         with scene.platform.database.transaction() as database:
             database.execute(delete(Queue))  # whatever an earlier request drained is open again
-        self.world = self.world or make_world(scene.platform, scene.cast.users["owner"])
-        real = self.world.named
+        self.world = self.world or make_world(scene.platform, scene.cast.users["owner"], self.version)
+        real, self.version = self.world.named, self.world.named["dataset_name"]
 
         @seed(20260503)
         @settings(max_examples=EXAMPLES, database=None, deadline=None, suppress_health_check=list(HealthCheck))

@@ -18,7 +18,7 @@ from services.runtime.orm import LabelSet, Phase, Recording, RecordingFile, Sequ
 from services.runtime.platform import Platform
 from testing.api.serving import Person, at_once, person
 from testing.worlds import made
-from testing.worlds.made import NOBODY, labels, row_of, run, sequence, upload
+from testing.worlds.made import labels, row_of, run, sequence, upload
 from testing.worlds.published import published_sequence
 from tests.services.domain.benchmarks import laid
 
@@ -104,25 +104,6 @@ def test_a_change_says_which_state_it_means(api: httpx.Client, curator: Person, 
         assert (missing.status_code, code_of(missing)) == (428, "precondition_required")
         assert (stale.status_code, code_of(stale)) == (412, "precondition_failed")
         assert api.get(path, headers=curator.headers).json() == forest
-
-
-def test_who_changes_what_they_have_not_read_is_told_so(api: httpx.Client, platform: Platform) -> None:
-    ada = person(platform, "curator")
-    made = sequence(api, ada)
-    match = ada.headers | {"If-Match": f'"{made["revision"]}"'}
-    first = api.patch(f"{URL}/{made['id']}", json={"region": "A"}, headers=match)
-    second = api.patch(f"{URL}/{made['id']}", json={"region": "B"}, headers=match)
-    assert (first.status_code, second.status_code) == (200, 412)
-    assert first.headers["etag"] == '"2"'
-    assert api.get(f"{URL}/{made['id']}", headers=ada.headers).json()["region"] == "A"
-
-
-def test_a_pinned_calibration_must_be_ones_own(api: httpx.Client, curator: Person, forest: Mapping[str, Any]) -> None:
-    path = f"{URL}/{forest['id']}/calibration"
-    assert api.put(path, json={"calibration_id": NOBODY}, headers=curator.headers).status_code == 404
-    assert api.put(path, json={"calibration_id": "x"}, headers=curator.headers).status_code == 422
-    stale = curator.headers | {"If-Match": '"99"'}
-    assert api.put(path, json={"calibration_id": NOBODY}, headers=stale).status_code == 412
 
 
 def test_a_sequence_with_labels_keeps_its_name(

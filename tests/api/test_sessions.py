@@ -234,13 +234,6 @@ def test_a_form_of_a_strangers_page_signs_nobody_in(api: httpx.Client, ada: dict
     assert "set-cookie" not in answer.headers
 
 
-def test_a_new_password_is_refused_where_it_would_be_tried_first(browser: httpx.Client) -> None:
-    changed = {"current": PASSWORD, "new": "dragon123456"}
-    refused = browser.put(f"{ME}/password", json=changed, headers=csrf_of(browser))
-    assert (refused.status_code, refused.json()["code"]) == (422, "guessable_password")
-    assert "dragon" not in refused.text
-
-
 GRANTS = "/api/v1/device-grants"
 ASKED = {"name": "stone on laptop", "scopes": ["read", "submit", "upload", "admin"]}
 

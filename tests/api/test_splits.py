@@ -1,8 +1,6 @@
 """Splits and statistics: rules are checked, a change means what was read, sums are of what the caller may see."""
 
 import io
-import subprocess
-import sys
 from collections.abc import Callable
 from typing import Any
 
@@ -304,14 +302,3 @@ def test_the_figure_shows_classes_by_their_share() -> None:
 def test_equal_records_give_equal_figures_and_no_word_is_a_formula() -> None:
     entries = (*catalogue(9, 1), entry(90, environment="$\\frac{1}{0}$", illumination="$x", region="_$^"))
     assert figure_of(entries) == figure_of(entries)
-
-
-def test_an_empty_dataset_has_a_figure() -> None:
-    assert figure_of(()).startswith(b"\x89PNG")
-
-
-@pytest.mark.whole
-def test_the_api_loads_neither_solver_nor_plots_before_they_are_asked_for() -> None:
-    program = "import sys, api.main; print([n for n in ('scipy', 'matplotlib', 'numba', 'open3d') if n in sys.modules])"
-    said = subprocess.run([sys.executable, "-c", program], check=True, capture_output=True, text=True, timeout=300)
-    assert said.stdout == "[]\n"

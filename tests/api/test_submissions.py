@@ -1,29 +1,22 @@
 """Submissions over HTTP: whose they are, what is refused and how, and the whole way from a zip to its verdict."""
 
-from collections import Counter
-from concurrent.futures import ThreadPoolExecutor
 from datetime import UTC, datetime, timedelta
-from pathlib import Path
-from threading import Barrier
 
 import httpx
-import pytest
-from sqlalchemy import func, select
+from sqlalchemy import select
 
 from services.domain.benchmarks.submissions.submissions import settle, settle_ended
 from services.runtime.access import tokens
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import AuditEntry, Job, SubmissionRow, Upload, User
+from services.runtime.orm import AuditEntry, User
 from services.runtime.platform import Platform
-from services.runtime.settings import BrokerSettings
-from testing.api.process import running_api
 from testing.api.serving import Person, person
 from testing.api.tus import TUS, ask, create, patch
 from testing.worlds.made import NOBODY
 from tests.api.submitting import URL, answered, refused, submitting
 from tests.api.test_events import listen
-from tests.services.domain.benchmarks.drafts import ZIP, Entrant, drafted, entrant_on, finalised, taken, uploaded
+from tests.services.domain.benchmarks.drafts import ZIP
 
 
 def test_what_is_announced_is_shown_and_found_again(api: httpx.Client, platform: Platform) -> None:
@@ -201,56 +194,3 @@ def test_what_raised_while_scoring_is_for_administrators_to_read(api: httpx.Clie
     administrator = person(platform, "administrator")
     logs = api.get(f"{URL}/admin/jobs/{submission['job_id']}/logs", headers=administrator.headers)
     assert "KeyError: 'a voxel of the truth'" in logs.text
-
-
-AT_ONCE = 20
-LIMIT = 5
-NO_BROKER = BrokerSettings("redis://127.0.0.1:1/0")
-
-
-@pytest.mark.whole
-def test_of_twenty_finalised_at_once_with_one_scoring_left_exactly_one_passes(
-    platform_on: Platform, tmp_path: Path
-) -> None:
-    """Catches alone a quota that is passed by requests that really run side by side, at a real API process."""
-    entrant = entrant_on(platform_on, scorings_per_window=LIMIT)
-    before = [finalised(entrant) for _ in range(LIMIT - 1)]
-    drafts = [drafted(entrant) for _ in range(AT_ONCE)]
-    uploads = [uploaded(entrant, one) for one in drafts]
-    with running_api(platform_on.settings.model_copy(update={"broker": NO_BROKER}), tmp_path / "api.log") as api:
-        answers = _at_once(api.url, entrant, list(zip(drafts, uploads, strict=True)))
-    assert Counter((one.status_code, one.json().get("code")) for one in answers) == {
-        (202, None): 1,
-        (429, "scorings_exhausted"): AT_ONCE - 1,
-    }
-    assert all(int(one.headers["Retry-After"]) > 0 for one in answers if one.status_code == 429)
-    passed = next(one.json()["id"] for one in answers if one.status_code == 202)
-    assert taken(entrant) == LIMIT
-    _assert_settled(entrant, {*before, passed}, uploads)
-
-
-def _at_once(url: str, entrant: Entrant, asked: list[tuple[str, str]]) -> list[httpx.Response]:
-    """All of them, on connections of their own, none before all are ready."""
-    ready = Barrier(len(asked))
-
-    def finalize(one: tuple[str, str]) -> httpx.Response:
-        with httpx.Client(base_url=url, headers=entrant.captain.headers, timeout=300.0, trust_env=False) as client:
-            client.get("/api/v1/me").raise_for_status()
-            ready.wait(300.0)
-            return client.post(f"/api/v1/submissions/{one[0]}/finalize", json={"upload_id": one[1]})
-
-    with ThreadPoolExecutor(len(asked)) as pool:
-        return list(pool.map(finalize, asked))
-
-
-def _assert_settled(entrant: Entrant, queued: set[str], uploads: list[str]) -> None:
-    """These and no others are queued, each with a run; whoever was refused keeps draft and file."""
-    with entrant.platform.database.reading() as session:
-        of_team = select(SubmissionRow).where(SubmissionRow.team_id == entrant.team_id)
-        rows = session.scalars(of_team).all()
-        assert {row.id for row in rows if row.state == "queued"} == queued
-        assert Counter(row.state for row in rows) == {"queued": LIMIT, "draft": AT_ONCE - 1}
-        runs = select(func.count()).select_from(Job).where(Job.queue == "", Job.kind == "score")
-        assert session.scalar(runs) == LIMIT
-        states = Counter(session.scalars(select(Upload.state).where(Upload.id.in_(uploads))))
-        assert states == {"consumed": 1, "complete": AT_ONCE - 1}

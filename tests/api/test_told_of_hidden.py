@@ -12,11 +12,12 @@ import pytest
 from sqlalchemy import select
 
 from services.runtime.orm import Blob, GroundTruthRow, Job
+from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.telemetry.tracing import close_tracing
 from testing.api.serving import client_of
 from testing.servers.collector import collecting
-from testing.worlds.benchmark_world import predicted, run_eval
+from testing.worlds.benchmark_world import new_truth, predicted, run_eval
 from testing.worlds.sending import send, zipped
 from tests.api.hidden_stage import Stage, staged
 
@@ -52,12 +53,15 @@ def test_what_is_told_while_a_hidden_phase_is_scored_tells_nothing_of_it(
 ) -> None:
     """Catches alone a log line, event or metric that tells of hidden truth while it is used."""
     caplog.set_level(logging.DEBUG)
+    begun_ns = now_ns()  # the world may have been made before
     with collecting(monkeypatch) as collector, staged(tmp_path, _sqlite_template) as stage:
+        new_truth(stage.world.platform, stage.world.test, stage.world.administrator.user_id)
         spoil_truth(stage)
         exposed = exposition(stage.world.platform, stage)
         close_tracing()
         with stage.world.platform.database.reading() as session:
-            job_ids = list(session.scalars(select(Job.id).where(Job.queue == "eval", Job.attempt > 0)))
+            ran = select(Job.id).where(Job.queue == "eval", Job.attempt > 0, Job.created_ns > begun_ns)
+            job_ids = list(session.scalars(ran))
             spoilt = session.scalars(select(Job).where(Job.state == "failed", Job.queue == "eval")).all()
     out, err = capfd.readouterr()
     lines, spans = PORT.sub(b"", (out + err + caplog.text).encode()), b"\n".join(collector.said)

@@ -12,7 +12,7 @@ import pytest
 
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
-from services.runtime.settings import ApiSettings, UploadSettings
+from services.runtime.settings import ApiSettings
 from services.runtime.uploads.rows import find
 from testing.api.serving import Person, client_of, person
 from testing.api.tus import (
@@ -47,11 +47,14 @@ def test_another_version_of_tus_is_refused_with_ours(api: httpx.Client, curator:
         assert api.head(where, headers=headers).status_code == 412
 
 
-def test_what_is_no_count_is_refused_as_a_length(api: httpx.Client, curator: Person) -> None:
+def test_what_is_no_count_is_refused_as_a_length_and_as_an_offset(api: httpx.Client, curator: Person) -> None:
     for length in ["", "-1", "+5", "5.0", "1_0", "0x10", "1e3", "9" * 19]:
         said = metadata(filename="a", purpose="recording")
         headers = {**TUS, **curator.headers, "Upload-Length": length, "Upload-Metadata": said}
         assert code_of(api.post(UPLOADS, headers=headers)) == (400, "bad_tus_header")
+    where = created(api, curator, 10)
+    for offset in ["", "-1", "x", "1.0"]:
+        assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
 
 
 def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Client, curator: Person) -> None:
@@ -86,19 +89,10 @@ def test_a_target_that_is_not_yours_is_refused(api: httpx.Client, curator: Perso
     assert code_of(create(api, curator, 1, target_id=new_id())) == (404, "upload_target_missing")
 
 
-@pytest.fixture
-def small(platform: Platform) -> Iterator[httpx.Client]:
-    """The application with narrow bounds."""
-    bounds = UploadSettings(max_bytes=100_000, owner_bytes=50_000, form_bytes=20_000, idle_s=0.5)
-    narrow = platform.settings.model_copy(update={"uploads": bounds})
-    with client_of(replace(platform, settings=narrow)) as client:
-        yield client
-
-
-def test_what_is_too_large_or_over_the_quota_is_refused_with_the_figures(small: httpx.Client, curator: Person) -> None:
-    assert code_of(create(small, curator, 100_001)) == (413, "upload_too_large")
-    created(small, curator, 30_000)
-    reply = create(small, curator, 20_001)
+def test_what_is_too_large_or_over_the_quota_is_refused_with_the_figures(narrow: httpx.Client, curator: Person) -> None:
+    assert code_of(create(narrow, curator, 100_001)) == (413, "upload_too_large")
+    created(narrow, curator, 30_000)
+    reply = create(narrow, curator, 20_001)
     assert code_of(reply) == (413, "quota_exceeded")
     assert "30000 of 50000 bytes are used and 20001 more" in reply.json()["detail"]
 
@@ -112,12 +106,6 @@ def test_pieces_are_not_counted_as_requests_of_a_known_caller_but_all_else_is(
         assert [patch(api, curator, where, offset, b"x").status_code for offset in range(40)] == [204] * 40
         assert 429 in [ask(api, curator, where).status_code for _ in range(12)]
         assert 429 in [api.patch(where, headers=PIECE).status_code for _ in range(12)]
-
-
-def test_what_is_no_count_is_refused_as_an_offset(api: httpx.Client, curator: Person) -> None:
-    for offset in ["", "-1", "x", "1.0"]:
-        where = created(api, curator, 10)
-        assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
 
 
 def test_another_content_type_is_refused(api: httpx.Client, curator: Person) -> None:
@@ -273,19 +261,6 @@ def test_a_file_arrives_with_its_creation(api: httpx.Client, curator: Person) ->
     part = api.post(UPLOADS, content=CONTENT[:99], headers={**said, "Upload-Length": str(len(CONTENT))})
     assert (part.status_code, part.headers["Upload-Offset"]) == (201, "99")
     assert patch(api, curator, part.headers["Location"], 99, CONTENT[99:]).status_code == 204
-
-
-def test_a_file_that_is_here_already_is_not_asked_for_again(
-    api: httpx.Client, platform: Platform, curator: Person
-) -> None:
-    where = created(api, curator, len(CONTENT))
-    patch(api, curator, where, 0, CONTENT)
-    again = create(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
-    assert again.headers["Upload-Offset"] == str(len(CONTENT))
-    assert again.headers["Location"] != where
-    assert shown(api, curator, again.headers["Location"])["state"] == "complete"
-    theirs = create(api, person(platform, "curator"), len(CONTENT), sha256=sha256_of(CONTENT))
-    assert theirs.headers["Upload-Offset"] == "0"
 
 
 def test_a_form_that_is_too_large_or_not_the_declared_file_is_refused(narrow: httpx.Client, curator: Person) -> None:

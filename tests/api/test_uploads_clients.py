@@ -95,8 +95,7 @@ def tuspy(served: Served, **options: Any) -> Any:
     return client.uploader(file_stream=io.BytesIO(served.content), metadata=served.said, **options)
 
 
-@pytest.mark.parametrize("chunk_bytes", [None, 1 << 20])
-@pytest.mark.parametrize("with_checksum", [False, True])
+@pytest.mark.parametrize(("chunk_bytes", "with_checksum"), [(None, True), (1 << 20, False), (1 << 20, True)])
 def test_tuspy_sends_a_file(another: Served, chunk_bytes: int | None, with_checksum: bool) -> None:
     sized = {} if chunk_bytes is None else {"chunk_size": chunk_bytes}
     uploader = tuspy(another, upload_checksum=with_checksum, **sized)

@@ -11,7 +11,6 @@ import random
 import socket
 import time
 from collections.abc import Iterator
-from concurrent.futures import ThreadPoolExecutor
 from contextlib import suppress
 from dataclasses import dataclass
 from pathlib import Path
@@ -23,7 +22,7 @@ from services.runtime.platform import Platform
 from services.runtime.uploads import upload_file
 from services.runtime.uploads.rows import find
 from testing.api.process import ApiProcess, running_api
-from testing.api.serving import Person, client_of
+from testing.api.serving import Person
 from testing.api.tus import checksum, created, offset_of, patch, sha256_of, shown
 from tests.services.runtime.uploads.sending import kept
 
@@ -147,42 +146,3 @@ def test_a_stopped_api_lets_the_lock_go_and_keeps_what_came(
         assert offset >= 1 << 20
         assert patch(api, curator, victim.where, offset, content[offset:]).status_code == 204
         assert shown(api, curator, victim.where)["sha256"] == sha256_of(content)
-
-
-@pytest.fixture
-def two(placed: Platform, tmp_path: Path) -> Iterator[tuple[httpx.Client, httpx.Client]]:
-    """One client of a server in this process, one of another process."""
-    with (
-        client_of(placed) as here,
-        running_api(placed.settings, tmp_path / "api.log") as process,
-        httpx.Client(base_url=process.url, timeout=300) as there,
-    ):
-        yield here, there
-
-
-def test_clients_that_fight_over_an_upload_leave_it_right(
-    two: tuple[httpx.Client, httpx.Client], placed: Platform, curator: Person
-) -> None:
-    for seed in range(3):
-        let_fight(two, placed, curator, seed)
-
-
-def let_fight(two: tuple[httpx.Client, httpx.Client], platform: Platform, curator: Person, seed: int) -> None:
-    content = random.Random(seed).randbytes(300_000)
-    where = created(two[0], curator, len(content), sha256=sha256_of(content))
-
-    def fight(number: int) -> None:
-        chance = random.Random(seed * 100 + number)
-        with httpx.Client(base_url=two[number % 2].base_url, timeout=300) as api:
-            deadline = time.monotonic() + 300
-            while (offset := offset_of(api, curator, where)) < len(content):
-                assert time.monotonic() < deadline, "nobody gets on"
-                piece = content[offset : offset + chance.randrange(1, 80_000)]
-                reply = patch(api, curator, where, offset, piece)
-                assert reply.status_code in (204, 409, 423), reply.text
-
-    with ThreadPoolExecutor(4) as pool:
-        list(pool.map(fight, range(4)))
-    assert shown(two[0], curator, where)["sha256"] == sha256_of(content)
-    upload = find(platform.database, where.rpartition("/")[2], curator.user_id)
-    assert kept(platform, upload) == content
