@@ -1,7 +1,7 @@
 """A served platform with a benchmark and a worker that scores, and commands as one of its participants gives them."""
 
 import json
-from collections.abc import Iterator, Mapping
+from collections.abc import Iterator
 from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
@@ -14,7 +14,7 @@ from services.domain.benchmarks.teams import teams
 from services.eval.queue_handlers import handlers
 from services.ingest import queue_handlers as ingest
 from services.runtime.database.migrate import upgrade
-from services.runtime.orm import Phase, SubmissionRow, Upload, new_id
+from services.runtime.orm import SubmissionRow, Upload, new_id
 from services.runtime.platform import Platform
 from stone_client.main import app
 from testing.api.serving import Person, person, serving
@@ -68,25 +68,6 @@ def joined(world: World, url: str) -> Served:
     with world.platform.database.transaction() as session:
         team_id = teams.found(session, name, captain.user_id).id
     return Served(world, url, captain, name, team_id)
-
-
-@contextmanager
-def changed_phase(served: Served, part: str, **columns: Any) -> Iterator[None]:
-    """The phase over this part with other rules, for a while."""
-    before = _set(served, part, columns)
-    try:
-        yield
-    finally:
-        _set(served, part, before)
-
-
-def _set(served: Served, part: str, columns: Mapping[str, Any]) -> dict[str, Any]:
-    with served.platform.database.transaction() as session:
-        phase = session.get_one(Phase, served.world.phase(part))
-        before = {name: getattr(phase, name) for name in columns}
-        for name, value in columns.items():
-            setattr(phase, name, value)
-        return before
 
 
 def stone(*arguments: object, stdin: str = "") -> Result:

@@ -95,9 +95,8 @@ def test_half_a_rig_is_shown_as_far_as_it_goes_and_refused(tmp_path: Path) -> No
 
 @pytest.mark.whole
 def test_a_right_calibration_fits_its_recording(run: Path) -> None:
-    told = calibration("check", calibration_path(run), "--bag", run)
-    assert told.exit_code == 0, told.stderr
     record = answered("check", calibration_path(run), "--bag", run)
+    assert record["is_usable"]
     matched = {match["topic"]: match["sensor"] for match in record["channels"]}
     assert matched["/lidar_points"] == "LIDAR"
     assert matched["/radar/left/detections"] == "RADAR_LEFT"
@@ -105,7 +104,6 @@ def test_a_right_calibration_fits_its_recording(run: Path) -> None:
     assert abs(record["ground"]["height_m"]) < 0.06
     # Its pictures were not recorded, so that the cameras have no topic; nothing else is said.
     assert codes(record) == ["CAL-437"] * 6
-    assert f"ground: {record['ground']['height_m']:+.2f} m from the ego origin" in told.stdout
 
 
 @pytest.mark.whole
@@ -114,19 +112,13 @@ def test_a_lidar_entered_too_low_cannot_be_used(run: Path, tmp_path: Path) -> No
         content["ego_from_lidar"]["translation_m"][2] -= 0.23
 
     low = changed(run, tmp_path, lower)
-    told = calibration("check", low, "--bag", run)
+    told = calibration("check", low, "--bag", run, "--json")
     assert told.exit_code == 1
-    assert "verdict: cannot be used for labels" in told.stdout
-    record = answered("check", low, "--bag", run)
+    record = json.loads(told.stdout)
+    assert not record["is_usable"]
     assert record["ground"]["height_m"] == pytest.approx(-0.23, abs=0.06)
     assert codes(record, "warning") == ["CAL-414", "CAL-433"]  # the recording's own tf_static says so too
     assert codes(record, "error") == ["footprint_off_ground"]
-
-
-def test_a_topic_that_is_not_there_is_refused_as_for_labels(run: Path) -> None:
-    told = calibration("check", calibration_path(run), "--bag", run, "--odometry", "/nowhere")
-    assert told.exit_code == 1
-    assert "TOP-104: " in told.stderr
 
 
 def test_a_recording_is_checked_as_its_own_calibration(run: Path) -> None:
@@ -138,8 +130,5 @@ def test_a_recording_is_checked_as_its_own_calibration(run: Path) -> None:
 
 @pytest.mark.whole
 def test_the_rig_is_drawn(run: Path, tmp_path: Path) -> None:
-    for name, magic in [("rig.svg", b"<?xml"), ("RIG.PNG", b"\x89PNG")]:
-        told = calibration("show", calibration_path(run), "-o", tmp_path / name)
-        assert told.exit_code == 0
-        assert told.stdout.endswith(f"Drawing: {tmp_path / name}\n")
-        assert (tmp_path / name).read_bytes().startswith(magic)
+    assert calibration("show", calibration_path(run), "-o", tmp_path / "RIG.PNG").exit_code == 0
+    assert (tmp_path / "RIG.PNG").read_bytes().startswith(b"\x89PNG")

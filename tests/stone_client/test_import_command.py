@@ -20,8 +20,8 @@ from stone_client.sdk import Stone
 from testing.api.serving import Person, client_of, person
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published, write_published_tar
 from tests.stone_client.participating import refused, stone
-from tests.stone_datasets.conftest import GOOD, Edit
-from tests.stone_datasets.malformed import GRID, LABELS, npz, row
+from tests.stone_datasets.conftest import GOOD
+from tests.stone_datasets.malformed import row
 from tests.working import working
 
 DATASET = SyntheticDataset(
@@ -70,7 +70,10 @@ def uploads(api: httpx.Client) -> list[str]:
 def test_a_folder_becomes_sequences_whose_labels_are_the_datasets_own(
     platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path
 ) -> None:
-    """Catches alone labels that change on their way from a folder through upload, queues and store and out again."""
+    """Catches alone labels that change on their way from a folder through upload, queues and store and out again.
+
+    And a second import, of a tar with a class map, that overwrites the first or whose map is not applied.
+    """
     made = imported(platform, dataset, "--public")
     assert (made["name"], made["state"], made["scenes_done"], made["frames"]) == ("offroad", "succeeded", 2, 4)
     listed = {one["name"]: one for one in api.get("/api/v1/sequences").json()["items"]}
@@ -85,6 +88,7 @@ def test_a_folder_becomes_sequences_whose_labels_are_the_datasets_own(
     assert (again["id"], uploads(api)) == (made["id"], ["consumed"]), "it is neither sent nor imported twice"
     assert stone("download", "field-0000", "-o", tmp_path / "labels").exit_code == 0
     _exported_again(platform, dataset, tmp_path / "field.tar")
+    _added_beside(platform, api, tmp_path)
 
 
 def _exported_again(platform: Platform, dataset: Path, path: Path) -> None:
@@ -105,12 +109,8 @@ def _exported_again(platform: Platform, dataset: Path, path: Path) -> None:
     assert sum(name.startswith("samples/") for name in found) == 2 * len(DATASET.sensors)
 
 
-@pytest.mark.whole
-def test_a_tar_with_a_class_map_is_added_beside_what_is_there(
-    platform: Platform, api: httpx.Client, dataset: Path, tmp_path: Path
-) -> None:
-    """Catches alone a second import that overwrites the first, and a class map that is not applied."""
-    imported(platform, dataset)
+def _added_beside(platform: Platform, api: httpx.Client, tmp_path: Path) -> None:
+    """A tar of the same sequences, with a class map: the second import overwrites nothing of the first."""
     tar = write_published_tar(tmp_path / "theirs.tar", DATASET, "theirs/")
     (tmp_path / "classes.yaml").write_text("name: swapped\nclasses: {0: free, 1: N, 2: P, 3: T, 255: unobserved}\n")
     asked = (tar, "--name", "theirs", "--classes", tmp_path / "classes.yaml")
@@ -127,24 +127,12 @@ def test_a_tar_with_a_class_map_is_added_beside_what_is_there(
     assert "failed" in shown.stdout
 
 
-WRONG: dict[str, tuple[str, Edit, str]] = {
-    "a duplicate token": ("DST-018", row("sample", 2, token=GOOD.tokens(0)[0]), "sample.json row 3"),
-    "labels of 18 classes": (
-        "DST-066",
-        npz(semantics=GRID + 17, mask_lidar=GRID, mask_camera=GRID),
-        LABELS.rpartition("/")[0],
-    ),
-}
-
-
 @pytest.mark.whole
-@pytest.mark.parametrize("kind", WRONG)
-def test_what_is_wrong_is_refused_by_its_code_with_table_row_and_file(
-    platform: Platform, api: httpx.Client, tmp_path: Path, kind: str
+def test_what_is_wrong_is_refused_by_its_code_with_table_and_row(
+    platform: Platform, api: httpx.Client, tmp_path: Path
 ) -> None:
-    code, edit, place = WRONG[kind]
-    folder = write_published(tmp_path / "wrong", GOOD)
-    edit(folder)
+    folder, (code, place) = write_published(tmp_path / "wrong", GOOD), ("DST-018", "sample.json row 3")
+    row("sample", 2, token=GOOD.tokens(0)[0])(folder)
     with importing(platform):
         result = stone("import", folder)
     assert refused(result) == code

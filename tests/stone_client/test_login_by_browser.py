@@ -16,6 +16,7 @@ from testing.api.lab import Lab, served_lab
 from testing.api.serving import Person, person
 from testing.servers.oidc import OidcServer
 from testing.stone_serve import STONE, environment
+from tests.stone_client.participating import stone
 
 
 @pytest.fixture
@@ -70,16 +71,6 @@ def test_the_command_waits_for_the_approval_and_keeps_the_token(local: Lab, ada:
     assert me["name"] == "ada"
 
 
-def test_a_denied_command_says_so_and_keeps_nothing(local: Lab, ada: Person, tmp_path: Path) -> None:
-    with login(tmp_path, local.url, "--browser") as (process, code):
-        decide(local.url, ada, code, approves=False)
-        said, complaint = process.communicate(timeout=300)
-    assert process.returncode == 1
-    assert json.loads(said)["findings"][0]["code"] == "access_denied"
-    assert "access_denied" in complaint
-    assert not (tmp_path / "configuration").exists()
-
-
 def test_where_people_have_a_provider_the_command_asks_for_no_password(
     platform: Platform, oidc_server: OidcServer, ada: Person, tmp_path: Path
 ) -> None:
@@ -91,10 +82,8 @@ def test_where_people_have_a_provider_the_command_asks_for_no_password(
         assert process.returncode == 0
 
 
-@pytest.mark.whole
 @pytest.mark.parametrize("other", [["--name", "ada"], ["--password-stdin"], ["--token-stdin"]])
-def test_a_browser_says_who_one_is_and_nothing_else(other: list[str], tmp_path: Path) -> None:
-    command = [*STONE, "login", "http://127.0.0.1:1", "--browser", *other]
-    ended = subprocess.run(command, env=environment(tmp_path / "data"), capture_output=True, text=True, input="")
-    assert ended.returncode == 2
+def test_a_browser_says_who_one_is_and_nothing_else(other: list[str]) -> None:
+    ended = stone("login", "http://127.0.0.1:1", "--browser", *other)
+    assert ended.exit_code == 2
     assert "--browser" in ended.stderr

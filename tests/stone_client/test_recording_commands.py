@@ -1,7 +1,6 @@
 """Recordings by command: inspected, recovered, simulated; with poses of a file, with chosen topics and clocks."""
 
 import json
-import re
 from io import BytesIO, StringIO
 from pathlib import Path
 from typing import Any
@@ -16,12 +15,10 @@ from typer.testing import Result
 
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate, write_calibration
-from stone_client.main import app
 from stone_client.tables import clock_table
 from stone_local.topic_choices import chosen_offsets
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.clocks.report import ClockReport, ImuLag, TopicClock
-from stone_recordings.sync.errors import no_posed_frames
 from testing.worlds.pose_files import tum_text
 from tests.stone_client.participating import stone
 from tests.stone_recordings import rigs
@@ -56,13 +53,6 @@ def test_what_is_no_recording_is_refused_in_one_line(tmp_path: Path) -> None:
         assert result.exit_code == 1
         assert len(result.stderr.splitlines()) == 1
         assert json.loads(result.stdout)["findings"][0]["severity"] == "error"
-
-
-def test_a_recording_that_was_cut_off_says_where(tmp_path: Path, bag: Path) -> None:
-    whole = bag.read_bytes()
-    (tmp_path / "cut.mcap").write_bytes(whole[: len(whole) // 2])
-    result = stone("inspect", tmp_path / "cut.mcap")
-    assert (result.exit_code, "BAG-010" in result.stderr) == (1, True)
 
 
 def test_with_a_calibration_labelling_is_looked_ahead_to(bag: Path, tmp_path: Path) -> None:
@@ -103,13 +93,6 @@ def test_a_topic_that_lies_is_an_error_once_it_is_looked_at(tmp_path: Path) -> N
     assert result.exit_code == 1
     assert "/camera/front/image: 10 of 10 sampled messages are left out" in result.stderr
     assert (tmp_path / "out.html").is_file()
-
-
-def test_what_is_no_recording_leaves_no_page(tmp_path: Path) -> None:
-    (tmp_path / "run.mcap").write_bytes(b"no recording")
-    result = stone("inspect", tmp_path / "run.mcap", "--html", str(tmp_path / "out.html"))
-    assert result.exit_code == 1
-    assert not (tmp_path / "out.html").exists()
 
 
 @pytest.fixture
@@ -158,14 +141,6 @@ def test_pictures_are_of_the_asked_size_detail_and_light_and_so_is_the_calibrati
     assert {Image.open(BytesIO(picture.tobytes())).size for picture in pictures} == {(96, 60)}
 
 
-@pytest.mark.parametrize(("option", "word"), [("--illumination", "noon"), ("--camera-detail", "fine")])
-def test_a_word_that_is_not_known_is_refused_with_those_that_are(option: str, word: str, tmp_path: Path) -> None:
-    refused = stone("simulate", tmp_path / "run.mcap", option, word)
-    assert refused.exit_code == 1
-    assert f"is '{word}'; it must be one of" in refused.stderr
-    assert not list(tmp_path.iterdir())
-
-
 STAMPS_NS = T0_NS + np.arange(8) * PERIOD_NS
 
 
@@ -180,12 +155,6 @@ def test_inspect_takes_a_file_for_a_source_of_poses(plain: Path, tmp_path: Path)
     poses.write_text(tum_text(STAMPS_NS, rigs.world_from_ego(STAMPS_NS)))
     told = stone("inspect", plain, "--poses", poses, "--poses-frame", "base_link")
     assert (told.exit_code, "TOP-103" in told.stderr, "SYN-5" in told.stderr) == (0, False, False)
-
-
-def test_a_bad_line_is_named(plain: Path, tmp_path: Path) -> None:
-    poses = tmp_path / "poses.txt"
-    poses.write_text("1 2 3\n")
-    assert "SYN-516: poses.txt, line 1: the line has 3 words" in stone("inspect", plain, "--poses", poses).stderr
 
 
 def test_a_calibration_is_checked_with_the_poses_of_a_file(plain: Path, tmp_path: Path) -> None:
@@ -223,16 +192,6 @@ def channels(result: Result) -> dict[str, str]:
     return found
 
 
-def test_the_whole_rig_is_resolved_and_shown(rig_drive: Path) -> None:
-    resolved = channels(stone("inspect", rig_drive, "--json"))
-    assert resolved["CAM_FRONT"] == FRONT
-    assert set(resolved) == {
-        "lidar", "pose", "imu", "RADAR_FRONT", "RADAR_LEFT", "RADAR_RIGHT", "CAM_FRONT", "CAM_FRONT_LEFT",
-        "CAM_FRONT_RIGHT", "CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT",
-    }  # fmt: skip
-    assert "camera (CAM_FRONT)" in stone("inspect", rig_drive).stdout
-
-
 def test_a_choice_is_saved_and_used_for_the_next_recording(rig_drive: Path, tmp_path: Path) -> None:
     saved = tmp_path / "rover.yaml"
     first = stone("inspect", rig_drive, "--topic", f"CAM_BACK={FRONT}", "--save-topics", saved, "--json")
@@ -241,19 +200,6 @@ def test_a_choice_is_saved_and_used_for_the_next_recording(rig_drive: Path, tmp_
     assert channels(stone("inspect", rig_drive, "--topics", saved, "--json")) == channels(first)
     mended = stone("inspect", rig_drive, "--topics", saved, "--topic", f"CAM_FRONT={FRONT}", "--json")
     assert channels(mended)["CAM_FRONT"] == FRONT
-
-
-def test_a_choice_that_the_recording_does_not_bear_out_is_said(rig_drive: Path) -> None:
-    result = stone("inspect", rig_drive, "--topic", "lidar=/imu/data")
-    assert "TOP-111" in result.stderr
-    assert channels(stone("inspect", rig_drive, "--topic", "lidar=/imu/data", "--json"))["lidar"] == "/lidar_points"
-
-
-def test_a_part_there_is_none_is_refused_by_name(rig_drive: Path, tmp_path: Path) -> None:
-    result = stone("inspect", rig_drive, "--topic", "sonar=/lidar_points")
-    assert (result.exit_code, "sonar" in result.stderr) == (1, True)
-    (tmp_path / "no.yaml").write_text("- nothing\n")
-    assert "TOP-114" in stone("inspect", rig_drive, "--topics", tmp_path / "no.yaml").stderr
 
 
 def test_labels_are_refused_a_topic_that_cannot_give_poses(rig_drive: Path, tmp_path: Path) -> None:
@@ -283,24 +229,6 @@ def test_more_than_a_quarter_of_an_hour_is_a_slip_of_the_unit() -> None:
         chosen_offsets(["lidar=1001s"])
 
 
-STARTS_S = (18.0, -37.2, 999.9, 7200.0, 0.1, -1.7e9)
-
-
-@pytest.mark.parametrize("apart_s", STARTS_S)
-def test_where_no_sweep_has_a_pose_each_option_named_is_one_of_stone_label(apart_s: float) -> None:
-    sentence = str(no_posed_frames("8 pose_gap", (apart_s, apart_s + 1), (0.0, 1.0)))
-    command = typer.main.get_command(app)
-    label = command.get_command(typer.Context(command), "label")  # type: ignore[attr-defined]
-    known = {name for parameter in label.params for name in parameter.opts}
-    named = re.findall(r"--[a-z-]+", sentence)
-    assert "--odometry" in named
-    assert set(named) <= known
-    tried = re.findall(r"--time-offset (\S+)", sentence)
-    assert len(tried) == (0.5 <= abs(apart_s) <= 1000)
-    for choice in tried:
-        assert chosen_offsets([choice]) == {"pose": round(apart_s * 1e9)}
-
-
 def _shown(report: ClockReport) -> str:
     console = Console(width=120, file=StringIO())
     with console.capture() as shown:
@@ -310,13 +238,6 @@ def _shown(report: ClockReport) -> str:
 
 def _clock(topic: str, **facts: Any) -> TopicClock:
     return TopicClock(topic, facts.pop("role", "imu"), 10, 10.0, facts.pop("stamp_source", "sensor"), **facts)
-
-
-def test_what_cannot_be_told_is_a_dash() -> None:
-    (row,) = [
-        line for line in _shown(ClockReport((_clock("/tf", stamp_source="recorder"),))).splitlines() if "/tf" in line
-    ]
-    assert row.split() == ["/tf", "recorder", "–", "–", "–", "–", "0", "0"]
 
 
 def test_names_of_topics_are_no_markup() -> None:

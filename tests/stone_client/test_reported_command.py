@@ -72,17 +72,6 @@ def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Se
     assert NOT_COMPARABLE in shown.stdout
 
 
-def test_the_board_shows_them_unranked_with_source_note_and_digits(served: Served) -> None:
-    put(served)
-    board = answered("leaderboard", served.world.benchmark, "val")
-    rows = {(row["method"], row["modality"]): row for row in board["rows"] if row["source"] == TABLE2.source}
-    assert len(rows) == 10
-    assert {(row["standing"], row["rank"], row["percent_digits"]) for row in rows.values()} == {("reported", None, 1)}
-    assert all(row["note"].startswith(NOT_COMPARABLE) for row in rows.values())
-    assert "19.0 in bold although L-CoNet's 22.5 is higher" in rows["OccFusion", "C+L"]["note"]
-    assert rows["OccFusion", "C+R"]["note"] == NOT_COMPARABLE
-
-
 def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(served: Served) -> None:
     typed = ReportedRow("OccFusion", "C+L", TABLE2.source, 0.661, 0.191, 0.369, 0.628, None, NOT_COMPARABLE, 1)
     lay(served, OTHER, typed)

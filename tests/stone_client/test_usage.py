@@ -12,10 +12,8 @@ from typer.testing import CliRunner, Result
 from stone.errors import StoneError, one_line
 from stone_client.lazy_commands import CommandPlace, LazyCommands
 from stone_client.main import COMMANDS, PANELS
-from stone_client.progress import reported
 from stone_client.refusals import RefusingGroup
 from stone_client.streams import JsonOption
-from stone_local.models.prediction_pace import PredictionPace
 from tests.stone_client.participating import stone
 
 
@@ -141,36 +139,3 @@ def test_a_command_is_imported_when_it_is_looked_at(tmp_path: Path, monkeypatch:
     assert commands["dig"] is commands["dig"]
     with pytest.raises(KeyError):
         commands["bury"]
-
-
-@pytest.mark.parametrize("body", ["", "dig = 1", "dig = made()", "dig = made(help=text)"])
-def test_a_command_without_words_of_its_own_is_a_fault(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, body: str
-) -> None:
-    monkeypatch.syspath_prepend(tmp_path)
-    (tmp_path / "lazy_mute.py").write_text(body)
-    with pytest.raises(LookupError):
-        CommandPlace("dig", "Garden", "lazy_mute", "dig").help()
-    with pytest.raises(LookupError):
-        CommandPlace("dig", "Garden", "lazy_absent", "dig").help()
-
-
-def test_without_a_terminal_each_finished_stage_is_one_line(capsys: pytest.CaptureFixture[str]) -> None:
-    with reported() as progress:
-        for done in range(4):
-            progress("fuse", done, 3)
-        progress("[red]frames", 1, 1)
-    captured = capsys.readouterr()
-    assert captured.err == "fuse 3/3\n[red]frames 1/1\n"
-    assert captured.out == ""
-
-
-def test_it_keeps_up_where_frames_are_predicted_as_fast_as_they_were_recorded() -> None:
-    pace = PredictionPace(done=50, total=100, seconds=5.0, recorded_hz=10.0)
-    assert (pace.frames_per_s, pace.real_time_ratio) == (10.0, 1.0)
-    assert str(pace) == "10.00 frames/s, 1.00 × real time"
-
-
-def test_of_a_single_frame_nobody_knows_how_fast_it_was_recorded() -> None:
-    assert str(PredictionPace(1, 1, 2.0, None)) == "0.50 frames/s"
-    assert PredictionPace(0, 1, 0.0, None).frames_per_s == 0.0
