@@ -30,18 +30,7 @@ HESAI = np.dtype(
 )
 NEBULA = np.dtype(
     {
-        "names": [
-            "x",
-            "y",
-            "z",
-            "intensity",
-            "return_type",
-            "channel",
-            "azimuth",
-            "elevation",
-            "distance",
-            "time_stamp",
-        ],
+        "names": [*"xyz", "intensity", "return_type", "channel", "azimuth", "elevation", "distance", "time_stamp"],
         "formats": ["<f4", "<f4", "<f4", "u1", "u1", "<u2", "<f4", "<f4", "<f4", "<u4"],
         "offsets": [0, 4, 8, 12, 13, 14, 16, 20, 24, 28],
         "itemsize": 32,

@@ -137,9 +137,8 @@ def test_a_missing_or_empty_file_is_an_error_and_the_others_are_read(tmp_path: P
         assert _read(bag) == _expected(first)
     assert "BAG-021" in [each.code for each in inspect(tmp_path / "run").findings]
     (tmp_path / "run" / "run_0.mcap").unlink()
-    with refused_as("BAG-019") as caught:
+    with refused_as("BAG-019"):
         open_bag(tmp_path / "run")
-    assert caught.value.code == "BAG-019"
 
 
 def test_a_file_that_is_not_listed_is_left_out_and_said(tmp_path: Path) -> None:
@@ -259,6 +258,5 @@ def test_a_compressed_file_that_grows_without_measure_is_refused(tmp_path: Path)
         codec.flush(),
     ]
     (tmp_path / "bomb.mcap.zstd").write_bytes(b"".join(pieces))
-    with refused_as("BAG-027") as caught:
+    with refused_as("BAG-027"):
         open_bag(tmp_path / "bomb.mcap.zstd")
-    assert caught.value.code == "BAG-027"

@@ -233,9 +233,8 @@ def test_a_database_that_holds_no_cdr_or_is_another_program_s_is_refused(tmp_pat
     with sqlite3.connect(path) as connection:
         connection.execute("CREATE TABLE urls(id INTEGER PRIMARY KEY, url TEXT)")
     connection.close()
-    with refused_as("BAG-018") as caught:
+    with refused_as("BAG-018"):
         open_bag(path)
-    assert caught.value.code == "BAG-018"
 
 
 def test_a_topic_of_two_types_is_refused_and_of_two_ids_is_one(tmp_path: Path) -> None:

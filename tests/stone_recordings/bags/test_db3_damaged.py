@@ -289,9 +289,8 @@ REFUSED = {
 def test_a_schema_that_is_no_recorders_is_refused_before_sqlite_sees_it(tmp_path, kind, monkeypatch):
     path = _changed(tmp_path / "run.db3", REFUSED[kind])
     monkeypatch.setattr(sql, "_connected", lambda _place: pytest.fail("SQLite was asked"))
-    with refused_as("BAG-018") as caught:
+    with refused_as("BAG-018"):
         open_bag(path)
-    assert caught.value.code == "BAG-018"
 
 
 def test_triggers_views_and_other_tables_beside_the_messages_are_never_touched(tmp_path: Path) -> None:

@@ -91,7 +91,7 @@ def test_no_overwritten_bytes_give_anything_but_messages_or_a_coded_refusal(tmp_
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("kind", KINDS)
+@pytest.mark.parametrize("kind", ["plain without checksums", "lz4 without checksums", "unchunked", "walked"])
 def test_no_lying_length_anywhere_gives_anything_but_a_coded_refusal(tmp_path, bags, kind):
     """Every length, count and offset of every record, set to values that have killed readers."""
     content, path = bags[kind], tmp_path / "lying.mcap"

@@ -240,7 +240,7 @@ def check_sentence(refused: StoneError) -> None:
 
 @pytest.mark.whole
 @pytest.mark.parametrize("writer", WRITERS)
-@settings(max_examples=60)
+@settings(max_examples=30)
 @given(data=st.data())
 def test_no_value_is_more_than_a_refusal(writer: Callable[[], dict[str, object]], data: st.DataObject) -> None:
     files = {name: content for name, content in copy.deepcopy(writer()).items() if not isinstance(content, str)}

@@ -317,9 +317,8 @@ def test_packets_are_as_long_as_the_interface_says_or_refused() -> None:
     assert DETECTION_LIST.itemsize == 35_336
     with refused_as("MSG-308"):
         decode_radar(TYPE, wire([_message([_list_of_radar_packets(801).tobytes()])]))
-    with refused_as("MSG-308") as caught:
+    with refused_as("MSG-308"):
         decode_radar(TYPE, wire([_message([_list_of_radar_packets(1).tobytes()[:-1]])]))
-    assert caught.value.code == "MSG-308"
     longer = _list_of_radar_packets(1)
     longer["length"] = 0xFFFFFFFF
     with refused_as("MSG-308"):

@@ -274,15 +274,6 @@ def test_every_byte_may_be_cut_or_turned(type_name: str) -> None:
     assert refused >= len(whole) - 4
 
 
-def test_an_uploaded_definition_reads_what_nobody_knew() -> None:
-    text = "std_msgs/Header header\nfloat32[] values\nstring name"
-    known = registry((MessageText("my_msgs/msg/Thing", text),))
-    body = b"\0\1\0\0" + bytes(8) + b"\2\0\0\0a\0\0\0" + b"\2\0\0\0" + np.float32([1.5, 2.5]).tobytes() + b"\2\0\0\0b\0"
-    table = decode_table("my_msgs/msg/Thing", wire([body]), known)
-    assert table.ragged("values")[1].tolist() == [1.5, 2.5]
-    assert table.texts("name") == ["b"]
-
-
 def test_a_signalling_nan_is_as_good_as_any_other() -> None:
     """Damage makes them; numpy warns of them where a float becomes a double, and a warning is an error here."""
     fix = random_message("novatel_oem7_msgs/msg/BESTPOS", np.random.default_rng(0), is_tame=True)

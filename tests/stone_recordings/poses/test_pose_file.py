@@ -65,7 +65,6 @@ def test_what_was_written_is_read_again(tmp_path_factory: pytest.TempPathFactory
 def test_a_file_that_is_none_is_refused_with_its_line(tmp_path: Path, text: str, line: int) -> None:
     with refused_as("SYN-516") as refused:
         read_pose_file(written(tmp_path / "p.txt", text))
-    assert refused.value.code == "SYN-516"
     assert not line or f"line {line}: " in str(refused.value)
 
 

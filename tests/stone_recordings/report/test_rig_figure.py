@@ -49,11 +49,10 @@ def test_equal_rigs_give_equal_bytes(picture: str) -> None:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("name", ["$x^2$", "a\x1b[2Jb", "車", "<script>", "\u202eevil", "n" * 100, "%s{}"])
-def test_names_are_text_whatever_they_are(name: str) -> None:
-    rig = Calibration(
-        name, UP, (Mount(name, "camera", SE3.identity()),), Footprint(3.0, 1.6), (Box((0, 0, 0), (1e9, 1, 1)),)
-    )
+def test_names_are_text_whatever_they_are() -> None:
+    names = ("$x^2$", "a\x1b[2Jb", "車", "<script>", "\u202eevil", "n" * 100, "%s{}")
+    mounts = tuple(Mount(name, "camera", SE3.identity()) for name in names)
+    rig = Calibration("<script>$_$", UP, mounts, Footprint(3.0, 1.6), (Box((0, 0, 0), (1e9, 1, 1)),))
     drawn = rig_figure(rig, True)
     assert b"<script" not in drawn
     assert b"\x1b" not in drawn

@@ -62,16 +62,21 @@ def codes(sequence) -> list[str]:
     return [finding.code for finding in sequence.findings if finding.code.startswith("CAL-43")]
 
 
-def test_a_right_mount_is_not_spoken_of(drive: tuple[Path, Calibration]) -> None:
-    sequence, _ = synchronise(*drive, SynchroniseOptions(), "right")
+@pytest.fixture(scope="module")
+def right(drive: tuple[Path, Calibration]) -> tuple[Sequence, SweepSource]:
+    return synchronise(*drive, SynchroniseOptions(), "right")
+
+
+def test_a_right_mount_is_not_spoken_of(right: tuple[Sequence, SweepSource]) -> None:
+    sequence, _ = right
     assert sequence.ground is not None
     assert abs(sequence.ground.height_m) < 0.05
     assert codes(sequence) == []
     assert read_sequence(sequence_bytes(sequence)).ground == sequence.ground
 
 
-def test_sweeps_are_read_a_few_ahead_by_one_thread_and_given_in_order(drive: tuple[Path, Calibration]) -> None:
-    sequence, sweeps = synchronise(*drive, SynchroniseOptions(), "ahead")
+def test_sweeps_are_read_a_few_ahead_by_one_thread_and_given_in_order(right: tuple[Sequence, SweepSource]) -> None:
+    sequence, sweeps = right
     told = CountedSweeps(sweeps)
     seen, rows = list[np.ndarray](), [0, 7, 3, 12, 5, 30, 31]
     for points in seen_ahead(sequence, told, rows):
@@ -84,10 +89,9 @@ def test_sweeps_are_read_a_few_ahead_by_one_thread_and_given_in_order(drive: tup
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("higher_m", "pitch_deg"), [(0.1, 0), (-0.23, 0), (-0.5, 0), (0, 3)])
-def test_a_wrong_mount_is_measured_against_the_right_one_and_put_right(drive, higher_m, pitch_deg):
-    bag, rig = drive
-    right = synchronise(bag, rig, SynchroniseOptions(), "mounted")[0].ground
+@pytest.mark.parametrize(("higher_m", "pitch_deg"), [(0.1, 0), (-0.5, 0), (0, 3)])
+def test_a_wrong_mount_is_measured_against_the_right_one_and_put_right(drive, right, higher_m, pitch_deg):
+    (bag, rig), right = drive, right[0].ground
     sequence, _ = synchronise(bag, mounted(rig, higher_m, pitch_deg), SynchroniseOptions(), "mounted")
     assert right is not None
     assert sequence.ground is not None

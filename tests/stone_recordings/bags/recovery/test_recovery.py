@@ -5,9 +5,12 @@ import signal
 import struct
 import subprocess
 import sys
+from collections.abc import Sequence
+from functools import cache
 from itertools import pairwise
 from pathlib import Path
 from struct import pack, unpack_from
+from tempfile import TemporaryDirectory
 
 import lz4.frame  # type: ignore[import-untyped]
 import numpy as np
@@ -59,7 +62,7 @@ def _content(path: Path) -> list[tuple[str, int, bytes]]:
         return [(channel.topic, message.log_time, bytes(message.data)) for _schema, channel, message in read]
 
 
-def _expected(messages: list[Recorded]) -> list[tuple[str, int, bytes]]:
+def _expected(messages: Sequence[Recorded]) -> list[tuple[str, int, bytes]]:
     return [(message.topic, message.log_time_ns, message.payload) for message in messages]
 
 
@@ -224,9 +227,8 @@ def test_a_database_is_recovered_as_well_and_the_original_is_never_the_target(tm
     before = path.read_bytes()
     (tmp_path / "alias.mcap").symlink_to(path)
     for out in (path, tmp_path / "alias.mcap"):
-        with refused_as("BAG-026") as caught:
+        with refused_as("BAG-026"):
             recover(path, out)
-    assert caught.value.code == "BAG-026"
     assert path.read_bytes() == before
 
 
@@ -260,26 +262,32 @@ def test_a_recovery_that_is_killed_leaves_no_half_file(tmp_path: Path, has_earli
     assert [entry.name for entry in out.parent.iterdir()] == ["out.mcap"]
 
 
-CHUNKED = {kind: KINDS[kind] for kind in ("plain", "lz4", "zstd")}
+CHUNKED = ("plain", "lz4", "zstd")
 MAGIC_BYTES, PREFIX_BYTES = 8, 9
 HEADER, SCHEMA, CHANNEL, MESSAGE, CHUNK, MESSAGE_INDEX = 1, 3, 4, 5, 6, 7
-LENGTHS = (0, 1, 5, 300, 2**31, 2**63)
-COUNT = 639
+LENGTHS = (0, 5, 300, 2**63)
+COUNT = 240
 
 Content = list[tuple[str, int, bytes]]
 
 
-def _many(count: int = COUNT) -> list[Recorded]:
-    generator = np.random.default_rng(7)
-    return [
-        Recorded(
-            f"/{'abc'[row % 3]}",
-            IMU,
-            1_000_000_000 + 1_000 * row,
-            b"\x00\x01\x00\x00" + generator.bytes(40) + b"." * int(generator.integers(0, 300)),
-        )
-        for row in range(count)
-    ]
+NOISE = np.random.default_rng(7)
+MANY = tuple(
+    Recorded(
+        f"/{'abc'[row % 3]}",
+        IMU,
+        1_000_000_000 + 1_000 * row,
+        b"\x00\x01\x00\x00" + NOISE.bytes(40) + b"." * int(NOISE.integers(0, 300)),
+    )
+    for row in range(COUNT)
+)
+
+
+@cache
+def _whole(kind: str) -> bytes:
+    """A file of `MANY`: of chunks, or without."""
+    with TemporaryDirectory() as folder:
+        return write_mcap(Path(folder) / "run.mcap", MANY, chunk_size=4000, **KINDS[kind]).read_bytes()
 
 
 def _places(content: bytes, opcode: int) -> list[int]:
@@ -306,10 +314,9 @@ def _with_length(content: bytes, at: int, length: int) -> bytes:
 @pytest.mark.parametrize("length", LENGTHS)
 @pytest.mark.parametrize("kind", CHUNKED)
 def test_a_damaged_header_costs_no_message(tmp_path: Path, kind: str, length: int) -> None:
-    messages = _many()
-    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind]).read_bytes()
+    whole = _whole(kind)
     recovery, kept = _recovered(tmp_path / "run.mcap", _with_length(whole, MAGIC_BYTES, length))
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
     assert f"{COUNT} of {COUNT} messages of 3 topics" in recovery.finding.message
     with (tmp_path / "out.mcap").open("rb") as file:
         summary = SeekingReader(file).get_summary()
@@ -322,37 +329,33 @@ def test_a_damaged_header_costs_no_message(tmp_path: Path, kind: str, length: in
 @pytest.mark.parametrize("row", [0, 7])
 def test_a_chunk_or_an_index_whose_length_is_damaged_costs_no_message(tmp_path, row, opcode, length):
     """The summary's index says where the chunk ends, and where the next one begins."""
-    messages = _many()
-    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000).read_bytes()
+    whole = _whole("plain")
     _recovery, kept = _recovered(tmp_path / "run.mcap", _with_length(whole, _places(whole, opcode)[row], length))
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
 
 
 @pytest.mark.parametrize("kind", CHUNKED)
 @pytest.mark.parametrize("field", [9, 17, 25, 37, 41, 45, 49])
 def test_a_chunk_whose_own_head_is_damaged_is_read_as_the_summary_describes_it(tmp_path, kind, field):
     """Its times, its size, the name of its compression, the lengths of either; its checksum says that it is whole."""
-    messages = _many()
-    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind]).read_bytes()
+    whole = _whole(kind)
     at = _places(whole, CHUNK)[3] + min(field, 9 + 32 + len(kind.replace("plain", "")))
     _recovery, kept = _recovered(tmp_path / "run.mcap", whole[:at] + bytes([whole[at] ^ 0x41]) + whole[at + 1 :])
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
 
 
 @pytest.mark.parametrize("kind", CHUNKED)
 @pytest.mark.parametrize("size", [1, 8, 30])
 @pytest.mark.parametrize("zeros", [0, 5000])
 def test_a_file_whose_first_bytes_are_gone_is_known_by_its_last(tmp_path, kind, size, zeros):
-    messages = _many()
-    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind])
-    whole = path.read_bytes()
+    path, whole = tmp_path / "run.mcap", _whole(kind)
     path.write_bytes(bytes(size) + whole[size:] + bytes(zeros))
     with open_bag(path) as bag:
         assert sum(topic.count for topic in bag.topics) == COUNT
         assert [found.code for found in bag.findings] == ["BAG-033", *["BAG-032"] * bool(zeros)]
-        assert bytes(bag.message("/a", 200).payload) == messages[600].payload
+        assert bytes(bag.message("/a", 60).payload) == MANY[180].payload
     recovery, kept = _recovered(path, path.read_bytes())
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
     assert (recovery.finding.severity == "info") == (size <= MAGIC_BYTES)
     with open_bag(tmp_path / "out.mcap") as bag:
         assert bag.findings == ()
@@ -360,14 +363,12 @@ def test_a_file_whose_first_bytes_are_gone_is_known_by_its_last(tmp_path, kind, 
 
 @pytest.mark.parametrize("kind", CHUNKED)
 def test_a_file_whose_first_chunk_is_gone_is_refused_with_the_way_out_and_keeps_the_others(tmp_path, kind):
-    messages = _many()
-    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind])
-    whole = path.read_bytes()
+    path, whole = tmp_path / "run.mcap", _whole(kind)
     path.write_bytes(bytes(700) + whole[700:])
     with pytest.raises(MalformedBagError):
         open_bag(path)
     recovery, kept = _recovered(path, path.read_bytes())
-    assert kept == _expected(messages)[-len(kept) :]
+    assert kept == _expected(MANY)[-len(kept) :]
     assert COUNT - 20 < len(kept) < COUNT
     assert "stone recover" not in recovery.lost
     with open_bag(tmp_path / "out.mcap") as bag:
@@ -377,8 +378,7 @@ def test_a_file_whose_first_chunk_is_gone_is_refused_with_the_way_out_and_keeps_
 @pytest.mark.whole
 @pytest.mark.parametrize("kind", CHUNKED)
 def test_wherever_a_few_bytes_are_wrong_only_the_chunk_they_lie_in_is_lost(tmp_path: Path, kind: str) -> None:
-    messages = _many(200)
-    whole = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind]).read_bytes()
+    whole = _whole(kind)
     data_stop = unpack_from("<Q", whole, len(whole) - MAGIC_BYTES - 20)[0] - PREFIX_BYTES - 4
     chunks = [*_places(whole, CHUNK), data_stop]
     generator = np.random.default_rng(5)
@@ -387,33 +387,30 @@ def test_wherever_a_few_bytes_are_wrong_only_the_chunk_they_lie_in_is_lost(tmp_p
         damaged = whole[:at] + generator.bytes(size) + whole[at + size :]
         _recovery, kept = _recovered(tmp_path / "run.mcap", damaged)
         hit = sum(start < at + size and at < stop for start, stop in pairwise(chunks))
-        assert [one for one in _expected(messages) if one in kept] == kept
-        assert len(kept) >= len(messages) - 24 * hit
+        assert [one for one in _expected(MANY) if one in kept] == kept
+        assert len(kept) >= COUNT - 24 * hit
 
 
 @pytest.mark.parametrize("length", LENGTHS)
-@pytest.mark.parametrize("row", [0, 300, COUNT - 1])
+@pytest.mark.parametrize("row", [0, 100, COUNT - 1])
 def test_of_a_file_without_chunks_only_the_message_is_lost_whose_length_is_damaged(tmp_path, row, length):
     """Nothing says where its messages lie: they are found again by their channels and times, as the summary tells."""
-    messages = _many()
-    whole = write_mcap(tmp_path / "run.mcap", messages, use_chunking=False).read_bytes()
+    whole = _whole("unchunked")
     recovery, kept = _recovered(tmp_path / "run.mcap", _with_length(whole, _places(whole, MESSAGE)[row], length))
-    assert kept == _expected(messages[:row] + messages[row + 1 :])
+    assert kept == _expected(MANY[:row] + MANY[row + 1 :])
     assert f"{COUNT - 1} of {COUNT} messages" in recovery.finding.message
 
 
 @pytest.mark.parametrize("opcode", [HEADER, SCHEMA, CHANNEL])
 @pytest.mark.parametrize("length", LENGTHS)
 def test_of_a_file_without_chunks_damaged_definitions_cost_no_message(tmp_path: Path, opcode: int, length: int) -> None:
-    messages = _many()
-    whole = write_mcap(tmp_path / "run.mcap", messages, use_chunking=False).read_bytes()
+    whole = _whole("unchunked")
     _recovery, kept = _recovered(tmp_path / "run.mcap", _with_length(whole, _places(whole, opcode)[0], length))
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
 
 
 def test_a_summary_that_lies_about_chunks_takes_nothing_from_what_the_data_says(tmp_path: Path) -> None:
-    messages = _many()
-    whole = bytearray(write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000).read_bytes())
+    whole = bytearray(_whole("plain"))
     summary_at = unpack_from("<Q", whole, len(whole) - MAGIC_BYTES - 20)[0]
     generator = np.random.default_rng(11)
     for _ in range(40):
@@ -421,22 +418,21 @@ def test_a_summary_that_lies_about_chunks_takes_nothing_from_what_the_data_says(
         for _ in range(20):
             lying[int(generator.integers(summary_at, len(whole) - 40))] = int(generator.integers(0, 256))
         _recovery, kept = _recovered(tmp_path / "run.mcap", bytes(lying))
-        assert kept == _expected(messages)
+        assert kept == _expected(MANY)
 
 
 @pytest.mark.parametrize("kind", CHUNKED)
 @pytest.mark.parametrize("zeros", [1, 4096, 3 << 20])
 def test_a_whole_file_with_zeros_behind_it_is_not_cut_off(tmp_path: Path, kind: str, zeros: int) -> None:
-    messages = _many()
-    path = write_mcap(tmp_path / "run.mcap", messages, chunk_size=4000, **CHUNKED[kind])
-    path.write_bytes(path.read_bytes() + bytes(zeros))
+    path = tmp_path / "run.mcap"
+    path.write_bytes(_whole(kind) + bytes(zeros))
     with open_bag(path) as bag:
         assert bag.is_indexed
         assert sum(topic.count for topic in bag.topics) == COUNT
         assert [(found.code, found.severity) for found in bag.findings] == [("BAG-032", "info")]
-        assert bytes(bag.message("/a", 0).payload) == messages[0].payload
+        assert bytes(bag.message("/a", 0).payload) == MANY[0].payload
     recovery, kept = _recovered(path, path.read_bytes())
-    assert kept == _expected(messages)
+    assert kept == _expected(MANY)
     assert recovery.lost == "Nothing is lost but the index."
     assert recovery.finding.severity == "info"
 

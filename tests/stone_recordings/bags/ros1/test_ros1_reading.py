@@ -1,6 +1,5 @@
 """A ROS 1 bag is read as the MCAP file that holds the same, however it was written and whether it was closed."""
 
-from itertools import product
 from pathlib import Path
 
 import numpy as np
@@ -37,7 +36,7 @@ def assert_same(found: Bag, expected: Bag) -> None:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(("compression", "is_closed"), list(product(ROS1_COMPRESSIONS, (True, False))))
+@pytest.mark.parametrize(("compression", "is_closed"), [("none", True), ("bz2", False), ("lz4", True), ("lz4", False)])
 def test_every_byte_is_that_of_the_mcap_file_and_a_walk_finds_what_the_index_does(
     drive: Path, tmp_path: Path, compression: Ros1Compression, is_closed: bool
 ) -> None:
@@ -63,7 +62,7 @@ def test_a_head_is_the_beginning_of_its_message_and_its_size_is_known(drive, tmp
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("compression", ROS1_COMPRESSIONS)
+@pytest.mark.parametrize("compression", ["none", "lz4"])
 def test_an_inspection_says_what_it_says_of_the_mcap_file(drive, tmp_path, compression):
     found = inspection_record(inspect(_made(drive, tmp_path, compression, is_closed=True)))
     assert found == inspection_record(inspect(drive))
@@ -161,8 +160,7 @@ def test_a_whole_bag_becomes_the_mcap_file_that_it_was_made_of(drive: Path, tmp_
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("compression", ["none", "bz2", "lz4"])
-@pytest.mark.parametrize("is_closed", [True, False])
+@pytest.mark.parametrize(("compression", "is_closed"), [("none", True), ("none", False), ("lz4", True), ("bz2", False)])
 def test_a_bag_cut_anywhere_keeps_a_prefix_of_its_messages(drive, tmp_path, compression, is_closed):
     """Both as it is opened and as it is recovered; a closed bag that was cut by copying, too.
 
