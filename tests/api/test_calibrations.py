@@ -132,6 +132,8 @@ def test_a_sequence_pins_its_calibration(api: httpx.Client, curator: Person) -> 
     first = pinned(**{"If-Match": '"1"'})
     assert (first["calibration_id"], first["revision"]) == (item["id"], 2)
     assert pinned() == first, "a second time changes nothing"
+    stale = curator.headers | {"If-Match": '"1"'}
+    assert api.put(path, json={"calibration_id": item["id"]}, headers=stale).status_code == 412
 
 
 def test_a_file_that_takes_over_its_reader_reaches_nothing(
