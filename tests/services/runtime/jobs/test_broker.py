@@ -2,13 +2,11 @@
 
 from collections.abc import Iterator
 from pathlib import Path
-from typing import Any
 from unittest.mock import Mock
 
 import pytest
 from kombu import Connection
 from kombu.transport import redis
-from kombu.utils.imports import symbol_by_name
 from redis import Redis
 from redis.exceptions import ConnectionError as RedisConnectionError
 
@@ -26,18 +24,6 @@ def test_nobody_steers_or_watches_workers_by_the_broker() -> None:
     assert not said.worker_send_task_events
     assert not said.task_send_sent_event
     assert {*said.accept_content} == {"json"}, "what is unpickled may be anything"
-
-
-def test_a_message_sets_no_limit_of_its_own() -> None:
-    app = make_app(Settings())
-
-    @app.task(name="ingest.work")  # type: ignore[untyped-decorator]
-    def work() -> None: ...
-
-    kind: Any = symbol_by_name(app.tasks["ingest.work"].Request)
-    message = Mock(headers={"id": "1", "task": "ingest.work", "timelimit": [0.2, 0.1]}, body=([], {}, {}))
-    made = kind(message, app=app, task=app.tasks["ingest.work"], headers=message.headers, decoded=True)
-    assert made.time_limits == (None, None)
 
 
 @pytest.fixture
@@ -67,14 +53,6 @@ def test_room_is_free_again_though_the_broker_went_away(
     with pytest.raises(RedisConnectionError):
         held.ack("tag")
     assert held.can_consume()
-
-
-def test_an_acknowledgement_that_is_heard_frees_room_once(channel: redis.Channel) -> None:
-    held = full(channel)
-    held.ack("tag")
-    assert held.can_consume()
-    held.append(Mock(delivery_info={"exchange": "", "routing_key": "ingest"}, _raw={}), "next")
-    assert not held.can_consume()
 
 
 def test_workers_hold_wake_ups_so() -> None:

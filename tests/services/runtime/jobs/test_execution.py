@@ -10,8 +10,7 @@ from sqlalchemy import select
 from services.runtime.database.transactions import Database
 from services.runtime.jobs import completion
 from services.runtime.jobs.completion import Failure
-from services.runtime.jobs.control import cancel, retry, terminate
-from services.runtime.jobs.errors import JobStateError
+from services.runtime.jobs.control import cancel
 from services.runtime.jobs.execution import Reporter
 from services.runtime.jobs.specs import Attempt, JobSpec, Outcome
 from services.runtime.orm import JobAttempt, JobLine, User
@@ -19,7 +18,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
 from services.runtime.store.s3 import store_away
-from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, run_all, states
+from tests.services.runtime.jobs.steps import a_job, a_run, act, an_owner, claimed, job, ran, run_all, states
 
 
 def attempts_of(platform: Platform, job_id: str) -> list[JobAttempt]:
@@ -106,17 +105,15 @@ def test_rows_and_success_are_one_transaction(platform: Platform) -> None:
 def test_log_lines_can_be_read_while_the_job_runs(platform: Platform) -> None:
     seen: list[str] = []
 
-    def talk(attempt: Attempt) -> Outcome:
+    def talk(attempt: Attempt) -> None:
         attempt.log("opened the bag", topics=14)
         deadline = 200
         while not seen and deadline:
             seen.extend(line.event for line in lines_of(platform, attempt.job_id))
             wait(0.02)
             deadline -= 1
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.talk")
-    run_all(platform, {"ingest.talk": talk})
+    job_id = ran(platform, talk)
     assert seen == ["opened the bag"]
     assert lines_of(platform, job_id)[0].facts == {"topics": 14}
 
@@ -124,27 +121,23 @@ def test_log_lines_can_be_read_while_the_job_runs(platform: Platform) -> None:
 def test_lines_beyond_the_limit_are_counted_out_by_the_last_one(platform: Platform) -> None:
     limit = platform.settings.jobs.log_lines_per_attempt
 
-    def chatter(attempt: Attempt) -> Outcome:
+    def chatter(attempt: Attempt) -> None:
         for number in range(limit + 10):
             attempt.log(f"line {number}")
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.chatter")
-    run_all(platform, {"ingest.chatter": chatter})
+    job_id = ran(platform, chatter)
     lines = lines_of(platform, job_id)
     assert len(lines) == limit
     assert f"more than {limit} lines" in lines[-1].event
 
 
 def test_progress_is_written_a_few_times_however_often_it_is_said(platform: Platform) -> None:
-    def count(attempt: Attempt) -> Outcome:
+    def count(attempt: Attempt) -> None:
         for done in range(20_000):
             attempt.progress("frames", done, 20_000)
         wait(platform.settings.jobs.progress_s * 2)
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.count")
-    run_all(platform, {"ingest.count": count})
+    job_id = ran(platform, count)
     told = job(platform, job_id)
     assert (told.stage, told.total) == ("frames", 20_000)
     assert told.done == 20_000
@@ -152,25 +145,21 @@ def test_progress_is_written_a_few_times_however_often_it_is_said(platform: Plat
 
 
 def test_the_last_word_of_a_quick_job_is_kept(platform: Platform) -> None:
-    def count(attempt: Attempt) -> Outcome:
+    def count(attempt: Attempt) -> None:
         attempt.progress("frames", 7, 8)
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.count")
-    run_all(platform, {"ingest.count": count})
+    job_id = ran(platform, count)
     told = job(platform, job_id)
     assert (told.stage, told.done, told.total) == ("frames", 8, 8)
 
 
 def test_what_an_attempt_cost_is_kept_with_it(platform: Platform) -> None:
-    def burn(_attempt: Attempt) -> Outcome:
+    def burn(_attempt: Attempt) -> None:
         begin = process_time()
         while process_time() - begin < 0.2:
             pass
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.burn")
-    run_all(platform, {"ingest.burn": burn})
+    job_id = ran(platform, burn)
     (attempt,) = attempts_of(platform, job_id)
     assert attempt.cpu_s is not None
     assert attempt.cpu_s >= 0.2
@@ -195,39 +184,16 @@ def test_a_store_that_is_away_is_waited_for_and_then_named(platform: Platform) -
 
 
 def test_a_job_asked_to_stop_ends_cancelled_at_its_next_word(platform: Platform) -> None:
-    def work(attempt: Attempt) -> Outcome:
+    def work(attempt: Attempt) -> None:
         act(platform, cancel, attempt.root_id, "wrong bag")
         for step in range(500):
             attempt.progress("frames", step, 500)
             wait(0.02)
-        return Outcome()
 
-    job_id = a_job(platform, an_owner(platform), "ingest.work")
-    run_all(platform, {"ingest.work": work})
+    job_id = ran(platform, work)
     stopped = job(platform, job_id)
     assert (stopped.state, stopped.cancel_reason) == ("cancelled", "wrong bag")
     assert [attempt.outcome for attempt in attempts_of(platform, job_id)] == ["cancelled"]
-
-
-def test_a_queued_job_is_cancelled_at_once_and_never_runs(platform: Platform) -> None:
-    job_id = a_job(platform, an_owner(platform))
-    act(platform, cancel, job_id, "changed my mind")
-    assert run_all(platform) == 0
-    assert job(platform, job_id).state == "cancelled"
-
-
-def test_a_job_that_has_ended_cannot_be_cancelled_or_terminated(platform: Platform) -> None:
-    job_id = a_job(platform, an_owner(platform))
-    run_all(platform)
-    for steer in (cancel, terminate):
-        with pytest.raises(JobStateError, match="is succeeded"), platform.database.transaction() as session:
-            steer(session, job_id, "too late")
-
-
-def test_only_what_failed_or_was_cancelled_is_retried(platform: Platform) -> None:
-    job_id = a_job(platform, an_owner(platform))
-    with pytest.raises(JobStateError, match="is queued"), platform.database.transaction() as session:
-        retry(session, job_id, 3)
 
 
 def test_an_attempt_that_lost_its_job_changes_nothing(platform: Platform) -> None:

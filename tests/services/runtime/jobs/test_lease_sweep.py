@@ -7,7 +7,7 @@ from sqlalchemy.exc import OperationalError
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs import claims
-from services.runtime.jobs.control import cancel, set_mode
+from services.runtime.jobs.control import set_mode
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.lease_sweep import CRASHED, STOPPED, Sweeper, give_back_running, lose_silent
 from services.runtime.jobs.specs import Context, JobSpec
@@ -85,16 +85,6 @@ def test_a_job_whose_every_worker_dies_fails_as_worker_lost_and_its_run_too(plat
     failed = job(platform, root)
     assert (failed.state, failed.failure_code) == ("failed", "worker_lost")
     assert states(platform, root) == {"failed": 1, "cancelled": 1}
-
-
-def test_a_cancelled_job_whose_worker_died_ends_cancelled_not_queued(platform: Platform) -> None:
-    clock = Clock()
-    root = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    claimed(platform)
-    act(platform, cancel, root, "stop")
-    silence(platform, a_sweeper(platform, clock), clock)
-    assert job(platform, root).state == "cancelled"
-    assert run_all(platform) == 0
 
 
 @pytest.mark.parametrize("jump_ns", [-(10**18), 10**18], ids=["back 30 years", "on 30 years"])
@@ -240,15 +230,6 @@ def test_a_crash_counts_and_the_third_is_the_last(platform: Platform) -> None:
     claimed(platform)
     give_back_running(platform, CRASHED, is_counted=True)
     assert (job(platform, job_id).state, job(platform, job_id).failure_code) == ("failed", "worker_lost")
-
-
-@pytest.mark.parametrize("is_counted", [False, True])
-def test_a_job_that_was_asked_to_stop_is_cancelled_not_begun_again(platform: Platform, is_counted: bool) -> None:
-    run_id = a_run(platform, an_owner(platform), JobSpec("ingest.ok"))
-    claimed(platform)
-    act(platform, cancel, run_id, "enough")
-    give_back_running(platform, CRASHED if is_counted else STOPPED, is_counted=is_counted)
-    assert job(platform, run_id).state == "cancelled"
 
 
 def test_the_attempt_says_why_it_ended_and_a_wake_up_is_sent(platform: Platform, bells: list[tuple[str, int]]) -> None:

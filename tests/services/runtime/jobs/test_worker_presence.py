@@ -66,22 +66,6 @@ def test_a_pid_that_comes_round_again_begins_anew(platform: Platform) -> None:
     assert (row.queues, row.beats) == ("ingest", 1)
 
 
-def test_whoever_leaves_in_order_is_gone(platform: Platform) -> None:
-    presence = WorkerHeartbeat(platform, ["ingest"])
-    presence.start()
-    until_s = time.monotonic() + 300
-    while not _rows(platform):
-        assert time.monotonic() < until_s
-        time.sleep(0.01)
-    presence.leave()
-    assert _rows(platform) == 0
-
-
-def _rows(platform: Platform) -> int:
-    with platform.database.reading() as session:
-        return len(session.scalars(select(Worker)).all())
-
-
 @pytest.mark.parametrize(
     ("limit", "used", "expected"),
     [

@@ -28,7 +28,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import BrokerSettings, Settings
 from testing.process_states import is_running
 from testing.stone_serve import PATIENCE_S, until
-from tests.services.runtime.jobs.steps import a_job, an_owner, job
+from tests.services.runtime.jobs.steps import a_job, act, an_owner, job
 
 pytestmark = pytest.mark.whole
 
@@ -151,13 +151,32 @@ def test_a_worker_killed_in_the_middle_loses_nothing_and_doubles_nothing(
     assert sorted(ended_well) == sorted(jobs), "each succeeded once"
 
 
-def test_a_pool_process_that_dies_takes_no_job_with_it(loud: Platform, start: Start, tmp_path: Path) -> None:
+def test_a_worker_takes_the_next_job_after_one_that_killed_its_process_was_stopped_or_froze(
+    loud: Platform, start: Start, tmp_path: Path
+) -> None:
     start()
-    job_id = a_job(loud, loud_owner(loud), "ingest.note", file=str(tmp_path / "a"), steps=40)
-    until((tmp_path / "a").exists)
-    os.kill(worker_pid(loud, job_id), signal.SIGKILL)
-    until(lambda: job(loud, job_id).state == "succeeded")
-    assert job(loud, job_id).attempt == 2
+    owner = loud_owner(loud)
+
+    def begun(name: str, kind: str = "ingest.note", steps: int = 2000) -> str:
+        job_id = a_job(loud, owner, kind, file=str(tmp_path / name), steps=steps)
+        until((tmp_path / name).exists)
+        return job_id
+
+    killed = begun("killed", steps=40)
+    os.kill(worker_pid(loud, killed), signal.SIGKILL)
+    until(lambda: job(loud, killed).state == "succeeded")
+    assert job(loud, killed).attempt == 2
+    stopped = begun("stopped")
+    act(loud, cancel, stopped, "wrong bag")
+    until(lambda: job(loud, stopped).state == "cancelled")
+    frozen = begun("frozen", "ingest.freeze")
+    pid = worker_pid(loud, frozen)
+    act(loud, terminate, frozen, "it hears nothing")
+    assert job(loud, frozen).state == "cancelled"
+    until(lambda: not is_running(pid))
+    after = begun("after", steps=1)
+    until(lambda: job(loud, after).state == "succeeded")
+    assert job(loud, frozen).attempt == 1
 
 
 def test_wake_ups_lost_with_the_broker_are_sent_again(loud: Platform, start: Start, tmp_path: Path) -> None:
@@ -168,33 +187,6 @@ def test_wake_ups_lost_with_the_broker_are_sent_again(loud: Platform, start: Sta
     start()
     until(lambda: all(job(loud, one).state == "succeeded" for one in jobs))
     assert [job(loud, one).attempt for one in jobs] == [1] * 20
-
-
-def test_a_busy_worker_is_told_to_stop_and_takes_the_next_job(loud: Platform, start: Start, tmp_path: Path) -> None:
-    start()
-    owner = loud_owner(loud)
-    job_id = a_job(loud, owner, "ingest.note", file=str(tmp_path / "a"), steps=2000)
-    until((tmp_path / "a").exists)
-    with loud.database.transaction() as session:
-        cancel(session, job_id, "wrong bag")
-    until(lambda: job(loud, job_id).state == "cancelled")
-    after = a_job(loud, owner, "ingest.note", file=str(tmp_path / "b"))
-    until(lambda: job(loud, after).state == "succeeded")
-
-
-def test_a_frozen_worker_is_ended_by_terminate_and_replaced(loud: Platform, start: Start, tmp_path: Path) -> None:
-    start()
-    owner = loud_owner(loud)
-    job_id = a_job(loud, owner, "ingest.freeze", file=str(tmp_path / "a"))
-    until((tmp_path / "a").exists)
-    pid = worker_pid(loud, job_id)
-    with loud.database.transaction() as session:
-        terminate(session, job_id, "it hears nothing")
-    assert job(loud, job_id).state == "cancelled"
-    until(lambda: not is_running(pid))
-    after = a_job(loud, owner, "ingest.note", file=str(tmp_path / "b"))
-    until(lambda: job(loud, after).state == "succeeded")
-    assert job(loud, job_id).attempt == 1
 
 
 def test_a_job_beyond_its_time_limit_fails_and_says_so(loud: Platform, start: Start, tmp_path: Path) -> None:
