@@ -24,21 +24,12 @@ from testing.worlds.runs import Brought, Said
 from tests.services.domain.sequences.test_processing import ready_on
 
 ROOT = Path(__file__).resolve().parents[3]
+OTHER = {kind: SourceDigest("ab" * 32, {"numpy": "1.0"}) for kind in ENTRIES}
 VERSIONS = """
 import json
 from services.runtime.code_version import code_version
 from services.runtime.source_digests import ENTRIES
 print(json.dumps({kind: code_version(kind) for kind in ENTRIES}))
-"""
-PROCESS_AGAIN = """
-import sys
-from services.runtime.orm import SequenceRow
-from services.runtime.platform import open_silent_platform
-from services.domain.sequences.processing import ProcessRequest, start_processing
-from services.runtime.settings import Settings
-
-with open_silent_platform(Settings()).database.transaction() as session:
-    print(start_processing(session, session.get_one(SequenceRow, sys.argv[1]), ProcessRequest()).id)
 """
 
 
@@ -52,18 +43,12 @@ class Tree:
         with (self.folder / name).open("a", encoding="utf-8") as file:
             file.write(line)
 
-    def told(self, code: str, *arguments: str, **environment: str) -> str:
-        """What a process that runs these sources prints."""
-        command = [sys.executable, "-P", "-c", code, *arguments]
-        variables = {**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1", **environment}
-        outcome = subprocess.run(
-            command, check=False, capture_output=True, text=True, env=variables, cwd=self.folder, timeout=120
-        )
-        assert outcome.returncode == 0, outcome.stderr
-        return outcome.stdout.strip()
-
     def versions(self) -> dict[str, str]:
-        versions: dict[str, str] = json.loads(self.told(VERSIONS))
+        """Those that a process tells which runs these sources."""
+        command = [sys.executable, "-P", "-c", VERSIONS]
+        variables = {**os.environ, "PYTHONPATH": str(self.folder), "PYTHONDONTWRITEBYTECODE": "1"}
+        ended = subprocess.run(command, check=True, capture_output=True, env=variables, cwd=self.folder, timeout=120)
+        versions: dict[str, str] = json.loads(ended.stdout)
         return versions
 
 
@@ -118,10 +103,10 @@ def test_equal_sources_in_another_folder_are_of_one_version_and_changed_ones_are
     assert tree.versions() == changed
 
 
-def test_what_a_build_fixed_comes_before_the_sources(tree: Tree) -> None:
-    digests = {kind: SourceDigest("ab" * 32, {"numpy": "1.0"}) for kind in ENTRIES}
-    (tree.folder / "services" / "runtime" / FIXED.name).write_text(json.dumps(record_of(digests)))
-    assert tree.versions() == {kind: version_of(one) for kind, one in digests.items()}
+def test_what_a_build_fixed_comes_before_the_sources(tmp_path: Path) -> None:
+    fixed = tmp_path / "source_digests.json"
+    fixed.write_text(json.dumps(record_of(OTHER)))
+    assert digests_in_force(fixed, tmp_path / "kept.json") == OTHER
 
 
 @pytest.mark.parametrize(
@@ -141,18 +126,17 @@ def test_digests_that_a_build_wrote_wrong_are_refused(text: str, tmp_path: Path)
         digests_in_force(fixed, tmp_path / "kept.json")
 
 
-@pytest.mark.whole
 def test_labels_of_other_code_are_made_anew_and_its_runs_are_not_gone_on_with(
-    platform: Platform, tree: Tree, tmp_path: Path
+    platform: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     brought = ready_on(platform, tmp_path)
     root_id = labelled(brought)
-    again = {"STONE_DATA_FOLDER": str(platform.settings.root)}
-    assert tree.told(PROCESS_AGAIN, brought.sequence_id, **again) == root_id, "the same code has made it already"
-    tree.append("services/labeler/frames.py", "\n\nprint(end='')\n")
-    other_id = tree.told(PROCESS_AGAIN, brought.sequence_id, **again)
+    assert brought.process() == root_id, "the same code has made it already"
+    with monkeypatch.context() as other_code:
+        other_code.setattr("services.runtime.code_version._DIGESTS", OTHER)
+        other_id = brought.process()
     assert other_id != root_id, "other code makes it anew"
-    assert brought.job(other_id).arguments["code_version"] == tree.versions()["labels"]
+    assert brought.job(other_id).arguments["code_version"] == version_of(OTHER["labels"])
     (first,) = brought.jobs(other_id)[1:]
     with pytest.raises(JobCancelledError) as refused:
         stage_context_of(platform, Said(first))

@@ -1,27 +1,17 @@
 """A digest follows what is computed: nothing else changes it, and every change of the computation does.
 
-The sources are small packages written here, and a copy of the real ones with one edit each.
+The sources are small packages written here; what is reached of the real ones is in `test_source_reach.py`.
 """
 
 import re
 import shutil
-import sys
-from collections.abc import Callable, Iterator, Mapping
-from dataclasses import dataclass
+from collections.abc import Mapping
 from pathlib import Path
 
 import pytest
 
-from services.runtime import source_tree
 from services.runtime.source_digests import (
-    LIBRARIES,
-    NEUTRAL_LIBRARIES,
-    ROOTS,
-    Digests,
     Reach,
-    ResultKind,
-    reaches,
-    source_digests,
 )
 from services.runtime.source_tree import Definition, SourceTree, place_of
 from testing.refusals import refused_as
@@ -280,89 +270,3 @@ def test_a_module_that_is_not_there_is_named(entry: str, tmp_path: Path) -> None
         digest(tmp_path / "pack", BASE, entry)
     with refused_as("sources_missing", match="no source file of nothing_at_all"):
         place_of("nothing_at_all")
-
-
-def edit(path: Path, change: Callable[[str], str]) -> None:
-    text = path.read_text("utf-8")
-    assert change(text) != text
-    path.write_text(change(text), "utf-8")
-
-
-@dataclass(frozen=True)
-class Copied:
-    """A copy of the sources, and the digests that they had before it was edited."""
-
-    folder: Path
-    before: Digests
-
-    @property
-    def places(self) -> dict[str, Path]:
-        return {root: self.folder / root for root in ROOTS}
-
-    def kinds_changed(self) -> set[str]:
-        return {kind for kind, one in source_digests(self.places).items() if one != self.before[kind]}
-
-
-@pytest.fixture(scope="module")
-def copied(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Copied]:
-    folder, ignored = tmp_path_factory.mktemp("sources"), shutil.ignore_patterns("__pycache__")
-    for root in ROOTS:
-        shutil.copytree(ROOT / root, folder / root, ignore=ignored)
-    with pytest.MonkeyPatch.context() as patched:
-        patched.setattr(source_tree, "_parsed", parsed_once())
-        yield Copied(folder, source_digests({root: ROOT / root for root in ROOTS}))
-
-
-def parsed_once() -> Callable[[str, Path], source_tree.Module]:
-    """Parsing as it is, but that files of the same bytes are parsed once."""
-    parse, known = source_tree._parsed, dict[tuple[str, bytes], source_tree.Module]()
-
-    def parsed(name: str, path: Path) -> source_tree.Module:
-        key = (name, path.read_bytes())
-        if key not in known:
-            known[key] = parse(name, path)
-        return known[key]
-
-    return parsed
-
-
-def replaced(old: str, new: str) -> Callable[[str], str]:
-    return lambda text: text.replace(old, new, 1)
-
-
-EDITS: Mapping[str, tuple[str, Callable[[str], str], set[ResultKind]]] = {
-    "a constant": (
-        "stone/labels/traversability.py",
-        replaced("FEW_VOXELS = 500", "FEW_VOXELS = 501"),
-        {"labels"},
-    ),
-    "a kernel": ("stone/kernels/column_words.py", replaced("VECTOR = 64", "VECTOR = 32"), {"scores", "comparisons"}),
-    "an exporter": ("services/labeler/exports/kitti.py", replaced("256, 256, 128.0", "256, 256, 129.0"), {"exports"}),
-    "a rule of the platform": (
-        "services/runtime/access/storage_quota.py",
-        lambda text: text + "\n\nprint(__name__)\n",
-        set(),
-    ),
-}
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize("edited", EDITS.values(), ids=EDITS)
-def test_an_edit_changes_the_version_of_what_it_computes_and_of_nothing_else(
-    edited: tuple[str, Callable[[str], str], set[ResultKind]], copied: Copied
-) -> None:
-    name, change, kinds = edited
-    path = copied.folder / name
-    text = path.read_text("utf-8")
-    edit(path, change)
-    try:
-        assert copied.kinds_changed() == kinds
-    finally:
-        path.write_text(text, "utf-8")
-
-
-@pytest.mark.whole
-def test_every_library_that_computes_is_counted_or_called_neutral() -> None:
-    for kind, reach in reaches({root: ROOT / root for root in ROOTS}).items():
-        others = reach.libraries - set(sys.stdlib_module_names)
-        assert others <= set(LIBRARIES) | NEUTRAL_LIBRARIES, f"{kind}: name them in services/runtime/source_digests.py"

@@ -1,6 +1,6 @@
 """A digest covers all code that runs while a result is made: real runs are traced and compared with its reach.
 
-The oracle is the interpreter: it reports each function of the platform that it enters.
+The oracle is the interpreter's profiler: it notes each function that is entered.
 """
 
 import ast
@@ -8,9 +8,11 @@ import sys
 import threading
 from collections.abc import Iterator
 from contextlib import contextmanager
+from cProfile import Profile
 from dataclasses import replace
+from functools import cache
 from pathlib import Path
-from types import CodeType, FrameType
+from types import CodeType
 
 import numpy as np
 import pytest
@@ -40,15 +42,15 @@ from services.labeler.publication_files import PUBLISHED
 from services.labeler.results import load_pack, pack_path
 from services.labeler.run import parts_of
 from services.labeler.sandboxed_run import RunOpening, StageTask, described, planned, worked
-from services.runtime.source_digests import OUTSIDE, ROOTS, ResultKind, reaches
+from services.runtime.source_digests import LIBRARIES, NEUTRAL_LIBRARIES, OUTSIDE, ROOTS, ResultKind, reaches
 from services.runtime.source_tree import Definition, SourceTree
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone.sensors.sequence import frame_token
 from stone_datasets.classes import OWN_CLASSES
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 from testing.worlds.brought_datasets import FIELD
+from testing.worlds.drives import SHORT, drive
 from testing.worlds.published_datasets import write_published_tar
 from testing.worlds.submission_files import write_submission
 from tests.services.eval.conftest import speckled
@@ -56,24 +58,28 @@ from tests.services.eval.conftest import speckled
 ROOT = Path(__file__).resolve().parents[3]
 PLACES = {root: ROOT / root for root in ROOTS}
 TREE = SourceTree(PLACES, OUTSIDE)
+reached_by = cache(lambda: reaches(PLACES))
 
 
 @contextmanager
 def traced() -> Iterator[set[CodeType]]:
     """The functions that are entered meanwhile, in this thread and in those that it starts."""
-    entered = set[CodeType]()
+    entered, profiles = set[CodeType](), list[Profile]()
 
-    def note(frame: FrameType, event: str, _argument: object) -> None:
-        if event == "call":
-            entered.add(frame.f_code)
+    def begin(*_: object) -> None:
+        """The first call in a thread: from here on its own profile notes the others, at little cost."""
+        profiles.append(Profile(subcalls=False, builtins=False))
+        profiles[-1].enable()
 
-    threading.setprofile(note)
-    sys.setprofile(note)
+    threading.setprofile(begin)
+    begin()
     try:
         yield entered
     finally:
-        sys.setprofile(None)
         threading.setprofile(None)
+        profiles[0].disable()
+        noted = (entry.code for profile in profiles for entry in profile.getstats())
+        entered |= {code for code in noted if isinstance(code, CodeType)}
 
 
 def definitions_of(code: CodeType) -> set[Definition]:
@@ -99,7 +105,7 @@ def first_line(statement: ast.stmt) -> int:
 
 def unreached(kind: ResultKind, entered: set[CodeType]) -> set[str]:
     """The functions that were entered and that the digest of this kind does not cover."""
-    reached = reaches(PLACES)[kind].computations
+    reached = reached_by()[kind].computations
     missed = set[str]()
     for code in entered:
         found = definitions_of(code)
@@ -109,24 +115,22 @@ def unreached(kind: ResultKind, entered: set[CodeType]) -> set[str]:
 
 
 @pytest.fixture(scope="module")
-def drive(tmp_path_factory: pytest.TempPathFactory) -> Path:
+def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     warm()
-    bag = tmp_path_factory.mktemp("drive") / "run.mcap"
-    simulate(bag, SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64))
-    return bag
+    return drive(tmp_path_factory, SHORT)
 
 
 @pytest.fixture(scope="module")
-def labelled(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunOpening, set[CodeType]]:
+def labelled(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[RunOpening, set[CodeType]]:
     """A run that is done, and the functions that were entered while its labels were made."""
     folder = tmp_path_factory.mktemp("run")
     kept = StoredRecording("run.mcap", (StoredRecordingFile("key", "run.mcap"),))
-    bags = StoredBags((drive,), (kept,), {"run.mcap": "0" * 64}, {})
-    asked = SynchronisationRequest(bags, calibration_path(drive), "run", (None, None), SynchroniseOptions())
-    opening = RunOpening(folder, "local", {}, drive)
+    bags = StoredBags((bag,), (kept,), {"run.mcap": "0" * 64}, {})
+    asked = SynchronisationRequest(bags, calibration_path(bag), "run", (None, None), SynchroniseOptions())
+    opening = RunOpening(folder, "local", {}, bag)
     with traced() as entered:
         synchronise_bags(asked, folder, silent)
-        check_left(CheckRequest(folder, drive, (None, None)), folder, silent)
+        check_left(CheckRequest(folder, bag, (None, None)), folder, silent)
         planned(opening, folder, silent)
         for job in label_graph(opening.run())[:-1]:
             worked(StageTask(opening, job.kind, job.arguments), folder, silent)
@@ -136,6 +140,26 @@ def labelled(drive: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Run
 
 def silent(_stage: str, _done: int, _total: int) -> None:
     """Progress that nothing shows."""
+
+
+@pytest.mark.parametrize(
+    ("definition", "kinds"),
+    [
+        (Definition("stone.labels.traversability", "FEW_VOXELS"), {"labels"}),
+        (Definition("stone.kernels.column_words", "VECTOR"), {"scores", "comparisons"}),
+        (Definition("services.labeler.exports.kitti", "QUARTER"), {"exports"}),
+        (Definition("services.runtime.access.storage_quota", "balance"), set()),
+    ],
+)
+def test_a_definition_counts_for_what_it_computes_and_for_nothing_else(definition: Definition, kinds: set[str]) -> None:
+    assert definition.name in TREE.module(definition.module).statements
+    assert {kind for kind, reach in reached_by().items() if definition in reach.computations} == kinds
+
+
+def test_every_library_that_computes_is_counted_or_called_neutral() -> None:
+    for kind, reach in reached_by().items():
+        others = reach.libraries - set(sys.stdlib_module_names)
+        assert others <= set(LIBRARIES) | NEUTRAL_LIBRARIES, f"{kind}: name them in services/runtime/source_digests.py"
 
 
 @pytest.mark.whole
@@ -148,7 +172,7 @@ def test_all_that_makes_labels_is_reached(labelled: tuple[RunOpening, set[CodeTy
 
 @pytest.mark.whole
 def test_all_that_writes_exports_is_reached(
-    labelled: tuple[RunOpening, set[CodeType]], drive: Path, tmp_path: Path
+    labelled: tuple[RunOpening, set[CodeType]], bag: Path, tmp_path: Path
 ) -> None:
     """Catches alone an exporter that can change while its exports count as current."""
     opening, _ = labelled
@@ -165,7 +189,7 @@ def test_all_that_writes_exports_is_reached(
         for at in load_pack(run, part)[0].ranges()
     )
     packs = {pack_path(run, part).name: pack_path(run, part) for part in parts_of(run)}
-    source = ExportInputs(inputs, PackedLabels(packs, ranges), drive)
+    source = ExportInputs(inputs, PackedLabels(packs, ranges), bag)
     with traced() as entered:
         for form in EXPORTERS:
             (tmp_path / form / "files").mkdir(parents=True)
