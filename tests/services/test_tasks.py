@@ -26,6 +26,7 @@ print(json.dumps({
     "has_open3d": "open3d" in sys.modules,
     "running": [open(f"/proc/self/task/{task}/comm").read().strip() for task in os.listdir("/proc/self/task")],
     "reads_recordings": "stone_recordings.sync.sweeps" in sys.modules,
+    "traces": [name for name in sys.modules if "otlp" in name or name == "opentelemetry.sdk.trace"],
     "services": sorted({name.split(".")[1] for name in sys.modules if name.startswith("services.")}),
 }))
 """
@@ -33,8 +34,8 @@ print(json.dumps({
 
 def loaded_for(queues: tuple[str, ...], data: Path) -> dict[str, object]:
     """What a worker of these queues has, when it would fork."""
-    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS")
-    environment = {name: value for name, value in os.environ.items() if name not in names}
+    names = ("OMP_NUM_THREADS", "OPENBLAS_NUM_THREADS", "NUMBA_NUM_THREADS", "MKL_NUM_THREADS", "OTEL_")
+    environment = {name: value for name, value in os.environ.items() if not name.startswith(names)}
     environment |= {"PYTHONPATH": str(ROOT), "STONE_DATA_FOLDER": str(data)}
     command = [sys.executable, "-c", ASKED, *queues]
     outcome = subprocess.run(command, env=environment, check=True, capture_output=True, text=True, timeout=300)
@@ -42,34 +43,23 @@ def loaded_for(queues: tuple[str, ...], data: Path) -> dict[str, object]:
     return record
 
 
-@pytest.fixture(scope="module")
-def loaded(tmp_path_factory: pytest.TempPathFactory) -> dict[str, object]:
-    return loaded_for(("ingest", "labeler", "eval"), tmp_path_factory.mktemp("data"))
-
-
-def test_every_queue_has_its_bell(loaded: dict[str, object]) -> None:
+def test_every_queue_has_its_bell_and_what_jobs_need_is_there_before_the_fork(tmp_path: Path) -> None:
+    loaded = loaded_for(("ingest", "labeler", "eval"), tmp_path)
     assert loaded["tasks"] == ["eval.work", "ingest.work", "labeler.work"]
-
-
-def test_libraries_have_one_thread_and_the_kernels_are_there_before_the_fork(loaded: dict[str, object]) -> None:
+    assert loaded["reads_recordings"]
     assert loaded["threads"] == ["1", "1", "1"]
+    assert loaded["traces"] == [], "nobody switched it on"
     assert (loaded["has_kernels"], loaded["has_open3d"]) == (True, False), "only the solver octree needs 200 MB more"
     others = [name for name in loaded["running"] if not name.startswith("python")]  # type: ignore[attr-defined]
     assert set(others) <= {ALLOCATOR}, "a fork takes one thread with it; a pool would be missing in the children"
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize(
-    ("queue", "services"),
-    [("labeler", ["domain", "labeler"]), ("eval", ["domain", "eval"])],
-)
-def test_a_worker_of_one_queue_loads_no_other_service_than_what_it_imports(
-    tmp_path: Path, queue: str, services: list[str]
-) -> None:
-    loaded = loaded_for((queue,), tmp_path)
-    assert loaded["services"] == sorted([*services, "runtime"])
-    assert loaded["tasks"] == [f"{queue}.work"]
-    assert loaded["reads_recordings"] == ("labeler" in services), "what reads recordings is there before the fork"
+def test_a_worker_of_one_queue_loads_no_other_service_than_what_it_imports(tmp_path: Path) -> None:
+    loaded = loaded_for(("eval",), tmp_path)
+    assert loaded["services"] == ["domain", "eval", "runtime"]
+    assert loaded["tasks"] == ["eval.work"]
+    assert not loaded["reads_recordings"]
 
 
 @pytest.mark.parametrize("queues", [(), ("ingest", "labels")])

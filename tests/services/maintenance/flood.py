@@ -63,18 +63,18 @@ class Cost:
     steps: int = 0
 
 
-def flood(platform: Platform, rows: int, first: int = 0) -> None:
-    """So many rows in every table, numbered from `first`; and an empty file for each upload of these numbers."""
+def flood(platform: Platform, rows: int) -> None:
+    """So many rows in every table, and an empty file for each upload."""
     engine = create_engine(platform.settings.database_url)  # one that minds no foreign key
     with engine.begin() as connection:
         connection.execute(text("PRAGMA synchronous=OFF"))
         for table in Base.metadata.sorted_tables:
             if table.name not in NOT_STRANGERS:
-                connection.execute(table.insert(), [_row(table, number) for number in range(first, first + rows)])
+                connection.execute(table.insert(), [_row(table, number) for number in range(rows)])
     engine.dispose()
     folder = platform.settings.uploads_folder
     folder.mkdir(parents=True, exist_ok=True)
-    for number in range(first, first + rows):
+    for number in range(rows):
         (folder / f"{number:032x}").touch()
 
 

@@ -53,11 +53,6 @@ def faults(platform: Platform, *, is_read: bool) -> dict[str, str]:
     return {one.sha256: one.fault for one in damaged_blobs(platform, is_read=is_read)}
 
 
-def test_a_store_that_is_whole_has_lost_nothing(platform: Platform, tmp_path: Path) -> None:
-    laid(platform, tmp_path)
-    assert list(damaged_blobs(platform, is_read=True)) == []
-
-
 def test_what_is_gone_cut_or_changed_is_found_with_what_names_it(platform: Platform, blobs: dict[str, Blob]) -> None:
     looked = {blobs["gone"].sha256: "missing", blobs["cut"].sha256: "size"}
     assert faults(platform, is_read=False) == looked

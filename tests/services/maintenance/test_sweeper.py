@@ -64,30 +64,6 @@ def test_a_chore_is_done_when_it_is_due_and_not_before() -> None:
     assert len(done) == 2
 
 
-@pytest.mark.parametrize("outage", OUTAGES)
-def test_an_outage_is_waited_out(outage: Exception) -> None:
-    outages = [outage]
-    done: list[str] = []
-
-    def work() -> None:
-        if outages:
-            raise outages.pop()
-        done.append("jobs")
-
-    chore = Chore("jobs", 10.0, work)
-    assert not chore.run_if_due(0.0)
-    assert chore.run_if_due(10.0)
-    assert done == ["jobs"]
-
-
-def test_a_fault_of_the_program_is_not_waited_out() -> None:
-    def work() -> None:
-        raise KeyError("a bug")
-
-    with pytest.raises(KeyError):
-        Chore("jobs", 10.0, work).run_if_due(0.0)
-
-
 def test_sweeping_ends_when_told_between_two_chores() -> None:
     done: list[str] = []
     chores = [Chore(name, 0.0, lambda name=name: done.append(name)) for name in ("first", "second")]  # type: ignore[misc]

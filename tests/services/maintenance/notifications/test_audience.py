@@ -19,7 +19,7 @@ from services.runtime.platform import Platform
 from testing.servers.webhook_receiver import WebhookReceiver, webhook_receiver
 from tests.services.domain.benchmarks.drafts import Entrant, entrant_on, finalised, reserved
 from tests.services.maintenance.notifications.steps import a_user, all_sent, deliveries, happened, telling
-from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, run_all
+from tests.services.runtime.jobs.steps import HANDLERS, a_job, a_run, act, run_all
 
 GIB = 2**30
 
@@ -45,8 +45,7 @@ def wanting(platform: Platform, user_id: str, url: str) -> None:
 def test_nobody_is_told_anything_who_did_not_choose_it(platform: Platform, receiver: WebhookReceiver) -> None:
     platform = telling(platform)
     user_id = a_user(platform, "ada", receiver.url())
-    with platform.database.transaction() as session:
-        choose(session, user_id, {"webhook": ["run.failed"]})
+    act(platform, choose, user_id, {"webhook": ["run.failed"]})
     happened(platform, user_id)
     all_sent(platform)
     assert (receiver.received(), deliveries(platform)) == ([], [])
@@ -78,8 +77,7 @@ def test_what_is_rolled_back_is_told_to_nobody(platform: Platform) -> None:
 def test_storage_is_low_once_as_it_passes_nine_tenths(platform: Platform) -> None:
     user_id = a_user(platform, "ada")
     for amount in (80, 9, 1, 5):
-        with platform.database.transaction() as session:
-            storage_quota.reserve(session, user_id, amount * GIB, "upload", "upload", 100 * GIB)
+        act(platform, storage_quota.reserve, user_id, amount * GIB, "upload", "upload", 100 * GIB)
         assert len(kinds(platform)) == (1 if amount in (1, 5) else 0)
 
 
@@ -93,8 +91,7 @@ def test_scorings_are_low_once_as_a_fifth_is_left(platform: Platform, rules: dic
 
 def scored(entrant: Entrant, state: str) -> None:
     submission_id = finalised(entrant)
-    with entrant.platform.database.transaction() as session:
-        settle(session, submission_id, state)
+    act(entrant.platform, settle, submission_id, state)
 
 
 def test_a_team_is_told_and_who_left_it_meanwhile_is_not(platform: Platform, receiver: WebhookReceiver) -> None:

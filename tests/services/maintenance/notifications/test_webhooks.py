@@ -180,14 +180,14 @@ def test_texts_of_others_call_nobody_and_are_no_markup() -> None:
 
 
 QUICK = JobSettings(lease_s=0.6, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.02, rest_s=0.1, max_attempts=100)
-EVENTS, KILLS, PATIENCE_S = 20, 6, 900.0
+EVENTS, KILLS, PATIENCE_S = 12, 3, 900.0
 
 
 @pytest.mark.whole
 def test_killed_at_many_moments_the_sender_loses_nothing_and_repeats_only_with_the_same_id(
     platform: Platform, tmp_path: Path
 ) -> None:
-    """A sweeper process started and killed six times (20 CPU-seconds): nothing else runs the sender as it ships,
+    """A sweeper process started and killed three times (7 CPU-seconds): nothing else runs the sender as it ships,
     and only so a message is sent whose end is never written."""
     settings = platform.settings.model_copy(update={"jobs": QUICK})
     platform = telling(replace(platform, settings=settings), retry_s=0.01)

@@ -50,25 +50,6 @@ def test_the_standard_variables_switch_it_on(variables: dict[str, str], expected
     assert is_asked_for(variables) is expected
 
 
-@pytest.mark.whole
-def test_switched_off_nothing_is_loaded_and_nothing_is_told() -> None:
-    """Catches alone a process that loads or sends what nobody switched on."""
-    program = """if True:
-        import sys, api.main, services.runtime.jobs.celery_app
-        from services.runtime.telemetry.log_lines import name_span
-        from services.runtime.telemetry.origins import link_to, origin_trace
-        from services.runtime.telemetry.tracing import mark_failed, setup_tracing, span
-        setup_tracing("x")
-        with span("a", attributes={"a": 1}) as made:
-            link_to("00-" + "1" * 32 + "-" + "1" * 16 + "-01")
-            mark_failed(made, "x")
-            assert origin_trace() == "" and not name_span(None, "info", {}) and not made.is_recording()
-        assert not [name for name in sys.modules if "otlp" in name or name == "opentelemetry.sdk.trace"]
-    """
-    kept = {name: value for name, value in os.environ.items() if not name.startswith("OTEL_")}
-    subprocess.run([sys.executable, "-c", program], check=True, env=kept)
-
-
 def test_libraries_that_trace_by_themselves_find_no_tracer_of_ours(collector: Collector) -> None:
     with trace.get_tracer("fastapi").start_as_current_span("GET /secret?name=hunter2"):
         pass
