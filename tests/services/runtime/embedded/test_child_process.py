@@ -14,7 +14,7 @@ import psutil
 import pytest
 from redis import AuthenticationError, Redis
 
-from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large, last_words
+from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large
 from services.runtime.embedded.errors import PortTakenError
 from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
 from services.runtime.embedded.redis_child import Broker, start_redis
@@ -156,15 +156,6 @@ def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None
             pass
 
 
-def test_one_that_is_still_starting_is_named_too(tmp_path: Path) -> None:
-    with (
-        hold_folder(tmp_path),
-        refused_as("already_serving", match=str(os.getpid())),
-        hold_folder(tmp_path),
-    ):
-        pass
-
-
 def test_a_lock_that_nobody_holds_any_more_is_taken(tmp_path: Path) -> None:
     (tmp_path / LOCK).write_text('{"pid": 1, "url": "http://gone"}')
     with hold_folder(tmp_path):
@@ -207,11 +198,6 @@ def test_port_0_becomes_the_port_that_was_free() -> None:
         assert api.url == f"http://127.0.0.1:{api.port}"
 
 
-def test_a_url_that_was_set_is_kept() -> None:
-    with listen(ApiSettings(port=0)) as listener:
-        assert reached_at(ApiSettings(port=0, url="https://stone.example"), listener).url == "https://stone.example"
-
-
 @pytest.mark.parametrize(
     ("host", "url"),
     [("0.0.0.0", "http://127.0.0.1:80"), ("::", "http://[::1]:80"), ("robot", "http://robot:80")],
@@ -231,9 +217,3 @@ def test_a_large_log_is_cut_while_its_writer_goes_on(tmp_path: Path) -> None:
     kept = sorted(path.name for path in tmp_path.iterdir())
     assert kept == ["api.log", *(f"api.log.{number}" for number in range(1, KEPT + 1))]
     assert (tmp_path / "api.log.1").read_bytes().startswith(b"%d " % (KEPT + 2))
-
-
-def test_the_last_words_are_the_last_line_that_says_something(tmp_path: Path) -> None:
-    (tmp_path / "api.log").write_bytes(b"first\n" + b"y" * 5000 + b"\nKeyError: \xff'home'\n\n  \n")
-    assert last_words(tmp_path / "api.log") == "KeyError: �'home'"
-    assert last_words(tmp_path / "absent.log") == ""
