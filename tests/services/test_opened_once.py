@@ -9,16 +9,13 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-from typer.testing import CliRunner
 
 from services.domain.exports.requests import EXPORT, start_export
 from services.domain.sequences.processing import CHECK, REGISTER, SYNCHRONISE
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.platform import Platform
 from simulator.pipeline import calibration_path
-from stone_client.main import app
-from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.bags.bag import Bag
 from stone_recordings.sync import sweeps
 from testing.worlds.drives import SHORT, drive
 from testing.worlds.runs import bring, run_all
@@ -84,29 +81,3 @@ def test_a_job_opens_its_recording_once(by_kind: dict[str, list[int]]) -> None:
     assert {kind: set(counts) for kind, counts in by_kind.items()} == {
         kind: {1} if kind in reads else {0} for kind in by_kind
     }
-
-
-def test_a_command_opens_its_recording_once(bag: Path, opens: Opens, tmp_path: Path) -> None:
-    """Catches alone a command that reads its recording again for another purpose.
-
-    `label` in its own process; each of its workers opens it for itself.
-    """
-    rig, labels = str(calibration_path(bag)), str(tmp_path / "labels")
-    commands = (
-        ["inspect", str(bag), "--html", str(tmp_path / "page.html")],
-        ["label", str(bag), "--calibration", rig, "-o", labels, "--workers", "1"],
-        ["export", labels, "--format", "inputs", "-o", str(tmp_path / "inputs")],
-    )
-    for command in commands:
-        sweeps._opened_once.cache_clear()
-        result = CliRunner().invoke(app, command)
-        assert result.exit_code == 0, result.output
-        assert opens() == 1, command[0]
-
-
-def test_a_recording_that_is_its_own_calibration_is_opened_once(bag: Path, opens: Opens) -> None:
-    with open_bag(bag) as opened:
-        by_itself, _ = read_calibration(bag, opened)
-    assert opens() == 1
-    again, _ = read_calibration(bag)
-    assert [mount.name for mount in by_itself.mounts] == [mount.name for mount in again.mounts] != []

@@ -13,7 +13,6 @@ import pytest
 pytestmark = pytest.mark.whole
 
 ROOT = Path(__file__).resolve().parents[2]
-ALONE: list[str] = []
 BESIDE = ["-p", "xdist.plugin", "-n2"]
 
 FLAKY = """
@@ -43,10 +42,9 @@ def run(folder: Path, *options: str, **files: str) -> tuple[int, list[str]]:
     return ended.returncode, ended.stdout.splitlines()
 
 
-@pytest.mark.parametrize("processes", [ALONE, BESIDE], ids=["alone", "beside"])
-def test_tests_that_pass_the_second_time_end_green_and_are_named_last(tmp_path: Path, processes: list[str]) -> None:
+def test_tests_that_pass_the_second_time_end_green_and_are_named_last(tmp_path: Path) -> None:
     names = "@pytest.mark.parametrize('name', ['a b[::]', 'ü'])\ndef test_named(name):\n    fails_once(name[:1])\n"
-    code, lines = run(tmp_path, *processes, test_a="import pytest\n" + FLAKY + names, test_b=flaky_tests(1))
+    code, lines = run(tmp_path, *BESIDE, test_a="import pytest\n" + FLAKY + names, test_b=flaky_tests(1))
     tests = {"test_a.py::test_named[a b[::]]", "test_a.py::test_named[\\xfc]", "test_b.py::test_flaky_0"}
     assert code == 0, lines
     assert set(lines[-3:]) == {f"flaky: {test}" for test in tests}
@@ -54,20 +52,16 @@ def test_tests_that_pass_the_second_time_end_green_and_are_named_last(tmp_path: 
     assert "E           AssertionError: flaky 0 fails beside the load" in lines, "the first report is kept"
 
 
-@pytest.mark.parametrize("processes", [ALONE, BESIDE], ids=["alone", "beside"])
-def test_a_test_that_fails_twice_ends_red_with_both_reports_and_the_flaky_one_is_named(
-    tmp_path: Path, processes: list[str]
-) -> None:
+def test_a_test_that_fails_twice_ends_red_with_both_reports_and_the_flaky_one_is_named(tmp_path: Path) -> None:
     broken = "def test_broken():\n    assert 1 + 1 == 3\n"
-    code, lines = run(tmp_path, *processes, test_a=flaky_tests(1), test_b=broken)
+    code, lines = run(tmp_path, test_a=flaky_tests(1), test_b=broken)
     assert code == 1, lines
     assert lines.count("E       assert (1 + 1) == 3") == 2
     assert lines[-2:] == ["failed again: test_b.py::test_broken", "flaky: test_a.py::test_flaky_0"]
 
 
-@pytest.mark.parametrize("processes", [ALONE, BESIDE], ids=["alone", "beside"])
-def test_four_failed_tests_end_red_and_none_runs_again(tmp_path: Path, processes: list[str]) -> None:
-    code, lines = run(tmp_path, *processes, test_a=flaky_tests(4))
+def test_four_failed_tests_end_red_and_none_runs_again(tmp_path: Path) -> None:
+    code, lines = run(tmp_path, *BESIDE, test_a=flaky_tests(4))
     assert code == 1, lines
     assert lines[-1] == "4 tests failed, more than 3: none runs again"
 
@@ -93,11 +87,9 @@ def test_only_a_test_that_passes_the_second_time_has_passed(tmp_path: Path, seco
     assert (code, lines[-1]) == (1, "failed again: test_a.py::test_twice")
 
 
-@pytest.mark.parametrize("when", ["setup", "teardown"])
-def test_a_failed_fixture_is_a_failed_test(tmp_path: Path, when: str) -> None:
-    body = "    fails_once('fixture')\n    yield\n" if when == "setup" else "    yield\n    fails_once('fixture')\n"
-    text = f"import pytest\n{FLAKY}@pytest.fixture\ndef world():\n{body}def test_in_it(world):\n    pass\n"
-    code, lines = run(tmp_path, test_a=text)
+def test_a_failed_fixture_is_a_failed_test(tmp_path: Path) -> None:
+    text = f"import pytest\n{FLAKY}@pytest.fixture\ndef world():\n    yield\n    fails_once('fixture')\n"
+    code, lines = run(tmp_path, test_a=text + "def test_in_it(world):\n    pass\n")
     assert (code, lines[-1]) == (0, "flaky: test_a.py::test_in_it")
 
 
@@ -105,15 +97,10 @@ def test_a_failed_fixture_is_a_failed_test(tmp_path: Path, when: str) -> None:
     ("options", "files"),
     [
         (["-x"], {}),
-        (["--maxfail=2"], {}),
-        (["--continue-on-collection-errors"], {"test_b": "raise OSError"}),
         ([*BESIDE, "--continue-on-collection-errors"], {"test_b": "raise OSError"}),
-        (["-p", "no:terminal"], {}),
         (BESIDE, {"test_b": FLAKY + "def test_crash():\n    import os\n    os.kill(os.getpid(), 9)\n"}),
-        ([], {"test_b": "def test_interrupted():\n    raise KeyboardInterrupt\n"}),
-        ([], {"conftest": "def pytest_runtest_logfinish(nodeid):\n    raise OSError\n"}),
     ],
-    ids=["-x", "maxfail", "collection", "collection-beside", "no-terminal", "crash", "interrupt", "internal"],
+    ids=["-x", "collection", "crash"],
 )
 def test_what_is_no_race_stays_red_and_nothing_runs_again(
     tmp_path: Path, options: list[str], files: dict[str, str]
@@ -129,11 +116,3 @@ def test_without_the_option_nothing_runs_again(tmp_path: Path) -> None:
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "PYTEST_DISABLE_PLUGIN_AUTOLOAD": "1"}
     ended = subprocess.run(command, cwd=tmp_path, env=environment, check=False, capture_output=True, text=True)
     assert (ended.returncode, "flaky:" in ended.stdout) == (1, False)
-
-
-def test_every_test_target_of_the_makefile_runs_failed_tests_again() -> None:
-    makefile = (ROOT / "Makefile").read_text("utf-8")
-    assert "\nBESIDE = --rerun-failed-once " in makefile
-    runs = [line for line in makefile.splitlines() if "pytest " in line and not line.startswith("#")]
-    assert len(runs) == 5
-    assert all("$(BESIDE)" in line or "--rerun-failed-once" in line for line in runs), runs

@@ -16,7 +16,7 @@ from benchmarks.real.description import (
     read_description,
 )
 from benchmarks.real.labelled_map import LabelledMap, disagreement, read_map
-from benchmarks.real.measures import WrittenLabels, facing_down, flat_non_traversable, near_line, t_coverage
+from benchmarks.real.measures import WrittenLabels, facing_down, flat_non_traversable, t_coverage
 from benchmarks.real.measures import wall_non_traversable as wall_n
 from benchmarks.real.opening import along
 from benchmarks.real.semantic_agreement import agreement, semantic_counts
@@ -98,12 +98,6 @@ def test_a_wall_is_judged_between_two_heights(tmp_path: Path) -> None:
     write_voxels(tmp_path, wall)
     said = SAID.model_copy(update={"walls_m": (((0.0, 2.1), (10.0, 2.1)),)})
     assert wall_n(labels_of(tmp_path, said)) == pytest.approx(5 / 9)  # levels 3 to 11, of which 3 to 7
-
-
-def test_distance_to_a_line_is_that_to_its_nearest_piece() -> None:
-    line = np.array([[0.0, 0.0], [4.0, 0.0], [4.0, 3.0]])
-    points = np.array([[2.0, 1.0], [5.0, 2.0], [-3.0, 4.0], [4.0, 5.0]])
-    np.testing.assert_allclose(near_line(points, line), [1.0, 1.0, 5.0, 2.0])
 
 
 def test_a_map_is_read_as_it_was_written_and_differs_from_itself_nowhere(tmp_path: Path) -> None:

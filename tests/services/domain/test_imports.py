@@ -13,12 +13,10 @@ from services.domain.datasets.splits import current_splits
 from services.domain.imports.publication import PublishedScene, end_import, follow_splits, sequences_of_scenes
 from services.domain.imports.requests import (
     IMPORT,
-    KEEP_DATASET,
     SCENE,
     ImportedFacts,
     NewImport,
     StatedClasses,
-    begin_import_again,
     begin_run_again,
     delete_import,
     import_of_attempt,
@@ -32,7 +30,7 @@ from services.runtime.access.storage_quota import balance
 from services.runtime.backup.capture import backup_references
 from services.runtime.jobs.claims import claim
 from services.runtime.jobs.control import cancel, set_mode
-from services.runtime.jobs.errors import JobCancelledError, JobStateError, QueueDrainingError
+from services.runtime.jobs.errors import JobCancelledError, QueueDrainingError
 from services.runtime.orm import DatasetImport, Job, LabelSet, SequenceRow, Upload, User
 from services.runtime.platform import Platform
 from services.runtime.sandbox.errors import SandboxCrashedError
@@ -40,6 +38,7 @@ from services.runtime.uploads import expire, upload_file
 from testing.refusals import refused_as
 from testing.worlds.brought_datasets import TAR_BYTES, BroughtDataset, an_owner, bring_dataset
 from testing.worlds.runs import Said, uploaded
+from tests.services.runtime.jobs.steps import act
 
 
 @pytest.fixture
@@ -68,14 +67,6 @@ def attempt_at(brought: BroughtDataset) -> Said:
 def runs(platform: Platform) -> list[Job]:
     with platform.database.reading() as session:
         return list(session.scalars(select(Job).where(Job.kind == IMPORT).order_by(Job.id)))
-
-
-def test_an_import_is_a_run_that_belongs_to_no_sequence(brought: BroughtDataset) -> None:
-    run, (_, first) = brought.run(), brought.jobs()
-    assert (run.kind, run.sequence_id, run.owner_id) == (IMPORT, None, brought.owner_id)
-    assert (first.kind, first.sequence_id, first.state) == (KEEP_DATASET, None, "queued")
-    row = brought.row()
-    assert (row.name, row.size_bytes, row.existing, row.classes) == ("field", TAR_BYTES, "refuse", None)
 
 
 def test_stated_classes_are_kept_as_they_were_stated(platform: Platform, tar: Path) -> None:
@@ -109,8 +100,7 @@ def test_splits_are_set_by_administrators_alone(platform: Platform, tar: Path) -
 def test_a_queue_that_drains_takes_no_import_and_no_upload(platform: Platform, tar: Path) -> None:
     owner_id = an_owner(platform)
     upload_id = uploaded(platform, owner_id, tar, purpose="dataset")
-    with platform.database.transaction() as session:
-        set_mode(session, "ingest", "draining")
+    act(platform, set_mode, "ingest", "draining")
     with pytest.raises(QueueDrainingError):
         asked(platform, owner_id, upload_id)
     with platform.database.reading() as session:
@@ -126,8 +116,7 @@ def test_the_tar_is_counted_and_kept_until_the_import_is_deleted(brought: Brough
         assert balance(session, brought.owner_id) == TAR_BYTES
         needed = {one.id for one in backup_references(session.connection()).uploads}
     assert needed == {row.upload_id}
-    with platform.database.transaction() as session:
-        delete_import(session, row)
+    act(platform, delete_import, row)
     with platform.database.reading() as session:
         assert balance(session, brought.owner_id) == 0
         assert backup_references(session.connection()).uploads == ()
@@ -155,8 +144,7 @@ def test_progress_is_told_scene_by_scene(brought: BroughtDataset) -> None:
 def test_of_jobs_that_ask_at_once_one_begins_a_run(platform_on: Platform, tar: Path) -> None:
     brought = bring_dataset(platform_on, tar, an_owner(platform_on))
     platform, attempt, old_id = brought.platform, attempt_at(brought), brought.run().id
-    with platform.database.transaction() as session:
-        assert claim(session, "ingest") is not None
+    assert act(platform, claim, "ingest") is not None
     with ThreadPoolExecutor(8) as pool:
         list(pool.map(lambda _: begin_run_again(platform, attempt, "for a reason"), range(16)))
     old, new = runs(platform)
@@ -178,26 +166,17 @@ def test_a_run_is_not_begun_again_without_end(brought: BroughtDataset) -> None:
 
 def test_a_run_that_is_to_stop_is_not_begun_again(brought: BroughtDataset) -> None:
     platform, attempt = brought.platform, attempt_at(brought)
-    with platform.database.transaction() as session:
-        cancel(session, brought.run().id, "")
+    act(platform, cancel, brought.run().id, "")
     begin_run_again(platform, attempt, "for a reason")
     assert [run.state for run in runs(platform)] == ["cancelled"]
 
 
 def test_an_attempt_at_an_import_that_was_deleted_is_cancelled(brought: BroughtDataset) -> None:
     attempt = attempt_at(brought)
-    with brought.platform.database.transaction() as session:
-        delete_import(session, brought.row())
+    act(brought.platform, delete_import, brought.row())
     begin_run_again(brought.platform, attempt, "for a reason")
     with pytest.raises(JobCancelledError):
         import_of_attempt(brought.platform, attempt)
-
-
-def test_what_has_ended_well_is_not_begun_again(brought: BroughtDataset) -> None:
-    with brought.platform.database.transaction() as session:
-        session.get_one(Job, brought.run().id).state = "succeeded"
-    with brought.platform.database.transaction() as session, pytest.raises(JobStateError):
-        begin_import_again(session, session.get_one(DatasetImport, brought.import_id), "for a reason")
 
 
 def test_scenes_that_are_told_twice_or_out_of_order_are_not_believed() -> None:
@@ -217,8 +196,7 @@ LIMIT_BYTES, MINUTE_NS = 2**40, 60_000_000_000
 
 def ended(brought: BroughtDataset, limit_bytes: int = LIMIT_BYTES) -> list[str]:
     """Write label sets of its scenes and end the import, as its stage does; the ids of their sequences."""
-    with brought.platform.database.transaction() as session:
-        return _ended(session, brought.import_id, limit_bytes)
+    return act(brought.platform, _ended, brought.import_id, limit_bytes)
 
 
 def _ended(session: Session, import_id: str, limit_bytes: int = LIMIT_BYTES, duration_ns: int = MINUTE_NS) -> list[str]:

@@ -11,11 +11,9 @@ from typing import Any
 
 import pytest
 from pydantic import SecretStr
-from structlog.testing import capture_logs
 
 from services.runtime.database.transactions import Database
 from services.runtime.oidc.settings import OidcSettings, groups_in
-from services.runtime.platform import open_platform
 from services.runtime.settings import (
     SECRETS_VARIABLE,
     ApiSettings,
@@ -27,10 +25,8 @@ from services.runtime.settings import (
 )
 from services.runtime.settings_checks import BOUNDS, OTHERS, RENAMED
 from testing.refusals import refused_as
-from testing.servers.fixtures import make_settings
 
 ROOT = Path(__file__).resolve().parents[3]
-PROCESSES = ("services.runtime.processes.api", "services.runtime.processes.worker", "services.runtime.backup")
 
 
 @pytest.fixture(autouse=True)
@@ -136,9 +132,8 @@ def test_what_is_said_in_code_is_checked_alike_and_all_at_once() -> None:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("module", PROCESSES)
-def test_every_process_ends_as_it_starts_and_says_why_in_one_line(module: str, tmp_path: Path) -> None:
-    outcome = _started(["-m", module], tmp_path, STONE_JOBS__LEASE="30")
+def test_a_process_ends_as_it_starts_and_says_why_in_one_line(tmp_path: Path) -> None:
+    outcome = _started(["-m", "services.runtime.processes.api"], tmp_path, STONE_JOBS__LEASE="30")
     assert outcome.returncode == 1
     (line,) = outcome.stderr.splitlines()
     assert '"code": "unknown_setting"' in line
@@ -186,18 +181,6 @@ def test_where_both_names_are_set_the_new_one_counts(monkeypatch: pytest.MonkeyP
     monkeypatch.setenv("STONE_UPLOADS__PLACE", "store")
     monkeypatch.setenv("STONE_UPLOADS__BACKEND", "folder")
     assert Settings().uploads == UploadSettings()
-
-
-def test_each_process_says_which_name_to_use(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setenv("STONE_UPLOADS__PLACE", "store")
-    with capture_logs() as lines:
-        open_platform(make_settings(tmp_path)).database.close()
-    (line,) = [line for line in lines if "renamed" in line["event"]]
-    assert (line["log_level"], line["setting"], line["use"]) == (
-        "warning",
-        "STONE_UPLOADS__PLACE",
-        "STONE_UPLOADS__BACKEND",
-    )
 
 
 @pytest.fixture
@@ -322,11 +305,6 @@ def test_half_a_provider_is_refused(oidc: dict[str, Any]) -> None:
     with refused_as("impossible_settings") as refusal:
         provided(**oidc)
     assert "hidden" not in str(refusal.value)
-
-
-def test_a_provider_without_a_title_is_called_by_its_host() -> None:
-    assert provided(**LAB).oidc.shown_title == "id.lab.example"
-    assert provided(**LAB, title="Field Robotics Lab").oidc.shown_title == "Field Robotics Lab"
 
 
 def test_the_example_of_the_administrators_guide_is_a_provider(monkeypatch: pytest.MonkeyPatch) -> None:

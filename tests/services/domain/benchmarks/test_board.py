@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board, rank_confidence_of
+from services.domain.benchmarks.boards.board import Board, LeaderboardRow, board, rank_confidence_of
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.boards.tables import notes
 from services.domain.benchmarks.visibility import ANYBODY, Viewer
@@ -188,15 +188,6 @@ def test_a_board_of_the_past_is_that_of_the_past(platform: Platform) -> None:
     assert then(5) == ids(shown(at)) == [late, early]
 
 
-def test_the_future_is_now(platform: Platform) -> None:
-    at = scene(platform)
-    entered = at.enter(at.team(), Made())
-    found = shown(at, BoardQuery(as_of_ns=now_ns() + HOUR_NS))
-    assert ids(found) == [entered]
-    assert found.query.as_of_ns is not None
-    assert found.query.as_of_ns <= now_ns()
-
-
 def test_a_board_shows_one_pair_and_the_old_one_for_the_past(platform: Platform) -> None:
     at, now = scene(platform), now_ns()
     entered = at.enter(at.team(), Made(0.4), settled_ns=now - 50 * HOUR_NS)
@@ -247,13 +238,3 @@ def test_entries_below_those_that_are_compared_claim_nothing(
         "services.domain.benchmarks.boards.board.rank_confidence_of", unwrap(rank_confidence_of)
     )  # nothing is remembered
     assert [(row.rank_interval, row.tie_group) for row in shown(at).rows] == [((1, 2), 1), ((2, 3), 2), (None, None)]
-
-
-def test_a_board_tells_at_most_so_many(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    at = scene(platform)
-    for error in (0.1, 0.2, 0.3):
-        at.enter(at.team(), Made(error))
-    assert MOST_ROWS > 600
-    monkeypatch.setattr("services.domain.benchmarks.boards.board.MOST_ROWS", 2)
-    found = shown(at)
-    assert ([row.rank for row in found.rows], found.ranked_total) == ([1, 2], 3)

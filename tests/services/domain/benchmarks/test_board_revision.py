@@ -147,13 +147,6 @@ def test_a_board_that_is_kept_costs_three_statements(platform: Platform) -> None
     assert len([text for text in statements if text.startswith("SELECT")]) == 3, statements
 
 
-def test_boards_of_the_past_are_not_kept(platform: Platform) -> None:
-    world, query = filled(platform), BoardQuery(as_of_ns=now_ns())
-    kept = len(boards._KEPT)
-    assert board(platform, world.at.phase_id, query, ANYBODY).revision == ""
-    assert len(boards._KEPT) == kept
-
-
 def test_a_board_that_changes_takes_the_place_of_the_one_before(platform: Platform) -> None:
     """However often entries are scored, no more is kept."""
     world = filled(platform)
@@ -162,12 +155,6 @@ def test_a_board_that_changes_takes_the_place_of_the_one_before(platform: Platfo
     world.at.enter(world.teams[1], Made(0.1))
     world.boards()
     assert len(boards._KEPT) == kept
-
-
-def test_users_of_whom_no_team_is_on_the_board_share_it(platform: Platform) -> None:
-    world = filled(platform)
-    seen = [board(platform, world.at.phase_id, BoardQuery(), Viewer(team_ids=frozenset({name}))) for name in "ab"]
-    assert seen[0] is seen[1]
 
 
 NOW_NS = now_ns() // 1000 * 1000

@@ -20,7 +20,6 @@ from services.domain.benchmarks.boards.tables import (
     csv_text,
     latex_text,
     markdown_text,
-    notes,
     table_bytes,
 )
 from stone.errors import one_line
@@ -139,28 +138,10 @@ def test_latex_is_a_booktabs_table() -> None:
     assert all(line.count("&") == 8 for line in body[4:-2])
 
 
-@pytest.mark.parametrize("form", ["csv", "md", "tex"])
-def test_every_table_names_its_pair(form: Form) -> None:
-    text = table(form, ROW).replace("\\", "").replace("{}", "")
-    assert "stone-iou-2" in text
-    assert "truth" in text
-
-
 @pytest.mark.parametrize("form", ["csv", "parquet", "md", "tex"])
 def test_an_empty_board_is_a_table_too(form: Form) -> None:
     empty = replace(board_of(), pair=None)
     assert table_bytes(empty, form) == table_bytes(empty, form) != b""
-
-
-def test_few_sequences_and_rounding_are_said() -> None:
-    assert any("5 sequences are few" in note and "0.0625" in note for note in notes(board_of(ROW)))
-    few = notes(replace(board_of(ROW), pair=replace(PAIR, sequences=3)))
-    assert any("new places: at least 5 sequences are needed, here 3" in note for note in few)
-    silent = list(notes(replace(board_of(ROW), silence="few_frames")))
-    assert any("No ties and no intervals of ranks: too few independent frames" in note for note in silent)
-    assert not any("tie group" in note for note in silent)
-    assert not any("few" in note for note in notes(replace(board_of(ROW), pair=replace(PAIR, sequences=70))))
-    assert any("rounded to 4 digits" in note for note in notes(replace(board_of(ROW), secrecy="running")))
 
 
 @pytest.mark.parametrize("text", HOSTILE)

@@ -8,7 +8,6 @@ from sqlalchemy import select
 from services.domain.benchmarks.phases.evaluation_versions import (
     EvaluationVersion,
     active,
-    in_force,
     pending,
     versions_to_score,
 )
@@ -133,13 +132,6 @@ def rescore(place: Place, version: EvaluationVersion, **columns: int) -> None:
     facts = {"phase_id": place.phase.id, "truth_id": version.truth_id, "metric": version.metric}
     with place.platform.database.transaction() as session:
         session.add(Rescore(created_by=place.user.id, **facts, **columns))
-
-
-def test_a_phase_without_ground_truth_has_no_pair_and_scores_nothing(platform: Platform) -> None:
-    with platform.database.reading() as session:
-        assert active(session, "0" * 32) is None
-        assert in_force(session, "0" * 32) is None
-        assert versions_to_score(session, "0" * 32) == ()
 
 
 def test_the_newest_activation_counts_and_the_past_keeps_its_own(platform: Platform) -> None:

@@ -19,7 +19,6 @@ from services.domain.benchmarks.phases.phases import (
     phase_status,
 )
 from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported, reported_in
-from services.domain.benchmarks.visibility import TABLE, WORDS, policy_sentences
 from services.runtime.orm import Benchmark, Dataset, DatasetMember, Job, Phase, Reported
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
@@ -146,18 +145,6 @@ def test_labels_that_are_public_in_another_version_are_warned_of(platform: Platf
     ids = {row.part: [row.sequence_id] for row in members}
     laid.version(platform, root, train=ids["test"], test=ids["val"])  # the roles of the two exchanged
     assert codes(test, val, open_val) == [["labels_are_public"], ["labels_are_public"], ["labels_are_hidden_elsewhere"]]
-
-
-def test_the_policy_in_words_names_every_field_once_for_each_state() -> None:
-    assert set(WORDS) == set(TABLE)
-    hidden = Phase(is_hidden=True, closes_ns=20, named_from_ns=30)
-    running, ended, names = policy_sentences(hidden, 10)
-    assert "administrators only: exact totals" in running
-    assert "everyone: totals rounded to 4 digits, exact totals" in ended
-    assert names.startswith("Until named_from_at")
-    for sentence in (running, ended, *policy_sentences(Phase(is_hidden=False), 10)):
-        assert all(sentence.count(word) >= 1 for word in WORDS.values())
-    assert policy_sentences(hidden, 40) == (ended,)
 
 
 A = ReportedRow("a method", "C", "somebody, some year, some table", iou_occ=0.5, miou=0.25)

@@ -12,7 +12,6 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.alarms.alarms import (
     DAY_NS,
-    AlarmLimits,
     differing_ratio,
     dismiss,
     open_alarms,
@@ -109,13 +108,6 @@ def test_a_new_submission_goes_before_a_re_score(platform: Platform) -> None:
     with platform.database.transaction() as session:
         taken = claim(session, "eval")
     assert taken.job_id == fresh
-
-
-def test_started_again_while_its_run_works_it_is_the_same_one(platform: Platform) -> None:
-    place = phase_of_rows(platform)
-    scored_entry(place, team(place))
-    pair = EvaluationVersion(another_truth(place), METRIC_VERSION)
-    assert _start(place, pair) == _start(place, pair)
 
 
 def test_started_again_after_its_run_failed_it_does_what_is_missing_and_what_failed_last(platform: Platform) -> None:
@@ -417,17 +409,6 @@ def test_near_entries_of_five_days_and_far_ones_of_one_day_are_no_probing(platfo
     for number in range(6):
         _join(place, entry(place, slow, finalized_ns=NOON_NS + number * DAY_NS), number)
         _join(place, entry(place, varied, finalized_ns=NOON_NS + number), 10_000 + 5000 * number)
-    assert _raised(place) == []
-
-
-def test_only_so_many_are_looked_at(platform: Platform) -> None:
-    place = phase_of_rows(platform)
-    limits = AlarmLimits(near_entries=3, looked_at=2)
-    ours = team(place)
-    for number in range(4):
-        submission_id = entry(place, ours, finalized_ns=NOON_NS + number)
-        with platform.database.transaction() as session:
-            raise_alarms(session, score(session, place, submission_id, Laid(cells=_cells(number))), limits)
     assert _raised(place) == []
 
 

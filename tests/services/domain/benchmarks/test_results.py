@@ -11,7 +11,6 @@ from services.domain.benchmarks.submissions.results import (
     By,
     breakdown,
     kept_confusions,
-    provenance,
     results,
     seen_score,
 )
@@ -62,12 +61,6 @@ def test_totals_are_subtracted_and_the_better_one_is_found(platform: Platform) -
     assert (found.a, found.b, found.difference) == (scores[0], scores[1], scores[0] - scores[1])
     assert 0 < found.these_places.interval[0] < (found.difference or 0) < found.these_places.interval[1]
     assert found.these_places.p < 1e-6
-
-
-def test_three_sequences_say_how_little_they_can_say(platform: Platform) -> None:
-    at = scene(platform)
-    flip = compared(at, at.enter(at.team(), Made(0.2)), at.enter(at.team(), Made(0.4))).ratios["miou"].sign_flip
-    assert (flip.sequences, flip.p, flip.smallest_p) == (3, 0.25, 0.25)
 
 
 def test_an_entry_does_not_differ_from_itself(platform: Platform) -> None:
@@ -164,18 +157,6 @@ def test_a_result_is_by_the_pair_in_force_and_older_ones_stay_readable(platform:
     assert (now.seen.is_active, before.seen.is_active) == (True, False)
     assert (now.total["miou"] or 0) > (before.total["miou"] or 0)
     assert (now.seen.truth.number, before.seen.truth.number) == (2, 1)
-
-
-def test_provenance_names_what_a_score_was_made_of_and_by(platform: Platform) -> None:
-    at = scene(platform)
-    submission_id = at.enter(at.team(), Made(0.4), declared_sha256="d" * 64, size_bytes=77)
-    with platform.database.reading() as session:
-        seen = seen_score(session, ADMINISTRATOR, session.get_one(SubmissionRow, submission_id))
-        found = provenance(seen)
-    assert (found.code_version, found.prediction_sha256, found.size_bytes) == ("9.9", "d" * 64, 77)
-    assert found.content_sha256 == "c" * 64
-    assert seen.truth.sha256 == "7" * 64
-    assert seen.score.signature == "metric:a|truth:b"
 
 
 def test_of_a_score_from_before_silences_were_told_no_interval_is(platform: Platform) -> None:

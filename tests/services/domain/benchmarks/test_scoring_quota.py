@@ -23,6 +23,7 @@ from tests.services.domain.benchmarks.drafts import (
     reserved,
     standing,
 )
+from tests.services.runtime.jobs.steps import act
 
 DAY_NS = 86_400 * 10**9
 NOW_NS = 1_800_000_000 * 10**9
@@ -36,19 +37,6 @@ def granted(entrant: Entrant, amount: int) -> None:
 def wait(monkeypatch: pytest.MonkeyPatch, passed_ns: int) -> None:
     """From now on it is this much later."""
     monkeypatch.setattr(scoring_quota, "now_ns", lambda: now_ns() + passed_ns)
-
-
-def test_what_is_released_is_free_again_and_only_once(platform_on: Platform) -> None:
-    entrant = entrant_on(platform_on, scorings_per_window=1)
-    first = reserved(entrant)
-    assert (standing(entrant).used, standing(entrant).reserved) == (0, 1)
-    with refused_as("scorings_exhausted"):
-        reserved(entrant)
-    for given_back in (1, 0):
-        with platform_on.database.transaction() as session:
-            assert scoring_quota.release(session, first, "released: failed") == given_back
-    assert standing(entrant).reserved == 0
-    reserved(entrant)
 
 
 def test_the_window_rolls_and_says_when_it_is_open_again(
@@ -104,25 +92,13 @@ def test_teams_do_not_share_what_they_have(platform_on: Platform) -> None:
     reserved(other)
 
 
-def test_a_phase_without_limits_counts_all_the_same(platform: Platform) -> None:
-    entrant = entrant_on(platform)
-    for _ in range(3):
-        reserved(entrant)
-    now = standing(entrant)
-    assert (now.limit, now.reserved, now.total_left) == (None, 3, None)
-    assert now.next_slot_ns is not None
-    assert now.next_slot_ns <= now_ns()
-
-
 def test_what_is_tried_again_is_taken_again_beyond_any_limit(platform_on: Platform) -> None:
     entrant = entrant_on(platform_on, scorings_per_window=1)
     first = reserved(entrant)
-    with platform_on.database.transaction() as session:
-        scoring_quota.release(session, first, "released: failed")
+    act(platform_on, scoring_quota.release, first, "released: failed")
     reserved(entrant)
     for taken in (1, 0):
-        with platform_on.database.transaction() as session:
-            assert scoring_quota.retake(session, first) == taken
+        assert act(platform_on, scoring_quota.retake, first) == taken
     assert standing(entrant).reserved == 2
 
 

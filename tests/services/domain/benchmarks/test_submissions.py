@@ -12,7 +12,7 @@ from services.domain.benchmarks.submissions.errors import (
     SubmissionStateError,
 )
 from services.domain.benchmarks.submissions.scoring_jobs import OPEN
-from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel, largest_bytes, validations_left
+from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel, largest_bytes
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, tidy_submissions
 from services.runtime.access import storage_quota
 from services.runtime.jobs.control import set_mode
@@ -20,7 +20,7 @@ from services.runtime.jobs.errors import QueueDrainingError
 from services.runtime.orm import Activation, Blob, Job, Phase, PhaseTeam, SubmissionRow, TeamMember, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
-from services.runtime.settings import StoreSettings, SubmissionSettings
+from services.runtime.settings import StoreSettings
 from services.runtime.store import blobs
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.uploads import expire, upload_file
@@ -229,12 +229,6 @@ def test_validations_are_counted_by_the_day(platform: Platform, monkeypatch: pyt
     drafted(entrant, kind="validation")
 
 
-def test_where_no_validations_are_allowed_there_is_no_next_time(platform: Platform) -> None:
-    entrant = entrant_on(platform, validations_per_day=0)
-    with platform.database.reading() as session:
-        assert validations_left(session, session.get_one(Phase, entrant.phase_id), entrant.team_id) == (0, None)
-
-
 LONG_AGO_NS = 31 * 86_400 * 10**9
 
 
@@ -366,14 +360,6 @@ def test_drafts_that_are_awaited_hold_up_none_behind_them(platform: Platform, mo
             session.get_one(SubmissionRow, submission_id).created_ns = age_ns
     assert [tidy_submissions(platform, walk) for _ in range(3)] == [(0, 0), (0, 1), (0, 0)]
     assert seen(entrant, awaited).state == "draft"
-
-
-def test_the_times_are_those_of_the_settings(platform: Platform) -> None:
-    entrant = entrant_on(platform)
-    sent(entrant, state="invalid", settled_ns=now_ns() - 10**9)
-    drafted(entrant)
-    hasty = platform.settings.model_copy(update={"submissions": SubmissionSettings(draft_s=0.0, purged_after_s=0.5)})
-    assert tidy_submissions(replace(platform, settings=hasty)) == (1, 1)
 
 
 def test_what_is_on_its_way_for_a_cancelled_draft_is_freed(platform: Platform) -> None:

@@ -251,14 +251,6 @@ def test_with_more_workers_it_takes_less_and_beside_another_owner_more(platform:
     assert left_s(platform, run_id) == alone_s
 
 
-def test_an_older_run_of_the_same_owner_is_done_first(platform: Platform, ada: Person) -> None:
-    older, newer = (run(platform, ada, *STAGES) for _ in range(2))
-    with platform.database.reading() as session:
-        told = time_left(session, [older, newer])
-    assert told[newer] > told[older]
-    assert left_s(platform, newer) == told[newer], "alone it is told the same as in a list"
-
-
 def test_nothing_is_told_of_a_job_within_a_run_nor_while_its_queue_is_paused(platform: Platform, ada: Person) -> None:
     run_id = run(platform, ada, *STAGES)
     worked(platform, run_id, 1)

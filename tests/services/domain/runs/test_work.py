@@ -78,13 +78,6 @@ def test_a_labelling_is_read_with_its_recordings_cameras_frames_and_jobs(platfor
     assert (alive.queue, alive.is_paused) == ("labeler", False)
 
 
-def test_of_a_run_of_which_nothing_is_known_nothing_is_told(platform_on: Platform, ada: Person) -> None:
-    with platform_on.database.transaction() as session:
-        run = run_of(session, sequence_of(session, ada), "queued", arguments={"stages": ["synchronise"]})
-        (alive,) = alive_runs(session, alive_rows(session, [run.id]), NOW)
-    assert alive.work == RunWorkload(LABELLING, (), makes_labels=False)
-
-
 def test_only_runs_that_have_not_ended_are_read_and_of_the_older_the_newest_first(
     platform_on: Platform, ada: Person
 ) -> None:

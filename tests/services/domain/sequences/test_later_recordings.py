@@ -21,6 +21,7 @@ from services.runtime.orm import Job, LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
 from testing.worlds.runs import Brought, bring
 from tests.services.domain.sequences.test_processing import ended, ready_on, with_recording
+from tests.services.runtime.jobs.steps import act
 
 CAMERAS, RADAR = ("cameras.mcap", "cd" * 32), ("radar.bag", "ef" * 32)
 
@@ -70,8 +71,7 @@ def test_of_recordings_that_are_added_at_once_one_run_is_made(platform_on: Platf
     labelled = labelled_on(platform_on, tmp_path)
     with_recording(labelled, "registered", *CAMERAS)
     with_recording(labelled, "received", *RADAR)
-    with labelled.platform.database.transaction() as session:
-        reading = register(session, labelled.recording(2))
+    reading = act(labelled.platform, register, labelled.recording(2))
     assert follow(labelled) == 0
     with labelled.platform.database.transaction() as session:
         session.get_one(Job, reading.id).state = "succeeded"
@@ -87,8 +87,7 @@ def test_of_recordings_that_are_added_at_once_one_run_is_made(platform_on: Platf
 def test_however_the_reading_of_another_ends_the_one_that_was_registered_is_taken(labelled: Brought, end: str) -> None:
     with_recording(labelled, "registered", *CAMERAS)
     with_recording(labelled, "received", *RADAR)
-    with labelled.platform.database.transaction() as session:
-        reading = register(session, labelled.recording(2))
+    reading = act(labelled.platform, register, labelled.recording(2))
     assert follow(labelled) == 0
     with labelled.platform.database.transaction() as session:
         other = session.get_one(Recording, labelled.recording_ids[2])
@@ -153,13 +152,6 @@ def test_a_recording_that_comes_while_a_run_is_at_work_is_taken_by_the_next(labe
     assert runs(labelled)[-1].arguments["profile"] == "paper"
 
 
-def test_labels_whose_run_took_the_recording_and_failed_say_so(labelled: Brought) -> None:
-    taken_in_vain(labelled)
-    shown = said(labelled)
-    assert shown.names == ("cameras.mcap",)
-    assert shown.why_not
-
-
 def test_what_keeps_a_run_from_starting_is_said_and_it_starts_once_that_is_gone(labelled: Brought) -> None:
     with_recording(labelled, "registered", "run.mcap", "cd" * 32)
     assert follow(labelled) == 0
@@ -173,11 +165,9 @@ def test_what_keeps_a_run_from_starting_is_said_and_it_starts_once_that_is_gone(
 
 def test_a_draining_queue_is_waited_for(labelled: Brought) -> None:
     with_recording(labelled, "registered", *CAMERAS)
-    with labelled.platform.database.transaction() as session:
-        set_mode(session, "ingest", "draining")
+    act(labelled.platform, set_mode, "ingest", "draining")
     assert follow(labelled) == 0
-    with labelled.platform.database.transaction() as session:
-        set_mode(session, "ingest", "open")
+    act(labelled.platform, set_mode, "ingest", "open")
     assert follow(labelled) == 1
 
 

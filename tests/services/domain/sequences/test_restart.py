@@ -28,6 +28,7 @@ from services.runtime.platform import Platform
 from testing.refusals import refused_as
 from testing.worlds.runs import Brought, Said
 from tests.services.domain.sequences.test_processing import ended, ready_on
+from tests.services.runtime.jobs.steps import act
 
 RELEASED = "0.1.0"  # how releases were named before their sources were
 
@@ -64,8 +65,7 @@ def runs(ready: Brought) -> list[Job]:
 def test_of_jobs_that_ask_at_once_one_begins_a_run_of_the_same_request(platform_on: Platform, tmp_path: Path) -> None:
     ready = ready_on(platform_on, tmp_path)
     root_id = begun_before(ready)
-    with ready.platform.database.transaction() as session:
-        assert claim(session, "ingest") is not None
+    assert act(ready.platform, claim, "ingest") is not None
     with ThreadPoolExecutor(8) as pool:
         (new_id,) = [begun for begun in pool.map(lambda _: again(ready, root_id), range(16)) if begun]
     old, new = runs(ready)
@@ -132,8 +132,7 @@ def test_deleting_the_sequence_and_beginning_again_at_once_leave_no_run_alive(
 
 def test_a_queue_that_takes_nothing_new_fails_the_run_with_the_way_out(ready: Brought) -> None:
     root_id = begun_before(ready)
-    with ready.platform.database.transaction() as session:
-        set_mode(session, "ingest", "draining")
+    act(ready.platform, set_mode, "ingest", "draining")
     assert run_next(ready.platform, "ingest", handlers(ready.platform))
     (run,) = runs(ready)
     assert (run.id, run.state, run.failure_code) == (root_id, "failed", "code_changed")
@@ -159,11 +158,9 @@ def test_versions_that_serve_at_once_do_not_begin_it_again_for_ever(ready: Broug
 
 def test_an_old_run_that_is_retried_beside_a_newer_one_says_so(ready: Brought) -> None:
     root_id = begun_before(ready)
-    with ready.platform.database.transaction() as session:
-        cancel(session, root_id, "")
+    act(ready.platform, cancel, root_id, "")
     newer_id = ready.process()
-    with ready.platform.database.transaction() as session:
-        retry(session, root_id, 3)
+    act(ready.platform, retry, root_id, 3)
     with refused_as("code_changed", match=newer_id):
         arguments_of_run(ready.platform, attempt_at(ready, root_id))
 

@@ -162,13 +162,6 @@ def test_the_grids_are_those_that_numpy_reads() -> None:
             np.testing.assert_array_equal(found, archive[key])
 
 
-def test_a_stored_member_is_read_as_well() -> None:
-    file, made = io.BytesIO(), grids(1)
-    np.savez(file, semantics=made["semantics"])
-    (found,) = read_grids(file.getvalue(), ("semantics",))
-    np.testing.assert_array_equal(found, made["semantics"])
-
-
 def test_what_is_damaged_or_of_another_form_is_named() -> None:
     payload = npz_bytes(grids())
     flipped = bytearray(payload)

@@ -45,13 +45,6 @@ def test_every_voxel_is_found_at_its_bit(seed: int) -> None:
         assert (low + 2 * high, seen) == (semantics[i, j, k], observed[i, j, k])
 
 
-def test_a_whole_grid_is_768_kib_before_it_is_packed() -> None:
-    empty = np.zeros((256, 256, 32), np.uint8)
-    packed = voxels_bytes(empty, empty)
-    content = zstandard.ZstdDecompressor().decompress(packed)
-    assert len(content) == zstandard.get_frame_parameters(packed).content_size == 8 + 3 * 256 * 256 * 32 // 8
-
-
 @given(count=COUNTS, data=st.data())
 def test_a_tile_gives_its_columns_one_after_another(count: int, data: st.DataObject) -> None:
     indices = data.draw(arrays.arrays(np.int64, (count, 3), elements=st.integers(-(2**20), 2**20)))

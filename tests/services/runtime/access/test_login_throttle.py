@@ -113,14 +113,6 @@ def test_who_guesses_from_a_known_address_waits_as_everywhere(platform: Platform
         assert tried(platform) == 0
 
 
-def test_an_address_is_known_for_the_name_that_signed_in_and_no_other(platform: Platform) -> None:
-    signed_in(platform)
-    with platform.database.reading() as session:
-        assert login_throttle.try_at(session, **HERE).is_known
-        assert not login_throttle.try_at(session, "eve", HERE["address"]).is_known
-        assert not login_throttle.try_at(session, "ada", ELSEWHERE).is_known
-
-
 def test_an_address_is_forgotten_with_the_password_after_its_time_and_beyond_the_most(
     platform: Platform, clock: Clock, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -131,14 +131,6 @@ def test_the_audit_log_is_cut_where_it_is_old_and_its_chain_goes_on(
         assert audit.head(session).number == 6
 
 
-def test_a_long_log_is_cut_some_lines_a_turn(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(retention, "AUDIT_LINES_AT_A_TIME", 1)
-    monkeypatch.setattr(retention, "MOST_AUDIT_TIMES", 2)
-    log(platform, [500, 450, 420, 5])
-    assert [retention.cut_audit(keeping(platform, 400)) for _ in range(3)] == [2, 1, 0]
-    assert subjects(platform) == ["5"]
-
-
 def test_a_log_that_is_all_old_goes_on_from_its_anchor(platform: Platform) -> None:
     log(platform, [500, 400])
     assert retention.cut_audit(keeping(platform, 100)) == 2

@@ -1,6 +1,5 @@
 """The administrator's command, and rows as text: read back as they were, written as PostgreSQL writes them."""
 
-import math
 from pathlib import Path
 
 import psycopg
@@ -13,7 +12,7 @@ from services.runtime.backup.tables import Kind, kind_of, line_of, lines_of, row
 from services.runtime.embedded.listen_socket import hold_folder
 from services.runtime.orm import Base
 from services.runtime.platform import Platform
-from tests.services.runtime.backup.laid import Laid, lay, objects_of
+from tests.services.runtime.backup.laid import Laid, lay
 
 
 @pytest.fixture
@@ -54,16 +53,6 @@ def test_nothing_is_restored_under_a_platform_that_serves(
     with hold_folder(platform.settings.root):
         assert main(["restore", str(tmp_path / "backups")]) == 1
     assert "already" in capsys.readouterr().err
-
-
-def test_damage_on_the_platform_ends_with_1_and_the_backup_is_there(
-    platform: Platform, laid: Laid, tmp_path: Path, capsys: pytest.CaptureFixture[str]
-) -> None:
-    key = next(key for key in objects_of(platform) if key.startswith("blobs/"))
-    platform.store.delete(key)
-    assert main(["to", str(tmp_path / "backups")]) == 1
-    assert key in capsys.readouterr().err
-    assert main(["verify", str(tmp_path / "backups")]) == 0
 
 
 KINDS: tuple[Kind, ...] = ("text", "integer", "float", "boolean", "json", "bytes")
@@ -118,11 +107,6 @@ def test_postgresql_writes_what_we_read_and_reads_what_we_write(
             copy.write(line_of([value], [kind]) + "\n")
         cursor.execute(f"SELECT v::text IS NOT DISTINCT FROM ({literal})::text FROM written".encode())
         assert cursor.fetchone() == (True,)
-
-
-def test_infinities_survive() -> None:
-    values = [math.inf, -math.inf]
-    assert [row_of(line_of([value], ["float"]), ["float"]) for value in values] == [[value] for value in values]
 
 
 def test_a_file_without_an_end_is_no_file() -> None:

@@ -4,9 +4,9 @@ from collections.abc import Iterator
 from pathlib import Path
 
 import pytest
-from sqlalchemy import literal, select, text
+from sqlalchemy import select, text
 
-from benchmarks.rows.claiming.server_log import LOGGING, transactions
+from benchmarks.rows.claiming.server_log import LOGGING
 from services.runtime.database.transactions import Database
 from services.runtime.settings import DatabaseSettings
 from testing.servers.fixtures import make_settings
@@ -49,16 +49,6 @@ def test_a_connection_that_the_server_closed_is_replaced(server: PostgresServer,
     assert one(database) == 1
 
 
-def test_a_transaction_is_one_for_the_server_too(server: PostgresServer, database: Database) -> None:
-    one(database)
-    with server.log.open() as log:
-        log.seek(0, 2)
-        for _ in range(3):
-            one(database)
-        found = list(transactions(log))
-    assert [len(each.statements) for each in found] == [3, 3, 3], "BEGIN, the statement, COMMIT"
-
-
 def test_what_a_server_says_unasked_is_no_end(server: PostgresServer, database: Database) -> None:
     with database.engine.connect() as connection:
         pid = connection.scalar(text("SELECT pg_backend_pid()"))
@@ -67,16 +57,3 @@ def test_what_a_server_says_unasked_is_no_end(server: PostgresServer, database: 
     server.run("SELECT pg_reload_conf()")  # which is reported on every connection
     with database.engine.connect() as connection:
         assert connection.scalar(text("SELECT pg_backend_pid()")) == pid
-
-
-def test_what_is_asked_often_stays_prepared_whatever_reads_and_writes_come_between(database: Database) -> None:
-    """psycopg prepares a statement at its sixth execution, and gives up all of them at a ROLLBACK."""
-    prepared = text("SELECT count(*) FROM pg_prepared_statements WHERE statement LIKE 'SELECT%+%'")
-    for _ in range(7):
-        with database.reading() as session:
-            session.scalar(select(literal(1) + 1))
-        with database.snapshot() as session:
-            session.scalar(select(literal(1) + 1))
-        one(database)
-    with database.reading() as session:
-        assert session.scalar(prepared) == 1

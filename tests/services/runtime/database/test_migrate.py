@@ -67,11 +67,10 @@ def test_processes_that_upgrade_at_once_all_succeed(empty: Settings) -> None:
 
 
 @pytest.mark.whole
-def test_downgrading_to_the_base_leaves_no_table(empty: Settings) -> None:
-    upgrade(empty)
-    with schema_connection(empty) as connection:
+def test_downgrading_to_the_base_leaves_no_table(platform: Platform) -> None:
+    with schema_connection(platform.settings) as connection:
         command.downgrade(alembic_on(connection), "base")
-    assert tables_of(empty) == {"alembic_version"}
+    assert tables_of(platform.settings) == {"alembic_version"}
 
 
 def tables_of(settings: Settings) -> set[str]:

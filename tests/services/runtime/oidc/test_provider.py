@@ -134,11 +134,8 @@ def test_a_stolen_code_is_worth_nothing_in_another_browser(forger: ForgingProvid
         provider.finish(thief, CodeAnswer(stolen["code"], thief.state))
 
 
-@pytest.mark.parametrize(
-    "claims",
-    [{"nonce": "another"}, {"aud": "another"}, {"iss": "https://evil.example"}, {"exp": 1}, {"iat": 1}, {"sub": None}],
-)
-def test_a_false_id_token_signs_nobody_in(forger: ForgingProvider, claims: dict[str, Any]) -> None:
+@pytest.mark.parametrize("claims", [{"nonce": "another"}, {"aud": "another"}, {"iss": "https://evil.example"}])
+def test_an_id_token_for_another_sign_in_signs_nobody_in(forger: ForgingProvider, claims: dict[str, Any]) -> None:
     forger.claims = claims
     with refused_as("id_token_refused"):
         signed_in(forger)

@@ -42,10 +42,6 @@ def impatient(settings: Settings) -> Settings:
     return settings.model_copy(update={"database": replace(settings.database, awaited_s=0.0)})
 
 
-def test_a_prepared_database_is_not_waited_for(platform: Platform) -> None:
-    await_schema(impatient(platform.settings))
-
-
 def test_an_empty_database_is_waited_for_until_it_is_prepared(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     settings = make_settings(tmp_path)
     monkeypatch.setattr(time, "sleep", lambda _: upgrade(settings))

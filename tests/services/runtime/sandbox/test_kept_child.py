@@ -249,14 +249,13 @@ def test_without_a_fork_server_every_job_has_a_child_of_its_own(monkeypatch: pyt
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("death", [signal.SIGKILL, signal.SIGTERM])
-def test_a_kept_child_ends_with_its_service(death: int) -> None:
+def test_a_kept_child_ends_with_its_service() -> None:
     with subprocess.Popen(
         [sys.executable, "-c", ASKER], stdin=subprocess.PIPE, stdout=subprocess.PIPE, text=True
     ) as asker:
         assert asker.stdout is not None
         child = int(asker.stdout.readline())
         assert is_running(child)
-        os.kill(asker.pid, death)
+        asker.kill()
         asker.wait()
     until(lambda: not is_running(child))

@@ -18,7 +18,6 @@ from services.runtime.sandbox.messages import (
     TICK,
     SandboxMessage,
     SandboxMessageReader,
-    send_message,
     texts_of,
     tick_of,
 )
@@ -53,14 +52,6 @@ def test_words_arrive_whole_and_in_order_however_they_are_cut(words: list[Sandbo
     stream = b"".join(HEAD.pack(word.kind, len(word.payload)) + word.payload for word in words)
     places = [0, *sorted(cut for cut in cuts if cut < len(stream)), len(stream)]
     assert heard([stream[a:b] for a, b in pairwise(places)]) == words
-
-
-def test_what_is_said_is_what_is_heard() -> None:
-    reading, writing = os.pipe()
-    send_message(writing, ANSWER, b"forty-two")
-    os.close(writing)
-    assert list(SandboxMessageReader(reading, ANSWER_BYTES).words()) == [SandboxMessage(ANSWER, b"forty-two")]
-    os.close(reading)
 
 
 @pytest.mark.parametrize(

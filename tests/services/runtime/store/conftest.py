@@ -26,12 +26,6 @@ def anywhere(request: pytest.FixtureRequest, hasty: Platform) -> Platform:
     return in_bucket(request, hasty) if request.param == "s3" else hasty
 
 
-@pytest.fixture(params=["folder", "s3"])
-def anywhere_on(request: pytest.FixtureRequest, hasty_on: Platform) -> Platform:
-    """`hasty_on`, on each store."""
-    return in_bucket(request, hasty_on) if request.param == "s3" else hasty_on
-
-
 def in_bucket(request: pytest.FixtureRequest, platform: Platform) -> Platform:
     store = replace(request.getfixturevalue("s3_settings"), grace_s=0.0)
     settings = platform.settings.model_copy(update={"store": store})

@@ -19,6 +19,7 @@ from testing.refusals import refused_as
 from testing.servers.fixtures import having
 from testing.threads import granted
 from testing.worlds.rows import recording_of
+from tests.services.runtime.jobs.steps import act
 from tests.services.runtime.uploads.living import complete, leave_unsettled, make_sequence, overdue, record, used
 from tests.services.runtime.uploads.sending import (
     BAG,
@@ -50,16 +51,6 @@ def test_a_file_beyond_what_the_platform_takes_is_refused(placed: Platform) -> N
         made(small, make_owner(small), b"x" * 11)
 
 
-def test_a_creation_over_the_quota_leaves_neither_row_nor_file_nor_debt(placed: Platform) -> None:
-    small, owner = having(placed, uploads={"owner_bytes": 100}), make_owner(placed)
-    made(small, owner, b"x" * 60)
-    with refused_as("quota_exceeded", match="60 of 100"):
-        made(small, owner, b"x" * 41)
-    assert used(small, owner) == 60
-    assert states(small) == ["open"]
-    assert files(small) <= 1
-
-
 def test_creations_at_once_never_overshoot_the_quota(placed_on: Platform) -> None:
     small, owner = having(placed_on, uploads={"owner_bytes": 100}), make_owner(placed_on)
     assert granted(8, lambda _: made(small, owner, b"x" * 30), "quota_exceeded") == 3
@@ -68,7 +59,7 @@ def test_creations_at_once_never_overshoot_the_quota(placed_on: Platform) -> Non
     assert files(small) <= 3
 
 
-def test_a_recording_for_a_sequence_that_is_not_yours_is_refused(placed: Platform) -> None:
+def test_a_recording_for_a_sequence_that_is_not_yours_or_deleted_is_refused(placed: Platform) -> None:
     ada, bob, root = make_owner(placed), make_owner(placed, "bob"), make_owner(placed, "r", "administrator")
     sequence_id = make_sequence(placed, ada)
     for owner, target in ((bob, sequence_id), (ada, new_id())):
@@ -76,11 +67,6 @@ def test_a_recording_for_a_sequence_that_is_not_yours_is_refused(placed: Platfor
             create(placed, owner, declared(BAG, target_id=target))
     for owner in (ada, root):
         assert create(placed, owner, declared(BAG, target_id=sequence_id)).target_id == sequence_id
-
-
-def test_a_deleted_sequence_is_no_target(placed: Platform) -> None:
-    ada = make_owner(placed)
-    sequence_id = make_sequence(placed, ada)
     with placed.database.transaction() as session:
         session.get_one(SequenceRow, sequence_id).deleted_ns = 1
     with refused_as("upload_target_missing"):
@@ -108,25 +94,17 @@ def test_an_upload_is_used_once_by_its_owner_for_its_purpose(placed: Platform) -
     for owner_id, purpose, refusal in refusals:
         with placed.database.transaction() as session, refused_as(refusal):
             consume(session, upload.id, owner_id, purpose)
-    with placed.database.transaction() as session:
-        assert consume(session, upload.id, owner.user_id, "recording").state == "consumed"
-    with placed.database.transaction() as session, refused_as("wrong_upload_state"):
-        consume(session, upload.id, owner.user_id, "recording")
+    assert act(placed, consume, upload.id, owner.user_id, "recording").state == "consumed"
+    for unusable in (upload, made(placed, owner, b"")):
+        with placed.database.transaction() as session, refused_as("wrong_upload_state"):
+            consume(session, unusable.id, owner.user_id, "recording")
     assert used(placed, owner) == len(BAG)
-
-
-def test_an_upload_under_way_cannot_be_used(placed: Platform) -> None:
-    owner = make_owner(placed)
-    upload = made(placed, owner, BAG)
-    with placed.database.transaction() as session, refused_as("wrong_upload_state"):
-        consume(session, upload.id, owner.user_id, "recording")
 
 
 def test_an_upload_in_use_cannot_be_terminated(placed: Platform) -> None:
     owner = make_owner(placed)
     upload = complete(placed, owner)
-    with placed.database.transaction() as session:
-        consume(session, upload.id, owner.user_id, "recording")
+    act(placed, consume, upload.id, owner.user_id, "recording")
     with refused_as("wrong_upload_state"):
         terminate(placed, find(placed.database, upload.id, owner.user_id))
     assert kept(placed, upload) == BAG
@@ -137,8 +115,7 @@ def test_two_uses_at_once_end_in_one(placed_on: Platform) -> None:
     upload = complete(placed_on, owner)
 
     def use(_number: int) -> None:
-        with placed_on.database.transaction() as session:
-            consume(session, upload.id, owner.user_id, "recording")
+        act(placed_on, consume, upload.id, owner.user_id, "recording")
 
     assert granted(6, use, "wrong_upload_state") == 1
 
@@ -296,17 +273,6 @@ def test_what_lacks_its_last_step_is_finished_when_its_turn_comes(placed: Platfo
     leave_unsettled(placed, uploads[0], BAG)
     expire(placed, cursor)
     assert state_of(placed, uploads[0]) == "complete", "the walk has begun anew"
-
-
-def test_whole_files_are_read_again_one_at_least_and_no_more_than_the_share_allows(placed: Platform) -> None:
-    owner = make_owner(placed)
-    uploads = [made(placed, owner, BAG) for _ in range(3)]
-    for upload in uploads:
-        leave_unsettled(placed, upload, BAG)
-    cursor = UploadCursor(share_s=0.0)
-    for finished in (1, 2, 3):
-        expire(placed, cursor)
-        assert states_of(placed, *uploads).count("complete") == finished
 
 
 def test_bytes_that_nobody_needs_are_found_some_files_a_turn(placed: Platform) -> None:

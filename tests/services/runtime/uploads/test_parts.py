@@ -271,19 +271,6 @@ def test_whoever_reads_an_upload_has_a_copy_of_their_own_as_long_as_they_do(stor
         assert path.read_bytes() == CONTENT
 
 
-def test_an_upload_whose_bytes_are_gone_has_no_copy(stored: Platform) -> None:
-    upload = complete(stored, make_owner(stored))
-    backend_of(stored, upload).remove(upload.id)
-    with pytest.raises(FileNotFoundError), backend_of(stored, upload).local(upload):
-        pass
-
-
-def test_an_empty_upload_is_an_empty_file(stored: Platform) -> None:
-    upload = complete(stored, make_owner(stored), b"")
-    with backend_of(stored, upload).local(upload) as path:
-        assert path.read_bytes() == b""
-
-
 def test_on_s3_an_upload_comes_in_is_hashed_read_and_given_up(
     on_s3: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:

@@ -9,16 +9,14 @@ from typing import Any
 import pytest
 from sqlalchemy import func, select
 
-from services.domain.benchmarks.submissions.submissions import MOST_OPEN, cancel
+from services.domain.benchmarks.submissions.submissions import cancel
 from services.runtime.orm import SubmissionRow, TeamMember, Upload
 from services.runtime.platform import Platform
-from services.runtime.settings import SubmissionSettings, UploadSettings
 from services.runtime.store import blobs
 from services.runtime.uploads import consume, upload_file
 from services.runtime.uploads.completion import terminate
 from services.runtime.uploads.creation import UploadDeclaration, create
 from services.runtime.uploads.rows import UploadOwner, is_waiting
-from stone_files.bag_fingerprint import MOST_FILES
 from testing.api.serving import Person
 from testing.refusals import refused_as
 from testing.servers.fixtures import having
@@ -131,13 +129,6 @@ def test_a_draft_that_went_while_its_upload_was_made_takes_none(
     assert waiting(platform) == 0
 
 
-def test_no_bag_and_no_phase_comes_near_a_bound() -> None:
-    """A bag of as many files as there may be waits whole, a team's drafts of a phase wait all at once."""
-    assert UploadSettings().owner_waiting >= 4 * MOST_FILES
-    assert SubmissionSettings().participant_waiting >= 4 * MOST_OPEN
-    assert SubmissionSettings().draft_waiting > 1
-
-
 def members_of(entrant: Entrant, count: int) -> list[Any]:
     """People who join the team."""
     people = [another_entrant(entrant.place).captain for _ in range(count)]
@@ -154,12 +145,6 @@ def begun(entrant: Entrant, submission_id: str, by: Person | None = None, **said
     usual = {"length_bytes": len(ZIP), "sha256": SHA256, "target_id": submission_id, **said}
     declared = UploadDeclaration("run.zip", "submission", **usual)
     return create(entrant.platform, UploadOwner((by or entrant.captain).user_id, is_participant=True), declared)
-
-
-def test_the_announced_file_of_ones_own_team_is_taken(platform: Platform) -> None:
-    entrant = entrant_on(platform)
-    upload = begun(entrant, drafted(entrant))
-    assert (upload.state, upload.length_bytes, upload.declared_sha256) == ("open", len(ZIP), SHA256)
 
 
 @pytest.mark.parametrize("said", [{"length_bytes": len(ZIP) + 1}, {"sha256": "1" * 64}, {"sha256": ""}])
