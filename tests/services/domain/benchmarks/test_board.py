@@ -6,7 +6,7 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.domain.benchmarks.boards.board import Board, LeaderboardRow, board, rank_confidence_of
+from services.domain.benchmarks.boards.board import MOST_ROWS, Board, LeaderboardRow, board, rank_confidence_of
 from services.domain.benchmarks.boards.entries import BoardQuery
 from services.domain.benchmarks.boards.tables import notes
 from services.domain.benchmarks.visibility import ANYBODY, Viewer
@@ -238,3 +238,13 @@ def test_entries_below_those_that_are_compared_claim_nothing(
         "services.domain.benchmarks.boards.board.rank_confidence_of", unwrap(rank_confidence_of)
     )  # nothing is remembered
     assert [(row.rank_interval, row.tie_group) for row in shown(at).rows] == [((1, 2), 1), ((2, 3), 2), (None, None)]
+
+
+def test_a_board_shows_at_most_so_many(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    at = scene(platform)
+    for error in (0.1, 0.2, 0.3):
+        at.enter(at.team(), Made(error))
+    assert MOST_ROWS > 600
+    monkeypatch.setattr("services.domain.benchmarks.boards.board.MOST_ROWS", 2)
+    found = shown(at)
+    assert ([row.rank for row in found.rows], found.ranked_total) == ([1, 2], 3)

@@ -147,6 +147,13 @@ def test_a_board_that_is_kept_costs_three_statements(platform: Platform) -> None
     assert len([text for text in statements if text.startswith("SELECT")]) == 3, statements
 
 
+def test_boards_of_the_past_are_not_kept(platform: Platform) -> None:
+    world, query = filled(platform), BoardQuery(as_of_ns=now_ns())
+    kept = len(boards._KEPT)
+    assert board(platform, world.at.phase_id, query, ANYBODY).revision == ""
+    assert len(boards._KEPT) == kept
+
+
 def test_a_board_that_changes_takes_the_place_of_the_one_before(platform: Platform) -> None:
     """However often entries are scored, no more is kept."""
     world = filled(platform)
