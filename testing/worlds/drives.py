@@ -27,10 +27,11 @@ from testing.once import made_once
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.faults.drive import SoundDrive, simulated_drive
 from testing.worlds.recording_parts import RecordingPart
-from testing.worlds.runs import NAME, SMALL, Brought, bring_ready, files_of_label, run_all
+from testing.worlds.runs import NAME, Brought, bring_ready, files_of_label, run_all
 
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
-SHORT = SimulateOptions(seconds=2.0, seed=3, channels=16, columns=180, camera_width_px=96)
+TWO_PARTS = SimulateOptions(3.4, seed=3, channels=8, columns=90, cameras=False, world_width_m=30.0, lidar_hz=20)
+SHORT = SimulateOptions(seconds=1.2, seed=3, channels=16, columns=180, camera_width_px=96, world_width_m=30.0)
 SEEN_BY_CAMERAS = SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64)
 THREE_CLOCKS = SimulateOptions(seconds=6.0, seed=1, channels=16, columns=180, camera_width_px=320)
 AHEAD_NS = 80_000_000
@@ -61,16 +62,16 @@ def sound_drive(factory: pytest.TempPathFactory) -> SoundDrive:
     return simulated_drive(made_once(factory, "sound-drive", make))
 
 
-def small_labels(factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """What `stone label` makes of the drive `SMALL`, named as `Brought.files` names it."""
-    bag = drive(factory, SMALL)
+def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
+    """What `stone label` makes of the drive `TWO_PARTS`, named as `Brought.files` names it."""
+    bag = drive(factory, TWO_PARTS)
 
     def make(folder: Path) -> None:
         with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as found:
             options = LabelOptions(workers=2, late_inputs=found.recording_inputs, late_findings=found.late_findings)
             label(found.sequence, found.sweeps, folder / "labels", options)
 
-    return files_of_label(made_once(factory, "small-labels", make) / "labels")
+    return files_of_label(made_once(factory, "labels-of-two-parts", make) / "labels")
 
 
 @contextmanager

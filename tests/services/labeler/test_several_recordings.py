@@ -59,7 +59,7 @@ def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
 @pytest.fixture(scope="module")
 def parts(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, ...]:
     """The LiDAR's recording cut in two by its recorder; INS and radars in a file whose clock is 80 ms ahead."""
-    cut_ns = 1_749_718_801_300_000_000
+    cut_ns = 1_749_718_800_600_000_000
     return split_into(
         bag,
         tmp_path_factory.mktemp("parts"),

@@ -28,7 +28,7 @@ write_import(Path(sys.argv[1]), Path(sys.argv[2]))
 """
 
 
-@pytest.mark.whole
+@pytest.mark.release
 def test_no_kernel_of_an_import_is_compiled_in_its_child(tmp_path: Path) -> None:
     """Catches alone a kernel that every child compiles anew, some seconds each, because the warm-up forgets it."""
     what = SyntheticDataset(scenes=1, frames=2, labels=(made_labels(),))
