@@ -27,9 +27,7 @@ from testing.worlds.runs import uploaded
 
 TAR_BYTES = 1000
 LABELS = tuple(made_labels(seed) for seed in range(2))
-FIELD = SyntheticDataset(
-    frames=2, cameras=("CAM_FRONT",), radars=(), labels=LABELS, splits={"train": ["field-0000"]}
-)
+FIELD = SyntheticDataset(frames=2, cameras=("CAM_FRONT",), radars=(), labels=LABELS, splits={"train": ["field-0000"]})
 
 
 @dataclass(frozen=True)

@@ -32,7 +32,7 @@ from testing.worlds.runs import NAME, Brought, bring_ready, files_of_label, run_
 TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 TWO_PARTS = SimulateOptions(3.4, seed=3, channels=8, columns=90, cameras=False, world_width_m=30.0, lidar_hz=20)
 SHORT = SimulateOptions(seconds=1.2, seed=3, channels=16, columns=180, camera_width_px=96, world_width_m=30.0)
-SEEN_BY_CAMERAS = SimulateOptions(3.0, channels=16, columns=360, camera_width_px=64)
+SEEN_BY_CAMERAS = SimulateOptions(2.0, channels=16, columns=360, camera_width_px=64, world_width_m=30.0)
 THREE_CLOCKS = SimulateOptions(seconds=6.0, seed=1, channels=16, columns=180, camera_width_px=320)
 AHEAD_NS = 80_000_000
 OF_THREE_CLOCKS = (
@@ -75,20 +75,36 @@ def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
 
 @contextmanager
+def registered_platform(factory: pytest.TempPathFactory, folder: Path) -> Iterator[Brought]:
+    """A copy in `folder` of a platform with a calibrated sequence; its recording, the drive `TINY`, is registered."""
+    bag = drive(factory)
+
+    def make(root: Path) -> None:
+        keep_ids(bring_ready(_new_platform(root), bag), root)
+
+    with copied_platform(made_once(factory, "registered-platform", make), folder) as brought:
+        yield brought
+
+
+@contextmanager
 def labelled_platform(factory: pytest.TempPathFactory, folder: Path, **groups: Any) -> Iterator[Brought]:
     """A copy in `folder` of a platform with a labelled sequence of the drive `SHORT`; `groups` as in `Settings`."""
     bag = drive(factory, SHORT)
 
     def make(root: Path) -> None:
-        platform = opened(make_settings(root), [])
-        upgrade(platform.settings)
-        brought = bring_ready(platform, bag)
+        brought = bring_ready(_new_platform(root), bag)
         brought.process()
-        run_all(platform)
+        run_all(brought.platform)
         keep_ids(brought, root)
 
     with copied_platform(made_once(factory, "labelled-platform", make), folder, **groups) as brought:
         yield brought
+
+
+def _new_platform(root: Path) -> Platform:
+    platform = opened(make_settings(root), [])
+    upgrade(platform.settings)
+    return platform
 
 
 def keep_ids(brought: Brought, root: Path) -> None:

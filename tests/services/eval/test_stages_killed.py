@@ -6,7 +6,7 @@ Catches alone a scoring that is lost or doubled when the process that does it is
 import os
 import signal
 import time
-from collections.abc import Callable, Iterator
+from collections.abc import Iterator
 from contextlib import contextmanager
 
 import pytest
@@ -21,12 +21,11 @@ from services.runtime.orm import JobAttempt
 from services.runtime.platform import Platform
 from services.runtime.store.factory import open_store
 from testing.process_states import children_of, is_running
+from testing.stone_serve import PATIENCE_S, until
 from testing.worlds.benchmark_world import World, benchmark_world, run_eval
 from testing.worlds.sending import guess, jobs_of, parts_left, row_of, scores_of, send, taken, zipped
 
 pytestmark = pytest.mark.whole
-
-PATIENCE_S = 300.0
 
 
 @pytest.fixture(scope="module")
@@ -58,13 +57,6 @@ def working(platform: Platform) -> Iterator[int]:
         os.waitpid(pid, 0)
 
 
-def until(claim: Callable[[], bool], what: str) -> None:
-    deadline = time.monotonic() + PATIENCE_S
-    while not claim():
-        assert time.monotonic() < deadline, f"never came: {what}"
-        time.sleep(0.01)
-
-
 def give_back_silent(platform: Platform) -> None:
     """What the sweeper does when a lease has gone by without a heartbeat."""
     clock = iter((0.0, platform.settings.jobs.lease_s + 1.0))
@@ -84,10 +76,10 @@ def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
     with monkeypatch.context() as slowly:
         slowly.setattr(examination, "count_range", lambda *given, **named: time.sleep(PATIENCE_S))
         with working(world.platform) as worker:
-            until(lambda: bool(children_of(worker)), "the worker confines its reader")
+            until(lambda: bool(children_of(worker)))
             (reader,) = children_of(worker)
             os.kill(worker, signal.SIGKILL)
-            until(lambda: not is_running(reader), "the child ends with its worker")
+            until(lambda: not is_running(reader))
     assert [job.state for job in jobs_of(world.platform, submission_id)].count("running") == 1
     assert (scores_of(world.platform, submission_id), parts_left(world.platform)) == ([], 0)
     give_back_silent(world.platform)

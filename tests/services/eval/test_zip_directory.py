@@ -150,15 +150,6 @@ def test_every_honest_writer_is_read(npz: bytes) -> None:
     np.testing.assert_array_equal(prediction_grid(npz), PREDICTION)
 
 
-def test_what_is_no_zip_and_what_was_one_are_told_apart() -> None:
-    with refused_as("not_zip"):
-        read_directory(reader(b""), 0, 10)
-    raw = archive_of({"a": b"x" * 100}, zipfile.ZIP_STORED)
-    without_middle = raw[:20] + raw[60:]
-    with refused_as("truncated"):
-        read_directory(reader(without_middle), len(without_middle), 10)
-
-
 NUMBERS = np.arange(60, dtype=np.uint8)
 
 

@@ -1,43 +1,27 @@
 """What the late checks find is said of the sequence once and whole, after what synchronisation said, before labels;
 and they leave a picture per camera with the LiDAR's points on it, of the recipe that made the sequence."""
 
+from collections.abc import Iterator
 from io import BytesIO
 from pathlib import Path
 
 import pytest
 from PIL import Image
-from sqlalchemy import select
+from sqlalchemy import delete, select
 
 from services.domain.sequences.processing import CHECK, SYNCHRONISE, delete_sequence
 from services.ingest import sandboxed_synchronisation
 from services.ingest.queue_handlers import handlers
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
-from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.notifications.events import LABELS_UNUSABLE
 from services.runtime.orm import Blob, CalibrationRow, Job, NotificationEvent, Preview
 from services.runtime.platform import Platform
-from simulator.pipeline import calibration_path
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.sync.sequence_file import read_sequence
-from testing.worlds.drives import SHORT, drive
-from testing.worlds.runs import Brought, bring, bring_ready, run_all
-
-
-def killed_once(kind: str, handler: Handler) -> Handler:
-    """The first attempt at the checks has done everything and written nothing when it ends."""
-
-    def run(attempt: Attempt) -> Outcome:
-        outcome = handler(attempt)
-        if kind == CHECK and attempt.job_id not in killed:
-            killed.add(attempt.job_id)
-            raise RuntimeError("killed")
-        return outcome
-
-    killed: set[str] = set()
-    return run
-
+from testing.worlds.drives import labelled_platform, registered_platform
+from testing.worlds.runs import Brought, lost_once, run_all
 
 SEEN = Finding("CAL-404", "error", "CAM_FRONT", "its mount is not this camera's")
 
@@ -48,22 +32,16 @@ class UnreadablePicturesError(StoneError):
     code = "unreadable"
 
 
-@pytest.fixture(scope="module")
-def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    return drive(tmp_path_factory)
-
-
 @pytest.fixture
-def brought(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> Brought:
+def brought(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> Iterator[Brought]:
     """A sequence whose calibration was valid long ago, and of whose pictures one finding tells."""
     monkeypatch.setattr(sandboxed_synchronisation, "late_findings", lambda *_: (SEEN,))
-    brought = bring(platform)
-    brought.calibrate(calibration_path(bag))
-    brought.add(bag)
-    with platform.database.transaction() as session:
-        session.scalars(select(CalibrationRow)).one().valid_to_ns = 1
-    run_all(platform)
-    return brought
+    with registered_platform(tmp_path_factory, tmp_path / "platform") as brought:
+        with brought.platform.database.transaction() as session:
+            session.scalars(select(CalibrationRow)).one().valid_to_ns = 1
+        yield brought
 
 
 def job_of(brought: Brought, root_id: str, kind: str) -> Job:
@@ -84,7 +62,7 @@ def errors_told(platform: Platform) -> list[int]:
 
 def test_findings_are_whole_once_checked_and_told_once_though_the_checks_were_killed(brought: Brought) -> None:
     root_id = brought.process(stages=("synchronise",))
-    run_all(brought.platform, wrap=killed_once)
+    run_all(brought.platform, wrap=lost_once(CHECK))
     assert brought.job(root_id).state == "succeeded"
     so_far, whole = (codes(job_of(brought, root_id, kind)) for kind in (SYNCHRONISE, CHECK))
     assert so_far[-1] == "CAL-418"
@@ -124,47 +102,33 @@ def test_what_the_checks_refuse_fails_the_run_and_a_retry_takes_up_the_checks_al
     assert [job_of(brought, root_id, kind).attempt for kind in (SYNCHRONISE, CHECK)] == [1, 2]
 
 
-@pytest.fixture
-def looked_at(platform: Platform, tmp_path_factory: pytest.TempPathFactory) -> Brought:
-    """A sequence with pictures."""
-    return bring_ready(platform, drive(tmp_path_factory, SHORT))
-
-
-def overlays(brought: Brought) -> dict[tuple[str, str], Preview]:
+def overlays(brought: Brought) -> dict[tuple[str, str], str]:
+    """What each picture holds, by its recipe and its name."""
     with brought.platform.database.reading() as session:
         rows = session.scalars(select(Preview).where(Preview.recording_id.is_(None)))
-        return {(row.recipe, row.name): row for row in rows}
+        return {(row.recipe, row.name): row.blob_sha256 for row in rows}
 
 
 @pytest.mark.whole
-def test_every_camera_has_its_overlay_and_a_killed_attempt_leaves_the_same(looked_at: Brought) -> None:
+def test_every_camera_has_its_overlay_a_killed_attempt_leaves_the_same_and_they_go_with_their_sequence(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
     """Catches alone overlays of another recipe, or none after a killed attempt."""
-    root_id = looked_at.process(stages=("synchronise",))
-    run_all(looked_at.platform, wrap=killed_once)
-    assert (looked_at.job(root_id).state, looked_at.job(root_id).failure) == ("succeeded", "")
-    recipe = looked_at.job(root_id).arguments["recipe"]
-    kept = overlays(looked_at)
-    assert {of for of, _name in kept} == {recipe}
-    assert len(kept) == 6
-    with looked_at.platform.database.reading() as session:
-        keys = [session.get_one(Blob, row.blob_sha256).object_key for row in kept.values()]
-    for key in keys:
-        picture = Image.open(BytesIO(b"".join(looked_at.platform.store.read(key))))
-        assert picture.format == "JPEG"
-    again = looked_at.process(stages=("synchronise",))
-    run_all(looked_at.platform)
-    assert looked_at.job(again).state == "succeeded"
-    assert {at: row.blob_sha256 for at, row in overlays(looked_at).items()} == {
-        at: row.blob_sha256 for at, row in kept.items()
-    }
-
-
-@pytest.mark.whole
-def test_overlays_go_with_their_sequence(looked_at: Brought) -> None:
-    looked_at.process(stages=("synchronise",))
-    run_all(looked_at.platform)
-    assert overlays(looked_at)
-    with looked_at.platform.database.transaction() as session:
-        delete_sequence(session, looked_at.sequence())
-    with looked_at.platform.database.reading() as session:
-        assert session.scalars(select(Preview)).all() == []
+    with labelled_platform(tmp_path_factory, tmp_path / "platform") as brought:
+        (run,), kept, store = brought.label_sets(), overlays(brought), brought.platform.store
+        assert {of for of, _name in kept} == {brought.job(run.job_id).arguments["recipe"]}
+        assert len(kept) == 6
+        with brought.platform.database.transaction() as session:
+            for sha256 in kept.values():
+                picture = Image.open(BytesIO(b"".join(store.read(session.get_one(Blob, sha256).object_key))))
+                assert picture.format == "JPEG"
+            session.execute(delete(Preview).where(Preview.recording_id.is_(None)))
+        again = brought.process(stages=("synchronise",))
+        run_all(brought.platform, wrap=lost_once(CHECK))
+        assert (brought.job(again).state, brought.job(again).failure) == ("succeeded", "")
+        assert {(brought.job(again).arguments["recipe"], name): sha256 for (_of, name), sha256 in kept.items()} == (
+            overlays(brought)
+        )
+        with brought.platform.database.transaction() as session:
+            delete_sequence(session, brought.sequence())
+        assert overlays(brought) == {}

@@ -16,7 +16,6 @@ from stone_recordings.poses.extrinsics import StaticTree, turn_deg
 from stone_recordings.report.inspection import inspect
 from stone_recordings.sync.association import mount_of
 from stone_recordings.sync.errors import NoUsablePoseError
-from stone_recordings.sync.recorded_messages import in_order
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from testing.refusals import refused_as
 from tests.stone_recordings import rigs
@@ -275,15 +274,6 @@ def test_a_channel_is_found_by_its_words_and_a_search_of_frames_ends():
     loop = StaticTree({("a", "b"): step, ("b", "a"): step, ("b", "c"): step, ("c", "a"): step, ("c", "b"): step})
     assert loop.transform("a", "c") is not None
     assert loop.transform("a", "z") is None
-
-
-def test_order_keeps_the_first_of_equal_stamps_and_counts_steps_back():
-    ordered = in_order("/t", np.array([10, 30, 20, 20, 40], np.int64) * 1_000_000)
-    assert ordered.index.tolist() == [0, 2, 1, 4]
-    assert ordered.stamps_ns.tolist() == [10_000_000, 20_000_000, 30_000_000, 40_000_000]
-    assert [f.code for f in ordered.findings] == ["TIM-203", "TIM-206"]
-    assert "worst -10.000 ms" in ordered.findings[0].message
-    assert in_order("/t", np.array([], np.int64)).findings == ()
 
 
 @pytest.mark.parametrize("angle_deg", [0.0, 0.2, 90.0, 179.0])

@@ -18,10 +18,11 @@ from services.ingest.sequence import open_sequence
 from services.runtime.orm import Blob, Preview, QuotaEntry
 from services.runtime.platform import Platform
 from services.runtime.uploads import expire, upload_file
-from simulator.options import SimulateOptions
-from simulator.pipeline import calibration_path, simulate
+from simulator.pipeline import calibration_path
 from stone_recordings.bags import private_folder
+from stone_recordings.report.inspection import inspect
 from stone_recordings.sync.sequence_file import sequence_bytes
+from testing.worlds.drives import drive
 from testing.worlds.runs import Brought, bring, run_all
 from tests.stone_recordings.databases import SCHEMAS, insert
 from tests.stone_recordings.splitting import split_into
@@ -29,31 +30,28 @@ from tests.stone_recordings.writing import HESAI, POINT_CLOUD, Recorded, cloud_p
 
 pytestmark = pytest.mark.whole
 
-TINY = SimulateOptions(seconds=1.0, seed=3, channels=16, columns=120, cameras=False)
 PAGES = {"quality.html", "quality.json"}
 PICTURES = {"sweep.png", "track.png"}
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    path = tmp_path_factory.mktemp("tiny") / "run.mcap"
-    simulate(path, TINY)
-    return path
+    return drive(tmp_path_factory)
 
 
 @pytest.fixture(scope="module")
-def split(bag: Path) -> Path:
+def split(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The same messages in a folder of three files."""
-    folder = bag.parent / "run_split"
+    folder = tmp_path_factory.mktemp("split") / "run_split"
     folder.mkdir()
     split_into(bag, folder, 3)
     return folder
 
 
 @pytest.fixture(scope="module")
-def cut(bag: Path) -> Path:
+def cut(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The first part of the bag, as a recorder leaves it that loses power."""
-    path = bag.parent / "cut.mcap"
+    path = tmp_path_factory.mktemp("cut") / "cut.mcap"
     path.write_bytes(bag.read_bytes()[: bag.stat().st_size * 3 // 4])
     return path
 
@@ -69,10 +67,11 @@ def previews(brought: Brought, of: str | None = None) -> dict[str, Preview]:
         return {row.name: row for row in session.scalars(select(Preview)) if of in (None, row.recording_id)}
 
 
-def test_a_split_bag_is_registered_with_every_file_kept(platform: Platform, split: Path, bag: Path) -> None:
-    brought, alone = bring(platform), bring(platform, "alone")
+def test_a_split_bag_is_registered_with_every_file_kept_and_given_back_when_it_is_removed(
+    platform: Platform, split: Path, bag: Path
+) -> None:
+    brought = bring(platform)
     job_id = brought.add(split)
-    alone.add(bag)
     run_all(platform)
     recording = brought.recording()
     assert (brought.job(job_id).failure, recording.state, recording.filename) == ("", "registered", "run_split")
@@ -81,19 +80,23 @@ def test_a_split_bag_is_registered_with_every_file_kept(platform: Platform, spli
         assert blob_bytes(brought, file.blob_sha256) == (split / file.filename).read_bytes()
         assert file.recovered_blob_sha256 is None
     assert recording.size_bytes == sum(path.stat().st_size for path in split.iterdir())
-    whole = alone.recording().inspection
     assert recording.inspection is not None
-    assert whole is not None
-    counts = [{topic["name"]: topic["count"] for topic in seen["topics"]} for seen in (recording.inspection, whole)]
-    assert counts[0] == counts[1]
+    counts = {topic["name"]: topic["count"] for topic in recording.inspection["topics"]}
+    assert counts == {seen.topic.name: seen.topic.count for seen in inspect(bag).topics}
     shown = previews(brought, recording.id)
     assert set(shown) == PAGES | PICTURES
     assert json.loads(blob_bytes(brought, shown["quality.json"].blob_sha256)) == recording.quality
     expire(platform)
     assert not any(upload_file(platform.settings, file.upload_id or "").exists() for file in recording.files)
+    assert taken_bytes(platform) == recording.size_bytes
+    with platform.database.transaction() as session:
+        remove_recording(session, brought.recording())
+    assert (taken_bytes(platform), previews(brought)) == (0, {})
 
 
-def test_a_split_bag_makes_the_sequence_of_the_whole(platform: Platform, split: Path, bag: Path) -> None:
+def test_a_split_bag_makes_the_sequence_of_the_whole_and_goes_with_it(
+    platform: Platform, split: Path, bag: Path
+) -> None:
     brought = bring(platform)
     brought.calibrate(calibration_path(bag))
     brought.add(split)
@@ -107,6 +110,9 @@ def test_a_split_bag_makes_the_sequence_of_the_whole(platform: Platform, split: 
     whole, _ = open_sequence(bag, calibration_path(bag), "field", SynchroniseOptions())
     assert sequence.frames.tokens == whole.frames.tokens
     assert sequence.inputs["run_split"] == brought.recording().sha256
+    with platform.database.transaction() as session:
+        delete_sequence(session, brought.sequence())
+    assert (taken_bytes(platform), previews(brought)) == (0, {})
 
 
 def test_what_was_cut_off_is_recovered_and_the_original_kept(platform: Platform, cut: Path, bag: Path) -> None:
@@ -155,21 +161,6 @@ def test_a_refused_group_gives_every_byte_back(platform: Platform, split: Path, 
     assert (brought.recording().state, brought.job(job_id).failure_code) == ("refused", "BAG-001")
     assert not any(upload_file(platform.settings, upload_id).exists() for upload_id in upload_ids)
     assert taken_bytes(platform) == 0
-
-
-@pytest.mark.parametrize("ends", ["recording", "sequence"])
-def test_what_ends_gives_all_its_files_back(platform: Platform, split: Path, ends: str) -> None:
-    brought = bring(platform)
-    brought.add(split)
-    run_all(platform)
-    assert taken_bytes(platform) == brought.recording().size_bytes
-    with platform.database.transaction() as session:
-        if ends == "recording":
-            remove_recording(session, brought.recording())
-        else:
-            delete_sequence(session, brought.sequence())
-    assert taken_bytes(platform) == 0
-    assert previews(brought) == {}
 
 
 def taken_bytes(platform: Platform) -> int:

@@ -14,8 +14,7 @@ from services.runtime.sandbox import SandboxLimits, job_sandbox, sandboxed
 from services.runtime.sandbox.result_files import packed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
-from simulator.pipeline import calibration_path
-from testing.worlds.drives import drive
+from testing.worlds.drives import drive, registered_platform
 from testing.worlds.runs import Brought, bring, run_all
 
 Attack = Callable[..., object]
@@ -91,15 +90,14 @@ def test_a_reader_that_answers_something_else_is_not_believed(
 
 
 @pytest.mark.whole
-def test_a_sequence_is_made_apart_too(platform: Platform, bag: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    brought = bring(platform)
-    brought.add(bag, "run.mcap")
-    brought.calibrate(calibration_path(bag))
-    run_all(platform)
+def test_a_sequence_is_made_apart_too(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
     monkeypatch.setattr(sandboxed_synchronisation, "sequence_in", ATTACKS["a connection"][0])
-    run_id = brought.process()
-    run_all(platform)
-    assert {job.failure_code for job in brought.jobs(run_id) if job.state == "failed"} == {"reader_crashed"}
+    with registered_platform(tmp_path_factory, tmp_path / "platform") as brought:
+        run_id = brought.process()
+        run_all(brought.platform)
+        assert {job.failure_code for job in brought.jobs(run_id) if job.state == "failed"} == {"reader_crashed"}
 
 
 def test_what_is_compiled_apart_is_used_and_not_kept(tmp_path: Path) -> None:

@@ -93,7 +93,9 @@ def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opene
 def test_a_chunk_that_a_worker_finds_damaged_while_it_fuses_is_left_out_the_second_time(tmp_path: Path) -> None:
     """Catches alone labels that fail, or lack a finding, where the heads of a chunk are sound and its sweep is not."""
     bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
-    simulate(bag, SimulateOptions(3.0, channels=128, columns=1200, camera_width_px=64))
+    simulate(
+        bag, SimulateOptions(1.2, channels=128, columns=1200, camera_width_px=64, world_width_m=30.0, speed_m_s=3.0)
+    )
     bad_checksum(bag)
     checked, _ = open_sequence(bag, calibration, "run")
     refused = list[StoneError]()

@@ -26,30 +26,13 @@ from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 from stone_recordings.sync.sweeps import read_sweeps, sweeps_bytes
 from testing.servers.fixtures import make_settings, opened
-from testing.worlds.drives import drive
-from testing.worlds.runs import Brought, Interrupted, bring, run_all
+from testing.worlds.drives import drive, registered_platform
+from testing.worlds.runs import Brought, bring, followed_by, lost_once, run_all
 
 
 @pytest.fixture(scope="module")
 def bag(tmp_path_factory: pytest.TempPathFactory) -> Path:
     return drive(tmp_path_factory)
-
-
-def once(error: Exception, *, at_end: bool) -> object:
-    """The first attempt of every job ends in this error: in the middle, or with everything done but nothing written."""
-    seen: set[str] = set()
-
-    def wrap(_kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if attempt.job_id in seen:
-                return handler(attempt)
-            seen.add(attempt.job_id)
-            handler(attempt if at_end else Interrupted(attempt))
-            raise error
-
-        return run
-
-    return wrap
 
 
 def attempts(brought: Brought, job_id: str) -> list[str]:
@@ -59,11 +42,15 @@ def attempts(brought: Brought, job_id: str) -> list[str]:
 
 
 @pytest.mark.whole
-def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform: Platform, bag: Path) -> None:
+@pytest.mark.parametrize("at_end", [False, True])
+def test_a_recording_is_registered_and_kept_with_what_was_seen_wherever_an_attempt_was_cut_off(
+    platform: Platform, bag: Path, at_end: bool
+) -> None:
     brought = bring(platform)
     job_id = brought.add(bag, "Feldweg 3.mcap")
-    run_all(platform)
+    run_all(platform, wrap=lost_once(at_end=at_end))
     recording = brought.recording()
+    assert attempts(brought, job_id) == ["lost", "succeeded"]
     assert (brought.job(job_id).state, recording.state) == ("succeeded", "registered")
     assert [file.blob_sha256 for file in recording.files] == [recording.sha256]
     assert recording.inspection is not None
@@ -78,20 +65,6 @@ def test_a_good_recording_is_registered_and_kept_with_what_was_seen(platform: Pl
     assert file.exists()
     expire(platform)
     assert not file.exists()
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize("at_end", [False, True])
-def test_an_attempt_cut_off_anywhere_loses_no_recording(platform: Platform, bag: Path, at_end: bool) -> None:
-    brought = bring(platform)
-    job_id = brought.add(bag)
-    run_all(platform, wrap=once(RuntimeError("killed"), at_end=at_end))  # type: ignore[arg-type]
-    expire(platform)
-    assert attempts(brought, job_id) == ["lost", "succeeded"]
-    assert brought.recording().state == "registered"
-    with platform.database.reading() as session:
-        blob = session.get_one(Blob, brought.recording().sha256)
-    assert platform.store.local(blob.object_key).read_bytes() == bag.read_bytes()
 
 
 def test_what_is_no_bag_fails_the_job_and_refuses_the_recording_in_the_same_words(
@@ -156,17 +129,8 @@ def test_a_worker_without_the_uploads_says_so(platform: Platform, bag: Path) -> 
 def test_a_recording_whose_sequence_is_deleted_meanwhile_is_not_kept(platform: Platform, bag: Path) -> None:
     brought = bring(platform)
     job_id = brought.add(bag)
-
-    def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            outcome = handler(attempt)
-            with platform.database.transaction() as session:
-                delete_sequence(session, brought.sequence())
-            return outcome
-
-        return run
-
-    run_all(platform, wrap=deleted_meanwhile)
+    deleted = followed_by(lambda session: delete_sequence(session, brought.sequence()), platform)
+    run_all(platform, wrap=deleted)
     assert brought.job(job_id).state == "cancelled"
     with platform.database.reading() as session:
         assert session.scalars(select(Blob)).all() == []
@@ -270,15 +234,12 @@ def test_a_name_never_leads_out_of_its_folder(tmp_path: Path, name: str) -> None
 
 
 @pytest.mark.whole
-def test_a_run_fails_by_the_refusal_of_its_stage(platform: Platform, bag: Path) -> None:
-    brought = bring(platform)
-    brought.calibrate(calibration_path(bag))
-    brought.add(bag)
-    run_all(platform)
-    root_id = brought.process(odometry_topic="/no/such/topic")
-    run_all(platform)
-    run = brought.job(root_id)
-    (job,) = (job for job in brought.jobs(root_id) if job.queue)
-    assert (run.state, run.failure_code) == ("failed", job.failure_code)
-    assert "/no/such/topic" in run.failure
-    assert brought.process() != root_id
+def test_a_run_fails_by_the_refusal_of_its_stage(tmp_path_factory: pytest.TempPathFactory, tmp_path: Path) -> None:
+    with registered_platform(tmp_path_factory, tmp_path / "platform") as brought:
+        root_id = brought.process(odometry_topic="/no/such/topic")
+        run_all(brought.platform)
+        run = brought.job(root_id)
+        (job,) = (job for job in brought.jobs(root_id) if job.queue)
+        assert (run.state, run.failure_code) == ("failed", job.failure_code)
+        assert "/no/such/topic" in run.failure
+        assert brought.process() != root_id

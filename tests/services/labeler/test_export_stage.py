@@ -6,7 +6,7 @@ playback that is made twice, or that holds up or spoils the labels it follows.
 """
 
 import time
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from dataclasses import dataclass, replace
 from functools import partial
 from multiprocessing import get_context
@@ -35,7 +35,7 @@ from testing.refusals import refused_as
 from testing.servers.fixtures import opened
 from testing.stone_serve import until
 from testing.worlds.drives import exported_files, labelled_platform
-from testing.worlds.runs import Brought, Listening, Said, run_all
+from testing.worlds.runs import Brought, Listening, Said, followed_by, run_all
 from tests.services.labeler.test_stages import publish_again
 
 pytestmark = pytest.mark.whole
@@ -223,16 +223,10 @@ def test_a_cancelled_export_stops_at_its_next_word_and_leaves_nothing(brought: B
 def test_an_export_deleted_while_it_is_written_gets_no_row(brought: Brought) -> None:
     export_id, job_id = asked(brought, "mesh")
 
-    def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            outcome = handler(attempt)
-            with brought.platform.database.transaction() as session:
-                delete_export(session, session.get_one(Export, export_id))
-            return outcome
+    def deleted(session: Session) -> None:
+        delete_export(session, session.get_one(Export, export_id))
 
-        return run
-
-    run_all(brought.platform, wrap=deleted_meanwhile)
+    run_all(brought.platform, wrap=followed_by(deleted, brought.platform))
     assert (row(brought.platform, export_id), brought.job(job_id).state) == (None, "cancelled")
     with brought.platform.database.reading() as session:
         assert session.scalar(select(func.count()).select_from(ExportPack)) == 0
@@ -325,24 +319,27 @@ def test_a_run_that_is_published_twice_has_one_label_set_and_is_followed_once(un
     assert len(exports_of(brought)) == 1
 
 
-def test_nothing_follows_where_that_is_switched_off(unpublished: tuple[Brought, str]) -> None:
-    brought, _ = unpublished
+def switched_off(brought: Brought) -> Brought:
     settings = brought.platform.settings.model_copy(update={"viewing": ViewingSettings(makes_playback=False)})
-    assert run_all(replace(brought.platform, settings=settings)) == 1
-    assert (len(brought.label_sets()), exports_of(brought)) == (1, [])
+    return replace(brought, platform=replace(brought.platform, settings=settings))
 
 
-def test_labels_are_published_though_the_queue_takes_nothing_new(unpublished: tuple[Brought, str]) -> None:
-    brought, run_id = unpublished
+def draining(brought: Brought) -> Brought:
     with brought.platform.database.transaction() as session:
         set_mode(session, "labeler", "draining")
-    assert run_all(brought.platform) == 1
-    assert (brought.job(run_id).state, len(brought.label_sets()), exports_of(brought)) == ("succeeded", 1, [])
+    return brought
 
 
-def test_labels_are_published_though_their_recording_is_gone(unpublished: tuple[Brought, str]) -> None:
-    brought, run_id = unpublished
+def without_recording(brought: Brought) -> Brought:
     with brought.platform.database.transaction() as session:
         session.execute(delete(Recording))
+    return brought
+
+
+@pytest.mark.parametrize("change", [switched_off, draining, without_recording])
+def test_labels_are_published_where_no_playback_may_follow(
+    unpublished: tuple[Brought, str], change: Callable[[Brought], Brought]
+) -> None:
+    brought, run_id = change(unpublished[0]), unpublished[1]
     assert run_all(brought.platform) == 1
     assert (brought.job(run_id).state, len(brought.label_sets()), exports_of(brought)) == ("succeeded", 1, [])

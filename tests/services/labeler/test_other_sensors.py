@@ -34,7 +34,7 @@ from tests.stone_recordings.pose_messages import (
 )
 from tests.stone_recordings.writing import CloudText, Recorded, cloud_payload, write_mcap
 
-pytestmark = pytest.mark.whole
+pytestmark = pytest.mark.release
 
 COLUMNS, LASERS, BLOCKS = 900, 40, 10
 OPTIONS = SimulateOptions(
@@ -132,7 +132,6 @@ def as_cloud(packets: Recorded, log_time_ns: int) -> Recorded:
     return Recorded(LIDAR, "sensor_msgs/msg/PointCloud2", log_time_ns, cloud_payload(points, said))
 
 
-@pytest.mark.release
 def test_a_run_recorded_as_packets_is_labelled_as_the_points_they_hold(
     run: OneRun, record_property: Callable[..., None]
 ) -> None:

@@ -225,26 +225,12 @@ def test_the_top_view_opens_and_shows_all_three_classes(made):
     assert set(CLASS_RGB.values()) <= colours
 
 
-@pytest.mark.whole
-def test_progress_goes_from_none_to_all_in_every_stage(tmp_path):
-    seen = []
-    world = replace(WORLD, frames=3, boxes=())
-    sequence = sequence_of(world)
-    label(sequence, RayCast(world), tmp_path / "out", LabelOptions(parameters_for("local")), lambda *s: seen.append(s))
-    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages == ["fuse", "surface", "sight lines", "pictures", "frames"]
-    for stage in stages:
-        steps = [(done, total) for name, done, total in seen if name == stage]
-        assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]
-    assert json.loads((tmp_path / "out" / "report.json").read_text())["reference"]["is_floored"]
-
-
 BARE = World(grade=(0.06, 0.02))
 
 
 @pytest.mark.whole
-def test_an_earlier_label_set_is_replaced_and_a_foreign_folder_is_refused(tmp_path):
-    world = replace(BARE, frames=2, boxes=())
+def test_an_earlier_label_set_is_replaced_with_progress_told_and_a_foreign_folder_is_refused(tmp_path):
+    seen, world = [], replace(BARE, frames=2)
     (tmp_path / "home").mkdir()
     (tmp_path / "home" / "thesis.txt").write_text("years of work")
     with refused_as("output_exists"):
@@ -252,7 +238,14 @@ def test_an_earlier_label_set_is_replaced_and_a_foreign_folder_is_refused(tmp_pa
     assert [path.name for path in (tmp_path / "home").iterdir()] == ["thesis.txt"]
     (tmp_path / "earlier" / "gts" / "old").mkdir(parents=True)
     (tmp_path / "earlier" / "report.json").write_text("{}")
-    labelled(world, tmp_path / "earlier")
+    options = LabelOptions(parameters_for("local"))
+    label(sequence_of(world), RayCast(world), tmp_path / "earlier", options, lambda *step: seen.append(step))
+    stages = list(dict.fromkeys(stage for stage, _, _ in seen))
+    assert stages == ["fuse", "surface", "sight lines", "pictures", "frames"]
+    for stage in stages:
+        steps = [(done, total) for name, done, total in seen if name == stage]
+        assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]
+    assert json.loads((tmp_path / "earlier" / "report.json").read_text())["reference"]["is_floored"]
     assert [path.name for path in (tmp_path / "earlier" / "gts").iterdir()] == ["small"]
     assert sorted(path.name for path in tmp_path.iterdir()) == ["earlier", "home"]
 
@@ -270,7 +263,7 @@ def test_a_sequence_without_usable_frames_is_refused(tmp_path):
 
 @pytest.mark.parametrize(("width_m", "reach_m"), [(0.0, 7.0), (0.85, 0.0)], ids=["no footprint", "nothing seen"])
 def test_a_track_that_touches_no_surface_leaves_no_folder(tmp_path, width_m, reach_m):
-    world = replace(BARE, frames=2, boxes=(), reach_m=reach_m)
+    world = replace(BARE, frames=2, reach_m=reach_m)
     sequence = sequence_of(world)
     rig = replace(sequence.calibration, footprint=replace(sequence.calibration.footprint, width_m=width_m))
     with refused_as("no_reference"):

@@ -157,7 +157,7 @@ def test_driven_ground_that_is_mostly_unlike_itself_is_told_where_there_is_enoug
 @pytest.mark.whole
 def test_a_footprint_said_to_be_wider_than_the_robot_takes_walls_for_ground_and_is_told(tmp_path):
     walls = (Box((-3.0, 0.7, -0.2), (3.0, 1.1, 0.6)), Box((-3.0, -1.1, -0.2), (3.0, -0.7, 0.6)))
-    world = World(boxes=walls, frames=16)
+    world = World(boxes=walls, frames=8, step_m=0.8)
     wide = replace(CALIBRATION, footprint=Footprint(width_m=2.0))
     options = LabelOptions(replace(PAPER, footprint_band_m=0.6))
     reports = {
@@ -215,7 +215,7 @@ def test_the_other_estimate_is_the_robust_one_or_the_plain_one():
 @pytest.mark.whole
 def test_slivers_of_wall_in_the_track_are_left_out_where_that_is_chosen(tmp_path):
     """Catches alone that the choice reaches the labels: P shrinks to what is like the ground."""
-    world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=48, reach_m=5.0)
+    world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=24, step_m=0.8, reach_m=5.0)
     wide = replace(sequence_of(world), calibration=replace(CALIBRATION, footprint=Footprint(width_m=1.2)))
     robust = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
     plain, left_out = (

@@ -44,11 +44,12 @@ from testing.worlds.drives import SHORT, TWO_PARTS, drive, labelled_platform, la
 from testing.worlds.ros1_bags import as_ros1, unclosed
 from testing.worlds.runs import (
     Brought,
-    Interrupted,
+    Interruptions,
     Said,
     bring,
     bring_ready,
     differing,
+    followed_by,
     run_all,
 )
 
@@ -99,28 +100,6 @@ def test_a_run_that_another_version_began_is_begun_again_and_ends_as_any(
     platform.database.close()
 
 
-class Interruptions:
-    """Every kind of job is interrupted once: at its second word, else when it is done, publishing while it commits."""
-
-    def __init__(self) -> None:
-        self.kinds: set[str] = set()
-
-    def wrap(self, kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if kind in self.kinds:
-                return handler(attempt)
-            self.kinds.add(kind)
-            if kind == "labeler.publish":
-                return replace(handler(attempt), commit=self._break)
-            handler(Interrupted(attempt))
-            raise RuntimeError("interrupted at the end")
-
-        return run
-
-    def _break(self, _session: object) -> None:
-        raise RuntimeError("interrupted in the commit")
-
-
 @pytest.fixture(scope="module")
 def made(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[Brought, str]]:
     """A run of which every stage was interrupted once, and its id; to be looked at only."""
@@ -129,7 +108,7 @@ def made(bag: Path, tmp_path_factory: pytest.TempPathFactory) -> Iterator[tuple[
     platform = opened(settings, [])
     brought = bring_ready(platform, bag)
     root_id = brought.process()
-    interruptions = Interruptions()
+    interruptions = Interruptions("labeler.publish")
     run_all(platform, wrap=interruptions.wrap)
     assert interruptions.kinds == KINDS
     yield brought, root_id
@@ -340,17 +319,8 @@ def publish_again(brought: Brought, root_id: str) -> None:
 def test_a_sequence_deleted_while_its_labels_are_published_gets_none(finished: tuple[Brought, str]) -> None:
     brought, root_id = finished
     publish_again(brought, root_id)
-
-    def deleted_meanwhile(_kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            outcome = handler(attempt)
-            with brought.platform.database.transaction() as session:
-                delete_sequence(session, brought.sequence())
-            return outcome
-
-        return run
-
-    assert run_all(brought.platform, wrap=deleted_meanwhile) == 1
+    deleted = followed_by(lambda session: delete_sequence(session, brought.sequence()), brought.platform)
+    assert run_all(brought.platform, wrap=deleted) == 1
     assert brought.label_sets() == []
     run = brought.job(root_id)
     assert (run.state, run.cancel_reason) == ("cancelled", "its sequence was deleted")

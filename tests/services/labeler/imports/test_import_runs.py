@@ -18,7 +18,6 @@ from services.runtime.jobs.specs import Attempt, Handler, Outcome
 from services.runtime.orm import (
     Artefact,
     Blob,
-    DatasetImport,
     Job,
     JobAttempt,
     LabelSet,
@@ -32,7 +31,7 @@ from services.runtime.uploads import upload_file
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.brought_datasets import FIELD, LABELS, BroughtDataset, an_owner, bring_dataset, counts_of, files_of
 from testing.worlds.published_datasets import write_published_tar
-from testing.worlds.runs import Interrupted, run_all
+from testing.worlds.runs import Interruptions, followed_by, run_all
 
 FRAMES, NOTHING = 4, {"sequences": 0, "label_sets": 0, "artefacts": 0, "labelled_frames": 0, "imported_files": 0}
 
@@ -41,30 +40,6 @@ def without_grace(platform: Platform) -> Platform:
     """A platform whose grace is nothing: whatever may be collected is collected."""
     store = replace(platform.settings.store, grace_s=0.0)
     return replace(platform, settings=platform.settings.model_copy(update={"store": store}))
-
-
-class Interruptions:
-    """Every kind of job is interrupted once: at its second word or when it is done, publishing while it commits."""
-
-    def __init__(self) -> None:
-        self.kinds: set[str] = set()
-
-    def wrap(self, kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            if kind in self.kinds:
-                return handler(attempt)
-            self.kinds.add(kind)
-            if kind == PUBLISH_IMPORT:
-                outcome = handler(attempt)
-                return replace(outcome, commit=lambda session: self._break(outcome, session))
-            handler(Interrupted(attempt))
-            raise RuntimeError("interrupted at the end")
-
-        return run
-
-    def _break(self, outcome: Outcome, session: object) -> None:
-        outcome.commit(session)  # type: ignore[arg-type]
-        raise RuntimeError("interrupted in the commit")
 
 
 def test_rows_say_which_sequences_the_scenes_became(imported: BroughtDataset) -> None:
@@ -118,7 +93,7 @@ def test_every_stage_interrupted_once_leaves_the_same(tmp_path: Path, tar: Path,
     """Catches alone a stage that leaves other bytes, or rows twice, after it was killed and done again."""
     other = opened(make_settings(tmp_path / "other"), [])
     upgrade(other.settings)
-    brought, interruptions = bring_dataset(other, tar, an_owner(other)), Interruptions()
+    brought, interruptions = bring_dataset(other, tar, an_owner(other)), Interruptions(PUBLISH_IMPORT)
     run_all(other, wrap=interruptions.wrap)
     assert len(interruptions.kinds) == 4
     assert (brought.run().state, brought.run().failure) == ("succeeded", "")
@@ -186,19 +161,8 @@ def test_a_deleted_sequence_leaves_nothing_behind(imported: BroughtDataset) -> N
 
 @pytest.mark.whole
 def test_an_import_that_is_deleted_in_the_middle_leaves_nothing(brought: BroughtDataset) -> None:
-    platform = brought.platform
-
-    def wrap(kind: str, handler: Handler) -> Handler:
-        def run(attempt: Attempt) -> Outcome:
-            outcome = handler(attempt)
-            with platform.database.transaction() as session:
-                delete_import(session, session.get_one(DatasetImport, brought.import_id))
-            return outcome
-
-        return run if kind == PUBLISH_IMPORT else handler
-
-    root_id = brought.run().id
-    run_all(platform, wrap=wrap)
+    platform, root_id = brought.platform, brought.run().id
+    run_all(platform, wrap=followed_by(lambda session: delete_import(session, brought.row()), platform, PUBLISH_IMPORT))
     with platform.database.reading() as session:
         assert session.get_one(Job, root_id).state == "cancelled"
     assert counts_of(platform, brought.owner_id) == {**NOTHING, "dataset_imports": 0, "bytes": 0}
