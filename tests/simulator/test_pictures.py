@@ -272,11 +272,11 @@ def world() -> SimulatedWorld:
     return build_world(SimulateOptions(seconds=6.0, seed=2, world_width_m=60.0))
 
 
-def spots_on_a_square(count: int = 4000, footprint_m: float = 0.004) -> Spots:
+def spots_on_a_square() -> Spots:
     draw = np.random.default_rng(3)
-    points = draw.uniform(0, 12, (count, 3)).astype(np.float32)
-    normals = np.tile(np.float32([1, 0, 0]), (count, 1))
-    return Spots(points, normals, points[:, 2] / 8, np.full(count, footprint_m, np.float32))
+    points = draw.uniform(0, 12, (4000, 3)).astype(np.float32)
+    normals = np.tile(np.float32([1, 0, 0]), (4000, 1))
+    return Spots(points, normals, points[:, 2] / 8, np.full(4000, 0.004, np.float32))
 
 
 def test_the_ground_is_covered_once_and_as_it_is_drivable(world: SimulatedWorld) -> None:
@@ -333,39 +333,7 @@ def test_normals_of_movers_point_outwards() -> None:
     np.testing.assert_allclose(vehicle.normals(foot + faces, START_NS), expected, atol=1e-6)
 
 
-# Of each material 1000 times its mean colour, their deviations, and that of red as seen from where it is blurred.
-MATERIALS_MEAN = {
-    "grass": (239.5, 218.3, 86.9, 60.4, 42.3, 22.4, 54.7), "soil": (174.1, 115.1, 69.3, 58.5, 38.8, 24.1, 55.0),
-    "gravel": (160.8, 146.8, 125.3, 80.8, 73.8, 63.0, 46.8), "rock": (181.2, 169.2, 149.1, 55.2, 51.3, 47.3, 53.8),
-    "bush": (79.5, 113.7, 22.0, 30.7, 37.3, 7.1, 28.5), "trunk": (96.2, 68.7, 46.2, 44.2, 31.5, 21.2, 18.7),
-    "crown": (53.0, 86.6, 20.0, 20.5, 28.4, 6.4, 19.0), "wall": (235.5, 204.5, 166.4, 64.7, 61.9, 57.6, 50.3),
-    "walker": (236.1, 92.6, 72.1, 238.5, 128.1, 119.4, 238.5), "vehicle": (30.4, 51.1, 125.8, 8.5, 31.4, 122.6, 8.5),
-}  # fmt: skip
-# Of a coarse picture of the flat place: the means of red, green and blue, and of 2 × 4 parts of it.
-LIGHTS_MEAN = {
-    "day": (141.9, 146.9, 131.0, 170.9, 165.0, 160.4, 172.6, 116.4, 110.1, 111.9, 112.0),
-    "sunny": (130.4, 139.1, 126.3, 153.1, 144.8, 141.6, 153.8, 119.6, 113.4, 115.0, 114.4),
-    "overcast": (138.8, 139.7, 125.0, 182.2, 164.2, 168.9, 183.0, 97.4, 92.7, 94.0, 93.6),
-    "dawn": (141.5, 130.3, 115.4, 184.7, 165.4, 162.6, 175.5, 90.8, 83.4, 84.5, 86.0),
-    "dusk": (156.9, 130.5, 105.9, 174.9, 169.0, 167.6, 176.0, 91.5, 90.4, 91.7, 87.7),
-    "night": (79.2, 77.3, 56.3, 35.3, 56.0, 56.0, 36.6, 80.6, 112.7, 115.0, 75.2),
-    "moonlit": (78.5, 78.6, 63.7, 56.2, 71.5, 69.8, 56.9, 72.2, 96.5, 98.5, 67.4),
-    "floodlit": (65.9, 63.4, 42.7, 35.6, 43.6, 43.0, 32.8, 70.0, 83.3, 84.9, 65.6),
-}
-
-
 @pytest.mark.parametrize("name", ALL)
-def test_a_material_looks_as_ever_and_the_same_whatever_else_is_seen(name: str) -> None:
+def test_a_material_looks_the_same_whatever_else_is_seen(name: str) -> None:
     spots = spots_on_a_square()
-    near, far = ALL[name](spots), ALL[name](spots_on_a_square(footprint_m=0.1))
-    found = 1000 * np.concatenate([near.mean(axis=0), near.std(axis=0), far.std(axis=0)[:1]])
-    np.testing.assert_allclose(found, MATERIALS_MEAN[name], atol=1)
-    np.testing.assert_array_equal(ALL[name](spots.of(np.arange(5, 9))), near[5:9])
-
-
-@pytest.mark.parametrize("light", ILLUMINATIONS)
-def test_a_picture_looks_as_ever_in_every_light(light: str) -> None:
-    """Sky, wall, ground, shade and lamps; by value, since another processor may round otherwise."""
-    pixels = front(replace(OPTIONS, camera_detail="coarse", camera_width_px=320), light).astype(float)
-    parts = pixels.mean(axis=2).reshape(2, 100, 4, 80).mean(axis=(1, 3))
-    np.testing.assert_allclose([*pixels.mean(axis=(0, 1)), *parts.ravel()], LIGHTS_MEAN[light], atol=1.0)
+    np.testing.assert_array_equal(ALL[name](spots.of(np.arange(5, 9))), ALL[name](spots)[5:9])

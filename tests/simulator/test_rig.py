@@ -8,7 +8,6 @@ import pytest
 from hypothesis import given
 from hypothesis import strategies as st
 
-from simulator.bag_writer import BagWriter
 from simulator.options import LIDAR_HZ, SimulateOptions
 from simulator.pipeline import sweep_stamps_ns, tick_stamps_ns, write_calibration
 from simulator.scenery.movers import (
@@ -106,30 +105,6 @@ def test_the_calibration_file_reads_back_as_the_rig(tmp_path: Path) -> None:
 def test_options_beyond_the_rig_are_refused(name: str, value: object) -> None:
     with refused_as("bad_simulation_option", match=name):
         SimulateOptions(**{name: value})
-
-
-def test_the_writer_sorts_by_log_time_and_holds_back_what_may_be_preceded() -> None:
-    class Sink:
-        def __init__(self) -> None:
-            self.times: list[int] = []
-
-        def register_schema(self, *_: object) -> int:
-            return 1
-
-        register_channel = register_schema
-
-        def add_message(self, channel: int, log_time: int, data: bytes, publish_time: int) -> None:
-            self.times.append(log_time)
-
-    sink = Sink()
-    bag = BagWriter(sink)  # type: ignore[arg-type]
-    bag.declare("/imu", "sensor_msgs/msg/Imu")
-    for time_ns in (30, 10, 20):
-        bag.add("/imu", time_ns, b"")
-    bag.flush_before(25)
-    assert sink.times == [10, 20]
-    bag.flush_before(31)
-    assert sink.times == [10, 20, 30]
 
 
 SPEED_M_S, SECONDS = 2.0, 20

@@ -20,7 +20,7 @@ from tests.stone.rays import cast, in_voxels, lit_share, open_share
 
 # a tile's corner lies in the middle of it, and part of the second box is behind the first
 WORLD = World(
-    grade=(0.05, 0.02), frames=8, boxes=(Box((2.4, -0.9, 0.0), (3.2, 0.3, 0.9)), Box((4.6, -1.8, 0.0), (5.6, 1.4, 1.6)))
+    grade=(0.05, 0.02), boxes=(Box((2.4, -0.9, 0.0), (3.2, 0.3, 0.9)), Box((4.6, -1.8, 0.0), (5.6, 1.4, 1.6)))
 )
 SEQUENCE = sequence_of(WORLD)
 EGO_FROM_CAMERA = CALIBRATION.ego_from_lidar @ CAMERA.lidar_from_sensor

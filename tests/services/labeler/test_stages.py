@@ -169,7 +169,7 @@ def test_jobs_read_the_files_that_they_declare_and_answer_with_those_that_they_w
     run: LabelRun, bag: Path, tmp_path: Path
 ) -> None:
     """Catches alone a stage that works on one machine only, or waits for files that it does not read."""
-    with ProcessPoolExecutor(1, get_context("spawn")) as pool:
+    with ProcessPoolExecutor(1, get_context("fork")) as pool:
         jobs = pool.submit(work_apart, run.scratch, bag, tmp_path).result()
     for job in jobs:
         assert job.answered == job.written, job.kind

@@ -13,7 +13,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from stone_recordings.sync.samples import checked_samples
 
-OPTIONS = SimulateOptions(seconds=1.2, seed=3, channels=16, columns=240, camera_width_px=96, world_width_m=60.0)
+OPTIONS = SimulateOptions(0.8, 3, channels=16, columns=240, camera_width_px=96, world_width_m=60.0, speed_m_s=2.5)
 
 
 @dataclass(frozen=True)
@@ -33,7 +33,7 @@ class Labelled:
 
 
 def made_labels(root: Path) -> None:
-    """Twelve sweeps, six cameras and three radars."""
+    """Eight sweeps, six cameras and three radars."""
     bag, calibration = root / "drive.mcap", root / "drive.calibration.yaml"
     simulate(bag, OPTIONS)
     sequence, sweeps = open_sequence(bag, calibration, "drive")

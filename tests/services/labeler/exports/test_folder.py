@@ -102,7 +102,7 @@ def test_the_order_in_which_sequences_come_changes_nothing(drive: Labelled, both
 def test_checksums_are_those_of_the_files(both: Path) -> None:
     for name in ("drive", "later"):
         lines = (both / "checksums" / f"{name}.sha256").read_text().splitlines()
-        assert len(lines) > 100
+        assert len(lines) > 60
         for line in lines:
             digest, _, path = line.partition("  ")
             assert hashlib.sha256((both / path).read_bytes()).hexdigest() == digest

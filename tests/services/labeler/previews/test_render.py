@@ -62,14 +62,6 @@ def test_every_pixel_shows_the_side_that_a_ray_through_it_meets_first(seed, eye)
             assert np.abs(image[row, column].astype(int) - met.pop()).max() <= 1
 
 
-def test_the_order_of_drawing_does_not_matter():
-    rng = np.random.default_rng(1)
-    boxes = voxel_boxes((rng.random((9, 9, 5)) < 0.2).astype(np.uint8) * 2, np.zeros(3))
-    camera = Camera(np.array([-3.0, -2.0, 2.5]), np.array([0.9, 0.9, 0.5]), 1.0)
-    turned = Boxes(*(np.ascontiguousarray(values[::-1]) for values in vars(boxes).values()))
-    np.testing.assert_array_equal(drawn(boxes, camera), drawn(turned, camera))
-
-
 def test_a_voxel_alone_shows_all_sides_and_neighbours_hide_what_they_share():
     block = np.zeros((5, 5, 5), np.uint8)
     block[2, 2, 2] = 1
