@@ -12,6 +12,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.alarms.alarms import (
     DAY_NS,
+    AlarmLimits,
     differing_ratio,
     dismiss,
     open_alarms,
@@ -409,6 +410,17 @@ def test_near_entries_of_five_days_and_far_ones_of_one_day_are_no_probing(platfo
     for number in range(6):
         _join(place, entry(place, slow, finalized_ns=NOON_NS + number * DAY_NS), number)
         _join(place, entry(place, varied, finalized_ns=NOON_NS + number), 10_000 + 5000 * number)
+    assert _raised(place) == []
+
+
+def test_only_so_many_are_looked_at(platform: Platform) -> None:
+    place = phase_of_rows(platform)
+    limits = AlarmLimits(near_entries=3, looked_at=2)
+    ours = team(place)
+    for number in range(4):
+        submission_id = entry(place, ours, finalized_ns=NOON_NS + number)
+        with platform.database.transaction() as session:
+            raise_alarms(session, score(session, place, submission_id, Laid(cells=_cells(number))), limits)
     assert _raised(place) == []
 
 
