@@ -103,6 +103,21 @@ def test_a_parser_that_attacks_is_refused_by_the_kernel_and_is_not_tried_again(a
 
 
 @needs_seccomp
+def test_a_fork_bomb_is_one_process_that_gives_up() -> None:
+    def bomb() -> bytes:
+        made = 0
+        for _ in range(100):
+            try:
+                os.fork()
+                made += 1
+            except PermissionError:
+                continue
+        return str(made).encode()
+
+    assert sandboxed(bomb) == b"0"
+
+
+@needs_seccomp
 @pytest.mark.parametrize("attack", ["a connection", "a fork", "another program", "an owner", "a signal to the parent"])
 def test_a_child_with_a_folder_reaches_no_further_than_one_without(attack: str, tmp_path: Path) -> None:
     (tmp_path / "standing").touch()
