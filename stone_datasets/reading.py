@@ -186,7 +186,9 @@ def read_tables_of(path: Path) -> DatasetReading:
 def check_dataset(
     path: Path, classes: ClassMap = OWN_CLASSES, most: int = MOST_SHOWN, progress: Progress = lambda _done, _of: None
 ) -> DatasetCheck:
-    """Everything read; `progress` is told frames done and all. Raises `bad_tar` where no file can be found."""
+    """Read and check the whole dataset; `progress` gets the frames done and their total. Raises `bad_tar` if a tar has
+    no readable file.
+    """
     faults = DatasetFaults(most)
     try:
         reached, reading = _read(open_dataset(path), faults)

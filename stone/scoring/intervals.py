@@ -63,7 +63,10 @@ class FrameInfluences:
 
 
 def frame_influences(confusions: Counts, metric: str = METRIC_VERSION) -> FrameInfluences:
-    """Of confusions (F, 4, 4). Raises `ShapeError` for other shapes or no frame, and `unknown_metric`."""
+    """Return each frame's influence on the scores, from confusions (F, 4, 4).
+
+    Raises `ShapeError` for another shape or no frame, and `unknown_metric`.
+    """
     if confusions.ndim != 3 or not len(confusions):
         raise ShapeError("confusions", confusions.shape, "(F, 4, 4) with at least one frame")
     unions, hits = (counts.astype(np.float64) for counts in unions_and_hits(confusions, metric))
@@ -175,7 +178,10 @@ class Estimate:
 
 
 def ratio_spectra(confusions: Counts, frames_of_sequence: Sequence[int], metric: str = METRIC_VERSION) -> RatioSpectra:
-    """Of confusions (F, 4, 4) by frame. Raises `ShapeError` where lengths and frames disagree, `unknown_metric`."""
+    """Return the spectra of the scores, from confusions (F, 4, 4).
+
+    Raises `ShapeError` if the lengths do not add up to F, and `unknown_metric`.
+    """
     found, layout = frame_influences(confusions, metric), layout_of(frames_of_sequence)
     kept = coefficients(found.of_frame, layout)
     bounds = np.cumsum([0, *layout.frames_of_sequence])[:-1]

@@ -49,7 +49,7 @@ def is_kitti(content: dict[str, object]) -> bool:
 
 
 def kitti(document: Node) -> CalibrationPart:
-    """What one file says. Raises `CAL-424` for a raw R and T of which nothing says what they are."""
+    """Return the calibration of one file. Raises `CAL-424` for a raw R and T whose frames the file does not name."""
     edges, findings = list[Edge](), Findings()
     for parent, child, numbers in _transforms(document):
         transform, noticed = rotation_and_translation(child, numbers[:, :3], numbers[:, 3])

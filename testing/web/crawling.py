@@ -29,7 +29,7 @@ class Found:
     source: str
     status: int
     html: str
-    """Of a page; empty of whatever else."""
+    """The HTML of a page; empty for other files."""
 
     @property
     def is_page(self) -> bool:

@@ -63,7 +63,7 @@ def sound_drive(factory: pytest.TempPathFactory) -> SoundDrive:
 
 
 def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
-    """What `stone label` makes of the drive `TWO_PARTS`, named as `Brought.files` names it."""
+    """Return the label files of the drive `TWO_PARTS`, named as in `Brought.files`."""
     bag = drive(factory, TWO_PARTS)
 
     def make(folder: Path) -> None:

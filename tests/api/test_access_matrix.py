@@ -65,7 +65,7 @@ def test_no_route_is_forgotten(platform: Platform) -> None:
 
 
 def takes_away(operation: Operation) -> int:
-    """What deletes a thing of the world is asked last, so that one world serves the more cells."""
+    """Return a later turn for operations that delete, so that one world serves more cells."""
     return (operation[0] == "DELETE" and "{" in operation[1]) + 2 * (operation in ENDING_WHAT_ASKS)
 
 

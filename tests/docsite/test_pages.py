@@ -1,4 +1,4 @@
-"""What pages say of commands, settings, routes and codes is so: made of the code, or held against it."""
+"""Commands, settings, routes and codes on the pages are generated from the code, or checked against it."""
 
 import re
 from pathlib import Path
@@ -63,7 +63,7 @@ def test_every_command_and_code_is_on_its_page(made: dict[str, str]) -> None:
 
 
 def test_pages_name_only_settings_that_exist(known_variables: set[str]) -> None:
-    """Of files and modules: tests/test_references.py."""
+    """tests/test_references.py checks the files and modules that pages name."""
     named = {(page.name, name) for page in WRITTEN for name in VARIABLE.findall(page.read_text("utf-8"))}
     assert {one for one in named if not one[1].endswith("__") and not _is_known(one[1], known_variables)} == set()
 

@@ -113,7 +113,7 @@ def read_report(directory: Path) -> Mapping[str, Any]:
 
 
 def recorded_at(directory: Path) -> Path | None:
-    """Where the recording lay when it was labelled; None where nothing says. Raises `damaged_labels`."""
+    """Return the path of the labelled recording, or None if the label set names none. Raises `damaged_labels`."""
     if not (directory / SOURCE).exists():
         return None
     recording = _json(directory / SOURCE).get("recording")

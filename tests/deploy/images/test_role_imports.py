@@ -47,7 +47,7 @@ print("loaded")
 @pytest.mark.release
 @pytest.mark.parametrize("role", ENTRIES)
 def test_a_role_loads_with_the_packages_of_its_image_alone(role: str, tmp_path: Path) -> None:
-    """Catches alone a package that an image lacks and that no module of ours imports by itself."""
+    """Catches alone a missing package that only another package imports."""
     modules = [module for module in ENTRIES[role] if not module.endswith("__main__")]
     lock = ",".join(names(ROOT / "deploy" / "images" / f"{role}.lock"))
     environment = {**os.environ, "PYTHONPATH": str(ROOT), "STONE_DATA_FOLDER": str(tmp_path)}

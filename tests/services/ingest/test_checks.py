@@ -103,7 +103,7 @@ def test_what_the_checks_refuse_fails_the_run_and_a_retry_takes_up_the_checks_al
 
 
 def overlays(brought: Brought) -> dict[tuple[str, str], str]:
-    """What each picture holds, by its recipe and its name."""
+    """Return each picture's SHA-256 by recipe and name."""
     with brought.platform.database.reading() as session:
         rows = session.scalars(select(Preview).where(Preview.recording_id.is_(None)))
         return {(row.recipe, row.name): row.blob_sha256 for row in rows}
