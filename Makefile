@@ -1,6 +1,6 @@
 # make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress static check audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress style static check check-tests check-beside audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -108,16 +108,23 @@ test-baselines: baselines | $(filter static,$(MAKECMDGOALS))
 stress: develop
 	$(BIN)/python -m testing.stress '$(TEST)' --runs $(or $(RUNS),50)
 
-check: test-clients
+# Tests that wait leave cores idle, so the static checks and the kernels' tests run beside them, one after another.
+check: test-clients style
 	@rm -f build/flaky-tests
-	$(MAKE) --no-print-directory --jobs=2 --output-sync=target static test-kernels test-baselines
-	$(BIN)/pytest $(BESIDE) -m "not release"
+	$(MAKE) --no-print-directory --jobs=2 check-tests check-beside
 	@if [ -f build/flaky-tests ]; then cat build/flaky-tests; fi
 
-# Each takes one core, as `test-kernels` does.
-static: develop
+check-tests: develop
+	$(BIN)/pytest $(BESIDE) -m "not release"
+
+check-beside: develop
+	$(MAKE) --no-print-directory --output-sync=target static test-kernels test-baselines
+
+style: develop
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
+
+static: style
 	$(BIN)/mypy
 	$(BIN)/lint-imports
 	$(BIN)/deptry stone stone_base stone_files stone_recordings stone_submissions stone_exports stone_datasets baselines services simulator stone_client stone_local api web

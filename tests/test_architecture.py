@@ -224,9 +224,13 @@ def test_the_lock_covers_what_the_project_asks_for() -> None:
     assert {re.split(r"[<>=!~\[]", name)[0].replace(".", "-") for name in asked} <= pinned | ours
 
 
+PARTS_OF_CHECK = ("check", "check-tests", "check-beside", "style", "static")
+
+
 def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
-    check, static = (makefile[makefile.index(f"\n{target}:") :].partition("\n\n")[0] for target in ("check", "static"))
+    recipes = {target: makefile[makefile.index(f"\n{target}:") :].partition("\n\n")[0] for target in PARTS_OF_CHECK}
+    check, run = recipes["check"], "\n".join(recipes.values())
     for guard in (
         "ruff format --check",
         "ruff check",
@@ -236,10 +240,12 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
         "test-kernels",
         '-m "not release"',
     ):
-        assert guard in check + static
-    assert " static test-kernels" in check
+        assert guard in run
+    assert re.match(r"\ncheck: [^\n]*\bstyle\n", check)
+    assert " check-tests check-beside\n" in check
+    assert " static test-kernels test-baselines" in recipes["check-beside"]
     assert re.search(r"(?m)^\t\$\(BIN\)/pytest \$\(BESIDE\)$", makefile), "test-all leaves nothing out"
-    assert not re.search(r"\|\||\| |^\t-", check + static, re.MULTILINE), "a guard's failure must stop make"
+    assert not re.search(r"\|\||\| |^\t-", run, re.MULTILINE), "a guard's failure must stop make"
     assert "make --no-print-directory check" in (ROOT / ".ci" / "run").read_text("utf-8")
     assert "make check" in (ROOT / "README.md").read_text("utf-8")
 
@@ -247,7 +253,7 @@ def test_make_check_runs_every_guard_and_ci_runs_make_check() -> None:
 def test_every_make_target_that_runs_something_installs_first() -> None:
     makefile = (ROOT / "Makefile").read_text("utf-8")
     for target in ("demo", "serve", "test-clients", "test", "test-all", "test-kernels", "check", "chaos", "bench"):
-        assert re.search(rf"(?m)^{target}: (install|develop|platform|test-clients)$", makefile)
+        assert re.search(rf"(?m)^{target}: (install|develop|platform|test-clients)( style)?$", makefile)
 
 
 # Those below docs/ lead to made pages too: tests/docsite follows them in the built site.

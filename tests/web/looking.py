@@ -2,9 +2,11 @@
 
 **Conventions.** `look(page, "leaderboard")` fails where axe finds something serious, or where the page is wider than
 the phone. All of axe's rules are asked of the light page at both widths; of the dark one those of colours, for it
-differs by tokens only. Screenshots go to `build/screenshots/<name>-<light|dark|phone>.png`.
+differs by tokens only. A run in one process keeps screenshots: `build/screenshots/<name>-<light|dark|phone>.png`. A run
+in several keeps none, for nobody looks at them, and they cost a quarter of the look.
 """
 
+import os
 from functools import cache
 from pathlib import Path
 from typing import Any
@@ -41,7 +43,9 @@ def look(page: Page, name: str) -> None:
 
 
 def keep(page: Page, name: str) -> None:
-    """Keep a picture of the whole page."""
+    """Keep a picture of the whole page, if this is a run in one process."""
+    if "PYTEST_XDIST_WORKER" in os.environ:
+        return
     PICTURES.mkdir(parents=True, exist_ok=True)
     page.screenshot(path=PICTURES / f"{name}.png", full_page=True)
 
