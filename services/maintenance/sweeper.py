@@ -7,6 +7,11 @@ turn is bounded whatever anybody has sent: what is more is done in the next. SIG
 chores.
 """
 
+import services.runtime.processes.seldom_collected
+import services.runtime.processes.sound_settings  # noqa: F401
+
+# isort: split
+
 import signal
 import time
 from collections.abc import Callable, Sequence
@@ -18,7 +23,6 @@ import structlog
 from redis import RedisError
 from sqlalchemy.exc import SQLAlchemyError
 
-import services.runtime.processes.sound_settings  # noqa: F401
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, settle_ended, tidy_submissions
 from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost, tell_phases
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings

@@ -3,6 +3,7 @@
 **Conventions.** Two arguments: the socket's descriptor, seconds for the last replies.
 """
 
+import services.runtime.processes.seldom_collected
 import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split

@@ -5,6 +5,7 @@ believed says `STONE_API__TRUSTED_PROXIES`, how many processes answer uvicorn's 
 connections; replies may take `REPLIES_S`, then they are cut, uploads at a byte that is known.
 """
 
+import services.runtime.processes.seldom_collected
 import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split

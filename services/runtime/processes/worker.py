@@ -6,6 +6,7 @@ killed and their jobs queued again, without costing them an attempt. A second SI
 """
 
 import services.runtime.one_thread
+import services.runtime.processes.seldom_collected
 import services.runtime.processes.sound_settings  # noqa: F401
 
 # isort: split

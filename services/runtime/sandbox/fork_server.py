@@ -9,7 +9,8 @@ itself, and a file or pipe with its limits and its works, pickled by the service
 the last. Who closes the first ends the child; this process ends when nobody is left to ask it.
 """
 
-import services.runtime.one_thread  # noqa: F401
+import services.runtime.one_thread
+import services.runtime.processes.seldom_collected  # noqa: F401
 
 # isort: split
 
