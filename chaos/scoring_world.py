@@ -13,7 +13,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.domain.benchmarks.submissions.scoring_jobs import PART_FRAMES
+from services.domain.benchmarks.submissions.scoring_ranges import PART_FRAMES
 from services.runtime.database.migrate import upgrade
 from services.runtime.database.transactions import Database
 from services.runtime.orm import Dataset, Team, TeamMember

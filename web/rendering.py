@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from api.deps import VISITOR, Caller, platform_of
 from api.views.people import sign_in_ways
-from services.domain.sequences.processing import BOUNDS
+from services.domain.sequences.label_choices import BOUNDS
 from stone_base.codes.catalogue import CATALOGUE, harm_of
 from stone_base.codes.meaning import HARM_WORDS
 from web import words

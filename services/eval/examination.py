@@ -16,7 +16,7 @@ from pathlib import Path
 import numpy as np
 from numpy.typing import NDArray
 
-from services.domain.benchmarks.submissions.scoring_jobs import Span
+from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.eval.kernel_warmup import warm
 from services.eval.truth_pack import TruthPack, TruthPackError
 from services.runtime.sandbox import (

@@ -19,7 +19,8 @@ from sqlalchemy.orm import Session
 from services.domain.benchmarks.alarms.alarms import raise_alarms
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, versions_to_score
 from services.domain.benchmarks.submissions.score_rows import NewScore, drop_parts, write_score
-from services.domain.benchmarks.submissions.scoring_jobs import Span, rescore_specs
+from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
+from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.domain.benchmarks.submissions.submissions import settle
 from services.eval.examination import Counts, ExaminedRange, joined, unpacked
 from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz

@@ -15,7 +15,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from pathlib import Path
 
-from services.domain.benchmarks.submissions.scoring_jobs import ranges_of
+from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
 from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined
 from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
 from services.eval.score_record import Scores, SequenceFacts, SubmissionCounts

@@ -4,7 +4,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
-from services.domain.benchmarks.submissions.scoring_jobs import Span
+from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.eval.examination import Examination, ExaminedRange, examine
 from services.eval.scored_case import Case, case_of
 from services.runtime.jobs.specs import Attempt

@@ -1,111 +1,35 @@
 """The stage that builds a ground truth: the labels of one part of a dataset version → a pack, a manifest and facts.
 
 **Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
-(below): this process reads the index, which is ours, and moves files. Frames follow the
+(`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
 version's index, inside a sequence that of time. A ground truth that is ready is never written again.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass
 from functools import partial
-from hashlib import sha256
-from pathlib import Path
 from secrets import token_hex
-from typing import Annotated, Any, ClassVar
+from typing import Any
 
-from pydantic import Field
 from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
-from services.eval.ground_truth import MAX_LABELS_BYTES, Mask, truth_in
+from services.eval.ground_truth import Mask
 from services.eval.kernel_warmup import warm
+from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, TruthInputs, labels_unfit, write_truth
 from services.eval.scoring_workspace import EvalStageContext
-from services.eval.truth_pack import write_truth_pack
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Blob, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
 from services.runtime.orm.base import now_ns
-from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
-from services.runtime.sandbox.answers import Hex256, SandboxAnswer
+from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
-from services.runtime.store.pack_reading import ExportLocation, StoredFiles, short_pack, stored_files
+from services.runtime.store.pack_reading import ExportLocation, StoredFiles, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
-from stone.errors import Refused
-from stone.scoring.bitplanes import TruthPlanes
-from stone_submissions.errors import GroundTruthError
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
-
-# The label file of a frame in a pack of the store: where it lies and what it hashes to.
-
-
-@dataclass(frozen=True)
-class PackedLabelFile:
-    """A range of the pack of this number, and the sha256 of what is there; a plain value, for sandboxed children."""
-
-    name: str
-    pack: int
-    offset_bytes: int
-    length_bytes: int
-    sha256: str
-
-    def read(self, packs: Mapping[int, Path]) -> bytes:
-        """The npz, of packs by number. Raises `labels_unfit`, `short_pack`."""
-        if self.length_bytes > MAX_LABELS_BYTES:
-            raise labels_unfit(f"file {self.name}", f"longer than {MAX_LABELS_BYTES} bytes")
-        with packs[self.pack].open("rb") as pack:
-            pack.seek(self.offset_bytes)
-            npz = pack.read(self.length_bytes)
-        if len(npz) < self.length_bytes:
-            raise short_pack(self.pack, self.offset_bytes + len(npz))
-        if sha256(npz).hexdigest() != self.sha256:
-            raise labels_unfit(f"file {self.name}", "its sha256 is another than the index says")
-        return npz
-
-
-# What a sandboxed child does for a ground truth: it opens label files, and writes the pack of their bit planes.
-#
-# **Conventions.** Label files were computed from what a stranger recorded, or brought as they are, so only the child
-# opens them, each held against its digest and read as strictly as a submission's. It reads the packs that it is named,
-# writes one file in its folder, and answers with what the row is to say. The manifest is the parent's, made of names.
-
-
-PACK = "truth.pack"
-
-
-class TruthAnswer(SandboxAnswer):
-    """What was built: the hash of everything evaluated, and of how many frames."""
-
-    asked: ClassVar[str] = "what was built"
-    sha256: Hex256
-    frames: Annotated[int, Field(gt=0, le=MAX_FRAMES)]
-
-
-@dataclass(frozen=True)
-class TruthInputs:
-    """What a ground truth is built of: packs by number, the label file of each frame by token; a plain value."""
-
-    packs: Mapping[int, Path]
-    files: Mapping[str, PackedLabelFile]
-    manifest: Manifest
-    mask: Mask
-
-    def planes(self, token: str) -> TruthPlanes:
-        """Read one frame. Raises `labels_unfit`, whose sentence quotes nothing of the file, and `short_pack`."""
-        file = self.files[token]
-        try:
-            return truth_in(file.read(self.packs), self.mask, Path(file.name))
-        except GroundTruthError as error:
-            raise labels_unfit(f"file {file.name}", "no label file with the arrays that the phase needs") from error
-
-
-def write_truth(inputs: TruthInputs, folder: Path, progress: ProgressCallback) -> bytes:
-    """The pack of all frames, written into the folder. Raises as `TruthInputs.planes`."""
-    summary = write_truth_pack(folder / PACK, inputs.manifest, inputs.planes, threads=1, progress=progress)
-    return TruthAnswer(sha256=summary.sha256, frames=summary.frames).packed()
-
 
 MANIFEST = "manifest.json"
 
@@ -233,7 +157,3 @@ def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:
     )
     session.execute(made, execution_options={"synchronize_session": False})
     first_activation(session, session.get_one(GroundTruthRow, truth_id, populate_existing=True))
-
-
-def labels_unfit(where: str, fault: str) -> Refused:
-    return Refused("labels_unfit", f"{where} of the dataset version: {fault}; was it labelled by this program?")

@@ -19,7 +19,8 @@ from services.domain.sequences.previews import PreparedPreview, PreviewSubject, 
 from services.domain.sequences.processing import CHECK, LABEL, REGISTER, SYNCHRONISE
 from services.domain.sequences.recordings import kept_recording, locate, locate_file, locate_run
 from services.domain.sequences.restart import arguments_of_run
-from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left, require_sequence
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left
+from services.domain.sequences.stage_checks import require_sequence
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError, recording_file_missing
 from services.ingest.kernel_warmup import warm

@@ -25,7 +25,8 @@ from services.domain.datasets.input_jobs import (
 from services.domain.exports.requests import ExportResult, begin_export, write_export
 from services.domain.sequences.label_sources import located_source
 from services.domain.sequences.recordings import kept_recording, locate, locate_joined
-from services.domain.sequences.run_files import SEQUENCE_FILE, require_sequence
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.domain.sequences.stage_checks import require_sequence
 from services.labeler.exports.dataset_source import DatasetSource
 from services.labeler.exports.registry import Exporter, exporter_of
 from services.labeler.exports.sandboxed_export import (

@@ -4,7 +4,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
-from services.domain.sequences.processing import check_choices
+from services.domain.sequences.label_choices import check_choices
 from stone.labels.footprint import BAND_M
 from stone.labels.observed_voxels import CarveParameters
 from stone.labels.traversability import ReferenceParameters

@@ -14,7 +14,8 @@ from sqlalchemy.orm import Session
 
 from services.domain.exports.requests import follow_labels
 from services.domain.sequences.chosen_recordings import recording_ids_of
-from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, require_sequence
+from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
+from services.domain.sequences.stage_checks import require_sequence
 from services.domain.viewer.playback import PLAYBACK
 from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.source import REPORT, TABLE

@@ -9,7 +9,8 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 from sqlalchemy import select
 
-from services.domain.sequences.processing import BOUNDS, PROCESS
+from services.domain.sequences.label_choices import BOUNDS
+from services.domain.sequences.processing import PROCESS
 from services.runtime.orm import CalibrationRow, Job, LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
 from stone.labels.class_colours import CLASS_RGB, PALETTES, hex_of

@@ -19,7 +19,8 @@ from sqlalchemy.orm import Session
 
 from services.domain.sequences.label_sources import has_samples
 from services.domain.sequences.processing import lock_sequence
-from services.domain.sequences.run_files import SEQUENCE_FILE, require_sequence
+from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.domain.sequences.stage_checks import require_sequence
 from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
 from services.runtime.jobs.control import cancel

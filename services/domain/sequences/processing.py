@@ -14,6 +14,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.chosen_recordings import chosen_recordings, offsets_by_name
+from services.domain.sequences.label_choices import check_choices
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     RecordingPendingError,
@@ -44,7 +45,7 @@ ALIVE = Job.state.not_in(TERMINAL)
 
 @dataclass(frozen=True)
 class ProcessRequest:
-    """Choices for processing a sequence; `parameters` by dotted name (bounds below).
+    """Choices for processing a sequence; `parameters` by dotted name (bounds in `label_choices.py`).
 
     `topics` are those of the platform's profile; the two topics named here go before them. `ground` is "given" by the
     calibration, or "auto": measured, and the height of the LiDAR's mount taken from it, and a tilt beyond terrain's.
@@ -227,70 +228,6 @@ def _existing_run(session: Session, sequence: SequenceRow, recipe: str) -> Job |
             raise AlreadyProcessingError(sequence.id, run.id)
         return run
     return None
-
-
-# Allowed label settings and their bounds: the profile, and parameters by dotted name.
-#
-# **Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only what decides quality
-# is here; what decides cost without end (a cell of a millimetre) or the lattice that neighbouring tiles share is not.
-# A whole number's bounds are integers. The labeler applies the choices; that names and bounds agree with it is a test.
-
-
-PROFILES = ("paper", "local")
-BOUNDS: Mapping[str, tuple[float, float]] = {
-    "selection.min_range_m": (0.5, 5.0),
-    "surface.min_frames": (1, 20),
-    "surface.normal_neighbours": (8, 64),
-    "surface.trim_m": (0.05, 1.0),
-    "dynamic.every_frame": (1, 50),
-    "dynamic.margin_m": (0.05, 2.0),
-    "carve.every_frame": (1, 50),
-    "terrain.neighbours": (8, 64),
-    "terrain.roughness_floor_m2": (1e-12, 1e-2),
-    "reference.alpha": (1e-4, 0.5),
-    "reference.outlier_ratio": (0.0, 0.5),
-    "footprint_band_m": (0.05, 1.0),
-    "local_ground_radius_m": (0.2, 5.0),
-}
-
-
-def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
-    """Raises `bad_parameter` for the first choice that is unknown, of the wrong kind or out of bounds."""
-    if profile not in PROFILES:
-        raise Refused(
-            "bad_parameter",
-            f"'profile' cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
-        )
-    for name, value in parameters.items():
-        if name not in BOUNDS:
-            raise Refused(
-                "bad_parameter",
-                f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the parameters that can be chosen are "
-                f"{', '.join(BOUNDS)}",
-            )
-        _check_value(name, value)
-    left_out = parameters.get("reference.outlier_ratio", 0.0)
-    if profile == "paper" and left_out:
-        raise Refused(
-            "bad_parameter",
-            f"'reference.outlier_ratio' cannot be {str(left_out)[:80]!r}; profile paper leaves none "
-            "out; profile local can",
-        )
-
-
-def _check_value(name: str, value: object) -> None:
-    low, high = BOUNDS[name]
-    is_whole = isinstance(low, int)
-    if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
-        raise Refused(
-            "bad_parameter",
-            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it takes a {'whole ' if is_whole else ''}number "
-            f"from {low:g} to {high:g}",
-        )
-    if not low <= value <= high:  # false for NaN too
-        raise Refused(
-            "bad_parameter", f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it lies between {low:g} and {high:g}"
-        )
 
 
 def unknown_stages(stages: tuple[str, ...], known: tuple[str, ...]) -> Refused:

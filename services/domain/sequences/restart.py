@@ -16,7 +16,7 @@ from services.domain.sequences.processing_errors import (
     RecordingPendingError,
     SequenceDeletedError,
 )
-from services.domain.sequences.run_files import sequence_gone
+from services.domain.sequences.stage_checks import sequence_gone
 from services.runtime.code_version import code_version
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import terminate

@@ -22,7 +22,7 @@ from services.domain.sequences.label_comparisons import (
     stored_pairs,
     write_comparison,
 )
-from services.domain.sequences.run_files import require_sequence
+from services.domain.sequences.stage_checks import require_sequence
 from services.eval.comparison.counting import (
     Counted,
     FrameGrids,
@@ -34,8 +34,8 @@ from services.eval.comparison.counting import (
 )
 from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.kernel_warmup import warm
+from services.eval.sandboxed_truth import PackedLabelFile
 from services.eval.scoring_workspace import EvalStageContext
-from services.eval.truth_build import PackedLabelFile
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import LabelSet
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError

@@ -52,7 +52,7 @@ FORKED_FROM = {
         "services.labeler.imports.scene_import",
         "pyarrow.compute",  # which tables load when they are written
     ),
-    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.truth_build"),
+    "eval": ("services.eval.kernel_warmup:warm", "services.eval.examination", "services.eval.sandboxed_truth"),
 }
 
 log = structlog.get_logger(__name__)

@@ -14,19 +14,13 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Blob, Export, ExportPack
-from services.runtime.store.packs import PackedFiles, Step, pack_path, pieces_of, read_index
+from services.runtime.store.packs import PackedFiles, Step, pack_path, pieces_of, read_index, short_pack
 from services.runtime.store.protocol import Store
-from stone.errors import PlatformFaultError, Refused
+from stone.errors import Refused
 from stone_files.archives import Archive, ArchiveMemberRange, Kind, layout
 
 PIECE_BYTES = 2**18
 ReadPack = Callable[[int, int, int], Iterator[bytes]]
-
-
-def short_pack(number: int, place: int) -> PlatformFaultError:
-    return PlatformFaultError(
-        "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
-    )
 
 
 @dataclass(frozen=True, eq=False)

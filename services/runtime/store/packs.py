@@ -17,6 +17,7 @@ from isal import isal_zlib
 from numpy.typing import NDArray
 
 from services.runtime.store.folder import refusing_full
+from stone.errors import PlatformFaultError
 from stone_files.archives import ArchiveMembers, check_names
 from stone_files.npz import npz_bytes
 
@@ -157,4 +158,10 @@ def _columns(packed: list[_PackedFile]) -> PackedFiles:
         np.frombuffer(b"".join(file.sha256 for file in packed), np.uint8).reshape(-1, 32),
         np.array([file.pack for file in packed], np.int32),
         np.array([file.offset_bytes for file in packed], np.int64),
+    )
+
+
+def short_pack(number: int, place: int) -> PlatformFaultError:
+    return PlatformFaultError(
+        "short_pack", f"pack {number} ends at byte {place}, before its index says; was the store changed by hand?"
     )

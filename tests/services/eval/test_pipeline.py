@@ -11,7 +11,7 @@ import pyarrow as pa
 import pyarrow.parquet as pq
 import pytest
 
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.examination import count_range
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
@@ -83,7 +83,7 @@ def test_the_ranges_it_is_counted_in_change_nothing(
     spoiled = tmp_path / "spoiled.zip"
     write_submission(spoiled, [(token, grid + np.uint8(2)) for token, grid in world.predictions.items()][1:])
     whole = score(submission, world.folder).as_record(), validate(spoiled, world.manifest_path)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     told: list[tuple[str, int, int]] = []
     assert score(submission, world.folder, progress=lambda *step: told.append(step)).as_record() == whole[0]
     assert validate(spoiled, world.manifest_path, progress=lambda *step: told.append(step)) == whole[1]

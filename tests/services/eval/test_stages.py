@@ -7,7 +7,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select
 
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.pipeline import score
 from services.eval.scored_case import truth_of
 from services.runtime.jobs.enqueue import enqueue
@@ -64,7 +64,7 @@ def test_counted_in_parts_it_has_the_same_score(world: World, monkeypatch: pytes
     content = zipped(world, guess(world, turn=2))
     whole = send(world, content)
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     parted = send(world, content, team=1)
     run_eval(world.platform)
     kinds = [job.kind for job in jobs_of(world.platform, parted)]
@@ -95,7 +95,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
     content = zipped(world, guess(world, turn=4))
     small = send(world, content, kind="validation")
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     parted = send(world, content, kind="validation")
     run_eval(world.platform)
     for submission_id in (small, parted):
@@ -107,7 +107,7 @@ def test_a_validation_is_checked_and_never_scored(world: World, monkeypatch: pyt
 
 def test_jobs_tell_nothing_but_where_the_submission_stands(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     """Neither a ratio nor a count of voxels is in a result, a log line or a failure."""
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, "test")), "test")
     run_eval(world.platform)
     (row,) = scores_of(world.platform, submission_id)

@@ -8,7 +8,7 @@ import pytest
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.rescores.progress import rescore_progress
 from services.domain.benchmarks.rescores.rescore import NewRescore, abandon, start_rescore
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.queue_handlers import handlers
 from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Alarm, Job, Phase, Rescore, SubmissionRow
@@ -90,7 +90,7 @@ def test_another_metric_is_read_from_the_kept_counts_without_the_file(world: Wor
 def test_another_ground_truth_is_counted_from_the_file(
     world: World, part_frames: int, rescored: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     submission_id = send(world, zipped(world, guess(world, turn=part_frames)))
     run_eval(world.platform)
     truth_id = new_truth(world.platform, world.val, world.administrator.user_id)
@@ -140,7 +140,7 @@ def test_a_submission_that_comes_during_a_rescore_is_scored_by_both_pairs(world:
 def test_one_that_is_being_counted_when_a_rescore_begins_is_scored_by_both_pairs(
     world: World, rescored: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, turn=13)))
     run_next(world.platform, "eval", handlers(world.platform))
     assert row_of(world.platform, submission_id).state == "scoring"

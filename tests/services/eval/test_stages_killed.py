@@ -11,7 +11,7 @@ from contextlib import contextmanager
 
 import pytest
 
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval import examination
 from services.eval.queue_handlers import handlers
 from services.runtime.database.transactions import Database
@@ -69,7 +69,7 @@ def give_back_silent(platform: Platform) -> None:
 def test_a_worker_killed_in_the_middle_is_replaced_and_scores_once(
     world: World, kind: str, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1 if kind == "eval.part" else 500)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1 if kind == "eval.part" else 500)
     submission_id = send(world, zipped(world, guess(world, turn=len(kind))))
     if kind == "eval.part":
         run_next(world.platform, "eval", handlers(world.platform))
@@ -103,7 +103,7 @@ def test_workers_side_by_side_score_each_submission_once(
 ) -> None:
     """Some send in the same, and one team's are settled at the same time as another's."""
     world = benchmark_world(platform_on, frames=1)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     contents = [zipped(world, guess(world, turn=turn)) for turn in range(2)]
     sent = [send(world, contents[number % 2], team=number // 2) for number in range(4)]
     platform_on.database.close()  # before the fork: no connection is shared

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from sqlalchemy import func, select, update
 
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.domain.benchmarks.submissions.state_machine import reopen
 from services.domain.benchmarks.submissions.submissions import cancel
 from services.domain.benchmarks.submissions.sweeper_chores import settle_ended
@@ -51,7 +51,7 @@ def spoilt(frames: Mapping[str, Grid], count: int) -> dict[str, Grid]:
 
 @pytest.mark.parametrize("part_frames", [500, 1])
 def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     frames = guess(world, turn=10)
     missing = next(iter(frames))
     row = ended(world, send(world, zipped(world, {t: grid for t, grid in frames.items() if t != missing})))
@@ -63,7 +63,7 @@ def test_a_wrong_archive_is_invalid_at_once(world: World, part_frames: int, monk
 
 @pytest.mark.parametrize("part_frames", [500, 1])
 def test_all_frames_that_are_wrong_are_told(world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     frames = spoilt(guess(world, turn=11), 2)
     row = ended(world, send(world, zipped(world, frames)))
     problems: dict[str, Any] = row.problems or {}
@@ -102,7 +102,7 @@ def test_a_file_that_is_gone_is_told(world: World) -> None:
 def test_a_file_that_breaks_its_reader_is_not_read_again(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     monkeypatch.setattr(examination, "count_range", lambda *given, **named: os._exit(3))
     row = ended(world, send(world, zipped(world, guess(world, turn=15))))
     assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
@@ -134,7 +134,7 @@ def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> Non
 
 
 def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, zipped(world, guess(world, turn=21)))
     stages = handlers(world.platform)
 
@@ -171,7 +171,7 @@ def deliver_again(platform: Platform, submission_id: str) -> None:
 def test_jobs_that_are_delivered_again_change_nothing(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     submission_id = send(world, zipped(world, guess(world, turn=part_frames)))
     run_eval(world.platform)
     (score,), before = scores_of(world.platform, submission_id), told(world.platform)
@@ -188,7 +188,7 @@ def test_an_attempt_that_was_given_up_writes_nothing_when_it_ends_after_all(
     world: World, part_frames: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     """Each job is worked at twice at once: its first worker falls silent, ends last, and is not heard."""
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", part_frames)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
     submission_id = send(world, zipped(world, guess(world, turn=60 + part_frames)))
     late: list[tuple[Claim, Outcome]] = []
     stages = handlers(world.platform)

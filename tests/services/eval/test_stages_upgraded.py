@@ -9,7 +9,7 @@ from sqlalchemy import update
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
 from services.domain.benchmarks.rescores.rescore import NewRescore, start_rescore
-from services.domain.benchmarks.submissions import scoring_jobs
+from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval import examination, join
 from services.eval.examination import Counts
 from services.eval.queue_handlers import handlers
@@ -51,7 +51,7 @@ def test_parts_that_another_version_counted_are_counted_again(world: World, monk
     content = zipped(world, guess(world, turn=1))
     undisturbed = send(world, content)
     run_eval(world.platform)
-    monkeypatch.setattr(scoring_jobs, "PART_FRAMES", 1)
+    monkeypatch.setattr(scoring_ranges, "PART_FRAMES", 1)
     submission_id = send(world, content)
     stages = handlers(world.platform)
     assert run_next(world.platform, "eval", stages)  # opened

@@ -16,7 +16,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
-from services.eval import truth_build
+from services.eval import sandboxed_truth, truth_build
 from services.eval.ground_truth import (
     MAX_LABELS_BYTES,
     Mask,
@@ -26,7 +26,7 @@ from services.eval.ground_truth import (
     truth_in,
     whole_hash,
 )
-from services.eval.truth_build import TruthAnswer, TruthInputs, write_truth
+from services.eval.sandboxed_truth import TruthAnswer, TruthInputs, write_truth
 from services.eval.truth_pack import TruthPack
 from services.runtime.orm import (
     Activation,
@@ -214,7 +214,7 @@ def test_no_label_file_is_opened_in_the_worker_itself(world: World, monkeypatch:
         opened_here.append(str(path))
         return truth_in(npz, mask, path)
 
-    monkeypatch.setattr(truth_build, "truth_in", noted)
+    monkeypatch.setattr(sandboxed_truth, "truth_in", noted)
     job_id = begun(world)
     run_eval(world.platform)
     assert job_of(world, job_id).state == "succeeded"

@@ -8,7 +8,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from services.domain.sequences.processing import BOUNDS, PROFILES
+from services.domain.sequences.label_choices import BOUNDS, PROFILES
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.map.comparison import ProfileComparison, alternative_reference, outlier_counts, outlier_findings
 from services.labeler.map.convergence import convergence_findings, convergence_of

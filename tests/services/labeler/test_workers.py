@@ -101,6 +101,14 @@ def test_workers_do_not_look_at_what_is_loaded_and_seldom_at_the_rest() -> None:
     assert collected_after == COMMAND_COLLECTS_AFTER
 
 
+def test_workers_and_children_that_score_load_nothing_of_the_database() -> None:
+    """Catches alone a merge of modules that makes each worker a fifth larger."""
+    modules = "services.labeler.kernel_warmup, services.eval.examination, services.eval.sandboxed_truth"
+    code = f"import sys, {modules}; print({{'sqlalchemy', 'celery', 'opentelemetry'}} & set(sys.modules))"
+    loaded = subprocess.run([sys.executable, "-c", code], cwd=ROOT, check=True, capture_output=True, text=True).stdout
+    assert loaded == "set()\n"
+
+
 @pytest.mark.whole
 def test_workers_end_with_a_command_that_is_killed(tmp_path: Path) -> None:
     (tmp_path / "endless.py").write_text(ENDLESS)

@@ -14,24 +14,9 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion
+from services.domain.benchmarks.submissions.scoring_ranges import Span, ranges_of
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.orm import GroundTruthRow, Score, SubmissionRow
-
-# How a scoring is divided: ranges of frames that are counted by themselves, then one join of them all.
-#
-# **Conventions.** [start, stop) count frames in the order of the ground truth's manifest. `stone score` counts the
-# ranges one after another, the queue each in a job of its own
-# (`services/domain/benchmarks/submissions/scoring_jobs.py`).
-
-
-PART_FRAMES = 500
-Span = tuple[int, int]
-
-
-def ranges_of(frames: int) -> tuple[Span, ...]:
-    """The ranges in their order; one of no frames where there are none."""
-    return tuple((start, min(start + PART_FRAMES, frames)) for start in range(0, max(frames, 1), PART_FRAMES))
-
 
 OPEN, PART, JOIN, TRUTH = "eval.open", "eval.part", "eval.join", "eval.truth"
 

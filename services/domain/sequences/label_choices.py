@@ -1,0 +1,67 @@
+"""Allowed label settings and their bounds: the profile, and parameters by dotted name.
+
+**Conventions.** A name is a path into the labeler's `LabelParameters` (`reference.alpha`). Only what decides quality
+is here; what decides cost without end (a cell of a millimetre) or the lattice that neighbouring tiles share is not.
+A whole number's bounds are integers. The labeler applies the choices; that names and bounds agree with it is a test.
+Label workers load this module, and so it imports nothing of the database.
+"""
+
+from collections.abc import Mapping
+
+from stone.errors import Refused
+
+PROFILES = ("paper", "local")
+BOUNDS: Mapping[str, tuple[float, float]] = {
+    "selection.min_range_m": (0.5, 5.0),
+    "surface.min_frames": (1, 20),
+    "surface.normal_neighbours": (8, 64),
+    "surface.trim_m": (0.05, 1.0),
+    "dynamic.every_frame": (1, 50),
+    "dynamic.margin_m": (0.05, 2.0),
+    "carve.every_frame": (1, 50),
+    "terrain.neighbours": (8, 64),
+    "terrain.roughness_floor_m2": (1e-12, 1e-2),
+    "reference.alpha": (1e-4, 0.5),
+    "reference.outlier_ratio": (0.0, 0.5),
+    "footprint_band_m": (0.05, 1.0),
+    "local_ground_radius_m": (0.2, 5.0),
+}
+
+
+def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
+    """Raises `bad_parameter` for the first choice that is unknown, of the wrong kind or out of bounds."""
+    if profile not in PROFILES:
+        raise Refused(
+            "bad_parameter",
+            f"'profile' cannot be {str(profile)[:80]!r}; a profile is one of {', '.join(PROFILES)}",
+        )
+    for name, value in parameters.items():
+        if name not in BOUNDS:
+            raise Refused(
+                "bad_parameter",
+                f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; the parameters that can be chosen are "
+                f"{', '.join(BOUNDS)}",
+            )
+        _check_value(name, value)
+    left_out = parameters.get("reference.outlier_ratio", 0.0)
+    if profile == "paper" and left_out:
+        raise Refused(
+            "bad_parameter",
+            f"'reference.outlier_ratio' cannot be {str(left_out)[:80]!r}; profile paper leaves none "
+            "out; profile local can",
+        )
+
+
+def _check_value(name: str, value: object) -> None:
+    low, high = BOUNDS[name]
+    is_whole = isinstance(low, int)
+    if isinstance(value, bool) or not isinstance(value, int if is_whole else (int, float)):
+        raise Refused(
+            "bad_parameter",
+            f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it takes a {'whole ' if is_whole else ''}number "
+            f"from {low:g} to {high:g}",
+        )
+    if not low <= value <= high:  # false for NaN too
+        raise Refused(
+            "bad_parameter", f"{str(name)[:80]!r} cannot be {str(value)[:80]!r}; it lies between {low:g} and {high:g}"
+        )
