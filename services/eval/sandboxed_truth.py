@@ -1,4 +1,4 @@
-"""What a sandboxed child does for a ground truth: it opens label files, and writes the pack of their bit planes.
+"""Builds the pack of a ground truth in a sandboxed child: opens label files and writes their bit planes.
 
 **Conventions.** Label files were computed from what a stranger recorded, or brought as they are, so only the child
 opens them, each held against its digest and read as strictly as a submission's. It reads the packs that it is named,
@@ -51,7 +51,7 @@ class PackedLabelFile:
 
 
 class TruthAnswer(SandboxAnswer):
-    """What was built: the hash of everything evaluated, and of how many frames."""
+    """The child's answer: the sha256 of all evaluated voxels, and the number of frames."""
 
     asked: ClassVar[str] = "what was built"
     sha256: Hex256
@@ -60,7 +60,7 @@ class TruthAnswer(SandboxAnswer):
 
 @dataclass(frozen=True)
 class TruthInputs:
-    """What a ground truth is built of: packs by number, the label file of each frame by token; a plain value."""
+    """Inputs of a ground truth: packs by number, and the label file of each frame by token; a plain value."""
 
     packs: Mapping[int, Path]
     files: Mapping[str, PackedLabelFile]

@@ -16,5 +16,5 @@ def require_sequence(session: Session, attempt: Attempt) -> SequenceRow:
 
 
 def sequence_gone() -> JobCancelledError:
-    """What ends the jobs of a sequence that was deleted."""
+    """Return the error that ends the jobs of a deleted sequence."""
     return JobCancelledError("its sequence was deleted")

@@ -10,5 +10,5 @@ Span = tuple[int, int]
 
 
 def ranges_of(frames: int) -> tuple[Span, ...]:
-    """The ranges in their order; one of no frames where there are none."""
+    """Return the ranges in their order; without frames, one empty range."""
     return tuple((start, min(start + PART_FRAMES, frames)) for start in range(0, max(frames, 1), PART_FRAMES))
