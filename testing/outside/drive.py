@@ -1,0 +1,58 @@
+"""An analytic drive from end to end: cast once, kept on disk, recorded with a fault.
+
+**Conventions.** The ideal ranges of a world, seed and LiDAR are kept in the folder under a name of these.
+"""
+
+from dataclasses import dataclass
+from functools import cached_property
+from pathlib import Path
+
+import numpy as np
+
+from testing.outside.faults import FAULTS
+from testing.outside.lidar import Lidar, ideal_ranges
+from testing.outside.recording import Recordable, recordable, write_recording
+from testing.outside.truth import Truth
+from testing.outside.worlds import World, world_of
+
+
+@dataclass(frozen=True)
+class OutsideDrive:
+    """Which drive: the world's name, its seed, the LiDAR's channels, and how long."""
+
+    world_name: str
+    channels: int
+    seed: int = 1
+    seconds: float = 15.0
+    columns: int = 900
+
+    @property
+    def name(self) -> str:
+        return f"{self.world_name}-{self.seed}-{self.channels}-{self.seconds:g}s"
+
+    @cached_property
+    def world(self) -> World:
+        return world_of(self.world_name, self.seed, self.seconds)
+
+    @cached_property
+    def truth(self) -> Truth:
+        return Truth(self.world)
+
+    def ideal(self, folder: Path) -> Recordable:
+        """Return the ideal data; ranges are cast where they are not in the folder yet."""
+        kept, lidar = folder / f"{self.name}.ranges.npy", Lidar(self.channels, self.columns)
+        if not kept.exists():
+            folder.mkdir(parents=True, exist_ok=True)
+            part = folder / f"{self.name}.part.npy"
+            np.save(part, ideal_ranges(self.world, lidar, self.seed))
+            part.rename(kept)
+        return recordable(self.world.track, lidar, np.load(kept))
+
+    def with_fault(self, folder: Path, fault: str) -> Recordable:
+        """Return the data as the fault leaves them."""
+        return FAULTS[fault](self.ideal(folder), np.random.default_rng([self.seed, *fault.encode()]))
+
+    def record(self, folder: Path, fault: str) -> tuple[Path, Path, Recordable]:
+        """Write the recording and calibration below the folder; return both and the data they are of."""
+        data = self.with_fault(folder, fault)
+        return *write_recording(data, folder / f"{self.name} {fault}", self.seed), data

@@ -1,0 +1,153 @@
+"""The truth of an analytic world: what can be driven on, what cannot be crossed, and what is neither.
+
+**Conventions.** A robot drives on ground whose plane over the disc of `FOOTPRINT_M` around the place is no steeper than
+`DRIVABLE_DEG` and nowhere farther than `STEP_M` from the ground, unless a solid is over it at up to `ROBOT_M`; grass
+stands in nobody's way. It crosses nothing that is steeper than `OBSTACLE_DEG` within `FACE_M`, and no obstacle: every
+solid that is not `HARMLESS`. A point is judged by its column and its height above the ground: ground within `BAND_M`
+(in grass up to its tips), a solid within `TOUCH_M` of its surface and above `FOOT_M`. All between is grey.
+"""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import convolve, maximum_filter
+
+from testing.outside.ground import Array, along, heights_m
+from testing.outside.solids import HARMLESS, KINDS, outside_m
+from testing.outside.worlds import GRASS_M, WALKER_M, WALKER_RADIUS_M, World
+
+AIR, DRIVABLE, OBSTACLE, GREY = 0, 1, 2, 3
+DRIVABLE_DEG, OBSTACLE_DEG, STEP_M, ROBOT_M = 20.0, 25.0, 0.12, 1.5
+FOOTPRINT_M, FACE_M = 0.5, 0.15
+BAND_M, TOUCH_M, NEAR_M, FOOT_M = 0.25, 0.1, 0.35, 0.1
+CELL_M, REACH_M = 0.1, 28.0
+SLOPE_BANDS_DEG = (0.0, 10.0, 15.0, 20.0, 25.0, 35.0, 90.0)
+SLOPES = ("hill", "mound", "ditch", "bank")  # what steep ground belongs to
+Codes = NDArray[np.uint8]
+
+
+@dataclass(frozen=True, eq=False)
+class Judged:
+    """Of points (N,): the code, the thing that an obstacle is (-1: none), and the slope of open ground (NaN: none).
+
+    Things up to the number of solids are solids, then come the parts of the ground, as `Truth.things` names them.
+    """
+
+    codes: Codes
+    things: NDArray[np.int64]
+    slope_deg: Array
+
+
+class Truth:
+    """Lattices of `CELL_M` over the plan within `REACH_M` of the track: height, slope, step, and what is steep."""
+
+    def __init__(self, world: World) -> None:
+        self.world = world
+        way = world.track.poses(np.linspace(0, world.track.seconds, 400))[:, :2, 3]
+        self.low_m = way.min(axis=0) - REACH_M
+        shape = np.ceil((way.max(axis=0) + REACH_M - self.low_m) / CELL_M).astype(int)
+        self.xy = np.stack(np.meshgrid(*(np.arange(n) * CELL_M for n in shape), indexing="ij"), axis=-1) + self.low_m
+        height = heights_m(world.ground, self.xy)
+        self.slope_deg, self.step_m = plane_over(height, FOOTPRINT_M)
+        self.face_deg, _ = plane_over(height, FACE_M)
+        self.ground_things, names = _ground_things(world, self.xy)
+        self.things = (*(KINDS[one] for one in world.solids["kind"]), *names)
+        self.is_grass, self.is_blocked = np.zeros(shape, bool), np.zeros(shape, bool)
+        self._lay_solids(height)
+
+    def _lay_solids(self, height: Array) -> None:
+        flat = self.xy.reshape(-1, 2)
+        for row in self.world.solids:
+            kind, reach = KINDS[row["kind"]], float(np.hypot(*row["half_m"][:2])) + NEAR_M
+            near = np.flatnonzero((np.abs(flat - row["centre_m"][:2]) <= reach).all(axis=1))
+            if kind == "grass":
+                inside = np.linalg.norm(flat[near] - row["centre_m"][:2], axis=1) <= row["half_m"][0]
+                self.is_grass.reshape(-1)[near[inside]] = True
+                continue
+            for above_m in np.arange(0.0, ROBOT_M + 0.01, 0.1):
+                points = np.column_stack([flat[near], height.reshape(-1)[near] + above_m])
+                self.is_blocked.reshape(-1)[near[outside_m(points, row) < NEAR_M]] = True
+
+    def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+        """Return the lattice indices (N,) of places (N, 2); those beyond are those of the border."""
+        index = np.rint((xy - self.low_m) / CELL_M).astype(np.int64)
+        i, j = np.clip(index, 0, np.array(self.slope_deg.shape) - 1).T
+        return i, j
+
+    def drivable(self) -> NDArray[np.bool_]:
+        """Return which cells the robot drives on."""
+        return np.asarray((self.slope_deg <= DRIVABLE_DEG) & (self.step_m <= STEP_M) & ~self.is_blocked & ~self.steep())
+
+    def steep(self) -> NDArray[np.bool_]:
+        """Return which cells are ground that nothing crosses."""
+        return np.asarray(self.face_deg > OBSTACLE_DEG)
+
+    def judge(self, points: Array) -> Judged:
+        """Judge points (N, 3) of the world."""
+        i, j = self.cells(points[:, :2])
+        above = (points[:, 2] - heights_m(self.world.ground, points[:, :2])) * np.cos(np.deg2rad(self.face_deg[i, j]))
+        tips = np.where(self.is_grass[i, j], GRASS_M + 0.1, 0.0)
+        is_ground = (above >= -BAND_M) & (above <= np.maximum(tips, BAND_M))
+        steep, drivable = self.steep()[i, j], self.drivable()[i, j]
+        codes = np.where(is_ground, np.where(drivable, DRIVABLE, np.where(steep, OBSTACLE, GREY)), AIR).astype(np.uint8)
+        things = np.where(is_ground & steep, self.ground_things[i, j], -1)
+        slope = np.where(is_ground & ~self.is_blocked[i, j], self.slope_deg[i, j], np.nan)
+        for number, row in enumerate(self.world.solids):
+            self._judge_solid(points, above, (number, row), codes, things)
+        return Judged(codes, things, slope)
+
+    def _judge_solid(
+        self, points: Array, above: Array, solid: tuple[int, np.void], codes: Codes, things: NDArray[np.int64]
+    ) -> None:
+        number, row = solid
+        if KINDS[row["kind"]] == "grass":
+            return
+        near = np.flatnonzero((np.abs(points - row["centre_m"]) <= np.linalg.norm(row["half_m"][:2]) + 1.0).all(axis=1))
+        near = near[np.abs(points[near, 2] - row["centre_m"][2]) <= row["half_m"][2] + 0.5]
+        away = outside_m(points[near], row)
+        codes[near[(away < NEAR_M) & (codes[near] != OBSTACLE)]] = GREY
+        hit = near[(away <= TOUCH_M) & (above[near] >= FOOT_M)]
+        if KINDS[row["kind"]] not in HARMLESS:
+            codes[hit], things[hit] = OBSTACLE, number
+
+    def in_walkers_way(self, points: Array) -> NDArray[np.bool_]:
+        """Return which points (N, 3) only the walker ever was at: above 0.5 m, where nothing else is near."""
+        feet = self.world.walker_at(np.arange(0, self.world.track.seconds, 0.05))
+        away = np.min(np.linalg.norm(points[:, None, :2] - feet[None], axis=2), axis=1)
+        above = points[:, 2] - heights_m(self.world.ground, points[:, :2])
+        return np.asarray((away <= WALKER_RADIUS_M + 0.1) & (above > 0.5) & (above < WALKER_M))
+
+
+def plane_over(height: Array, radius_m: float) -> tuple[Array, Array]:
+    """Return the slope (degrees) of the least-squares plane over the disc around each cell, and its greatest residual."""
+    reach = round(radius_m / CELL_M)
+    i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1] * CELL_M
+    disc = np.hypot(i, j) <= radius_m + 1e-9
+    weight = float((i[disc] ** 2).sum())
+    gx, gy = (convolve(height, (axis * disc / weight)[::-1, ::-1], mode="nearest") for axis in (i, j))
+    middle = convolve(height, disc / disc.sum(), mode="nearest")
+    worst = np.zeros_like(height)
+    for di, dj in zip(*np.nonzero(disc), strict=True):
+        shifted = np.roll(height, (reach - di, reach - dj), axis=(0, 1))
+        worst = np.maximum(worst, np.abs(shifted - middle - gx * i[di, dj] - gy * j[di, dj]))
+    return np.rad2deg(np.arctan(np.hypot(gx, gy))), worst
+
+
+def _ground_things(world: World, xy: Array) -> tuple[NDArray[np.int64], list[str]]:
+    """Return which part of the ground each cell belongs to, numbered after the solids, and their names."""
+    first, names, things = len(world.solids), ["hill"], np.full(xy.shape[:2], len(world.solids), np.int64)
+    for x, y in world.ground.mounds:
+        things[np.hypot(xy[..., 0] - x, xy[..., 1] - y) < 8.2] = first + len(names)
+        names.append("mound")
+    for name, rows in (("ditch", world.ground.ditches), ("bank", world.ground.banks)):
+        for row in rows:
+            u, v = along(xy[..., 0], xy[..., 1], row)
+            things[(np.abs(u) < row[3] + 0.2) & (np.abs(v) < 1.3)] = first + len(names)
+            names.append(name)
+    return things, names
+
+
+def widened(mask: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
+    """Return a mask widened by so many cells."""
+    return np.asarray(maximum_filter(mask, 2 * cells + 1))
