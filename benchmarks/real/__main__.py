@@ -25,9 +25,10 @@ from benchmarks.real.semantic_agreement import agreement, semantic_counts
 from benchmarks.real.table import show
 from benchmarks.real.variants import OPTIONS, PROFILES, Option, options_of, rows_of_pass
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.parameters import LabelParameters, Profile
+from services.labeler.parameters import LabelParameters
 from services.labeler.report import LabelReport
 from stone.errors import StoneError
+from stone.labels.profiles import Profile
 from stone.sensors.sequence import Sequence, SweepSource
 from testing.field_data import VARIABLE, field_folder
 

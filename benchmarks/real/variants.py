@@ -11,11 +11,11 @@ from benchmarks.real.opening import ThinnedSweeps, opened
 from services.ingest.pipeline import Ground, SynchroniseOptions
 from services.labeler.parameters import (
     LabelParameters,
-    Profile,
     RefinementParameters,
     Solver,
     chosen_parameters,
 )
+from stone.labels.profiles import Profile
 from stone.sensors.sequence import Sequence, SweepSource
 
 PROFILES: tuple[Profile, ...] = ("paper", "local")

@@ -28,11 +28,12 @@ from benchmarks.truth.surface import read_mesh, surface_errors
 from benchmarks.truth.table import Figures, show
 from services.ingest.sequence import open_sequence
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.parameters import LabelParameters, Profile, TilingParameters, parameters_for
+from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from simulator.truth import read_truth
 from stone.geometry.se3 import SE3
+from stone.labels.profiles import Profile
 
 SEEDS = (1, 2, 3, 4, 5)
 NOISY = "-noisy"

@@ -11,6 +11,7 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Part, Tile, tiles_across
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
 from stone.geometry.se3 import SE3
@@ -19,8 +20,9 @@ from stone.labels.columns import Columns, reconcile, spread_out
 from stone.labels.confidence import MapDistances, cut_batch, cut_with_distances, map_distances
 from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import Observed, union
+from stone.labels.profiles import VoxelTerrain, distances
 from stone.labels.sight_batches import LANES, SightBatch
-from stone.labels.traversability import Reference, classify, distance_squared
+from stone.labels.traversability import Reference, classify, threshold
 from stone.labels.visibility import SightLines, sight_lines
 from stone_files.npz import npz_bytes
 
@@ -133,11 +135,33 @@ class _LabelledMap:
         return [(columns, {"distance_squared": squared}) for columns, squared in found]
 
 
-def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> tuple[Arrays, NDArray[np.uint8]]:
-    """What the surface stage left of this tile, and the class of each of its voxels (K,)."""
+@dataclass(frozen=True, eq=False)
+class LabelledTile:
+    """A tile as the surface stage left it: of its K voxels the terrain, `is_driven`, the D² `squared` against the
+    reference and the vehicle, and the `classes`; `arrays` are all that was left."""
+
+    terrain: VoxelTerrain
+    is_driven: NDArray[np.bool_]
+    squared: NDArray[np.float64]
+    classes: NDArray[np.uint8]
+    arrays: Arrays
+
+
+def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> LabelledTile:
+    """The tile with the class of each of its voxels."""
     arrays = load(surface_path(run, tile))
-    alpha = run.parameters.reference.alpha
-    return arrays, classify(arrays["features"], arrays["is_driven"], reference, alpha)  # type: ignore[arg-type]
+    terrain, is_driven = VoxelTerrain(arrays["keys"], arrays["terrain"]), arrays["is_driven"]  # type: ignore[arg-type]
+    squared = squared_distances(run, terrain, reference, run.parameters)
+    classes = classify(squared, is_driven, run.parameters.reference.alpha)  # type: ignore[arg-type]
+    return LabelledTile(terrain, is_driven, squared, classes, arrays)  # type: ignore[arg-type]
+
+
+def squared_distances(
+    run: LabelRun, terrain: VoxelTerrain, reference: Reference, parameters: LabelParameters
+) -> NDArray[np.float64]:
+    """Return the D² (K,) of voxels against a reference and the run's vehicle, as the parameters' profile judges."""
+    limits = (run.sequence.calibration.vehicle, threshold(parameters.reference.alpha))
+    return distances(terrain, reference, parameters.rule, limits)
 
 
 def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap:
@@ -148,12 +172,11 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
     for tile in tiles_across(run.parameters, bounds, run.map_of(part)):
         if not surface_path(run, tile).exists():
             continue
-        arrays, kinds = labelled_tile(run, tile, reference)
-        keys.append(arrays["keys"])  # type: ignore[arg-type]
-        classes.append(kinds)
-        seen.append(Observed(arrays["bricks"], arrays["words"]))  # type: ignore[arg-type]
-        if run.parameters.confidence:
-            squared.append(distance_squared(arrays["features"], reference))  # type: ignore[arg-type]
+        found = labelled_tile(run, tile, reference)
+        keys.append(found.terrain.keys)
+        classes.append(found.classes)
+        squared.append(found.squared)
+        seen.append(Observed(found.arrays["bricks"], found.arrays["words"]))  # type: ignore[arg-type]
     window = window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
     if not run.parameters.confidence:
         return _LabelledMap(window, None)

@@ -1,19 +1,19 @@
-"""Every parameter of the labels in one frozen value, and the two profiles the design names."""
+"""Every parameter of the labels in one frozen value, and those of each profile."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
-from services.domain.sequences.label_choices import check_choices
+from services.domain.sequences.label_choices import DEFAULT_PROFILE, check_choices
 from stone.labels.footprint import BAND_M
 from stone.labels.observed_voxels import CarveParameters
+from stone.labels.profiles import RULES, Profile, ProfileRule
 from stone.labels.traversability import ReferenceParameters
 from stone.sensors.selection import SelectionParameters
 from stone.surface.range_image import DynamicParameters
 from stone.surface.screened_poisson import PoissonParameters
 from stone.surface.terrain import TerrainParameters
 
-Profile = Literal["paper", "local"]
 Solver = Literal["lattice", "octree"]
 
 
@@ -95,29 +95,42 @@ class LabelParameters:
     refinement: RefinementParameters | None = None
 
     @property
+    def rule(self) -> ProfileRule:
+        """How its profile judges a voxel."""
+        return RULES[self.profile]
+
+    @property
     def core_m(self) -> float:
         """Side of the part of a cube whose surface is kept; cores tile the plane."""
         return self.tiling.cube_cells * self.surface.width_m - 2 * self.tiling.halo_m
 
 
+# Beyond so many scaled median deviations a driven voxel is left out of the reference (truth.md's table: 3.5).
+CLEAN_MADS = 3.5
+# What features of one kind of ground scatter by on account of ranges, poses and single vertices: m, rad, log m².
+MEASUREMENT_NOISE = (0.05, 0.07, 0.7)
+REFERENCES: Mapping[Profile, ReferenceParameters] = {
+    "paper": ReferenceParameters(),
+    "local": ReferenceParameters(floor_voxels=200, clean_mads=CLEAN_MADS),
+    "field": ReferenceParameters(clean_mads=CLEAN_MADS, noise=MEASUREMENT_NOISE),
+}
+
+
 def parameters_for(profile: Profile) -> LabelParameters:
-    """`paper` is the paper to the letter; `local` measures height above the ground nearby and fades a floor in."""
-    if profile == "paper":
-        return LabelParameters()
-    paper = LabelParameters(profile="local")
-    return replace(paper, reference=replace(paper.reference, floor_voxels=200))
+    """Return the parameters of a profile (`stone.labels.profiles`), as they are without choices."""
+    return LabelParameters(profile=profile, reference=REFERENCES[profile])
 
 
 def other_profile_of(profile: Profile) -> Profile:
-    """The one that a label set is held against."""
-    return "local" if profile == "paper" else "paper"
+    """Return the profile that a label set is held against: the paper's, or the default against the paper's."""
+    return cast("Profile", DEFAULT_PROFILE) if profile == "paper" else "paper"
 
 
 def other_profile(parameters: LabelParameters) -> LabelParameters:
-    """The same with the other profile: its elevation, the floor of its reference, and no outliers left out."""
-    other = parameters_for(other_profile_of(parameters.profile))
-    floored = replace(parameters.reference, floor_voxels=other.reference.floor_voxels, outlier_ratio=0.0)
-    return replace(parameters, profile=other.profile, reference=floored)
+    """Return the same parameters with the other profile and its reference; α stays as chosen."""
+    profile = other_profile_of(parameters.profile)
+    reference = replace(REFERENCES[profile], alpha=parameters.reference.alpha)
+    return replace(parameters, profile=profile, reference=reference)
 
 
 def chosen_parameters(profile: str, choices: Mapping[str, float]) -> LabelParameters:

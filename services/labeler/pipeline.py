@@ -54,7 +54,7 @@ def surface_tile(run: LabelRun, arguments: Arguments, step: Step) -> StageResult
     if summary is None:
         return StageResult({"voxels": 0})
     save_summary(run, summary)
-    facts = {"tile": tile_name(summary.tile), "triangles": summary.triangles, "driven": summary.sums.count}
+    facts = {"tile": tile_name(summary.tile), "triangles": summary.triangles, "driven": len(summary.driven)}
     return StageResult({"voxels": summary.voxels}, facts)
 
 
@@ -79,7 +79,7 @@ def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
 
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
     """Sums of all tiles → what driven ground is like. Raises `no_reference`."""
-    reference = reference_from(load_summaries(run), run.parameters)
+    reference = reference_from(run, load_summaries(run))
     save_reference(run, reference)
     return StageResult({"voxels": reference.voxels}, {"voxels": reference.voxels, "is_floored": reference.is_floored})
 

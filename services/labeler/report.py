@@ -2,8 +2,10 @@
 
 **Conventions.** `class_share_of_occupied` is over all occupied voxels of all frames; `profiles` over the voxels of the
 map, each once: the classes in the profile that was asked for and in the other, the share that would change, and whether
-the track spans the relief that profile `paper` needs it to. `reference.outliers` are of the driven voxels, null where
-they are few, with the share of the map that has another class by the other estimate. `track` is how much of what the
+the track spans the relief that profile `paper` needs it to. `held_out`: labels made from one half of the way, judged by
+what the robot drove over in the other (`stone.labels.held_out`). `reference.outliers` are of the driven voxels, null
+where they are few, with the share of the map that has another class by the other estimate; `left_out` are driven voxels
+that the reference leaves out, which stay T. `track` is how much of what the
 footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
 in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
 residuals in cells, null where Open3D did. `refinement` is null where poses were taken as they came; `recordings` are
@@ -22,6 +24,7 @@ from services.labeler.frames import FrameVoxelCounts
 from services.labeler.map.comparison import (
     ProfileComparison,
     Relief,
+    limit_findings,
     load_comparison,
     other_reference,
     outlier_counts,
@@ -30,6 +33,7 @@ from services.labeler.map.comparison import (
 )
 from services.labeler.map.convergence import Convergence, convergence_findings, convergence_of
 from services.labeler.map.far_points import FarPoints, far_point_findings, load_far_points
+from services.labeler.map.held_out import HeldOutTrack, held_out_findings, held_out_record
 from services.labeler.map.surface import TileSummary
 from services.labeler.map.track_coverage import coverage_findings, load_coverage
 from services.labeler.parameters import LabelParameters
@@ -62,6 +66,7 @@ class LabelReport:
     track: TrackCoverage
     solver: Convergence | None
     far: FarPoints
+    held_out: Mapping[str, Any]
     outliers: Mapping[str, Any] | None = None
     refinement: Mapping[str, Any] | None = None
     costs: Mapping[str, Any] = field(default_factory=dict)
@@ -80,6 +85,7 @@ class LabelReport:
             "parameters": asdict(self.parameters),
             "class_share_of_occupied": self.class_shares(),
             "profiles": dict(self.profiles),
+            "held_out": dict(self.held_out),
             "refinement": self.refinement,
             "ground": None if sequence.ground is None else asdict(sequence.ground),
             "height_drift": None if sequence.height_drift is None else asdict(sequence.height_drift),
@@ -91,6 +97,7 @@ class LabelReport:
                 "covariance": reference.covariance.tolist(),
                 "voxels": reference.voxels,
                 "is_floored": reference.is_floored,
+                "left_out": reference.left_out,
                 "outliers": self.outliers,
             },
             "map": {
@@ -122,24 +129,37 @@ class LabelReport:
 def report_of(run: LabelRun) -> LabelReport:
     """The report of a run of which every stage is done."""
     sequence, parameters, tiles = run.sequence, run.parameters, load_summaries(run)
-    reference = reference_from(tiles, parameters)
+    reference = reference_from(run, tiles)
     counts = concatenated([load_pack(run, part)[1] for part in parts_of(run)])
-    other = other_reference(parameters, tiles)
+    other = other_reference(run, tiles)
     relief = relief_of(sequence, reference if parameters.profile == "paper" else other)
     comparison = load_comparison(run)
-    outliers = outlier_counts(tiles, parameters.reference)
+    outliers = outlier_counts(tiles, parameters)
     doubts = reference_findings(parameters, reference, comparison)
-    doubts += tuple(outlier_findings(outliers, parameters, comparison.reestimated_ratio))
+    doubts += (*outlier_findings(outliers, parameters, comparison), *limit_findings(comparison))
     track = load_coverage(run)
     doubts += coverage_findings(track, parameters.footprint_band_m)
     solver, far = convergence_of(tiles, parameters.surface), load_far_points(run)
     doubts += (*far_point_findings(far), *convergence_findings(solver, parameters.surface))
+    held = held_out_record(HeldOutTrack(run, tiles))
+    doubts += held_out_findings(held)
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)
     profiles = comparison.as_record(parameters) | {"elevation": asdict(relief)}
-    named = (sequence, parameters, code_version("labels"))
     share = {"reestimated_share": round(comparison.reestimated_ratio, 6)}
     told = None if outliers is None else share | outliers.as_record()
-    return LabelReport(*named, reference, tuple(tiles), counts, findings, profiles, track, solver, far, told)
+    return LabelReport(
+        *(sequence, parameters, code_version("labels")),
+        reference=reference,
+        tiles=tuple(tiles),
+        counts=counts,
+        findings=findings,
+        profiles=profiles,
+        track=track,
+        solver=solver,
+        far=far,
+        held_out=held,
+        outliers=told,
+    )
 
 
 def label_findings(

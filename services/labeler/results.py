@@ -19,14 +19,9 @@ from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Part, Step, Tile
 from services.labeler.scratch import Arrays, load, save, tile_name, whole
-from stone.labels.traversability import (
-    FeatureSums,
-    Reference,
-    no_reference,
-    reference_of,
-    robust_reference_of,
-    total_of,
-)
+from stone.labels.footprint import Passes
+from stone.labels.profiles import VoxelTerrain
+from stone.labels.traversability import Reference, no_reference, reference_of_parts
 from stone.surface.screened_poisson import Descent
 
 REFERENCE_FILE = "reference.npz"
@@ -72,9 +67,10 @@ def index_path(run: LabelRun, part: Part) -> Path:
 def save_summary(run: LabelRun, summary: TileSummary) -> None:
     arrays: Arrays = {
         "tile": np.array(summary.tile),
-        "driven": summary.driven,
-        **_sums_arrays(summary.sums, ""),
-        **_sums_arrays(summary.other_sums, "other_"),
+        "keys": summary.driven.keys,
+        "terrain": summary.driven.columns,
+        "first_m": summary.passes.first_m,
+        "last_m": summary.passes.last_m,
         "counted": np.array([getattr(summary, name) for name in COUNTED]),
         "rounds": np.array(summary.descent.rounds),
         "residual_ratio": np.array(summary.descent.residual_ratio),
@@ -82,46 +78,42 @@ def save_summary(run: LabelRun, summary: TileSummary) -> None:
     save(sums_path(run, summary.tile), arrays)
 
 
-def _sums_arrays(sums: FeatureSums, prefix: str) -> Arrays:
-    arrays: Arrays = {"origin": sums.origin, "count": np.array(sums.count), "total": sums.total, "outer": sums.outer}
-    return {f"{prefix}{name}": array for name, array in arrays.items()}
-
-
-def _sums_from(arrays: Arrays, prefix: str) -> FeatureSums:
-    origin, total, outer = (arrays[f"{prefix}{name}"] for name in ("origin", "total", "outer"))
-    return FeatureSums(origin, int(arrays[f"{prefix}count"].item()), total, outer)  # type: ignore[arg-type]
-
-
 def load_summaries(run: LabelRun) -> list[TileSummary]:
     """Of all tiles, in their order."""
     summaries = []
     for path in (run.scratch / "sums").glob("*_*.npz"):
         arrays = load(path)
-        both = (_sums_from(arrays, ""), _sums_from(arrays, "other_"))
-        tile, driven = Tile(*arrays["tile"].tolist()), arrays["driven"]
+        driven = VoxelTerrain(arrays["keys"], arrays["terrain"])  # type: ignore[arg-type]
+        found = Passes(arrays["first_m"], arrays["last_m"])  # type: ignore[arg-type]
         descent = Descent(int(arrays["rounds"].item()), float(arrays["residual_ratio"].item()))
-        summaries.append(TileSummary(tile, driven, *both, *arrays["counted"].tolist(), descent))  # type: ignore[arg-type,call-arg]
+        tile = Tile(*arrays["tile"].tolist())
+        summaries.append(TileSummary(tile, driven, found, *arrays["counted"].tolist(), descent))  # type: ignore[call-arg]
     return sorted(summaries, key=lambda summary: summary.tile)
 
 
 def save_reference(run: LabelRun, reference: Reference) -> None:
-    facts: Arrays = {"voxels": np.array(reference.voxels), "is_floored": np.array(reference.is_floored)}
-    save(reference_path(run), {"mean": reference.mean, "covariance": reference.covariance, **facts})
+    counted = np.array([reference.voxels, reference.is_floored, reference.left_out])
+    save(reference_path(run), {"mean": reference.mean, "covariance": reference.covariance, "counted": counted})
 
 
 def load_reference(run: LabelRun) -> Reference:
     arrays = load(reference_path(run))
-    voxels, is_floored = int(arrays["voxels"].item()), bool(arrays["is_floored"].item())
-    return Reference(arrays["mean"], arrays["covariance"], voxels, is_floored)  # type: ignore[arg-type]
+    voxels, is_floored, left_out = arrays["counted"].tolist()
+    return Reference(arrays["mean"], arrays["covariance"], voxels, bool(is_floored), left_out)  # type: ignore[arg-type]
 
 
-def reference_from(tiles: list[TileSummary], parameters: LabelParameters) -> Reference:
-    """The reference of all tiles, in their order. Raises `no_reference`, also where there is no tile."""
+def reference_from(run: LabelRun, tiles: list[TileSummary], parameters: LabelParameters | None = None) -> Reference:
+    """The reference of all tiles, in their order, by the run's parameters or by others.
+
+    Raises `no_reference`, also where there is no tile.
+    """
+    chosen = parameters or run.parameters
     if not tiles:
         raise no_reference(0)
-    if parameters.reference.outlier_ratio:
-        return robust_reference_of(np.concatenate([tile.driven for tile in tiles]), parameters.reference)
-    return reference_of(total_of([tile.sums for tile in tiles]), parameters.reference)
+    features = [tile.driven.features(chosen.rule) for tile in tiles]
+    # All tiles sum about one point, near the ground: digits of a map that is high above its datum are kept.
+    height_m = 0.0 if chosen.rule.is_local else run.sequence.frames.map_from_ego.translation_m[0, 2]
+    return reference_of_parts(features, np.array([height_m, 0.0, 0.0]), chosen.reference)
 
 
 def write_labels(run: LabelRun, part: Part, frames: Iterable[LabelledFrame], step: Step) -> PackIndex:

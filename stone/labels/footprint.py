@@ -7,6 +7,7 @@ the robot did not touch and poisons the reference.
 
 import math
 from collections.abc import Sequence
+from dataclasses import dataclass
 
 import numpy as np
 from numba import njit
@@ -23,12 +24,37 @@ STEP_M = 0.1
 STEP_RAD = 0.1
 
 
+@dataclass(frozen=True, eq=False)
+class Passes:
+    """When the robot first and last passed over K voxels: `first_m` (K,) and `last_m` (K,) along its way, inf and −inf
+    if it never did."""
+
+    first_m: NDArray[np.float64]
+    last_m: NDArray[np.float64]
+
+    @property
+    def is_driven(self) -> NDArray[np.bool_]:
+        """(K,)"""
+        return np.isfinite(self.first_m)
+
+    def where(self, keep: NDArray[np.bool_]) -> "Passes":
+        return Passes(self.first_m[keep], self.last_m[keep])
+
+
 def swept(keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M) -> NDArray[np.bool_]:
     """Which of the voxels `keys` (K,) lie under the footprint at, or on the way between, the poses (P,) of a stretch.
 
     Between two stretches there is no way.
     """
-    return _swept(keys, VOXEL_M, map_from_ego, (footprint.length_m / 2, footprint.width_m / 2, -band_m, band_m))
+    return passes(keys, map_from_ego, footprint, band_m).is_driven
+
+
+def passes(
+    keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M, start_m: float = 0.0
+) -> Passes:
+    """When the voxels `keys` (K,) lay under the footprint. The way begins `start_m` along and counts driven metres."""
+    box = (footprint.length_m / 2, footprint.width_m / 2, -band_m, band_m)
+    return _passes(keys, VOXEL_M, map_from_ego, box, start_m)
 
 
 def passed_through(
@@ -36,25 +62,29 @@ def passed_through(
 ) -> NDArray[np.bool_]:
     """Which of the voxels `keys` (K,) of this size the robot's body went through: above its footprint, between two
     heights over the ego plane. Nothing that stands can be there."""
-    return _swept(keys, voxel_m, map_from_ego, (footprint.length_m / 2, footprint.width_m / 2, *heights_m))
+    box = (footprint.length_m / 2, footprint.width_m / 2, *heights_m)
+    return _passes(keys, voxel_m, map_from_ego, box, 0.0).is_driven
 
 
-def _swept(
-    keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], box: tuple[float, float, float, float]
-) -> NDArray[np.bool_]:
-    """Which voxels have their centre in a box that goes along: half its length and width, its lowest and highest z."""
-    under = np.zeros(len(keys), np.bool_)
+def _passes(
+    keys: Keys, voxel_m: float, map_from_ego: Sequence[SE3], box: tuple[float, float, float, float], start_m: float
+) -> Passes:
+    """When the centre of a voxel is in a box that goes along: half its length and width, its lowest and highest z."""
+    found = Passes(np.full(len(keys), np.inf), np.full(len(keys), -np.inf))
     if not len(keys) or box[2] > box[3]:
-        return under
+        return found
     table, centres = table_of(keys), centres_of(keys, voxel_m)
     reach_m = math.hypot(box[0], box[1], max(abs(box[2]), abs(box[3])))
     low, high = corners_of(centres)
     low, high = low - reach_m, high + reach_m
     for stretch in map_from_ego:
         poses = densified(stretch, STEP_M, STEP_RAD)
+        along_m = start_m + np.concatenate([[0.0], np.cumsum(steps_of(poses)[0])])
         is_near = np.asarray(((low <= poses.translation_m) & (poses.translation_m <= high)).all(axis=1), np.bool_)
-        _sweep(poses[is_near].as_matrix(), (*box, voxel_m), (table.keys, table.rows), under)
-    return under
+        way = (poses[is_near].as_matrix(), along_m[is_near])
+        _sweep(way, (*box, voxel_m), (table.keys, table.rows), (found.first_m, found.last_m))
+        start_m = float(along_m[-1])
+    return found
 
 
 def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
@@ -70,7 +100,8 @@ def densified(poses: SE3, step_m: float, step_rad: float = np.inf) -> SE3:
 
 
 @njit(cache=True, nogil=True)
-def _sweep(poses, box, table, under):  # type: ignore[no-untyped-def]
+def _sweep(way, box, table, found):  # type: ignore[no-untyped-def]
+    (poses, along_m), (first_m, last_m) = way, found
     length, width, bottom, top, voxel_m = box
     for p in range(poses.shape[0]):
         m = poses[p]
@@ -88,7 +119,8 @@ def _sweep(poses, box, table, under):  # type: ignore[no-untyped-def]
                         continue
                     row = find(table[0], table[1], pack(i, j, k))
                     if row >= 0:
-                        under[row] = True
+                        first_m[row] = min(first_m[row], along_m[p])
+                        last_m[row] = max(last_m[row], along_m[p])
 
 
 @njit(inline="always")

@@ -33,7 +33,7 @@ def robust_scatter(rows: Array, outlier_ratio: float) -> Scatter:
     """Of rows (n, d), up to the share `outlier_ratio` (0 to 0.5) of which may be anything; n > d + 1."""
     count, width = rows.shape
     kept = max(math.ceil((1.0 - outlier_ratio) * count), width + 1)
-    middle, spread = _middle_and_spread(rows)
+    middle, spread = middle_and_spread(rows)
     scaled = (rows - middle) / spread
     ends = (_concentrated(scaled, start, kept) for start in _starts(scaled, kept))
     mean, covariance = min(ends, key=lambda moments: _log_volume(moments[1]))
@@ -50,7 +50,7 @@ def _starts(scaled: Array, kept: int) -> Iterator[NDArray[np.int64]]:
     signs = np.divide(scaled, lengths, out=np.zeros_like(scaled), where=lengths > 0)
     for shape in (np.eye(scaled.shape[1]), signs.T @ signs, np.cov(np.tanh(scaled).T)):
         along = scaled @ np.linalg.eigh(shape)[1]
-        middle, spread = _middle_and_spread(along)
+        middle, spread = middle_and_spread(along)
         yield _least(np.square((along - middle) / spread).sum(axis=1), kept)
 
 
@@ -66,7 +66,7 @@ def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[
     return moments
 
 
-def _middle_and_spread(rows: Array) -> tuple[Array, Array]:
+def middle_and_spread(rows: Array) -> tuple[Array, Array]:
     """Median and scaled median deviation (d,); the standard deviation where most rows are the same, 1 where all are."""
     middle = np.median(rows, axis=0)
     spread = MAD_PER_SIGMA * np.median(np.abs(rows - middle), axis=0)

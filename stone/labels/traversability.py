@@ -6,13 +6,13 @@ which keeps digits where the map is high above its datum.
 """
 
 from collections.abc import Sequence
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone.errors import Refused
-from stone.labels.robust_scatter import robust_scatter
+from stone.labels.robust_scatter import middle_and_spread, robust_scatter
 
 FREE, TRAVERSABLE, POTENTIAL, NON_TRAVERSABLE = 0, 1, 2, 3
 FEW_VOXELS = 500
@@ -35,14 +35,23 @@ class ReferenceParameters:
     """`alpha` is the paper's 0.05. The floor (m, rad, log m²) is added where the covariance is singular and, with
     `floor_voxels` n₀ > 0 (profile `local`), everywhere in the share n₀/(n₀+n), so it fades as the track grows.
 
-    With `outlier_ratio` > 0 mean and covariance are the robust ones (`stone.labels.robust_scatter`): up to that share
-    of what is taken for driven ground may be something else.
+    With `clean_mads` > 0 driven voxels that lie farther than so many scaled median deviations from the median of a
+    feature are left out; they stay T. `noise` (m, rad, log m²) is what measurement adds to ground of one kind; it is
+    added to the covariance however long the track. With `outlier_ratio` > 0 mean and covariance are the robust ones
+    (`stone.labels.robust_scatter`): up to that share of what is taken for driven ground may be something else.
     """
 
     alpha: float = 0.05
     floor: tuple[float, float, float] = (0.3, 0.07, 0.7)
     floor_voxels: int = 0
     outlier_ratio: float = 0.0
+    clean_mads: float = 0.0
+    noise: tuple[float, float, float] = (0.0, 0.0, 0.0)
+
+    @property
+    def leaves_out(self) -> bool:
+        """Whether driven voxels unlike the rest do not count."""
+        return self.outlier_ratio > 0 or self.clean_mads > 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -57,12 +66,13 @@ class FeatureSums:
 
 @dataclass(frozen=True, eq=False)
 class Reference:
-    """The Gaussian of the driven ground: `mean` (3,), `covariance` (3, 3), from `voxels` voxels."""
+    """The Gaussian of the driven ground: `mean` (3,), `covariance` (3, 3), from `voxels` voxels without `left_out`."""
 
     mean: Array
     covariance: Array
     voxels: int
     is_floored: bool
+    left_out: int = 0
 
 
 def sums_of(features: Array, origin: Array) -> FeatureSums:
@@ -79,6 +89,16 @@ def total_of(parts: Sequence[FeatureSums]) -> FeatureSums:
         np.sum([part.total for part in parts], axis=0),
         np.sum([part.outer for part in parts], axis=0),
     )
+
+
+def reference_of_parts(parts: Sequence[Array], origin: Array, parameters: ReferenceParameters) -> Reference:
+    """The reference of the features (n, 3) over T of all parts, as the parameters estimate it; sums are taken about
+    `origin` (3,). Raises `no_reference`."""
+    if parameters.outlier_ratio:
+        return robust_reference_of(np.concatenate(parts), parameters)
+    if parameters.clean_mads:
+        return cleaned_reference_of(np.concatenate(parts), parameters)
+    return reference_of(total_of([sums_of(part, origin) for part in parts]), parameters)
 
 
 def reference_of(sums: FeatureSums, parameters: ReferenceParameters) -> Reference:
@@ -99,8 +119,19 @@ def robust_reference_of(features: Array, parameters: ReferenceParameters) -> Ref
     return _floored(found.mean, found.covariance, len(features), parameters)
 
 
+def cleaned_reference_of(features: Array, parameters: ReferenceParameters) -> Reference:
+    """Mean and covariance of F (n, 3) over T without what lies beyond `clean_mads`. Raises `no_reference` below 4."""
+    if len(features) < 4:
+        raise no_reference(len(features))
+    middle, spread = middle_and_spread(features)
+    kept = features[(np.abs(features - middle) <= parameters.clean_mads * spread).all(axis=1)]
+    found = reference_of(sums_of(kept, middle), parameters)
+    return replace(found, voxels=len(features), left_out=len(features) - len(kept))
+
+
 def _floored(mean: Array, covariance: Array, count: int, parameters: ReferenceParameters) -> Reference:
     """With the floor that the parameters ask for, and where the covariance of `count` voxels is singular."""
+    covariance = covariance + np.diag(np.square(parameters.noise))
     floor = np.diag(np.square(parameters.floor))
     if parameters.floor_voxels:
         covariance = covariance + floor * parameters.floor_voxels / (parameters.floor_voxels + count)
@@ -125,8 +156,7 @@ def threshold(alpha: float) -> float:
     return float(chdtri(3, alpha))
 
 
-def classify(features: Array, is_driven: NDArray[np.bool_], reference: Reference, alpha: float) -> NDArray[np.uint8]:
+def classify(squared: Array, is_driven: NDArray[np.bool_], alpha: float) -> NDArray[np.uint8]:
     """T where driven, else P where D² ≤ χ²(3, 1−α), else N; (K,) uint8."""
-    is_alike = distance_squared(features, reference) <= threshold(alpha)
-    classes = np.where(is_alike, POTENTIAL, NON_TRAVERSABLE)
+    classes = np.where(squared <= threshold(alpha), POTENTIAL, NON_TRAVERSABLE)
     return np.where(is_driven, TRAVERSABLE, classes).astype(np.uint8)

@@ -17,23 +17,25 @@ VOXEL_M = 0.2
 
 @dataclass(frozen=True, eq=False)
 class VoxelFeatures:
-    """`keys` (K,) sorted; `features` (K, 3) float64: elevation m, slope rad, roughness log m²."""
+    """`keys` (K,) sorted; `features` (K, 3) float64: elevation m, slope rad, roughness log m²; the number of `vertices`
+    (K,) that each is the mean of."""
 
     keys: Keys
     features: NDArray[np.float64]
+    vertices: NDArray[np.int64]
 
     def __len__(self) -> int:
         return len(self.keys)
 
     def where(self, keep: NDArray[np.bool_]) -> "VoxelFeatures":
-        return VoxelFeatures(self.keys[keep], np.compress(keep, self.features, axis=0))
+        return VoxelFeatures(self.keys[keep], np.compress(keep, self.features, axis=0), self.vertices[keep])
 
 
 def voxel_features(vertices_map: NDArray[np.float64], features: NDArray[np.float64]) -> VoxelFeatures:
     """F_k = mean of the features of the vertices in voxel k (Eq. 4–5); `vertices_map` (V, 3), `features` (V, 3)."""
     keys, inverse, counts = np.unique(keys_of(vertices_map, VOXEL_M), return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(inverse, column, len(keys)) for column in features.T], axis=1)
-    return VoxelFeatures(keys, sums.reshape(-1, features.shape[1]) / counts[:, None])
+    return VoxelFeatures(keys, sums.reshape(-1, features.shape[1]) / counts[:, None], counts.astype(np.int64))
 
 
 def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray[np.float64]:

@@ -30,6 +30,19 @@ class Footprint:
 
 
 @dataclass(frozen=True)
+class Vehicle:
+    """What the robot gets over and under: the slope of the ground below its footprint, a step up or down, its height.
+
+    Ground beyond one of them is non-traversable in profile `field`, however alike it is to the driven ground. The
+    defaults are a careful choice for a wheeled robot of the paper's size, not the paper's.
+    """
+
+    max_slope_deg: float = 20.0
+    max_step_m: float = 0.12
+    height_m: float = 1.6
+
+
+@dataclass(frozen=True)
 class CameraIntrinsics:
     """`distortion` has the length its model asks for: pinhole 0, plumb_bob 5, rational_polynomial 8, equidistant 4."""
 
@@ -64,6 +77,7 @@ class Calibration:
     mounts: tuple[Mount, ...] = ()
     footprint: Footprint = field(default_factory=Footprint)
     self_boxes_ego: tuple[Box, ...] = ()
+    vehicle: Vehicle = field(default_factory=Vehicle)
 
     def mount(self, name: str) -> Mount | None:
         """The mount of this channel, or None when the calibration does not know it."""

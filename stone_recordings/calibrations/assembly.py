@@ -19,7 +19,7 @@ from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount, Sens
 from stone.sensors.calibration_checks import Findings, check_intrinsics, check_translation, warning
 from stone_recordings.calibrations.draft import EGO_FRAMES, RigDraft, channel_of, is_optical, words_of
 from stone_recordings.calibrations.errors import bad_calibration_key, half_rig
-from stone_recordings.calibrations.native import RigDocument, RigSensor, boxes_of, footprint_of
+from stone_recordings.calibrations.native import RigDocument, RigSensor, boxes_of, footprint_of, vehicle_of
 
 ADD_RIG = "send it in a zip with a rig.yaml (`stone_rig: 1`)"
 # x forward, y left, z up ← z forward, x right, y down (REP 103).
@@ -45,7 +45,7 @@ def assembled(draft: RigDraft, rig: RigDocument) -> tuple[Calibration, Findings]
         findings += noticed
     boxes, footprint = boxes_of(rig.self_boxes_ego), footprint_of(rig.footprint)
     name = rig.name or PurePath(draft.name).stem[:100] or "calibration"
-    return Calibration(name, ego_from_lidar, tuple(mounts), footprint, boxes), findings
+    return Calibration(name, ego_from_lidar, tuple(mounts), footprint, boxes, vehicle_of(rig.vehicle)), findings
 
 
 def _check_kits(draft: RigDraft) -> None:

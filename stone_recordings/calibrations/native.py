@@ -10,7 +10,7 @@ from pydantic import BaseModel, ConfigDict, Field, ValidationError, model_valida
 
 from stone.errors import Refused
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, SensorKind
+from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, SensorKind, Vehicle
 from stone.sensors.calibration_checks import (
     Findings,
     check_intrinsics,
@@ -65,6 +65,14 @@ class FootprintDocument(Document):
     width_m: float
 
 
+class VehicleDocument(Document):
+    """What is not given is the default's."""
+
+    max_slope_deg: Annotated[float, Field(ge=1.0, le=60.0)] = Vehicle().max_slope_deg
+    max_step_m: Annotated[float, Field(ge=0.02, le=1.0)] = Vehicle().max_step_m
+    height_m: Annotated[float, Field(ge=0.2, le=6.0)] = Vehicle().height_m
+
+
 class BoxDocument(Document):
     min_m: Vector
     max_m: Vector
@@ -94,6 +102,7 @@ class CalibrationDocument(Document):
     name: Name
     ego_from_lidar: TransformDocument
     footprint: FootprintDocument | None = None
+    vehicle: VehicleDocument | None = None
     self_boxes_ego: Annotated[list[BoxDocument], Field(max_length=100)] = []
     sensors: Annotated[dict[Name, SensorDocument], Field(max_length=100)] = {}
 
@@ -122,6 +131,7 @@ class RigDocument(Document):
     transforms: Annotated[list[RigTransform], Field(max_length=100)] = []
     sensors: Annotated[dict[Name, RigSensor], Field(max_length=100)] = {}
     footprint: FootprintDocument | None = None
+    vehicle: VehicleDocument | None = None
     self_boxes_ego: Annotated[list[BoxDocument], Field(max_length=100)] = []
 
 
@@ -142,7 +152,8 @@ def native(file: str, content: object) -> tuple[Calibration, Findings]:
         mounts.append(mount)
         findings += noticed
     footprint, boxes = footprint_of(document.footprint), boxes_of(document.self_boxes_ego)
-    return Calibration(document.name, ego_from_lidar, tuple(mounts), footprint, boxes), findings
+    vehicle = vehicle_of(document.vehicle)
+    return Calibration(document.name, ego_from_lidar, tuple(mounts), footprint, boxes, vehicle), findings
 
 
 def key_error(name: str, error: ValidationError) -> Refused:
@@ -171,6 +182,10 @@ def transform_of(name: str, kind: SensorKind | None, document: TransformDocument
 
 def footprint_of(document: FootprintDocument | None) -> Footprint:
     return Footprint(document.length_m, document.width_m) if document else Footprint()
+
+
+def vehicle_of(document: VehicleDocument | None) -> Vehicle:
+    return Vehicle(document.max_slope_deg, document.max_step_m, document.height_m) if document else Vehicle()
 
 
 def boxes_of(documents: list[BoxDocument]) -> tuple[Box, ...]:

@@ -9,7 +9,7 @@ from typing import Any
 import numpy as np
 
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount
+from stone.sensors.calibration import Box, Calibration, CameraIntrinsics, Footprint, Mount, Vehicle
 
 
 def calibration_record(calibration: Calibration) -> dict[str, Any]:
@@ -20,6 +20,7 @@ def calibration_record(calibration: Calibration) -> dict[str, Any]:
         "mounts": [_mount_record(mount) for mount in calibration.mounts],
         "footprint": asdict(calibration.footprint),
         "self_boxes_ego": [asdict(box) for box in calibration.self_boxes_ego],
+        "vehicle": asdict(calibration.vehicle),
     }
 
 
@@ -31,6 +32,7 @@ def calibration_of(record: dict[str, Any]) -> Calibration:
         mounts=tuple(_mount(mount) for mount in record["mounts"]),
         footprint=Footprint(**record["footprint"]),
         self_boxes_ego=tuple(Box(tuple(box["min_m"]), tuple(box["max_m"])) for box in record["self_boxes_ego"]),
+        vehicle=Vehicle(**record.get("vehicle", {})),  # label sets of earlier versions have none
     )
 
 

@@ -9,6 +9,7 @@
     sensors:                  # which frame of the other files is which channel
       CAM_FRONT: {frame: cam0, frame_id: cam_front_optical, width_px: 1920, height_px: 1200}
     footprint: {length_m: 1.06, width_m: 0.85}
+    vehicle: {max_slope_deg: 20, max_step_m: 0.12, height_m: 1.6}
 
 **Conventions.** As in the native format. A sensor that is named here is of the calibration even if its frame's name
 says nothing; sensors that are not named stay, under the channel their frame's name gives.

@@ -120,7 +120,7 @@ class Truth:
 
 
 def plane_over(height: Array, radius_m: float) -> tuple[Array, Array]:
-    """Return the slope (degrees) of the least-squares plane over the disc around each cell, and its greatest residual."""
+    """Return the slope (degrees) of the least-squares plane over the disc around each cell, and its worst residual."""
     reach = round(radius_m / CELL_M)
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1] * CELL_M
     disc = np.hypot(i, j) <= radius_m + 1e-9

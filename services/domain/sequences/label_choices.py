@@ -10,7 +10,8 @@ from collections.abc import Mapping
 
 from stone.errors import Refused
 
-PROFILES = ("paper", "local")
+PROFILES = ("field", "local", "paper")
+DEFAULT_PROFILE = "field"
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "selection.min_range_m": (0.5, 5.0),
     "surface.min_frames": (1, 20),
@@ -23,9 +24,12 @@ BOUNDS: Mapping[str, tuple[float, float]] = {
     "terrain.roughness_floor_m2": (1e-12, 1e-2),
     "reference.alpha": (1e-4, 0.5),
     "reference.outlier_ratio": (0.0, 0.5),
+    "reference.clean_mads": (0.0, 10.0),
     "footprint_band_m": (0.05, 1.0),
     "local_ground_radius_m": (0.2, 5.0),
 }
+
+LEAVING_OUT = ("reference.outlier_ratio", "reference.clean_mads")
 
 
 def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
@@ -43,13 +47,13 @@ def check_choices(profile: str, parameters: Mapping[str, object]) -> None:
                 f"{', '.join(BOUNDS)}",
             )
         _check_value(name, value)
-    left_out = parameters.get("reference.outlier_ratio", 0.0)
-    if profile == "paper" and left_out:
-        raise Refused(
-            "bad_parameter",
-            f"'reference.outlier_ratio' cannot be {str(left_out)[:80]!r}; profile paper leaves none "
-            "out; profile local can",
-        )
+    for name in LEAVING_OUT:
+        if profile == "paper" and parameters.get(name, 0.0):
+            raise Refused(
+                "bad_parameter",
+                f"{name!r} cannot be {str(parameters[name])[:80]!r}; profile paper leaves none "
+                "out; profiles field and local can",
+            )
 
 
 def _check_value(name: str, value: object) -> None:

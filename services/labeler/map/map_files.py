@@ -55,11 +55,11 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 1)
-        arrays, classes = labelled_tile(run, summary.tile, reference)
-        view.add(summary.tile, arrays["keys"], classes)  # type: ignore[arg-type]
-        counter.add(arrays, classes)
-        driven.add(summary.tile, arrays)
-        scene.add(summary.tile, arrays, classes)
+        found = labelled_tile(run, summary.tile, reference)
+        view.add(summary.tile, found.terrain.keys, found.classes)  # type: ignore[arg-type]
+        counter.add(found)
+        driven.add(summary.tile, found)
+        scene.add(summary.tile, found)
     scene.finish()
     save_comparison(run, counter.comparison)
     save_coverage(run, driven.coverage())
@@ -75,11 +75,11 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
 
 
 def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:
-    arrays, classes = labelled_tile(run, tile, reference)
-    vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
-    return vertices, arrays["triangles"], class_at(vertices, arrays["keys"], classes)  # type: ignore[return-value,arg-type]
+    found = labelled_tile(run, tile, reference)
+    vertices: NDArray[np.float32] = found.arrays["vertices"]  # type: ignore[assignment]
+    return vertices, found.arrays["triangles"], class_at(vertices, found.terrain.keys, found.classes)  # type: ignore[return-value]
 
 
 def _map_piece(run: LabelRun, tile: Tile, reference: Reference) -> MapPiece:
-    arrays, classes = labelled_tile(run, tile, reference)
-    return MapPiece(arrays["keys"], arrays["features"], classes)  # type: ignore[arg-type]
+    found = labelled_tile(run, tile, reference)
+    return MapPiece(found.terrain.keys, found.terrain.features(run.parameters.rule), found.classes)

@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.domain.viewer.formats import TileMesh, TileVoxels, mesh_bytes, tile_bytes
+from services.labeler.frames import LabelledTile
 from services.labeler.map.ply import class_at
 from services.labeler.run import LabelRun, Tile
 from services.labeler.scratch import Arrays, tile_name, whole
@@ -21,7 +22,7 @@ from stone.geometry.corners import corners_of
 from stone.geometry.lattice import indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.traversability import Reference, distance_squared, threshold
+from stone.labels.traversability import Reference, threshold
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
 
@@ -34,20 +35,20 @@ class SceneFiles:
     """Writes the files of one tile after another below `out`, then the index of them."""
 
     def __init__(self, run: LabelRun, reference: Reference, out: Path) -> None:
-        self._run, self._reference = run, reference
+        self._run = run
         said = SceneDescription(run.sequence, run.parameters.profile, _reference_record(run, reference))
         self._writer = SceneWriter(said, out)
 
-    def add(self, tile: Tile, arrays: Arrays, classes: NDArray[np.uint8]) -> None:
-        """The tile that the surface stage left as `arrays`, its voxels of these classes (K,)."""
-        indices = indices_of(arrays["keys"])  # type: ignore[arg-type]
-        if not len(indices) and not len(arrays["vertices"]):
+    def add(self, tile: Tile, found: LabelledTile) -> None:
+        """One tile."""
+        indices = indices_of(found.terrain.keys)
+        if not len(indices) and not len(found.arrays["vertices"]):
             return
-        features: NDArray[np.float64] = arrays["features"]  # type: ignore[assignment]
-        squared = distance_squared(features, self._reference)
-        voxels = TileVoxels(indices, classes, np.round(features / STEPS) * STEPS, squared)
+        features = np.round(found.terrain.features(self._run.parameters.rule) / STEPS) * STEPS
+        voxels = TileVoxels(indices, found.classes, features, found.squared)
         corner_m = np.array([tile.i, tile.j, 0.0]) * self._run.parameters.core_m
-        self._writer.add(tile_name(tile), voxels, thinned(_surface(arrays, classes), MOST_TRIANGLES), corner_m)
+        mesh = thinned(_surface(found.arrays, found.classes), MOST_TRIANGLES)
+        self._writer.add(tile_name(tile), voxels, mesh, corner_m)
 
     def finish(self) -> None:
         """Write `scene.json`."""

@@ -4,22 +4,23 @@ merge → vote out what moved → patches with normals → screened Poisson → 
       → voxel features (Eq. 4–5) → T.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
 from services.labeler.map.octree import octree_surface
-from services.labeler.parameters import LabelParameters, Profile, other_profile_of
+from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of
-from stone.geometry.se3 import SE3
-from stone.labels.footprint import passed_through, swept
+from stone.geometry.se3 import SE3, steps_of
+from stone.labels.footprint import Passes, passed_through, passes
+from stone.labels.ground_shape import ground_shape
 from stone.labels.observed_voxels import Observed
-from stone.labels.traversability import FeatureSums, sums_of
-from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, voxel_features
+from stone.labels.profiles import VoxelTerrain, terrain_of
+from stone.labels.voxels import VOXEL_M, height_above_local_ground, voxel_features
 from stone.sensors.ego_path import datum_m, ego_path
 from stone.surface.contour import band_of, zero_surface
 from stone.surface.dynamic import MotionVotes, carried_along, fewest_misses, is_moving
@@ -39,14 +40,13 @@ STEPS = 4  # merged, voted, reconstructed, described
 class TileSummary:
     """What the run needs to know of a tile before any voxel gets its class.
 
-    `sums` are of the run's own profile, of the features `driven` (n, 3); `other_sums` of what the other profile would
-    measure. `descent` says how the solver ended; that of no rounds where it had nothing to solve.
+    `driven` are its n voxels that the robot drove over, at the metres `passes` of its way. `descent` says how the
+    solver ended; that of no rounds where it had nothing to solve.
     """
 
     tile: Tile
-    driven: NDArray[np.float64]
-    sums: FeatureSums
-    other_sums: FeatureSums
+    driven: VoxelTerrain
+    passes: Passes
     voxels: int
     points: int
     moving: int
@@ -67,27 +67,16 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     step(2, STEPS)
     (mesh, normals), descent = _mesh(run.parameters, points, low)
     step(3, STEPS)
-    voxels, other_height_m = _features(run.parameters, mesh, normals, datum_m(run.sequence, tile.map))
-    mine = in_core(centres_of(voxels.keys, VOXEL_M), tile, run.parameters.core_m)
-    voxels, other_height_m = voxels.where(mine), other_height_m[mine]
-    is_driven = _driven(run, path, voxels)
+    terrain = _terrain(run, mesh, normals, datum_m(run.sequence, tile.map))
+    terrain = terrain.where(in_core(centres_of(terrain.keys, VOXEL_M), tile, run.parameters.core_m))
+    found = _passes(run, tile, path, terrain)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
     observed = load_observed(run, tile)
-    _leave(run, tile, (voxels, other_height_m, is_driven), (kept, observed))
+    _leave(run, tile, (terrain, found.is_driven), (kept, observed))
     step(STEPS, STEPS)
-    driven, other_profile = voxels.where(is_driven), other_profile_of(run.parameters.profile)
-    other = with_elevation(driven.features, other_height_m[is_driven])
-    sums = sums_of(driven.features, reference_origin(run, run.parameters.profile))
-    other_sums = sums_of(other, reference_origin(run, other_profile))
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
-    counts = (len(voxels), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
-    return TileSummary(tile, driven.features, sums, other_sums, *counts, descent)
-
-
-def reference_origin(run: LabelRun, profile: Profile) -> NDArray[np.float64]:
-    """The point all tiles sum about: the first pose's elevation in profile `paper`, nothing in `local`."""
-    elevation_m = run.sequence.frames.map_from_ego.translation_m[0, 2] if profile == "paper" else 0.0
-    return np.array([elevation_m, 0.0, 0.0])
+    counts = (len(terrain), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
+    return TileSummary(tile, terrain.where(found.is_driven), found.where(found.is_driven), *counts, descent)
 
 
 def _cube(parameters: LabelParameters, tile: Tile) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
@@ -132,21 +121,22 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
     return (whole.where(keep), vertex_normals(whole)[keep]), descent
 
 
-def _features(
-    parameters: LabelParameters, mesh: Mesh, normals: NDArray[np.float64], datum: float
-) -> tuple[VoxelFeatures, NDArray[np.float64]]:
-    """What the run's profile measures, and the elevation (K,) that the other one would; both above `datum` metres."""
+def _terrain(run: LabelRun, mesh: Mesh, normals: NDArray[np.float64], datum: float) -> VoxelTerrain:
+    """Return what every profile asks of the voxels that the mesh goes through; elevations are above `datum` metres."""
+    parameters, vehicle = run.parameters, run.sequence.calibration.vehicle
     found = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
-    voxels = VoxelFeatures(found.keys, with_elevation(found.features, found.features[:, ELEVATION] - datum))
+    voxels = replace(found, features=with_elevation(found.features, found.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
-    if parameters.profile == "paper":
-        return voxels, height_m
-    local = VoxelFeatures(voxels.keys, with_elevation(voxels.features, height_m))
-    return local, voxels.features[:, ELEVATION]
+    shape = ground_shape(voxels, np.deg2rad(vehicle.max_slope_deg), parameters.body_clearance_m)
+    return terrain_of(voxels, height_m, shape)
 
 
-def _driven(run: LabelRun, path: tuple[SE3, ...], voxels: VoxelFeatures) -> NDArray[np.bool_]:
-    return swept(voxels.keys, path, run.sequence.calibration.footprint, run.parameters.footprint_band_m)
+def _passes(run: LabelRun, tile: Tile, path: tuple[SE3, ...], terrain: VoxelTerrain) -> Passes:
+    """Return when the robot drove over the voxels; the ways through earlier maps lie before that through this one."""
+    earlier = (ego_path(run.sequence, number) for number in range(tile.map))
+    start_m = sum(float(steps_of(stretch)[0].sum()) for stretches in earlier for stretch in stretches)
+    footprint, band_m = run.sequence.calibration.footprint, run.parameters.footprint_band_m
+    return passes(terrain.keys, path, footprint, band_m, start_m)
 
 
 def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
@@ -161,16 +151,12 @@ def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
 
 
 def _leave(
-    run: LabelRun,
-    tile: Tile,
-    voxels: tuple[VoxelFeatures, NDArray[np.float64], NDArray[np.bool_]],
-    rest: tuple[Mesh, Observed],
+    run: LabelRun, tile: Tile, voxels: tuple[VoxelTerrain, NDArray[np.bool_]], rest: tuple[Mesh, Observed]
 ) -> None:
-    (features, other_height_m, is_driven), (mesh, observed) = voxels, rest
+    (terrain, is_driven), (mesh, observed) = voxels, rest
     arrays: Arrays = {
-        "keys": features.keys,
-        "features": features.features,
-        "other_height_m": other_height_m,
+        "keys": terrain.keys,
+        "terrain": terrain.columns,
         "is_driven": is_driven,
         "vertices": mesh.vertices_map.astype(np.float32),
         "triangles": mesh.triangles,

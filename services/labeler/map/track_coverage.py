@@ -5,8 +5,9 @@ from pathlib import Path
 
 import numpy as np
 
+from services.labeler.frames import LabelledTile
 from services.labeler.run import LabelRun, Tile
-from services.labeler.scratch import Arrays, load, save
+from services.labeler.scratch import load, save
 from stone.findings import Finding
 from stone.geometry.lattice import Keys
 from stone.labels.footprint import densified
@@ -25,10 +26,9 @@ class CoverageCounter:
         self._run = run
         self._driven = defaultdict[int, list[Keys]](list)
 
-    def add(self, tile: Tile, arrays: Arrays) -> None:
-        """One tile as the surface stage left it."""
-        keys: Keys = arrays["keys"]  # type: ignore[assignment]
-        self._driven[tile.map].append(keys[arrays["is_driven"]])
+    def add(self, tile: Tile, found: LabelledTile) -> None:
+        """One tile."""
+        self._driven[tile.map].append(found.terrain.keys[found.is_driven])
 
     def coverage(self) -> TrackCoverage:
         """Of every stretch of the way, in the map it lies in."""

@@ -29,7 +29,8 @@ STEEPEST_DEG = 60.0
 INK = "#70767e"  # read on white and on the dark ground of a page
 TRACK_COLOUR = {ELEVATION: "#d1322f", SLOPE: "#7fd3ff", ROUGHNESS: "#d1322f"}
 COLOURS = {ELEVATION: "cividis", SLOPE: "inferno", ROUGHNESS: "viridis"}
-HEIGHT = {"paper": "elevation h, m", "local": "height above local ground, m"}
+LOCAL_HEIGHT = "height above local ground, m"
+HEIGHT = {"paper": "elevation h, m", "local": LOCAL_HEIGHT, "field": LOCAL_HEIGHT}
 ORDER = (ELEVATION, SLOPE, ROUGHNESS)
 
 

@@ -61,9 +61,9 @@ def labelled(world, folder):
         run = LabelRun(sequence_of(world), RayCast(world), parameters_for("paper"), folder)
         part = (0, world.frames)
         fuse(run, part)
-        reference = reference_from([surface(run, Tile(0, 0))], run.parameters)
-    arrays, classes = labelled_tile(run, Tile(0, 0), reference)
-    voxels = dict(zip(map(tuple, indices_of(arrays["keys"]).tolist()), classes.tolist(), strict=True))
+        reference = reference_from(run, [surface(run, Tile(0, 0))])
+    found = labelled_tile(run, Tile(0, 0), reference)
+    voxels = dict(zip(map(tuple, indices_of(found.terrain.keys).tolist()), found.classes.tolist(), strict=True))
     return Labelled(run, seen["whole"], seen["trimmed"], voxels, list(labelled_frames(run, part, reference)))
 
 

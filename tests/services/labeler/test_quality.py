@@ -43,9 +43,9 @@ def labelled(folder, sweeps, sequence=None, parameters=None):
     sequence = sequence or sequence_of(WORLD)
     run = LabelRun(sequence, sweeps, parameters or parameters_for("paper"), folder)
     fuse(run, (0, len(sequence.frames)))
-    reference = reference_from([surface(run, Tile(0, 0))], run.parameters)
-    arrays, classes = labelled_tile(run, Tile(0, 0), reference)
-    return Labelled(WORLD.placed().inverse() @ centres_of(arrays["keys"], 0.2), classes)
+    reference = reference_from(run, [surface(run, Tile(0, 0))])
+    found = labelled_tile(run, Tile(0, 0), reference)
+    return Labelled(WORLD.placed().inverse() @ centres_of(found.terrain.keys, 0.2), found.classes)
 
 
 @dataclass(frozen=True)

@@ -10,7 +10,13 @@ import pytest
 
 from services.domain.sequences.label_choices import BOUNDS, PROFILES
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.map.comparison import ProfileComparison, alternative_reference, outlier_counts, outlier_findings
+from services.labeler.map.comparison import (
+    ProfileComparison,
+    alternative_reference,
+    limit_findings,
+    outlier_counts,
+    outlier_findings,
+)
 from services.labeler.map.convergence import convergence_findings, convergence_of
 from services.labeler.map.surface import TileSummary
 from services.labeler.parameters import (
@@ -22,8 +28,10 @@ from services.labeler.parameters import (
 )
 from services.labeler.report import reference_findings
 from services.labeler.results import reference_from
-from services.labeler.run import Tile
-from stone.labels.traversability import FeatureSums, Reference, sums_of
+from services.labeler.run import LabelRun, Tile
+from stone.labels.footprint import Passes
+from stone.labels.profiles import VoxelTerrain
+from stone.labels.traversability import Reference
 from stone.sensors.calibration import Box, Footprint
 from stone.surface.screened_poisson import MOST_ROUNDS, Descent, PoissonParameters
 from testing.refusals import refused_as
@@ -41,7 +49,7 @@ KNOLL = World(
 @pytest.fixture(scope="module")
 def reports(tmp_path_factory):
     made = {}
-    for profile in ("paper", "local"):
+    for profile in ("paper", "field"):
         folder = tmp_path_factory.mktemp(profile) / "out"
         label(sequence_of(KNOLL), RayCast(KNOLL), folder, LabelOptions(parameters_for(profile)))
         made[profile] = json.loads((folder / "report.json").read_text())
@@ -49,9 +57,9 @@ def reports(tmp_path_factory):
 
 
 def test_both_reports_tell_the_same_of_both_profiles(reports):
-    paper, local = reports["paper"]["profiles"], reports["local"]["profiles"]
-    assert paper == local
-    assert set(paper["class_share"]) == {"paper", "local"}
+    paper, field = reports["paper"]["profiles"], reports["field"]["profiles"]
+    assert paper == field
+    assert set(paper["class_share"]) == {"paper", "field"}
     assert paper["voxels"] == reports["paper"]["map"]["voxels"]
 
 
@@ -61,22 +69,22 @@ def test_the_profiles_differ_here_and_their_shares_are_whole(reports):
     shares = {name: np.array(list(share.values())) for name, share in profiles["class_share"].items()}
     for share in shares.values():
         assert share.sum() == pytest.approx(1, abs=3e-6)
-    assert shares["paper"][0] == shares["local"][0]  # both drove over the same ground
-    assert np.abs(shares["paper"] - shares["local"]).sum() / 2 <= profiles["differing_share"] + 3e-6
+    assert shares["paper"][0] == shares["field"][0]  # both drove over the same ground
+    assert np.abs(shares["paper"] - shares["field"]).sum() / 2 <= profiles["differing_share"] + 3e-6
 
 
 def test_both_say_that_the_track_does_not_span_the_relief_and_only_paper_warns_of_it(reports):
-    elevation = reports["local"]["profiles"]["elevation"]
+    elevation = reports["field"]["profiles"]["elevation"]
     assert elevation["track_span_m"] == pytest.approx(0.06 * 7 * 0.4, abs=0.01)
     assert 0 < elevation["paper_band_m"] < 1
     assert elevation["is_spanned"] is False
     codes = {name: {finding["code"] for finding in report["findings"]} for name, report in reports.items()}
     assert "LAB-603" in codes["paper"]
-    assert "LAB-603" not in codes["local"]
+    assert "LAB-603" not in codes["field"]
 
 
 def test_the_other_of_the_other_profile_is_the_profile_itself():
-    for profile in ("paper", "local"):
+    for profile in ("paper", "field"):
         assert other_profile(other_profile(parameters_for(profile))) == parameters_for(profile)
     assert other_profile(LabelParameters(footprint_band_m=0.1)).footprint_band_m == 0.1
 
@@ -86,16 +94,15 @@ SURFACE = SurfaceParameters()
 
 
 def solved_tile(rounds: int, residual_ratio: float) -> TileSummary:
-    sums = FeatureSums(np.zeros(3), 0, np.zeros(3), np.zeros((3, 3)))
-    return TileSummary(Tile(0, 0), np.zeros((0, 3)), sums, sums, 0, 0, 0, 0, 0, Descent(rounds, residual_ratio))
+    return replace(tile(np.zeros((0, 3))), descent=Descent(rounds, residual_ratio))
 
 
 def test_a_surface_that_is_solved_is_told_and_nothing_found(reports):
-    solver = reports["local"]["solver"]
+    solver = reports["field"]["solver"]
     assert 0 < solver["most_rounds"] < 200
     assert 0 < solver["worst_residual_ratio"] <= SURFACE.poisson.tolerance_ratio
     assert solver["unconverged_tiles"] == 0
-    assert "LAB-609" not in str(reports["local"]["findings"])
+    assert "LAB-609" not in str(reports["field"]["findings"])
 
 
 @pytest.mark.whole
@@ -172,8 +179,12 @@ def test_a_footprint_said_to_be_wider_than_the_robot_takes_walls_for_ground_and_
 
 
 def tile(features):
-    sums = sums_of(features, np.zeros(3))
-    return TileSummary(Tile(0, 0), features, sums, sums, *[len(features)] * 5)
+    columns = np.zeros((len(features), 10))
+    columns[:, :3], columns[:, 3] = features, features[:, 0]
+    terrain = VoxelTerrain(np.arange(len(features)), columns)
+    return TileSummary(
+        Tile(0, 0), terrain, Passes(np.zeros(len(features)), np.zeros(len(features))), *[len(features)] * 5
+    )
 
 
 def ground(far=0, count=1000):
@@ -182,34 +193,52 @@ def ground(far=0, count=1000):
     return rows
 
 
-def told(far, parameters=LOCAL, changed_ratio=0.04):
-    return outlier_findings(outlier_counts([tile(ground(far))], parameters.reference), parameters, changed_ratio)
+def compared(steep_p, steep_p_other, steep=1000, beyond=0):
+    counts = np.array([[500, 0, 0], [0, 250, 0], [0, 0, 250]])
+    return ProfileComparison(counts, 1000, 50, beyond, 40, steep, steep_p, steep_p_other)
 
 
-def test_a_few_voxels_that_widen_the_slope_are_counted_and_told_with_what_leaves_them_out():
+def told(far, parameters=PAPER, comparison=None):
+    counts = outlier_counts([tile(ground(far))], parameters)
+    return outlier_findings(counts, parameters, comparison or compared(70, 10))
+
+
+def test_a_few_voxels_that_widen_the_slope_are_told_if_steep_ground_becomes_drivable_by_them():
     assert told(0) == []
     (finding,) = told(12)
     assert finding.code == "LAB-606"
-    for value in ("12 ", "177.6°", "19.2°", "1.2°", "0.25", "4.0%"):
+    for value in ("12 ", "177.6°", "19.2°", "1.2°", "7.0%", "1.0%", "4.0%", "Profile field"):
         assert value in finding.message
-    assert "profile local" in told(12, PAPER)[0].message
-    left_out = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
-    assert told(12, left_out) == []
+    assert told(12, comparison=compared(40, 10)) == []
+    assert told(12, comparison=compared(70, 60)) == []
+    assert len(told(12, comparison=compared(0, 0, steep=99))) == 1
+    assert told(12, LOCAL) == []
+
+
+def test_driven_ground_beyond_the_vehicles_limits_is_told():
+    assert limit_findings(compared(0, 0, beyond=60)) == []
+    (finding,) = limit_findings(compared(0, 0, beyond=61))
+    assert (finding.code, "6.1%" in finding.message) == ("LAB-615", True)
 
 
 def test_too_few_driven_voxels_are_not_judged():
-    assert outlier_counts([tile(ground(9, count=499))], PAPER.reference) is None
-    assert alternative_reference([tile(ground(9, count=499))], PAPER) is None
+    assert outlier_counts([tile(ground(9, count=499))], PAPER) is None
+    assert alternative_reference(run_of(PAPER), [tile(ground(9, count=499))]) is None
 
 
-def test_the_other_estimate_is_the_robust_one_or_the_plain_one():
-    tiles, left_out = [tile(ground(12))], replace(PAPER.reference, outlier_ratio=0.25)
-    robust, plain = alternative_reference(tiles, PAPER), reference_from(tiles, PAPER)
-    other_robust = replace(PAPER, reference=left_out)
-    assert robust is not None
-    np.testing.assert_array_equal(robust.covariance, reference_from(tiles, other_robust).covariance)
-    np.testing.assert_array_equal(plain.covariance, alternative_reference(tiles, other_robust).covariance)
-    assert robust.covariance[1, 1] < 0.01 * plain.covariance[1, 1]
+def run_of(parameters):
+    return LabelRun(sequence_of(KNOLL), RayCast(KNOLL), parameters, Path())
+
+
+def test_the_other_estimate_leaves_outliers_out_or_counts_them():
+    tiles, counted = [tile(ground(12))], replace(LOCAL, reference=replace(LOCAL.reference, clean_mads=0.0))
+    cleaned, plain = (reference_from(run_of(one), tiles) for one in (LOCAL, counted))
+    others = [alternative_reference(run_of(one), tiles) for one in (counted, LOCAL)]
+    for made, other in zip((cleaned, plain), others, strict=True):
+        assert other is not None
+        np.testing.assert_array_equal(made.covariance, other.covariance)
+    assert cleaned.left_out >= 12
+    assert cleaned.covariance[1, 1] < 0.05 * plain.covariance[1, 1]
 
 
 @pytest.mark.whole
@@ -217,10 +246,10 @@ def test_slivers_of_wall_in_the_track_are_left_out_where_that_is_chosen(tmp_path
     """Catches alone that the choice reaches the labels: P shrinks to what is like the ground."""
     world = World(boxes=(Box((-1.0, 0.36, -0.2), (1.0, 0.5, 0.5)),), frames=24, step_m=0.8, reach_m=5.0)
     wide = replace(sequence_of(world), calibration=replace(CALIBRATION, footprint=Footprint(width_m=1.2)))
-    robust = replace(LOCAL, reference=replace(LOCAL.reference, outlier_ratio=0.25))
+    counted = replace(LOCAL, reference=replace(LOCAL.reference, clean_mads=0.0))
     plain, left_out = (
         label(wide, RayCast(world), tmp_path / name, LabelOptions(parameters)).as_record()
-        for name, parameters in (("plain", LOCAL), ("robust", robust))
+        for name, parameters in (("plain", counted), ("cleaned", LOCAL))
     )
     outliers, others = plain["reference"]["outliers"], left_out["reference"]["outliers"]
     assert outliers == others
@@ -267,5 +296,6 @@ def test_no_choice_is_the_profile_itself() -> None:
 
 def test_the_paper_leaves_no_driven_voxel_out() -> None:
     assert chosen_parameters("paper", {"reference.outlier_ratio": 0.0}) == LabelParameters()
-    with refused_as("bad_parameter"):
-        chosen_parameters("paper", {"reference.outlier_ratio": 0.25})
+    for name in ("reference.outlier_ratio", "reference.clean_mads"):
+        with refused_as("bad_parameter"):
+            chosen_parameters("paper", {name: 0.25})

@@ -89,14 +89,15 @@ def test_a_share_alpha_of_gaussian_ground_is_beyond_the_threshold():
 def test_scaling_alpha_is_monotone(seed, a, b):
     made, features = reference(driven(seed)), driven(seed + 1) * [1, 1, 1.2]
     none = np.zeros(len(features), np.bool_)
-    strict, lenient = (classify(features, none, made, alpha) == POTENTIAL for alpha in (max(a, b), min(a, b)))
+    squared = distance_squared(features, made)
+    strict, lenient = (classify(squared, none, alpha) == POTENTIAL for alpha in (max(a, b), min(a, b)))
     assert (lenient | ~strict).all()
 
 
 def test_driven_voxels_are_traversable_whatever_they_look_like():
     made = reference(driven(1))
     features = np.stack([made.mean, made.mean + 100, made.mean, made.mean + 100])
-    classes = classify(features, np.array([True, True, False, False]), made, 0.05)
+    classes = classify(distance_squared(features, made), np.array([True, True, False, False]), 0.05)
     assert classes.tolist() == [TRAVERSABLE, TRAVERSABLE, POTENTIAL, NON_TRAVERSABLE]
     assert classes.dtype == np.uint8
 
@@ -229,7 +230,7 @@ def hill_with_a_post(grade=0.5, post_m=2.0):
     is_post = np.isin(keys, keys_from_indices(post))
     features = np.zeros((len(keys), 3))
     features[:, 0] = centres_of(keys, VOXEL_M)[:, 2]
-    return VoxelFeatures(keys, features), is_post
+    return VoxelFeatures(keys, features, np.ones(len(keys), np.int64)), is_post
 
 
 def heights_slowly(voxels, reach):
@@ -255,7 +256,7 @@ def heights_slowly(voxels, reach):
 def test_heights_are_those_of_two_plain_windows(seed):
     rng = np.random.default_rng(seed)
     keys = np.unique(keys_from_indices(rng.integers(-8, 8, (90, 3))))
-    voxels = VoxelFeatures(keys, rng.normal(0, 1, (len(keys), 3)))
+    voxels = VoxelFeatures(keys, rng.normal(0, 1, (len(keys), 3)), np.ones(len(keys), np.int64))
     np.testing.assert_allclose(height_above_local_ground(voxels, 0.4), heights_slowly(voxels, 2), atol=1e-12)
 
 

@@ -1,0 +1,110 @@
+"""The held-out track of a run: its reference made again from one part of the way, judged by the other.
+
+**Conventions.** Only the reference and the classes are made again: the surface and its features are those of the whole
+run, of which later sweeps see more. The way is cut in the middle, by driven metres, or elsewhere for a benchmark.
+"""
+
+from collections.abc import Sequence as Listing
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from services.labeler.frames import squared_distances
+from services.labeler.map.surface import TileSummary
+from services.labeler.run import LabelRun
+from stone.errors import Refused
+from stone.findings import Finding
+from stone.geometry.lattice import centres_of
+from stone.labels.footprint import Passes
+from stone.labels.held_out import BANDS_M, DrivenPlaces, HeldOut, held_out
+from stone.labels.profiles import VoxelTerrain
+from stone.labels.traversability import reference_of_parts, threshold
+from stone.labels.voxels import VOXEL_M
+
+HALF = 0.5
+FEWEST_KNOWN, FEWEST_JUDGED = 100, 100
+POOR_RECALL, FAIR_RECALL = 0.8, 0.9
+
+
+class HeldOutTrack:
+    """The driven voxels of all tiles, to be divided at any place of the way."""
+
+    def __init__(self, run: LabelRun, tiles: Listing[TileSummary]) -> None:
+        self._run = run
+        driven = [tile.driven for tile in tiles]
+        self._terrain = VoxelTerrain(
+            np.concatenate([one.keys for one in driven]), np.concatenate([one.columns for one in driven])
+        )
+        self._passes = Passes(
+            np.concatenate([tile.passes.first_m for tile in tiles]),
+            np.concatenate([tile.passes.last_m for tile in tiles]),
+        )
+        maps = np.repeat([tile.tile.map for tile in tiles], [len(one) for one in driven])
+        self._places = DrivenPlaces(centres_of(self._terrain.keys, VOXEL_M)[:, :2], maps)
+
+    def from_first(self, ratio: float = HALF) -> HeldOut | None:
+        """Return how labels made from the first `ratio` of the way hold on the rest; None of too little ground."""
+        at_m = ratio * self._passes.last_m.max(initial=0.0)
+        is_known = self._passes.first_m <= at_m
+        return self._held(is_known, ~is_known)
+
+    def from_last(self, ratio: float = HALF) -> HeldOut | None:
+        """Return how labels made from the last `ratio` of the way hold on what was driven before."""
+        at_m = (1.0 - ratio) * self._passes.last_m.max(initial=0.0)
+        is_known = self._passes.last_m >= at_m
+        return self._held(is_known, ~is_known)
+
+    def _held(self, is_known: NDArray[np.bool_], is_judged: NDArray[np.bool_]) -> HeldOut | None:
+        if is_known.sum() < FEWEST_KNOWN or is_judged.sum() < FEWEST_JUDGED:
+            return None
+        run, parameters = self._run, self._run.parameters
+        features = self._terrain.where(is_known).features(parameters.rule)
+        try:
+            reference = reference_of_parts([features], features.mean(axis=0), parameters.reference)
+        except Refused:
+            return None
+        squared = squared_distances(run, self._terrain.where(is_judged), reference, parameters)
+        is_kept = squared <= threshold(parameters.reference.alpha)
+        places, width_m = self._places, run.sequence.calibration.footprint.width_m
+        return held_out(places.where(is_known), places.where(is_judged), is_kept, width_m)
+
+
+def held_out_record(track: HeldOutTrack) -> dict[str, Any]:
+    """The figures of both halves for `report.json`, null where a half has too little ground of its own, and the
+    `recall` of both together."""
+    halves = {"from_first_half": track.from_first(), "from_second_half": track.from_last()}
+    known = [one for one in halves.values() if one is not None]
+    total = sum(int(one.voxels.sum()) for one in known)
+    kept = sum(int(one.kept.sum()) for one in known)
+    return {
+        "recall": round(kept / total, 4) if total else None,
+        "judged_m": round(sum(one.judged_m for one in known), 1),
+        **{name: None if one is None else _record(one) for name, one in halves.items()},
+    }
+
+
+def _record(found: HeldOut) -> dict[str, Any]:
+    bands = [
+        {
+            "from_m": low,
+            "to_m": None if np.isinf(high) else high,
+            "voxels": int(voxels),
+            "recall": round(float(kept / voxels), 4) if voxels else None,
+        }
+        for low, high, voxels, kept in zip(BANDS_M[:-1], BANDS_M[1:], found.voxels, found.kept, strict=True)
+    ]
+    return {"recall": round(found.recall, 4), "judged_m": round(found.judged_m, 1), "by_distance": bands}
+
+
+def held_out_findings(record: dict[str, Any]) -> tuple[Finding, ...]:
+    """LAB-613 if the labels call much of what the robot then drove over non-traversable, LAB-614 if some of it."""
+    recall = record["recall"]
+    if recall is None or recall >= FAIR_RECALL:
+        return ()
+    sentence = (
+        f"labels made from one half of the way call {1 - recall:.0%} of the ground that the robot drove over in the "
+        f"other half non-traversable ({record['judged_m']:g} m of way were judged): ground like it elsewhere is called "
+        "so too"
+    )
+    return (Finding("LAB-613" if recall < POOR_RECALL else "LAB-614", "warning", "", sentence),)
