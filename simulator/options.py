@@ -53,7 +53,8 @@ class SimulateOptions:
     sensor: pictures worth learning from, at a cost (docs/benchmarks.md). `illumination` is a word of the platform's.
 
     `noise_ratio` scales what the sensors add to the truth: 0 measures exactly, 1 is the paper's rig. `range_noise` adds
-    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/lidar.py`). The receiver's
+    to the LiDAR's ranges what a real one suffers besides (`simulator/sensors/lidar.py`). `beside_track` adds rocks and
+    bushes within reach of the robot's way, and tall grass on it that the robot drives through. The receiver's
     driver stamps up to `host_delay_max_ns` late (0: when the solution was valid, as a disciplined host would);
     messages reach the recorder up to `transport_jitter_ns` late. `faults` go wrong in the order they are named.
     """
@@ -70,6 +71,7 @@ class SimulateOptions:
     world_width_m: float = 110.0
     noise_ratio: float = 1.0
     range_noise: bool = False
+    beside_track: bool = False
     traffic: Traffic = "walker"
     lidar_hz: int = 10
     speed_m_s: float = 1.5

@@ -40,13 +40,18 @@ class LabelVerdict:
         return _ratio(self.drivable_kept, self.drivable_kept + self.drivable_lost)
 
     @property
+    def danger(self) -> float | None:
+        """The share of what is not drivable that is labelled so."""
+        return _ratio(self.blocked_kept, self.blocked_kept + self.blocked_lost)
+
+    @property
     def everything_iou(self) -> float | None:
         """What labelling every occupied voxel traversable would score: the drivable share."""
         drivable = self.drivable_kept + self.drivable_lost
         return _ratio(drivable, drivable + self.blocked_kept + self.blocked_lost)
 
     def as_record(self) -> dict[str, float | int | None]:
-        ratios = {name: getattr(self, name) for name in ("iou", "precision", "recall", "everything_iou")}
+        ratios = {name: getattr(self, name) for name in ("iou", "precision", "recall", "danger", "everything_iou")}
         return asdict(self) | ratios
 
 

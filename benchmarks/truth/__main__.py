@@ -1,9 +1,9 @@
-"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--casts 64 32-noisy 16-noisy]`.
+"""Labels against five worlds whose truth is known: `python -m benchmarks.truth [--casts 64 16-noisy …]`.
 
-Per seed a world of 64 × 900 rays is simulated and labelled with both profiles, as `stone label` does, and once more
+Per seed a world of 64 × 900 rays is simulated and labelled with each profile, as `stone label` does, and once more
 with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
 once. The same worlds are then cast with 32 and 16 channels and the ranges of a real LiDAR (dropouts, mixed pixels,
-rain), without the labels in one cube. The labels do not see the truth. Worlds, labels and figures are kept in
+rain), and with rocks, bushes and tall grass within reach of the track, without the labels in one cube. The labels do not see the truth. Worlds, labels and figures are kept in
 `--folder`; `--table` prints the figures that are there once more. `--seeds`, `--seconds`: which worlds, how long.
 """
 
@@ -36,8 +36,9 @@ from stone.geometry.se3 import SE3
 from stone.labels.profiles import Profile
 
 SEEDS = (1, 2, 3, 4, 5)
-NOISY = "-noisy"
-CASTS = ("64", "32-noisy", "16-noisy")
+NOISY, BESIDE = "-noisy", "-beside"
+CASTS = ("64", "32-noisy", "16-noisy", "64-beside")
+PROFILES: tuple[Profile, ...] = ("paper", "local", "field")
 WORKERS = 2
 UNTILED = TilingParameters(cube_cells=1024)  # 204.8 m, of which 201.6 m core: one holds a run of a minute
 COARSEST_LATTICE_M = 0.8  # a brick of observed voxels; a shift by multiples keeps every lattice of the map
@@ -57,11 +58,16 @@ class Cast:
 
     @property
     def channels(self) -> int:
-        return int(self.name.removesuffix(NOISY))
+        return int(self.name.partition("-")[0])
+
+    @property
+    def is_beside(self) -> bool:
+        return self.name.endswith(BESIDE)
 
     @property
     def title(self) -> str:
         noise = ", ranges with dropouts, mixed pixels and rain" if self.is_noisy else ""
+        noise += ", rocks, bushes and tall grass beside the track" if self.is_beside else ""
         return f"labels of {self.seconds:g} s worlds against their truth: {self.channels} channels{noise}"
 
     def named(self, stem: str) -> Path:
@@ -74,6 +80,7 @@ class Cast:
     def drive(self, seed: int) -> Drive:
         """The drive of this seed, simulated where it is not there yet."""
         options = SimulateOptions(self.seconds, seed, self.channels, cameras=False, range_noise=self.is_noisy)
+        options = replace(options, beside_track=self.is_beside)
         return simulated(self.named(f"world-{seed}-{self.seconds:g}s.mcap"), options)
 
 
@@ -81,7 +88,12 @@ def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--seconds", type=float, default=30.0)
     parser.add_argument("--seeds", type=int, nargs="+", default=SEEDS)
-    parser.add_argument("--casts", nargs="+", default=CASTS, help="channels, with -noisy for a real LiDAR's ranges")
+    parser.add_argument(
+        "--casts",
+        nargs="+",
+        default=CASTS,
+        help="channels, with -noisy for a real LiDAR's ranges, -beside for things near",
+    )
     parser.add_argument("--folder", type=Path, default=Path(tempfile.gettempdir()) / "stone-truth")
     parser.add_argument("--table", action="store_true", help="only print what was measured before")
     options = parser.parse_args()
@@ -96,17 +108,18 @@ def _figures(cast: Cast, seed: int) -> dict[str, Figures]:
     """Every figure of one world, by profile."""
     drive = cast.drive(seed)
     figures, folders = dict[str, Figures](), dict[str, Path]()
-    profiles: tuple[Profile, ...] = ("paper", "local")
-    for profile in profiles:
+    for profile in PROFILES:
         folders[profile] = cast.named(f"labels-{seed}-{profile}")
         record = _labelled(drive, folders[profile], parameters_for(profile))
         figures[profile] = record | _labels_measured(drive, folders[profile])
     figures["paper"] |= _map_measured(drive, folders["paper"])
+    if cast.is_beside:
+        return figures
     if not cast.is_noisy:
         figures["paper"] |= _untiled_measured(drive, folders["paper"], cast.named(f"labels-{seed}-untiled"))
         return figures
     clean = replace(cast, name=CASTS[0]).drive(seed)
-    for profile in profiles:
+    for profile in PROFILES:
         invented = invented_counts(drive, folders[profile], clean)
         figures[profile] |= {"invented_tp": invented[1] + invented[2], "invented_n": invented[3]}
     return figures
@@ -156,7 +169,7 @@ def _labels_measured(drive: Drive, labels: Path) -> Figures:
     """What depends on the classes, and so on the profile."""
     verdict, walker = judged(drive, labels), walker_counts(drive, labels)
     return {
-        **{name: getattr(verdict, name) for name in ("iou", "precision", "recall", "everything_iou")},
+        **{name: getattr(verdict, name) for name in ("iou", "danger", "recall", "everything_iou")},
         "walker_voxels": walker.voxels,
         **dict(zip(("walker_t", "walker_p", "walker_n"), walker.labelled, strict=True)),
     }

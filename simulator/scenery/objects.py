@@ -5,7 +5,7 @@ height up to its top. A tree's crown hangs over ground that may be drivable, so 
 crown is kept as an overhang.
 """
 
-from collections.abc import Callable
+from collections.abc import Callable, Mapping
 from dataclasses import dataclass
 from enum import IntEnum
 
@@ -50,11 +50,14 @@ class Objects:
 
 @dataclass(frozen=True)
 class Cover:
-    """How densely one kind stands: one per so many m² of lowland and of hillside, and its distance to the track."""
+    """How densely one kind stands: one per so many m² of lowland and of hillside, from `clear_m` to `within_m` from the
+    track; `scale` times as large as usual."""
 
     lowland_m2: float
     hillside_m2: float
     clear_m: float
+    within_m: float = np.inf
+    scale: float = 1.0
 
 
 COVERS = {
@@ -63,6 +66,12 @@ COVERS = {
     Surface.TRUNK: Cover(420.0, 45.0, 2.2),
     Surface.WALL: Cover(1400.0, np.inf, 4.6),
     Surface.GRASS: Cover(260.0, np.inf, 0.0),
+}
+# Within a robot's width of its way; the largest rock reaches 0.5 m from where it stands, the robot 0.43 m from its way.
+BESIDE = {
+    Surface.ROCK: Cover(8.0, 8.0, 1.0, 2.0, scale=0.4),
+    Surface.BUSH: Cover(16.0, 16.0, 1.3, 2.4, scale=0.6),
+    Surface.GRASS: Cover(4.0, 4.0, 0.0, 0.8),
 }
 
 
@@ -84,19 +93,15 @@ class _Yard:
         self.obstacles.append((x, y, radius_m, z - 0.5, z + height_m, int(surface)))
 
 
-def place_objects(terrain: Terrain, rng: np.random.Generator) -> Objects:
-    """Scatter every kind by its cover; the same generator state gives the same objects."""
+def place_objects(terrain: Terrain, rng: np.random.Generator, beside: np.random.Generator | None = None) -> Objects:
+    """Scatter every kind by its cover; the same generator state gives the same objects.
+
+    With a generator `beside`, more of them stand near the track; the others stay where they are.
+    """
     yard = _Yard([], [], [], [])
-    placers: dict[Surface, Callable[[_Yard, Array, Terrain, np.random.Generator], None]] = {
-        Surface.ROCK: _rock,
-        Surface.BUSH: _bush,
-        Surface.TRUNK: _tree,
-        Surface.WALL: _wall,
-        Surface.GRASS: _grass,
-    }
-    for surface, place in placers.items():
-        for foot in _feet(terrain, COVERS[surface], rng):
-            place(yard, foot, terrain, rng)
+    _scatter(yard, COVERS, terrain, rng)
+    if beside is not None:
+        _scatter(yard, BESIDE, terrain, beside)
     if not yard.soups:
         yard.stand(np.zeros((1, 3, 3)), np.zeros(3), Surface.ROCK)
     return Objects(
@@ -105,6 +110,19 @@ def place_objects(terrain: Terrain, rng: np.random.Generator) -> Objects:
         np.array(yard.obstacles, OBSTACLE),
         np.array(yard.overhangs, OBSTACLE),
     )
+
+
+def _scatter(yard: _Yard, covers: Mapping[Surface, Cover], terrain: Terrain, rng: np.random.Generator) -> None:
+    placers: dict[Surface, Callable[[_Yard, Array, Terrain, np.random.Generator, float], None]] = {
+        Surface.ROCK: _rock,
+        Surface.BUSH: _bush,
+        Surface.TRUNK: _tree,
+        Surface.WALL: _wall,
+        Surface.GRASS: _grass,
+    }
+    for surface, cover in covers.items():
+        for foot in _feet(terrain, cover, rng):
+            placers[surface](yard, foot, terrain, rng, cover.scale)
 
 
 def _feet(terrain: Terrain, cover: Cover, rng: np.random.Generator) -> Array:
@@ -116,7 +134,8 @@ def _feet(terrain: Terrain, cover: Cover, rng: np.random.Generator) -> Array:
     chance = rng.random(count)
     column, row = np.round(terrain.lattice(xy)).astype(np.int64).T
     wanted = np.where(terrain.lowland[row, column], 1 / cover.lowland_m2, 1 / cover.hillside_m2) / densest
-    kept = xy[(chance < wanted) & (terrain.path_distance_m[row, column] > cover.clear_m)]
+    away_m = terrain.path_distance_m[row, column]
+    kept = xy[(chance < wanted) & (away_m > cover.clear_m) & (away_m < cover.within_m)]
     return np.concatenate([kept, terrain.elevation_m(kept)[:, None]], axis=1)
 
 
@@ -124,22 +143,26 @@ def _raised(foot: Array, height_m: float) -> Array:
     return np.asarray(foot + np.array([0.0, 0.0, height_m]))
 
 
-def _rock(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) -> None:
-    radius = rng.uniform(0.3, 0.9)
+def _rock(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
+    radius = scale * rng.uniform(0.3, 0.9)
     axes = radius * np.array([rng.uniform(0.8, 1.3), rng.uniform(0.8, 1.3), 0.8])
     yard.stand(shapes.boulder(axes, rng), _raised(foot, 0.15 * radius), Surface.ROCK)
     yard.block(foot, 1.1 * float(axes[:2].max()), 1.2 * radius, Surface.ROCK)
 
 
-def _bush(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) -> None:
-    radius = rng.uniform(0.5, 1.1)
+def _bush(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
+    radius = scale * rng.uniform(0.5, 1.1)
     soup = shapes.leaves(radius * np.array([1.0, 1.0, 0.9]), int(420 * radius**2) + 60, 0.045, rng)
     yard.stand(soup, _raised(foot, 0.8 * radius), Surface.BUSH)
     yard.block(foot, radius, 1.9 * radius, Surface.BUSH)
 
 
-def _tree(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) -> None:
-    height, radius, reach = rng.uniform(3.0, 6.0), rng.uniform(0.12, 0.25), rng.uniform(1.2, 2.2)
+def _tree(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
+    height, radius, reach = (
+        scale * rng.uniform(3.0, 6.0),
+        scale * rng.uniform(0.12, 0.25),
+        scale * rng.uniform(1.2, 2.2),
+    )
     yard.stand(shapes.trunk(radius, height + 0.5), foot, Surface.TRUNK)
     yard.block(foot, radius + 0.1, height + 0.5, Surface.TRUNK)
     crown = shapes.leaves(reach * np.array([1.0, 1.0, 0.7]), int(300 * reach**2), 0.07, rng)
@@ -149,9 +172,9 @@ def _tree(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) 
     yard.overhangs.append((x, y, reach + 0.3, low, low + 2 * reach, int(Surface.CROWN)))
 
 
-def _wall(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) -> None:
+def _wall(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
     """A straight wall, left out where its ends would come near the track."""
-    length, yaw = rng.uniform(5.0, 9.0), rng.uniform(0, np.pi)
+    length, yaw = scale * rng.uniform(5.0, 9.0), rng.uniform(0, np.pi)
     along = np.arange(-length / 2, length / 2 + 0.1, 0.2)
     line = foot[:2] + along[:, None] * (np.cos(yaw), np.sin(yaw))
     column, row = np.round(terrain.lattice(line)).astype(np.int64).T
@@ -164,8 +187,8 @@ def _wall(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) 
         yard.block(np.array([x, y, foot[2]]), 0.25, WALL_HEIGHT_M, Surface.WALL)
 
 
-def _grass(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator) -> None:
-    spread = rng.uniform(0.6, 1.5)
+def _grass(yard: _Yard, foot: Array, terrain: Terrain, rng: np.random.Generator, scale: float) -> None:
+    spread = scale * rng.uniform(0.6, 1.5)
     soup = shapes.blades(int(60 * spread**2), spread, rng)
     ground = terrain.elevation_m(soup[:, 0, :2] + foot[:2])
     soup[..., 2] += (ground - foot[2])[:, None]

@@ -45,7 +45,8 @@ def build_world(options: SimulateOptions) -> SimulatedWorld:
     track = plan_track(length_m, start, generator(options.seed, "track"))
     extent = (float(track.points_m[-1, 0]) + MARGIN_M, options.world_width_m)
     terrain = build_terrain(extent, track.points_m, generator(options.seed, "terrain"))
-    objects = place_objects(terrain, generator(options.seed, "objects"))
+    beside = generator(options.seed, "beside") if options.beside_track else None
+    objects = place_objects(terrain, generator(options.seed, "objects"), beside)
     driven = driven_m(options.speed_m_s, round(driven_s * 1e9) // POSE_NS + 1)
     trajectory = drive(track, terrain, START_NS, driven)
     return SimulatedWorld(terrain, objects, trajectory, movers_of(options, trajectory, terrain))

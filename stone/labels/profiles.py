@@ -39,15 +39,15 @@ RULES: Mapping[Profile, ProfileRule] = {
     "local": ProfileRule(is_local=True),
     "field": ProfileRule(is_local=True, is_pooled=True, is_one_sided=True, is_limited=True),
 }
-FEATURES, HEIGHT, POOLED, SLOPE, STEP, CLEARANCE = slice(0, 3), 3, slice(4, 7), 7, 8, 9
+FEATURES, HEIGHT, POOLED, SLOPE, STEP, CLEARANCE, LOOKS = slice(0, 3), 3, slice(4, 7), 7, 8, 9, 10
 
 
 @dataclass(frozen=True, eq=False)
 class VoxelTerrain:
-    """All that any profile asks of the voxels `keys` (K,), in `columns` (K, 10).
+    """All that any profile asks of the voxels `keys` (K,), in `columns` (K, 11).
 
     The columns are the features of Eq. 4–5; height above the local ground, m; the pooled features; the slope under a
-    footprint, rad; the step, m; the clearance, m.
+    footprint, rad; the step, m; the clearance, m; the frames that hit the voxel.
     """
 
     keys: Keys
@@ -78,9 +78,9 @@ class VoxelTerrain:
         return found
 
 
-def terrain_of(voxels: VoxelFeatures, height_m: Array, shape: GroundShape) -> VoxelTerrain:
+def terrain_of(voxels: VoxelFeatures, height_m: Array, shape: GroundShape, looks: NDArray[np.int64]) -> VoxelTerrain:
     """What was measured of the voxels, in one table."""
-    rest = (shape.pooled, shape.slope_rad, shape.step_m, shape.clearance_m)
+    rest = (shape.pooled, shape.slope_rad, shape.step_m, shape.clearance_m, looks)
     return VoxelTerrain(voxels.keys, np.column_stack([voxels.features, height_m, *rest]))
 
 

@@ -7,10 +7,11 @@ between voxel centres (see `stone/surface/screened_poisson.py`), never on voxel 
 from dataclasses import dataclass
 
 import numpy as np
+from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.corners import corners_of
-from stone.geometry.lattice import Keys, indices_of, keys_of
+from stone.geometry.lattice import Keys, find, indices_of, keys_of, pack, table_of
 
 VOXEL_M = 0.2
 
@@ -36,6 +37,25 @@ def voxel_features(vertices_map: NDArray[np.float64], features: NDArray[np.float
     keys, inverse, counts = np.unique(keys_of(vertices_map, VOXEL_M), return_inverse=True, return_counts=True)
     sums = np.stack([np.bincount(inverse, column, len(keys)) for column in features.T], axis=1)
     return VoxelFeatures(keys, sums.reshape(-1, features.shape[1]) / counts[:, None], counts.astype(np.int64))
+
+
+def looks_of(voxels: Keys, point_keys: Keys, frames_seen: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Return in how many frames each of the voxels (K,) was hit, as the cell of half its size in it that was hit most.
+
+    `point_keys` (M,) are those cells', which `frames_seen` (M,) frames hit. A voxel without points has 0.
+    """
+    table, looks = table_of(voxels), np.zeros(len(voxels), np.int64)
+    _look(indices_of(point_keys), frames_seen, (table.keys, table.rows), looks)
+    return looks
+
+
+@njit(cache=True, nogil=True)
+def _look(indices, frames_seen, table, looks):  # type: ignore[no-untyped-def]
+    for point in range(indices.shape[0]):
+        i, j, k = indices[point]
+        row = find(table[0], table[1], pack(i >> 1, j >> 1, k >> 1))
+        if row >= 0:
+            looks[row] = max(looks[row], frames_seen[point])
 
 
 def height_above_local_ground(voxels: VoxelFeatures, radius_m: float) -> NDArray[np.float64]:

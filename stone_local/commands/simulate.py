@@ -54,6 +54,13 @@ RangeNoiseOption = Annotated[
     bool,
     typer.Option("--range-noise", help="LiDAR ranges as real ones: dropouts at grazing angles, mixed pixels, rain."),
 ]
+BesideTrackOption = Annotated[
+    bool,
+    typer.Option(
+        "--beside-track",
+        help="Rocks and bushes within reach of the robot's way, and tall grass that it drives through.",
+    ),
+]
 TrafficOption = Annotated[
     str,
     typer.Option(
@@ -79,6 +86,7 @@ def simulate(
     camera_detail: CameraDetailOption = DEFAULT.camera_detail,
     illumination: IlluminationOption = DEFAULT.illumination,
     range_noise: RangeNoiseOption = DEFAULT.range_noise,
+    beside_track: BesideTrackOption = DEFAULT.beside_track,
     traffic: TrafficOption = DEFAULT.traffic,
     lidar_hz: LidarHzOption = DEFAULT.lidar_hz,
     fault: FaultOption = [],  # noqa: B006
@@ -97,6 +105,7 @@ def simulate(
         camera_detail=cast(CameraDetail, camera_detail),
         illumination=illumination,
         range_noise=range_noise,
+        beside_track=beside_track,
         traffic=cast(Traffic, traffic),
         lidar_hz=lidar_hz,
         faults=faults,

@@ -20,7 +20,7 @@ from stone.labels.footprint import Passes, passed_through, passes
 from stone.labels.ground_shape import ground_shape
 from stone.labels.observed_voxels import Observed
 from stone.labels.profiles import VoxelTerrain, terrain_of
-from stone.labels.voxels import VOXEL_M, height_above_local_ground, voxel_features
+from stone.labels.voxels import VOXEL_M, height_above_local_ground, looks_of, voxel_features
 from stone.sensors.ego_path import datum_m, ego_path
 from stone.surface.contour import band_of, zero_surface
 from stone.surface.dynamic import MotionVotes, carried_along, fewest_misses, is_moving
@@ -67,7 +67,7 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     step(2, STEPS)
     (mesh, normals), descent = _mesh(run.parameters, points, low)
     step(3, STEPS)
-    terrain = _terrain(run, mesh, normals, datum_m(run.sequence, tile.map))
+    terrain = _terrain(run, (mesh, normals), points, datum_m(run.sequence, tile.map))
     terrain = terrain.where(in_core(centres_of(terrain.keys, VOXEL_M), tile, run.parameters.core_m))
     found = _passes(run, tile, path, terrain)
     kept = _core_mesh(mesh, tile, run.parameters.core_m)
@@ -121,14 +121,14 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
     return (whole.where(keep), vertex_normals(whole)[keep]), descent
 
 
-def _terrain(run: LabelRun, mesh: Mesh, normals: NDArray[np.float64], datum: float) -> VoxelTerrain:
+def _terrain(run: LabelRun, surface: _Surface, points: PointMap, datum: float) -> VoxelTerrain:
     """Return what every profile asks of the voxels that the mesh goes through; elevations are above `datum` metres."""
-    parameters, vehicle = run.parameters, run.sequence.calibration.vehicle
+    parameters, vehicle, (mesh, normals) = run.parameters, run.sequence.calibration.vehicle, surface
     found = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
     voxels = replace(found, features=with_elevation(found.features, found.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
     shape = ground_shape(voxels, np.deg2rad(vehicle.max_slope_deg), parameters.body_clearance_m)
-    return terrain_of(voxels, height_m, shape)
+    return terrain_of(voxels, height_m, shape, looks_of(voxels.keys, points.keys, points.frames_seen()))
 
 
 def _passes(run: LabelRun, tile: Tile, path: tuple[SE3, ...], terrain: VoxelTerrain) -> Passes:

@@ -179,7 +179,7 @@ def test_a_footprint_said_to_be_wider_than_the_robot_takes_walls_for_ground_and_
 
 
 def tile(features):
-    columns = np.zeros((len(features), 10))
+    columns = np.zeros((len(features), 11))
     columns[:, :3], columns[:, 3] = features, features[:, 0]
     terrain = VoxelTerrain(np.arange(len(features)), columns)
     return TileSummary(
