@@ -3,8 +3,9 @@
 Per seed a world of 64 × 900 rays is simulated and labelled with each profile, as `stone label` does, and once more
 with profile `paper` in one cube without a seam. What no profile changes (the mesh, the occupied voxels, T) is measured
 once. The same worlds are then cast with 32 and 16 channels and the ranges of a real LiDAR (dropouts, mixed pixels,
-rain), and with rocks, bushes and tall grass within reach of the track, without the labels in one cube. The labels do not see the truth. Worlds, labels and figures are kept in
-`--folder`; `--table` prints the figures that are there once more. `--seeds`, `--seconds`: which worlds, how long.
+rain), and with rocks, bushes and tall grass within reach of the track, without the labels in one cube. The labels do
+not see the truth. Worlds, labels and figures are kept in `--folder`; `--table` prints the figures that are there once
+more. `--seeds`, `--seconds`: which worlds, how long.
 """
 
 import argparse
