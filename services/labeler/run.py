@@ -95,7 +95,8 @@ def ground_refusal(sequence: Sequence, band_m: float) -> Refused | None:
         return None
     # From the middle of the footprint to the middle of its half.
     lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
-    if max(abs(ground.height_m), lean_m) <= band_m:
+    is_off = abs(ground.height_m) > band_m and ground.is_off_in_all
+    if not is_off and lean_m <= band_m:
         return None
     return footprint_off_ground(ground.height_m, ground.tilt_rad, band_m)
 

@@ -15,6 +15,7 @@ from stone.geometry.se3 import SE3, shortest_turn_to_z
 FEWEST_SWEEPS = 5
 UPRIGHT = 0.3
 TOLERATED_M, TOLERATED_RAD = 0.07, float(np.deg2rad(1.5))
+TERRAIN_SHARE = 0.25  # of what its sweeps differ by: 16 channels saw hills 0 to 0.6 m above a mount that was right
 
 Array = NDArray[np.float64]
 
@@ -37,8 +38,13 @@ class GroundFit:
 
     @property
     def is_high_or_low(self) -> bool:
-        """Whether it lies farther from the ego origin than terrain explains."""
-        return abs(self.height_m) > TOLERATED_M
+        """Whether it lies farther from the ego origin than terrain explains, the more the more its sweeps differ."""
+        return abs(self.height_m) > TOLERATED_M + TERRAIN_SHARE * (self.high_m - self.low_m)
+
+    @property
+    def is_off_in_all(self) -> bool:
+        """Whether nine sweeps of ten show it on the same side, farther than terrain explains: no hill does that."""
+        return self.low_m > TOLERATED_M or self.high_m < -TOLERATED_M
 
     @property
     def is_tilted(self) -> bool:
