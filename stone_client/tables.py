@@ -110,12 +110,18 @@ def _offset(offset_ns: int | None, constant: str) -> str:
     return f"{offset_ns / 1e9:.3f} s{f' ({constant})' if constant else ''}"
 
 
+READINGS = {"within_occupied": "within occupied", "tolerant": "±1 voxel in height", "columns": "columns"}
+"""Other readings of the ratios of a score, by their key in its record."""
+
+
 def score_table(record: Mapping[str, Any], title: str) -> Table:
-    """The IoUs over all voxels and within occupied ground truth (the record of `stone score --json`)."""
-    total, within = record["total"], record["within_occupied"]
-    table = plain_table(title, "IoU", "all voxels", "within occupied")
+    """The IoUs by reading, and the danger (the record of `stone score --json`)."""
+    readings = [record["total"], *(record[reading] for reading in READINGS)]
+    table = plain_table(title, "IoU", "all voxels", *READINGS.values())
     for name, key in (("occupied", "iou_occ"), ("T", "iou_t"), ("P", "iou_p"), ("N", "iou_n"), ("mean T P N", "miou")):
-        table.add_row(name, _percent(total[key]), _percent(within[key]))
+        table.add_row(name, *(_percent(ratios[key]) for ratios in readings))
+    for name, key in (("T or P", "n_predicted_drivable_ratio"), ("T", "n_predicted_t_ratio")):
+        table.add_row(f"of N predicted {name}", _percent(record["extras"][key]), *[DASH] * len(READINGS))
     return table
 
 

@@ -13,7 +13,7 @@ from typing import Any
 
 import numpy as np
 
-from tests.slow_metric import Counts, added, slow_counts, slow_extras, slow_ratios
+from tests.slow_metric import Counts, added, added_columns, slow_counts, slow_extras, slow_ratios, slow_tolerant
 
 FOLDER = Path(__file__).resolve().parents[1] / "services" / "domain" / "benchmarks" / "golden"
 SHAPE = (256, 256, 32)
@@ -119,7 +119,7 @@ def expected(made: dict[str, bytes]) -> dict[str, Any]:
                 evaluated = np.ones(SHAPE, bool) if mask == "all" else labels[f"mask_{mask}"] != 0
                 counts[token] = slow_counts(labels["semantics"], predictions[token], evaluated)
         by_mask[mask] = {
-            "frames": {token: {"confusion": one.confusion, "bev": one.bev} for token, one in counts.items()},
+            "frames": {token: vars(one) for token, one in counts.items()},
             "total": said(list(counts.values())),
             "sequences": {name: said([counts[token] for token in tokens]) for name, tokens in TOKENS.items()},
         }
@@ -129,8 +129,14 @@ def expected(made: dict[str, bytes]) -> dict[str, Any]:
 
 def said(counts: list[Counts]) -> dict[str, Any]:
     cells, columns = added(counts)
-    ratios = {metric: slow_ratios(cells, metric) for metric in METRICS}
-    return {"confusion": cells, "metrics": ratios, "extras": slow_extras(cells, columns)}
+    ratios, clear = {metric: slow_ratios(cells, metric) for metric in METRICS}, added_columns(counts)
+    return {
+        "confusion": cells,
+        "metrics": ratios,
+        "extras": slow_extras(cells, columns, clear),
+        "tolerant": slow_tolerant(counts),
+        "columns": slow_ratios(clear, METRICS[0]),
+    }
 
 
 def main() -> None:

@@ -2,7 +2,8 @@
 
 **Conventions.** Nothing of the platform is imported: this is what its kernels are held against, and what the golden
 vectors are made by. Grids are (256, 256, 32) uint8 or bool, axes x, y, z. A frame's counts are plain lists: `confusion`
-[ring][truth][prediction], `bev` [ring][both, truth only, prediction only].
+[ring][truth][prediction], `bev` [ring][both, truth only, prediction only], `pairs` [ring][occupied, T, P, N],
+`columns` [ring][truth][prediction].
 """
 
 from collections import Counter
@@ -19,6 +20,8 @@ Ratio = float | None
 class Counts:
     confusion: list[list[list[int]]]
     bev: list[list[int]]
+    pairs: list[list[int]]
+    columns: list[list[list[int]]]
 
 
 def ring_of(x: int, y: int) -> int:
@@ -35,17 +38,22 @@ def slow_counts(truth: Any, prediction: Any, is_evaluated: Any) -> Counts:
     """What is to be counted of one frame. Raises `ValueError` where the prediction holds what is no class."""
     if prediction.max() > 3:
         raise ValueError("label_out_of_range")
-    confusion, bev = [[[0] * 4 for _ in range(4)] for _ in range(3)], [[0] * 3 for _ in range(3)]
+    confusion, columns = ([[[0] * 4 for _ in range(4)] for _ in range(3)] for _ in range(2))
+    bev, near = [[0] * 3 for _ in range(3)], [[0] * 4 for _ in range(3)]
     grids = [grid.astype("uint8").tobytes() for grid in (truth, prediction, is_evaluated)]
     for number in range(256 * 256):
-        pairs, there, claimed = column_counts(*(grid[32 * number : 32 * number + 32] for grid in grids))
+        column_grids = [grid[32 * number : 32 * number + 32] for grid in grids]
+        pairs, there, claimed = column_counts(*column_grids)
         ring = ring_of(*divmod(number, 256))
         for (row, column), voxels in pairs.items():
             confusion[ring][row][column] += voxels
         bev[ring][0] += there and claimed
         bev[ring][1] += there and not claimed
         bev[ring][2] += claimed and not there
-    return Counts(confusion, bev)
+        found, row, column = column_scores(*column_grids)
+        near[ring] = [old + new for old, new in zip(near[ring], found, strict=True)]
+        columns[ring][row][column] += 1
+    return Counts(confusion, bev, near, columns)
 
 
 @lru_cache(maxsize=2**17)
@@ -53,6 +61,50 @@ def column_counts(true: bytes, predicted: bytes, seen: bytes) -> tuple[Counter[t
     """Evaluated pairs (truth, prediction) of a column, and whether it is drivable in either; most columns are alike."""
     pairs = [(row, column) for row, column, counts in zip(true, predicted, seen, strict=True) if counts]
     return Counter(pairs), is_drivable([row for row, _ in pairs]), is_drivable([column for _, column in pairs])
+
+
+@lru_cache(maxsize=2**17)
+def column_scores(true: bytes, predicted: bytes, seen: bytes) -> tuple[list[int], int, int]:
+    """Pairs of occupied, T, P and N of a column, and its class in the truth and in the prediction."""
+    a, b = ([label if is_seen else 0 for label, is_seen in zip(grid, seen, strict=True)] for grid in (true, predicted))
+    return [pairs_of(a, b, labels) for labels in ((1, 2, 3), (1,), (2,), (3,))], class_of(a), class_of(b)
+
+
+def pairs_of(a: Sequence[int], b: Sequence[int], labels: Sequence[int]) -> int:
+    """The voxels with one of the other side at most one voxel above or below: of the side that has fewer of them."""
+    in_a, in_b = ([z for z in range(32) if side[z] in labels] for side in (a, b))
+    near_b = [z for z in in_a if any(abs(z - other) <= 1 for other in in_b)]
+    near_a = [z for z in in_b if any(abs(z - other) <= 1 for other in in_a)]
+    return min(len(near_b), len(near_a))
+
+
+def class_of(labels: Sequence[int]) -> int:
+    """The worst of a column; an N does not count if 1.6 m or more, eight voxels, are free to drive under."""
+    surface = [z for z in range(32) if labels[z] in (1, 2)]
+    blocking = [z for z in range(32) if labels[z] == 3 and not (surface and z - surface[0] - 1 >= 8)]
+    if blocking:
+        return 3
+    return 2 if 2 in labels else 1 if 1 in labels else 0
+
+
+def slow_tolerant(counts: Sequence[Counts]) -> dict[str, Ratio]:
+    """The ratios over pairs, of all frames and rings."""
+    cells, _ = added(counts)
+    pairs = [sum(one.pairs[r][k] for one in counts for r in range(3)) for k in range(4)]
+    parts = []
+    for labels, both in zip(((1, 2, 3), (1,), (2,), (3,)), pairs, strict=True):
+        in_truth = sum(cells[t][p] for t in labels for p in range(4))
+        in_prediction = sum(cells[t][p] for t in range(4) for p in labels)
+        parts.append(quotient(both, in_truth + in_prediction - both))
+    known = [part for part in parts[1:] if part is not None]
+    mean = sum(known) / 3 if len(known) == 3 else None
+    named = zip(("iou_occ", "iou_t", "iou_p", "iou_n", "miou"), (*parts, mean), strict=True)
+    return {name: None if value is None else float(value) for name, value in named}
+
+
+def added_columns(counts: Sequence[Counts]) -> list[list[int]]:
+    """The confusion of columns of all frames and rings."""
+    return [[sum(one.columns[r][t][p] for one in counts for r in range(3)) for p in range(4)] for t in range(4)]
 
 
 def added(counts: Sequence[Counts]) -> tuple[list[list[int]], list[int]]:
@@ -77,11 +129,17 @@ def slow_ratios(cells: Sequence[Sequence[int]], metric: str) -> dict[str, Ratio]
     return {name: None if value is None else float(value) for name, value in named}
 
 
-def slow_extras(cells: Sequence[Sequence[int]], columns: Sequence[int]) -> dict[str, Ratio]:
+def slow_extras(
+    cells: Sequence[Sequence[int]], columns: Sequence[int], clear: Sequence[Sequence[int]]
+) -> dict[str, Ratio]:
+    drivable = [(t, p) for t in range(4) for p in range(4) if t in (1, 2) or p in (1, 2)]
+    in_both = sum(clear[t][p] for t in (1, 2) for p in (1, 2))
     named = {
         "n_predicted_t_ratio": quotient(cells[3][1], sum(cells[3])),
+        "n_predicted_drivable_ratio": quotient(cells[3][1] + cells[3][2], sum(cells[3])),
         "t_predicted_n_ratio": quotient(cells[1][3], sum(cells[1])),
         "bev_drivable_iou": quotient(columns[0], sum(columns)),
+        "clear_drivable_iou": quotient(in_both, sum(clear[t][p] for t, p in drivable)),
     }
     return {name: None if value is None else float(value) for name, value in named.items()}
 

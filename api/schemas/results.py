@@ -22,14 +22,23 @@ ByQuery = Annotated[By, Query(description="what the frames are grouped by; dista
 
 
 class ExtrasItem(Answer):
-    """Not ranked: of N voxels the share predicted T (dangerous), of T voxels that predicted N (over-cautious), and the
-    IoU of drivable columns seen from above."""
+    """Not ranked. Danger: of N voxels the share predicted drivable (T or P), and predicted T alone; over-caution: of T
+    voxels the share predicted N. IoU of drivable columns: without N beyond the robot's height of 1.6 m above the
+    surface (`clear_drivable_iou`), or with any N (`bev_drivable_iou`)."""
 
-    model_config = example(n_predicted_t_ratio=0.031, t_predicted_n_ratio=0.058, bev_drivable_iou=0.61)
+    model_config = example(
+        n_predicted_drivable_ratio=0.062,
+        n_predicted_t_ratio=0.031,
+        t_predicted_n_ratio=0.058,
+        bev_drivable_iou=0.61,
+        clear_drivable_iou=0.66,
+    )
 
+    n_predicted_drivable_ratio: float | None
     n_predicted_t_ratio: float | None
     t_predicted_n_ratio: float | None
     bev_drivable_iou: float | None
+    clear_drivable_iou: float | None
 
 
 class ScopedIntervals(Answer):
@@ -68,8 +77,10 @@ class ScoreItem(Answer):
 class ResultsAnswer(Answer):
     """What a submission scored. Null is undefined, or not shown to the caller.
 
-    `total` is rounded to `ratio_digits` where `is_rounded`. `within_occupied` are the same ratios with only the voxels
-    that the ground truth calls occupied. Rows of `confusion` are the ground truth, columns the prediction.
+    `total` is rounded to `ratio_digits` if `is_rounded`. `within_occupied` are the same ratios with only the voxels
+    that the ground truth calls occupied. `tolerant` are the ratios with voxels of a class paired if they are at most
+    one voxel apart in height, `columns` those of columns that count once; both are null for scores of an earlier
+    version. Rows of `confusion` are the ground truth, columns the prediction.
     """
 
     model_config = example(
@@ -103,6 +114,8 @@ class ResultsAnswer(Answer):
     ratio_digits: int
     total: RatiosItem
     within_occupied: RatiosItem | None
+    tolerant: RatiosItem | None
+    columns: RatiosItem | None
     support: SupportItem | None
     confusion: list[list[int]] | None
     extras: ExtrasItem | None

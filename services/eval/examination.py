@@ -2,15 +2,16 @@
 
 **Conventions.** Frames follow `tokens`, the whole manifest; an empty range checks the archive's directory alone. The
 child opens both files itself. What it answers is measured before it is believed: a little JSON, then exactly the counts
-of the range, little-endian int32 [frame, 3, 4, 4] and [frame, 3, 3].
+of the range, little-endian int32 in the order of `ARRAYS`.
 """
 
 import json
 import struct
 import zlib
-from collections.abc import Callable, Iterable, Sequence
+from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
 from functools import partial
+from math import prod
 from pathlib import Path
 
 import numpy as np
@@ -29,7 +30,18 @@ from services.runtime.sandbox import (
 )
 from services.runtime.sandbox.fork_client import warm_unless_served
 from stone.errors import PlatformFaultError, Refused
-from stone.scoring.bitplanes import RINGS, Confusion, Drivable, LabelRangeError, TruthPlanes, count_by_ring
+from stone.scoring.bitplanes import (
+    NO_COLUMN_COUNTS,
+    RINGS,
+    ColumnCounts,
+    Confusion,
+    Drivable,
+    LabelRangeError,
+    TruthPlanes,
+    count_by_ring,
+    no_column_counts,
+)
+from stone.scoring.columns import counted_every
 from stone.scoring.metric import CLASSES
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import SubmissionError, UnreadableInputError
@@ -48,11 +60,18 @@ TruthOf = Callable[[str], TruthPlanes]
 
 @dataclass(frozen=True, eq=False)
 class CountedFrames:
-    """Of F frames: `confusions` [F, ring, truth, prediction] and `bev` [F, ring, 3] int32, and what was refused."""
+    """Of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32, column counts, and what was
+    refused."""
 
     confusions: Confusion
     bev: Drivable
+    column_counts: ColumnCounts
     problems: tuple[ValidationProblem, ...]
+
+
+def sampled_tokens(tokens: Sequence[str]) -> frozenset[str]:
+    """Return the frames, of all tokens of a manifest, in which the column counts are made."""
+    return frozenset(tokens[:: counted_every(len(tokens))])
 
 
 def count_range(
@@ -60,24 +79,30 @@ def count_range(
     tokens: Sequence[str],
     truth_of: TruthOf,
     *,
+    sampled: Set[str] = frozenset(),
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> CountedFrames:
-    """The counts of these frames, every check on. What is wrong with the archive as a whole is not told again.
+    """The counts of these frames, every check on; the column counts of the frames `sampled`, zero of others.
 
-    Raises what `truth_of` raises.
+    What is wrong with the archive as a whole is not told again. Raises what `truth_of` raises.
     """
-    counted = CountedFrames(
-        np.zeros((len(tokens), RINGS, CLASSES, CLASSES), np.int32), np.zeros((len(tokens), RINGS, 3), np.int32), ()
-    )
+    shape = (len(tokens),)
+    confusions, bev = np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32), np.zeros((*shape, RINGS, 3), np.int32)
+    counted = CountedFrames(confusions, bev, no_column_counts(shape), ())
 
     def one(index: int) -> ValidationProblem | None:
-        if tokens[index] not in submission.frames:
+        token = tokens[index]
+        if token not in submission.frames:
             return None
-        truth = truth_of(tokens[index])
-        problem = count_frame(submission, tokens[index], truth, (counted.confusions[index], counted.bev[index]))
+        outs = (confusions[index], bev[index])
+        within = counted.column_counts.of_frame(index)
+        problem = count_frame(
+            submission, token, truth_of(token), (*outs, within if token in sampled else NO_COLUMN_COUNTS)
+        )
         if problem is not None:
-            counted.confusions[index], counted.bev[index] = 0, 0
+            for counts in (*outs, within.pairs, within.columns):
+                counts[...] = 0
         return problem
 
     found = in_threads(one, len(tokens), threads, progress=progress, stage="score")
@@ -85,9 +110,9 @@ def count_range(
 
 
 def count_frame(
-    submission: SubmissionZip, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable]
+    submission: SubmissionZip, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable, ColumnCounts]
 ) -> ValidationProblem | None:
-    """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, or say why it is refused."""
+    """Write the counts of one frame as `count_by_ring` does, or say why it is refused."""
 
     def count() -> None:
         try:
@@ -105,17 +130,23 @@ def count_frame(
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """Of F frames: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3], int32."""
+    """Of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32; `column_counts` are None of an earlier version."""
 
     confusions: NDArray[np.int32]
     bev: NDArray[np.int32]
+    column_counts: ColumnCounts | None = None
+
+    def arrays(self) -> dict[str, NDArray[np.int32]]:
+        """All counts by the names under which they are kept."""
+        column_counts = vars(self.column_counts) if self.column_counts else {}
+        return {"confusions": self.confusions, "bev": self.bev, **column_counts}
 
     def packed(self) -> bytes:
         """For a row, until the join."""
         return zlib.compress(self.raw(), 1)
 
     def raw(self) -> bytes:
-        return self.confusions.astype("<i4").tobytes() + self.bev.astype("<i4").tobytes()
+        return b"".join(array.astype("<i4").tobytes() for array in self.arrays().values())
 
 
 @dataclass(frozen=True, eq=False)
@@ -131,6 +162,7 @@ def examined(
     tokens: Sequence[str],
     truth_of: TruthOf | None = None,
     *,
+    sampled: Set[str] = frozenset(),
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> ExaminedRange:
@@ -140,9 +172,10 @@ def examined(
     """
     if truth_of is None:
         return ExaminedRange(verdict(check_range(submission, tokens, threads=threads, progress=progress)))
-    counted = count_range(submission, tokens, truth_of, threads=threads, progress=progress)
+    counted = count_range(submission, tokens, truth_of, sampled=sampled, threads=threads, progress=progress)
     validation = verdict(counted.problems)
-    return ExaminedRange(validation, Counts(counted.confusions, counted.bev) if validation.ok else None)
+    counts = Counts(counted.confusions, counted.bev, counted.column_counts)
+    return ExaminedRange(validation, counts if validation.ok else None)
 
 
 def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
@@ -154,12 +187,24 @@ def joined(ranges: Iterable[ExaminedRange]) -> ExaminedRange:
 
 
 def _concatenated(counts: Sequence[Counts]) -> Counts:
-    return Counts(*(np.concatenate([getattr(one, name) for one in counts]) for name in ("confusions", "bev")))
+    arrays = [one.arrays() for one in counts]
+    return counts_in({name: np.concatenate([one[name] for one in arrays]) for name in arrays[0]})
+
+
+def counts_in(arrays: Mapping[str, NDArray[np.int32]]) -> Counts:
+    """Return the counts with these `Counts.arrays`. Raises KeyError where one is missing."""
+    column_counts = ColumnCounts(arrays["pairs"], arrays["columns"]) if "pairs" in arrays else None
+    return Counts(arrays["confusions"], arrays["bev"], column_counts)
 
 
 HEAD = struct.Struct("<I")
-CONFUSION_SHAPE, BEV_SHAPE = (RINGS, CLASSES, CLASSES), (RINGS, 3)
-CONFUSION_BYTES, BEV_BYTES = 4 * RINGS * CLASSES * CLASSES, 4 * RINGS * 3
+ARRAYS: Mapping[str, tuple[int, ...]] = {
+    "confusions": (RINGS, CLASSES, CLASSES),
+    "bev": (RINGS, 3),
+    "pairs": (RINGS, CLASSES),
+    "columns": (RINGS, CLASSES, CLASSES),
+}
+FRAME_BYTES = 4 * sum(map(prod, ARRAYS.values()))
 FRAME_S = 0.1
 """Many times what the slowest honest frame takes (one whose array is stored, not deflated, in a deflated archive)."""
 LONGEST_PROBLEMS_BYTES = 2**20
@@ -215,14 +260,16 @@ def counts_of(raw: bytes, frames: int) -> Counts:
     """Raises `ValueError` for another number of bytes than that of this many frames."""
     if len(raw) != answer_bytes(frames):
         raise ValueError(f"{len(raw)} bytes are not the counts of {frames} frames")
-    confusions = np.frombuffer(raw, "<i4", frames * CONFUSION_BYTES // 4).reshape(frames, *CONFUSION_SHAPE)
-    bev = np.frombuffer(raw, "<i4", offset=frames * CONFUSION_BYTES).reshape(frames, *BEV_SHAPE)
-    return Counts(confusions.astype(np.int32), bev.astype(np.int32))
+    arrays, start = dict[str, NDArray[np.int32]](), 0
+    for name, shape in ARRAYS.items():
+        found = np.frombuffer(raw, "<i4", frames * prod(shape), start)
+        arrays[name], start = found.reshape(frames, *shape).astype(np.int32), start + found.nbytes
+    return counts_in(arrays)
 
 
 def answer_bytes(frames: int) -> int:
     """How long the counts of this many frames are."""
-    return frames * (CONFUSION_BYTES + BEV_BYTES)
+    return frames * FRAME_BYTES
 
 
 def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
@@ -232,16 +279,17 @@ def count_submission(examination: Examination, progress: ProgressCallback) -> by
         if submission.problems or examination.pack_path is None:
             found = examined(submission, tokens, threads=1, progress=progress)
             return _answer(merged([verdict(submission.problems), found.validation]), b"")
-        found = _counted(submission, tokens, examination.pack_path, progress)
+        found = _counted(submission, examination, examination.pack_path, progress)
         return _answer(found.validation, found.counts.raw() if found.counts else b"")
 
 
 def _counted(
-    submission: SubmissionZip, tokens: Sequence[str], pack_path: Path, progress: ProgressCallback
+    submission: SubmissionZip, examination: Examination, pack_path: Path, progress: ProgressCallback
 ) -> ExaminedRange:
+    tokens, wanted = examination.tokens[slice(*examination.span)], sampled_tokens(examination.tokens)
     try:
         with TruthPack(pack_path) as pack:
-            return examined(submission, tokens, pack.planes_of, threads=1, progress=progress)
+            return examined(submission, tokens, pack.planes_of, sampled=wanted, threads=1, progress=progress)
     except (TruthPackError, UnreadableInputError) as error:
         raise PlatformFaultError(
             "ground_truth_damaged",

@@ -22,7 +22,7 @@ from services.domain.benchmarks.submissions.score_rows import NewScore, drop_par
 from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
 from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.domain.benchmarks.submissions.submissions import settle
-from services.eval.examination import Counts, ExaminedRange, joined, unpacked
+from services.eval.examination import Counts, ExaminedRange, counts_in, joined, unpacked
 from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
 from services.eval.scored_case import Case, ReadyTruth, live_submission
 from services.eval.scoring_workspace import EvalStageContext
@@ -103,7 +103,7 @@ def _of_part(part: ScorePart) -> ExaminedRange:
 
 def _kept_counts(path: Path) -> Counts:
     with np.load(path, allow_pickle=False) as arrays:
-        return Counts(arrays["confusions"], arrays["bev"])
+        return counts_in(arrays)
 
 
 # Scores from counts: the record, the intervals and the two stored files of a score.
@@ -116,7 +116,7 @@ def made_score(
 
     Raises `unknown_metric`, and what the store raises.
     """
-    counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth))
+    counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth), counts.column_counts)
     spectra = counts_of_frames.spectra(evaluation_version.metric)
     return NewScore(
         submission_id=case.submission_id,
@@ -126,7 +126,7 @@ def made_score(
             "code_version": case.kept.code_version if case.kept else code_version("scores"),
             **record_of(counts_of_frames, spectra, evaluation_version.metric),
         },
-        confusions=_stored(context, npz_bytes({"confusions": counts.confusions, "bev": counts.bev})),
+        confusions=_stored(context, npz_bytes(counts.arrays())),
         spectra=_stored(context, spectra_npz(spectra)),
         content_sha256=sha256(counts.confusions.astype("<i4").tobytes()).hexdigest(),
     )

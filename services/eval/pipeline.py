@@ -8,7 +8,7 @@ The archive's directory is checked when it is opened; a range
 examines each range in a sandbox, in a job of its own where there are several (`services/eval/queue_handlers.py`).
 
 **Conventions.** Nothing here starts a process or keeps state, so it runs as it is in a child with memory and time
-limits. Peak memory does not grow with the submission, but for the counts: 228 bytes a frame, twice that at the join.
+limits. Peak memory does not grow with the submission, but for the counts: 468 bytes a frame, twice that at the join.
 """
 
 from collections.abc import Sequence
@@ -16,7 +16,7 @@ from dataclasses import dataclass
 from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
-from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined
+from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined, sampled_tokens
 from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
 from services.eval.score_record import Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
@@ -52,7 +52,7 @@ def score(
     with open_submission(zip_path, truth.manifest.tokens) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
-    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences)
+    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences, counted.column_counts)
     return Scores(counts_of_frames, Signature(whole_hash(hashes), truth.mask), truth.is_in_time_order)
 
 
@@ -94,5 +94,8 @@ def _examined(
     submission: SubmissionZip, tokens: Sequence[str], truth_of: TruthOf | None, onward: _Onward
 ) -> ExaminedRange:
     """All ranges of these frames, one after another, and their join."""
-    ranges = (tokens[slice(*span)] for span in ranges_of(len(tokens)))
-    return joined(examined(submission, range_, truth_of, threads=onward.threads, progress=onward) for range_ in ranges)
+    ranges, wanted = (tokens[slice(*span)] for span in ranges_of(len(tokens))), sampled_tokens(tokens)
+    return joined(
+        examined(submission, range_, truth_of, sampled=wanted, threads=onward.threads, progress=onward)
+        for range_ in ranges
+    )

@@ -13,8 +13,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.runtime.code_version import code_version
-from stone.scoring.bitplanes import RING_EDGES_M, Confusion, Drivable
-from stone.scoring.confusion import Counts, extras, named_ratios, supports
+from stone.scoring.bitplanes import RING_EDGES_M, ColumnCounts, Confusion, Drivable
+from stone.scoring.columns import counted_every
+from stone.scoring.confusion import Counts, extras, named_ratios, supports, tolerant_ratios
 from stone.scoring.intervals import (
     SCOPES,
     UNKNOWN_ORDER,
@@ -48,11 +49,15 @@ class SequenceFacts:
 
 @dataclass(frozen=True, eq=False)
 class SubmissionCounts:
-    """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`."""
+    """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`.
+
+    `column_counts` are zero for frames in which they are not made, None where an earlier version counted.
+    """
 
     confusions: Confusion
     bev: Drivable
     sequences: tuple[SequenceFacts, ...]
+    column_counts: ColumnCounts | None = None
 
     @property
     def frames_of_sequence(self) -> tuple[int, ...]:
@@ -61,6 +66,10 @@ class SubmissionCounts:
     def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
         """Return the sums that give the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
         return spectra_of(self.confusions, self.frames_of_sequence, metric_of(metric))
+
+    def columns(self) -> NDArray[np.int64] | None:
+        """Return the confusion (4, 4) of the columns of all frames."""
+        return self.column_counts.columns.sum(axis=(0, 1), dtype=np.int64) if self.column_counts else None
 
     def cells(self) -> NDArray[np.int64]:
         """The confusions of each sequence [sequence, ring, truth, prediction]."""
@@ -105,12 +114,28 @@ def record_of(
         "frames": len(counts_of_frames.confusions),
         "total": ratios,
         "within_occupied": named_ratios(total, OCCUPIED_VERSION),
+        **_column_record(counts_of_frames),
         "support": supports(total),
         "confusion": total.tolist(),
-        "extras": asdict(extras(total, counts_of_frames.bev.sum(axis=(0, 1), dtype=np.int64))),
+        "extras": asdict(
+            extras(total, counts_of_frames.bev.sum(axis=(0, 1), dtype=np.int64), counts_of_frames.columns())
+        ),
         **interval_record(ratios, spectra, metric_of(metric), is_in_time_order=is_in_time_order),
         "by": dict(_breakdowns(counts_of_frames, cells, metric)),
         "cells": {s.name: cell.tolist() for s, cell in zip(counts_of_frames.sequences, cells, strict=True)},
+    }
+
+
+def _column_record(counts_of_frames: SubmissionCounts) -> Record:
+    """`tolerant` and `columns`: the ratios by name of the frames in which they are counted, or None."""
+    columns, column_counts = counts_of_frames.columns(), counts_of_frames.column_counts
+    if columns is None or column_counts is None:
+        return {"tolerant": None, "columns": None}
+    counted = counts_of_frames.confusions[:: counted_every(len(counts_of_frames.confusions))]
+    pairs = column_counts.pairs.sum(axis=(0, 1), dtype=np.int64)
+    return {
+        "tolerant": tolerant_ratios(counted.sum(axis=(0, 1), dtype=np.int64), pairs),
+        "columns": named_ratios(columns),
     }
 
 

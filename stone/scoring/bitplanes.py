@@ -5,7 +5,8 @@ of one bit a voxel; a column (32 voxels along z) is one uint32. Columns are sort
 the column's centre from the ego origin, half-open: 0–10, 10–20, from 20 m — so that each ring is one contiguous run of
 words. Truth planes are ANDed with the plane of evaluated voxels beforehand. Confusions are [ring, truth, prediction].
 Seen from above, a column is drivable where its evaluated voxels hold a T or P and no N; columns drivable in both, in
-the truth only and in the prediction only are counted [ring, 3].
+the truth only and in the prediction only are counted [ring, 3]. The counts of `stone.scoring.columns` are made of the
+same planes where they are wanted.
 
 Source: counts of unions from counts of intersections by inclusion–exclusion; the planes are a bitmap index (O'Neil and
 Quass, 1997).
@@ -24,6 +25,7 @@ from stone.kernels.column_words import drivable32, pack1, pack8
 from stone.kernels.lanes import popcount, prefetch
 from stone.labels.grid import GRID_SHAPE, Grid
 from stone.labels.voxels import VOXEL_M
+from stone.scoring.columns import count_columns, count_pairs
 from stone.scoring.metric import CLASSES
 from stone_base.label_grid import VOXELS as VOXELS
 
@@ -62,11 +64,24 @@ class TruthPlanes:
 
 
 @dataclass(frozen=True, eq=False)
+class ColumnCounts:
+    """The counts of `stone.scoring.columns`: `pairs` (…, 3, 4) [ring, set], `columns` (…, 3, 4, 4) as a confusion."""
+
+    pairs: NDArray[np.int32]
+    columns: Confusion
+
+    def of_frame(self, index: int) -> "ColumnCounts":
+        """Return those of one of several frames, as a view."""
+        return ColumnCounts(self.pairs[index], self.columns[index])
+
+
+@dataclass(frozen=True, eq=False)
 class FrameCounts:
     """What is kept of a frame: `confusion` (3, 4, 4) [ring, truth, prediction] in voxels, `bev` (3, 3) in columns."""
 
     confusion: Confusion
     bev: Drivable
+    column_counts: ColumnCounts
 
 
 def column_rings() -> NDArray[np.int64]:
@@ -201,7 +216,7 @@ def _exact(joint: NDArray[np.int64]) -> None:
 
 @njit(cache=True, nogil=True)
 def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint64:
-    """The counts of each ring; returns not 0 if a voxel is above 3."""
+    """The counts of each ring, added to the column counts if these have rings; returns not 0 if a voxel is above 3."""
     runs, chunks = schedule
     low, high, beyond = np.empty(_CHUNK, np.uint32), np.empty(_CHUNK, np.uint32), np.uint64(0)
     joint, bev = np.zeros((counts.shape[0], 4, 4), np.int64), np.zeros((counts.shape[0], 3), np.int64)
@@ -214,6 +229,10 @@ def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any
         _joint(truth[0, a:b], truth[1, a:b], truth[2, a:b], packed_low, packed_high, joint[ring])
         truth_columns = (columns[0, start:stop], columns[1, start:stop])
         _drivable(truth_columns, columns[2, start:stop], low[: stop - start], high[: stop - start], bev[ring])
+        if outs[2].shape[0] != 0:
+            predicted = low[: stop - start], high[: stop - start]
+            count_pairs(truth_columns, columns[2, start:stop], predicted, outs[2][ring])
+            count_columns(truth_columns, columns[2, start:stop], predicted, outs[3][ring])
     for ring in range(counts.shape[0]):
         joint[ring, :, 0] = counts[ring]
         _exact(joint[ring])
@@ -221,6 +240,13 @@ def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any
         bev[ring, 1:] -= bev[ring, 0]
         outs[1][ring] = bev[ring]
     return beyond
+
+
+def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
+    """Column counts of frames of this shape, all zero."""
+    return ColumnCounts(
+        np.zeros((*shape, RINGS, CLASSES), np.int32), np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32)
+    )
 
 
 def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_]) -> TruthPlanes:
@@ -238,20 +264,31 @@ def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_]) -> TruthPlanes:
     return TruthPlanes(planes, counts)
 
 
-def count_by_ring(prediction: Grid, truth: TruthPlanes, confusion_out: Confusion, bev_out: Drivable) -> None:
+NO_COLUMN_COUNTS = ColumnCounts(np.empty((0, CLASSES), np.int32), np.empty((0, CLASSES, CLASSES), np.int32))
+
+
+def count_by_ring(
+    prediction: Grid,
+    truth: TruthPlanes,
+    confusion_out: Confusion,
+    bev_out: Drivable,
+    columns_out: ColumnCounts = NO_COLUMN_COUNTS,
+) -> None:
     """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, over the evaluated voxels.
 
-    Raises `ShapeError` for other shapes than (256, 256, 32) and `LabelRangeError` for values above 3, evaluated or not;
-    then what was written means nothing.
+    Column counts are added to `columns_out` if it is given. Raises `ShapeError` for other shapes than (256, 256, 32)
+    and `LabelRangeError` for values above 3, evaluated or not; then what was written means nothing.
     """
-    if _count(_voxels(prediction), truth.planes, truth.counts, (_RUNS, _CHUNKS), (confusion_out, bev_out)):
+    outs = (confusion_out, bev_out, columns_out.pairs, columns_out.columns)
+    if _count(_voxels(prediction), truth.planes, truth.counts, (_RUNS, _CHUNKS), outs):
         raise LabelRangeError(int(prediction.max()))
 
 
 def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
     """What `count_by_ring` writes, as a value. Raises what it raises."""
-    counts = FrameCounts(np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32))
-    count_by_ring(prediction, truth, counts.confusion, counts.bev)
+    confusion, bev = np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32)
+    counts = FrameCounts(confusion, bev, no_column_counts(()))
+    count_by_ring(prediction, truth, confusion, bev, counts.column_counts)
     return counts
 
 

@@ -24,6 +24,7 @@ from stone.scoring.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, RATIOS, m
 
 OCCUPIED = slice(1, None)
 T, N = CLASS_NAMES.index("T"), CLASS_NAMES.index("N")
+DRIVABLE = slice(T, N)
 
 Counts = NDArray[np.integer[Any]]
 Ratios = NDArray[np.float64]
@@ -31,11 +32,16 @@ Ratios = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class Extras:
-    """What an off-road user asks beside the ranking; each in [0, 1] or None where undefined."""
+    """What an off-road user asks beside the ranking; each in [0, 1] or None where undefined.
+
+    Drivable is T or P. `clear_drivable_iou` leaves out obstacles above the robot's height; `bev_drivable_iou` does not.
+    """
 
     n_predicted_t_ratio: float | None
+    n_predicted_drivable_ratio: float | None
     t_predicted_n_ratio: float | None
     bev_drivable_iou: float | None
+    clear_drivable_iou: float | None
 
 
 def ratios(confusions: Counts, metric: str = METRIC_VERSION) -> Ratios:
@@ -65,15 +71,40 @@ def named_ratios(confusion: Counts, metric: str = METRIC_VERSION) -> dict[str, f
     return dict(zip(RATIOS, map(_or_none, ratios(confusion, metric).tolist()), strict=True))
 
 
-def extras(confusion: Counts, bev: Counts) -> Extras:
-    """Of one confusion (4, 4) and of columns drivable in (both, truth only, prediction only) (3,)."""
+def extras(confusion: Counts, bev: Counts, columns: Counts | None = None) -> Extras:
+    """Return the extras of one confusion (4, 4), of columns drivable in (both, truth only, prediction only) (3,) and of
+    the confusion of columns (4, 4) of `stone.scoring.columns`."""
     counts = _checked(confusion)
     of_truth = counts.sum(axis=-1)
+    clear = np.zeros((CLASSES, CLASSES), np.int64) if columns is None else _checked(columns)
+    both = clear[DRIVABLE, DRIVABLE].sum()
+    either = clear[DRIVABLE].sum() + clear[:, DRIVABLE].sum() - both
     return Extras(
         n_predicted_t_ratio=_or_none(float(_ratio(counts[N, T], of_truth[N]))),
+        n_predicted_drivable_ratio=n_predicted_drivable(counts),
         t_predicted_n_ratio=_or_none(float(_ratio(counts[T, N], of_truth[T]))),
         bev_drivable_iou=_or_none(float(_ratio(bev[0].astype(np.int64), bev.sum(dtype=np.int64)))),
+        clear_drivable_iou=_or_none(float(_ratio(both, either))),
     )
+
+
+def n_predicted_drivable(confusion: Counts) -> float | None:
+    """Return the share of N voxels of one confusion (4, 4) that are predicted T or P, None without N."""
+    of_n = _checked(confusion)[N]
+    return _or_none(float(_ratio(of_n[DRIVABLE].sum(), of_n.sum())))
+
+
+def tolerant_ratios(confusion: Counts, pairs: Counts) -> dict[str, float | None]:
+    """Return the ratios by name of one confusion (4, 4) with pairs (4,) for voxels in both (`stone.scoring.columns`).
+
+    IoU = pairs / (voxels of the truth + voxels of the prediction − pairs), over all evaluated voxels.
+    """
+    counts, hits = _checked(confusion), pairs.astype(np.int64)
+    of_truth, of_prediction = counts.sum(axis=1), counts.sum(axis=0)
+    of_truth[0], of_prediction[0] = of_truth[OCCUPIED].sum(), of_prediction[OCCUPIED].sum()
+    parts = _ratio(hits, of_truth + of_prediction - hits)
+    values = [*parts.tolist(), float(parts[OCCUPIED].mean())]
+    return dict(zip(RATIOS, map(_or_none, values), strict=True))
 
 
 def iou_occupied(confusion: Counts) -> Ratios:

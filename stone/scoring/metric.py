@@ -114,12 +114,24 @@ once (Tukey): that any two equal entries of a board are told apart has a chance 
 _OTHERS = """\
 ## Shown beside it, never ranked
 
-    N predicted T = |truth N ∧ predicted T| / |truth N|       (danger)
-    T predicted N = |truth T ∧ predicted N| / |truth T|       (over-caution)
-    drivable IoU  = columns drivable in both / columns drivable in either
+    N predicted T or P = |truth N ∧ predicted T or P| / |truth N|  (danger: planners drive on P too)
+    N predicted T      = |truth N ∧ predicted T| / |truth N|       (the worst part of it)
+    T predicted N      = |truth T ∧ predicted N| / |truth T|       (over-caution)
+    drivable IoU       = columns drivable in both / columns drivable in either
 
 A column (the 32 voxels above one another) is drivable where its evaluated voxels hold a T or P and no N. Each is `null`
 where its denominator is 0.
+
+Labels are sheets of one voxel, so a surface that is right to a few centimetres may fall into the next voxel. Two
+readings forgive that, of at most 250 frames of a submission: the first and every n-th after it, n = ⌈frames / 250⌉.
+
+- *±1 voxel*: IoU = pairs / (voxels of the truth + voxels of the prediction − pairs), of occupied voxels and of each
+  class. The pairs of a column are the voxels of the truth with a voxel of the prediction at most one voxel above or
+  below, or the voxels of the prediction with one of the truth, whichever are fewer. Only evaluated voxels take part.
+- *Columns*: each column counts once, and the ratios are those of the confusion of columns. The class of a column is
+  the worst of its evaluated voxels: N before P before T, free without any. An N does not count if at least 1.6 m,
+  eight voxels, are between it and the lowest T or P of the column: the robot drives under it. *Clear drivable IoU*:
+  columns of class T or P in both / in either.
 """
 
 

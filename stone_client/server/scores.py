@@ -13,13 +13,15 @@ from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
-from stone_client.tables import CLASSES, DASH, confusion_table, plain_table, safe_text
+from stone_client.tables import CLASSES, DASH, READINGS, confusion_table, plain_table, safe_text
 
 RATIOS = {"miou": "mIoU", "iou_occ": "IoU occ", "iou_t": "IoU T", "iou_p": "IoU P", "iou_n": "IoU N"}
 EXTRAS = {
+    "n_predicted_drivable_ratio": "of N predicted T or P (dangerous)",
     "n_predicted_t_ratio": "of N predicted T (dangerous)",
     "t_predicted_n_ratio": "of T predicted N (over-cautious)",
-    "bev_drivable_iou": "IoU of drivable columns from above",
+    "clear_drivable_iou": "IoU of drivable columns, N overhead left out",
+    "bev_drivable_iou": "IoU of drivable columns, any N blocks",
 }
 
 
@@ -61,13 +63,13 @@ def compare(api: Api, a: str, b: str) -> dict[str, Any]:
 def results_tables(record: Mapping[str, Any]) -> list[Table]:
     """The totals with their intervals, then what else is shown to the caller."""
     named = f"{record['method']} ({record['modality']}) in {record['benchmark']} / {record['phase']}"
-    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in new places", "within occupied")
-    within = record["within_occupied"] or {}
+    table = plain_table(safe_text(named), "", "%", "95 % here", "95 % in new places", *READINGS.values())
+    readings = [record.get(reading) or {} for reading in READINGS]
     for key, name in RATIOS.items():
         spans = (_told(record, scope, key) for scope in ("these_places", "new_place"))
-        table.add_row(name, percent(record["total"][key]), *spans, percent(within.get(key)))
+        table.add_row(name, percent(record["total"][key]), *spans, *(percent(of.get(key)) for of in readings))
     for key, name in EXTRAS.items() if record["extras"] else ():
-        table.add_row(name, percent(record["extras"][key]), *[DASH] * 3)
+        table.add_row(name, percent(record["extras"].get(key)), *[DASH] * (2 + len(READINGS)))
     return [table, *([confusion_table(record["confusion"])] if record["confusion"] else [])]
 
 

@@ -29,7 +29,8 @@ PARTS = ("results", "provenance", "confusions", "results/breakdowns")
 # What of the results' body each field of the table is.
 BODY_OF = {
     "intervals": "intervals", "support": "support", "confusion": "confusion", "extras": "extras",
-    "within occupied": "within_occupied", "method": "method", "description": "description", "team": "team",
+    "within occupied": "within_occupied", "tolerant": "tolerant", "columns": "columns",
+    "method": "method", "description": "description", "team": "team",
 }  # fmt: skip
 
 

@@ -11,7 +11,7 @@ import pytest
 from services.domain.benchmarks.golden import golden_archive, golden_file, golden_names
 from services.eval.ground_truth import Mask
 from services.eval.pipeline import score
-from stone.scoring.confusion import extras, named_ratios
+from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import METRICS, RATIOS
 from stone_submissions.validation import validate
 from stone_submissions.verdict import SubmissionRefusedError
@@ -37,10 +37,16 @@ def said() -> Any:
 @pytest.mark.parametrize("mask", MASKS)
 def test_the_kernels_count_the_golden_frames(golden: Path, said: Any, mask: Mask) -> None:
     tally = score(golden / "submission.zip", golden, mask=mask).counts_of_frames
+    assert tally.column_counts is not None
     tokens = [path.parent.name for path in sorted(golden.glob("gts/*/*/labels.npz"))]
     counted = {
-        token: {"confusion": confusion.tolist(), "bev": bev.tolist()}
-        for token, confusion, bev in zip(tokens, tally.confusions, tally.bev, strict=True)
+        token: {
+            "confusion": tally.confusions[index].tolist(),
+            "bev": tally.bev[index].tolist(),
+            "pairs": tally.column_counts.pairs[index].tolist(),
+            "columns": tally.column_counts.columns[index].tolist(),
+        }
+        for index, token in enumerate(tokens)
     }
     assert counted == said["masks"][mask]["frames"]
 
@@ -59,7 +65,9 @@ def test_every_metric_reads_the_golden_ratios(golden: Path, said: Any, mask: Mas
             found = named_ratios(confusion, metric)
             assert {name: value is None for name, value in ratios.items()} == {n: found[n] is None for n in RATIOS}
             assert [found[name] or 0 for name in RATIOS] == pytest.approx([ratios[n] or 0 for n in RATIOS], rel=1e-15)
-    assert vars(extras(total, tally.bev.sum(axis=(0, 1)))) == said["masks"][mask]["total"]["extras"]
+    record = score(golden / "submission.zip", golden, mask=mask).as_record()
+    for part in ("extras", "tolerant", "columns"):
+        assert record[part] == pytest.approx(said["masks"][mask]["total"][part], rel=1e-15)
 
 
 def test_unknown_written_as_255_is_refused_as_the_vectors_say(golden: Path, said: Any) -> None:

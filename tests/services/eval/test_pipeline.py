@@ -30,8 +30,8 @@ from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import World
 
-TOLD = ["frames", "total", "within_occupied", "support", "confusion", "extras", "intervals", "silences"]
-TOLD += ["by", "cells"]
+TOLD = ["frames", "total", "within_occupied", "tolerant", "columns", "support", "confusion", "extras"]
+TOLD += ["intervals", "silences", "by", "cells"]
 KEYS = [*TOLD, "signature", "code_version"]
 
 

@@ -105,8 +105,10 @@ def test_counts_beyond_32_bits_are_added_exactly() -> None:
     assert said["confusion"] == [[27 * (2**31 - 1)] * 4] * 4
     assert said["extras"] == {
         "n_predicted_t_ratio": 0.25,
+        "n_predicted_drivable_ratio": 0.5,
         "t_predicted_n_ratio": 0.25,
         "bev_drivable_iou": pytest.approx(1 / 3),
+        "clear_drivable_iou": None,
     }
 
 

@@ -22,11 +22,19 @@ from stone.scoring.bitplanes import (
     frame_counts,
     truth_planes,
 )
-from stone.scoring.confusion import extras, named_ratios
+from stone.scoring.confusion import extras, named_ratios, tolerant_ratios
 from stone.scoring.metric import METRICS, RATIOS
 from stone.scoring.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
 from tests.plain_confusion import confusion_matrix
-from tests.slow_metric import Counts, added, slow_counts, slow_extras, slow_ratios
+from tests.slow_metric import (
+    Counts,
+    added,
+    added_columns,
+    slow_counts,
+    slow_extras,
+    slow_ratios,
+    slow_tolerant,
+)
 
 Mask = NDArray[np.bool_]
 EVERYWHERE, NOWHERE = np.ones(GRID_SHAPE, np.bool_), np.zeros(GRID_SHAPE, np.bool_)
@@ -47,12 +55,14 @@ def holds(truth: Grid, prediction: Grid, is_evaluated: Mask) -> None:
         frame_counts(prediction, truth_planes(truth, is_evaluated)),
         slow_counts(truth, prediction, is_evaluated),
     )
-    assert Counts(found.confusion.tolist(), found.bev.tolist()) == slow
+    by_column = found.column_counts
+    arrays = (found.confusion, found.bev, by_column.pairs, by_column.columns)
+    assert Counts(*(array.tolist() for array in arrays)) == slow
     cells, columns = added([slow])
-    total, bev = found.confusion.sum(axis=0), found.bev.sum(axis=0)
-    assert vars(extras(total, bev)) == slow_extras(cells, columns)
-    for metric in METRICS:
-        named, expected = named_ratios(total, metric), slow_ratios(cells, metric)
+    total, bev, pairs, clear = (array.sum(axis=0) for array in arrays)
+    assert vars(extras(total, bev, clear)) == slow_extras(cells, columns, added_columns([slow]))
+    read = [(named_ratios(total, metric), slow_ratios(cells, metric)) for metric in METRICS]
+    for named, expected in [*read, (tolerant_ratios(total, pairs), slow_tolerant([slow]))]:
         assert [named[name] is None for name in RATIOS] == [expected[name] is None for name in RATIOS]
         assert [named[name] or 0 for name in RATIOS] == pytest.approx(
             [expected[name] or 0 for name in RATIOS], rel=1e-15
@@ -98,7 +108,56 @@ def test_a_column_is_drivable_only_with_a_way_and_without_a_wall() -> None:
     holds(truth, prediction, is_evaluated)
 
 
-Grid = NDArray[np.uint8]
+@pytest.mark.parametrize(
+    ("truth", "prediction", "pairs"),
+    [
+        ({5: 1}, {6: 1}, (1, 1, 0, 0)),  # one too high
+        ({5: 1}, {7: 1}, (0, 0, 0, 0)),  # two too high
+        ({5: 1}, {6: 2}, (1, 0, 0, 0)),
+        ({5: 1}, {4: 1, 5: 1, 6: 1}, (1, 1, 0, 0)),  # thickness earns nothing
+        ({z: 3 for z in range(4, 14)}, {z: 3 for z in range(5, 15)}, (10, 0, 0, 10)),
+        ({31: 2, 0: 3}, {30: 2, 1: 3}, (2, 0, 1, 1)),
+        ({31: 2}, {0: 2}, (0, 0, 0, 0)),
+    ],
+)
+def test_voxels_pair_with_those_at_most_one_voxel_above_or_below(
+    truth: dict[int, int], prediction: dict[int, int], pairs: tuple[int, ...]
+) -> None:
+    """Of two neighbouring columns, so that nothing pairs across their border."""
+    for column in ((128, 128), (128, 129)):
+        counts = frame_counts(standing(column, prediction), truth_planes(standing(column, truth), EVERYWHERE))
+        assert tuple(counts.column_counts.pairs[0].tolist()) == pairs
+
+
+@pytest.mark.parametrize(
+    ("labels", "expected"),
+    [
+        ({}, 0),
+        ({5: 1}, 1),
+        ({5: 1, 6: 2}, 2),
+        ({5: 1, 6: 3}, 3),
+        ({5: 2, 13: 3}, 3),  # 1.4 m to drive under
+        ({5: 2, 14: 3}, 2),  # 1.6 m
+        ({5: 2, 14: 3, 4: 3}, 3),
+        ({0: 1, 31: 3}, 1),
+        ({20: 3}, 3),
+        ({23: 1, 31: 3}, 3),
+        ({31: 1}, 1),
+    ],
+)
+def test_a_column_is_of_its_worst_class_under_the_robots_height(labels: dict[int, int], expected: int) -> None:
+    column = (0, 255)
+    counts = frame_counts(standing(column, labels), truth_planes(standing(column, labels), EVERYWHERE))
+    found = counts.column_counts.columns.sum(axis=0)
+    assert found[expected, expected] == (COLUMNS if expected == 0 else 1)
+    assert found.sum() == COLUMNS
+
+
+def standing(column: tuple[int, int], labels: dict[int, int]) -> Grid:
+    grid = filled(0)()
+    for z, label in labels.items():
+        grid[*column, z] = label
+    return grid
 
 
 def random_grid(seed: int, occupied_ratio: float) -> Grid:

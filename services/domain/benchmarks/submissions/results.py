@@ -9,6 +9,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any, Literal, get_args
 
+import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session, defer, undefer
 
@@ -18,6 +19,7 @@ from services.domain.benchmarks.visibility import Field, Policy, Viewer, policy_
 from services.runtime.orm import Activation, Benchmark, Blob, GroundTruthRow, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import now_ns
 from stone.errors import Refused
+from stone.scoring.confusion import n_predicted_drivable
 from stone.scoring.intervals import SCOPES, WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
 
@@ -62,6 +64,8 @@ class SubmissionResults:
     total: Ratios
     is_rounded: bool
     within_occupied: Ratios | None
+    tolerant: Ratios | None
+    columns: Ratios | None
     support: Mapping[str, int] | None
     confusion: list[list[int]] | None
     extras: Ratios | None
@@ -109,9 +113,11 @@ def results(
         total={name: seen.policy.ratio(getattr(seen.score, name)) for name in RATIOS},
         is_rounded=not seen.policy.shows("exact"),
         within_occupied=seen.unless_withheld("extras", "within_occupied"),
+        tolerant=seen.unless_withheld("extras", "tolerant"),
+        columns=seen.unless_withheld("extras", "columns"),
         support=seen.unless_withheld("extras", "support"),
         confusion=seen.unless_withheld("extras", "confusion"),
-        extras=seen.unless_withheld("extras", "extras"),
+        extras=_extras(seen.score.record) if seen.policy.shows("extras") else None,
         intervals=_by_scope(seen, "intervals", None) if shows_intervals else None,
         silences=_by_scope(seen, "silences", WITHDRAWN) if shows_intervals else None,
     )
@@ -174,6 +180,12 @@ def readable_scores(session: Session, viewer: Viewer, submission: SubmissionRow)
     if viewer.is_administrator:
         return tuple(rows)
     return tuple(row for row in rows if _was_in_force(session, submission.phase_id, row[0]))
+
+
+def _extras(record: Record) -> Ratios:
+    """The extras; a record of an earlier version lacks a share that its confusion gives, and the clear columns."""
+    share = n_predicted_drivable(np.array(record["confusion"]))
+    return {"n_predicted_drivable_ratio": share, "clear_drivable_iou": None, **record["extras"]}
 
 
 def _by_scope(seen: ScoreView, name: str, otherwise: Silence | None) -> Mapping[Scope, Any]:

@@ -19,6 +19,7 @@ from services.runtime.orm import Activation, GroundTruthRow, Phase, Score, Submi
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store import blobs
+from stone.scoring.bitplanes import ColumnCounts
 from stone.scoring.metric import METRIC_VERSION, RATIOS
 from stone_files.npz import npz_bytes
 from tests.services.domain.benchmarks.scored import Place, entry, phase_of_rows, team
@@ -171,7 +172,8 @@ def computed(made: Made) -> tuple[dict[str, Any], bytes, bytes]:
     """The record of a score, the npz of its counts, the npz of its spectra."""
     confusions = counts(made)
     bev = np.ones((FRAMES, 3, 3), np.int32)
-    counts_of_frames = SubmissionCounts(confusions, bev, SEQUENCES)
+    by_column = ColumnCounts(np.ones((FRAMES, 3, 4), np.int32), np.ones((FRAMES, 3, 4, 4), np.int32))
+    counts_of_frames = SubmissionCounts(confusions, bev, SEQUENCES, by_column)
     spectra = counts_of_frames.spectra()
     record = {"code_version": "9.9", **record_of(counts_of_frames, spectra)}
     record["total"] |= dict(made.total)

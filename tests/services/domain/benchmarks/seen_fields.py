@@ -43,6 +43,8 @@ support          amo    a        amo     amo
 confusion        amo    a        amo     amo
 extras           amo    a        amo     amo
 within occupied  amo    a        amo     amo
+tolerant         amo    a        amo     amo
+columns          amo    a        amo     amo
 by frame         am     a        a       am
 content          am     a        a       am
 signature        amo    amo      amo     amo
@@ -128,6 +130,8 @@ def _of_results(found: SubmissionResults, row: LeaderboardRow) -> dict[str, obje
         "confusion": found.confusion,
         "extras": found.extras,
         "within occupied": found.within_occupied,
+        "tolerant": found.tolerant,
+        "columns": found.columns,
         "method": found.seen.submission.method,
         "description": found.description,
         "team": found.team or row.team,

@@ -1,0 +1,112 @@
+"""Counts by column: pairs of voxels one voxel apart in height, and columns that count once.
+
+**Conventions.** A column is 32 voxels along z in the bits of a word, bit 0 the lowest; a class has the low and the high
+bit of two planes. Compiled kernels for `stone.scoring.bitplanes`, which hands over columns of the truth that hold no
+voxel but evaluated ones, and columns of a prediction that may.
+
+- *Pairs* of a set (occupied, T, P, N): in each column the voxels of the truth that have a voxel of the prediction at
+  most one voxel above or below, or the voxels of the prediction that have one of the truth, whichever are fewer. A
+  sheet that lies one voxel too high pairs completely; a column of three voxels pairs with one voxel once.
+- The *class of a column* is the worst (N, P, T, free) of its voxels, without those N that are more than the robot's
+  height above its lowest T or P.
+
+Both are counted in at most `COUNTED_FRAMES` frames of a submission, evenly spaced: neighbouring frames see the same
+ground, and counting costs as much as half of all else that is done for a frame.
+"""
+
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.kernels.lanes import popcount
+from stone.labels.voxels import VOXEL_M
+
+CLEARANCE_M = 1.6
+"""The height of a robot that drives under an obstacle."""
+# An N this many voxels above the surface leaves `CLEARANCE_M` between both.
+_OVERHEAD = np.uint64(round(CLEARANCE_M / VOXEL_M) + 1)
+_ONE = np.uint64(1)
+
+COUNTED_FRAMES = 250
+
+Columns = NDArray[np.uint32]
+
+
+def counted_every(frames: int) -> int:
+    """Return n: of this many frames the first and every n-th after it are counted."""
+    return max(1, -(-frames // COUNTED_FRAMES))
+
+
+@njit(cache=True, nogil=True)
+def count_pairs(truth: Any, evaluated: Columns, prediction: Any, pairs: NDArray[np.int32]) -> None:
+    """Pairs (4,) of occupied, T, P and N added; truth and prediction are a low and a high plane each."""
+    (truth_low, truth_high), (low, high) = truth, prediction
+    occupied = t = p = n = np.uint64(0)
+    for i in range(low.size):
+        valid, g1, g2 = np.uint64(evaluated[i]), np.uint64(truth_low[i]), np.uint64(truth_high[i])
+        p1, p2 = np.uint64(low[i]) & valid, np.uint64(high[i]) & valid
+        g3, p3 = g1 & g2, p1 & p2
+        occupied += _pairs(g1 | g2, p1 | p2)
+        t += _pairs(g1 ^ g3, p1 ^ p3)
+        p += _pairs(g2 ^ g3, p2 ^ p3)
+        n += _pairs(g3, p3)
+    pairs[0] += np.int64(occupied)
+    pairs[1] += np.int64(t)
+    pairs[2] += np.int64(p)
+    pairs[3] += np.int64(n)
+
+
+@njit(inline="always")
+def _pairs(a: Any, b: Any) -> Any:
+    return min(popcount(a & _thickened(b)), popcount(b & _thickened(a)))
+
+
+@njit(inline="always")
+def _thickened(column: Any) -> Any:
+    """With the voxels above and below; the bit above the highest voxel meets none."""
+    return column | (column << _ONE) | (column >> _ONE)
+
+
+@njit(cache=True, nogil=True)
+def count_columns(truth: Any, evaluated: Columns, prediction: Any, counts: NDArray[np.int32]) -> None:
+    """The confusion (4, 4) [truth, prediction] of columns added; both are a low and a high plane."""
+    (truth_low, truth_high), (low, high) = truth, prediction
+    s11 = s12 = s13 = s21 = s22 = s23 = s31 = s32 = s33 = np.uint64(0)
+    t1 = t2 = t3 = q1 = q2 = q3 = np.uint64(0)
+    for i in range(low.size):
+        valid = np.uint64(evaluated[i])
+        g1, g2, g3 = _class_of(np.uint64(truth_low[i]), np.uint64(truth_high[i]))
+        p1, p2, p3 = _class_of(np.uint64(low[i]) & valid, np.uint64(high[i]) & valid)
+        s11, s12, s13 = s11 + (g1 & p1), s12 + (g1 & p2), s13 + (g1 & p3)
+        s21, s22, s23 = s21 + (g2 & p1), s22 + (g2 & p2), s23 + (g2 & p3)
+        s31, s32, s33 = s31 + (g3 & p1), s32 + (g3 & p2), s33 + (g3 & p3)
+        t1, t2, t3, q1, q2, q3 = t1 + g1, t2 + g2, t3 + g3, q1 + p1, q2 + p2, q3 + p3
+    both = ((s11, s12, s13), (s21, s22, s23), (s31, s32, s33))
+    in_truth, in_prediction = (t1, t2, t3), (q1, q2, q3)
+    free = np.int64(low.size)
+    for row in range(3):
+        only_truth, only_prediction = np.int64(in_truth[row]), np.int64(in_prediction[row])
+        free -= only_truth + only_prediction
+        for column in range(3):
+            counts[row + 1, column + 1] += np.int64(both[row][column])
+            only_truth -= np.int64(both[row][column])
+            only_prediction -= np.int64(both[column][row])
+            free += np.int64(both[row][column])
+        counts[row + 1, 0] += only_truth
+        counts[0, row + 1] += only_prediction
+    counts[0, 0] += free
+
+
+@njit(inline="always")
+def _class_of(low: Any, high: Any) -> Any:
+    """Whether (0 or 1) a column is T, P, N; none of them where it is free."""
+    blocking = low & high
+    surface = low ^ high
+    lowest = surface & (~surface + _ONE)
+    within_reach = (lowest << _OVERHEAD) - _ONE  # all voxels where there is no surface
+    is_n = np.uint64((blocking & within_reach) != 0)
+    is_p = np.uint64((high & ~blocking) != 0) & (is_n ^ _ONE)
+    is_t = np.uint64((low & ~blocking) != 0) & (is_n ^ _ONE) & (is_p ^ _ONE)
+    return is_t, is_p, is_n
