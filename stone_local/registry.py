@@ -5,7 +5,17 @@ from stone_client.lazy_commands import places
 PACKAGE = "stone_local.commands"
 COMMANDS = (
     *places(
-        "On this machine", PACKAGE, "simulate", "inspect", "recover", "label", "export", "baseline", "score", "check"
+        "On this machine",
+        PACKAGE,
+        "simulate",
+        "inspect",
+        "recover",
+        "label",
+        "export",
+        "baseline",
+        "score",
+        "ceiling",
+        "check",
     ),
     *places("On this machine", PACKAGE, "demo"),
     *places("With a server", PACKAGE, "serve"),

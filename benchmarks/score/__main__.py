@@ -23,7 +23,7 @@ from rich.table import Table
 
 from benchmarks.score.material import Material, material
 from benchmarks.score.peers import ByteMoving, Plain, occ3d
-from services.eval.examination import CountedFrames, TruthOf, count_range
+from services.eval.examination import CountedFrames, TruthOf, count_range, sampled_tokens
 from services.eval.score_record import interval_record, spectra_of
 from services.eval.truth_pack import TruthPack
 from stone.scoring.confusion import named_ratios
@@ -77,7 +77,8 @@ class ScoreInputs:
     moving: ByteMoving
 
     def count(self, tokens: Sequence[str], truth_of: TruthOf, threads: int) -> CountedFrames:
-        counted = count_range(self.submission, tokens, truth_of, threads=threads)
+        sampled = sampled_tokens(self.data.tokens)
+        counted = count_range(self.submission, tokens, truth_of, sampled=sampled, threads=threads)
         if counted.problems or self.submission.problems:
             raise SystemExit("the submission was refused: the benchmark is void")
         return counted

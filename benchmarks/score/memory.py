@@ -4,7 +4,7 @@ import re
 import sys
 from pathlib import Path
 
-from services.eval.examination import count_range
+from services.eval.examination import count_range, sampled_tokens
 from services.eval.truth_pack import TruthPack
 from stone_submissions.archive import open_submission
 
@@ -14,7 +14,8 @@ THREADS = 2
 def main() -> None:
     zip_path, pack_path = map(Path, sys.argv[1:])
     with TruthPack(pack_path) as pack, open_submission(zip_path, pack.tokens) as submission:
-        counted = count_range(submission, pack.tokens, pack.planes_of, threads=THREADS)
+        sampled = sampled_tokens(pack.tokens)
+        counted = count_range(submission, pack.tokens, pack.planes_of, sampled=sampled, threads=THREADS)
     if submission.problems or counted.problems:
         raise SystemExit("the submission was refused: the benchmark is void")
     print(high_water_bytes())

@@ -7,21 +7,25 @@ Source: STONE Dataset: A Scalable Multi-Modal Surround-View 3D Traversability Da
 (ICRA 2026), Table II.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
-from decimal import Decimal
+from decimal import Decimal, InvalidOperation
+from pathlib import Path
 from typing import Any
+
+from stone_base.errors import Refused
 
 RATIOS = ("iou_occ", "iou_t", "iou_p", "iou_n", "miou")
 
 
 @dataclass(frozen=True)
 class PublishedRow:
-    """A method's per cent as printed, by the names of their ratios; `remark` is what is to be known of it alone."""
+    """A method's per cent as printed, in the order of `RATIOS`, None if undefined; `remark` is about this row alone."""
 
     method: str
     modality: str
-    percent: tuple[str, str, str, str, str]
+    percent: tuple[str | None, ...]
     remark: str = ""
 
 
@@ -39,9 +43,9 @@ class PublishedTable:
         return [self._row(row) for row in self.rows]
 
     def _row(self, row: PublishedRow) -> dict[str, Any]:
-        exact = [Decimal(printed) for printed in row.percent]
-        ratios = {name: float(value.scaleb(-2)) for name, value in zip(RATIOS, exact, strict=True)}
-        digits = max(len(printed.partition(".")[2]) for printed in row.percent)
+        printed = [Decimal(value) if value else None for value in row.percent]
+        ratios = {name: float(v.scaleb(-2)) if v is not None else None for name, v in zip(RATIOS, printed, strict=True)}
+        digits = max(len((value or "").partition(".")[2]) for value in row.percent)
         said = {"source": self.source, "note": f"{self.note} {row.remark}".rstrip(), "percent_digits": digits}
         return {"method": row.method, "modality": row.modality, **said, **ratios}
 
@@ -72,3 +76,19 @@ TABLE2 = PublishedTable(
     ),
 )
 TABLES: Mapping[str, PublishedTable] = {"table2": TABLE2}
+
+
+def table_named(name: str) -> PublishedTable:
+    """Return the table of this name, or the one in this file of `stone ceiling`. Raises `no_such_table`."""
+    if name in TABLES:
+        return TABLES[name]
+    try:
+        read = json.loads(Path(name).read_text("utf-8"))
+        rows = tuple(PublishedRow(row["method"], row["modality"], tuple(row["percent"])) for row in read["rows"])
+        table = PublishedTable(read["title"], read["source"], read["note"], rows)
+        table.reported()
+    except (OSError, ValueError, KeyError, TypeError, AttributeError, InvalidOperation) as error:
+        raise Refused(
+            "no_such_table", f"{name[:200]!r} is neither {', '.join(TABLES)} nor a file that `stone ceiling` wrote"
+        ) from error
+    return table

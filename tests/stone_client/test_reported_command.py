@@ -1,17 +1,21 @@
 """`stone reported`: a published table onto a board, by administrators only, whole or not at all, and never twice."""
 
+import json
 from decimal import Decimal
+from pathlib import Path
 from typing import Any
 
 import pytest
 
 from services.domain.benchmarks.phases.reported_results import ReportedRow, put_reported, reported_in
 from services.runtime.orm import Phase
+from stone.scoring.metric import RATIOS
 from stone_client.api import Api
 from stone_client.connection import connected
 from stone_client.errors import ServerRefusedError
 from stone_client.server.published_tables import TABLE2, TABLES
 from stone_client.server.reported import Putting, put_table
+from stone_local.ceiling import row_of
 from testing.api.serving import person
 from testing.worlds.benchmark_world import World
 from tests.stone_client.participating import Served, answered, joined, refused, stone
@@ -70,6 +74,16 @@ def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Se
     shown = stone("reported", "table2", *served.at("val"))
     assert shown.stdout.count("stood already") == 10
     assert NOT_COMPARABLE in shown.stdout
+
+
+def test_a_ceiling_stands_beside_the_other_rows(served: Served, tmp_path: Path) -> None:
+    ratios = dict.fromkeys(RATIOS, 0.41234)
+    record = {"frames": 7, "signature": "s", "total": ratios, "tolerant": ratios, "columns": {**ratios, "miou": None}}
+    (tmp_path / "ceiling.json").write_text(json.dumps(row_of(record, "run", "sweeps")))
+    answered("reported", tmp_path / "ceiling.json", *served.at("val"))
+    rows = standing(served)
+    assert rows.keys() == {("Another", "L+R"), ("Ceiling by sweeps: run", "L")}
+    assert rows["Ceiling by sweeps: run", "L"][1] == 0.412
 
 
 def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(served: Served) -> None:

@@ -27,7 +27,7 @@ TITLES: Mapping[EntryStatus, str] = {
     "ranked": "Entries",
     "baseline": "Baselines (not ranked)",
     "undefined": "Unranked entries (a class is undefined)",
-    "reported": "Reported by others, not evaluated here",
+    "reported": "Not evaluated here: reported by others, or a ceiling of the labels",
 }
 FEW = 5
 

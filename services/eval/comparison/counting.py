@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 from services.eval.ground_truth import KEYS
 from stone.labels.grid import GRID_SHAPE, Grid
 from stone.scoring.agreement import agreement_ratios
-from stone.scoring.bitplanes import RINGS, LabelRangeError, frame_counts, truth_planes
+from stone.scoring.bitplanes import RINGS, LabelRangeError, count_by_ring, truth_planes
 from stone.scoring.metric import CLASSES
 from stone_submissions.errors import GroundTruthError, SubmissionError
 from stone_submissions.npz_frame import npz_members, read_grid
@@ -92,7 +92,9 @@ def counted_pairs(frames: Iterable[FrameGrids], total: int, progress: Progress =
 
 
 def _confusion(a: LabelGrids, b: LabelGrids, is_evaluated: NDArray[np.bool_]) -> Counted:
-    return frame_counts(b.semantics, truth_planes(a.semantics, is_evaluated)).confusion.astype(np.int64)
+    confusion, bev = np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32)
+    count_by_ring(b.semantics, truth_planes(a.semantics, is_evaluated), confusion, bev)
+    return confusion.astype(np.int64)
 
 
 def _seen_voxels(a: Grid, b: Grid) -> Counted:

@@ -1,6 +1,5 @@
-"""`stone reported`: the rows that a publication prints, on a board and marked as not scored here."""
+"""`stone reported`: the rows that a publication prints, or a ceiling, on a board and marked as not scored here."""
 
-from enum import StrEnum
 from typing import Annotated
 
 import typer
@@ -9,14 +8,9 @@ from stone_client.options import BenchmarkOption, PhaseOption, ServerOption
 from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import show
 
-
-class PublishedName(StrEnum):
-    """The published tables that are known."""
-
-    TABLE2 = "table2"
-
-
-TableArgument = Annotated[PublishedName, typer.Argument(metavar="TABLE", help="table2: Table II of the STONE paper.")]
+TableArgument = Annotated[
+    str, typer.Argument(metavar="TABLE", help="table2 (Table II of the STONE paper), or ceiling.json of stone ceiling.")
+]
 ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorded in the audit log.")]
 ReplaceOption = Annotated[bool, typer.Option("--replace", help="Replace existing rows of these methods that differ.")]
 
@@ -30,14 +24,17 @@ def reported(
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
-    """Add the rows of a published table to a leaderboard, unranked; for administrators. Existing rows are kept."""
+    """Add the rows of a published table or a ceiling to a leaderboard, unranked; for administrators.
+
+    Existing rows are kept.
+    """
     from stone_client.connection import connected
     from stone_client.server.boards import reported_notes
-    from stone_client.server.published_tables import TABLES
+    from stone_client.server.published_tables import table_named
     from stone_client.server.reported import Putting, put_table, shown_table
 
     with connected(server) as api:
-        record = put_table(api, TABLES[table.value], Putting(benchmark, phase, reason, replace))
+        record = put_table(api, table_named(table), Putting(benchmark, phase, reason, replace))
     if as_json:
         echo_json(record)
         return

@@ -29,6 +29,7 @@ from testing.refusals import refused_as
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import World
+from tests.slow_metric import added_columns, slow_counts, slow_ratios, slow_tolerant
 
 TOLD = ["frames", "total", "within_occupied", "tolerant", "columns", "support", "confusion", "extras"]
 TOLD += ["intervals", "silences", "by", "cells"]
@@ -88,6 +89,21 @@ def test_the_ranges_it_is_counted_in_change_nothing(
     assert score(submission, world.folder, progress=lambda *step: told.append(step)).as_record() == whole[0]
     assert validate(spoiled, world.manifest_path, progress=lambda *step: told.append(step)) == whole[1]
     assert told == [("score", 1, 3), ("score", 2, 3), ("score", 3, 3), ("validate", 2, 2)]
+
+
+def test_columns_are_counted_in_few_frames_evenly_spaced(
+    world: World, submission: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Of three frames the first and the third, whatever ranges they are counted in."""
+    monkeypatch.setattr("stone.scoring.columns.COUNTED_FRAMES", 2)
+    everywhere = np.ones(GRID_SHAPE, np.bool_)
+    tokens = find_ground_truth(world.folder).manifest.tokens
+    counted = [slow_counts(world.labels[token], world.predictions[token], everywhere) for token in tokens[::2]]
+    for part_frames in (500, 1):
+        monkeypatch.setattr(scoring_ranges, "PART_FRAMES", part_frames)
+        record = score(submission, world.folder).as_record()
+        assert record["tolerant"] == pytest.approx(slow_tolerant(counted))
+        assert record["columns"] == pytest.approx(slow_ratios(added_columns(counted), "stone-iou-2"))
 
 
 def test_missing_frames_are_refused_before_any_is_counted(world: World, tmp_path: Path) -> None:

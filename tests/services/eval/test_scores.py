@@ -112,6 +112,11 @@ def test_counts_beyond_32_bits_are_added_exactly() -> None:
     }
 
 
+def test_counts_of_an_earlier_version_say_nothing_of_columns() -> None:
+    said = record(counts_of_frames())
+    assert (said["tolerant"], said["columns"], said["extras"]["clear_drivable_iou"]) == (None, None, None)
+
+
 def test_an_unknown_metric_has_no_record() -> None:
     spectra = counts_of_frames().spectra()
     for ask in (counts_of_frames().spectra, lambda metric: record_of(counts_of_frames(), spectra, metric)):
