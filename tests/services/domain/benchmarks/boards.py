@@ -178,7 +178,8 @@ def computed(made: Made) -> tuple[dict[str, Any], bytes, bytes]:
     record = {"code_version": "9.9", **record_of(counts_of_frames, spectra)}
     record["total"] |= dict(made.total)
     if made.is_withdrawn:
-        del record["silences"]
+        del record["silences"], record["tolerant"], record["columns"]
+        del record["extras"]["n_predicted_drivable_ratio"], record["extras"]["clear_drivable_iou"]
         record["intervals"] = {"block": {name: [0.1, 0.2] for name in RATIOS}, "sequence": dict.fromkeys(RATIOS)}
         replicates = {"block": np.zeros((9, 5), np.float32), "sequence": np.zeros((3, 5), np.float32)}
         return record, npz_bytes({"confusions": confusions, "bev": bev}), npz_bytes(replicates)

@@ -167,3 +167,14 @@ def test_of_a_score_from_before_silences_were_told_no_interval_is(platform: Plat
     assert found.total["miou"] is not None
     assert found.intervals == dict.fromkeys(SCOPES, dict.fromkeys(RATIOS))
     assert found.silences == dict.fromkeys(SCOPES, dict.fromkeys(RATIOS, "withdrawn"))
+
+
+def test_a_score_of_before_tells_the_danger_that_its_confusion_has_and_nothing_of_columns(platform: Platform) -> None:
+    at = scene(platform)
+    entered = at.enter(at.team(), Made(0.3, is_withdrawn=True))
+    with platform.database.reading() as session:
+        found = results(session, ANYBODY, session.get_one(SubmissionRow, entered))
+    of_n = counts(Made(0.3)).sum(axis=(0, 1), dtype=np.int64)[3]
+    assert found.extras is not None
+    assert found.extras["n_predicted_drivable_ratio"] == (of_n[1] + of_n[2]) / of_n.sum()
+    assert (found.extras["clear_drivable_iou"], found.tolerant, found.columns) == (None, None, None)
