@@ -1,10 +1,12 @@
 """An analytic drive from end to end: cast once, kept on disk, recorded with a fault.
 
-**Conventions.** The ideal ranges of a world, seed and LiDAR are kept in the folder under a name of these.
+**Conventions.** The ideal ranges of a drive are kept in the folder, in a file named after the drive and a hash of its
+world, so that a world that is changed is cast again.
 """
 
 from dataclasses import dataclass
 from functools import cached_property
+from hashlib import sha256
 from pathlib import Path
 
 import numpy as np
@@ -40,7 +42,7 @@ class OutsideDrive:
 
     def ideal(self, folder: Path) -> Recordable:
         """Return the ideal data; ranges are cast where they are not in the folder yet."""
-        kept, lidar = folder / f"{self.name}.ranges.npy", Lidar(self.channels, self.columns)
+        kept, lidar = folder / f"{self.name}-{self._world_hash()}.ranges.npy", Lidar(self.channels, self.columns)
         if not kept.exists():
             folder.mkdir(parents=True, exist_ok=True)
             part = folder / f"{self.name}.part.npy"
@@ -48,11 +50,15 @@ class OutsideDrive:
             part.rename(kept)
         return recordable(self.world.track, lidar, np.load(kept))
 
+    def _world_hash(self) -> str:
+        parts = (*self.world.ground, self.world.solids)
+        return sha256(b"".join(part.tobytes() for part in parts)).hexdigest()[:8]
+
     def with_fault(self, folder: Path, fault: str) -> Recordable:
         """Return the data as the fault leaves them."""
         return FAULTS[fault](self.ideal(folder), np.random.default_rng([self.seed, *fault.encode()]))
 
-    def record(self, folder: Path, fault: str) -> tuple[Path, Path, Recordable]:
-        """Write the recording and calibration below the folder; return both and the data they are of."""
+    def record(self, folder: Path, fault: str, into: Path | None = None) -> tuple[Path, Path, Recordable]:
+        """Write the recording and calibration into a folder; return both and the data they are of."""
         data = self.with_fault(folder, fault)
-        return *write_recording(data, folder / f"{self.name} {fault}", self.seed), data
+        return *write_recording(data, into or folder / f"{self.name} {fault}", self.seed), data

@@ -18,6 +18,7 @@ _FALLS_M = np.diff(MOUND_RADII_M) * np.tan(np.deg2rad(MOUND_DEG))
 MOUND_HEIGHTS_M = np.append(np.cumsum(_FALLS_M[::-1])[::-1], 0.0)
 TAPER_M = 1.5  # over which a ditch or a bank ends
 BANK_FACE_M = 0.08
+AROUND_M = 3.0  # beyond its length, and a bank's ramp, neither is
 
 
 class Ground(NamedTuple):
@@ -37,21 +38,23 @@ class Ground(NamedTuple):
 @njit(cache=True, nogil=True)
 def height_at(x, y, ground):  # type: ignore[no-untyped-def]
     """Return the ground's height at one place."""
-    z = 0.0
-    for row in ground.waves:
-        z += row[0] * np.sin(row[1] * x + row[2] * y + row[3])
-    for row in ground.mounds:
-        away = np.hypot(x - row[0], y - row[1])
-        if away < MOUND_RADII_M[-1]:
-            z += np.interp(away, MOUND_RADII_M, MOUND_HEIGHTS_M)
-    for row in ground.ditches:
-        u, v = along(x, y, row)
-        deep = min(row[4], (row[5] + row[4] / row[6] - abs(v)) * row[6])
-        z -= max(deep, 0.0) * tapered(u, row[3])
-    for row in ground.banks:
-        u, v = along(x, y, row)
-        face = min(max(v / BANK_FACE_M + 0.5, 0.0), 1.0)
-        z += row[4] * face * min(max(1.0 - (v - 1.0) / row[5], 0.0), 1.0) * tapered(u, row[3])
+    z, waves, mounds, ditches, banks = 0.0, ground.waves, ground.mounds, ground.ditches, ground.banks
+    for k in range(len(waves)):
+        z += waves[k, 0] * np.sin(waves[k, 1] * x + waves[k, 2] * y + waves[k, 3])
+    for k in range(len(mounds)):
+        away2 = (x - mounds[k, 0]) ** 2 + (y - mounds[k, 1]) ** 2
+        if away2 < MOUND_RADII_M[-1] ** 2:
+            z += np.interp(np.sqrt(away2), MOUND_RADII_M, MOUND_HEIGHTS_M)
+    for k in range(len(ditches)):
+        if (x - ditches[k, 0]) ** 2 + (y - ditches[k, 1]) ** 2 < (ditches[k, 3] + AROUND_M) ** 2:
+            u, v = along(x, y, ditches[k])
+            deep = min(ditches[k, 4], (ditches[k, 5] + ditches[k, 4] / ditches[k, 6] - abs(v)) * ditches[k, 6])
+            z -= max(deep, 0.0) * tapered(u, ditches[k, 3])
+    for k in range(len(banks)):
+        if (x - banks[k, 0]) ** 2 + (y - banks[k, 1]) ** 2 < (banks[k, 3] + banks[k, 5] + AROUND_M) ** 2:
+            u, v = along(x, y, banks[k])
+            face = min(max(v / BANK_FACE_M + 0.5, 0.0), 1.0)
+            z += banks[k, 4] * face * min(max(1.0 - (v - 1.0) / banks[k, 5], 0.0), 1.0) * tapered(u, banks[k, 3])
     return z
 
 

@@ -4,14 +4,14 @@
 `DRIVABLE_DEG` and nowhere farther than `STEP_M` from the ground, unless a solid is over it at up to `ROBOT_M`; grass
 stands in nobody's way. It crosses nothing that is steeper than `OBSTACLE_DEG` within `FACE_M`, and no obstacle: every
 solid that is not `HARMLESS`. A point is judged by its column and its height above the ground: ground within `BAND_M`
-(in grass up to its tips), a solid within `TOUCH_M` of its surface and above `FOOT_M`. All between is grey.
+(in grass up to its tips), a solid within `TOUCH_M` of its surface from `FOOT_M` up to `ROBOT_M`. All between is grey.
 """
 
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
-from scipy.ndimage import convolve, maximum_filter
+from scipy.ndimage import convolve
 
 from testing.outside.ground import Array, along, heights_m
 from testing.outside.solids import HARMLESS, KINDS, outside_m
@@ -21,7 +21,7 @@ AIR, DRIVABLE, OBSTACLE, GREY = 0, 1, 2, 3
 DRIVABLE_DEG, OBSTACLE_DEG, STEP_M, ROBOT_M = 20.0, 25.0, 0.12, 1.5
 FOOTPRINT_M, FACE_M = 0.5, 0.15
 BAND_M, TOUCH_M, NEAR_M, FOOT_M = 0.25, 0.1, 0.35, 0.1
-CELL_M, REACH_M = 0.1, 28.0
+CELL_M, REACH_M = 0.1, 37.0  # a label grid's corner is 36.2 m from its middle
 SLOPE_BANDS_DEG = (0.0, 10.0, 15.0, 20.0, 25.0, 35.0, 90.0)
 SLOPES = ("hill", "mound", "ditch", "bank")  # what steep ground belongs to
 Codes = NDArray[np.uint8]
@@ -107,7 +107,7 @@ class Truth:
         near = near[np.abs(points[near, 2] - row["centre_m"][2]) <= row["half_m"][2] + 0.5]
         away = outside_m(points[near], row)
         codes[near[(away < NEAR_M) & (codes[near] != OBSTACLE)]] = GREY
-        hit = near[(away <= TOUCH_M) & (above[near] >= FOOT_M)]
+        hit = near[(away <= TOUCH_M) & (above[near] >= FOOT_M) & (above[near] <= ROBOT_M)]
         if KINDS[row["kind"]] not in HARMLESS:
             codes[hit], things[hit] = OBSTACLE, number
 
@@ -120,7 +120,7 @@ class Truth:
 
 
 def plane_over(height: Array, radius_m: float) -> tuple[Array, Array]:
-    """Return the slope (degrees) of the least-squares plane over the disc around each cell, and its worst residual."""
+    """Return the slope in degrees of the least-squares plane over the disc around each cell, and its worst residual."""
     reach = round(radius_m / CELL_M)
     i, j = np.mgrid[-reach : reach + 1, -reach : reach + 1] * CELL_M
     disc = np.hypot(i, j) <= radius_m + 1e-9
@@ -146,8 +146,3 @@ def _ground_things(world: World, xy: Array) -> tuple[NDArray[np.int64], list[str
             things[(np.abs(u) < row[3] + 0.2) & (np.abs(v) < 1.3)] = first + len(names)
             names.append(name)
     return things, names
-
-
-def widened(mask: NDArray[np.bool_], cells: int) -> NDArray[np.bool_]:
-    """Return a mask widened by so many cells."""
-    return np.asarray(maximum_filter(mask, 2 * cells + 1))

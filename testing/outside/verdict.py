@@ -8,6 +8,7 @@ components of at most `SALT_VOXELS` that touch T or P, none of them obstacle or 
 """
 
 from collections import Counter
+from collections.abc import Sequence
 from dataclasses import dataclass, field
 from itertools import pairwise
 from pathlib import Path
@@ -68,11 +69,20 @@ def ratio(part: float, whole: float) -> float | None:
 
 def judge_labels(folder: Path, truth: Truth, ego_from_lidar: Array = EGO_FROM_LIDAR, every: int = EVERY) -> Verdict:
     """Judge every `every`-th frame of a label folder made with the mount `ego_from_lidar`."""
-    verdict, table = Verdict(), pq.read_table(folder / "frames.parquet", columns=["frame_token", "stamp_ns"])
-    grids = {path.parent.name: path for path in folder.glob("gts/*/*/labels.npz")}
-    for token, stamp_ns in list(zip(*(column.to_pylist() for column in table.columns), strict=True))[::every]:
+    table = pq.read_table(folder / "frames.parquet", columns=["frame_token", "stamp_ns"]).to_pylist()
+    paths = {path.parent.name: path for path in folder.glob("gts/*/*/labels.npz")}
+    grids = [(paths[row["frame_token"]], row["stamp_ns"]) for row in table if row["frame_token"] in paths]
+    return judge_grids(grids, truth, ego_from_lidar, every)
+
+
+def judge_grids(
+    grids: Sequence[tuple[Path, int]], truth: Truth, ego_from_lidar: Array = EGO_FROM_LIDAR, every: int = EVERY
+) -> Verdict:
+    """Judge every `every`-th of the label files, each with its frame's stamp in nanoseconds."""
+    verdict = Verdict()
+    for path, stamp_ns in grids[::every]:
         world_from_ego = truth.world.track.poses(np.array([(stamp_ns - START_NS) / 1e9]))[0]
-        with np.load(grids[token], allow_pickle=False) as archive:
+        with np.load(path, allow_pickle=False) as archive:
             grid = archive["semantics"]
         judge_frame(grid, world_from_ego @ EGO_FROM_LIDAR @ np.linalg.inv(ego_from_lidar), truth, verdict)
     return verdict

@@ -1,0 +1,87 @@
+"""One row of `benchmarks.outside`: a drive, a fault and a profile, recorded, labelled as `stone label` does, judged.
+
+**Conventions.** A row's figures are counts, which add over worlds; they are kept as JSON beside the ideal ranges. A
+refusal keeps its code and no counts.
+"""
+
+import json
+from collections import Counter
+from collections.abc import Iterable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from services.ingest.sequence import open_sequence
+from services.labeler.local_run import LabelOptions, label
+from services.labeler.parameters import parameters_for
+from stone.errors import StoneError
+from testing.outside.drive import OutsideDrive
+from testing.outside.verdict import Verdict, judge_labels
+
+WORKERS = 2
+
+
+@dataclass(frozen=True)
+class Row:
+    """What is measured."""
+
+    drive: OutsideDrive
+    fault: str
+    profile: str
+
+    def kept_in(self, folder: Path) -> Path:
+        """Return the file of its figures."""
+        return folder / f"{self.drive.name} {self.fault} {self.profile}.json".replace("/", " ")
+
+
+@dataclass(frozen=True)
+class Outcome:
+    """The counts of one row, the codes of the label set's findings that are no mere information, or a refusal."""
+
+    frames: int
+    counts: dict[str, int]
+    findings: tuple[str, ...]
+    refused: str = ""
+
+    def verdict(self) -> Verdict:
+        """Return the counts as a verdict."""
+        return Verdict(self.frames, Counter(self.counts))
+
+
+def measure(row: Row, folder: Path) -> Outcome:
+    """Return the outcome of a row, and keep it in the folder; its recording and labels are not kept."""
+    with TemporaryDirectory(dir=folder) as place:
+        outcome = _outcome(row, folder, Path(place))
+    row.kept_in(folder).write_text(json.dumps(outcome.__dict__, indent=1) + "\n")
+    return outcome
+
+
+def _outcome(row: Row, folder: Path, place: Path) -> Outcome:
+    bag, calibration, data = row.drive.record(folder, row.fault, place / "recording")
+    try:
+        sequence, sweeps = open_sequence(bag, calibration, "outside")
+        parameters = parameters_for(row.profile)  # type: ignore[arg-type]
+        record = label(sequence, sweeps, place / "labels", LabelOptions(parameters, WORKERS)).as_record()
+    except StoneError as error:
+        return Outcome(0, {}, (), error.code)
+    codes = tuple(sorted({one["code"] for one in record["findings"] if one["severity"] != "info"}))
+    verdict = judge_labels(place / "labels", row.drive.truth, data.ego_from_lidar)
+    return Outcome(verdict.frames, dict(verdict.counts), codes)
+
+
+def kept(row: Row, folder: Path) -> Outcome | None:
+    """Return what was measured of a row before, None of one that was not."""
+    path = row.kept_in(folder)
+    if not path.exists():
+        return None
+    record = json.loads(path.read_text())
+    return Outcome(record["frames"], record["counts"], tuple(record["findings"]), record["refused"])
+
+
+def added(outcomes: Iterable[Outcome]) -> Verdict:
+    """Return the sum of the counts."""
+    total = Verdict()
+    for outcome in outcomes:
+        total.frames += outcome.frames
+        total.counts.update(outcome.counts)
+    return total

@@ -1,0 +1,84 @@
+"""Labels of any parameters, made again from kept surfaces: a variant of the classes costs the frames alone.
+
+**Conventions.** Recordings, fused points and surfaces are kept in the folder, surfaces by the parameters that they
+depend on, fused points by theirs; neither by the code, so after a change of it `forget` them. No report is made.
+"""
+
+import os
+import shutil
+from collections.abc import Iterable
+from dataclasses import replace
+from hashlib import sha256
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+from benchmarks.outside.rows import Outcome, Row
+from services.ingest.sequence import open_sequence
+from services.labeler.parameters import LabelParameters
+from services.labeler.pipeline import FRAMES, FUSE, REFERENCE, STAGES, SURFACE, label_graph
+from services.labeler.run import LabelRun, silent
+from stone.errors import StoneError
+from stone.labels.traversability import ReferenceParameters
+from testing.outside.verdict import judge_grids
+
+
+def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outcome:
+    """Return the outcome of a row's drive with these parameters instead of its profile's."""
+    place = kept_in(row, folder)
+    bag, calibration, data = row.drive.record(folder, row.fault, place / "recording")
+    sequence, sweeps = open_sequence(bag, calibration, "outside")
+    with TemporaryDirectory(dir=place) as labels:
+        run = LabelRun(sequence, sweeps, parameters, place, Path(labels))
+        try:
+            run = replace(run, scratch=_surfaces(run))
+            _do(run, (REFERENCE, FRAMES))
+        except StoneError as error:
+            return Outcome(0, {}, (), error.code)
+        grids = [
+            (Path(labels) / token / "labels.npz", int(stamp_ns))
+            for token, stamp_ns in zip(sequence.frames.tokens, sequence.frames.stamps_ns, strict=True)
+        ]
+        verdict = judge_grids(grids, row.drive.truth, data.ego_from_lidar)
+    return Outcome(verdict.frames, dict(verdict.counts), ())
+
+
+def kept_in(row: Row, folder: Path) -> Path:
+    """Return the folder of what is kept of a row's drive."""
+    return folder / "kept" / f"{row.drive.name} {row.fault}"
+
+
+def forget(folder: Path) -> None:
+    """Delete the recordings and surfaces that are kept in a folder."""
+    shutil.rmtree(folder / "kept", ignore_errors=True)
+
+
+def _surfaces(run: LabelRun) -> Path:
+    """Return the scratch with the run's surfaces, made where they are not kept; `run.scratch` holds all that is."""
+    root, parameters = run.scratch, run.parameters
+    of_points = (parameters.selection, parameters.tiling, parameters.carve, parameters.dynamic)
+    fused = root / f"fused-{_hash((*of_points, parameters.surface.point_voxel_m))}"
+    of_classes = replace(parameters, reference=ReferenceParameters(), confidence=False)
+    surfaces = root / f"surfaces-{_hash(of_classes)}"
+    if not fused.exists():
+        _made(replace(run, scratch=root / "making"), fused, (FUSE,))
+    if not surfaces.exists():
+        shutil.rmtree(root / "making", ignore_errors=True)
+        shutil.copytree(fused, root / "making", copy_function=os.link)
+        _made(replace(run, scratch=root / "making"), surfaces, (SURFACE,))
+    return surfaces
+
+
+def _made(run: LabelRun, target: Path, kinds: Iterable[str]) -> None:
+    run.scratch.mkdir(parents=True, exist_ok=True)
+    _do(run, kinds)
+    run.scratch.rename(target)
+
+
+def _do(run: LabelRun, kinds: Iterable[str]) -> None:
+    for job in label_graph(run):
+        if job.kind in kinds:
+            STAGES[job.kind].work(run, job.arguments, silent)
+
+
+def _hash(value: object) -> str:
+    return sha256(repr(value).encode()).hexdigest()[:10]
