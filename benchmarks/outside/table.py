@@ -54,13 +54,15 @@ def show(rows: Mapping[Key, Sequence[Outcome]]) -> None:
 
 
 def _cells(labelled: Sequence[Outcome]) -> list[str]:
+    if not labelled:
+        return [""] * (2 * len(AXES) + 2)
     together, each, cells = added(labelled).figures(), [one.verdict().figures() for one in labelled], list[str]()
     for key, _, form, worst in AXES:
         values = [value for value in (figures[key] for figures in each) if value is not None]
         cells += [_cell(together, key, form), format(worst(values), form) if values else ""]
     kinds = [(figures[key], key) for figures in each for key in figures if key.startswith("danger ")]
-    worst_kind = max(((share or 0.0, key) for share, key in kinds), default=(0.0, ""))
-    named = f"{worst_kind[1].removeprefix('danger ')} {worst_kind[0]:.0%}"
+    share, kind = max((share or 0.0, key.removeprefix("danger ")) for share, key in kinds)
+    named = f"{kind} {share:.0%}"
     return [*cells, named, _cell(together, "walker_tp", ".0f")]
 
 

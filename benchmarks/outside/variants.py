@@ -19,14 +19,18 @@ from services.labeler.pipeline import FRAMES, FUSE, REFERENCE, STAGES, SURFACE, 
 from services.labeler.run import LabelRun, silent
 from stone.errors import StoneError
 from stone.labels.traversability import ReferenceParameters
+from testing.outside.recording import recording_in
 from testing.outside.verdict import judge_grids
 
 
 def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outcome:
     """Return the outcome of a row's drive with these parameters instead of its profile's."""
     place = kept_in(row, folder)
-    bag, calibration, data = row.drive.record(folder, row.fault, place / "recording")
-    sequence, sweeps = open_sequence(bag, calibration, "outside")
+    data = row.drive.with_fault(folder, row.fault)
+    if not (place / "recording").exists():
+        row.drive.record(folder, row.fault, place / "writing")
+        (place / "writing").rename(place / "recording")
+    sequence, sweeps = open_sequence(*recording_in(place / "recording"), "outside")
     with TemporaryDirectory(dir=place) as labels:
         run = LabelRun(sequence, sweeps, parameters, place, Path(labels))
         try:

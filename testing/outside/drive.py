@@ -5,7 +5,7 @@ world, so that a world that is changed is cast again.
 """
 
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cache
 from hashlib import sha256
 from pathlib import Path
 
@@ -32,13 +32,13 @@ class OutsideDrive:
     def name(self) -> str:
         return f"{self.world_name}-{self.seed}-{self.channels}-{self.seconds:g}s"
 
-    @cached_property
+    @property
     def world(self) -> World:
-        return world_of(self.world_name, self.seed, self.seconds)
+        return self.truth.world
 
-    @cached_property
+    @property
     def truth(self) -> Truth:
-        return Truth(self.world)
+        return _truth_of(self.world_name, self.seed, self.seconds)
 
     def ideal(self, folder: Path) -> Recordable:
         """Return the ideal data; ranges are cast where they are not in the folder yet."""
@@ -62,3 +62,8 @@ class OutsideDrive:
         """Write the recording and calibration into a folder; return both and the data they are of."""
         data = self.with_fault(folder, fault)
         return *write_recording(data, into or folder / f"{self.name} {fault}", self.seed), data
+
+
+@cache  # drives with other LiDARs and faults share it
+def _truth_of(world_name: str, seed: int, seconds: float) -> Truth:
+    return Truth(world_of(world_name, seed, seconds))

@@ -74,7 +74,7 @@ def turned(poses: Array, turn: Rotation) -> Array:
 def write_recording(drive: Recordable, folder: Path, seed: int) -> tuple[Path, Path]:
     """Write `run.mcap` and `run.calibration.yaml` with the usual noise; return their paths."""
     folder.mkdir(parents=True, exist_ok=True)
-    bag, calibration, rng = folder / "run.mcap", folder / "run.calibration.yaml", np.random.default_rng(seed)
+    (bag, calibration), rng = recording_in(folder), np.random.default_rng(seed)
     with bag.open("wb") as file:
         writer = Writer(file, compression=CompressionType.LZ4)
         writer.start("ros2", library="stone-outside")
@@ -88,6 +88,11 @@ def write_recording(drive: Recordable, folder: Path, seed: int) -> tuple[Path, P
         writer.finish()  # type: ignore[no-untyped-call]
     calibration.write_text(json.dumps(_calibration(drive)))
     return bag, calibration
+
+
+def recording_in(folder: Path) -> tuple[Path, Path]:
+    """Return the paths of the bag and the calibration in a folder."""
+    return folder / "run.mcap", folder / "run.calibration.yaml"
 
 
 Logged = tuple[int, str, Any]

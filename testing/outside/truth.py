@@ -55,19 +55,24 @@ class Truth:
         self.things = (*(KINDS[one] for one in world.solids["kind"]), *names)
         self.is_grass, self.is_blocked = np.zeros(shape, bool), np.zeros(shape, bool)
         self._lay_solids(height)
+        self.is_steep = self.face_deg > OBSTACLE_DEG
+        self.is_drivable = (
+            (self.slope_deg <= DRIVABLE_DEG) & (self.step_m <= STEP_M) & ~self.is_blocked & ~self.is_steep
+        )
 
     def _lay_solids(self, height: Array) -> None:
-        flat = self.xy.reshape(-1, 2)
         for row in self.world.solids:
-            kind, reach = KINDS[row["kind"]], float(np.hypot(*row["half_m"][:2])) + NEAR_M
-            near = np.flatnonzero((np.abs(flat - row["centre_m"][:2]) <= reach).all(axis=1))
-            if kind == "grass":
-                inside = np.linalg.norm(flat[near] - row["centre_m"][:2], axis=1) <= row["half_m"][0]
-                self.is_grass.reshape(-1)[near[inside]] = True
+            reach = float(np.hypot(*row["half_m"][:2])) + NEAR_M
+            low, high = (np.array(self.cells(row["centre_m"][None, :2] + side * reach)).ravel() for side in (-1, 1))
+            window = (slice(low[0], high[0] + 1), slice(low[1], high[1] + 1))
+            plan, ground = self.xy[window].reshape(-1, 2), height[window].reshape(-1)
+            if KINDS[row["kind"]] == "grass":
+                inside = np.linalg.norm(plan - row["centre_m"][:2], axis=1) <= row["half_m"][0]
+                self.is_grass[window] |= inside.reshape(self.is_grass[window].shape)
                 continue
             for above_m in np.arange(0.0, ROBOT_M + 0.01, 0.1):
-                points = np.column_stack([flat[near], height.reshape(-1)[near] + above_m])
-                self.is_blocked.reshape(-1)[near[outside_m(points, row) < NEAR_M]] = True
+                near = outside_m(np.column_stack([plan, ground + above_m]), row) < NEAR_M
+                self.is_blocked[window] |= near.reshape(self.is_blocked[window].shape)
 
     def cells(self, xy: Array) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
         """Return the lattice indices (N,) of places (N, 2); those beyond are those of the border."""
@@ -75,21 +80,13 @@ class Truth:
         i, j = np.clip(index, 0, np.array(self.slope_deg.shape) - 1).T
         return i, j
 
-    def drivable(self) -> NDArray[np.bool_]:
-        """Return which cells the robot drives on."""
-        return np.asarray((self.slope_deg <= DRIVABLE_DEG) & (self.step_m <= STEP_M) & ~self.is_blocked & ~self.steep())
-
-    def steep(self) -> NDArray[np.bool_]:
-        """Return which cells are ground that nothing crosses."""
-        return np.asarray(self.face_deg > OBSTACLE_DEG)
-
     def judge(self, points: Array) -> Judged:
         """Judge points (N, 3) of the world."""
         i, j = self.cells(points[:, :2])
         above = (points[:, 2] - heights_m(self.world.ground, points[:, :2])) * np.cos(np.deg2rad(self.face_deg[i, j]))
         tips = np.where(self.is_grass[i, j], GRASS_M + 0.1, 0.0)
         is_ground = (above >= -BAND_M) & (above <= np.maximum(tips, BAND_M))
-        steep, drivable = self.steep()[i, j], self.drivable()[i, j]
+        steep, drivable = self.is_steep[i, j], self.is_drivable[i, j]
         codes = np.where(is_ground, np.where(drivable, DRIVABLE, np.where(steep, OBSTACLE, GREY)), AIR).astype(np.uint8)
         things = np.where(is_ground & steep, self.ground_things[i, j], -1)
         slope = np.where(is_ground & ~self.is_blocked[i, j], self.slope_deg[i, j], np.nan)
@@ -103,8 +100,9 @@ class Truth:
         number, row = solid
         if KINDS[row["kind"]] == "grass":
             return
-        near = np.flatnonzero((np.abs(points - row["centre_m"]) <= np.linalg.norm(row["half_m"][:2]) + 1.0).all(axis=1))
-        near = near[np.abs(points[near, 2] - row["centre_m"][2]) <= row["half_m"][2] + 0.5]
+        reach = np.append(np.full(2, np.hypot(*row["half_m"][:2])), row["half_m"][2]) + 0.5
+        near = np.flatnonzero(np.abs(points[:, 0] - row["centre_m"][0]) <= reach[0])
+        near = near[(np.abs(points[near] - row["centre_m"]) <= reach).all(axis=1)]
         away = outside_m(points[near], row)
         codes[near[(away < NEAR_M) & (codes[near] != OBSTACLE)]] = GREY
         hit = near[(away <= TOUCH_M) & (above[near] >= FOOT_M) & (above[near] <= ROBOT_M)]

@@ -23,6 +23,7 @@ pytestmark = pytest.mark.whole
         ("a step before the bank", (0.0, -20.3, 0.0), GREY, ""),
         ("behind the bank", (0.0, -18.5, 0.26), DRIVABLE, ""),
         ("the trunk", (10.2, 10.0, 1.0), OBSTACLE, "trunk"),
+        ("the trunk near its foot", (10.2, 10.0, 0.3), OBSTACLE, "trunk"),
         ("the trunk over the robot", (10.2, 10.0, 2.0), GREY, ""),
         ("the foot of the trunk", (10.2, 10.0, 0.0), GREY, ""),
         ("the ground beside it", (11.0, 10.0, 0.0), DRIVABLE, ""),
