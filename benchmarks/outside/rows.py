@@ -70,7 +70,7 @@ def _outcome(row: Row, folder: Path, place: Path) -> Outcome:
 
 
 def kept(row: Row, folder: Path) -> Outcome | None:
-    """Return what was measured of a row before, None of one that was not."""
+    """Return the kept outcome of a row, None if it was not measured."""
     path = row.kept_in(folder)
     if not path.exists():
         return None

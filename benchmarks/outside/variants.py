@@ -47,7 +47,7 @@ def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outc
 
 
 def kept_in(row: Row, folder: Path) -> Path:
-    """Return the folder of what is kept of a row's drive."""
+    """Return the folder of the recording and surfaces of a row's drive."""
     return folder / "kept" / f"{row.drive.name} {row.fault}"
 
 

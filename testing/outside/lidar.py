@@ -40,7 +40,7 @@ class Lidar:
 
 
 def ideal_ranges(world: World, lidar: Lidar, seed: int) -> NDArray[np.float32]:
-    """Return what a perfect LiDAR measures of the whole drive."""
+    """Return the ranges that a perfect LiDAR measures on the whole drive."""
     sweeps, rng = round(world.track.seconds / SWEEP_S), np.random.default_rng(seed)
     ranges = np.empty((sweeps, lidar.channels, lidar.columns), np.float32)
     way = world.track.poses(np.linspace(0, world.track.seconds, 200))[:, :2, 3]

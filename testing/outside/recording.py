@@ -1,7 +1,7 @@
 """An analytic drive as a recording: a bag of LiDAR sweeps and a receiver's solutions, and its calibration.
 
 **Conventions.** Time begins at `START_NS`; poses are the receiver's, 50 a second, from before the first sweep until
-after the last. World axes are east, north, up at `ORIGIN`. `Recordable` is what faults alter; noise comes after them.
+after the last. World axes are east, north, up at `ORIGIN`. Faults alter a `Recordable`; noise is added after them.
 """
 
 import json

@@ -1,9 +1,8 @@
-"""What stands in an analytic world, as solids with a closed form: ellipsoids, upright cylinders, boxes, grass.
+"""The solids of an analytic world, each in closed form: ellipsoids, upright cylinders, boxes, grass.
 
 **Conventions.** A solid is a row of `SOLID`; half sizes along its own axes, turned by `yaw_rad` about the vertical.
 `free_path_m` is the mean length that a ray goes through it before it meets something: 0 of an opaque one. Grass is an
-upright cylinder whose blades end `half_m[2]` · 2 above the ground, wherever that is. `thing` numbers what solids
-belong to: a trunk and its crown are two solids of two things.
+upright cylinder whose blades end `half_m[2]` · 2 above the ground below them.
 """
 
 from dataclasses import dataclass
@@ -18,7 +17,7 @@ Kind = Literal["trunk", "crown", "bush", "wall", "bar", "post", "rock", "small r
 KINDS: tuple[Kind, ...] = (
     "trunk", "crown", "bush", "wall", "bar", "post", "rock", "small rock", "roof", "person", "grass",
 )  # fmt: skip
-# Neither drivable nor an obstacle: what is over the robot, and stones that it may or may not climb.
+# Neither drivable nor an obstacle: solids above the robot, and stones that it may or may not climb.
 HARMLESS: frozenset[Kind] = frozenset({"crown", "roof", "small rock", "grass"})
 ELLIPSOID, CYLINDER, BOX, GRASS = 0, 1, 2, 3
 SOLID = np.dtype(

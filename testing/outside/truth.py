@@ -1,9 +1,9 @@
-"""The truth of an analytic world: what can be driven on, what cannot be crossed, and what is neither.
+"""The truth of an analytic world: drivable ground, obstacles, and grey places that count as neither.
 
 **Conventions.** A robot drives on ground whose plane over the disc of `FOOTPRINT_M` around the place is no steeper than
 `DRIVABLE_DEG` and nowhere farther than `STEP_M` from the ground, unless a solid is over it at up to `ROBOT_M`; grass
-stands in nobody's way. It crosses nothing that is steeper than `OBSTACLE_DEG` within `FACE_M`, and no obstacle: every
-solid that is not `HARMLESS`. A point is judged by its column and its height above the ground: ground within `BAND_M`
+does not block it. Obstacles are ground that is steeper than `OBSTACLE_DEG` within `FACE_M`, and every solid that is
+not `HARMLESS`. A point is judged by its column and its height above the ground: ground within `BAND_M`
 (in grass up to its tips), a solid within `TOUCH_M` of its surface from `FOOT_M` up to `ROBOT_M`. All between is grey.
 """
 
@@ -40,7 +40,7 @@ class Judged:
 
 
 class Truth:
-    """Lattices of `CELL_M` over the plan within `REACH_M` of the track: height, slope, step, and what is steep."""
+    """Lattices of `CELL_M` over the plan within `REACH_M` of the track: slope, step, drivable and steep cells."""
 
     def __init__(self, world: World) -> None:
         self.world = world

@@ -1,7 +1,7 @@
 """Judges a label folder by the truth of an analytic world.
 
 **Conventions.** A frame's voxels are placed by the exact pose of the LiDAR at the frame's stamp and the mount that was
-entered, so a voxel lies where its points were measured: wrong poses and mounts cost what they do to classes only.
+entered, so a voxel lies where its points were measured; wrong poses and mounts count by the classes that they change.
 Counts add over frames; ratios are read at the end, and are None without support. `danger`: the share of labelled
 obstacle voxels that are T or P. `lost`: the share of drivable voxels that are N. `salt`: N voxels in 26-connected
 components of at most `SALT_VOXELS` that touch T or P, none of them obstacle or grey in truth, a frame.
@@ -63,7 +63,7 @@ class Verdict:
 
 
 def ratio(part: float, whole: float) -> float | None:
-    """Return part / whole, None of nothing."""
+    """Return part / whole, None if there is no whole."""
     return part / whole if whole else None
 
 

@@ -1,7 +1,6 @@
-"""The analytic worlds `hills`, `slopes` and `forest`: where everything is, beside and on the robot's way.
+"""The analytic worlds `hills`, `slopes` and `forest`: their ground, and their solids beside and on the robot's way.
 
-**Conventions.** A thing is placed `left_m` to the left of the track's place at x; `thing` numbers of truth are the
-rows of `solids`. The walker crosses the track ahead of the robot and stands at the middle of each sweep.
+**Conventions.** A solid is placed `left_m` to the left of the track's place at x. The walker crosses the track ahead of the robot and stands at the middle of each sweep.
 """
 
 from collections.abc import Mapping
@@ -111,7 +110,7 @@ class World:
 
 
 def world_of(name: str, seed: int = 1, seconds: float = 15.0) -> World:
-    """Return the world of this name; the seed moves its waves and, by decimetres, what stands in it."""
+    """Return the world of this name; the seed moves its waves and, by decimetres, its solids."""
     layout, rng = LAYOUTS[name], np.random.default_rng([seed, len(name), ord(name[0])])
     ground = _ground(layout, rng)
     track = Track(ground, seconds)
