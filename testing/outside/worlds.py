@@ -1,6 +1,7 @@
 """The analytic worlds `hills`, `slopes` and `forest`: their ground, and their solids beside and on the robot's way.
 
-**Conventions.** A solid is placed `left_m` to the left of the track's place at x. The walker crosses the track ahead of the robot and stands at the middle of each sweep.
+**Conventions.** A solid is placed `left_m` to the left of the track's place at x. The walker crosses the track ahead of
+the robot; during a sweep it stands where it is at the sweep's middle.
 """
 
 from collections.abc import Mapping
