@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from services.labeler.map.ply import FACE, VERTEX
+from services.labeler.exports.meshes import open_mesh
 from simulator.truth import SimulationTruth
 from stone.geometry.se3 import SE3, Array, rotate
 from stone.surface.mesh import Mesh
@@ -69,13 +69,8 @@ def _roughness(near: Array) -> Array:
 
 def read_mesh(path: Path) -> Mesh:
     """The mesh that `services.labeler.map.ply` wrote."""
-    content = path.read_bytes()
-    head, mark = content.partition(b"end_header\n")[:2]
-    counts = [int(line.split()[2]) for line in head.decode().splitlines() if line.startswith("element")]
-    begin = len(head) + len(mark)
-    vertices = np.frombuffer(content, VERTEX, counts[0], begin)["xyz"]
-    faces = np.frombuffer(content, FACE, counts[1], begin + counts[0] * VERTEX.itemsize)["indices"]
-    return Mesh(vertices.astype(np.float64), faces.astype(np.int32))
+    mesh = open_mesh(path)
+    return Mesh(mesh.vertices["xyz"].astype(np.float64), mesh.faces["indices"].astype(np.int32))
 
 
 def area_normals(mesh: Mesh) -> Array:

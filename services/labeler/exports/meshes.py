@@ -20,7 +20,7 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.errors import damaged_labels
 from services.labeler.exports.source import LabelledSequence
-from services.labeler.map.ply import FACE, VERTEX, VERTEX_RGB, header_of
+from services.labeler.map.ply import BARE_VERTEX, FACE, FEATURES, VERTEX, VERTEX_RGB, header_of
 from services.labeler.run import Step
 from stone.errors import Refused
 from stone.labels.class_colours import PALETTES
@@ -57,8 +57,8 @@ def mesh_parts(path: Path, most_triangles: int = MOST_TRIANGLES) -> Iterator[Mes
 # The map's `mesh.ply` read back as arrays that stay on disk until they are looked at.
 #
 # **Conventions.** As `services/labeler/map/ply.py` writes it: vertices with colours of their class, triangles. Meshes
-# of earlier label sets have the colours of an earlier palette and another comment in their header: they are read
-# alike.
+# of earlier label sets have no features, or the colours of an earlier palette and another comment in their header: they
+# are read alike.
 
 
 MOST_HEADER_BYTES = 4096
@@ -67,7 +67,7 @@ END = b"end_header\n"
 
 @dataclass(frozen=True, eq=False)
 class MeshFile:
-    """`vertices` (V,) records xyz, rgb; `faces` (F,) records n = 3 and indices."""
+    """`vertices` (V,) records xyz, rgb and mostly features; `faces` (F,) records n = 3 and indices."""
 
     vertices: NDArray[np.void]
     faces: NDArray[np.void]
@@ -89,17 +89,16 @@ def open_mesh(path: Path) -> MeshFile:
             written = file.read(MOST_HEADER_BYTES).partition(END)[0]
         head = written.decode("ascii", "replace")
         counts = [int(line.split()[2]) for line in head.splitlines() if line.startswith("element ")]
-        header = header_of(counts[0], counts[1])
+        record = VERTEX if FEATURES in head else BARE_VERTEX
+        header = header_of(counts[0], counts[1], has_features=record is VERTEX)
     except (OSError, ValueError, IndexError) as error:
         raise damaged_labels(path, str(error) or "it is no mesh of ours") from error
     start = len(written) + len(END)
-    expected = start + counts[0] * VERTEX.itemsize + counts[1] * FACE.itemsize
+    faces_at = start + counts[0] * record.itemsize
+    expected = faces_at + counts[1] * FACE.itemsize
     if _facts(head) != _facts(header.removesuffix(END).decode()) or path.stat().st_size != expected:
         raise damaged_labels(path, f"its header promises {expected} bytes")
-    return MeshFile(
-        _mapped(path, VERTEX, start, counts[0]),
-        _mapped(path, FACE, start + counts[0] * VERTEX.itemsize, counts[1]),
-    )
+    return MeshFile(_mapped(path, record, start, counts[0]), _mapped(path, FACE, faces_at, counts[1]))
 
 
 def _facts(head: str) -> list[str]:

@@ -104,7 +104,8 @@ def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneW
 
 def _piece(made: _Made) -> Piece:
     arrays = load(made.surface)
-    return arrays["vertices"], arrays["triangles"], arrays["kinds"]  # type: ignore[return-value]
+    vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
+    return vertices, np.full_like(vertices, np.nan), arrays["triangles"], arrays["kinds"]  # type: ignore[return-value]
 
 
 def _slabs(made: _Made) -> Iterator[Callable[[], MapPiece]]:

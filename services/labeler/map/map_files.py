@@ -77,7 +77,8 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
 def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:
     found = labelled_tile(run, tile, reference)
     vertices: NDArray[np.float32] = found.arrays["vertices"]  # type: ignore[assignment]
-    return vertices, found.arrays["triangles"], class_at(vertices, found.terrain.keys, found.classes)  # type: ignore[return-value]
+    kinds = class_at(vertices, found.terrain.keys, found.classes)
+    return vertices, found.arrays["vertex_features"], found.arrays["triangles"], kinds  # type: ignore[return-value]
 
 
 def _map_piece(run: LabelRun, tile: Tile, reference: Reference) -> MapPiece:

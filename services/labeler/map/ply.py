@@ -1,7 +1,9 @@
-"""`mesh.ply`: the surface of the whole run, coloured by class, written tile after tile.
+"""`mesh.ply`: the surface of the whole run, coloured by class, with its terrain features, written tile after tile.
 
-**Conventions.** Binary little-endian PLY 1.0 (Turk, 1994): float x y z in the map frame, uchar red green blue; int
-vertex indices. Vertices of neighbouring tiles are not welded.
+**Conventions.** Binary little-endian PLY 1.0 (Turk, 1994): float x y z in the map frame, uchar red green blue, float
+elevation slope roughness (Eq. 1-3); int vertex indices. Vertices of neighbouring tiles are not welded: the vertices
+that have a class are those of Eq. 4-5, each once; a grey one only closes the triangles at the edge of a tile. A mesh
+of imported labels has NaN for features.
 """
 
 from collections.abc import Callable
@@ -14,27 +16,30 @@ from stone.geometry.lattice import Keys, keys_of
 from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
 from stone.labels.voxels import VOXEL_M
 
-HEADER = """ply
+FEATURES = "property float elevation\nproperty float slope\nproperty float roughness\n"
+HEADER = f"""ply
 format binary_little_endian 1.0
-comment map frame, metres; classes by colour: {colours}
-element vertex {vertices}
+comment map frame, metres; classes by colour: {{colours}}
+element vertex {{vertices}}
 property float x
 property float y
 property float z
 property uchar red
 property uchar green
 property uchar blue
-element face {triangles}
+{FEATURES}element face {{triangles}}
 property list uchar int vertex_indices
 end_header
 """
-VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])
+VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3), ("features", "<f4", 3)])
+BARE_VERTEX = np.dtype([("xyz", "<f4", 3), ("rgb", "u1", 3)])  # of an earlier label set
 FACE = np.dtype([("n", "u1"), ("indices", "<i4", 3)])
 UNLABELLED = (128, 128, 128)
 VERTEX_RGB = np.array([UNLABELLED, *(CLASS_RGB[c] for c in (1, 2, 3))], np.uint8)
 """The colour of a vertex by its class, 0 to 3."""
 
-Piece = tuple[NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]  # vertices, triangles, class per vertex
+Piece = tuple[NDArray[np.float32], NDArray[np.float32], NDArray[np.int32], NDArray[np.uint8]]
+"""Vertices (V, 3), their features (V, 3), triangles (T, 3), the class of each vertex (V,)."""
 
 
 def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Piece]]) -> None:
@@ -42,23 +47,24 @@ def write_mesh(path: Path, totals: tuple[int, int], pieces: list[Callable[[], Pi
     with path.open("wb") as file:
         file.write(header_of(*totals))
         for load in pieces:
-            vertices, _, classes = load()
+            vertices, features, _, classes = load()
             rows = np.empty(len(vertices), VERTEX)
-            rows["xyz"], rows["rgb"] = vertices, VERTEX_RGB[classes]
+            rows["xyz"], rows["rgb"], rows["features"] = vertices, VERTEX_RGB[classes], features
             file.write(rows.tobytes())
         first = 0
         for load in pieces:
-            vertices, triangles, _ = load()
+            vertices, _, triangles, _ = load()
             faces = np.empty(len(triangles), FACE)
             faces["n"], faces["indices"] = 3, triangles + first
             file.write(faces.tobytes())
             first += len(vertices)
 
 
-def header_of(vertices: int, triangles: int) -> bytes:
-    """The header of a mesh of so many vertices and triangles."""
+def header_of(vertices: int, triangles: int, has_features: bool = True) -> bytes:
+    """Return the header of a mesh with this number of vertices and triangles."""
     colours = ", ".join(f"({r} {g} {b}) {CLASS_NAME[kind]}" for kind, (r, g, b) in CLASS_RGB.items())
-    return HEADER.format(vertices=vertices, triangles=triangles, colours=colours).encode()
+    header = HEADER if has_features else HEADER.replace(FEATURES, "")
+    return header.format(vertices=vertices, triangles=triangles, colours=colours).encode()
 
 
 def class_at(vertices: NDArray[np.float32], keys: Keys, classes: NDArray[np.uint8]) -> NDArray[np.uint8]:

@@ -25,6 +25,7 @@ from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.traversability import Reference, threshold
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
+from stone.surface.mesh import Mesh
 
 FEATURES = ("elevation_m", "slope_rad", "roughness")
 STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # of a metre, a radian, a log m²
@@ -65,9 +66,11 @@ def _reference_record(run: LabelRun, reference: Reference) -> dict[str, Any]:
 
 
 def _surface(arrays: Arrays, classes: NDArray[np.uint8]) -> TileMesh:
-    vertices: NDArray[np.float32] = arrays["vertices"]  # type: ignore[assignment]
-    kinds = class_at(vertices, arrays["keys"], classes)  # type: ignore[arg-type]
-    return TileMesh(vertices, kinds, arrays["triangles"])  # type: ignore[arg-type]
+    """Return the triangles of a tile, without vertices that are in none."""
+    used = np.zeros(len(arrays["vertices"]), np.bool_)
+    used[arrays["triangles"]] = True
+    mesh = Mesh(arrays["vertices"], arrays["triangles"]).where(used)  # type: ignore[arg-type]
+    return TileMesh(mesh.vertices_map, class_at(mesh.vertices_map, arrays["keys"], classes), mesh.triangles)  # type: ignore[arg-type]
 
 
 # Writes a scene for the viewer: its voxels and surface tile by tile, and `scene.json`, which says what there is.

@@ -20,7 +20,7 @@ from stone.labels.footprint import Passes, passed_through, passes
 from stone.labels.ground_shape import ground_shape
 from stone.labels.observed_voxels import Observed
 from stone.labels.profiles import VoxelTerrain, terrain_of
-from stone.labels.voxels import VOXEL_M, height_above_local_ground, looks_of, voxel_features
+from stone.labels.voxels import VOXEL_M, VoxelFeatures, height_above_local_ground, looks_of, voxel_features
 from stone.sensors.ego_path import datum_m, ego_path
 from stone.surface.contour import band_of, zero_surface
 from stone.surface.dynamic import MotionVotes, carried_along, fewest_misses, is_moving
@@ -67,12 +67,13 @@ def surface(run: LabelRun, tile: Tile, step: Step = silent) -> TileSummary:
     step(2, STEPS)
     (mesh, normals), descent = _mesh(run.parameters, points, low)
     step(3, STEPS)
-    terrain = _terrain(run, (mesh, normals), points, datum_m(run.sequence, tile.map))
+    of_vertices, datum = terrain_features(mesh, normals, run.parameters.terrain), datum_m(run.sequence, tile.map)
+    terrain = _terrain(run, voxel_features(mesh.vertices_map, of_vertices), points, datum)
     terrain = terrain.where(in_core(centres_of(terrain.keys, VOXEL_M), tile, run.parameters.core_m))
     found = _passes(run, tile, path, terrain)
-    kept = _core_mesh(mesh, tile, run.parameters.core_m)
+    kept, of_kept = _core_mesh(mesh, of_vertices - (datum, 0.0, 0.0), tile, run.parameters.core_m)
     observed = load_observed(run, tile)
-    _leave(run, tile, (terrain, found.is_driven), (kept, observed))
+    _leave(run, tile, (terrain, found.is_driven), (kept, of_kept, observed))
     step(STEPS, STEPS)
     inside = int(in_core(points.centroids_map(), tile, run.parameters.core_m).sum())
     counts = (len(terrain), inside, int(moving.sum()), len(kept.vertices_map), len(kept.triangles))
@@ -121,10 +122,9 @@ def _mesh(parameters: LabelParameters, points: PointMap, low: NDArray[np.float64
     return (whole.where(keep), vertex_normals(whole)[keep]), descent
 
 
-def _terrain(run: LabelRun, surface: _Surface, points: PointMap, datum: float) -> VoxelTerrain:
+def _terrain(run: LabelRun, found: VoxelFeatures, points: PointMap, datum: float) -> VoxelTerrain:
     """Return what every profile asks of the voxels that the mesh goes through; elevations are above `datum` metres."""
-    parameters, vehicle, (mesh, normals) = run.parameters, run.sequence.calibration.vehicle, surface
-    found = voxel_features(mesh.vertices_map, terrain_features(mesh, normals, parameters.terrain))
+    parameters, vehicle = run.parameters, run.sequence.calibration.vehicle
     voxels = replace(found, features=with_elevation(found.features, found.features[:, ELEVATION] - datum))
     height_m = height_above_local_ground(voxels, parameters.local_ground_radius_m)
     shape = ground_shape(voxels, np.deg2rad(vehicle.max_slope_deg), parameters.body_clearance_m)
@@ -139,26 +139,29 @@ def _passes(run: LabelRun, tile: Tile, path: tuple[SE3, ...], terrain: VoxelTerr
     return passes(terrain.keys, path, footprint, band_m, start_m)
 
 
-def _core_mesh(mesh: Mesh, tile: Tile, core_m: float) -> Mesh:
-    """The triangles whose centroid lies in the core, so that tiles put side by side leave neither gap nor double."""
-    if len(mesh.triangles) == 0:
-        return mesh
+def _core_mesh(mesh: Mesh, terrain: NDArray[np.float64], tile: Tile, core_m: float) -> tuple[Mesh, NDArray[np.float64]]:
+    """Return the triangles whose centroid lies in the core, so that tiles side by side leave neither gap nor double;
+    with their vertices, all others in the core (they count in a voxel), and the features (V, 3) of both."""
     plan, (a, b, c) = np.ascontiguousarray(mesh.vertices_map[:, :2]), mesh.triangles.T
     mine = mesh.triangles[in_core((plan[a] + plan[b] + plan[c]) / 3, tile, core_m)]
-    used = np.zeros(len(mesh.vertices_map), np.bool_)
+    used = in_core(plan, tile, core_m)
     used[mine] = True
-    return Mesh(mesh.vertices_map, mine).where(used)
+    return Mesh(mesh.vertices_map, mine).where(used), np.compress(used, terrain, axis=0)
 
 
 def _leave(
-    run: LabelRun, tile: Tile, voxels: tuple[VoxelTerrain, NDArray[np.bool_]], rest: tuple[Mesh, Observed]
+    run: LabelRun,
+    tile: Tile,
+    voxels: tuple[VoxelTerrain, NDArray[np.bool_]],
+    rest: tuple[Mesh, NDArray[np.float64], Observed],
 ) -> None:
-    (terrain, is_driven), (mesh, observed) = voxels, rest
+    (terrain, is_driven), (mesh, of_vertices, observed) = voxels, rest
     arrays: Arrays = {
         "keys": terrain.keys,
         "terrain": terrain.columns,
         "is_driven": is_driven,
         "vertices": mesh.vertices_map.astype(np.float32),
+        "vertex_features": of_vertices.astype(np.float32),
         "triangles": mesh.triangles,
         "bricks": observed.keys,
         "words": observed.words,

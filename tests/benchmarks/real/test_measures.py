@@ -64,7 +64,7 @@ def write_squares(folder: Path, heights_m: list[float], turned: set[int]) -> Non
         vertices.append(square.astype(np.float32))
         triangles.append((pair[:, ::-1] if number in turned else pair) + 4 * number)
     rows, faces = np.concatenate(vertices), np.concatenate(triangles)
-    piece = rows, faces, np.zeros(len(rows), np.uint8)
+    piece = rows, np.zeros_like(rows), faces, np.zeros(len(rows), np.uint8)
     write_mesh(folder / "mesh.ply", (len(rows), len(faces)), [lambda: piece])
 
 

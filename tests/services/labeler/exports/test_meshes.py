@@ -14,7 +14,7 @@ import trimesh
 from services.labeler.exports import meshes
 from services.labeler.exports.meshes import MeshFile, mesh_parts, open_mesh, write_glb, write_meshes
 from services.labeler.exports.nuscenes.layout import mask_of
-from services.labeler.map.ply import FACE, VERTEX, write_mesh
+from services.labeler.map.ply import BARE_VERTEX, FACE, VERTEX, write_mesh
 from testing.refusals import refused_as
 from tests.services.labeler.exports.made import Labelled, unheard
 
@@ -115,7 +115,7 @@ TRIANGLES = np.array([(0, 1, 2), (2, 3, 4), (4, 5, 6), (5, 6, 7)], np.int32)
 
 
 def earlier_bytes(header: bytes = EARLIER_HEADER) -> bytes:
-    vertices, faces = np.empty(8, VERTEX), np.empty(4, FACE)
+    vertices, faces = np.empty(8, BARE_VERTEX), np.empty(4, FACE)
     vertices["xyz"], vertices["rgb"] = PLACES, EARLIER_RGB[CLASSES]
     faces["n"], faces["indices"] = 3, TRIANGLES
     return header + vertices.tobytes() + faces.tobytes()
@@ -129,7 +129,7 @@ def earlier(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def today(tmp_path: Path) -> Path:
-    write_mesh(tmp_path / "mesh.ply", (8, 4), [lambda: (PLACES, TRIANGLES, CLASSES)])
+    write_mesh(tmp_path / "mesh.ply", (8, 4), [lambda: (PLACES, -PLACES, TRIANGLES, CLASSES)])
     return tmp_path / "mesh.ply"
 
 
