@@ -32,20 +32,23 @@ GRIDS = ("semantics", "mask_lidar", "mask_camera")
 
 @dataclass(frozen=True, eq=False)
 class FrameVoxelCounts:
-    """Per frame of a part, in order: voxels by class (n, 4), observed by LiDAR and by cameras (n, 2)."""
+    """Per frame of a part, in order: voxels by class (n, 4), observed by LiDAR and by cameras (n, 2), and labelled
+    voxels that close a gap (n,)."""
 
     classes: NDArray[np.int64]
     observed: NDArray[np.int64]
+    filled: NDArray[np.int64]
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledFrame:
-    """One frame done: its token, the bytes of its `labels.npz`, its counts (4,) and (2,) as in `FrameVoxelCounts`."""
+    """One frame done: its token, the bytes of its `labels.npz`, its counts as in `FrameVoxelCounts`."""
 
     token: str
     payload: bytes
     classes: NDArray[np.int64]
     observed: NDArray[np.int64]
+    filled: int
 
 
 def compute_sight_lines(run: LabelRun, camera: int) -> None:
@@ -81,7 +84,8 @@ def _sight_in(paths: tuple[Path, ...], _versions: tuple[tuple[int, int, int], ..
 
 def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
     """The counts of these frames; there is at least one."""
-    return FrameVoxelCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]))
+    filled = np.array([f.filled for f in frames])
+    return FrameVoxelCounts(np.array([f.classes for f in frames]), np.array([f.observed for f in frames]), filled)
 
 
 def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
@@ -97,7 +101,7 @@ def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: S
         packed = (deflated_columns(columns.ones, columns.twos), *map(deflated_columns, (masks.observed, masks.visible)))
         arrays: dict[str, NDArray[Any]] = {**dict(zip(GRIDS, grids, strict=True)), **extra}
         payload = npz_bytes(arrays, deflated=dict(zip(GRIDS, packed, strict=True)))
-        yield LabelledFrame(token, payload, masks.by_class, masks.by_mask)
+        yield LabelledFrame(token, payload, masks.by_class, masks.by_mask, columns.filled)
 
 
 def _batches(part: Part) -> list[Part]:

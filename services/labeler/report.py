@@ -10,7 +10,8 @@ footprint went over is T, pinholes closed, and which share of the way has none; 
 in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
 residuals in cells, null where Open3D did. `refinement` is null where poses were taken as they came; `recordings` are
 those that were joined, with the offsets of their clocks, [] for one alone. What was measured while it was made
-(seconds, memory) is apart, in `costs`: without them equal inputs give equal bytes.
+(seconds, memory) is apart, in `costs`: without them equal inputs give equal bytes. `filled_share_of_occupied` is the
+share of the occupied voxels that close a gap between two voxel centres (`stone.labels.pinholes`).
 """
 
 import json
@@ -84,6 +85,7 @@ class LabelReport:
             "recordings": [asdict(recording) for recording in sequence.recordings],
             "parameters": asdict(self.parameters),
             "class_share_of_occupied": self.class_shares(),
+            "filled_share_of_occupied": round(float(self.counts.filled.sum()) / self._occupied(), 6),
             "profiles": dict(self.profiles),
             "held_out": dict(self.held_out),
             "refinement": self.refinement,
@@ -116,9 +118,12 @@ class LabelReport:
 
     def class_shares(self) -> dict[str, float]:
         """The share of each class among all occupied voxels of all frames."""
-        total = self.counts.classes.sum(axis=0)
-        occupied = max(int(total[1:].sum()), 1)
+        total, occupied = self.counts.classes.sum(axis=0), self._occupied()
         return {name: round(float(n) / occupied, 6) for name, n in zip(CLASS_NAMES[1:], total[1:], strict=True)}
+
+    def _occupied(self) -> int:
+        """Return how many voxels of all frames are occupied, at least 1."""
+        return max(int(self.counts.classes[:, 1:].sum()), 1)
 
     def _observed_ratio(self) -> dict[str, float]:
         voxels = int(self.counts.classes.sum())

@@ -7,7 +7,7 @@ each frame into a file of its own leaves the same indices and no packs.
 
 from collections.abc import Callable, Iterable, Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from pathlib import Path
 
@@ -124,12 +124,12 @@ def write_labels(run: LabelRun, part: Part, frames: Iterable[LabelledFrame], ste
             write(frame)
             lengths.append(len(frame.payload))
             hashes.append(sha256(frame.payload).digest())
-            written.append(LabelledFrame(frame.token, b"", frame.classes, frame.observed))
+            written.append(replace(frame, payload=b""))
             step(len(written), part[1] - part[0])
     counts, sha256s = counts_of(written), np.frombuffer(b"".join(hashes), np.uint8)
     index = PackIndex(np.cumsum(lengths, dtype=np.int64), sha256s.reshape(-1, 32))
     arrays: Arrays = {"ends_bytes": index.ends_bytes, "sha256": sha256s}
-    save(index_path(run, part), {**arrays, "classes": counts.classes, "observed": counts.observed})
+    save(index_path(run, part), {**arrays, **vars(counts)})
     return index
 
 
@@ -153,4 +153,4 @@ def load_pack(run: LabelRun, part: Part) -> tuple[PackIndex, FrameVoxelCounts]:
     """Where the frames of a part lie in its pack, and their counts."""
     arrays = load(index_path(run, part))
     index = PackIndex(arrays["ends_bytes"], arrays["sha256"].reshape(-1, 32))  # type: ignore[arg-type]
-    return index, FrameVoxelCounts(arrays["classes"], arrays["observed"])  # type: ignore[arg-type]
+    return index, FrameVoxelCounts(arrays["classes"], arrays["observed"], arrays["filled"])  # type: ignore[arg-type]

@@ -82,4 +82,5 @@ def _about(sequence: Sequence) -> dict[str, object]:
 
 def concatenated(parts: list[FrameVoxelCounts]) -> FrameVoxelCounts:
     """The counts of all parts, in frame order."""
-    return FrameVoxelCounts(np.concatenate([p.classes for p in parts]), np.concatenate([p.observed for p in parts]))
+    columns = zip(*((part.classes, part.observed, part.filled) for part in parts), strict=True)
+    return FrameVoxelCounts(*map(np.concatenate, columns))

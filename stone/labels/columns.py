@@ -20,11 +20,15 @@ NOTHING = np.zeros(SHAPE, np.uint32)
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The label grid of one frame, each (256, 256) uint32: both bits of the classes, and what was observed."""
+    """The label grid of one frame, each (256, 256) uint32: both bits of the classes, and what was observed.
+
+    `filled` of its labelled voxels close a gap (`stone.labels.pinholes`).
+    """
 
     ones: Words
     twos: Words
     observed: Words
+    filled: int = 0
 
     @property
     def occupied(self) -> Words:

@@ -115,20 +115,22 @@ def _cuts(window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.i
     starts, steps = np.array([one.start for one in placings]), np.array([one.step for one in placings])
     ones, twos, observed = (np.empty((len(placings), *GRID_SHAPE[:2]), np.uint32) for _ in range(3))
     rows = np.empty((len(placings), 2, GRID_SHAPE[1], 4), np.uint32)
-    _cut(window.voxels, (starts, steps), rows, (ones, twos, observed, taken))
-    return [Columns(*words) for words in zip(ones, twos, observed, strict=True)]
+    filled = np.zeros(len(placings), np.int64)
+    _cut(window.voxels, (starts, steps), rows, (ones, twos, observed, taken, filled))
+    return [Columns(*words) for words in zip(ones, twos, observed, filled.tolist(), strict=True)]
 
 
 @njit(cache=True, nogil=True)
 def _cut(voxels, places, rows, out):  # type: ignore[no-untyped-def]
     """A row of columns is closed as soon as it is fetched, while the map around it is near; `rows` (F, 2, 256, 4) are
     this one and the one before, in turn, bit by bit of the window's voxels."""
-    (starts, steps), (ones, twos, observed, taken) = places, out
+    (starts, steps), (ones, twos, observed, taken, filled) = places, out
     ways = np.empty(3 * 32 * rows.shape[2], np.int64)
     for a in range(ones.shape[1]):
         for f in range(ones.shape[0]):
             _fetch_row(voxels, (starts[f], steps[f]), a, rows[f, a & 1])
-            close_row(voxels, (starts[f], steps[f]), (a, rows[f], ways), (ones[f], twos[f], observed[f], taken))
+            row = (a, rows[f], ways)
+            filled[f] += close_row(voxels, (starts[f], steps[f]), row, (ones[f], twos[f], observed[f], taken))
 
 
 @njit(cache=True, nogil=True)

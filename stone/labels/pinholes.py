@@ -24,7 +24,7 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
-    """Write the classes of row `a`, closing what they and the row before step over.
+    """Write the classes of row `a`, closing what they and the row before step over; return how many voxels it closed.
 
     `row` is (a, rows, ways): rows as `stone.labels.confidence` fetches them, and room for the ways back of all
     voxels of a row; `out` is (ones, twos, observed, taken).
@@ -32,7 +32,7 @@ def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
     a, rows, ways = row
     count = _write_classes(place, (a, rows), out, ways)
     count = _keep_crossing(voxels, place, a, ways, count)
-    _fill(voxels, place, a, ways[:count], out)
+    return _fill(voxels, place, a, ways[:count], out)
 
 
 @njit(cache=True, nogil=True)
@@ -123,8 +123,9 @@ def _keep_crossing(voxels, place, a, ways, count):  # type: ignore[no-untyped-de
 
 @njit(cache=True, nogil=True)
 def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
-    """Give the class stepped over on each way back between two free centres to the nearer one."""
-    ones, twos, _, taken = out
+    """Give the class stepped over on each way back between two free centres to the nearer one; return how many were
+    free until then."""
+    (ones, twos, _, taken), filled = out, 0
     for way in ways:
         end, begin = _ends(place, a, way)
         found, ratio, cell = _stepped_over(voxels, end, begin)
@@ -134,10 +135,12 @@ def _fill(voxels, place, a, ways, out):  # type: ignore[no-untyped-def]
         at, b, c = a - (is_before & (axis == 0)), (way >> 7) - (is_before & (axis == 1)), (way >> 2) & 31
         c -= is_before & (axis == 2)
         bit = np.uint32(1) << np.uint32(c)
+        filled += (ones[at, b] | twos[at, b]) & bit == 0
         ones[at, b] = (ones[at, b] & ~bit) | (bit if found & LOW else np.uint32(0))
         twos[at, b] = (twos[at, b] & ~bit) | (bit if found & HIGH else np.uint32(0))
         if taken.size:
             taken[at, b, c, 0], taken[at, b, c, 1], taken[at, b, c, 2] = cell
+    return filled
 
 
 @njit(inline="always")

@@ -129,7 +129,8 @@ class ImportedLabels:
     notes: Counter[str] = field(default_factory=Counter)
 
     def counts(self) -> FrameVoxelCounts:
-        return FrameVoxelCounts(np.array(self.classes, np.int64), np.array(self.observed, np.int64))
+        filled = np.zeros(len(self.classes), np.int64)
+        return FrameVoxelCounts(np.array(self.classes, np.int64), np.array(self.observed, np.int64), filled)
 
     def packs(self) -> list[PackAnswer]:
         """Named by their first frames."""
@@ -248,6 +249,7 @@ def report_text(sequence: Sequence, classes: ClassMap, labels: ImportedLabels, m
         "inputs": dict(sequence.inputs),
         "parameters": {"profile": PROFILE, "classes": class_record(classes)},
         "class_share_of_occupied": _shares(counts),
+        "filled_share_of_occupied": None,
         "observed_ratio": _observed_ratio(counts, labels),
         "rewritten_frames": labels.notes["rewritten"],
         "profiles": None,

@@ -16,7 +16,7 @@ from stone.sensors.pose_quality import PoseQuality, Rtk
 from stone.sensors.sequence import Association, ExcludedFrame, Frames, Sequence, Slices
 
 STAMPS_NS = np.array([10, 20, 40], np.int64)
-COUNTS = FrameVoxelCounts(np.arange(12).reshape(3, 4), np.arange(6).reshape(3, 2))
+COUNTS = FrameVoxelCounts(np.arange(12).reshape(3, 4), np.arange(6).reshape(3, 2), np.arange(3))
 FRAMES = Frames(
     STAMPS_NS,
     ("a", "b", "c"),
