@@ -1,9 +1,11 @@
 """The composition of a dataset: its catalogue of sequences, and sums over them by their attributes.
 
 **Conventions.** Voxels are (T, P, N) of all frames, None where they are not known or not to be told; they add only
-where they are known, so shares of classes are of those sequences. Regions are compared without regard to case.
+where they are known, so shares of classes are of those sequences. Regions are compared without regard to
+case, blanks, dashes and underscores (`Lake 1`, `lake-1` and `Lake_1` are one) and shown as one of them is spelled.
 """
 
+import re
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass
 
@@ -58,7 +60,7 @@ class CatalogueEntry:
 
     @property
     def region_key(self) -> str:
-        return self.region.casefold()
+        return re.sub(r"[\s_-]+", "", self.region.casefold())
 
 
 @dataclass(frozen=True)
@@ -116,9 +118,16 @@ def composition_of(entries: Iterable[CatalogueEntry]) -> Composition:
         environments=_by({entry.id: entry.environment for entry in rows}, rows, ENVIRONMENTS),
         illuminations=_by({entry.id: entry.illumination for entry in rows}, rows, ILLUMINATIONS),
         halves=_by({entry.id: entry.half for entry in rows}, rows, HALVES),
-        regions=_by({entry.id: entry.region for entry in rows}, rows, ()),
+        regions=_by(region_names(rows), rows, ()),
         cells=_cells(rows),
     )
+
+
+def region_names(entries: Iterable[CatalogueEntry]) -> dict[str, str]:
+    """Return the region of each sequence by its id, in the first spelling (by the alphabet) that the region has."""
+    rows = sorted(entries, key=lambda entry: entry.region, reverse=True)
+    spelled = {entry.region_key: entry.region for entry in rows}
+    return {entry.id: spelled[entry.region_key] for entry in rows}
 
 
 def _by(

@@ -8,11 +8,12 @@ rules are left out one by one for as long as the rest still clash. Solved by HiG
 thread, bounded by nodes and not by seconds: equal catalogues give equal proposals, in whatever order they are listed.
 """
 
+from collections import Counter
 from collections.abc import Iterable
 from dataclasses import dataclass
 
 from stone.errors import Refused
-from stone.splits.composition import CatalogueEntry, sums_of
+from stone.splits.composition import CatalogueEntry, region_names, sums_of
 from stone.splits.model import COSTS, Model, Rule, SolverLimits, SplitTask, rules_of
 from stone.splits.rules import check_split
 from stone.splits.splits import (
@@ -158,10 +159,7 @@ def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], s
 
 
 def _by_region(entries: tuple[CatalogueEntry, ...]) -> str:
-    counts = dict[str, int]()
-    for entry in entries:
-        name = entry.region_key or "(unspecified)"
-        counts[name] = counts.get(name, 0) + 1
+    counts = Counter(name or "(unspecified)" for name in region_names(entries).values())
     largest = sorted(counts.items(), key=lambda item: (-item[1], item[0]))
     more = f" and {len(largest) - NAMED} more" if len(largest) > NAMED else ""
     named = ", ".join(f"{name} {count}" for name, count in largest[:NAMED])

@@ -67,6 +67,8 @@ def check_regions(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Ru
         of_train = [entry for entry in train if entry.region_key == key]
         of_test = [entry for entry in test if entry.region_key == key]
         named = f"region {of_test[0].region!r}" if key else "an unspecified region"
+        others = sorted({repr(entry.region) for entry in of_train} - {repr(of_test[0].region)})
+        named += f" (in train {', '.join(others)})" if others else ""
         message = f"{named} is in test ({counted(len(of_test), 'sequence')}) and in train ({len(of_train)})"
         findings.append(_error(REGIONS, message, tuple(entry.id for entry in (*of_train, *of_test))))
     return tuple(findings)

@@ -177,7 +177,7 @@ def test_a_proposal_that_cannot_be_names_the_rules_that_clash(
     found = proposed(api, administrator, 2, 1, 1).json()
     assert found["is_feasible"] is False
     assert [rule["code"] for rule in found["conflict"]] == ["test_regions", "split_sizes"]
-    assert "1 region(s): seoul 4" in found["conflict"][0]["message"]
+    assert "1 region(s): Seoul 4" in found["conflict"][0]["message"]
     assert [len(found[part]) for part in ("train", "val", "test")] == [2, 1, 1]
 
 

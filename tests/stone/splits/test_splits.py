@@ -88,7 +88,18 @@ def test_a_sequence_below_twenty_seconds_is_found(duration_s: float, is_found: b
     assert [(f.code, f.severity, f.sequences) for f in findings] == [(LENGTH, "error", (a.id,))] * is_found
 
 
-@pytest.mark.parametrize(("in_train", "in_test", "is_found"), [("a", "b", False), ("a", "A", True), ("", "", True)])
+@pytest.mark.parametrize(
+    ("in_train", "in_test", "is_found"),
+    [
+        ("a", "b", False),
+        ("a", "A", True),
+        ("", "", True),
+        ("lake-1", "Lake_1", True),
+        ("Lake1", " lake 1", True),
+        ("lake-1", "lake-11", False),
+        ("lake.1", "lake1", False),
+    ],
+)
 def test_a_region_in_train_and_test_is_found(in_train: str, in_test: str, is_found: bool) -> None:
     a, b = entry(1, region=in_train), entry(2, region=in_test)
     findings = check_regions(split_of((a,), (), (b,)), (a, b))
@@ -222,10 +233,24 @@ def test_one_region_for_all_names_the_regions_and_how_many_lie_there() -> None:
     proposal = propose(entries, PAPER, QUICK)
     assert not proposal.is_feasible
     assert [finding.code for finding in proposal.conflict] == [REGIONS, SIZES]
-    assert "gyeonggi 43" in proposal.conflict[0].message
+    assert "Gyeonggi 43" in proposal.conflict[0].message
     assert "31 + 7 + 5 = 43" in proposal.conflict[1].message
     assert proposal.split.sizes == PAPER, "what is proposed all the same keeps the sizes"
     assert [finding.code for finding in proposal.findings if finding.severity == "error"] == [REGIONS]
+
+
+def test_a_region_spelled_in_several_ways_is_one_for_proposal_and_composition() -> None:
+    """Lake 1, lake_1 and lake-1 hold a third each of 12 sequences; only one split leaves the shore out of train."""
+    spellings = ("Lake-1", "lake_1", "lake 1 ", "shore")
+    entries = tuple(entry(n, region=spellings[n % 4]) for n in range(16))
+    proposal = propose(entries, (8, 4, 4), QUICK)
+    regions = {one.id: one.region for one in entries}
+    assert proposal.is_feasible
+    assert {regions[one] for one in proposal.split.parts["test"]} == {"shore"}
+    assert {name: sums.sequences for name, sums in composition_of(entries).regions.items()} == {
+        "Lake-1": 12,
+        "shore": 4,
+    }
 
 
 def test_nights_in_two_regions_that_hold_too_many_for_test_name_night() -> None:
@@ -235,7 +260,7 @@ def test_nights_in_two_regions_that_hold_too_many_for_test_name_night() -> None:
     proposal = propose((*nights, *days), PAPER, QUICK)
     assert {finding.code for finding in proposal.conflict} == {LIGHT, REGIONS, SIZES}
     night = next(finding for finding in proposal.conflict if finding.code == LIGHT)
-    assert night.message == "night in each split: 6 sequences have it, in 2 region(s): a 3, b 3"
+    assert night.message == "night in each split: 6 sequences have it, in 2 region(s): A 3, B 3"
 
 
 def test_more_than_there_are_names_the_sizes_alone() -> None:
