@@ -114,16 +114,16 @@ def checked_norm(sensor: str, wxyz: Array) -> Findings:
 
 
 def order_doubt(sensor: str, kind: SensorKind, wxyz: Array) -> Findings:
-    """A warning when the quaternion read as xyzw would be a much likelier mount: upright, or a LiDAR not turned at all.
+    """A warning when the quaternion read as xyzw would be a much likelier mount: upright.
 
     A sensor is expected upright within 60°: cameras with image down (+y) along −z, all others with +z up. Half a turn
-    about the vertical is doubted for the LiDAR alone: beside a Hesai (y forward) a left radar really has it.
+    about the vertical is not doubted: left radars beside a Hesai (y forward) have it, and so have LiDARs that look
+    backwards. For these the names of cameras decide (`stone.sensors.camera_views`).
     """
     declared, other = SE3.from_parts(wxyz, np.zeros(3)), SE3.from_parts(np.roll(wxyz, 1), np.zeros(3))
     up = np.array([0.0, -1.0, 0.0]) if kind == "camera" else np.array([0.0, 0.0, 1.0])
     is_tilted, is_upright = (declared @ up)[2] < 0.5, (other @ up)[2] > 0.9
-    is_turned_back = kind == "lidar" and abs(declared.wxyz[0]) < 0.01 and abs(other.wxyz[0]) > 0.99
-    if not ((is_tilted and is_upright) or is_turned_back):
+    if not (is_tilted and is_upright):
         return ()
     order = "the quaternion is declared wxyz but read as xyzw it is the likelier mount; check the order"
     return (warning("CAL-402", sensor, order),)

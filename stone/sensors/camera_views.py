@@ -22,6 +22,7 @@ LEAST_RATIO = 0.05
 # the left one of a pair that looks forward, so only its opposite is wrong.
 OFF_NAME_LIMIT_DEG, OFF_SIDE_LIMIT_DEG = 75.0, 135.0
 UPRIGHT_LEAST, LEVEL_MOST = 0.5, 0.8
+BACKWARD_LEAST = 0.99  # of a quaternion's z: half a turn about the vertical within 16°
 
 WORDS = {"FRONT": (1, 0), "FORWARD": (1, 0), "BACK": (-1, 0), "REAR": (-1, 0), "LEFT": (0, 1), "RIGHT": (0, -1)}
 
@@ -92,7 +93,8 @@ def view_of(mount: Mount, ego_from_lidar: SE3, points_camera: NDArray[np.float64
 
 
 def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
-    """A warning for each camera that looks elsewhere than its name says; no recording is needed to see that."""
+    """A warning for each camera that looks elsewhere than its name says, and for a LiDAR whose turn makes them do so;
+    no recording is needed to see that."""
     findings = []
     for mount in calibration.of_kind("camera"):
         apart_deg = off_name_deg(mount.name, calibration.ego_from_lidar @ mount.lidar_from_sensor)
@@ -101,4 +103,25 @@ def name_findings(calibration: Calibration) -> tuple[Finding, ...]:
                 f"{mount.name} looks {apart_deg:.0f}° from where its name says (transform inverted, or names swapped?)"
             )
             findings.append(Finding("CAL-404", "warning", mount.name, sentence))
-    return tuple(findings)
+    return (*findings, *_backward_findings(calibration))
+
+
+def _backward_findings(calibration: Calibration) -> tuple[Finding, ...]:
+    """CAL-402 for a LiDAR with half a turn about the vertical, which is also how no turn reads if its quaternion is in
+    the order x, y, z, w: a warning if cameras look where their names say without the turn only, nothing if they do so
+    with it, and an info if no name decides."""
+    turned = calibration.ego_from_lidar
+    if abs(turned.wxyz[3]) <= BACKWARD_LEAST:
+        return ()
+    straight = SE3.from_parts(np.roll(turned.wxyz, 1), turned.translation_m)
+    named = [mount for mount in calibration.of_kind("camera") if named_direction(mount.name) is not None]
+    with_turn, without = (
+        [is_elsewhere(mount.name, off_name_deg(mount.name, turn @ mount.lidar_from_sensor)) for mount in named]
+        for turn in (turned, straight)
+    )
+    if named and sum(with_turn) <= sum(without):
+        return ()
+    sentence = "ego_from_lidar: the LiDAR looks backwards; if it looks ahead, its quaternion is in the order x, y, z, w"
+    if named:
+        sentence += f" (by their names {sum(with_turn)} of {len(named)} cameras face away with that turn)"
+    return (Finding("CAL-402", "warning" if named else "info", "ego_from_lidar", sentence),)
