@@ -31,12 +31,20 @@ AHEAD = 16  # bricks: so many are asked for at once
 class CarveParameters:
     """How rays are followed. Neighbouring rays pass through the same voxels near the sensor, so in a sweep of more than
     `sparse_rays` one ray in eight is followed from the sensor on, one more in eight from `thin_m` on, two more from
-    twice and the other four from three times that range: at each there is still more than one ray per voxel."""
+    twice and the other four from three times that range: at each there is still more than one ray per voxel.
+
+    Neighbouring sweeps overlap alike, so of sweeps with N rays one in N / `rays_per_sweep` is followed, rounded down,
+    and at least one in `every_frame`."""
 
     max_range_m: float = 40.0
     thin_m: float = 8.0
     sparse_rays: int = 40_000
     every_frame: int = 5
+    rays_per_sweep: int = 20_000
+
+    def every(self, rays: int) -> int:
+        """Return n to follow one sweep in n, if a sweep has this number of rays."""
+        return max(1, min(self.every_frame, rays // self.rays_per_sweep))
 
 
 @dataclass(frozen=True, eq=False)

@@ -26,7 +26,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
     carver = Carver(parameters.carve)
     images, far = dict[str, NDArray[np.generic]](), FarPoints()
-    followed, imaged = run.every(parameters.carve.every_frame), run.every(parameters.dynamic.every_frame)
+    imaged = run.every(parameters.dynamic.every_frame)
     reach = labelled_box(parameters.selection.margin_m)
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
@@ -35,7 +35,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
             sweep.points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, parameters.selection.min_range_m
         )
         builder.insert(points.world_ego, pose, run.sensor_ego, reach)
-        if index % followed == 0:
+        if index % run.every(parameters.carve.every(len(points.world_ego))) == 0:
             carver.carve(points.world_ego, pose, run.sensor_ego)
         if index % imaged == 0:
             image = range_image(points.points_ego, pose, run.sensor_ego, parameters.dynamic)

@@ -137,6 +137,14 @@ def test_a_table_that_grew_observes_the_same():
     assert (grown.words == roomy.words).all()
 
 
+def test_of_sparse_sweeps_more_are_followed_and_of_dense_ones_as_many_as_asked_for():
+    usual = CarveParameters()
+    rays = [0, 1, 10_000, 39_999, 40_000, 57_600, 79_999, 80_000, 100_000, 230_400, 10**7]
+    assert [usual.every(count) for count in rays] == [1, 1, 1, 1, 2, 2, 3, 4, 5, 5, 5]
+    assert [CarveParameters(every_frame=2).every(count) for count in rays[3:]] == [1] + [2] * 7
+    assert CarveParameters(every_frame=50).every(10**7) == 50
+
+
 def test_thinning_only_touches_dense_sweeps():
     points = rays(4, count=400)
     sparse = CarveParameters(thin_m=4.0, sparse_rays=400)
