@@ -14,9 +14,9 @@ from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, threshold
 from stone.labels.visibility import sight_lines
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
+from testing.rays import cast, in_voxels, lit_share, open_share
 from tests.golden_vectors import MASKS
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, EGO_FROM_LIDAR, RayCast, World, sequence_of
-from tests.stone.rays import cast, in_voxels, lit_share, open_share
 
 # a tile's corner lies in the middle of it, and part of the second box is behind the first
 WORLD = World(

@@ -15,7 +15,7 @@ from stone.labels.sight_batches import BESIDE, LANES, SightBatch, _by_frame, _by
 from stone.labels.visibility import FRAMED, IN_IMAGE, OPEN, VOXEL_BITS, sight_lines, ways
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import CameraIntrinsics
-from tests.stone.rays import in_voxels, lit_share, open_share
+from testing.rays import in_voxels, lit_share, open_share
 
 INTRINSICS = CameraIntrinsics("pinhole", 640, 480, 400.0, 400.0, 320.0, 240.0)
 # z forward is ego x, x right is ego −y, y down is ego −z

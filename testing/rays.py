@@ -1,17 +1,22 @@
 """Rays through a grid of voxels, followed the slow way; what sight and observation are held against."""
 
 import numpy as np
+from numpy.typing import ArrayLike, NDArray
 
 from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 
+Array = NDArray[np.floating]
+Indices = NDArray[np.int64]
+Mask = NDArray[np.bool_]
 
-def in_voxels(points_ego):
+
+def in_voxels(points_ego: ArrayLike) -> Array:
     """Ego points (N, 3) in voxels of the grid, from its lowest corner."""
-    return (np.asarray(points_ego) - np.array(GRID_MIN_M)) / VOXEL_M
+    return np.asarray((np.asarray(points_ego) - np.array(GRID_MIN_M)) / VOXEL_M)
 
 
-def cast(occupied, begin, end):
+def cast(occupied: Mask, begin: Array, end: Array) -> tuple[Indices, Mask]:
     """(voxel (R, 3) in which each straight way begin → end (R, 3) stops, every voxel of the grid that any was in).
 
     A way stops in the first occupied voxel, else where it ends. Amanatides & Woo (1987), all ways a step at a time.
@@ -24,7 +29,7 @@ def cast(occupied, begin, end):
         growth = np.where(step != 0, np.abs(1 / way), np.inf)
     stops, passed, ray = at.copy(), np.zeros(occupied.shape, np.bool_), np.arange(len(end))
     while len(ray):
-        inside = ((at >= 0) & (at < occupied.shape)).all(axis=1)
+        inside = np.all((at >= 0) & (at < occupied.shape), axis=1).reshape(-1)
         place = tuple(np.where(inside[:, None], at, 0).T)
         passed[tuple(at[inside].T)] = True
         stops[ray] = at
@@ -36,23 +41,23 @@ def cast(occupied, begin, end):
     return stops, passed
 
 
-def open_share(occupied, camera, voxels, rays, seed):
+def open_share(occupied: Mask, camera: Array, voxels: Indices, rays: int, seed: int) -> Array:
     """The share of `rays` rays from the camera to random places in each voxel (N, 3) that reach it, (N,)."""
     targets = np.repeat(voxels, rays, axis=0)
     return _reaching(occupied, camera, targets + np.random.default_rng(seed).uniform(0, 1, targets.shape), rays)
 
 
-def lit_share(occupied, camera, voxels, rays, seed):
+def lit_share(occupied: Mask, camera: Array, voxels: Indices, rays: int, seed: int) -> Array:
     """As `open_share`, to random places on those sides of the voxels that face the camera."""
     rng = np.random.default_rng(seed)
     targets = np.repeat(voxels, rays, axis=0)
     gap = camera - (targets + 0.5)
     axis = np.argmax(np.where(np.abs(gap) > 0.5, rng.uniform(0.1, 1, gap.shape), 0), axis=1)
-    places, row = rng.uniform(0, 1, gap.shape), np.arange(len(gap))
+    places, row = rng.random((len(gap), 3)), np.arange(len(gap))
     places[row, axis] = np.where(gap[row, axis] > 0, 1 - 1e-9, 1e-9)
     return _reaching(occupied, camera, targets + places, rays)
 
 
-def _reaching(occupied, camera, targets, rays):
+def _reaching(occupied: Mask, camera: Array, targets: Array, rays: int) -> Array:
     stops, _ = cast(occupied, camera, targets)
-    return (stops == np.floor(targets)).all(axis=1).reshape(-1, rays).mean(axis=1)
+    return np.asarray((stops == np.floor(targets)).all(axis=1).reshape(-1, rays).mean(axis=1))
