@@ -1,11 +1,15 @@
 """The options that several commands share, so that they read and behave the same."""
 
 import os
+import re
+from collections.abc import Sequence
 from enum import StrEnum
 from pathlib import Path
 from typing import Annotated
 
 import typer
+
+from stone_base.errors import Refused
 
 BagArgument = Annotated[
     Path,
@@ -47,6 +51,15 @@ CalibrationOption = Annotated[
     Path,
     typer.Option("--calibration", metavar="CAL", exists=True, help="Calibration: file, folder or zip."),
 ]
+PARAMETER = re.compile(r"(?P<name>[a-z][a-z0-9_.]*)=(?P<value>[+-]?\d{1,9}(\.\d{1,18})?(e[+-]?\d{1,2})?)", re.ASCII)
+ParameterOption = Annotated[
+    list[str],
+    typer.Option(
+        "--parameter",
+        metavar="NAME=VALUE",
+        help="Set a label parameter, such as reference.outlier_ratio=0.25; repeatable.",
+    ),
+]
 
 
 DataOption = Annotated[
@@ -75,14 +88,21 @@ class Ground(StrEnum):
 
 
 class LabelProfile(StrEnum):
-    """How height enters the labels: `paper` takes it to the letter, `local` above the ground nearby."""
+    """How voxels are judged: `field` one-sided and by the vehicle's limits, with heights above the ground nearby;
+    `local` by such heights alone; `paper` to the letter, for reproductions."""
 
-    PAPER = "paper"
+    FIELD = "field"
     LOCAL = "local"
+    PAPER = "paper"
 
 
+DEFAULT_PROFILE = LabelProfile.FIELD
 ProfileOption = Annotated[
-    LabelProfile, typer.Option(help="Height reference: absolute as in the paper, or above local ground.")
+    LabelProfile,
+    typer.Option(
+        help="field: ground at most as steep and rough as driven, within the vehicle's limits. local: height above "
+        "local ground, no limits. paper: absolute elevation, as published."
+    ),
 ]
 OdometryOption = Annotated[
     str | None,
@@ -92,6 +112,17 @@ GroundOption = Annotated[
     Ground, typer.Option(help="LiDAR height and tilt: from the calibration (given), or measured on the ground (auto).")
 ]
 LidarOption = Annotated[str | None, typer.Option(metavar="TOPIC", help="LiDAR topic, if the bag has several.")]
+
+
+def chosen_parameters(choices: Sequence[str]) -> dict[str, float]:
+    """Return the values by name; a number without point and exponent is whole. Raises `bad_parameter`."""
+    chosen: dict[str, float] = {}
+    for choice in choices:
+        found = PARAMETER.fullmatch(choice)
+        if found is None:
+            raise Refused("bad_parameter", f"{choice[:80]!r} is not NAME=VALUE, such as reference.outlier_ratio=0.25")
+        chosen[found["name"]] = int(found["value"]) if found["value"].isdecimal() else float(found["value"])
+    return chosen
 
 
 def cores() -> int:

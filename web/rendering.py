@@ -17,7 +17,7 @@ from markupsafe import Markup
 
 from api.deps import VISITOR, Caller, platform_of
 from api.views.people import sign_in_ways
-from services.domain.sequences.label_choices import BOUNDS
+from services.domain.sequences.label_choices import BOUNDS, DEFAULT_PROFILE
 from stone_base.codes.catalogue import CATALOGUE, harm_of
 from stone_base.codes.meaning import HARM_WORDS
 from web import words
@@ -69,6 +69,7 @@ class PageTemplates:
             "asset": assets.url,
             "import_map": Markup(assets.import_map),
             "label_bounds": BOUNDS,
+            "default_profile": DEFAULT_PROFILE,
             "meaning_of": CATALOGUE.get,
             "harm_of": harm_of,
             "harm_words": HARM_WORDS,

@@ -8,7 +8,7 @@ import math
 from collections.abc import Callable
 from dataclasses import dataclass, replace
 
-from stone.sensors.calibration import Calibration, Mount
+from stone.sensors.calibration import Calibration, Mount, Vehicle
 from stone_recordings.report.rig.record import PlacedSensor, fields_of_view_deg, placed_sensors
 
 Flat = Callable[[tuple[float, float, float]], tuple[float, float]]
@@ -59,11 +59,12 @@ class RigView:
 
 @dataclass(frozen=True)
 class RigDrawing:
-    """`left_out` are sensors that lie too far away to be drawn."""
+    """`left_out` are sensors that lie too far away to be drawn; `vehicle` are the limits of the robot."""
 
     views: tuple[RigView, ...]
     places: tuple[tuple[str, str, tuple[float, float, float]], ...]
     left_out: tuple[str, ...]
+    vehicle: Vehicle
 
 
 @dataclass(frozen=True)
@@ -81,7 +82,8 @@ def rig_of(calibration: Calibration) -> RigDrawing:
     top = _view("From above", near, lambda p: (-p[1], -p[0]), (half_m[1], half_m[0]))
     side = _view("From the right", near, lambda p: (p[0], -p[2]), (half_m[0], 0.0))
     left_out = tuple(one.mount.name for one in placed if one not in near)
-    return RigDrawing((top, side), tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed), left_out)
+    places = tuple((one.mount.name, one.mount.kind, one.at_m) for one in placed)
+    return RigDrawing((top, side), places, left_out, calibration.vehicle)
 
 
 def _placed(sensor: PlacedSensor) -> _PlacedMount:

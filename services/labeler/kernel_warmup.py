@@ -1,9 +1,9 @@
 """Compiled kernels for labelling, loaded once in the process that forks children.
 
 **Conventions.** A child can keep nothing that it compiles, so a small run is labelled here by the stages themselves, in
-both profiles, and drawn: no kernel of theirs is forgotten, and none is called with other types than theirs. Importing
-this calls one small kernel, after which numba's tables of types and functions are there (0.7 s): enough for workers
-that keep what they compile. No kernel has threads, so a fork takes all of it along.
+the default profile and the paper's, and drawn: no kernel of theirs is forgotten, and none is called with other types
+than theirs. Importing this calls one small kernel, after which numba's tables of types and functions are there (0.7 s):
+enough for workers that keep what they compile. No kernel has threads, so a fork takes all of it along.
 """
 
 from collections.abc import Collection
@@ -15,6 +15,7 @@ from tempfile import TemporaryDirectory
 import numpy as np
 import scipy.special  # noqa: F401  # loaded where it is used, which would be in every worker
 
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.parameters import LabelParameters, parameters_for
 from services.labeler.run import LabelRun, silent
@@ -60,10 +61,10 @@ def warmup_sequence() -> Sequence:
 
 @cache
 def warm() -> None:
-    """Label the small run in both profiles, and draw it in one: once a process."""
+    """Label the small run by the default profile with confidence, and by the paper's, and draw it: once a process."""
     from services.labeler.pipeline import MAP, PICTURES
 
-    confident = replace(parameters_for("local"), confidence=True)
+    confident = replace(parameters_for(DEFAULT_PROFILE), confidence=True)
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         _label(Path(folder) / "confident", confident, without=(MAP, PICTURES))
         _label(Path(folder) / "paper", parameters_for("paper"))

@@ -123,7 +123,7 @@ def parameters_for(profile: Profile) -> LabelParameters:
 
 def other_profile_of(profile: Profile) -> Profile:
     """Return the profile that a label set is held against: the paper's, or the default against the paper's."""
-    return cast("Profile", DEFAULT_PROFILE) if profile == "paper" else "paper"
+    return DEFAULT_PROFILE if profile == "paper" else "paper"
 
 
 def other_profile(parameters: LabelParameters) -> LabelParameters:

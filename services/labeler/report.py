@@ -21,6 +21,7 @@ from typing import Any
 
 import numpy as np
 
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.labeler.frames import FrameVoxelCounts
 from services.labeler.map.comparison import (
     ProfileComparison,
@@ -173,9 +174,10 @@ def label_findings(
     """What a person should know before trusting these labels."""
     found = []
     if reference.voxels < FEW_VOXELS:
+        advice = f", or use profile {DEFAULT_PROFILE}" if parameters.profile == "paper" else ""
         few = (
             f"the track covers {reference.voxels} surface voxels; below {FEW_VOXELS} the reference is unreliable: "
-            "drive farther, or use profile local"
+            f"drive farther{advice}"
         )
         found.append(Finding("LAB-601", "warning", "", few))
     undriven = int((counts.classes[:, 1] == 0).sum())
@@ -186,7 +188,7 @@ def label_findings(
         narrow = (
             f"the track spans {relief.track_span_m:.2f} m of elevation, so ground more than about "
             f"{relief.paper_band_m:.2f} m above or below its mean is labelled non-traversable regardless of its shape: "
-            "profile local does not use absolute elevation"
+            f"profile {DEFAULT_PROFILE} does not use absolute elevation"
         )
         found.append(Finding("LAB-603", "warning", "", narrow))
     return tuple(found)

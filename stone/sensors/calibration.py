@@ -41,6 +41,11 @@ class Vehicle:
     max_step_m: float = 0.12
     height_m: float = 1.6
 
+    @property
+    def is_default(self) -> bool:
+        """Whether all limits are the defaults."""
+        return self == Vehicle()
+
 
 @dataclass(frozen=True)
 class CameraIntrinsics:

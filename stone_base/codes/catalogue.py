@@ -12,8 +12,8 @@ _MODULES = (containers, messages, clocks, poses, calibrations, labels, failures)
 CATALOGUE: Mapping[str, CodeMeaning] = {
     one.code: one for one in sorted((one for module in _MODULES for one in module.MEANINGS), key=lambda one: one.code)
 }
-PROFILE_CODES = frozenset({"LAB-601", "LAB-603"})
-"""What processing again with profile `local` solves."""
+PROFILE_CODES = frozenset({"LAB-601", "LAB-603", "LAB-606", "LAB-613", "LAB-614"})
+"""Codes of labels made with profile `paper` that processing again with profile `field` solves."""
 FAMILIES: Mapping[str, str] = {
     "BAG": "Files of recordings",
     "MSG": "Messages",

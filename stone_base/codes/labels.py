@@ -7,7 +7,7 @@ MEANINGS = (
         "LAB-601",
         "wrong",
         "The track covers so few voxels that the reference terrain model is unreliable.",
-        "Drive farther, or process again with profile local.",
+        "Drive farther, or process again with profile field.",
     ),
     CodeMeaning(
         "LAB-602",
@@ -19,7 +19,7 @@ MEANINGS = (
         "LAB-603",
         "wrong",
         "The track spans little elevation, so ground that lies higher or lower is labelled N whatever its shape.",
-        "Process again with profile local, which does not use absolute elevation.",
+        "Process again with profile field, which does not use absolute elevation.",
     ),
     CodeMeaning(
         "LAB-604",
@@ -37,7 +37,7 @@ MEANINGS = (
         "LAB-606",
         "wrong",
         "Some driven voxels are far from the rest and widen the reference terrain model.",
-        "Check mount and footprint; with profile local, the parameter reference.outlier_ratio 0.25 leaves them out.",
+        "Process again with profile field, which leaves such voxels out of the reference. Check mount and footprint.",
     ),
     CodeMeaning(
         "LAB-607",
@@ -63,6 +63,26 @@ MEANINGS = (
         "wrong",
         "Some poses were too far from where refinement would put them, and stayed as given.",
         "Check the source of poses.",
+    ),
+    CodeMeaning(
+        "LAB-613",
+        "wrong",
+        "Labels made from one half of the track call more than 20 % of the ground driven over in the other half N.",
+        "Process again with profile field. If it is field already, check poses and mount, and drive over each kind of "
+        "terrain.",
+    ),
+    CodeMeaning(
+        "LAB-614",
+        "less",
+        "Labels made from one half of the track call 10 to 20 % of the ground driven over in the other half N.",
+        "Process again with profile field, or drive farther over each kind of terrain: elsewhere it is N too.",
+    ),
+    CodeMeaning(
+        "LAB-615",
+        "wrong",
+        "Many driven voxels are steeper or rougher than the vehicle's limits allow.",
+        "Check the LiDAR's mount and the poses, and the limits under vehicle in the calibration. Tall grass that was "
+        "driven through causes it too.",
     ),
     CodeMeaning(
         "IMP-601",

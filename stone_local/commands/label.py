@@ -1,9 +1,10 @@
 """`stone label`: from a recording and a calibration to 3D traversability labels."""
 
+from collections.abc import Mapping
 from dataclasses import replace
 from enum import StrEnum
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -11,15 +12,17 @@ from stone.findings import Finding
 from stone_base.counts import counted
 from stone_client.clock_offsets import ClockOffsetOption
 from stone_client.options import (
+    DEFAULT_PROFILE,
     CalibrationOption,
     Ground,
     GroundOption,
-    LabelProfile,
     LidarOption,
     OdometryOption,
+    ParameterOption,
     ProfileOption,
     RunArgument,
     WorkersOption,
+    chosen_parameters,
     cores,
 )
 from stone_client.progress import reported
@@ -82,7 +85,8 @@ def label(
     bags: RunArgument,
     calibration: CalibrationOption,
     output: OutputOption,
-    profile: ProfileOption = LabelProfile.PAPER,
+    profile: ProfileOption = DEFAULT_PROFILE,
+    parameter: ParameterOption = [],  # noqa: B006
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
     topics: TopicsOption = None,
@@ -107,7 +111,8 @@ def label(
     from services.ingest.sequence import OpenedSequence, with_sequence
     from services.labeler.local_run import JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
-    from services.labeler.parameters import RefinementParameters, parameters_for
+    from services.labeler.parameters import RefinementParameters
+    from services.labeler.parameters import chosen_parameters as label_parameters
     from services.labeler.process_pool import begin_loading
     from services.labeler.report import LabelReport
 
@@ -118,7 +123,8 @@ def label(
         sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset), poses_frame=poses_frame)
         sources = replace(sources, poses=chosen_poses(poses, poses_frame, odometry))
         refinement = RefinementParameters(refine.value) if refine else None
-        parameters = replace(parameters_for(profile.value), confidence=confidence, refinement=refinement)
+        parameters = label_parameters(profile.value, chosen_parameters(parameter))
+        parameters = replace(parameters, confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
         recordings = RunRecordings(bags, clock_offset, calibration, lambda: sources)
         with run_of(recordings) as run:
@@ -137,8 +143,17 @@ def label(
         labelled = f"{counted(record['frames'], 'frame')} labelled, {len(record['excluded'])} excluded"
         title = f"{labelled}: share of occupied voxels"
         show(class_table(title, record["class_share_of_occupied"]))
+        typer.echo(_held_out_line(record["held_out"]))
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
     findings = [Finding(**finding) for finding in record["findings"]]
     echo_findings(findings)
     if not as_json:
         echo_explainer(findings)
+
+
+def _held_out_line(held_out: Mapping[str, Any]) -> str:
+    """Return how labels made from one half of the track hold on the other half, in a sentence."""
+    if held_out["recall"] is None:
+        return "Held-out track: too little driven ground to judge labels made from one half of it by the other half"
+    judged = f"{100 * held_out['recall']:.1f} % of {held_out['judged_m']:.0f} m that the robot drove over"
+    return f"Held-out track: {judged} is T or P in labels made from the other half"

@@ -14,9 +14,11 @@ from typing import Any
 import pytest
 
 from services.domain.exports.requests import start_export
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import opened_sequence
 from services.labeler.local_run import LabelOptions, label
+from services.labeler.parameters import parameters_for
 from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Export
 from services.runtime.platform import Platform
@@ -68,7 +70,8 @@ def labels_of_two_parts(factory: pytest.TempPathFactory) -> dict[str, bytes]:
 
     def make(folder: Path) -> None:
         with opened_sequence(bag, calibration_path(bag), NAME, SynchroniseOptions()) as found:
-            options = LabelOptions(workers=2, late_inputs=found.recording_inputs, late_findings=found.late_findings)
+            late = (found.recording_inputs, found.late_findings)
+            options = LabelOptions(parameters_for(DEFAULT_PROFILE), 2, {}, *late)
             label(found.sequence, found.sweeps, folder / "labels", options)
 
     return files_of_label(made_once(factory, "labels-of-two-parts", make) / "labels")

@@ -72,11 +72,19 @@ def test_a_file_alone_is_told_with_its_mounts_lenses_and_gaps(run: Path, native:
     bare = calibration("check", native)
     assert bare.exit_code == 0
     assert "footprint: 1.06 x 0.85 m (the default, none is given)" in bare.stdout
+    assert "vehicle: slope 20°, step 0.12 m, height 1.6 m (the default)" in bare.stdout
     assert "verdict: can be used for labels" in bare.stdout
     assert bare.stderr.startswith("info: CAL-436: no footprint is given")
     assert [line.split(":")[1].strip() for line in bare.stdout.splitlines() if line.startswith("missing")] == [
         "footprint", "self_boxes_ego", "cameras", "INS",
     ]  # fmt: skip
+
+
+def test_the_limits_of_a_vehicle_are_told_as_given(native: Path) -> None:
+    native.write_text(NATIVE + "vehicle: {max_slope_deg: 30, height_m: 0.9}\n")
+    limits = {"max_slope_deg": 30.0, "max_step_m": 0.12, "height_m": 0.9, "is_default": False}
+    assert answered("check", native)["vehicle"] == limits
+    assert "vehicle: slope 30°, step 0.12 m, height 0.9 m (given)" in calibration("show", native).stdout
 
 
 def test_half_a_rig_is_shown_as_far_as_it_goes_and_refused(tmp_path: Path) -> None:

@@ -3,7 +3,7 @@
 import json
 from io import BytesIO, StringIO
 from pathlib import Path
-from typing import Any
+from typing import Any, get_args
 
 import numpy as np
 import pytest
@@ -13,8 +13,12 @@ from rich.console import Console
 from rosbags.highlevel import AnyReader
 from typer.testing import Result
 
+from services.domain.sequences import label_choices
+from services.domain.sequences.label_choices import PROFILES
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate, write_calibration
+from stone.labels.profiles import Profile
+from stone_client.options import DEFAULT_PROFILE, LabelProfile
 from stone_client.tables import clock_table
 from stone_local.topic_choices import chosen_offsets
 from stone_recordings.calibrations.file import read_calibration
@@ -209,6 +213,48 @@ def test_labels_are_refused_a_topic_that_cannot_give_poses(rig_drive: Path, tmp_
     assert result.exit_code == 1
     assert "TOP-104" in result.stderr
     assert "/imu/data" in result.stderr
+
+
+def test_the_commands_profiles_are_those_of_the_platform() -> None:
+    assert tuple(LabelProfile) == PROFILES
+    assert DEFAULT_PROFILE == label_choices.DEFAULT_PROFILE
+    assert set(get_args(Profile)) == set(PROFILES)
+
+
+def test_a_parameter_reaches_the_labels_and_the_held_out_track_is_told(tmp_path: Path) -> None:
+    bag, out = tmp_path / "run.mcap", tmp_path / "labels"
+    simulate(bag, SimulateOptions(seconds=8.0, seed=3, channels=16, columns=180, cameras=False, lidar_hz=2))
+    asked = ("label", bag, "--calibration", calibration_path(bag), "-o", out, "--workers", "1", "--parameter")
+    done = stone(*asked, "reference.outlier_ratio=0.25")
+    assert done.exit_code == 0, done.stderr
+    report = json.loads((out / "report.json").read_text())
+    assert report["parameters"]["profile"] == label_choices.DEFAULT_PROFILE
+    assert report["parameters"]["reference"]["outlier_ratio"] == 0.25
+    held_out = report["held_out"]
+    share = f"{100 * held_out['recall']:.1f} % of {held_out['judged_m']:.0f} m that the robot drove over"
+    assert f"Held-out track: {share} is T or P in labels made from the other half" in done.stdout
+
+
+@pytest.mark.parametrize(
+    ("choices", "words"),
+    [
+        (["reference.alpha"], "'reference.alpha' is not NAME=VALUE"),
+        (["reference.alpha=nan"], "is not NAME=VALUE"),
+        (["reference.alpha=0.9"], "it lies between 0.0001 and 0.5"),
+        (["terrain.neighbours=20.5"], "it takes a whole number from 8 to 64"),
+        (["tiling.cube_cells=8"], "the parameters that can be chosen are selection.min_range_m"),
+        (["reference.outlier_ratio=0.25", "--profile", "paper"], "profiles field and local can"),
+    ],
+)
+def test_a_parameter_that_cannot_be_is_refused_before_anything_is_read(
+    bag: Path, tmp_path: Path, choices: list[str], words: str
+) -> None:
+    label = ("label", bag, "--calibration", calibration_path(bag), "-o", tmp_path / "labels")
+    refused = stone(*label, "--parameter", *choices)
+    assert refused.exit_code == 1
+    assert refused.stderr.startswith("bad_parameter: ")
+    assert words in refused.stderr
+    assert not (tmp_path / "labels").exists()
 
 
 def test_offsets_are_read_to_the_nanosecond_in_every_unit() -> None:

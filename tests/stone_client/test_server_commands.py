@@ -83,6 +83,8 @@ def test_a_sequence_that_lacks_something_is_not_processed(platform: Platform, as
     with client_of(platform) as api:
         made.sequence(api, owner, "bare")
     assert refused(stone("process", "bare")) == "no_calibration"
+    assert refused(stone("process", "bare", "--parameter", "reference.outlier_ratio=0.25")) == "no_calibration"
+    assert refused(stone("process", "bare", "--parameter", "reference.outlier_ratio=0.6")) == "bad_parameter"
     assert refused(stone("watch", "bare")) == "not_found"
     assert refused(stone("download", "bare", "-o", "absent")) == "no_labels"
 

@@ -146,6 +146,7 @@ def test_what_is_of_somebody_else_has_no_page(reading: Reading, platform: Platfo
     for path, whose in [(path, world.member) for path in paths] + [(path, curator) for path in calibrations]:
         statuses = [reading.status(path, who) for who in (whose, world.captains[1], None)]
         assert statuses == [200, 404, 401], path
+    assert "slope 20°, step 0.12 m, height 1.6 m" in reading.html(*calibrations, curator)
 
 
 def test_home_shows_a_visitor_what_is_public_of_sequences_and_boards(
@@ -276,17 +277,19 @@ def test_what_is_made_of_labels_is_no_state_of_the_sequence(
     assert "Cancel this run" not in page
 
 
-def test_an_owner_is_offered_profile_local_where_it_helps_and_the_form_keeps_what_was_asked_for(
+def test_an_owner_is_offered_profile_field_where_it_helps_and_the_form_keeps_what_was_asked_for(
     reading: Reading, platform: Platform, curator: Person, participant: Person
 ) -> None:
     shown = whole_sequence(platform, curator)
     base = f"/sequences/{shown['id']}"
     publish(platform, shown["id"])
     offers = re.compile(r'href="(/sequences/[0-9a-f]+/processing\?[^"]+)"')
-    assert offers.search(reading.html(base, curator))
+    offered = offers.search(reading.html(base, curator))
+    assert offered
+    assert offered[1].endswith("?profile=field#process")
     for somebody in (None, participant):
         assert not offers.search(reading.html(base, somebody))
-    for report in ({**REPORT, "parameters": {"profile": "local"}}, {**REPORT, "findings": REPORT["findings"][:1]}):
+    for report in ({**REPORT, "parameters": {"profile": "field"}}, {**REPORT, "findings": REPORT["findings"][:1]}):
         replace_files(platform, shown["label_set_id"], {"report.json": json.dumps(report).encode()})
         assert not offers.search(reading.html(base, curator))
     assert "data-kept" not in reading.html(f"{base}/processing", curator)

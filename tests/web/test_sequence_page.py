@@ -9,7 +9,7 @@ import pytest
 from playwright.sync_api import Page, Route, expect
 from sqlalchemy import select
 
-from services.domain.sequences.label_choices import BOUNDS
+from services.domain.sequences.label_choices import BOUNDS, DEFAULT_PROFILE, PROFILES
 from services.domain.sequences.processing import PROCESS
 from services.runtime.orm import CalibrationRow, Job, LabelSet, Recording, SequenceRow
 from services.runtime.platform import Platform
@@ -243,6 +243,9 @@ def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Per
         fields = form.locator("[data-parameter]")
         bounds = fields.evaluate_all("all => all.map(one => [one.dataset.parameter, [+one.min, +one.max]])")
         assert {name: tuple(of) for name, of in bounds} == dict(BOUNDS)
+        profiles = form.get_by_role("radio")
+        names = profiles.evaluate_all("all => all.map(one => [one.value, one.checked])")
+        assert names == [[name, name == DEFAULT_PROFILE] for name in PROFILES]
         form.get_by_role("radio", name="local").check()
         form.get_by_label("Significance").fill("0.7")
         form.get_by_role("button", name="Start processing").click()
@@ -266,7 +269,7 @@ def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Per
     }
 
 
-def test_an_owner_processes_again_with_profile_local_and_keeps_what_the_run_was_asked_for(
+def test_an_owner_processes_again_with_profile_field_and_keeps_what_the_run_was_asked_for(
     site: Site, curator: Person, shown: dict[str, Any]
 ) -> None:
     calibrated(site, curator, shown["id"])
@@ -281,15 +284,15 @@ def test_an_owner_processes_again_with_profile_local_and_keeps_what_the_run_was_
         run_id = run.id
     with site.visit(curator) as page:
         to(page, shown)
-        page.get_by_role("link", name="Process again with profile local").click()
+        page.get_by_role("link", name="Process again with profile field").click()
         form = page.locator("form[data-process]")
-        expect(form.get_by_role("radio", name="local")).to_be_checked()
+        expect(form.get_by_role("radio", name="field")).to_be_checked()
         expect(form.get_by_label("Odometry topic")).to_have_value("kiss-icp")
         form.get_by_role("button", name="Start processing").click()
         expect(page).to_have_url(f"{site.url}/sequences/{shown['id']}")
     run = newest_run(site.platform, shown["id"])
     assert run.id != run_id
-    assert {key: run.arguments[key] for key in ASKED} == {**ASKED, "profile": "local"}
+    assert {key: run.arguments[key] for key in ASKED} == {**ASKED, "profile": "field"}
     assert sorted(run.arguments["recording_ids"]) == both
 
 

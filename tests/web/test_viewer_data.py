@@ -13,6 +13,7 @@ from typing import Any
 import numpy as np
 import pytest
 from playwright.sync_api import Browser, Page
+from scipy.optimize import nnls
 
 from testing.api.serving import person, serving
 from testing.servers.fixtures import make_settings, opened
@@ -173,6 +174,52 @@ def test_the_floor_is_the_lowest_label_of_each_square(loaded: Loaded) -> None:
     squares = np.asarray(RUN.grids[1].reshape(64, 4, 64, 4, 32).any(axis=(1, 3)))
     lowest = np.where(squares.any(axis=2), squares.argmax(axis=2), -1)
     assert run(loaded, script, loaded.tokens[1]) == lowest.ravel().tolist()
+
+
+SIGMAS = np.array([0.05, 0.07, 0.7])
+COVARIANCE = np.outer(SIGMAS, SIGMAS) * np.array([[1.0, 0.7, 0.6], [0.7, 1.0, 0.8], [0.6, 0.8, 1.0]])
+
+
+def test_one_sided_distances_are_the_least_of_all_ground_at_least_as_hard(loaded: Loaded) -> None:
+    script = """
+    const { partsOf } = await load("controls/explanation");
+    const d2 = (away, sides) => partsOf(away, given.covariance, sides).reduce((a, b) => a + b);
+    return given.aways.map(away => [d2(away, true), d2(away, false)]);
+    """
+    aways = np.random.default_rng(7).normal(0, 2.5, (200, 3)) * SIGMAS
+    made = np.array(run(loaded, script, {"aways": aways.tolist(), "covariance": COVARIANCE.tolist()}))
+    root = np.linalg.inv(np.linalg.cholesky(COVARIANCE))
+    least = [nnls(root, -root @ away)[1] ** 2 for away in aways]
+    assert made[:, 0] == pytest.approx(least, abs=1e-9)
+    assert made[:, 1] == pytest.approx([away @ np.linalg.solve(COVARIANCE, away) for away in aways])
+    assert (made[:, 0] < 0.5 * made[:, 1]).sum() > 50
+    assert 10 < (made[:, 0] == 0).sum() < 100
+
+
+@pytest.mark.parametrize(
+    ("profile", "elevation_m", "d2", "words"),
+    [
+        ("field", 0.2, 16.0, "mainly in height above the local ground (0.20 m against 0.00 ± 0.05 m)"),
+        ("field", 0.2, 40.0, "mainly in height above the local ground"),
+        ("field", -0.2, 30.0, "beyond what the vehicle can do: slope under the footprint, step or clearance"),
+        ("field", -0.2, 0.5, "no harder than the terrain driven over, and within the vehicle's limits"),
+        ("local", -0.2, 16.0, "mainly in height above the local ground (-0.20 m"),
+        ("paper", -0.2, 16.0, "mainly in elevation (-0.20 m"),
+        ("paper", 0.0, 0.5, "similar to the terrain driven over"),
+    ],
+)
+def test_the_reason_of_a_class_is_that_of_its_profile(
+    loaded: Loaded, profile: str, elevation_m: float, d2: float, words: str
+) -> None:
+    script = """
+    const { reason } = await load("controls/explanation");
+    const reference = { mean: [0, 0, 0], covariance: given.covariance, d2_limit: 7.815 };
+    const found = { elevation_m: given.elevation_m, slope_rad: 0, roughness: 0, d2: given.d2 };
+    return reason({ kind: 3, seen: true, found }, { profile: given.profile, reference });
+    """
+    covariance = np.diag(SIGMAS**2).tolist()
+    given = {"profile": profile, "elevation_m": elevation_m, "d2": d2, "covariance": covariance}
+    assert words in run(loaded, script, given)
 
 
 CLOCKS = [

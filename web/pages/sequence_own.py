@@ -3,8 +3,6 @@
 **Conventions.** Somebody else is answered as if the sequence were not there, be it public.
 """
 
-from typing import Literal
-
 from fastapi import APIRouter
 from fastapi.responses import HTMLResponse
 from sqlalchemy import select
@@ -15,6 +13,7 @@ from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
 from api.views.scenes import artefact_file
 from api.visible import labels_of, sequence_of
+from services.domain.sequences.label_choices import LabelProfile
 from services.runtime.orm import LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix
 from web.sequence.again import choices_of
@@ -46,7 +45,7 @@ def recordings(at: AtSequence, caller: Reader) -> HTMLResponse:
 
 
 @router.get("/processing")
-def processing(at: AtSequence, caller: Reader, profile: Literal["paper", "local"] | None = None) -> HTMLResponse:
+def processing(at: AtSequence, caller: Reader, profile: LabelProfile | None = None) -> HTMLResponse:
     """How far the platform is, and what it did before; with `profile` to process again as before, but for that."""
     with at.platform.database.reading() as session:
         status = _own(session, caller, at.sequence_id)

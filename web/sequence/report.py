@@ -44,8 +44,8 @@ class Report:
     recordings: tuple[ClockShift, ...] = ()
 
     @property
-    def asks_for_local(self) -> bool:
-        """Whether profile local solves what a finding says of these labels."""
+    def is_solved_by_default_profile(self) -> bool:
+        """Whether the labels are of profile paper and have a finding that the default profile solves."""
         return self.profile == "paper" and any(one["code"] in PROFILE_CODES for one in self.findings)
 
 

@@ -12,7 +12,7 @@ class LabelSetItem(Answer):
     """A label set of a sequence; one of them counts, the one that was asked for last."""
 
     model_config = example(
-        profile="paper",
+        profile="field",
         frames=1200,
         code_version="71299b6a455d",
         is_counting=True,

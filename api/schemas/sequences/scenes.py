@@ -89,7 +89,7 @@ class SceneDetail(Answer):
     `reference` is null of labels that were imported from a published dataset: the features of their voxels are NaN.
     """
 
-    model_config = example(name="n-forest-07", profile="paper", footprint_m=[1.06, 0.85])
+    model_config = example(name="n-forest-07", profile="field", footprint_m=[1.06, 0.85])
 
     sequence_id: str
     label_set_id: str

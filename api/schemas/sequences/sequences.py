@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
+from services.domain.sequences.label_choices import DEFAULT_PROFILE, LabelProfile
 from services.domain.sequences.processing import ProcessRequest
 from stone.sensors.sequence import NAME, bad_sequence_name
 from stone.splits.surroundings import (
@@ -224,19 +225,19 @@ OffsetSeconds = Annotated[float, Field(ge=-MOST_OFFSET_NS / 1e9, le=MOST_OFFSET_
 
 
 class ProcessBody(Body):
-    """How a sequence is to be labelled; what is left out is as the paper has it.
+    """How a sequence is to be labelled; parameters that are left out are those of the profile.
 
     Without `recording_ids` it is made of all registered recordings, and again, by itself, once one is added.
     `clock_offsets_s`, by id or name of recording, are added to its times instead of what is measured.
     """
 
     model_config = example(
-        profile="local",
+        profile="field",
         parameters={"reference.alpha": 0.05},
         odometry_topic="/novatel/oem7/odom",
     )
 
-    profile: Literal["paper", "local"] = "paper"
+    profile: LabelProfile = DEFAULT_PROFILE
     parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
     odometry_topic: Literal["kiss-icp"] | Topic | None = None
     lidar_topic: Topic | None = None
@@ -269,7 +270,7 @@ class FrameItem(Answer):
 class FrameDetail(FrameItem):
     """A labelled frame, with where it comes from and what its `labels.npz` weighs."""
 
-    model_config = example(labels_bytes=20480, parameters={"profile": "paper"})
+    model_config = example(labels_bytes=20480, parameters={"profile": "field"})
 
     sequence_id: str
     label_set_id: str

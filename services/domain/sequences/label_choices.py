@@ -7,11 +7,13 @@ Label workers load this module, and so it imports nothing of the database.
 """
 
 from collections.abc import Mapping
+from typing import Literal, get_args
 
 from stone.errors import Refused
 
-PROFILES = ("field", "local", "paper")
-DEFAULT_PROFILE = "field"
+LabelProfile = Literal["field", "local", "paper"]
+PROFILES: tuple[LabelProfile, ...] = get_args(LabelProfile)
+DEFAULT_PROFILE: LabelProfile = "field"
 BOUNDS: Mapping[str, tuple[float, float]] = {
     "selection.min_range_m": (0.5, 5.0),
     "surface.min_frames": (1, 20),

@@ -14,7 +14,7 @@ from sqlalchemy import delete, func, select
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.chosen_recordings import chosen_recordings, offsets_by_name
-from services.domain.sequences.label_choices import check_choices
+from services.domain.sequences.label_choices import DEFAULT_PROFILE, check_choices
 from services.domain.sequences.processing_errors import (
     AlreadyProcessingError,
     RecordingPendingError,
@@ -53,7 +53,7 @@ class ProcessRequest:
     id or name of recording, are taken instead of measured ones.
     """
 
-    profile: str = "paper"
+    profile: str = DEFAULT_PROFILE
     parameters: Mapping[str, float] = field(default_factory=dict)
     odometry_topic: str | None = None
     lidar_topic: str | None = None

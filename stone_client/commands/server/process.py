@@ -6,14 +6,16 @@ import typer
 
 from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
 from stone_client.options import (
+    DEFAULT_PROFILE,
     Ground,
     GroundOption,
-    LabelProfile,
     LidarOption,
     OdometryOption,
+    ParameterOption,
     ProfileOption,
     SequenceArgument,
     ServerOption,
+    chosen_parameters,
 )
 from stone_client.streams import JsonOption, echo_json
 
@@ -26,7 +28,8 @@ WatchOption = Annotated[bool, typer.Option("--watch", help="Wait until it is fin
 
 def process(
     sequence: SequenceArgument,
-    profile: ProfileOption = LabelProfile.PAPER,
+    profile: ProfileOption = DEFAULT_PROFILE,
+    parameter: ParameterOption = [],  # noqa: B006
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
     ground: GroundOption = Ground.GIVEN,
@@ -45,6 +48,7 @@ def process(
     from stone_client.server.sequences import find_sequence, recordings_named, start_run
 
     body: dict[str, Any] = {"profile": profile.value}
+    body |= {"parameters": chosen_parameters(parameter)} if parameter else {}
     body |= {"odometry_topic": odometry} if odometry else {}
     body |= {"lidar_topic": lidar} if lidar else {}
     body |= {"ground": ground.value} if ground != Ground.GIVEN else {}

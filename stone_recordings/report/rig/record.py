@@ -85,13 +85,14 @@ def _field_deg(lens: CameraIntrinsics, size_px: int, focal_px: float) -> float:
 
 
 def calibration_facts(read: CalibrationRead) -> dict[str, Any]:
-    """Name, format, sensors, footprint, boxes and what is missing."""
+    """Name, format, sensors, footprint, the vehicle's limits, boxes and what is missing."""
     calibration = read.calibration
     return {
         "name": calibration.name,
         "format": read.format,
         "sensors": [_sensor(sensor) for sensor in placed_sensors(calibration)],
         "footprint": {**asdict(calibration.footprint), "is_default": not is_footprint_given(read)},
+        "vehicle": {**asdict(calibration.vehicle), "is_default": calibration.vehicle.is_default},
         "self_boxes_ego": [asdict(box) for box in calibration.self_boxes_ego],
         "missing": missing(read),
     }

@@ -17,6 +17,7 @@ import pyarrow.parquet as pq
 import pytest
 from sqlalchemy import delete, select, update
 
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.domain.sequences.processing import CHECK, PROCESS, delete_sequence
 from services.ingest import queue_handlers as ingest
 from services.labeler import queue_handlers
@@ -145,7 +146,7 @@ def test_the_queue_makes_what_the_command_makes_though_every_stage_was_interrupt
 def run(made: tuple[Brought, str]) -> LabelRun:
     """The run as a stage opens it, in its folder with what every stage left."""
     brought, root_id = made
-    return RunOpening(brought.platform.settings.root / "store" / "work" / root_id, "paper", {}).run()
+    return RunOpening(brought.platform.settings.root / "store" / "work" / root_id, DEFAULT_PROFILE, {}).run()
 
 
 @pytest.mark.whole
@@ -203,9 +204,11 @@ def work_apart(scratch: Path, bag: Path, out: Path) -> list[FileAccess]:
             opened.append(Path(arguments[0]))
 
     sys.addaudithook(note)
-    for number, job in enumerate(label_graph(RunOpening(scratch, "paper", {}).run())[:-1]):
+    for number, job in enumerate(label_graph(RunOpening(scratch, DEFAULT_PROFILE, {}).run())[:-1]):
         folder, stage = out / str(number), STAGES[job.kind]
-        task = StageTask(RunOpening(folder, "paper", {}, bag if stage.reads_sweeps else None), job.kind, job.arguments)
+        task = StageTask(
+            RunOpening(folder, DEFAULT_PROFILE, {}, bag if stage.reads_sweeps else None), job.kind, job.arguments
+        )
         link(scratch, folder, GIVEN)
         near = FilesAnswer.believed(files_near(task, folder, silent)).names
         declared = {name for name in names_in(left) if name.startswith((*stage.reads, *near))}
@@ -260,7 +263,7 @@ def test_rows_say_what_was_made_and_where_it_lies(made: tuple[Brought, str]) -> 
     run = brought.job(root_id)
     assert run.result == {"label_set_id": label_set.id, "frames": label_set.frames, "recipe": label_set.recipe}
     assert (label_set.job_id, label_set.recipe) == (root_id, run.arguments["recipe"])
-    assert label_set.parameters["profile"] == "paper"
+    assert label_set.parameters["profile"] == DEFAULT_PROFILE
     with brought.platform.database.reading() as session:
         frames = session.scalars(select(LabelledFrameRow).order_by(LabelledFrameRow.ordinal)).all()
         packs = session.scalars(select(Artefact.name).where(Artefact.name.startswith("labels/"))).all()

@@ -9,6 +9,7 @@ from sqlalchemy import func, select
 
 from api.visible import newest_label_set
 from services.domain.sequences.chosen_recordings import recording_ids_of
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.domain.sequences.processing import (
     PROCESS,
     ProcessRequest,
@@ -135,7 +136,7 @@ def test_a_recipe_goes_by_the_content_of_recordings_whatever_their_order(ready: 
 
 
 def test_a_sequence_of_one_recording_keeps_the_recipe_that_earlier_versions_gave_it(ready: Brought) -> None:
-    arguments = ready.job(ready.process()).arguments
+    arguments = ready.job(ready.process(profile="paper")).arguments
     as_before = {
         "sequence": ready.sequence().name,
         "recordings": [["run.mcap", "ab" * 32]],
@@ -255,7 +256,7 @@ def test_a_run_that_was_cancelled_but_still_stops_is_not_joined(ready: Brought) 
 def test_what_was_made_is_answered_with_the_run_that_made_it(ready: Brought) -> None:
     root_id = ready.process()
     ended(ready, root_id)
-    assert ready.process() == root_id
+    assert ready.process() == ready.process(profile=DEFAULT_PROFILE) == root_id
     assert ready.process(profile="local") != root_id
 
 

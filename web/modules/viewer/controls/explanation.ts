@@ -9,6 +9,8 @@ export const CLASS_NAMES = ["free", "Traversable", "Potentially traversable", "N
 const DEGREE = 180 / Math.PI;
 /** Half the last digit that is shown beyond upright: a wall that is stored as 90.000003° is no overhang. */
 const OVERHANG_DEG = 90.05;
+/** The properties of a voxel are rounded in its file, D² is not: a D² this much larger is not of the properties alone. */
+const ROUNDED = 1.01;
 
 /** Name and value, as rows of the readout; imported labels have none. */
 export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
@@ -27,7 +29,17 @@ export function isImported(scene: SceneFacts): boolean {
 }
 
 export function elevationName(scene: SceneFacts): string {
-  return scene.profile === "local" ? "Height above local ground" : "Elevation";
+  return isLocal(scene) ? "Height above local ground" : "Elevation";
+}
+
+/** Every profile but the paper's takes heights above the ground nearby. */
+function isLocal(scene: SceneFacts): boolean {
+  return scene.profile === "local" || isOneSided(scene);
+}
+
+/** Profile field: only ground that is higher, steeper or rougher than the driven ground counts, and D² holds the vehicle's limits. */
+function isOneSided(scene: SceneFacts): boolean {
+  return scene.profile === "field";
 }
 
 /** One or two sentences. */
@@ -43,29 +55,51 @@ function because({ kind, found }: Picked, scene: SceneFacts): string {
   const { reference } = scene;
   if (!found || !reference) return "These labels have no terrain values for the viewer; process the sequence again for an explanation.";
   const [d2, limit] = [number(found.d2), reference.d2_limit.toFixed(1)];
-  if (found.d2 <= reference.d2_limit) return `D² ${d2} ≤ ${limit}: similar to the terrain driven over.`;
-  return `D² ${d2} > ${limit}: unlike the terrain driven over, mainly in ${apart(found, scene)}.`;
+  if (found.d2 <= reference.d2_limit) {
+    const alike = isOneSided(scene) ? "no harder than the terrain driven over, and within the vehicle's limits" : "similar to the terrain driven over";
+    return `D² ${d2} ≤ ${limit}: ${alike}.`;
+  }
+  const { mean, covariance } = reference;
+  const away: Vector = [found.elevation_m - mean[0], found.slope_rad - mean[1], found.roughness - mean[2]];
+  const parts = partsOf(away, covariance, isOneSided(scene));
+  const own = sum(parts);
+  if (isOneSided(scene) && own <= reference.d2_limit && found.d2 > ROUNDED * own) {
+    return `D² ${d2} > ${limit}: beyond what the vehicle can do: slope under the footprint, step or clearance.`;
+  }
+  return `D² ${d2} > ${limit}: unlike the terrain driven over, mainly in ${apart(found, scene, parts.indexOf(Math.max(...parts)))}.`;
 }
 
-/** The property that adds most to D², against the driven ground's mean ± standard deviation. */
-function apart(found: Found, scene: SceneFacts): string {
+/** A property against the driven ground's mean ± standard deviation. */
+function apart(found: Found, scene: SceneFacts, feature: number): string {
   const { mean, covariance } = scene.reference!;
-  const feature = mostApart(found, mean, covariance);
   const spread = Math.sqrt(covariance[feature]![feature]!);
   if (feature === 1) {
     return `slope (${degrees(found.slope_rad)}${isOverhang(found.slope_rad) ? ", an overhang," : ""} against ${degrees(mean[1])} ± ${degrees(spread)})`;
   }
   if (feature === 2) return `roughness (${roughness_mm(found.roughness)} against ${roughness_mm(mean[2])})`;
-  const name = scene.profile === "local" ? "height above the local ground" : "elevation";
+  const name = isLocal(scene) ? "height above the local ground" : "elevation";
   return `${name} (${fixed(found.elevation_m, 2)} m against ${fixed(mean[0], 2)} ± ${spread.toFixed(2)} m)`;
 }
 
-/** D² = Σ dᵢ (Σ⁻¹ d)ᵢ: the index of the largest part. */
-export function mostApart(found: Found, mean: Vector, covariance: [Vector, Vector, Vector]): 0 | 1 | 2 {
-  const away: Vector = [found.elevation_m - mean[0], found.slope_rad - mean[1], found.roughness - mean[2]];
-  const solved = solve(covariance, away);
-  const parts = away.map((value, row) => value * solved[row]!);
-  return parts.indexOf(Math.max(...parts)) as 0 | 1 | 2;
+/**
+ * D² = Σ dᵢ (Σ⁻¹ d)ᵢ in its three parts. The one-sided D² is the least of all ground at least as high, steep and rough:
+ * the greatest marginal D² of the subsets of properties whose multipliers Σ_AA⁻¹ d_A are not negative
+ * (`stone/labels/profiles.py`).
+ */
+export function partsOf(away: Vector, covariance: [Vector, Vector, Vector], isOneSided: boolean): Vector {
+  let most: Vector = [0, 0, 0];
+  for (const subset of isOneSided ? [1, 2, 3, 4, 5, 6, 7] : [7]) {
+    const isIn = (row: number): boolean => ((subset >> row) & 1) === 1;
+    const block = covariance.map((line, row) => line.map((value, column) => (isIn(row) && isIn(column) ? value : +(row === column))));
+    const multipliers = solve(block as [Vector, Vector, Vector], away.map((value, row) => (isIn(row) ? value : 0)) as Vector);
+    const parts = away.map((value, row) => value * multipliers[row]!) as Vector;
+    if (!isOneSided || (Math.min(...multipliers) >= 0 && sum(parts) > sum(most))) most = parts;
+  }
+  return most;
+}
+
+function sum(values: Vector): number {
+  return values[0] + values[1] + values[2];
 }
 
 /** x of A x = b by Cramer's rule. */
