@@ -70,6 +70,7 @@ PROBLEM_TYPES = {
     "empty_part": ProblemType(409, "The dataset version has no sequence in the part that was asked for"),
     "export_unfinished": ProblemType(409, "The files of an export are there once its job has succeeded"),
     "hash_mismatch": ProblemType(409, "The uploaded file is not the one that was declared"),
+    "held_out_low": ProblemType(409, "A label set has a lower held-out recall than a published version may have"),
     "hidden_truth": ProblemType(409, "Labels that serve as hidden ground truth cannot be made public"),
     "inputs_impossible": ProblemType(409, "A sequence is gone, or what its inputs are made of"),
     "inputs_stand": ProblemType(409, "Every sequence has its inputs already"),

@@ -26,7 +26,8 @@ from stone_client.server import benchmarks, boards, scores, teams
 from stone_client.server import dataset_imports as imports
 from stone_client.server import submission as submitting
 from stone_client.server.job_following import follow
-from stone_client.server.sequences import Item
+from stone_client.server.label_sets import label_sets_of
+from stone_client.server.sequences import Item, find_sequence
 
 StrPath = str | Path
 
@@ -137,6 +138,11 @@ class Stone:
         begun = imports.send_dataset(self.api, Path(path), wishes, self._progress)
         follow(self.api, begun["job_id"], self._progress)
         return imports.read_import(self.api, begun["id"])
+
+    def label_sets(self, sequence: str) -> list[Item]:
+        """The label sets of a sequence (name or id), newest first; each says how well it holds: `held_out_recall` over
+        `held_out_m` metres of way, and its `gravest` finding."""
+        return label_sets_of(self.api, find_sequence(self.api, sequence)["id"])
 
     def submission(self, submission_id: str) -> Submission:
         """One of one's own."""

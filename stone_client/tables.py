@@ -16,6 +16,7 @@ from stone_base.errors import one_line
 CLASSES = ("free", "T", "P", "N")
 DASH = "–"
 PIPE_COLUMNS = 120
+QUALITY = ("held out", "gravest")
 
 
 def show(table: Table) -> None:
@@ -32,6 +33,12 @@ def plain_table(title: str, *columns: str) -> Table:
     for position, column in enumerate(columns):
         table.add_column(column, justify="left" if position == 0 else "right")
     return table
+
+
+def quality_cells(item: Mapping[str, Any]) -> tuple[str, str]:
+    """Return the columns `QUALITY` of an item: its held-out recall, the code of its gravest finding."""
+    recall, gravest = item.get("held_out_recall"), item.get("gravest")
+    return DASH if recall is None else f"{100 * recall:.1f} %", gravest["code"] if gravest else DASH
 
 
 def inspection_table(record: Mapping[str, Any]) -> Table:

@@ -6,6 +6,7 @@ from pydantic import Field
 
 from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Instant, Reason, example, example_of
 from api.schemas.phase_bodies import BENCHMARK_PATTERN, NEW_PHASE_EXAMPLE, Heading, NewPhaseBody, Prose, Version
+from api.schemas.quality import QualityFields
 from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
 
 PhaseShown = TypeVar("PhaseShown")
@@ -39,8 +40,11 @@ class ActiveItem(Answer):
     signature: SignatureItem
 
 
-class PhaseItem(Answer):
-    """A phase: its rules, whether it runs, by what it is scored, and what is shown to whom."""
+class PhaseItem(QualityFields):
+    """A phase: its rules, whether it runs, by what it is scored, and what is shown to whom.
+
+    The quality is that of train and val of its dataset version together.
+    """
 
     model_config = example(
         benchmark="stone",

@@ -1,6 +1,7 @@
 """Dataset statistics over the wire: the record of `services/domain/datasets/statistics.py`."""
 
 from api.schemas.base import Answer, example, example_of
+from api.schemas.quality import QualityFields
 
 
 class VoxelsItem(Answer):
@@ -21,8 +22,12 @@ class VoxelRatios(Answer):
     non_traversable: float
 
 
-class TallyItem(Answer):
-    """Sums over some sequences; null is what is not known, or not told, of any of them."""
+class TallyItem(QualityFields):
+    """Sums over some sequences; null is what is not known, or not told, of any of them.
+
+    The held-out recall is that of all judged metres together; `held_out_known` sequences have one. `gravest` is the
+    gravest finding of any.
+    """
 
     model_config = example(
         sequences=12,
@@ -32,6 +37,7 @@ class TallyItem(Answer):
         distances_known=12,
         class_ratios={"traversable": 0.178, "potentially_traversable": 0.261, "non_traversable": 0.561},
         voxels_known=12,
+        held_out_known=11,
     )
 
     sequences: int
@@ -42,6 +48,7 @@ class TallyItem(Answer):
     voxels: VoxelsItem | None
     class_ratios: VoxelRatios | None
     voxels_known: int
+    held_out_known: int
 
 
 class KeyTally(TallyItem):

@@ -24,6 +24,7 @@ from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.phases import phase_status
 from services.domain.benchmarks.visibility import policy_sentences
+from services.domain.datasets.queries import dataset_quality
 from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from stone.scoring.metric import METRICS, Metric
@@ -58,6 +59,7 @@ def phase_item(session: Session, phase: Phase) -> PhaseItem:
     at_ns = now_ns()
     return PhaseItem.of(
         phase,
+        **dataset_quality(session, phase.dataset_id).as_record(),
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
         dataset=session.get_one(Dataset, phase.dataset_id).name,
         standing=phase_status(phase, at_ns),

@@ -3,20 +3,22 @@
 Of test's labels nothing is told.
 """
 
-from dataclasses import dataclass
+from collections.abc import Mapping
+from dataclasses import dataclass, field
 
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem
-from services.domain.datasets.catalogue import OPEN
+from services.domain.datasets.catalogue import OPEN, entries_of
 from services.domain.datasets.files import files_of
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
-from services.domain.datasets.versions import members_now, told_statistics
+from services.domain.datasets.versions import members_now, refuse_low, told_statistics
 from services.runtime.orm import Dataset, DatasetMember
 from stone.errors import StoneError
+from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding
 
 
@@ -24,7 +26,8 @@ from stone.splits.splits import PARTS, RuleFinding
 class DatasetPreview:
     """A version as it would be published now; `obstacle` says why it cannot be, '' where it can.
 
-    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same.
+    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same. `members`
+    are all sequences by split, with the quality of their labels, which is for administrators alone to read.
     """
 
     revision: int
@@ -33,24 +36,29 @@ class DatasetPreview:
     files: int = 0
     size_bytes: int = 0
     warnings: tuple[RuleFinding, ...] = ()
+    members: Mapping[str, tuple[CatalogueEntry, ...]] = field(default_factory=dict)
 
 
-def prospect_of(session: Session) -> DatasetPreview:
-    """A preview of the version as `prepare_dataset` would find it."""
+def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
+    """A preview of the version as `prepare_dataset` would find it with that least held-out recall."""
     revision = current_splits(session).revision
     try:
         current, members, warnings = members_now(session)
+        refuse_low(members, least_recall)
         files = [file for part in OPEN for file in files_of(session, members[part])]
     except StoneError as error:
         return DatasetPreview(revision, str(error))
     size_bytes = sum(file.size_bytes for file in files)
-    return DatasetPreview(current.revision, "", told_statistics(members), len(files), size_bytes, warnings)
+    entries = {part: entries_of(labelled) for part, labelled in members.items()}
+    return DatasetPreview(current.revision, "", told_statistics(members), len(files), size_bytes, warnings, entries)
 
 
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:
     entries = dataset_entries(session, row)
     members = [
-        DatasetMemberItem.of(one, split=part, daylight=one.half) for part, of_part in entries.items() for one in of_part
+        DatasetMemberItem.of(one, split=part, daylight=one.half, **one.quality.as_record())
+        for part, of_part in entries.items()
+        for one in of_part
     ]
     parts = [DatasetPartItem.of(one) for one in open_parts(session, row)]
     return DatasetDetail(**dict(dataset_item(session, row)), sequences=members, parts=parts)

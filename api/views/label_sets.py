@@ -27,6 +27,7 @@ def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet])
     return [
         LabelSetItem.of(
             row,
+            **row.quality.as_record(),
             profile=str(row.parameters.get("profile", "")),
             is_counting=counting is not None and row.id == counting.id,
         )

@@ -21,6 +21,7 @@ from services.domain.sequences.later_recordings import later_recordings
 from services.domain.sequences.processing import PROCESS, REGISTER
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
 from services.runtime.orm import Artefact, Job, LabelSet, Recording, SequenceRow, SplitMember
+from stone_base.label_quality import LabelQuality
 
 UNLISTED = ("labels/", "scene/")
 PICTURES = ("bev.png", "thumbnail.jpg", "thumbnail.png")  # of older label sets a JPEG
@@ -31,6 +32,7 @@ SAID = (
 NO_LABELS = {"labels": None, "class_voxels": None, "duration_s": None, "distance_m": None}
 LABELS = (
     LabelSet.id, LabelSet.job_id, LabelSet.frames, LabelSet.code_version, LabelSet.created_ns, LabelSet.chosen_ns,
+    LabelSet.held_out_recall, LabelSet.held_out_m, LabelSet.gravest_code, LabelSet.gravest_severity,
     LabelSet.duration_ns, LabelSet.distance_m, LabelSet.t_voxels, LabelSet.p_voxels, LabelSet.n_voxels,
 )  # fmt: skip
 
@@ -117,11 +119,12 @@ def _label_facts(session: Session, ids: Sequence[str]) -> dict[str, tuple[dict[s
 
 
 def _labels_said(row: Sequence[Any]) -> dict[str, Any]:
-    id, job_id, frames, code_version, created_ns, chosen_ns, duration_ns, distance_m, *voxels, _ = row
+    id, job_id, frames, code_version, created_ns, chosen_ns, *quality, duration_ns, distance_m, t, p, n, _ = row
     made = {"id": id, "job_id": job_id, "frames": frames, "code_version": code_version}
+    times = {"created_at": instant(created_ns), "chosen_at": instant(chosen_ns)}
     return {
-        "labels": {**made, "created_at": instant(created_ns), "chosen_at": instant(chosen_ns)},
-        "class_voxels": None if None in voxels else dict(zip("tpn", voxels, strict=True)),
+        "labels": {**LabelQuality(*quality).as_record(), **made, **times},
+        "class_voxels": None if None in (t, p, n) else {"t": t, "p": p, "n": n},
         "duration_s": None if duration_ns is None else duration_ns / 1e9,
         "distance_m": distance_m,
     }

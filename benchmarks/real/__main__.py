@@ -1,11 +1,12 @@
 """Labels of real recordings against what is known of them: `python -m benchmarks.real [FOLDER]`.
 
-Labels every recording of the folder that has a description (docs/method/real-ground.md says what one holds) with both
-profiles and with one option at a time, and prints what can be told without a truth: ground that faces down, T under the
-track, N where the ground is known to be flat and on known walls, points whose class is known, and how far two passes
-differ. Without FOLDER it is the one that STONE_FIELD_DATA names, else the tests' usual one; where that is missing, this
-is said and nothing fails. A folder that was named and holds nothing fails. `--names` chooses recordings, `--options`
-and `--profiles` rows; two passes are tried of the rows of `--passes-of`, since each labels everything twice more.
+Labels every recording of the folder that has a description (docs/method/real-ground.md says what one holds) with every
+profile and with one option at a time, and prints what can be told without a truth: ground that faces down, T under the
+track, N where the ground is known to be flat and on known walls, points whose class is known, how labels made from a
+part of the way hold on the rest of it, and how far two passes differ. Without FOLDER it is the one that
+STONE_FIELD_DATA names, else the tests' usual one; where that is missing, this is said and nothing fails. A folder that
+was named and holds nothing fails. `--names` chooses recordings, `--options` and `--profiles` rows; two passes are tried
+of the rows of `--passes-of`, since each labels everything twice more.
 """
 
 import argparse
@@ -18,6 +19,7 @@ import numpy as np
 
 from benchmarks.real.description import Described, described_in, own_descriptions
 from benchmarks.real.errors import NothingDescribedError
+from benchmarks.real.held_out import held_out_figures
 from benchmarks.real.labelled_map import Figures, disagreement, read_map
 from benchmarks.real.measures import WrittenLabels, measured
 from benchmarks.real.opening import part_of
@@ -88,7 +90,9 @@ def _row(described: Described, how: tuple[Profile, Option], options: argparse.Na
         sequence, sweeps = option.opened(described)
         parameters = option.parameters(profile)
         labels = folder / f"{profile} {option.name}".replace("/", " ")
-        figures = _figures(described, label(sequence, sweeps, labels, LabelOptions(parameters, WORKERS)), labels)
+        held = Figures()
+        kept = LabelOptions(parameters, WORKERS, at_end=lambda run: held.update(held_out_figures(run)))
+        figures = _figures(described, label(sequence, sweeps, labels, kept), labels) | held
         if option.name in options.passes_of:
             figures |= _passes(described, (sequence, sweeps), parameters, folder)
     except StoneError as error:
@@ -103,6 +107,8 @@ def _figures(described: Described, report: LabelReport, folder: Path) -> Figures
     return {
         **measured(labels),
         **known,
+        "held_out": report.held_out["recall"],
+        "held_out_m": report.held_out["judged_m"],
         "p_share": report.class_shares()["potentially_traversable"],
         "reference": float(report.reference.voxels),
         "sigma_deg": float(np.rad2deg(np.sqrt(report.reference.covariance[1, 1]))),

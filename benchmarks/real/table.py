@@ -6,6 +6,7 @@ from rich import box
 from rich.console import Console
 from rich.table import Table
 
+from benchmarks.real.held_out import KNOWN_RATIOS
 from benchmarks.real.labelled_map import Figures
 
 COLUMNS = (
@@ -18,6 +19,9 @@ COLUMNS = (
     ("obstacle_n", "N on obstacles", ".1%"),
     ("unlabelled", "points unlabelled", ".1%"),
     ("p_share", "P of all", ".1%"),
+    ("held_out", "held-out recall", ".2%"),
+    ("held_out_m", "of m", ".0f"),
+    *((f"{side}_{ratio:g}", f"from {side} {ratio:.0%}", ".2%") for ratio in KNOWN_RATIOS for side in ("first", "last")),
     ("reference", "n", ".0f"),
     ("sigma_deg", "σ of slope, °", ".1f"),
     ("parity_differs", "even / odd differ", ".2%"),

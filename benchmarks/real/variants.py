@@ -1,4 +1,4 @@
-"""What is tried on every recording: both profiles, each with one option at a time."""
+"""What is tried on every recording: every profile, each with one option at a time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace
@@ -18,7 +18,7 @@ from services.labeler.parameters import (
 from stone.labels.profiles import Profile
 from stone.sensors.sequence import Sequence, SweepSource
 
-PROFILES: tuple[Profile, ...] = ("paper", "local")
+PROFILES: tuple[Profile, ...] = ("paper", "local", "field")
 FOOTPRINT_ALONE = "footprint alone"
 
 
@@ -59,7 +59,7 @@ OPTIONS = (
     Option("--refine-poses small_gicp", refinement=RefinementParameters()),
     Option("--solver octree", solver="octree"),
     Option("surface.min_frames=2", choices={"surface.min_frames": 2}),
-    Option("reference.outlier_ratio=0.25", profiles=("local",), choices={"reference.outlier_ratio": 0.25}),
+    Option("reference.outlier_ratio=0.25", profiles=("local", "field"), choices={"reference.outlier_ratio": 0.25}),
     Option("every 2nd ring", ring_every=2),
     Option("every 4th ring", ring_every=4),
 )

@@ -11,6 +11,7 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
+from stone_base.codes.catalogue import CATALOGUE
 
 KINDS = frozenset((*STAGES, PUBLISH))
 MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
@@ -86,7 +87,7 @@ class WorkAnswer(SandboxAnswer):
 
 
 class TotalsAnswer(SandboxAnswer):
-    """Totals of a label set, by the names of its row's columns."""
+    """Totals and quality of a label set, by the names of its row's columns."""
 
     asked: ClassVar[str] = "totals"
     duration_ns: Count
@@ -95,6 +96,17 @@ class TotalsAnswer(SandboxAnswer):
     t_voxels: Count
     p_voxels: Count
     n_voxels: Count
+    held_out_recall: Annotated[float, Field(ge=0.0, le=1.0)] | None = None
+    held_out_m: Annotated[float, Field(ge=0.0)] | None = None
+    gravest_code: str | None = None
+    gravest_severity: Literal["info", "warning", "error"] | None = None
+
+    @field_validator("gravest_code")
+    @classmethod
+    def _has_a_meaning(cls, code: str | None) -> str | None:
+        if code is not None and code not in CATALOGUE:
+            raise ValueError("no finding has this code")
+        return code
 
 
 class PackAnswer(SandboxAnswer):

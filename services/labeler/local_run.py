@@ -76,7 +76,8 @@ class LabelOptions:
     `source` says where the inputs lay (`recording`, `calibration`: absolute paths), for exports made later on this
     machine; it is written beside the labels as `source.json`. `late_inputs` are hashes that the sequence's `inputs`
     lack, `late_findings` what is to follow its findings; both are asked for at the end. `joined` are the recordings of
-    a run of several, which are linked beside the labels.
+    a run of several, which are linked beside the labels. `at_end` is called with the run once all its stages are done,
+    while their results are still in scratch.
     """
 
     parameters: LabelParameters = field(default_factory=LabelParameters)
@@ -85,6 +86,7 @@ class LabelOptions:
     late_inputs: Callable[[], Mapping[str, str]] = dict
     late_findings: Callable[[], tuple[Finding, ...]] = tuple
     joined: JoinedRecording | None = None
+    at_end: Callable[[LabelRun], None] = lambda _run: None
 
 
 def label(
@@ -165,6 +167,7 @@ def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
 def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
     """Everything but `report.json` put where it stays, and what is to be reported; scratch is gone then."""
     sequence, report = run.sequence, report_of(run)
+    options.at_end(run)
     for drawn in map_folder(run).iterdir():
         drawn.replace(out / drawn.name)
     write_frames(out / "frames.parquet", sequence, report.counts)

@@ -1,5 +1,7 @@
 """What a run that is done publishes beside the files of its stages: the report, the frame table, facts for rows."""
 
+from dataclasses import asdict
+
 from services.labeler.child_answers import PackAnswer, PublicationAnswer, TotalsAnswer
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.report import report_of
@@ -8,6 +10,7 @@ from services.labeler.run import LabelRun, Part, parts_of
 from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
 from services.labeler.totals import totals_of
+from stone_base.label_quality import quality_of
 
 PUBLISHED = "published"
 
@@ -15,6 +18,7 @@ PUBLISHED = "published"
 def publication(run: LabelRun) -> PublicationAnswer:
     """Write both files into the folder `published` of scratch, and say what rows are to say."""
     report, out = report_of(run), run.scratch / PUBLISHED
+    quality = quality_of(report.as_record())
     with whole(out / REPORT) as staging:
         staging.write_text(report.text())
     with whole(out / TABLE) as staging:
@@ -24,7 +28,7 @@ def publication(run: LabelRun) -> PublicationAnswer:
         tokens=list(frames.tokens),
         stamps_ns=frames.stamps_ns.tolist(),
         packs=[_pack(run, part) for part in parts_of(run)],
-        totals=TotalsAnswer(**totals_of(run)),  # type: ignore[arg-type]
+        totals=TotalsAnswer(**totals_of(run), **asdict(quality)),  # type: ignore[arg-type]
     )
 
 

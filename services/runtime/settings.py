@@ -200,6 +200,14 @@ class ViewingSettings:
     makes_playback: bool = True
 
 
+@dataclass(frozen=True)
+class PublishingSettings:
+    """Limits of dataset versions. With `least_held_out_recall` above 0, a version is refused if the held-out recall of
+    one of its label sets is lower or unknown."""
+
+    least_held_out_recall: Annotated[float, Field(ge=0, le=1)] = 0.0
+
+
 def secrets_folder() -> Path:
     """Where secret files are, if there are any."""
     return Path(os.environ.get(SECRETS_VARIABLE, SECRETS))
@@ -242,6 +250,7 @@ class Settings(BaseSettings):
     oidc: OidcSettings = OidcSettings()
     viewing: ViewingSettings = ViewingSettings()
     retention: RetentionSettings = RetentionSettings()
+    publishing: PublishingSettings = PublishingSettings()
     notifications: NotificationSettings = NotificationSettings()
 
     @classmethod

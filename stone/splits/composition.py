@@ -13,6 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS, UNSAID
+from stone_base.label_quality import UNKNOWN, LabelQuality, pooled
 
 Voxels = tuple[int, int, int]
 
@@ -52,6 +53,7 @@ class CatalogueEntry:
     distance_m: float | None = None
     recordings: tuple[str, ...] = ()
     exposure: str = ""
+    quality: LabelQuality = UNKNOWN
 
     @property
     def half(self) -> str:
@@ -65,7 +67,9 @@ class CatalogueEntry:
 
 @dataclass(frozen=True)
 class CompositionSums:
-    """Sums over some sequences; `counted` of them have voxels, `measured` a distance."""
+    """Sums over some sequences; `counted` of them have voxels, `measured` a distance, `judged` a held-out track.
+
+    `quality` is the recall of all judged metres together, and the gravest finding of any."""
 
     sequences: int = 0
     frames: int = 0
@@ -74,6 +78,8 @@ class CompositionSums:
     measured: int = 0
     voxels: Voxels = (0, 0, 0)
     counted: int = 0
+    judged: int = 0
+    quality: LabelQuality = UNKNOWN
 
     def class_shares(self) -> tuple[float, float, float] | None:
         """T, P and N of the occupied voxels; None where there are none."""
@@ -94,6 +100,8 @@ def sums_of(entries: Iterable[CatalogueEntry]) -> CompositionSums:
         measured=len(distances),
         voxels=(sum(t for t, _, _ in voxels), sum(p for _, p, _ in voxels), sum(n for _, _, n in voxels)),
         counted=len(voxels),
+        judged=sum(entry.quality.held_out_recall is not None for entry in rows),
+        quality=pooled(entry.quality for entry in rows),
     )
 
 

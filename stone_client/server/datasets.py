@@ -12,7 +12,7 @@ from stone_client.api import Api
 from stone_client.progress import Report
 from stone_client.server.exports import complete_file
 from stone_client.server.sequences import Item
-from stone_client.tables import plain_table, safe_text, show
+from stone_client.tables import QUALITY, plain_table, quality_cells, safe_text, show
 
 
 def read_datasets(api: Api) -> list[Item]:
@@ -67,10 +67,10 @@ def show_datasets(record: Mapping[str, Any]) -> None:
         _show_versions(record["datasets"])
         return
     _show_versions([record])
-    table = plain_table("sequences", "name", "split", "environment", "illumination", "region", "frames")
+    table = plain_table("sequences", "name", "split", "environment", "illumination", "region", "frames", *QUALITY)
     for one in record["sequences"]:
         said = (safe_text(one[key]) for key in ("split", "environment", "illumination", "region"))
-        table.add_row(safe_text(one["name"]), *said, f"{one['frames']:,}")
+        table.add_row(safe_text(one["name"]), *said, f"{one['frames']:,}", *map(safe_text, quality_cells(one)))
     show(table)
     for finding in record.get("findings", ()):
         typer.echo(f"{finding['severity']} {safe_text(finding['code'])}: {safe_text(finding['message'])}", err=True)

@@ -10,7 +10,7 @@ from stone_client.progress import Report
 from stone_client.server.job_following import follow
 from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
-from stone_client.tables import plain_table, safe_text
+from stone_client.tables import QUALITY, plain_table, quality_cells, safe_text
 from stone_files.atomic import atomic_file
 
 
@@ -47,10 +47,17 @@ def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:
 
 def label_set_table(name: str, sets: list[Item]) -> Table:
     """One row for each label set."""
-    table = plain_table(f"label sets of {safe_text(name)}", "id", "profile", "frames", "made", "by", "counts")
+    table = plain_table(f"label sets of {safe_text(name)}", "id", "profile", "frames", *QUALITY, "made", "by", "counts")
     for one in sets:
         counts = "yes" if one["is_counting"] else ""
-        facts = (one["profile"], f"{one['frames']:,}", one["created_at"][:19], one["code_version"], counts)
+        facts = (
+            one["profile"],
+            f"{one['frames']:,}",
+            *quality_cells(one),
+            one["created_at"][:19],
+            one["code_version"],
+            counts,
+        )
         table.add_row(one["id"], *map(safe_text, facts))
     return table
 

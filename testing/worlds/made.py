@@ -116,6 +116,8 @@ def labels(
         row.code_version, row.frames = "1", frames
         row.duration_ns, row.distance_m = 25 * 10**9, 30.5
         row.free_voxels, row.t_voxels, row.p_voxels, row.n_voxels = 9000, 100, 200, 700
+        row.held_out_recall, row.held_out_m = 0.9731, 75.4
+        row.gravest_code, row.gravest_severity = "LAB-605", "warning"
         session.add(row)
         session.flush()
         artefacts = {name: _artefact(session, platform, row.id, name, content) for name, content in files.items()}

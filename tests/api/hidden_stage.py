@@ -116,6 +116,7 @@ def change_what_is_hidden(session: Session, world: World) -> None:
     other = session.scalars(select(Blob.sha256).order_by(Blob.size_bytes)).first() or ""
     for row in label_sets:
         row.free_voxels, row.t_voxels, row.p_voxels, row.n_voxels = 1, 2, 3, 4
+        row.held_out_recall, row.held_out_m, row.gravest_code, row.gravest_severity = 0.1, 5.0, "TIM-201", "error"
     ids = [row.id for row in label_sets]
     for frame in session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id.in_(ids))):
         frame.sha256, frame.length_bytes = "0" * 64, frame.length_bytes - 1
@@ -133,6 +134,7 @@ def _count_loudly(world: World) -> None:
     with world.platform.database.transaction() as session:
         for number, row in enumerate(hidden_label_sets(session, world)):
             row.t_voxels, row.p_voxels, row.n_voxels = BIG + number, 2 * BIG + number, 3 * BIG + number
+            row.held_out_m = 4 * BIG + number
     with world.platform.database.reading() as session:
         members = session.execute(select(DatasetMember.part, DatasetMember.sequence_id)).all()
     parts: dict[str, list[str]] = {part: [one.sequence_id for one in members if one.part == part] for part in PARTS}

@@ -90,7 +90,8 @@ def secrets_of(session: Session, world: World) -> Secrets:
     kept |= set(session.scalars(select(DatasetPack.blob_sha256).where(DatasetPack.part == "test")))
     keys = session.scalars(select(Blob.object_key).where(Blob.sha256.in_(kept)))
     digests = kept | {frame.sha256 for frame in frames} | {score.content_sha256 for score in scores}
-    counts = [getattr(one, name) for one in label_sets for name in ("free_voxels", "t_voxels", "p_voxels", "n_voxels")]
+    columns = ("free_voxels", "t_voxels", "p_voxels", "n_voxels", "held_out_m")
+    counts = [getattr(one, name) for one in label_sets for name in columns]
     counts += [one.t_voxels for one in session.scalars(select(DatasetMember).where(DatasetMember.name.in_(names)))]
     numbers = [number for score in scores for number in _numbers_in(score.record)]
     return Secrets(

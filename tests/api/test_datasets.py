@@ -9,7 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
-from sqlalchemy import delete, select, text
+from sqlalchemy import delete, select, text, update
 from sqlalchemy.exc import DatabaseError
 
 from services.domain.datasets.catalogue import labelled_sequences
@@ -24,12 +24,13 @@ from services.runtime.orm import (
     SequenceRow,
 )
 from services.runtime.platform import Platform
-from services.runtime.settings import Settings, StoreSettings
+from services.runtime.settings import PublishingSettings, Settings, StoreSettings
 from services.runtime.store.blobs import collect_garbage
 from services.runtime.store.factory import open_store
-from testing.api.serving import Person, person
+from testing.api.serving import Person, person, serving
 from testing.worlds.made import labels
 from testing.worlds.published import published_sequence
+from web.main import make_site
 
 URL = "/api/v1/datasets"
 
@@ -169,6 +170,37 @@ def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform:
         "name", "split", "environment", "illumination", "daylight", "region", "frames", "duration_s", "distance_m"
     }  # fmt: skip
     assert manifest["statistics"]["total"]["voxels"]["traversable"] == 200, "train and val have 100 each, test as many"
+
+
+def test_a_version_says_how_well_its_labels_hold_but_not_those_of_test(api: httpx.Client, release: Release) -> None:
+    known = {"held_out_recall": 0.9731, "held_out_m": 75.4, "gravest": {"code": "LAB-605", "harm": "wrong"}}
+    shown = {one["split"]: {key: one[key] for key in known} for one in release.shown["sequences"]}
+    assert shown == {"train": known, "val": known, "test": dict.fromkeys(known)}
+    total = api.get(f"/api/v1/statistics?dataset={release.name}", headers=release.reader.headers).json()["total"]
+    assert (total["held_out_recall"], total["held_out_m"], total["held_out_known"]) == (0.9731, 150.8, 2)
+    described = manifest_of(api, release)["sequences"]
+    assert [one.get("label_set", {}).get("quality") for one in described] == [known, known, None]
+
+
+@pytest.mark.parametrize(("recall", "told"), [(0.8996, "89.96%"), (None, "none")])
+def test_a_version_is_refused_if_labels_are_below_the_administrators_limit_or_unknown(
+    platform: Platform, recall: float | None, told: str
+) -> None:
+    limit = PublishingSettings(least_held_out_recall=0.9)
+    strict = Platform(platform.settings.model_copy(update={"publishing": limit}), platform.database, platform.store)
+    with serving(strict, make_site(strict)) as url, httpx.Client(base_url=url) as api:
+        release = released(api, strict)
+        with platform.database.transaction() as session:
+            of_test = LabelSet.sequence_id == release.ids["test"]
+            session.execute(update(LabelSet).where(of_test).values(held_out_recall=recall))
+            name = session.get_one(SequenceRow, release.ids["test"]).name
+        answer = publish(api, release.administrator, "stone-2.0")
+        page = api.get("/dataset/new", headers=release.administrator.headers).text
+    assert (answer.status_code, answer.json()["code"]) == (409, "held_out_low")
+    for said in (f"{name} has {told}", "90.00%", "STONE_PUBLISHING__LEAST_HELD_OUT_RECALL"):
+        assert said in answer.json()["detail"]
+    assert "Cannot be published yet" in page
+    assert f"{name} has {told}" in page
 
 
 def test_there_is_no_route_to_the_files_of_test(api: httpx.Client, release: Release) -> None:

@@ -67,6 +67,20 @@ def test_the_label_sets_of_a_sequence_are_listed_newest_first_and_one_counts(
     ]
 
 
+def test_each_label_set_says_how_well_it_holds_or_that_it_is_unknown(
+    api: httpx.Client, platform: Platform, curator: Person, forest: Compared
+) -> None:
+    with platform.database.transaction() as session:
+        row = session.get_one(LabelSet, forest.b_id)
+        row.held_out_recall = row.held_out_m = row.gravest_code = row.gravest_severity = None
+    listed = api.get(f"{URL}/{forest.sequence['id']}/label-sets", headers=curator.headers).json()["items"]
+    shown = [{key: one[key] for key in ("held_out_recall", "held_out_m", "gravest")} for one in listed]
+    assert shown[0] == {"held_out_recall": 0.9731, "held_out_m": 75.4, "gravest": {"code": "LAB-605", "harm": "wrong"}}
+    assert set(shown[1].values()) == {None}
+    labels = api.get(f"{URL}/{forest.sequence['id']}", headers=curator.headers).json()["labels"]
+    assert shown[0].items() <= labels.items()
+
+
 def test_a_comparison_is_counted_once_and_says_what_differs(
     api: httpx.Client, platform: Platform, curator: Person, forest: Compared
 ) -> None:

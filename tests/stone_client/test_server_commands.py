@@ -22,7 +22,7 @@ from stone.splits.rules import check_split
 from stone.splits.splits import Split
 from stone_client.api import Api
 from stone_client.credentials import Server
-from stone_client.server.label_sets import compare_label_sets, label_sets_of
+from stone_client.server.label_sets import compare_label_sets, label_set_table, label_sets_of
 from stone_client.server.newest import place_from_newest
 from stone_local.demo.benchmark import write_flat_ground
 from stone_local.demo.pipeline import TRAIN, VAL, demo_runs, demo_server_of
@@ -188,7 +188,10 @@ def test_label_sets_are_named_by_id_or_by_age_and_any_other_name_is_refused(plat
         made = api.create("/sequences", {"name": "forest"})
         earlier = labels(platform, made, contents=[frame_labels(1)] * 2, seed=b"earlier")
         later = labels(platform, made, contents=[frame_labels(2)] * 2, seed=b"later")
-        assert [one["id"] for one in label_sets_of(api, made["id"])] == [later.id, earlier.id]
+        sets = label_sets_of(api, made["id"])
+        assert [one["id"] for one in sets] == [later.id, earlier.id]
+        cells = [list(column.cells) for column in label_set_table("forest", sets).columns[3:5]]
+        assert cells == [["97.3 %"] * 2, ["LAB-605"] * 2]
         for named in ("latest~2", "yesterday's"):
             with refused_as("no_label_set", match=r"expected is an id, or latest, .* of the 2 of this sequence"):
                 compare_label_sets(api, made, ("latest", named), lambda *_: None)

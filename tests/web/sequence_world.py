@@ -26,6 +26,12 @@ from tests.web.listed_world import picture_of
 CAMERAS = ("CAM_BACK", "CAM_BACK_LEFT", "CAM_BACK_RIGHT", "CAM_FRONT", "CAM_FRONT_LEFT", "CAM_FRONT_RIGHT")
 FRAMES = 12
 SPAN_NS = 60_000_000_000
+
+
+def _band(from_m: float, to_m: float | None, voxels: int, recall: float | None) -> dict[str, float | None]:
+    return {"from_m": from_m, "to_m": to_m, "voxels": voxels, "recall": recall}
+
+
 REPORT: dict[str, Any] = {
     "code_version": "0.1.0",
     "pose_source": "/ins (INSPVAX)",
@@ -46,6 +52,12 @@ REPORT: dict[str, Any] = {
         {"code": "TIM-201", "severity": "warning", "topic": "/ins", "message": "Stamped on the host."},
         {"code": "LAB-603", "severity": "warning", "topic": "", "message": "the track spans 3.11 m"},
     ],
+    "held_out": {
+        "recall": 0.725,
+        "judged_m": 20.0,
+        "from_first_half": {"by_distance": [_band(0.0, 5.0, 200, 1.0), _band(5.0, None, 0, None)]},
+        "from_second_half": {"by_distance": [_band(0.0, 5.0, 100, 0.7), _band(5.0, None, 100, 0.2)]},
+    },
 }
 
 

@@ -208,6 +208,12 @@ def test_the_pages_of_a_sequence_tell_its_figures_findings_clocks_and_cameras(
     harmless = overview.partition('<details class="harmless">')[2].partition("</details>")[0]
     assert 'data-harm="none"' in harmless
     assert "TIM-201" in harmless
+    assert re.search(r"<dt>Held-out track</dt><dd>97.3 %</dd>", overview)
+    by_distance = overview.partition('aria-label="Held-out track by distance"')[2].partition("</table>")[0]
+    assert re.findall(r"<td[^>]*>([^<]*)</td>", by_distance) == ["300", "90.0 %", "100", "20.0 %"]
+    assert re.search(
+        r'<a class="harm-tag" data-harm="wrong" href="/codes/LAB-605"', reading.html("/sequences", curator)
+    )
     recordings = reading.text(f"{base}/recordings", curator)
     for said in ("−37 s", "TAI-UTC", "-0.080000 s", "0.41 ms", "camera motion"):
         assert said in recordings, said
@@ -339,6 +345,7 @@ def test_the_dataset_page_tells_a_versions_composition_and_withholds_classes_of_
     assert "stone-1.0" in page
     assert page.count('class="square"') == 11
     assert "classes withheld" in page
+    assert page.count("97.3 % of 75 m") == 10, "of train and val alone"
 
 
 def test_a_curator_reads_of_their_own_sequences_in_which_parts_they_are(

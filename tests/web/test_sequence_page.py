@@ -303,6 +303,9 @@ def test_the_owner_compares_two_label_sets(
         made.labels(platform, shown, contents=[made.frame_labels(kind)] * 2, seed=seed)
     with site.visit(curator) as page:
         to(page, shown, "/label-sets")
+        newest = page.get_by_role("region", name="Label sets").get_by_role("row").nth(1)
+        expect(newest).to_contain_text("97.3 % of 75 m")
+        expect(newest.get_by_role("link", name="LAB-605")).to_have_attribute("href", "/codes/LAB-605")
         page.get_by_role("button", name="Compare").click()
         expect(page.get_by_role("region", name="A and B compared")).to_contain_text("queued")
     run_eval(platform)

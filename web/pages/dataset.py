@@ -62,8 +62,9 @@ def dataset(
 
 @router.get("/dataset/new")
 def new_version(request: Request, caller: Administrator, platform: PlatformDep) -> HTMLResponse:
+    least_recall = platform.settings.publishing.least_held_out_recall
     with platform.database.reading() as session:
-        prospect = prospect_of(session)
+        prospect = prospect_of(session, least_recall)
         versions, _ = _versions(session, None)
     record = prospect.statistics
     return page(
@@ -71,6 +72,7 @@ def new_version(request: Request, caller: Administrator, platform: PlatformDep) 
         caller,
         "dataset/new.html",
         prospect=prospect,
+        least_recall=least_recall,
         parts=_parts(record) if record else [],
         licence=versions[0].licence if versions else "",
         newest=versions[0].name if versions else "",

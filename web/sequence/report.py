@@ -27,8 +27,20 @@ class ClockShift:
 
 
 @dataclass(frozen=True)
+class HeldOutBand:
+    """Judged voxels so far from the way that the reference knew, and the share of them that is T or P."""
+
+    from_m: float
+    to_m: float | None
+    voxels: int
+    recall: float
+
+
+@dataclass(frozen=True)
 class Report:
     """Facts by what people call them; `shares` are of T, P and N among occupied voxels.
+
+    `held_out` is of both halves of the way together, without bands in which nothing was judged.
 
     `recordings` are those that were joined, each with what was added to its times: none of one alone.
     """
@@ -42,6 +54,7 @@ class Report:
     map_points: int | None
     findings: tuple[Mapping[str, str], ...]
     recordings: tuple[ClockShift, ...] = ()
+    held_out: tuple[HeldOutBand, ...] = ()
 
     @property
     def is_solved_by_default_profile(self) -> bool:
@@ -70,7 +83,19 @@ def report_of(record: Mapping[str, Any]) -> Report:
         map_points=mapped.get("points"),
         findings=tuple(record.get("findings") or ()),
         recordings=tuple(_shift(one) for one in record.get("recordings") or ()),
+        held_out=_bands(record.get("held_out") or {}),
     )
+
+
+def _bands(held_out: Mapping[str, Any]) -> tuple[HeldOutBand, ...]:
+    halves = [half for half in (held_out.get("from_first_half"), held_out.get("from_second_half")) if half]
+    found = []
+    for bands in zip(*(half["by_distance"] for half in halves), strict=True):
+        voxels = sum(band["voxels"] for band in bands)
+        if voxels:
+            kept = sum(band["voxels"] * (band["recall"] or 0.0) for band in bands)
+            found.append(HeldOutBand(bands[0]["from_m"], bands[0]["to_m"], voxels, kept / voxels))
+    return tuple(found)
 
 
 def _shift(one: Mapping[str, Any]) -> ClockShift:

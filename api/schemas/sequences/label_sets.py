@@ -2,13 +2,14 @@
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example, example_of
 from api.schemas.jobs import FailureItem, JobItem
+from api.schemas.quality import QualityFields
 
 OTHER_EXAMPLE = "019aa5b0c1d24f6e8a7b3c5d9e0f1a2c"
 RATIOS_EXAMPLE = {"iou_occ": 0.971, "iou_t": 0.94, "iou_p": 0.88, "iou_n": 0.96, "miou": 0.927}
 CONFUSION_EXAMPLE = [[2040000, 900, 300, 1200], [700, 21000, 400, 10], [350, 380, 9000, 200], [900, 15, 260, 21537]]
 
 
-class LabelSetItem(Answer):
+class LabelSetItem(QualityFields):
     """A label set of a sequence; one of them counts, the one that was asked for last."""
 
     model_config = example(

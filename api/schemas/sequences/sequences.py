@@ -5,7 +5,8 @@ from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
-from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example
+from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example, example_of
+from api.schemas.quality import QualityFields
 from services.domain.sequences.label_choices import DEFAULT_PROFILE, LabelProfile
 from services.domain.sequences.processing import ProcessRequest
 from stone.sensors.sequence import NAME, bad_sequence_name
@@ -104,7 +105,7 @@ class JobGlance(Answer):
     state: str
 
 
-class LabelGlance(Answer):
+class LabelGlance(QualityFields):
     """The label set of a sequence that counts; `code_version` names the sources that made it.
 
     `chosen_at` is when it came to count: made, or asked for again.
@@ -149,6 +150,7 @@ class SequenceItem(Answer):
             "code_version": "71299b6a455d",
             "created_at": "2026-05-03T10:20:00Z",
             "chosen_at": "2026-05-03T10:20:00Z",
+            **example_of(QualityFields),
         },
         class_voxels={"t": 812345, "p": 2045312, "n": 4198273},
         duration_s=120.1,

@@ -72,6 +72,7 @@ def _entry(row: SequenceRow, labels: LabelSet, recordings: tuple[str, ...]) -> C
         voxels=voxels_of(labels.t_voxels, labels.p_voxels, labels.n_voxels),
         distance_m=labels.distance_m,
         recordings=recordings,
+        quality=labels.quality,
     )
 
 

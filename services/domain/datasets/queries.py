@@ -15,6 +15,7 @@ from services.runtime.store.pack_reading import ExportLocation
 from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS
+from stone_base.label_quality import LabelQuality, pooled
 
 Entries = Mapping[str, tuple[CatalogueEntry, ...]]
 
@@ -28,6 +29,12 @@ def dataset_entries(session: Session, dataset: Dataset) -> Entries:
     of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset.id).order_by(DatasetMember.name)
     rows = session.scalars(of_version).all()
     return {part: open_entries(part, [_entry(row) for row in rows if row.part == part]) for part in PARTS}
+
+
+def dataset_quality(session: Session, dataset_id: str) -> LabelQuality:
+    """The quality of the label sets of train and val together: of test nothing is told."""
+    of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset_id, DatasetMember.part.in_(OPEN))
+    return pooled(row.quality for row in session.scalars(of_version.order_by(DatasetMember.sequence_id)))
 
 
 def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:
@@ -59,4 +66,5 @@ def _entry(row: DatasetMember) -> CatalogueEntry:
         frames=row.frames,
         voxels=voxels_of(row.t_voxels, row.p_voxels, row.n_voxels),
         distance_m=row.distance_m,
+        quality=row.quality,
     )

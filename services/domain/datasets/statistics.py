@@ -2,7 +2,7 @@
 
 **Conventions.** Lists are in the order in which they are shown; '' is what was not said. `voxels` are those of frames
 by class, null where no sequence's are known or to be told; `voxels_known` and `distances_known` say how many sequences
-the sums are of.
+the sums are of. The held-out recall is that of all judged metres together, the gravest finding that of any sequence.
 """
 
 from collections.abc import Iterable, Mapping
@@ -41,6 +41,8 @@ def counts_record(sums: CompositionSums) -> Record:
         "voxels": dict(zip(CLASSES, sums.voxels, strict=True)) if sums.counted else None,
         "class_ratios": dict(zip(CLASSES, shares, strict=True)) if shares else None,
         "voxels_known": sums.counted,
+        "held_out_known": sums.judged,
+        **sums.quality.as_record(),
     }
 
 

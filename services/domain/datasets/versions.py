@@ -30,6 +30,8 @@ from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding
 from stone.splits.surroundings import DAYLIGHT, UNSAID
+from stone_base.counts import counted
+from stone_base.label_quality import UNKNOWN
 
 # The manifest of a dataset version: its contents in one JSON file whose sha256 identifies it.
 #
@@ -76,8 +78,8 @@ def told_statistics(members: Members) -> dict[str, Any]:
 
 
 def open_entries(part: str, entries: Iterable[CatalogueEntry]) -> tuple[CatalogueEntry, ...]:
-    """The entries of a part as everybody may know them: of test without voxels."""
-    return tuple(replace(entry, voxels=None) if part == HIDDEN else entry for entry in entries)
+    """The entries of a part as everybody may know them: of test without voxels and quality."""
+    return tuple(replace(entry, voxels=None, quality=UNKNOWN) if part == HIDDEN else entry for entry in entries)
 
 
 def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
@@ -97,7 +99,8 @@ def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
     if part == HIDDEN:
         return said
     voxels = dict(zip(CLASSES, entry.voxels, strict=True)) if entry.voxels is not None else None
-    return {**said, "label_set": {"id": one.labels.id, "recipe": one.labels.recipe}, "voxels": voxels}
+    label_set = {"id": one.labels.id, "recipe": one.labels.recipe, "quality": entry.quality.as_record()}
+    return {**said, "label_set": label_set, "voxels": voxels}
 
 
 @dataclass(frozen=True, eq=False)
@@ -127,12 +130,13 @@ class PreparedDataset:
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version but for its rows; `folder` is where its own files are written.
 
-    Raises `no_splits`, `splits_broken`, `bad_member`, `name_taken`, `StoreFullError`.
+    Raises `no_splits`, `splits_broken`, `held_out_low`, `bad_member`, `name_taken`, `StoreFullError`.
     """
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
             raise name_taken("dataset version", asked.name)
         current, members, warnings = members_now(session)
+    refuse_low(members, platform.settings.publishing.least_held_out_recall)
     return replace(assembled(platform, asked, folder, (current.revision, members)), warnings=warnings)
 
 
@@ -197,6 +201,29 @@ def members_now(session: Session) -> tuple[CurrentSplits, Members, tuple[RuleFin
     return current, members, findings
 
 
+def refuse_low(members: Members, least_recall: float) -> None:
+    """Raise `held_out_low` for label sets whose held-out recall is below the limit, or unknown; 0 is no limit."""
+    entries = [one.entry for labelled in members.values() for one in labelled]
+    low = [one for one in entries if (one.quality.held_out_recall or 0.0) < least_recall]
+    if low:
+        raise Refused(
+            "held_out_low",
+            f"the held-out recall of {counted(len(low), 'label set')} is below the limit of {least_recall:.2%}: "
+            f"{_first([_recall(one) for one in low])}. Process these sequences again or take them out of the splits; "
+            "the limit is STONE_PUBLISHING__LEAST_HELD_OUT_RECALL, 0 for none",
+        )
+
+
+def _recall(entry: CatalogueEntry) -> str:
+    recall = entry.quality.held_out_recall
+    return f"{entry.name} has {recall:.2%}" if recall is not None else f"{entry.name} has none"
+
+
+def _first(sentences: Sequence[str]) -> str:
+    more = f"; and {len(sentences) - 3} more" if len(sentences) > 3 else ""
+    return "; ".join(sentences[:3]) + more
+
+
 def _prepared_part(platform: Platform, folder: Path, part: str, files: tuple[DatasetFile, ...]) -> PreparedPart:
     """The part with its sums. Raises `ObjectMissingError` where a file was deleted meanwhile."""
     content = sums_of(files)
@@ -230,6 +257,8 @@ def _write_members(session: Session, dataset_id: str, members: Members) -> None:
             row.environment, row.illumination, row.region = entry.environment, entry.illumination, entry.region
             row.frames, row.duration_ns, row.distance_m = entry.frames, labels.duration_ns or 0, entry.distance_m
             row.t_voxels, row.p_voxels, row.n_voxels = entry.voxels or (None, None, None)
+            row.held_out_recall, row.held_out_m = labels.held_out_recall, labels.held_out_m
+            row.gravest_code, row.gravest_severity = labels.gravest_code, labels.gravest_severity
             session.add(row)
     session.flush()
 
@@ -249,7 +278,4 @@ def _write_part(session: Session, dataset_id: str, part: str, made: PreparedPart
 
 
 def broken_splits(sentences: Sequence[str]) -> Refused:
-    more = f"; and {len(sentences) - 3} more" if len(sentences) > 3 else ""
-    return Refused(
-        "splits_broken", f"the splits break {len(sentences)} rule(s) by now: {'; '.join(sentences[:3])}{more}"
-    )
+    return Refused("splits_broken", f"the splits break {len(sentences)} rule(s) by now: {_first(sentences)}")

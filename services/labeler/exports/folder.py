@@ -31,21 +31,24 @@ from services.labeler.run import Step
 from services.runtime.store.recipes import recipe_of
 from stone.errors import Refused
 from stone.sensors.sequence import NAME
+from stone_base.label_quality import quality_of
 from stone_files.atomic import atomic_directory
 
 MANIFEST, CHECKSUMS, FRESH = "export.json", "checksums", ".fresh"
 # What of a report decides an export's bytes; seconds and memory do not. The first are known without labels.
 SENSED = ("sequence", "inputs", "parameters", "code_version", "frames")
-DECIDING = (*SENSED, "class_share_of_occupied", "reference", "map")
+DECIDING = (*SENSED, "class_share_of_occupied", "reference", "map", "held_out", "findings")
 
 
 @dataclass(frozen=True)
 class ExportFolderEntry:
-    """One sequence of an export; `number` is its place where a format counts sequences."""
+    """One sequence of an export; `number` is its place where a format counts sequences. `quality` is that of its
+    labels, None in an export without labels or of an earlier version."""
 
     recipe: str
     frames: int
     number: int
+    quality: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -83,7 +86,8 @@ def export(request: ExportRequest, open_source: Callable[[], LabelledSequence], 
     )
     if name in known and known[name].recipe == recipe:
         return ExportOutcome(request.format, name, "unchanged", known[name].frames, tuple(sorted(known)))
-    entry = ExportFolderEntry(recipe, frames, _number(known, name))
+    quality = None if request.format == "inputs" else quality_of(request.report).as_record()
+    entry = ExportFolderEntry(recipe, frames, _number(known, name), quality)
     entries = {**known, name: entry}
     with atomic_directory(request.out, replaces=MANIFEST) as staging:
         fresh = staging / FRESH

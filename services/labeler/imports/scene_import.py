@@ -214,7 +214,7 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
         totals=TotalsAnswer(
             duration_ns=duration_ns(frames.stamps_ns),
             distance_m=path_length_m(frames.map_from_ego.translation_m),
-            **voxel_totals(labels.counts()),
+            **voxel_totals(labels.counts()),  # type: ignore[arg-type]
         ),
     )
 

@@ -5,7 +5,7 @@ from typing import Any
 from sqlalchemy import JSON, ForeignKey, Index, String, false
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, WithQuality, new_id, now_ns
 
 
 class Blob(Base):
@@ -35,7 +35,7 @@ class LooseObject(Base):
     __table_args__ = (Index("ix_loose_objects_condemned_expected", "is_condemned", "expected_ns"),)
 
 
-class LabelSet(Base):
+class LabelSet(WithQuality, Base):
     """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once.
 
     Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot

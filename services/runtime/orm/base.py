@@ -11,7 +11,9 @@ from threading import Lock
 from typing import Annotated, Any, ClassVar
 
 from sqlalchemy import JSON, BigInteger, Index, MetaData, String, TextClause, text
-from sqlalchemy.orm import DeclarativeBase, mapped_column
+from sqlalchemy.orm import DeclarativeBase, Mapped, mapped_column
+
+from stone_base.label_quality import LabelQuality
 
 Id = Annotated[str, mapped_column(String(32))]
 Ns = Annotated[int, mapped_column(BigInteger)]
@@ -30,6 +32,19 @@ NAMING = {
 
 class Base(DeclarativeBase):
     metadata: ClassVar[MetaData] = MetaData(naming_convention=NAMING)
+
+
+class WithQuality:
+    """The columns of `LabelQuality` (`stone_base/label_quality.py`), for label sets and whatever repeats theirs."""
+
+    held_out_recall: Mapped[float | None]
+    held_out_m: Mapped[float | None]
+    gravest_code: Mapped[str | None] = mapped_column(String(16))
+    gravest_severity: Mapped[str | None] = mapped_column(String(8))
+
+    @property
+    def quality(self) -> LabelQuality:
+        return LabelQuality(self.held_out_recall, self.held_out_m, self.gravest_code, self.gravest_severity)
 
 
 def now_ns() -> int:

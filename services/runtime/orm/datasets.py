@@ -8,7 +8,7 @@ deleted. The database refuses to change its rows; inputs are added to it.
 from sqlalchemy import ForeignKey, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, WithQuality, new_id, now_ns
 
 
 class Splits(Base):
@@ -42,7 +42,7 @@ class Dataset(Base):
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 
 
-class DatasetMember(Base):
+class DatasetMember(WithQuality, Base):
     """A sequence of a version as it was then; voxels and distance are null where they were not known.
 
     `label_set_id` and `sequence_id` say where it came from and may name nothing any more.

@@ -116,7 +116,9 @@ def _jobs(session: Session) -> None:
 def _labels(session: Session) -> None:
     """Two of the first, of which the older one counts; of the third an earlier version's; of the sixth one."""
     known = {"duration_ns": 25_100_000_000, "distance_m": 30.5, "t_voxels": 100, "p_voxels": 200, "n_voxels": 700}
+    known |= {"held_out_recall": 0.9731, "held_out_m": 75.4, "gravest_code": "LAB-605", "gravest_severity": "warning"}
     unknown = {"duration_ns": 24 * 10**9, "distance_m": None, "t_voxels": None, "p_voxels": None, "n_voxels": None}
+    unknown |= dict.fromkeys(("held_out_recall", "held_out_m", "gravest_code", "gravest_severity"))
     rows = [
         _label_set(1, 1, known, chosen_ns=at_ns(50)),
         _label_set(2, 1, known, chosen_ns=at_ns(40)),

@@ -39,6 +39,7 @@ from services.runtime.sandbox.parent import SandboxProcess
 from services.runtime.settings import DatabaseSettings, StoreSettings
 from simulator.pipeline import calibration_path
 from stone.errors import StoneError
+from stone_base.codes.catalogue import harm_of
 from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.drives import SHORT, TWO_PARTS, drive, labelled_platform, labels_of_two_parts
@@ -285,6 +286,11 @@ def test_the_row_says_what_the_frame_table_adds_up_to(made: tuple[Brought, str],
     steps = [dist(*([row[axis] for axis in ("x_m", "y_m", "z_m")] for row in pair)) for pair in pairwise(frames)]
     assert label_set.distance_m == pytest.approx(sum(steps))
     assert label_set.duration_ns == pytest.approx(len(frames) * 5e7, rel=1e-3)
+    report = json.loads(expected["report.json"])
+    held = report["held_out"]
+    assert (label_set.held_out_recall, label_set.held_out_m) == (held["recall"], held["judged_m"])
+    harms = {one["code"] for one in report["findings"] if harm_of(one["code"], one["severity"]) == "wrong"}
+    assert label_set.gravest_code in harms
 
 
 @pytest.mark.release

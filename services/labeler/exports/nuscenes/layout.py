@@ -24,6 +24,7 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step
 from stone.errors import Refused
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_quality import quality_of
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
@@ -51,7 +52,7 @@ def _write_recorded(source: LabelledSequence, out: Path, label: Callable[[int], 
     """Tables, samples and maps of a sequence that was recorded; `label` is called for each frame."""
     sequence = source.sequence
     mask = mask_of(open_mesh(source.mesh), sequence.frames.map_from_ego.translation_m[:, :2])
-    plan = NuscenesPlan(sequence, channels_of(sequence), mask.low_m)
+    plan = NuscenesPlan(sequence, channels_of(sequence), mask.low_m, quality_of(source.report).as_record())
     (out / "maps").mkdir()
     write_mask(out / plan.mask_filename, mask)
     write_samples(source.samples, plan, out, label)

@@ -6,10 +6,10 @@ measured, and
 has the datum's token. A camera or radar without a message near a frame, or without a pose then, has no datum there.
 """
 
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from datetime import UTC, datetime
-from typing import Literal
+from typing import Any, Literal
 
 import numpy as np
 from numpy.typing import NDArray
@@ -46,11 +46,12 @@ class NuscenesChannel:
 
 @dataclass(frozen=True, eq=False)
 class NuscenesPlan:
-    """`low_m` is the corner of the map that is the origin of `global`."""
+    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels."""
 
     sequence: Sequence
     channels: tuple[NuscenesChannel, ...]
     low_m: tuple[int, int]
+    quality: Mapping[str, Any] | None = None
 
     @property
     def logfile(self) -> str:

@@ -279,6 +279,7 @@ def _log_row(plan: NuscenesPlan) -> Row:
 
 def _scene_row(plan: NuscenesPlan) -> Row:
     frames = plan.sequence.frames
+    quality = {} if plan.quality is None else {"quality": plan.quality}
     return {
         "token": plan.scene_token,
         "log_token": plan.log_token,
@@ -287,4 +288,5 @@ def _scene_row(plan: NuscenesPlan) -> Row:
         "last_sample_token": frames.tokens[-1],
         "name": plan.sequence.name,
         "description": f"{len(frames)} frames of {', '.join(sorted(plan.sequence.inputs))}",
+        **quality,
     }

@@ -2,6 +2,7 @@
 
 import json
 import re
+from dataclasses import replace
 from datetime import UTC, datetime
 from pathlib import Path
 from typing import Any
@@ -23,6 +24,14 @@ def out(drive: Labelled, tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("nuscenes")
     write_nuscenes(drive.source(), folder, unheard)
     return folder
+
+
+def test_the_scene_says_how_well_its_labels_hold(drive: Labelled, tmp_path: Path) -> None:
+    found = {"code": "LAB-605", "severity": "warning", "topic": "", "message": "so"}
+    report = {**drive.report, "held_out": {"recall": 0.97, "judged_m": 75.4}, "findings": [found]}
+    write_nuscenes(replace(drive.source(), report=report), tmp_path, unheard)
+    quality = {"held_out_recall": 0.97, "held_out_m": 75.4, "gravest": {"code": "LAB-605", "harm": "wrong"}}
+    assert [scene["quality"] for scene in rows(tmp_path, "scene")] == [quality]
 
 
 def rows(out: Path, table: str) -> list[dict[str, Any]]:
