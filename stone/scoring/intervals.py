@@ -231,18 +231,27 @@ def _within(spectra: RatioSpectra) -> tuple[Floats, Floats]:
 
 
 def _across(spectra: RatioSpectra) -> tuple[Floats, Floats]:
-    """Variances (5,) of the sum of independent sequences, and their degrees of freedom."""
-    weight = np.asarray(spectra.sequence_weight, np.float64)
-    scale = 1 - 2 * weight + (weight**2).sum(axis=0)
     sums = sums_of_sequences(spectra.coefficients, spectra.layout)
-    variance = np.divide(sums**2, scale, out=np.zeros_like(sums), where=scale > 1e-9).sum(axis=0)
-    degrees = np.array([_degrees(*one) for one in zip(weight.T, scale.T, strict=True)])
+    return across_variance(sums, spectra.sequence_weight), across_degrees(spectra)
+
+
+def across_variance(sums: Floats, sequence_weight: NDArray[np.floating]) -> Floats:
+    """Return the variance V (…) of the sum of independent sequences, from their sums and weights (S, …)."""
+    weight = np.asarray(sequence_weight, np.float64)
+    scale = 1 - 2 * weight + (weight**2).sum(axis=0)
+    return np.asarray(np.divide(sums**2, scale, out=np.zeros_like(sums), where=scale > 1e-9).sum(axis=0))
+
+
+def across_degrees(spectra: RatioSpectra) -> Floats:
+    """Return the degrees of freedom (5,) of V, of the mean the fewest of its classes."""
+    degrees = np.array([_degrees(weight) for weight in np.asarray(spectra.sequence_weight, np.float64).T])
     degrees[MEAN] = degrees[list(CLASS_COLUMNS)].min()
-    return variance, degrees
+    return degrees
 
 
-def _degrees(weight: Floats, scale: Floats) -> float:
+def _degrees(weight: Floats) -> float:
     """Of V, a quadratic form of sequences' ratios, were these normal and alike: (Σ λ)² / Σ λ² of its eigenvalues."""
+    scale = 1 - 2 * weight + (weight**2).sum()
     if not np.isfinite(weight).all() or scale.min() <= 1e-9:
         return 0.0
     centred = np.eye(len(weight)) - weight

@@ -5,12 +5,16 @@
 with q the quantile of Tukey's studentised range of n entries. So that *any* two of n equally good entries are told
 apart has the stated chance together, and the best of many lucky ones is not told apart from the last for its luck.
 
+The variance is that of these places. For a pair of which these places tell nothing it is that of a new place, from the
+pair's differences in whole sequences: it holds the luck of these places and that of the places, so a claim by it holds
+for these places too.
+
 **Conventions.** Coefficients are rows, (n, K) of `spectra.py`, of one ratio; ratios (n,).
 
 Source: Tukey (1953), Kramer (1956), for unequal variances Games and Howell (1976).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -18,53 +22,134 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.scoring.intervals import LEAST_SPREAD, LEVEL, RatioSpectra
-from stone.scoring.spectra import Coefficients, Floats, SpectrumLayout, sampling_variances
+from stone.scoring.intervals import (
+    FEWEST_SEQUENCES,
+    LEAST_SPREAD,
+    LEAST_WANDER,
+    LEVEL,
+    RatioSpectra,
+    Scope,
+    across_degrees,
+    across_variance,
+)
+from stone.scoring.spectra import (
+    FEWEST_DEGREES,
+    Coefficients,
+    Floats,
+    SpectrumLayout,
+    sampling_variances,
+    sums_of_sequences,
+)
 
 PAIRS_AT_ONCE = 4096
 Claims = NDArray[np.bool_]
+Places = NDArray[np.int64]
+
+
+@dataclass(frozen=True, eq=False)
+class EntrySpectra:
+    """Of one entry's ranked ratio: the coefficients (K,) and what `RatioSpectra` has beside them.
+
+    `across_degrees` are the degrees of freedom across sequences.
+    """
+
+    layout: SpectrumLayout
+    coefficients: Coefficients
+    sequence_weight: Floats
+    spread: float
+    across_degrees: float
 
 
 @dataclass(frozen=True, eq=False)
 class BoardSpectra:
-    """Of n entries: coefficients (n, K) of the ranked ratio, and the share of frames (n,) that it is spread over."""
+    """Those of n entries, one below another: coefficients (n, K), sequence weights (n, S), all others (n,)."""
 
     layout: SpectrumLayout
     coefficients: Coefficients
+    sequence_weight: Floats
     spread: Floats
+    across_degrees: Floats
 
 
-def board_spectra(entries: Sequence[RatioSpectra], column: int) -> BoardSpectra:
-    """Of scores by one ground truth, so of the same sequences, one or more: one of the ratios that each has."""
-    return BoardSpectra(
-        entries[0].layout,
-        np.stack([one.coefficients[:, column] for one in entries]),
-        np.array([one.spread[column] for one in entries], np.float64),
+@dataclass(frozen=True, eq=False)
+class PairClaims:
+    """`above` (n, n): whether entry a surely does better than b; `scopes`: the variances that pairs are compared by."""
+
+    above: Claims
+    scopes: tuple[Scope, ...]
+
+
+def entry_spectra(spectra: RatioSpectra, column: int) -> EntrySpectra:
+    """Return those of one of the ratios of a score."""
+    return EntrySpectra(
+        spectra.layout,
+        np.ascontiguousarray(spectra.coefficients[:, column]),
+        np.asarray(spectra.sequence_weight[:, column], np.float64),
+        float(spectra.spread[column]),
+        float(across_degrees(spectra)[column]),
     )
 
 
-def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: float = LEVEL) -> Claims | None:
-    """Whether entry a surely does better than b (n, n); None where of no pair anything can be said.
+def board_spectra(entries: Sequence[EntrySpectra]) -> BoardSpectra:
+    """Return the spectra of one entry or more, whose scores are by one ground truth, so of the same sequences."""
+    return BoardSpectra(
+        entries[0].layout,
+        np.stack([one.coefficients for one in entries]),
+        np.stack([one.sequence_weight for one in entries]),
+        np.array([one.spread for one in entries]),
+        np.array([one.across_degrees for one in entries]),
+    )
+
+
+def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: float = LEVEL) -> PairClaims | None:
+    """Return which entries surely do better than which; None if nothing can be said of any pair.
 
     Raises `ShapeError` where there are not as many values as entries.
     """
     count = len(spectra.coefficients)
     if values.shape != (count,):
         raise ShapeError("values", values.shape, f"({count},), one for each entry")
-    above, is_any_known = np.zeros((count, count), np.bool_), False
+    above, scopes = np.zeros((count, count), np.bool_), set[Scope]()
     for first, second in _pairs(count):
-        differences = spectra.coefficients[first].astype(np.float64) - spectra.coefficients[second]
-        found = sampling_variances(differences, spectra.layout)
-        is_known = found.is_known & (np.minimum(spectra.spread[first], spectra.spread[second]) >= LEAST_SPREAD)
-        is_any_known |= bool(is_known.any())
-        first, second = first[is_known], second[is_known]
-        reach = np.sqrt(found.variance[is_known]) * _critical(count, found.degrees[is_known], level)
-        margin = values[first] - values[second]
-        above[first, second], above[second, first] = margin > reach, -margin > reach
-    return above if is_any_known else None
+        for scope, variances in VARIANCES:
+            variance, degrees = variances(spectra, first, second)
+            is_known = np.isfinite(variance)
+            scopes |= {scope} if is_known.any() else set()
+            a, b = first[is_known], second[is_known]
+            reach = np.sqrt(variance[is_known]) * _critical(count, degrees[is_known], level)
+            margin = values[a] - values[b]
+            above[a, b], above[b, a] = margin > reach, -margin > reach
+            first, second = first[~is_known], second[~is_known]
+    return PairClaims(above, tuple(scope for scope, _ in VARIANCES if scope in scopes)) if scopes else None
 
 
-def _pairs(count: int) -> Iterator[tuple[NDArray[np.int64], NDArray[np.int64]]]:
+def _within(spectra: BoardSpectra, first: Places, second: Places) -> tuple[Floats, Floats]:
+    """Variances of these differences on these places, NaN if not known, and their degrees of freedom."""
+    differences = spectra.coefficients[first].astype(np.float64) - spectra.coefficients[second]
+    found = sampling_variances(differences, spectra.layout)
+    is_spread = np.minimum(spectra.spread[first], spectra.spread[second]) >= LEAST_SPREAD
+    return np.where(is_spread, found.variance, np.nan), found.degrees
+
+
+def _across(spectra: BoardSpectra, first: Places, second: Places) -> tuple[Floats, Floats]:
+    """Variances of these differences at a new place, NaN if not known, and their degrees of freedom."""
+    sums = sums_of_sequences(spectra.coefficients.T.astype(np.float64), spectra.layout)
+    differences = sums[:, first] - sums[:, second]
+    weight = (spectra.sequence_weight[first] + spectra.sequence_weight[second]).T / 2
+    degrees = np.minimum(spectra.across_degrees[first], spectra.across_degrees[second])
+    is_known = (degrees >= FEWEST_DEGREES) & (np.ptp(differences, axis=0) > LEAST_WANDER)
+    is_known &= len(sums) >= FEWEST_SEQUENCES
+    return np.where(is_known, across_variance(differences, weight), np.nan), degrees
+
+
+VARIANCES: tuple[tuple[Scope, Callable[[BoardSpectra, Places, Places], tuple[Floats, Floats]]], ...] = (
+    ("these_places", _within),
+    ("new_place", _across),
+)
+"""In the order in which they are tried."""
+
+
+def _pairs(count: int) -> Iterator[tuple[Places, Places]]:
     first, second = np.triu_indices(count, 1)
     for start in range(0, len(first), PAIRS_AT_ONCE):
         yield first[start : start + PAIRS_AT_ONCE], second[start : start + PAIRS_AT_ONCE]

@@ -14,7 +14,7 @@ frames say as much as one that is independent of the others.
 Source: discrete cosine transform of type II, Ahmed et al. (1974); its use for variances of means, Müller (2007).
 """
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass
 from functools import cached_property, lru_cache
 from itertools import accumulate, pairwise
@@ -114,10 +114,20 @@ def layout_of(frames_of_sequence: Sequence[int]) -> SpectrumLayout:
 # decides are different coefficients, nearly independent; so it is not just the lucky narrow intervals that are told.
 # With fewer than five coefficients nothing is said.
 #
+# Long memory, a spectrum that rises as a power law all the way to frequency 0, looks much like a long correlation time
+# over a floor of noise. Power laws are fitted too, to the coefficients that are used and those above, and the variance
+# is the mean over both kinds of process, weighted by their likelihood:
+#
+#     Var = (P(short) · Var_short + Σ_d P(d) · Var_d) / (P(short) + Σ_d P(d)),   S_d(ω) ∝ ω^−2d
+#     Var_d(Σ z) = S_d(1) · Σ_s n_s^(1 + 2d) / (Γ(2 + 2d) cos πd)
+#
+# So intervals are wider by as much as long memory is likely, and as often told as without it.
+#
 # **Conventions.** Series are rows: coefficients (R, K) of `spectra.py`. Frames are the unit of time.
 #
 # Source: equal-weighted cosine estimator with critical values of t, Müller (2007), Lazarus et al. (2018); spectral
-# likelihood, Whittle (1953); degrees of freedom of a sum of variances, Satterthwaite (1946).
+# likelihood, Whittle (1953); degrees of freedom of a sum of variances, Satterthwaite (1946); fractional Gaussian noise,
+# H = d + 1/2, Mandelbrot and Van Ness (1968); mean over models by likelihood, Leamer (1978).
 
 
 FEWEST_USED = 5
@@ -127,6 +137,8 @@ FLOORS = (0.0, 0.1, 0.3)  # noise of single frames, as a share of the slow part'
 LONGEST_FITTED = 2.0  # times the period: far longer ones cannot be told from a flat spectrum
 SHORTEST_FITTED = 0.25
 CLEARLY_WORSE = 0.82  # of log-likelihood: half the 0.8 quantile of χ²(1), 90 % one-sided
+MEMORIES = np.array([0.2, 0.3, 0.4, 0.45])  # d of the power laws
+LONG_MEMORY_ODDS = 5.0  # to one, before the coefficients are seen: so that intervals hold at H = 0.9
 
 Floats = NDArray[np.float64]
 
@@ -148,20 +160,40 @@ class SamplingVariances:
 
 
 @dataclass(frozen=True, eq=False)
+class _Models:
+    """Spectra up to a scale, at `counted` coefficients that lie in groups.
+
+    `inverse` (groups, models) is 1 / density, `log_density` (models,) its sum over coefficients.
+    """
+
+    inverse: Floats
+    log_density: Floats
+    counted: int
+
+    def fit(self, power: Floats) -> tuple[Floats, Floats]:
+        """Return the scales of largest likelihood and its logarithm (R, models), from sums of squares (R, groups)."""
+        scale = np.maximum(power @ self.inverse / self.counted, 1e-300)
+        return scale, -0.5 * (self.counted * np.log(scale) + self.log_density)
+
+
+@dataclass(frozen=True, eq=False)
 class _Period:
     """A period that is tried: the coefficients it would use of each sequence, the steps that decide, and the models.
 
-    `inverse` (steps, models) is 1 / density, `log_density` (models,) its sum over coefficients; `is_longer` (models,)
-    says whose correlation time is longer than the period.
+    `places` are those of the used coefficients; `above` are models at the steps alone, `short` and `long` at the used
+    coefficients too. `is_longer` says of each short model whether its correlation time is longer than the period,
+    `long_variance` the variance of the sum by each long one of scale 1.
     """
 
     period_frames: float
     used: NDArray[np.int64]
+    places: NDArray[np.int64]
     steps: NDArray[np.int64]
-    inverse: Floats
-    log_density: Floats
+    above: _Models
+    short: _Models
+    long: _Models
     is_longer: NDArray[np.bool_]
-    counted: int
+    long_variance: Floats
 
 
 def sampling_variances(series: Coefficients, layout: SpectrumLayout) -> SamplingVariances:
@@ -176,16 +208,17 @@ def sampling_variances(series: Coefficients, layout: SpectrumLayout) -> Sampling
     for period in periods:
         rows = np.flatnonzero(undecided)
         rows = rows[_is_flat(power[rows], period)]
-        _settle(found, rows, squares, (layout, period))
+        _settle(found, rows, (squares, power), (layout, period))
         undecided[rows] = False
     return found
 
 
 def _settle(
-    found: SamplingVariances, rows: NDArray[np.int64], squares: Floats, at: tuple[SpectrumLayout, _Period]
+    found: SamplingVariances, rows: NDArray[np.int64], of: tuple[Floats, Floats], at: tuple[SpectrumLayout, _Period]
 ) -> None:
-    layout, period = at
-    variance, degrees = _variance(squares[rows], layout, period.used)
+    (squares, power), (layout, period) = (one[rows] for one in of), at
+    variance, degrees = _variance(squares, layout, period.used)
+    variance = _with_long_memory(variance, np.hstack([power[:, period.steps], squares[:, period.places]]), period)
     is_enough = (degrees >= FEWEST_DEGREES) & (variance > 0)
     for values, of_rows in ((found.variance, variance), (found.degrees, degrees)):
         values[rows] = np.where(is_enough, of_rows, np.nan)
@@ -213,11 +246,20 @@ def _variance(squares: Floats, layout: SpectrumLayout, used: NDArray[np.int64]) 
 
 def _is_flat(power: Floats, period: _Period) -> NDArray[np.bool_]:
     """Whether every model with a longer correlation time fits clearly worse than the best one (R,)."""
-    power = power[:, period.steps]
-    scale = power @ period.inverse / period.counted
-    fit = -0.5 * (period.counted * np.log(np.maximum(scale, 1e-300)) + period.log_density)
+    _, fit = period.above.fit(power[:, period.steps])
     longer = fit[:, period.is_longer].max(axis=1)
     return np.asarray(fit.max(axis=1) - longer > CLEARLY_WORSE)
+
+
+def _with_long_memory(variance: Floats, power: Floats, period: _Period) -> Floats:
+    """Return the mean (R,) of this variance and those of the power laws, weighted by likelihood."""
+    _, short = period.short.fit(power)
+    scale, long = period.long.fit(power)
+    best = np.maximum(short.max(axis=1), long.max(axis=1))[:, None]
+    of_short = np.exp(short - best).mean(axis=1)
+    of_long = LONG_MEMORY_ODDS * np.exp(long - best) / long.shape[1]
+    sums = of_short * variance + (of_long * scale) @ period.long_variance
+    return np.asarray(sums / (of_short + of_long.sum(axis=1)))
 
 
 def _power_by_step(squares: Floats, layout: SpectrumLayout) -> Floats:
@@ -250,22 +292,48 @@ def _tried(layout: SpectrumLayout) -> Iterator[_Period]:
 
 def _period(layout: SpectrumLayout, step: int, used: NDArray[np.int64]) -> _Period:
     above = OCTAVES_ABOVE * STEPS_PER_OCTAVE
-    counts = {one: int((layout.steps == one).sum()) for one in range(step - above, step)}
-    steps = [one for one, count in counts.items() if count]
+    places = np.concatenate([np.arange(1, 1 + count) + run.start for run, count in zip(layout.runs, used, strict=True)])
+    of_step = [(one, np.flatnonzero(layout.steps == one)) for one in range(step - above, step)]
+    steps = np.array([one for one, members in of_step if len(members)])
+    decisive = [layout.frequencies[members] for _, members in of_step if len(members)]
+    single = [layout.frequencies[[place]] for place in places]
     period_frames = layout.period_frames(step)
     times = _fitted_times(period_frames)
-    density = np.stack([_density(layout.frequencies[layout.steps == one], times) for one in steps])
-    models = np.concatenate([density + floor for floor in FLOORS], axis=1)
-    of_step = np.array([counts[one] for one in steps])
+    lowest = np.pi / (FRAMES_PER_PERIOD * period_frames)
+
+    def first_order(frequencies: Floats) -> Floats:
+        return _density(frequencies, times)
+
+    def power_law(frequencies: Floats) -> Floats:
+        return np.asarray(((frequencies[:, None] / lowest) ** (-2 * MEMORIES)).mean(axis=0))
+
     return _Period(
         period_frames,
         used,
-        np.array(steps) + above,
-        1 / models,
-        of_step @ np.log(models),
+        places,
+        steps + above,
+        _models(decisive, first_order),
+        _models(decisive + single, first_order),
+        _models(decisive + single, power_law),
         np.tile(times > period_frames * (1 + 1e-9), len(FLOORS)),
-        int(of_step.sum()),
+        _long_variance(np.asarray(layout.frames_of_sequence), lowest),
     )
+
+
+def _models(groups: Sequence[Floats], density: Callable[[Floats], Floats]) -> _Models:
+    """Return the models whose mean density at a group of frequencies is this one over each of the floors."""
+    bare = np.stack([density(frequencies) for frequencies in groups])
+    whole = np.concatenate([bare + floor for floor in FLOORS], axis=1)
+    counts = np.array([len(frequencies) for frequencies in groups])
+    return _Models(1 / whole, counts @ np.log(whole), int(counts.sum()))
+
+
+def _long_variance(frames: NDArray[np.int64], lowest: float) -> Floats:
+    """Return the variance of the sum by each power law, 1 at the lowest of these frequencies, over each floor."""
+    from scipy.special import gamma  # a third of a second, which no process pays at its start
+
+    at_zero = (frames[:, None] * lowest) ** (2 * MEMORIES) / (gamma(2 + 2 * MEMORIES) * np.cos(np.pi * MEMORIES))
+    return np.concatenate([frames @ (at_zero + floor) for floor in FLOORS])
 
 
 def _fitted_times(period_frames: float) -> Floats:

@@ -10,7 +10,7 @@ missed half is predicted free, half the next class. Size and quality are indepen
 E N = m_c and E h, a Gauss–Hermite sum. Written from the definition of the scores: nothing of the platform is imported.
 """
 
-from collections.abc import Sequence
+from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from typing import Literal
@@ -20,31 +20,29 @@ from numpy.typing import NDArray
 from scipy.signal import lfilter
 from scipy.special import expit
 
-Kind = Literal["first_order", "noisy", "moving_average"]
+Kind = Literal["first_order", "window", "regimes", "fractional"]
 Floats = NDArray[np.float64]
 
 VOXELS = np.array([900.0, 600.0, 1500.0])
 SIZE_WANDER, SHARED_WANDER, OWN_WANDER, BASE = 0.3, 0.25, 0.25, 0.4
-NOISE_SHARE = 0.7
 
 
 @dataclass(frozen=True)
 class CorrelatedWorld:
-    """Sequences of these lengths; `rho` from frame to frame; `place` and `own_place` the spread of δ and δ'.
+    """Sequences of these lengths; `place` and `own_place` are the spread of δ and δ'.
 
-    `noisy` hides the process in 70 % of noise of single frames; `moving_average` has the same correlation time, and no
-    correlation beyond it.
+    `memory` is the parameter of the process: of `first_order` the correlation ρ from frame to frame; of `window` the
+    frames that a window over white ground takes to pass a point, beyond which nothing is correlated; of `regimes` the
+    mean length in frames of stretches of one value, geometric; of `fractional` Gaussian noise its Hurst exponent H,
+    above 0.5 correlated over all times. `noise` is the share of variance that is noise of single frames.
     """
 
     frames_of_sequence: tuple[int, ...]
-    rho: float
+    memory: float
     kind: Kind = "first_order"
+    noise: float = 0.0
     place: float = 0.3
     own_place: float = 0.1
-
-    @property
-    def correlation_frames(self) -> float:
-        return (1 + self.rho) / (1 - self.rho)
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,14 +100,47 @@ def _confusions(size: Floats, share: Floats) -> NDArray[np.int64]:
 
 def _wander(world: CorrelatedWorld, random: np.random.Generator, frames: int) -> Floats:
     """(3, F) of mean 0 and variance 1, one for each class."""
-    if world.kind == "moving_average":
-        length = max(1, round(world.correlation_frames))
-        sums = np.cumsum(random.standard_normal((3, frames + length)), axis=1)
-        return np.asarray((sums[:, length:] - sums[:, :-length]) / np.sqrt(length), np.float64)
-    drive = random.standard_normal((3, frames))
-    drive[:, 1:] *= np.sqrt(1 - world.rho**2)
-    slow: Floats = np.asarray(lfilter([1.0], [1.0, -world.rho], drive, axis=1), np.float64)
-    if world.kind == "first_order":
+    slow = PROCESSES[world.kind](world.memory, random, frames)
+    if not world.noise:
         return slow
     noise = random.standard_normal((3, frames))
-    return np.asarray(np.sqrt(1 - NOISE_SHARE) * slow + np.sqrt(NOISE_SHARE) * noise, np.float64)
+    return np.asarray(np.sqrt(1 - world.noise) * slow + np.sqrt(world.noise) * noise, np.float64)
+
+
+def _first_order(rho: float, random: np.random.Generator, frames: int) -> Floats:
+    drive = random.standard_normal((3, frames))
+    drive[:, 1:] *= np.sqrt(1 - rho**2)
+    return np.asarray(lfilter([1.0], [1.0, -rho], drive, axis=1), np.float64)
+
+
+def _window(length_frames: float, random: np.random.Generator, frames: int) -> Floats:
+    length = max(1, round(length_frames))
+    sums = np.cumsum(random.standard_normal((3, frames + length)), axis=1)
+    return np.asarray((sums[:, length:] - sums[:, :-length]) / np.sqrt(length), np.float64)
+
+
+def _regimes(mean_frames: float, random: np.random.Generator, frames: int) -> Floats:
+    begins = random.random((3, frames)) < 1 / mean_frames
+    regime = np.cumsum(begins, axis=1, dtype=np.int64)
+    return np.take_along_axis(random.standard_normal((3, frames + 1)), regime, axis=1)
+
+
+def fractional(hurst: float, random: np.random.Generator, frames: int) -> Floats:
+    """Exact draws by circulant embedding of the covariance (|k + 1|²ᴴ − 2 |k|²ᴴ + |k − 1|²ᴴ) / 2.
+
+    Source: Davies and Harte (1987).
+    """
+    lags = np.minimum(np.arange(2 * frames), 2 * frames - np.arange(2 * frames))
+    powers = np.abs(lags[:, None] + [1.0, 0.0, -1.0]) ** (2 * hurst)
+    eigenvalues = np.fft.fft(powers @ [0.5, -1.0, 0.5]).real
+    white = random.standard_normal((3, 2 * frames)) + 1j * random.standard_normal((3, 2 * frames))
+    drawn = np.fft.fft(white * np.sqrt(np.maximum(eigenvalues, 0) / (2 * frames)), axis=1)
+    return np.asarray(drawn.real[:, :frames], np.float64)
+
+
+PROCESSES: Mapping[Kind, Callable[[float, np.random.Generator, int], Floats]] = {
+    "first_order": _first_order,
+    "window": _window,
+    "regimes": _regimes,
+    "fractional": fractional,
+}

@@ -31,6 +31,7 @@ from stone.scoring.spectra import (
     sampling_variances,
     sums_of_sequences,
 )
+from testing.worlds.correlated_scores import fractional
 
 LENGTHS = st.lists(st.integers(1, 700), min_size=1, max_size=5)
 Floats = NDArray[np.float64]
@@ -115,12 +116,26 @@ def true_variance(frames: int, rho: float) -> float:
 
 @pytest.mark.parametrize("rho", [0.0, 0.5, 0.9])
 @pytest.mark.parametrize("lengths", [[2400], [800, 800, 800], [1500, 600, 300]])
-def test_the_variance_is_that_of_the_process(rho: float, lengths: list[int]) -> None:
+def test_the_variance_is_that_of_the_process_or_more_as_long_memory_is_likely(rho: float, lengths: list[int]) -> None:
     found = variances(first_order(600, sum(lengths), rho), lengths)
     expected = sum(true_variance(frames, rho) for frames in lengths)
-    known = found.variance[found.is_known]
+    known = found.variance[found.is_known] / expected
     assert len(known) > 400
-    assert np.mean(known) == pytest.approx(expected, rel=0.08)
+    assert np.mean(known) > 0.92
+    assert np.quantile(known, 0.1) < 1
+    assert np.median(known) < 3
+
+
+@pytest.mark.parametrize("hurst", [0.7, 0.8, 0.9])
+@pytest.mark.parametrize("lengths", [[2400], [800, 800, 800], [1500, 600, 300]])
+def test_under_long_memory_the_variance_is_not_far_too_small(hurst: float, lengths: list[int]) -> None:
+    """Of the sum of n frames of fractional Gaussian noise it is n²ᴴ; by short memory alone a 4th to a 50th of it."""
+    random = np.random.default_rng(1)
+    rows = np.hstack([np.vstack([fractional(hurst, random, frames) for _ in range(100)]) for frames in lengths])
+    found = variances(rows, lengths)
+    expected = float((np.array(lengths, float) ** (2 * hurst)).sum())
+    assert found.is_known.sum() > 100
+    assert np.median(found.variance[found.is_known]) > 0.6 * expected
 
 
 @pytest.mark.parametrize("rho", [0.9, 0.95])
@@ -138,7 +153,7 @@ def test_slow_wander_behind_the_noise_of_single_frames_is_seen() -> None:
     rows = np.sqrt(0.3) * first_order(300, 3600, 0.95) + np.sqrt(0.7) * first_order(300, 3600, 0.0, seed=1)
     found = variances(rows, [1200] * 3)
     expected = 0.3 * 3 * true_variance(1200, 0.95) + 0.7 * 3600
-    assert np.mean(found.variance[found.is_known]) == pytest.approx(expected, rel=0.1)
+    assert np.mean(found.variance[found.is_known]) > 0.9 * expected
 
 
 @settings(max_examples=20, deadline=None)

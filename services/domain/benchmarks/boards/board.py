@@ -47,9 +47,9 @@ from services.runtime.orm import (
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
-from stone.scoring.intervals import WITHDRAWN, RatioSpectra, Silence
+from stone.scoring.intervals import WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
-from stone.scoring.pairs import board_spectra, surely_above
+from stone.scoring.pairs import EntrySpectra, board_spectra, entry_spectra, surely_above
 from stone.scoring.ranking import rank_intervals, tie_groups
 
 # The revision of a board: a digest of every row that it is made of, by three statements that are kept.
@@ -134,11 +134,15 @@ MOST_OUTCOMES = 64
 
 @dataclass(frozen=True)
 class RankConfidence:
-    """The rank interval and tie group of each ranked entry; null where nothing is said, `silence` of all of them."""
+    """The rank interval and tie group of each ranked entry; null where nothing is said, `silence` of all of them.
+
+    `scopes` are the variances that differences were compared by.
+    """
 
     rank_intervals: tuple[tuple[int, int] | None, ...]
     tie_groups: tuple[int | None, ...]
     silence: Silence | None = None
+    scopes: tuple[Scope, ...] = ()
 
 
 @dataclass(frozen=True)
@@ -149,7 +153,7 @@ class RankedScore:
     spectra_sha256: str
 
 
-_SPECTRA: LRUCache[str, RatioSpectra | None] = LRUCache(MOST_KEPT)
+_SPECTRA: LRUCache[str, EntrySpectra | None] = LRUCache(MOST_KEPT)
 _OUTCOMES: LRUCache[tuple[RankedScore, ...], RankConfidence] = LRUCache(MOST_OUTCOMES)
 
 
@@ -164,12 +168,13 @@ def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapp
         return _silent(ranked, WITHDRAWN)
     if len(ranked) < 2:
         return _silent(ranked, None)
-    claims = surely_above(np.array([one.value for one in compared]), board_spectra(known, 0))
+    claims = surely_above(np.array([one.value for one in compared]), board_spectra(known))
     if claims is None:
         return _silent(ranked, "few_frames")
     beneath = (None,) * (len(ranked) - len(compared))
-    intervals = ((low, high + len(beneath)) for low, high in rank_intervals(claims).tolist())
-    return RankConfidence((*intervals, *beneath), (*tie_groups(claims).tolist(), *beneath))
+    intervals = ((low, high + len(beneath)) for low, high in rank_intervals(claims.above).tolist())
+    groups = (*tie_groups(claims.above).tolist(), *beneath)
+    return RankConfidence((*intervals, *beneath), groups, scopes=claims.scopes)
 
 
 def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfidence:
@@ -178,18 +183,10 @@ def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfi
 
 
 @cached(_SPECTRA, key=lambda store, sha256, object_key: sha256, lock=Lock())
-def _spectra(store: Store, sha256: str, object_key: str) -> RatioSpectra | None:
+def _spectra(store: Store, sha256: str, object_key: str) -> EntrySpectra | None:
     """Of the ranked ratio alone."""
     found = read_spectra(store, object_key)
-    if found is None:
-        return None
-    column = slice(RANKED_BY, RANKED_BY + 1)
-    return RatioSpectra(
-        found.layout,
-        np.ascontiguousarray(found.coefficients[:, column]),
-        np.ascontiguousarray(found.sequence_weight[:, column]),
-        found.spread[column].copy(),
-    )
+    return None if found is None else entry_spectra(found, RANKED_BY)
 
 
 MOST_ROWS = 2000
@@ -244,7 +241,8 @@ class BoardEvaluationVersion:
 class Board:
     """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
 
-    `silence` is why neither ties nor intervals of ranks are told. `revision` is empty for a board of the past.
+    `silence` is why neither ties nor intervals of ranks are told, `rank_scopes` are the variances that they rest on.
+    `revision` is empty for a board of the past.
     """
 
     benchmark: str
@@ -256,6 +254,7 @@ class Board:
     ranked_total: int
     rows: tuple[LeaderboardRow, ...]
     silence: Silence | None = None
+    rank_scopes: tuple[Scope, ...] = ()
     revision: str = ""
 
 
@@ -309,7 +308,7 @@ def _made(platform: Platform, read: _BoardRecords) -> Board:
     ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
     confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
     rows = (*_ranked(read, confidence), *_unranked(read), *read.reported)
-    return replace(read.board, rows=rows, silence=confidence.silence)
+    return replace(read.board, rows=rows, silence=confidence.silence, rank_scopes=confidence.scopes)
 
 
 def board_order(session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery) -> BoardOrder:
