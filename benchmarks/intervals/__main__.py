@@ -3,7 +3,7 @@
 In worlds whose truth is known (`testing/worlds/correlated_scores.py`) two entries are scored as the platform scores
 them. Printed is in how many trials something is said, and of these, how often the interval of 95 % holds the true mIoU,
 and how often that of the difference misses the true one, which is 0 in a new place and nearly so in these. Below, in
-how many boards of equally good entries something is said, and by these places of any pair, and any two are told apart.
+how many boards of equally good entries something is said, and by these places, and any two are told apart.
 """
 
 import argparse
@@ -21,7 +21,6 @@ from stone.scoring.confusion import ratios
 from stone.scoring.intervals import LEVEL, SCOPES, Estimate, Scope, estimates, ratio_spectra
 from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import board_spectra, entry_spectra, surely_above
-from stone.scoring.ranking import tie_groups
 from testing.worlds.correlated_scores import CorrelatedWorld, trial, true_miou
 
 MIOU = RATIOS.index("miou")
@@ -110,8 +109,8 @@ def boards(world: CorrelatedWorld, entries: int, trials: int, seed: int) -> Boar
         found = surely_above(values[order], board_spectra([entry_spectra(spectra[place], MIOU) for place in order]))
         if found is not None:
             said += 1
-            here += "these_places" in found.scopes
-            split += int(tie_groups(found.above).max()) > 1
+            here += found.scope == "these_places"
+            split += bool(found.above.any())
     return BoardTrials(world, entries, trials, said, here, split)
 
 

@@ -4,17 +4,20 @@
 
 with q the quantile of Tukey's studentised range of n entries. So that *any* two of n equally good entries are told
 apart has the stated chance together, and the best of many lucky ones is not told apart from the last for its luck.
+Among many pairs some variance is always far too small by chance. So no variance is less than the pair's power (the sum
+of its squared coefficients) times the median ratio of variance to power of the board's pairs: they share the ground and
+its memory.
 
-The variance is that of these places. For a pair of which these places tell nothing it is that of a new place, from the
-pair's differences in whole sequences: it holds the luck of these places and that of the places, so a claim by it holds
-for these places too.
+The variance is that of these places. If these places tell of too few pairs it is that of a new place, from the pairs'
+differences in whole sequences: it contains both the luck of the moment and that of the places, so claims by it hold for
+these places too.
 
 **Conventions.** Coefficients are rows, (n, K) of `spectra.py`, of one ratio; ratios (n,).
 
 Source: Tukey (1953), Kramer (1956), for unequal variances Games and Howell (1976).
 """
 
-from collections.abc import Callable, Iterator, Sequence
+from collections.abc import Callable, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 
@@ -42,6 +45,7 @@ from stone.scoring.spectra import (
 )
 
 PAIRS_AT_ONCE = 4096
+LEAST_TOLD = 0.5  # of pairs: the few of which these places do tell are wrong more often
 Claims = NDArray[np.bool_]
 Places = NDArray[np.int64]
 
@@ -73,10 +77,10 @@ class BoardSpectra:
 
 @dataclass(frozen=True, eq=False)
 class PairClaims:
-    """`above` (n, n): whether entry a surely does better than b; `scopes`: the variances that pairs are compared by."""
+    """`above` (n, n): whether entry a surely does better than b, by the variance of these places or of a new one."""
 
     above: Claims
-    scopes: tuple[Scope, ...]
+    scope: Scope
 
 
 def entry_spectra(spectra: RatioSpectra, column: int) -> EntrySpectra:
@@ -109,50 +113,80 @@ def surely_above(values: NDArray[np.floating], spectra: BoardSpectra, level: flo
     count = len(spectra.coefficients)
     if values.shape != (count,):
         raise ShapeError("values", values.shape, f"({count},), one for each entry")
-    above, scopes = np.zeros((count, count), np.bool_), set[Scope]()
-    for first, second in _pairs(count):
-        for scope, variances in VARIANCES:
-            variance, degrees = variances(spectra, first, second)
-            is_known = np.isfinite(variance)
-            scopes |= {scope} if is_known.any() else set()
-            a, b = first[is_known], second[is_known]
-            reach = np.sqrt(variance[is_known]) * _critical(count, degrees[is_known], level)
-            margin = values[a] - values[b]
-            above[a, b], above[b, a] = margin > reach, -margin > reach
-            first, second = first[~is_known], second[~is_known]
-    return PairClaims(above, tuple(scope for scope, _ in VARIANCES if scope in scopes)) if scopes else None
+    first, second = np.triu_indices(count, 1)
+    here = _in_parts(_within, spectra, first, second)
+    if here.told >= LEAST_TOLD * len(first):
+        return here.claims(values, level)
+    elsewhere = _in_parts(_across, spectra, first, second)
+    return (here if here.told >= elsewhere.told else elsewhere).claims(values, level)
 
 
-def _within(spectra: BoardSpectra, first: Places, second: Places) -> tuple[Floats, Floats]:
-    """Variances of these differences on these places, NaN if not known, and their degrees of freedom."""
-    differences = spectra.coefficients[first].astype(np.float64) - spectra.coefficients[second]
+@dataclass(frozen=True, eq=False)
+class _Pairs:
+    """The pairs (p,): the variance of each difference, NaN if not known, its degrees of freedom and its power."""
+
+    scope: Scope
+    first: Places
+    second: Places
+    variance: Floats
+    degrees: Floats
+    power: Floats
+
+    @property
+    def told(self) -> int:
+        return int(np.isfinite(self.variance).sum())
+
+    def claims(self, values: NDArray[np.floating], level: float) -> PairClaims | None:
+        """Return the claims for entries of these values; None if no variance is known."""
+        if not self.told:
+            return None
+        known = np.isfinite(self.variance)
+        variance, power = self.variance[known], self.power[known]
+        variance = np.maximum(variance, power * np.median(variance / power))
+        reach = np.sqrt(variance) * _critical(len(values), self.degrees[known], level)
+        first, second = self.first[known], self.second[known]
+        margin = values[first] - values[second]
+        above = np.zeros((len(values), len(values)), np.bool_)
+        above[first, second], above[second, first] = margin > reach, -margin > reach
+        return PairClaims(above, self.scope)
+
+
+def _in_parts(
+    pairs_of: Callable[[BoardSpectra, Places, Places], _Pairs], spectra: BoardSpectra, first: Places, second: Places
+) -> _Pairs:
+    """Return all pairs together, worked out in parts that fit into memory."""
+    starts = range(0, max(1, len(first)), PAIRS_AT_ONCE)
+    parts = [pairs_of(spectra, *(one[start : start + PAIRS_AT_ONCE] for one in (first, second))) for start in starts]
+    joined = (np.concatenate([getattr(part, name) for part in parts]) for name in ("variance", "degrees", "power"))
+    return _Pairs(parts[0].scope, first, second, *joined)
+
+
+def _within(spectra: BoardSpectra, first: Places, second: Places) -> _Pairs:
+    differences = _differences(spectra, first, second)
     found = sampling_variances(differences, spectra.layout)
     is_spread = np.minimum(spectra.spread[first], spectra.spread[second]) >= LEAST_SPREAD
-    return np.where(is_spread, found.variance, np.nan), found.degrees
+    variance = np.where(is_spread, found.variance, np.nan)
+    return _Pairs("these_places", first, second, variance, found.degrees, _power(differences, spectra.layout))
 
 
-def _across(spectra: BoardSpectra, first: Places, second: Places) -> tuple[Floats, Floats]:
-    """Variances of these differences at a new place, NaN if not known, and their degrees of freedom."""
-    sums = sums_of_sequences(spectra.coefficients.T.astype(np.float64), spectra.layout)
-    differences = sums[:, first] - sums[:, second]
+def _across(spectra: BoardSpectra, first: Places, second: Places) -> _Pairs:
+    differences = _differences(spectra, first, second)
+    sums = sums_of_sequences(differences.T, spectra.layout)
     weight = (spectra.sequence_weight[first] + spectra.sequence_weight[second]).T / 2
     degrees = np.minimum(spectra.across_degrees[first], spectra.across_degrees[second])
-    is_known = (degrees >= FEWEST_DEGREES) & (np.ptp(differences, axis=0) > LEAST_WANDER)
+    power = _power(differences, spectra.layout)
+    is_known = (degrees >= FEWEST_DEGREES) & (np.ptp(sums, axis=0) > LEAST_WANDER) & (power > 0)
     is_known &= len(sums) >= FEWEST_SEQUENCES
-    return np.where(is_known, across_variance(differences, weight), np.nan), degrees
+    return _Pairs("new_place", first, second, np.where(is_known, across_variance(sums, weight), np.nan), degrees, power)
 
 
-VARIANCES: tuple[tuple[Scope, Callable[[BoardSpectra, Places, Places], tuple[Floats, Floats]]], ...] = (
-    ("these_places", _within),
-    ("new_place", _across),
-)
-"""In the order in which they are tried."""
+def _differences(spectra: BoardSpectra, first: Places, second: Places) -> Floats:
+    return np.asarray(spectra.coefficients[first].astype(np.float64) - spectra.coefficients[second])
 
 
-def _pairs(count: int) -> Iterator[tuple[Places, Places]]:
-    first, second = np.triu_indices(count, 1)
-    for start in range(0, len(first), PAIRS_AT_ONCE):
-        yield first[start : start + PAIRS_AT_ONCE], second[start : start + PAIRS_AT_ONCE]
+def _power(differences: Floats, layout: SpectrumLayout) -> Floats:
+    """Return the sum of squares (p,) of all coefficients but C_0."""
+    return np.asarray((np.delete(differences, [run.start for run in layout.runs], axis=1) ** 2).sum(axis=1))
 
 
 def _critical(count: int, degrees: Floats, level: float) -> Floats:

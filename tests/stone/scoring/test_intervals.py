@@ -312,7 +312,7 @@ def test_entries_that_differ_are_told_apart_though_their_intervals_overlap() -> 
     assert found is not None
     assert found.above.tolist() == [[False, True], [False, False]]
     assert tie_groups(found.above).tolist() == [1, 2]
-    assert found.scopes == ("these_places",)
+    assert found.scope == "these_places"
 
 
 SHORT = (5,) * 6  # too few frames for any coefficient of their own
@@ -322,26 +322,45 @@ def test_whole_sequences_decide_where_these_places_are_silent() -> None:
     values, spectra = board([0.50, 0.45, 0.2], 0.1, 1, SHORT, own_place=0.03)
     found = surely_above(values, spectra)
     assert found is not None
-    assert found.scopes == ("new_place",)
+    assert found.scope == "new_place"
     of_sequences = values[:, None] + sums_of_sequences(spectra.coefficients.T, spectra.layout).T * len(SHORT)
-    for a, b in np.argwhere(~np.eye(3, dtype=bool)):
-        t = stats.ttest_rel(of_sequences[a], of_sequences[b]).statistic
-        assert found.above[a, b] == (t > stats.studentized_range.isf(0.05, 3, len(SHORT) - 1) / np.sqrt(2))
-    assert found.above.any()
+    critical = stats.studentized_range.isf(0.05, 3, len(SHORT) - 1) / np.sqrt(2)
+    for a, b in np.argwhere(found.above):
+        assert stats.ttest_rel(of_sequences[a], of_sequences[b]).statistic > critical
+    assert found.above[:2, 2].all()
 
 
-def test_a_pair_that_these_places_tell_of_is_not_judged_by_whole_sequences() -> None:
-    """One entry is in a few frames alone: both of its pairs rest on sequences, the third on these places."""
-    values, spectra = board([0.5, 0.4, 0.3], 0.1, 1, (400,) * 5, own_place=0.2)
-    found = surely_above(values, replace(spectra, spread=np.array([1.0, 1.0, 0.2])))
-    assert found is not None
-    assert found.scopes == ("these_places", "new_place")
-    alone = surely_above(values, spectra)
-    assert alone is not None
-    assert alone.scopes == ("these_places",)
-    assert found.above[0, 1] == alone.above[0, 1]
-    assert alone.above[:2, 2].all()
-    assert not found.above[:2, 2].any()
+def test_a_pair_of_two_is_tested_by_the_paired_t_of_sequences() -> None:
+    for seed in range(20):
+        values, spectra = board([0.50, 0.45], 0.1, seed, SHORT, own_place=0.03)
+        found = surely_above(values, spectra)
+        assert found is not None
+        of_sequences = values[:, None] + sums_of_sequences(spectra.coefficients.T, spectra.layout).T * len(SHORT)
+        p = stats.ttest_rel(*of_sequences).pvalue
+        assert found.above.any() == (p < 0.05)
+
+
+def test_whole_sequences_decide_for_all_pairs_if_these_places_tell_of_few() -> None:
+    values, spectra = board([0.5, 0.4, 0.3], 0.1, 1, (400,) * 5)
+    for spread, scope in ((0.2, "new_place"), (0.9, "these_places")):
+        found = surely_above(values, replace(spectra, spread=np.array([1.0, 1.0, spread])))
+        assert found is not None
+        assert found.scope == scope
+
+
+def test_a_pair_that_hardly_varies_by_luck_is_not_told_apart_for_it() -> None:
+    """Its variance across sequences is a thousandth of what all other pairs have for as much power."""
+    values, spectra = board([0.5] * 6, 0.1, 3, SHORT, own_place=0.2)
+    lucky = spectra.coefficients.copy()
+    starts = [run.start for run in spectra.layout.runs]
+    lucky[1, starts] = lucky[0, starts] + 0.001 * (lucky[1, starts] - lucky[0, starts])
+    values[:2] = [0.55, 0.50]
+    pair = surely_above(values[:2], moved(replace(spectra, coefficients=lucky), np.array([0, 1])))
+    among_others = surely_above(values, replace(spectra, coefficients=lucky))
+    assert pair is not None
+    assert among_others is not None
+    assert pair.above[0, 1]
+    assert not among_others.above[0, 1]
 
 
 @pytest.mark.whole

@@ -136,13 +136,13 @@ MOST_OUTCOMES = 64
 class RankConfidence:
     """The rank interval and tie group of each ranked entry; null where nothing is said, `silence` of all of them.
 
-    `scopes` are the variances that differences were compared by.
+    `scope` is that of the variances by which differences are tested.
     """
 
     rank_intervals: tuple[tuple[int, int] | None, ...]
     tie_groups: tuple[int | None, ...]
     silence: Silence | None = None
-    scopes: tuple[Scope, ...] = ()
+    scope: Scope | None = None
 
 
 @dataclass(frozen=True)
@@ -174,7 +174,7 @@ def rank_confidence_of(store: Store, ranked: Sequence[RankedScore], key_of: Mapp
     beneath = (None,) * (len(ranked) - len(compared))
     intervals = ((low, high + len(beneath)) for low, high in rank_intervals(claims.above).tolist())
     groups = (*tie_groups(claims.above).tolist(), *beneath)
-    return RankConfidence((*intervals, *beneath), groups, scopes=claims.scopes)
+    return RankConfidence((*intervals, *beneath), groups, scope=claims.scope)
 
 
 def _silent(ranked: Sequence[RankedScore], silence: Silence | None) -> RankConfidence:
@@ -241,7 +241,7 @@ class BoardEvaluationVersion:
 class Board:
     """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
 
-    `silence` is why neither ties nor intervals of ranks are told, `rank_scopes` are the variances that they rest on.
+    `silence` is why neither ties nor intervals of ranks are told, `rank_scope` is that of their variances.
     `revision` is empty for a board of the past.
     """
 
@@ -254,7 +254,7 @@ class Board:
     ranked_total: int
     rows: tuple[LeaderboardRow, ...]
     silence: Silence | None = None
-    rank_scopes: tuple[Scope, ...] = ()
+    rank_scope: Scope | None = None
     revision: str = ""
 
 
@@ -308,7 +308,7 @@ def _made(platform: Platform, read: _BoardRecords) -> Board:
     ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
     confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
     rows = (*_ranked(read, confidence), *_unranked(read), *read.reported)
-    return replace(read.board, rows=rows, silence=confidence.silence, rank_scopes=confidence.scopes)
+    return replace(read.board, rows=rows, silence=confidence.silence, rank_scope=confidence.scope)
 
 
 def board_order(session: Session, phase: Phase, pair: EvaluationVersion, query: BoardQuery) -> BoardOrder:

@@ -156,9 +156,8 @@ def notes(board: Board) -> Iterator[str]:
     """Notes for the reader of the board."""
     if board.silence is None:
         yield "Entries of one tie group do not differ significantly from its first (all pairs tested jointly, 95 %)."
-        if "new_place" in board.rank_scopes:
-            differences = "Some" if "these_places" in board.rank_scopes else "All"
-            yield f"{differences} differences are tested over whole sequences: {SILENCES['few_frames']}."
+        if board.rank_scope == "new_place":
+            yield f"Differences are tested over whole sequences: {SILENCES['few_frames']}."
     else:
         yield f"No ties and no intervals of ranks: {SILENCES[board.silence]}."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
