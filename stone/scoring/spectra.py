@@ -138,7 +138,7 @@ LONGEST_FITTED = 2.0  # times the period: far longer ones cannot be told from a 
 SHORTEST_FITTED = 0.25
 CLEARLY_WORSE = 0.82  # of log-likelihood: half the 0.8 quantile of χ²(1), 90 % one-sided
 MEMORIES = np.array([0.2, 0.3, 0.4, 0.45])  # d of the power laws
-LONG_MEMORY_ODDS = 5.0  # to one, before the coefficients are seen: so that intervals hold at H = 0.9
+LONG_MEMORY_ODDS = 10.0  # to one, before the coefficients are seen: so that intervals hold at H = 0.9
 
 Floats = NDArray[np.float64]
 
