@@ -67,14 +67,14 @@ MEANINGS = (
     CodeMeaning(
         "LAB-613",
         "wrong",
-        "Labels made from one half of the track call more than 20 % of the ground driven over in the other half N.",
+        "Labels made from one half of the track call more than 30 % of the ground driven over in the other half N.",
         "Process again with profile field. If it is field already, check poses and mount, and drive over each kind of "
         "terrain.",
     ),
     CodeMeaning(
         "LAB-614",
         "less",
-        "Labels made from one half of the track call 10 to 20 % of the ground driven over in the other half N.",
+        "Labels made from one half of the track call 14 to 30 % of the ground driven over in the other half N.",
         "Process again with profile field, or drive farther over each kind of terrain: elsewhere it is N too.",
     ),
     CodeMeaning(

@@ -24,7 +24,9 @@ from stone.labels.voxels import VOXEL_M
 
 HALF = 0.5
 FEWEST_KNOWN, FEWEST_JUDGED = 100, 100
-POOR_RECALL, FAIR_RECALL = 0.8, 0.9
+# Sound drives have 0.88 and more, also through tall grass; with the LiDAR entered 10 cm too low 0.85 (profile `field`,
+# `make bench-outside`).
+POOR_RECALL, FAIR_RECALL = 0.7, 0.86
 
 
 class HeldOutTrack:

@@ -14,9 +14,10 @@ from stone.labels.footprint import densified
 from stone.labels.track_coverage import STEP_M, TrackCoverage, coverage, spaced
 from stone.sensors.ego_path import ego_path
 
-# Of simulated runs 99.7 % and more are closed; a footprint that leaves the ground for a while closes less.
+# Of simulated runs 99.7 % and more are closed, of sound drives through tall grass 83 % and more, since the surface lies
+# above the band there; with the LiDAR entered 10 cm too high 70 and 75 % (`make bench-outside`).
 COVERAGE = "coverage.npz"
-USUAL_RATIO = 0.98
+USUAL_RATIO = 0.8
 
 
 class CoverageCounter:
