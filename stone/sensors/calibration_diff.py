@@ -4,7 +4,7 @@
 LiDAR's in the ego frame), metres; a turn the angle between the two orientations, degrees in [0, 180].
 """
 
-from dataclasses import dataclass, fields
+from dataclasses import asdict, dataclass, fields
 from typing import Literal
 
 import numpy as np
@@ -32,7 +32,7 @@ class TransformChange:
 
 @dataclass(frozen=True)
 class ValueChange:
-    """One value of a lens, or a sensor's frame; None where one side has no such value."""
+    """One value of a lens, of a sensor's frame or of the robot; None where one side has no such value."""
 
     key: str
     before: float | str | None
@@ -53,14 +53,16 @@ class SensorChange:
 
 @dataclass(frozen=True)
 class CalibrationDifference:
-    """`sensors` in the order of `after`, then those that are gone."""
+    """`sensors` in the order of `after`, then those that are gone; `robot` are changes of footprint and limits."""
 
     ego_from_lidar: TransformChange
     sensors: tuple[SensorChange, ...]
+    robot: tuple[ValueChange, ...] = ()
 
     @property
     def is_same(self) -> bool:
-        return self.ego_from_lidar.is_same and all(sensor.status == "same" for sensor in self.sensors)
+        is_moved = any(sensor.status != "same" for sensor in self.sensors)
+        return self.ego_from_lidar.is_same and not is_moved and not self.robot
 
 
 def difference(before: Calibration, after: Calibration) -> CalibrationDifference:
@@ -68,7 +70,8 @@ def difference(before: Calibration, after: Calibration) -> CalibrationDifference
     sensors = [_sensor(before.mount(mount.name), mount) for mount in after.mounts]
     gone = (mount for mount in before.mounts if after.mount(mount.name) is None)
     sensors += [SensorChange(mount.name, mount.kind, "removed") for mount in gone]
-    return CalibrationDifference(transform_change(before.ego_from_lidar, after.ego_from_lidar), tuple(sensors))
+    moved = transform_change(before.ego_from_lidar, after.ego_from_lidar)
+    return CalibrationDifference(moved, tuple(sensors), _changed(_robot(before), _robot(after)))
 
 
 def transform_change(before: SE3, after: SE3) -> TransformChange:
@@ -88,6 +91,10 @@ def _sensor(before: Mount | None, after: Mount) -> SensorChange:
     values = _changed({**_facts(before), **_lens(before.intrinsics)}, {**_facts(after), **_lens(after.intrinsics)})
     is_same = transform.is_same and offset_ns == 0 and not values
     return SensorChange(after.name, after.kind, "same" if is_same else "changed", transform, offset_ns, values)
+
+
+def _robot(calibration: Calibration) -> dict[str, float | str | None]:
+    return asdict(calibration.vehicle) | {f"footprint_{key}": m for key, m in asdict(calibration.footprint).items()}
 
 
 def _facts(mount: Mount) -> dict[str, float | str | None]:

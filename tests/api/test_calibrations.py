@@ -231,6 +231,10 @@ def test_the_diff_says_how_far_a_sensor_moved(api: httpx.Client, curator: Person
         assert sensor["transform"]["distance_m"] == pytest.approx(0.05)
         assert sensor["transform"]["rotation_deg"] == 0
     assert diff_of(api, curator, first)["is_same"], "the first version is compared with itself"
+    third = kept(api, curator, PLAIN + b"\nvehicle: {max_slope_deg: 30}\n")
+    found = diff_of(api, curator, third, against=first["id"])
+    assert not found["is_same"], "its limits decide classes"
+    assert found["robot"] == [{"key": "max_slope_deg", "before": 20.0, "after": 30.0}]
 
 
 def test_what_is_somebody_elses_is_not_compared_with(api: httpx.Client, curator: Person, platform: Any) -> None:

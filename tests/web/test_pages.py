@@ -136,6 +136,8 @@ def test_what_is_of_somebody_else_has_no_page(reading: Reading, platform: Platfo
     with client_of(platform, curator) as api:
         file = {"file": ("rig.yaml", calibration_path(bag()).read_bytes())}
         calibration = api.post("/api/v1/calibrations", files=file).json()
+        file = {"file": ("rig.yaml", calibration_path(bag()).read_bytes() + b"vehicle: {max_slope_deg: 30}\n")}
+        steeper = api.post("/api/v1/calibrations", files=file).json()
     with platform.database.transaction() as session:
         kept = {"phase_id": world.val, "team_id": world.teams[0], "user_id": world.captains[0].user_id}
         entry = SubmissionRow(**kept, method="Net", modality="L", declared_sha256="0" * 64, size_bytes=1)
@@ -147,6 +149,7 @@ def test_what_is_of_somebody_else_has_no_page(reading: Reading, platform: Platfo
         statuses = [reading.status(path, who) for who in (whose, world.captains[1], None)]
         assert statuses == [200, 404, 401], path
     assert "slope 20°, step 0.12 m, height 1.6 m" in reading.html(*calibrations, curator)
+    assert "max_slope_deg 20.0 → 30.0" in reading.html(f"/calibrations/{steeper['id']}", curator)
 
 
 def test_home_shows_a_visitor_what_is_public_of_sequences_and_boards(

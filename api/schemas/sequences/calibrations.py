@@ -69,7 +69,10 @@ class TransformChangeItem(Answer):
 
 
 class ValueChangeItem(Answer):
-    """One value of a lens (`fx_px`, `distortion_0`, …) or a sensor's frame; null where one side has none."""
+    """One value of a lens (`fx_px`, `distortion_0`, …), of a sensor's frame or of the robot (`max_slope_deg`, …).
+
+    It is null for the side that has none.
+    """
 
     model_config = example(key="fx_px", before=1000.0, after=1003.5)
 
@@ -92,13 +95,14 @@ class SensorChangeItem(Answer):
 
 
 class CalibrationDiffItem(Answer):
-    """What changed from the calibration `against` to `id`."""
+    """What changed from the calibration `against` to `id`; `robot` are its footprint and the vehicle's limits."""
 
     model_config = example(
         against=ID_EXAMPLE,
         is_same=True,
         ego_from_lidar={"translation_m": [0.0, 0.0, 0.0], "distance_m": 0.0, "rotation_deg": 0.0},
         sensors=[],
+        robot=[],
     )
 
     id: str
@@ -106,6 +110,7 @@ class CalibrationDiffItem(Answer):
     is_same: bool
     ego_from_lidar: TransformChangeItem
     sensors: list[SensorChangeItem]
+    robot: list[ValueChangeItem]
 
 
 # Profiles of topics, and what they resolve to, over the wire.
