@@ -213,7 +213,7 @@ def lakes_and_farm(platform: Platform) -> tuple[Person, list[str]]:
     farm = published_sequence(platform, owner.user_id, environment="farmland", region="Seoul")
     with platform.database.transaction() as session:
         row = session.query(LabelSet).where(LabelSet.sequence_id == farm).one()
-        row.distance_m = row.t_voxels = row.p_voxels = row.n_voxels = None
+        row.distance_m = row.t_voxels = row.p_voxels = row.n_voxels = row.held_out_recall = row.held_out_m = None
     return owner, [*lakes, farm]
 
 
@@ -224,6 +224,8 @@ def test_the_sums_are_those_of_the_rows(api: httpx.Client, lakes_and_farm: tuple
         "sequences": 3, "frames": 9, "duration_s": 75.0, "distance_m": 61.0, "distances_known": 2,
         "voxels": {"traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
         "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7}, "voxels_known": 2,
+        "held_out_recall": 0.9731, "held_out_m": 150.8, "held_out_known": 2,
+        "gravest": {"code": "LAB-605", "harm": "wrong"},
     }  # fmt: skip
     assert [(one["key"], one["sequences"]) for one in shown["environments"]] == [("farmland", 1), ("lake", 2)]
     assert [(one["key"], one["sequences"]) for one in shown["halves"]] == [("day", 1), ("night", 1), ("", 1)]

@@ -287,8 +287,7 @@ def test_the_row_says_what_the_frame_table_adds_up_to(made: tuple[Brought, str],
     assert label_set.distance_m == pytest.approx(sum(steps))
     assert label_set.duration_ns == pytest.approx(len(frames) * 5e7, rel=1e-3)
     report = json.loads(expected["report.json"])
-    held = report["held_out"]
-    assert (label_set.held_out_recall, label_set.held_out_m) == (held["recall"], held["judged_m"])
+    assert report["held_out"]["recall"] is label_set.held_out_recall is label_set.held_out_m is None, "too short"
     harms = {one["code"] for one in report["findings"] if harm_of(one["code"], one["severity"]) == "wrong"}
     assert label_set.gravest_code in harms
 
