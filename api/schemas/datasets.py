@@ -5,7 +5,6 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from api.schemas.base import Answer, Body, Instant, Line, Reason, example
-from api.schemas.quality import QualityFields
 from api.schemas.splits import DrivenItem, RuleItem, Sizes
 from services.domain.datasets.input_jobs import InputState
 
@@ -39,7 +38,7 @@ class DatasetItem(Answer):
     created_at: Instant
 
 
-class DatasetMemberItem(DrivenItem, QualityFields):
+class DatasetMemberItem(DrivenItem):
     """A sequence of a version, and the part it is in; of test the quality is not told."""
 
     model_config = example(split="train")

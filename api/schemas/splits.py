@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import AliasChoices, Field
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Reason, example, example_of
+from api.schemas.quality import QualityFields
 from api.schemas.statistics import VoxelRatios, VoxelsItem
 from stone.splits.splits import MOST_SEQUENCES
 
@@ -86,7 +87,7 @@ class VerdictsAnswer(Answer):
     findings: list[RuleItem]
 
 
-class DrivenItem(Answer):
+class DrivenItem(QualityFields):
     """Where and when a sequence was driven, and how much of it there is; null is what nobody counted."""
 
     model_config = example(

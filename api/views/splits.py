@@ -42,7 +42,7 @@ def rule_items(findings: Iterable[RuleFinding]) -> list[RuleItem]:
 
 def entry_item(entry: CatalogueEntry) -> SplitEntry:
     voxels = None if entry.voxels is None else dict(zip(CLASSES, entry.voxels, strict=True))
-    return SplitEntry.of(entry, sequence_id=entry.id, daylight=entry.half, voxels=voxels)
+    return SplitEntry.of(entry, sequence_id=entry.id, daylight=entry.half, voxels=voxels, **entry.quality.as_record())
 
 
 def _assigned(split: Split, seen: tuple[CatalogueEntry, ...]) -> dict[str, list[SplitEntry]]:

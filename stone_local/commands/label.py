@@ -145,6 +145,9 @@ def label(
         show(class_table(title, record["class_share_of_occupied"]))
         typer.echo(_held_out_line(record["held_out"]))
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
+        recall, judged_m = record["held_out"]["recall"], record["held_out"]["judged_m"]
+        if recall is not None:
+            typer.echo(f"Held-out track: {recall:.1%} of {judged_m:g} m is T or P in labels made from its other half")
     findings = [Finding(**finding) for finding in record["findings"]]
     echo_findings(findings)
     if not as_json:

@@ -168,6 +168,7 @@ def test_home_shows_a_visitor_what_is_public_of_sequences_and_boards(
     after = reading.html("/")
     assert "forest" in after
     assert "data-viewer" in after
+    assert re.search(r'<a class="harm-tag" data-harm="wrong" href="/codes/LAB-605"', after)
     assert board.team in after
 
 
