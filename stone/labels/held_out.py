@@ -18,11 +18,13 @@ OTHER_MAP_M = 1e7  # two maps lie nowhere to each other
 @dataclass(frozen=True, eq=False)
 class HeldOut:
     """`voxels` (4,) that were judged, by distance from the known way (`BANDS_M`), and how many were `kept` (4,) as T or
-    P. They are as many as a way of `judged_m` metres leaves that crosses no known ground."""
+    P. They are as many as a way of `judged_m` metres leaves that crosses no known ground; the known ones are as many as
+    `known_m` metres leave."""
 
     voxels: NDArray[np.int64]
     kept: NDArray[np.int64]
     judged_m: float
+    known_m: float
 
     @property
     def recall(self) -> float:
@@ -52,4 +54,5 @@ def held_out(known: DrivenPlaces, judged: DrivenPlaces, is_kept: NDArray[np.bool
     away_m, _ = cKDTree(known.apart()).query(judged.apart())
     voxels, _ = np.histogram(away_m, BANDS_M)
     kept, _ = np.histogram(away_m[is_kept], BANDS_M)
-    return HeldOut(voxels, kept, len(is_kept) * VOXEL_M**2 / width_m)
+    across_m = VOXEL_M**2 / width_m
+    return HeldOut(voxels, kept, len(is_kept) * across_m, len(known.maps) * across_m)

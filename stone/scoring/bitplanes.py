@@ -229,7 +229,7 @@ def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any
         _joint(truth[0, a:b], truth[1, a:b], truth[2, a:b], packed_low, packed_high, joint[ring])
         truth_columns = (columns[0, start:stop], columns[1, start:stop])
         _drivable(truth_columns, columns[2, start:stop], low[: stop - start], high[: stop - start], bev[ring])
-        if outs[2].shape[0] != 0:
+        for _ in range(min(outs[2].shape[0], 1)):
             predicted = low[: stop - start], high[: stop - start]
             count_pairs(truth_columns, columns[2, start:stop], predicted, outs[2][ring])
             count_columns(truth_columns, columns[2, start:stop], predicted, outs[3][ring])

@@ -111,6 +111,17 @@ variance over whole sequences, five or more. A rank's interval and the tie group
 once (Tukey): that any two equal entries of a board are told apart has a chance of 5 % or less.
 """
 
+_OTHERS_AT_FIRST = """\
+## Shown beside it, never ranked
+
+    N predicted T = |truth N ∧ predicted T| / |truth N|       (danger)
+    T predicted N = |truth T ∧ predicted N| / |truth T|       (over-caution)
+    drivable IoU  = columns drivable in both / columns drivable in either
+
+A column (the 32 voxels above one another) is drivable where its evaluated voxels hold a T or P and no N. Each is `null`
+where its denominator is 0.
+"""
+
 _OTHERS = """\
 ## Shown beside it, never ranked
 
@@ -135,8 +146,8 @@ readings forgive that, of at most 250 frames of a submission: the first and ever
 """
 
 
-def _definition(title: str, reading: str, intervals: str) -> str:
-    return "\n".join((f"# {title}\n", _COUNTED, f"## The ratios\n\n{reading}{_RULES}{intervals}", _OTHERS))
+def _definition(title: str, reading: str, intervals: str, others: str) -> str:
+    return "\n".join((f"# {title}\n", _COUNTED, f"## The ratios\n\n{reading}{_RULES}{intervals}", others))
 
 
 _EVERYWHERE = """\
@@ -158,8 +169,11 @@ what is predicted into the ground truth's free space costs IoU_occ and no class:
 def _versions(name: str, title: str, reading: str, is_within_occupied: bool) -> tuple[Metric, Metric]:
     """The current version, and the one before it."""
     (old, old_text), (new, new_text) = (
-        (version, _definition(f"{version}: {title}", reading, intervals))
-        for version, intervals in ((f"{name}-1", _BLOCK_RESAMPLING), (f"{name}-2", _SPECTRAL_INTERVALS))
+        (version, _definition(f"{version}: {title}", reading, *parts))
+        for version, *parts in (
+            (f"{name}-1", _BLOCK_RESAMPLING, _OTHERS_AT_FIRST),
+            (f"{name}-2", _SPECTRAL_INTERVALS, _OTHERS),
+        )
     )
     return Metric(new, title, new_text, is_within_occupied), Metric(old, title, old_text, is_within_occupied, new)
 

@@ -93,7 +93,9 @@ def secrets_of(session: Session, world: World) -> Secrets:
     columns = ("free_voxels", "t_voxels", "p_voxels", "n_voxels", "held_out_m")
     counts = [getattr(one, name) for one in label_sets for name in columns]
     counts += [one.t_voxels for one in session.scalars(select(DatasetMember).where(DatasetMember.name.in_(names)))]
-    numbers = [number for score in scores for number in _numbers_in(score.record)]
+    others = session.scalars(select(Score).join(SubmissionRow).where(SubmissionRow.phase_id != world.test))
+    open_numbers = {number for score in others for number in _numbers_in(score.record)}  # of these nothing follows
+    numbers = {number for score in scores for number in _numbers_in(score.record)} - open_numbers
     return Secrets(
         tuple(_windows(world)),
         frozenset(keys) | {form for digest in digests for form in _written(digest)},

@@ -27,7 +27,7 @@ from services.runtime.embedded.first_start import ensure_keys
 from services.runtime.orm import LabelSet, SequenceRow, User
 from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
-from simulator.pipeline import simulate
+from simulator.pipeline import calibration_path, simulate
 from stone_client.credentials import remember
 from stone_recordings.calibrations.file import read_calibration
 from testing.api.serving import person, serving
@@ -96,6 +96,7 @@ def test_the_administrators_guide_works_line_by_line(
     if shutil.which("curl") is None:
         pytest.skip("the guide's requests are curl's, which is not on this machine")
     with _pasted(field, tmp_path, monkeypatch) as shell:
+        _drive_of_the_guide(tmp_path)
         assert shell.paste("administrator.md", elsewhere=_elsewhere("administrator.md")) > 40
         said = json.loads(shell.printed[-1])
         (ours,) = answered("benchmarks", "stone")["benchmarks"]
@@ -146,6 +147,13 @@ def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, shor
         token = (platform.settings.root / "local-token").read_text().strip()
         remember(url, token, as_default=True)  # as `stone serve` does
         yield shell
+
+
+def _drive_of_the_guide(folder: Path) -> None:
+    """The recording of which the guide measures the ceiling."""
+    bag = folder / "run.mcap"
+    simulate(bag, SimulateOptions(4.0, 3, channels=16, columns=180, cameras=False))
+    calibration_path(bag).rename(folder / "robot.yaml")
 
 
 def _elsewhere(page: str) -> set[str]:

@@ -34,7 +34,7 @@ def dataset_entries(session: Session, dataset: Dataset) -> Entries:
 def dataset_quality(session: Session, dataset_id: str) -> LabelQuality:
     """The quality of the label sets of train and val together: of test nothing is told."""
     of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset_id, DatasetMember.part.in_(OPEN))
-    return pooled(row.quality for row in session.scalars(of_version.order_by(DatasetMember.sequence_id)))
+    return pooled(row.quality for row in session.scalars(of_version.order_by(DatasetMember.name)))
 
 
 def open_parts(session: Session, dataset: Dataset) -> tuple[DatasetPart, ...]:

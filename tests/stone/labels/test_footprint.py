@@ -202,10 +202,10 @@ def test_the_slow_way_agrees(gone, yaw_rad):
 
 
 def test_a_way_that_holds_too_little_t_is_a_finding():
-    assert coverage_findings(TrackCoverage(1000, 981, 20, 0), 0.15) == ()
-    (finding,) = coverage_findings(TrackCoverage(1000, 900, 20, 2), 0.15)
+    assert coverage_findings(TrackCoverage(1000, 801, 20, 0), 0.15) == ()
+    (finding,) = coverage_findings(TrackCoverage(1000, 700, 20, 2), 0.15)
     assert (finding.code, finding.severity) == ("LAB-607", "warning")
-    assert all(number in finding.message for number in ("10.0%", "2 of 20", "0.15 m"))
+    assert all(number in finding.message for number in ("30.0%", "2 of 20", "0.15 m"))
 
 
 @pytest.mark.whole
