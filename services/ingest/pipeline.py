@@ -29,6 +29,7 @@ from stone_recordings.poses.quality import quality_findings
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
+from stone_recordings.sync.direction_check import direction_findings
 from stone_recordings.sync.ground_check import applied_finding, ground_findings, measured_ground, settled
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.lag_check import lag_findings, measured_lag
@@ -131,7 +132,8 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
         applied = (applied_finding(fit, settled_on),)
         sequence, sweeps = _synchronised(bag, settled_on, options, name)
         fit = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag))
-    findings = (*sequence.findings, *applied, *ground_findings(sequence, fit))
+    doubts = (*ground_findings(sequence, fit), *direction_findings(sequence))
+    findings = (*sequence.findings, *applied, *doubts)
     measured = replace(sequence, ground=fit, findings=findings)
     return height_followed(measured, SweepsOfOpenBag(sweeps, bag), fit), sweeps
 

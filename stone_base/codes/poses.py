@@ -84,6 +84,12 @@ MEANINGS = (
         "Give the file of this run.",
     ),
     CodeMeaning(
+        "SYN-518",
+        "wrong",
+        "The poses face another way than the robot drives, all along the run: heading or pitch is biased.",
+        "Correct the rotation of the INS in the calibration by the angle that is given.",
+    ),
+    CodeMeaning(
         "SYN-520",
         "none",
         "The recording was put on the clock of the other recordings of the run; the sentence says how the "

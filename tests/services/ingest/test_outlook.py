@@ -38,7 +38,7 @@ EVERY_DAY = (
 )
 # What two sides of a break have to do with each other, where ground and mounts are, and whether poses and sweeps are of
 # one time, is told where sweeps are looked at.
-OF_SWEEPS = {"SYN-507", "SYN-508", "SYN-514", "SYN-515", "TIM-205", "TIM-213", "MSG-306"}
+OF_SWEEPS = {"SYN-507", "SYN-508", "SYN-514", "SYN-515", "SYN-518", "TIM-205", "TIM-213", "MSG-306"}
 
 
 @pytest.fixture(scope="module")
