@@ -30,7 +30,7 @@ Mask = NDArray[np.bool_]
 
 @dataclass(frozen=True, eq=False)
 class Sight:
-    """Of labelled voxels (N,) in some image: the mask, whether they are lit, whether their middle is, and the angle."""
+    """Labelled voxels (N,) in some image: whether the mask, a ray and the ray to the middle reach them; the angle."""
 
     seen: Mask
     is_lit: Mask

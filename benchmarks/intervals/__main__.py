@@ -3,7 +3,7 @@
 In worlds whose truth is known (`testing/worlds/correlated_scores.py`) two entries are scored as the platform scores
 them. Printed is in how many trials something is said, and of these, how often the interval of 95 % holds the true mIoU,
 and how often that of the difference misses the true one, which is 0 in a new place and nearly so in these. Below, in
-how many boards of equally good entries something is said, and by these places, and any two are told apart.
+how many boards of equally good entries state something, rest on these places, and separate any two entries.
 """
 
 import argparse

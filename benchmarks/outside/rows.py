@@ -23,7 +23,7 @@ WORKERS = 2
 
 @dataclass(frozen=True)
 class Row:
-    """What is measured."""
+    """A drive, the fault in it, and the profile that labels it."""
 
     drive: OutsideDrive
     fault: str

@@ -1,4 +1,4 @@
-"""What is tried on every recording: every profile, each with one option at a time."""
+"""The variants of every recording: every profile, each with one option at a time."""
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field, replace

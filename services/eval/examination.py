@@ -60,8 +60,8 @@ TruthOf = Callable[[str], TruthPlanes]
 
 @dataclass(frozen=True, eq=False)
 class CountedFrames:
-    """Of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32, column counts, and what was
-    refused."""
+    """The counts of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32 and those by column;
+    the refusals."""
 
     confusions: Confusion
     bev: Drivable
@@ -130,7 +130,7 @@ def count_frame(
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """Of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32; `column_counts` are None of an earlier version."""
+    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts`, None if not kept."""
 
     confusions: NDArray[np.int32]
     bev: NDArray[np.int32]

@@ -41,18 +41,13 @@ class Passes:
         return Passes(self.first_m[keep], self.last_m[keep])
 
 
-def swept(keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M) -> NDArray[np.bool_]:
-    """Which of the voxels `keys` (K,) lie under the footprint at, or on the way between, the poses (P,) of a stretch.
-
-    Between two stretches there is no way.
-    """
-    return passes(keys, map_from_ego, footprint, band_m).is_driven
-
-
 def passes(
     keys: Keys, map_from_ego: Sequence[SE3], footprint: Footprint, band_m: float = BAND_M, start_m: float = 0.0
 ) -> Passes:
-    """When the voxels `keys` (K,) lay under the footprint. The way begins `start_m` along and counts driven metres."""
+    """When the voxels `keys` (K,) lay under the footprint at, or on the way between, the poses (P,) of a stretch.
+
+    Between two stretches there is no way. It begins `start_m` along and counts driven metres.
+    """
     box = (footprint.length_m / 2, footprint.width_m / 2, -band_m, band_m)
     return _passes(keys, VOXEL_M, map_from_ego, box, start_m)
 

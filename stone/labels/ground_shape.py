@@ -24,8 +24,8 @@ LEAST_SPREAD = 1e-6  # of a plane's normal equations, m⁴: columns in one line 
 
 @dataclass(frozen=True, eq=False)
 class GroundShape:
-    """Of K voxels: `slope_rad` (K,) of the plane through the window, 0 if too few voxels are there for one; `step_m`
-    (K,) up or down to a neighbour; `clearance_m` (K,) to the next surface above in the column, inf without one.
+    """The shape at K voxels: `slope_rad` (K,) of the plane through the window, 0 if too few voxels are there for one;
+    `step_m` (K,) up or down to a neighbour; `clearance_m` (K,) to the next surface above in the column, else inf.
 
     `pooled` (K, 3) are the features averaged over the voxel and its neighbours, each vertex counted once.
     """
@@ -107,7 +107,7 @@ def _slope(sums):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _pool(rows, columns, pooled):  # type: ignore[no-untyped-def]
-    """Of the voxel and the 26 around it; its own vertices, of which there is at least one, are among them."""
+    """Average over the voxel and the 26 around it; a voxel has at least one vertex, so the weight is not 0."""
     (place, level, features, vertices), (first, width) = rows, columns
     for row in range(place.size):
         weight, a, b, c = 0.0, 0.0, 0.0, 0.0

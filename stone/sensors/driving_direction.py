@@ -13,11 +13,11 @@ from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
+from stone.sensors.clocks import MAD_TO_SIGMA
 
 STEP_M, MOST_ASIDE_RAD = 0.5, float(np.deg2rad(20.0))
 FEWEST_STEPS = 20
 ROUNDS, OUTLIER_SIGMAS, RIDGE = 5, 3.0, 1e-9
-MAD_PER_SIGMA = 1.4826
 # Of sound drives, simulated, analytic and KITTI's, both are at most 0.4°.
 YAW_BIAS_RAD, PITCH_BIAS_RAD = float(np.deg2rad(0.6)), float(np.deg2rad(1.0))
 SURE_TIMES, UNSTEADY_RAD = 4.0, float(np.deg2rad(4.0))
@@ -72,7 +72,7 @@ def _straight_on(angles_rad: Array, turns: Array) -> tuple[float, float, float]:
     for _ in range(ROUNDS):
         line = np.linalg.lstsq(design[kept], angles_rad[kept], rcond=None)[0]
         off = np.abs(angles_rad - design @ line)
-        spread = MAD_PER_SIGMA * float(np.median(off))
+        spread = MAD_TO_SIGMA * float(np.median(off))
         kept = off <= OUTLIER_SIGMAS * max(spread, 1e-9)
     weight = np.linalg.pinv(design[kept].T @ design[kept] + RIDGE * np.eye(2))
     return float(line[0]), spread * float(np.sqrt(weight[0, 0])), spread

@@ -95,7 +95,7 @@ class SensorChangeItem(Answer):
 
 
 class CalibrationDiffItem(Answer):
-    """What changed from the calibration `against` to `id`; `robot` are its footprint and the vehicle's limits."""
+    """The changes from the calibration `against` to `id`; `robot` are its footprint and the vehicle's limits."""
 
     model_config = example(
         against=ID_EXAMPLE,

@@ -32,7 +32,7 @@ def dataset_entries(session: Session, dataset: Dataset) -> Entries:
 
 
 def dataset_quality(session: Session, dataset_id: str) -> LabelQuality:
-    """The quality of the label sets of train and val together: of test nothing is told."""
+    """Return the quality of the label sets of train and val together; that of test is hidden."""
     of_version = select(DatasetMember).where(DatasetMember.dataset_id == dataset_id, DatasetMember.part.in_(OPEN))
     return pooled(row.quality for row in session.scalars(of_version.order_by(DatasetMember.name)))
 

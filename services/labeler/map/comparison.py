@@ -110,8 +110,8 @@ class ProfileComparison:
 class ComparisonCounter:
     """Counts tile after tile."""
 
-    def __init__(self, run: LabelRun, tiles: Listing[TileSummary], reference: Reference) -> None:
-        self._run, self._own, self._other = run, reference, other_profile(run.parameters)
+    def __init__(self, run: LabelRun, tiles: Listing[TileSummary]) -> None:
+        self._run, self._other = run, other_profile(run.parameters)
         self._other_reference = other_reference(run, tiles)
         self._alternative = alternative_reference(run, tiles)
         self.comparison = ProfileComparison(np.zeros((3, 3), np.int64))

@@ -51,7 +51,7 @@ def map_folder(run: LabelRun) -> Path:
 def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out: Path, step: Step) -> None:
     """Write `bev.png`, `thumbnail.png`, `mesh.ply` and the viewer's scene into the folder `out`, in the order of the
     tiles, and leave in scratch how the profiles compare and how much of the way is T."""
-    view, counter, scene = TopView({}), ComparisonCounter(run, tiles, reference), SceneFiles(run, reference, out)
+    view, counter, scene = TopView({}), ComparisonCounter(run, tiles), SceneFiles(run, reference, out)
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 1)

@@ -12,7 +12,7 @@ from hypothesis import strategies as st
 from services.labeler.map.track_coverage import coverage_findings
 from stone.geometry.lattice import centres_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, _reached, densified, passed_through, swept
+from stone.labels.footprint import BAND_M, STEP_M, STEP_RAD, _reached, densified, passed_through, passes
 from stone.labels.track_coverage import STEP_M as SPACING_M
 from stone.labels.track_coverage import TrackCoverage, coverage, covered_places, places_of, spaced
 from stone.labels.voxels import VOXEL_M
@@ -43,28 +43,30 @@ def test_what_is_swept_is_what_lies_under_any_pose(seed):
     for pose in densified(poses, STEP_M, STEP_RAD).wxyz_xyz:
         x, y, z = np.abs(SE3(pose).inverse() @ centres_of(keys, VOXEL_M)).T
         inside |= (x <= FOOTPRINT.length_m / 2) & (y <= FOOTPRINT.width_m / 2) & (z <= BAND_M)
-    assert (swept(keys, [poses], FOOTPRINT) == inside).all()
+    assert (passes(keys, [poses], FOOTPRINT).is_driven == inside).all()
 
 
 def test_a_straight_drive_over_a_plane_covers_exactly_its_rectangle():
     keys = block((-40, -10, 0), (40, 10, 1))
     x, y, _ = centres_of(keys, VOXEL_M).T
     expected = (x >= -2.04 - 0.53) & (x <= 3.04 + 0.53) & (np.abs(y) <= 0.425)
-    under = swept(keys, [path((-2.04, 0, 0.1, 0), (3.04, 0, 0.1, 0))], FOOTPRINT)
+    under = passes(keys, [path((-2.04, 0, 0.1, 0), (3.04, 0, 0.1, 0))], FOOTPRINT).is_driven
     assert (under == expected).all()
     assert under.sum() == 31 * 4
 
 
 def test_voxels_beyond_the_band_are_not_driven_on():
     keys = block((-2, -2, -5), (2, 2, 5))
-    under = swept(keys, [path((0, 0, 0, 0))], FOOTPRINT, band_m=0.15)
+    under = passes(keys, [path((0, 0, 0, 0))], FOOTPRINT, band_m=0.15).is_driven
     assert set(centres_of(keys[under], VOXEL_M)[:, 2].round(3)) == {-0.1, 0.1}
 
 
 def test_nothing_is_driven_between_two_stretches():
     keys = block((-5, -2, 0), (60, 2, 1))
     x, _, _ = centres_of(keys, VOXEL_M).T
-    under = swept(keys, [path((0, 0, 0.1, 0), (1, 0, 0.1, 0)), path((8, 0, 0.1, 0), (10, 0, 0.1, 0))], FOOTPRINT)
+    under = passes(
+        keys, [path((0, 0, 0.1, 0), (1, 0, 0.1, 0)), path((8, 0, 0.1, 0), (10, 0, 0.1, 0))], FOOTPRINT
+    ).is_driven
     assert under[(x <= 1.53) | ((x >= 7.47) & (x <= 10.53))].sum() == under.sum()
     assert not under[(x > 1.53) & (x < 7.47)].any()
 
@@ -74,7 +76,7 @@ def test_a_robot_that_turns_on_the_spot_sweeps_a_disc_with_its_corners():
     x, y, _ = centres_of(keys, VOXEL_M).T
     quarter_turns = path(*[(0, 0, 0.1, math.radians(angle)) for angle in (0, 90, 180)])
     reach_m = math.hypot(FOOTPRINT.length_m, FOOTPRINT.width_m) / 2
-    assert swept(keys, [quarter_turns], FOOTPRINT)[np.hypot(x, y) <= reach_m - 0.01].all()
+    assert passes(keys, [quarter_turns], FOOTPRINT).is_driven[np.hypot(x, y) <= reach_m - 0.01].all()
 
 
 @settings(max_examples=30, deadline=None)
@@ -94,8 +96,8 @@ def test_fewer_than_two_poses_have_nothing_between(count):
     poses = SE3.identity((count,))
     assert len(densified(poses, 0.1)) == count
     keys = block((-3, -3, 0), (3, 3, 1))
-    assert swept(keys, [poses], FOOTPRINT).any() == (count == 1)
-    assert swept(keys[:0], [poses], FOOTPRINT).shape == (0,)
+    assert passes(keys, [poses], FOOTPRINT).is_driven.any() == (count == 1)
+    assert passes(keys[:0], [poses], FOOTPRINT).is_driven.shape == (0,)
 
 
 def test_the_body_goes_through_what_is_above_its_clearance_and_below_its_top():
@@ -133,7 +135,7 @@ def without(*gone) -> np.ndarray:
 
 def test_a_floor_that_is_driven_on_everywhere_is_covered_and_so_is_what_sweeping_marks():
     floor = keys(WIDE)
-    for driven in (floor, floor[swept(floor, (WAY,), FOOTPRINT)]):
+    for driven in (floor, floor[passes(floor, (WAY,), FOOTPRINT).is_driven]):
         assert coverage(driven, WAY, FOOTPRINT).closed_ratio == 1.0
 
 

@@ -241,7 +241,7 @@ class BoardEvaluationVersion:
 class Board:
     """`pair` is null, and nothing stands on the board, before the phase's first ground truth.
 
-    `silence` is why neither ties nor intervals of ranks are told, `rank_scope` is that of their variances.
+    `silence` is the reason if the board has neither ties nor intervals of ranks, `rank_scope` that of their variances.
     `revision` is empty for a board of the past.
     """
 
