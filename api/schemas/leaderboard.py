@@ -58,6 +58,15 @@ class SupportItem(Answer):
     N: int
 
 
+class DangerItem(Answer):
+    """Of N voxels the share predicted drivable (T or P), and predicted T alone; null without N. Lower is better."""
+
+    model_config = example(n_predicted_drivable_ratio=0.062, n_predicted_t_ratio=0.031)
+
+    n_predicted_drivable_ratio: float | None
+    n_predicted_t_ratio: float | None
+
+
 class PairItem(Answer):
     """By what scores were made: ground truth (`ground_truth` counts those of the phase) and metric.
 
@@ -86,7 +95,8 @@ class BoardRow(Answer):
     """A line of a board. Null is what is not known, does not apply, or is not shown to the caller.
 
     `standing`: only ranked entries have a rank; a baseline is shown beside them, an undefined entry lacks a ratio, a
-    reported result was published elsewhere (`source`, `note`) and not scored here. In per cent a row has
+    reported result was published elsewhere (`source`, `note`) and not scored here, and a ceiling is the score of labels
+    of a drive against labels of the same drive: no entry can be expected to score above it. In per cent a row has
     `percent_digits` decimals: a reported one as many as it was printed with.
     """
 
@@ -118,6 +128,7 @@ class BoardRow(Answer):
     ratios: RatiosItem
     intervals: IntervalsItem | None
     support: SupportItem | None
+    danger: DangerItem | None
     source: str | None
     note: str | None
     percent_digits: int

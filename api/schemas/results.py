@@ -6,6 +6,7 @@ from fastapi import Query
 
 from api.schemas.base import Answer, IdQuery, Instant, example, example_of
 from api.schemas.leaderboard import (
+    DangerItem,
     IntervalsItem,
     PairItem,
     RatiosItem,
@@ -21,21 +22,17 @@ ScoreQuery = Annotated[IdQuery, Query(description="an older score of the submiss
 ByQuery = Annotated[By, Query(description="what the frames are grouped by; distance is from the robot")]
 
 
-class ExtrasItem(Answer):
+class ExtrasItem(DangerItem):
     """Not ranked. Danger: of N voxels the share predicted drivable (T or P), and predicted T alone; over-caution: of T
     voxels the share predicted N. IoU of drivable columns: without N beyond the robot's height of 1.6 m above the
     surface (`clear_drivable_iou`), or with any N (`bev_drivable_iou`)."""
 
     model_config = example(
-        n_predicted_drivable_ratio=0.062,
-        n_predicted_t_ratio=0.031,
         t_predicted_n_ratio=0.058,
         bev_drivable_iou=0.61,
         clear_drivable_iou=0.66,
     )
 
-    n_predicted_drivable_ratio: float | None
-    n_predicted_t_ratio: float | None
     t_predicted_n_ratio: float | None
     bev_drivable_iou: float | None
     clear_drivable_iou: float | None

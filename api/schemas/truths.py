@@ -8,7 +8,7 @@ from api.schemas.base import PLAIN, Answer, Body, Instant, Reason, example, exam
 from api.schemas.jobs import JobItem
 from api.schemas.phase_bodies import Version
 from services.domain.benchmarks.modalities import Modality
-from services.domain.benchmarks.phases.reported_results import MOST_ROWS, ReportedRow
+from services.domain.benchmarks.phases.reported_results import MOST_ROWS, ReportedKind, ReportedRow
 from services.domain.benchmarks.visibility import PERCENT_DIGITS
 
 Ratio = Annotated[float, Field(ge=0, le=1, allow_inf_nan=False)]
@@ -65,6 +65,7 @@ class TruthAccepted(Answer):
 class ReportedItem(Body):
     """A result as somebody published it: `source` says who and where; ratios, not percentages; null was not given.
 
+    `kind` is `ceiling` for labels of a drive scored against labels of the same drive, as `stone ceiling` does.
     `note` is what a reader of the board must know of it; `percent_digits` are the decimals of its per cent as printed.
     """
 
@@ -79,6 +80,7 @@ class ReportedItem(Body):
         miou=None,
         note="published on another test split",
         percent_digits=1,
+        kind="published",
     )
 
     method: Annotated[str, StringConstraints(pattern=PLAIN, min_length=1, max_length=100, strip_whitespace=True)]
@@ -91,6 +93,7 @@ class ReportedItem(Body):
     miou: Ratio | None = None
     note: Annotated[str, StringConstraints(pattern=PLAIN, max_length=600, strip_whitespace=True)] = ""
     percent_digits: Annotated[int, Field(ge=0, le=4)] = PERCENT_DIGITS
+    kind: ReportedKind = "published"
 
     def row(self) -> ReportedRow:
         return ReportedRow(**self.model_dump())

@@ -25,6 +25,7 @@ from stone.scoring.metric import CLASS_NAMES, CLASSES, METRIC_VERSION, RATIOS, m
 OCCUPIED = slice(1, None)
 T, N = CLASS_NAMES.index("T"), CLASS_NAMES.index("N")
 DRIVABLE = slice(T, N)
+DANGERS: Mapping[str, int | slice] = {"n_predicted_drivable_ratio": DRIVABLE, "n_predicted_t_ratio": T}
 
 Counts = NDArray[np.integer[Any]]
 Ratios = NDArray[np.float64]
@@ -80,18 +81,17 @@ def extras(confusion: Counts, bev: Counts, columns: Counts | None = None) -> Ext
     both = clear[DRIVABLE, DRIVABLE].sum()
     either = clear[DRIVABLE].sum() + clear[:, DRIVABLE].sum() - both
     return Extras(
-        n_predicted_t_ratio=_or_none(float(_ratio(counts[N, T], of_truth[N]))),
-        n_predicted_drivable_ratio=n_predicted_drivable(counts),
+        **danger(counts),
         t_predicted_n_ratio=_or_none(float(_ratio(counts[T, N], of_truth[T]))),
         bev_drivable_iou=_or_none(float(_ratio(bev[0].astype(np.int64), bev.sum(dtype=np.int64)))),
         clear_drivable_iou=_or_none(float(_ratio(both, either))),
     )
 
 
-def n_predicted_drivable(confusion: Counts) -> float | None:
-    """Return the share of N voxels of one confusion (4, 4) that are predicted T or P, None without N."""
+def danger(confusion: Counts) -> dict[str, float | None]:
+    """Return the shares of N voxels of one confusion (4, 4) that are predicted T or P and T alone, None without N."""
     of_n = _checked(confusion)[N]
-    return _or_none(float(_ratio(of_n[DRIVABLE].sum(), of_n.sum())))
+    return {name: _or_none(float(_ratio(of_n[wrong].sum(), of_n.sum()))) for name, wrong in DANGERS.items()}
 
 
 def tolerant_ratios(confusion: Counts, pairs: Counts) -> dict[str, float | None]:

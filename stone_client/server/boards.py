@@ -10,7 +10,7 @@ from stone_base.errors import one_line
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
 from stone_client.server.scores import RATIOS, interval, percent
-from stone_client.tables import plain_table, safe_text
+from stone_client.tables import DASH, plain_table, safe_text
 
 
 @dataclass(frozen=True)
@@ -43,17 +43,19 @@ def board_file(api: Api, asked: BoardSelection, form: str) -> bytes:
 def board_table(record: Mapping[str, Any]) -> Table:
     """Two lines for each row: who and which submission, what it scored and the interval of its mIoU.
 
+    Danger is the share of N predicted T or P, and below it that of T alone.
     A rank that a paired test cannot part from others shows its range.
     """
     title = f"{record['benchmark']} / {record['phase']}: track {record['track']}, %"
-    table = plain_table(title, "", "method · team", "track", *RATIOS.values())
+    table = plain_table(title, "", "method · team", "track", *RATIOS.values(), "danger")
     for column in table.columns[1:3]:
         column.justify, column.overflow = "left", "fold"
     for row in record["rows"]:
         told = (row["intervals"] or {}).get("miou")
         miou, *others = (percent(row["ratios"][key], row["percent_digits"]) for key in RATIOS)
         whose = f"{safe_text(row['method'])}{_team(row)}\n{safe_text(row['submission_id'] or row['source'] or '')}"
-        table.add_row(_rank(row), whose, row["modality"], f"{miou}\n{interval(told) if told else ''}", *others)
+        shares = (f"{miou}\n{interval(told) if told else ''}", *others, _danger(row))
+        table.add_row(_rank(row), whose, row["modality"], *shares)
     return table
 
 
@@ -71,6 +73,13 @@ def _team(row: Mapping[str, Any]) -> str:
     if row["submission_id"] is None:
         return ""
     return f" · {'(anonymous)' if row['team'] is None else safe_text(row['team'])}{' *' if row['is_yours'] else ''}"
+
+
+def _danger(row: Mapping[str, Any]) -> str:
+    found = row["danger"]
+    if found is None:
+        return DASH
+    return f"{percent(found['n_predicted_drivable_ratio'])}\nT {percent(found['n_predicted_t_ratio'])}"
 
 
 def _rank(row: Mapping[str, Any]) -> str:

@@ -31,12 +31,13 @@ class PublishedRow:
 
 @dataclass(frozen=True)
 class PublishedTable:
-    """`note` is what is to be known of every row."""
+    """`note` and `kind` (of a reported row in the API) are about every row."""
 
     title: str
     source: str
     note: str
     rows: tuple[PublishedRow, ...]
+    kind: str = "published"
 
     def reported(self) -> list[dict[str, Any]]:
         """The rows as the API takes them."""
@@ -47,7 +48,7 @@ class PublishedTable:
         ratios = {name: float(v.scaleb(-2)) if v is not None else None for name, v in zip(RATIOS, printed, strict=True)}
         digits = max(len((value or "").partition(".")[2]) for value in row.percent)
         said = {"source": self.source, "note": f"{self.note} {row.remark}".rstrip(), "percent_digits": digits}
-        return {"method": row.method, "modality": row.modality, **said, **ratios}
+        return {"method": row.method, "modality": row.modality, "kind": self.kind, **said, **ratios}
 
 
 TABLE2 = PublishedTable(
@@ -85,7 +86,7 @@ def table_named(name: str) -> PublishedTable:
     try:
         read = json.loads(Path(name).read_text("utf-8"))
         rows = tuple(PublishedRow(row["method"], row["modality"], tuple(row["percent"])) for row in read["rows"])
-        table = PublishedTable(read["title"], read["source"], read["note"], rows)
+        table = PublishedTable(read["title"], read["source"], read["note"], rows, read["kind"])
         table.reported()
     except (OSError, ValueError, KeyError, TypeError, AttributeError, InvalidOperation) as error:
         raise Refused(

@@ -1,4 +1,4 @@
-"""The rows of a published table put on a board as reported ones, beside those that stand there already.
+"""The rows of a published table or a ceiling put on a board as reported ones, beside those that stand there already.
 
 **Conventions.** Rows that are not of the table stay as they are. A row of the table that stands already is left; one
 that stands otherwise is an error, unless it is to be replaced: somebody wrote it, and may know better.
@@ -18,7 +18,7 @@ from stone_client.server.scores import RATIOS, percent
 from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table, safe_text
 
-TEXTS = {"source": "source", "note": "note", "percent_digits": "number of decimals"}
+TEXTS = {"kind": "kind", "source": "source", "note": "note", "percent_digits": "number of decimals"}
 DONE = {"put": "put", "left": "stood already", "replaced": "replaced"}
 
 

@@ -151,13 +151,16 @@ def test_reported_rows_are_put_as_a_whole_and_read_as_they_are_put(
     api: httpx.Client, administrator: Person, version: str
 ) -> None:
     path = f"{ADMIN}/phases/{made(api, administrator, version)['test']['id']}/reported"
-    whole = {**PAPER, "iou_occ": None, "iou_t": None, "iou_p": None, "iou_n": None, "note": "", "percent_digits": 2}
+    whole = {**PAPER, "iou_occ": None, "iou_t": None, "iou_p": None, "iou_n": None, "note": "", "percent_digits": 2,
+             "kind": "published"}  # fmt: skip
     for _ in range(2):
         put = api.put(path, json={"rows": [PAPER], **WHY}, headers=administrator.headers)
         assert (put.status_code, put.json()) == (200, [whole])
     assert api.get(path, headers=administrator.headers).json() == [whole]
     noted = whole | {"note": "of another split", "percent_digits": 1}
-    assert api.put(path, json={"rows": [noted], **WHY}, headers=administrator.headers).json() == [noted]
+    ceiling = noted | {"kind": "ceiling"}
+    for rows in ([noted], [ceiling], [noted]):
+        assert api.put(path, json={"rows": rows, **WHY}, headers=administrator.headers).json() == rows
     assert api.put(path, json={"rows": [], **WHY}, headers=administrator.headers).json() == []
 
 
@@ -179,7 +182,7 @@ NO_ROWS: tuple[tuple[dict[str, Any], str], ...] = (
     ({"miou": 25.0}, "invalid_request"), ({"miou": -0.1}, "invalid_request"), ({"modality": "L+C"}, "invalid_request"),
     ({"method": ""}, "invalid_request"), ({"source": "a\u200bb"}, "invalid_request"), ({"rank": 1}, "invalid_request"),
     ({"note": "a\u202eb"}, "invalid_request"), ({"note": "a" * 601}, "invalid_request"),
-    ({"percent_digits": 5}, "invalid_request"), ({}, "reported_twice"),
+    ({"percent_digits": 5}, "invalid_request"), ({"kind": "floor"}, "invalid_request"), ({}, "reported_twice"),
 )  # fmt: skip
 
 

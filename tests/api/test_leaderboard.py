@@ -54,6 +54,9 @@ def test_a_board_says_by_what_and_how_surely(api: httpx.Client, platform: Platfo
     low, high = first["intervals"]["miou"]
     assert low < first["ratios"]["miou"] < high
     assert first["support"]["T"] > 0
+    extras = answered(look.of(look.mine, "results"))["extras"]
+    assert first["danger"] == {name: extras[name] for name in ("n_predicted_drivable_ratio", "n_predicted_t_ratio")}
+    assert 0 < first["danger"]["n_predicted_drivable_ratio"] < second["danger"]["n_predicted_drivable_ratio"] < 1
 
 
 def test_every_form_has_the_same_rows(api: httpx.Client, platform: Platform) -> None:
@@ -123,6 +126,9 @@ def test_a_running_hidden_phase_tells_no_form_more_than_rounded_values(api: http
         assert not any(str(exact).encode() in content for content in files.values())
         row = pq.read_table(io.BytesIO(files["parquet"])).to_pylist()[0]
         assert (row["miou"], row["miou_low"]) == (round(exact, 4), None)
+        assert (board["rows"][0]["danger"], row["n_predicted_drivable_ratio"], row["n_predicted_t_ratio"]) == (
+            None,
+        ) * 3
     assert look.board(look.administrator)["rows"][0]["ratios"]["miou"] == exact
 
 

@@ -140,7 +140,7 @@ def test_a_board_is_a_table_and_every_file_the_server_makes(
 ) -> None:
     at = (served.world.benchmark, "val")
     shown = stone("leaderboard", *at)
-    assert all(word in shown.stdout for word in ("Good", "C+L", f"{as_team['team']} *", "mIoU"))
+    assert all(word in shown.stdout for word in ("Good", "C+L", f"{as_team['team']} *", "mIoU", "danger"))
     assert "Bad" not in shown.stdout
     assert "Bad" in stone("leaderboard", *at, "--all").stdout
     rows = answered("leaderboard", *at)["rows"]

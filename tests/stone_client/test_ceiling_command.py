@@ -51,7 +51,7 @@ def test_the_score_is_that_of_one_half_against_the_other(bag: Path, tmp_path: Pa
     assert record["confusion"] == np.asarray(expected).tolist()
     (row,) = table_named(str(tmp_path / "ceiling.json")).reported()
     shown = None if record["total"]["iou_occ"] is None else round(record["total"]["iou_occ"], 3)
-    assert (row["iou_occ"], row["modality"]) == (shown, "L")
+    assert (row["iou_occ"], row["modality"], row["kind"]) == (shown, "L", "ceiling")
     assert "even rings" in row["note"]
     assert score_table(record, "").row_count == 7
 

@@ -79,11 +79,18 @@ def test_the_ten_rows_stand_as_printed_beside_others_and_are_put_once(served: Se
 def test_a_ceiling_stands_beside_the_other_rows(served: Served, tmp_path: Path) -> None:
     ratios = dict.fromkeys(RATIOS, 0.41234)
     record = {"frames": 7, "signature": "s", "total": ratios, "tolerant": ratios, "columns": {**ratios, "miou": None}}
+    record["extras"] = {"n_predicted_drivable_ratio": 0.0662}
     (tmp_path / "ceiling.json").write_text(json.dumps(row_of(record, "run", "sweeps")))
     answered("reported", tmp_path / "ceiling.json", *served.at("val"))
     rows = standing(served)
     assert rows.keys() == {("Another", "L+R"), ("Ceiling by sweeps: run", "L")}
     assert rows["Ceiling by sweeps: run", "L"][1] == 0.412
+    first, *_ = answered("leaderboard", served.world.benchmark, "val")["rows"]
+    assert (first["standing"], first["rank"], first["method"]) == ("ceiling", None, "Ceiling by sweeps: run")
+    assert "danger 6.6." in first["note"]
+    assert "ceiling" in stone("leaderboard", served.world.benchmark, "val").stdout
+    again = answered("reported", tmp_path / "ceiling.json", *served.at("val"))
+    assert [row["done"] for row in again["rows"]] == ["left"]
 
 
 def test_a_row_that_stands_otherwise_is_named_and_replaced_only_when_asked(served: Served) -> None:

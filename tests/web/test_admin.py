@@ -169,6 +169,7 @@ def test_reported_rows_are_edited_and_put_back_at_once(
             row = editor.get_by_role("row").nth(number + 1)
             row.get_by_label("Method").fill(f"Paper {number}")
             row.get_by_label("Modality").select_option("C+L")
+            row.get_by_label("Kind").select_option("ceiling")
             row.get_by_label("Source").fill("authors, year, table 2")
             row.get_by_label("Note").fill("of another split")
             row.get_by_label("miou").fill("0.342")
@@ -184,7 +185,7 @@ def test_reported_rows_are_edited_and_put_back_at_once(
     with platform.database.reading() as session:
         rows = reported_in(session, place.phase.id)
     assert [(row.method, row.modality, row.miou, row.iou_t) for row in rows] == [("Paper 0", "C+L", 0.342, None)]
-    assert [(row.note, row.percent_digits) for row in rows] == [("of another split", 1)]
+    assert [(row.note, row.percent_digits, row.kind) for row in rows] == [("of another split", 1, "ceiling")]
 
 
 NAMED_FROM_NS = 4_102_444_800_123_456_000  # with microseconds, which no picker knows

@@ -101,6 +101,8 @@ def test_on_a_phone_the_sticky_cell_is_highlighted_with_its_row(site: Site, boar
             hovered, own = plain.evaluate(BACKGROUNDS), yours.evaluate(BACKGROUNDS)
             assert [len(set(cells)) for cells in (resting, hovered, own)] == [1, 1, 1], (resting, hovered, own)
             assert len({resting[0], hovered[0], own[0]}) == 3
+        expect(page.locator("thead .danger")).to_have_text("Danger")
+        assert page.evaluate("document.documentElement.scrollWidth <= innerWidth"), "only the table scrolls"
 
 
 def order(html: str) -> list[str]:
@@ -117,6 +119,14 @@ def test_the_board_has_ties_in_a_bracket_sorts_and_filters(reading: Reading, boa
     assert tie == "2"
     for printed in ("24.3", "41.0", "31.0", "20.0", "22.0"):
         assert f">{printed}<" in html.partition('data-standing="reported"')[2], printed
+    ceiling = html.partition('<tbody data-standing="ceiling">')[2].partition("</tbody>")[0]
+    assert all(said in ceiling for said in ("the same drive labelled twice", ">78.1<", "no rank"))
+    assert html.index('<tbody data-standing="ceiling">') < html.index('<tbody data-standing="ranked">')
+    assert "no entry can be expected to score above it" in html
+    assert '<span class="tag">ceiling</span>' in reading.html(f"/benchmarks/{board.benchmark}")
+    extras = board.at.score_row(board.mine).record["extras"]
+    mine = html.partition(f'value="{board.mine}"')[2].partition("</tr>")[0]
+    assert mine.partition('danger">')[2].startswith(f"{100 * extras['n_predicted_drivable_ratio']:.2f}<")
     by_name = reading.html(f"{board.path}?sort=method")
     assert order(by_name) == sorted(map(str, IN_ORDER))
     assert "is-tied" not in by_name
@@ -225,6 +235,7 @@ class Hidden:
         exact = {f"exact {name}": f"{record['total'][name]:.8f}"[2:9] for name in RATIOS}
         ends = {f"{name} {end}": f"{100 * bounds[name][end]:.2f}" for name in RATIOS for end in (0, 1)}
         parts = {f"of {name}": f"{100 * part['miou']:.2f}" for name, part in record["by"]["sequence"].items()}
+        parts["danger"] = f"{100 * record['extras']['n_predicted_drivable_ratio']:.2f}"
         counts = {f"count {n}": f"{n:,}" for row in record["confusion"] for n in row if n}
         ids = (self.season.mine, *self.season.entries.values())
         totals = [self.season.at.score_row(one).record["total"].values() for one in ids]

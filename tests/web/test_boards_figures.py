@@ -47,8 +47,9 @@ def test_an_axis_around_zero_has_zero_in_the_middle() -> None:
 
 def row(method: str, miou: float | None, **said: Any) -> BoardRow:
     ratios = {"miou": miou, "iou_occ": 0.5, "iou_t": 1 - (miou or 0), "iou_p": 0.2, "iou_n": None}
+    danger = {"n_predicted_drivable_ratio": said.pop("danger", None), "n_predicted_t_ratio": None}
     return BoardRow.model_validate(
-        example_of(BoardRow) | {"method": method, "ratios": ratios, "rank_interval": None} | said
+        example_of(BoardRow) | {"method": method, "ratios": ratios, "danger": danger, "rank_interval": None} | said
     )
 
 
@@ -61,9 +62,9 @@ def a_board(rows: list[BoardRow], sort: Any = "rank", **said: Any) -> ShownBoard
 
 
 ROWS = [
-    row("b", 0.6, rank=1, tie_group=1),
+    row("b", 0.6, rank=1, tie_group=1, danger=0.2),
     row("a", 0.5, rank=2, tie_group=2, submitted_at=datetime(2026, 7, 1, tzinfo=UTC)),
-    row("c", 0.4, rank=3, tie_group=2),
+    row("c", 0.4, rank=3, tie_group=2, danger=0.1),
     row("d", 0.9, standing="baseline", rank=None, tie_group=None),
     row("e", None, standing="reported", rank=None, tie_group=None, submitted_at=None),
 ]
@@ -78,7 +79,8 @@ def test_rows_of_a_tie_group_share_one_bracket() -> None:
 
 
 @pytest.mark.parametrize(
-    ("sort", "ranked"), [("rank", "bac"), ("miou", "bac"), ("iou_t", "cab"), ("method", "abc"), ("submitted", "abc")]
+    ("sort", "ranked"),
+    [("rank", "bac"), ("miou", "bac"), ("iou_t", "cab"), ("method", "abc"), ("submitted", "abc"), ("danger", "cba")],
 )
 def test_sorting_moves_rows_within_their_standing_and_keeps_their_ranks(sort: Any, ranked: str) -> None:
     board = a_board(ROWS, sort)
@@ -90,6 +92,7 @@ def test_sorting_moves_rows_within_their_standing_and_keeps_their_ranks(sort: An
 def test_only_ranked_rows_are_the_best_of_a_column() -> None:
     best = {one.row.method: one.best for group in a_board(ROWS).groups for one in group.rows}
     assert best["b"] == {"miou", "iou_occ", "iou_p"}
+    assert "danger" in best["c"], "the lowest"
     assert best["d"] == frozenset()
 
 

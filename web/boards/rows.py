@@ -20,14 +20,15 @@ from services.domain.benchmarks.visibility import Viewer
 from services.runtime.platform import Platform
 from web.boards.comparison import Axis, axis_over
 
-Sort = Literal["rank", "miou", "iou_occ", "iou_t", "iou_p", "iou_n", "submitted", "method"]
+Sort = Literal["rank", "miou", "iou_occ", "iou_t", "iou_p", "iou_n", "danger", "submitted", "method"]
 RATIO_COLUMNS = (("iou_occ", "occupied"), ("iou_t", "T"), ("iou_p", "P"), ("iou_n", "N"))
-RATIO_NAMES = ("miou", *(name for name, _ in RATIO_COLUMNS))
+VALUE_NAMES = ("miou", *(name for name, _ in RATIO_COLUMNS), "danger")
 TITLES: Mapping[EntryStatus, str] = {
+    "ceiling": "Ceiling: the same drive labelled twice",
     "ranked": "Entries",
     "baseline": "Baselines (not ranked)",
     "undefined": "Unranked entries (a class is undefined)",
-    "reported": "Not evaluated here: reported by others, or a ceiling of the labels",
+    "reported": "Reported by others, not evaluated here",
 }
 FEW = 5
 
@@ -86,6 +87,10 @@ class ShownBoard:
         return any(one.tied > 1 for group in self.groups for one in group.rows)
 
     @property
+    def has_danger(self) -> bool:
+        return any(row.danger is not None for row in self.answer.rows)
+
+    @property
     def comparable(self) -> int:
         """The number of rows that can be compared."""
         return sum(one.row.submission_id is not None for group in self.groups for one in group.rows)
@@ -139,8 +144,8 @@ def board_with_figures(answer: LeaderboardAnswer, sort: Sort = "rank") -> ShownB
 
 
 def shortened(whole: ShownBoard, most: int = FEW) -> ShownBoard:
-    """The best `most` ranked rows with their axis, beside them the best baseline and the best reported row."""
-    shown = {"ranked": most, "baseline": 1, "reported": 1}
+    """The best `most` ranked rows with their axis, beside them the best ceiling, baseline and reported row."""
+    shown = {"ceiling": 1, "ranked": most, "baseline": 1, "reported": 1}
     rows: list[BoardRow] = []
     for group in whole.groups:
         rows += [one.row for one in group.rows[: shown.get(group.standing, 0)]]
@@ -174,24 +179,23 @@ def _number_of(note: str | None, notes: Sequence[str]) -> int:
 
 
 def _sorted(rows: Sequence[BoardRow], sort: Sort) -> list[BoardRow]:
-    """Ratios and times falling, what is not known last; methods by the alphabet."""
+    """Ratios and times falling, danger rising, unknown values last; methods by the alphabet."""
     if sort == "rank":
         return list(rows)
     if sort == "method":
         return sorted(rows, key=lambda row: row.method.casefold())
-    value_of: Callable[[BoardRow], float | None] = _submitted if sort == "submitted" else lambda row: _ratio(row, sort)
-    return sorted(rows, key=lambda row: _falling(value_of(row)))
-
-
-def _falling(value: float | None) -> tuple[bool, float]:
-    return (value is None, -(value or 0.0))
+    value_of: Callable[[BoardRow], float | None] = _submitted if sort == "submitted" else lambda row: _value(row, sort)
+    sign = 1 if sort == "danger" else -1
+    return sorted(rows, key=lambda row: (value_of(row) is None, sign * (value_of(row) or 0.0)))
 
 
 def _submitted(row: BoardRow) -> float | None:
     return None if row.submitted_at is None else row.submitted_at.timestamp()
 
 
-def _ratio(row: BoardRow, name: str) -> float | None:
+def _value(row: BoardRow, name: str) -> float | None:
+    if name == "danger":
+        return None if row.danger is None else row.danger.n_predicted_drivable_ratio
     value: float | None = getattr(row.ratios, name)
     return value
 
@@ -218,14 +222,15 @@ def _whisker(row: BoardRow, axis: Axis) -> BoardWhisker | None:
 
 
 def _bests(rows: Sequence[BoardRow]) -> dict[str, float]:
-    found = {name: [value for row in rows if (value := _ratio(row, name)) is not None] for name in RATIO_NAMES}
-    return {name: max(values) for name, values in found.items() if len(values) > 1}
+    found = {name: [value for row in rows if (value := _value(row, name)) is not None] for name in VALUE_NAMES}
+    best_of = {"danger": min}
+    return {name: best_of.get(name, max)(values) for name, values in found.items() if len(values) > 1}
 
 
 def _best_in(row: BoardRow, bests: Mapping[str, float]) -> frozenset[str]:
     if row.standing != "ranked":
         return frozenset()
-    return frozenset(name for name, best in bests.items() if _ratio(row, name) == best)
+    return frozenset(name for name, best in bests.items() if _value(row, name) == best)
 
 
 # The history of a leaderboard: slider stops, and a curve of the best mIoU.

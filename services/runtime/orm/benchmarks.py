@@ -111,7 +111,7 @@ class Rescore(Base):
 
 
 class Reported(Base):
-    """A result that somebody else published: on the board, marked as not scored here, and never ranked.
+    """A published result or a ceiling (`kind`): on the board, marked as not scored here, and never ranked.
 
     `note` is what a reader must know of it beside its source; `percent_digits` are the decimals of its per cent as
     printed.
@@ -123,6 +123,7 @@ class Reported(Base):
     method: Mapped[str] = mapped_column(String(100))
     modality: Mapped[str] = mapped_column(String(8))
     source: Mapped[str] = mapped_column(String(300))
+    kind: Mapped[str] = mapped_column(String(16), default="published", server_default=text("'published'"))
     note: Mapped[str] = mapped_column(String(600), default="", server_default=text("''"))
     percent_digits: Mapped[int] = mapped_column(default=2, server_default=text("2"))
     iou_occ: Mapped[float | None]

@@ -5,7 +5,7 @@ import { sayError, toast } from "../notices.js";
 
 type Field = HTMLInputElement | HTMLSelectElement;
 
-const TEXTS = ["method", "modality", "source", "note"];
+const TEXTS = ["method", "modality", "kind", "source", "note"];
 
 for (const section of document.querySelectorAll<HTMLElement>("[data-reported]")) install(section);
 

@@ -20,7 +20,7 @@ from api.views.truths import reported_item, truth_items
 from api.visible import phase_at
 from services.domain.benchmarks.alarms.alarms import open_alarms
 from services.domain.benchmarks.modalities import MODALITIES
-from services.domain.benchmarks.phases.reported_results import reported_in
+from services.domain.benchmarks.phases.reported_results import KINDS, reported_in
 from services.domain.benchmarks.rescores.diff import rescore_diff
 from services.runtime.orm import Alarm, GroundTruthRow, Job, Rescore
 from stone.scoring.metric import METRICS
@@ -59,7 +59,7 @@ def phase(
     detail = values["phase"]
     values["metrics"] = [metric for metric in METRICS.values() if metric.successor is None]
     values["superseded"] = detail.active and detail.active.metric in METRICS and METRICS[detail.active.metric].successor
-    return page(request, caller, "admin/phase.html", modalities=MODALITIES, ratios=RATIOS, **values)
+    return page(request, caller, "admin/phase.html", modalities=MODALITIES, kinds=KINDS, ratios=RATIOS, **values)
 
 
 @router.get("/admin/benchmarks/{benchmark_name}/{phase_name}/rescores/{rescore_id}")

@@ -13,7 +13,7 @@ from dataclasses import dataclass, replace
 from functools import cache
 from hashlib import sha256
 from threading import Lock
-from typing import Any
+from typing import Any, NamedTuple
 
 import numpy as np
 from cachetools import LRUCache, cached
@@ -31,6 +31,7 @@ from services.domain.benchmarks.boards.entries import (
     was_on_board_at,
 )
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, in_force
+from services.domain.benchmarks.phases.reported_results import is_reported_on
 from services.domain.benchmarks.visibility import PERCENT_DIGITS, Secrecy, Viewer, policy_of, secrecy_of
 from services.runtime.database.rows import KeptSelect, parameter
 from services.runtime.orm import (
@@ -47,6 +48,7 @@ from services.runtime.orm import (
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import Store
+from stone.scoring.confusion import danger
 from stone.scoring.intervals import WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
 from stone.scoring.pairs import EntrySpectra, board_spectra, entry_spectra, surely_above
@@ -114,7 +116,7 @@ def _entries(is_on_track: bool) -> KeptSelect:
 @cache
 def _reported_revision(is_on_track: bool) -> KeptSelect:
     found = select(*Reported.__table__.columns).where(Reported.phase_id == parameter("phase")).order_by(Reported.id)
-    return KeptSelect(found.where(Reported.modality == parameter("track")) if is_on_track else found)
+    return KeptSelect(found.where(is_reported_on(parameter("track"))) if is_on_track else found)
 
 
 # Rank confidence of leaderboard entries, from the spectra kept of their scores.
@@ -201,7 +203,8 @@ Ratios = Mapping[str, float | None]
 class LeaderboardRow:
     """A line of the board. `intervals` are about these places, by ratio; `support` voxels of the truth by class.
 
-    `source` and `note` are of a reported result, whose per cent have the `percent_digits` that they were printed with.
+    `danger` are the shares of N voxels by name (`stone.scoring.confusion.DANGERS`).
+    `source` and `note` are of a reported result or a ceiling, whose per cent have `percent_digits` decimals as printed.
     """
 
     standing: EntryStatus
@@ -217,6 +220,7 @@ class LeaderboardRow:
     is_yours: bool = False
     intervals: Mapping[str, Interval | None] | None = None
     support: Mapping[str, int] | None = None
+    danger: Ratios | None = None
     source: str | None = None
     note: str | None = None
     percent_digits: int = PERCENT_DIGITS
@@ -258,6 +262,14 @@ class Board:
     revision: str = ""
 
 
+class _ScoreDetails(NamedTuple):
+    """Parts of the record of a score."""
+
+    intervals: Any
+    support: Any
+    confusion: Any
+
+
 @dataclass(frozen=True)
 class _BoardRecords:
     """The database rows of a board."""
@@ -266,7 +278,7 @@ class _BoardRecords:
     order: BoardOrder
     viewer: Viewer
     phase: Phase
-    details: Mapping[str, tuple[Any, Any]]
+    details: Mapping[str, _ScoreDetails]
     key_of: Mapping[str, str]
     reported: tuple[LeaderboardRow, ...]
     now_ns: int
@@ -307,7 +319,9 @@ def _kept_board(platform: Platform, phase_id: str, query: BoardQuery, viewer: Vi
 def _made(platform: Platform, read: _BoardRecords) -> Board:
     ranked = [RankedScore(entry.ratios["miou"] or 0.0, entry.spectra_sha256) for entry in read.order.ranked]
     confidence = rank_confidence_of(platform.store, ranked, read.key_of) if ranked else RankConfidence((), ())
-    rows = (*_ranked(read, confidence), *_unranked(read), *read.reported)
+    ceilings = (row for row in read.reported if row.standing == "ceiling")
+    published = (row for row in read.reported if row.standing == "reported")
+    rows = (*ceilings, *_ranked(read, confidence), *_unranked(read), *published)
     return replace(read.board, rows=rows, silence=confidence.silence, rank_scope=confidence.scope)
 
 
@@ -356,12 +370,13 @@ def _board_version(
     return BoardEvaluationVersion(*of_truth, metric, signature, activated_ns, truth.frames, sequences_of(truth))
 
 
-def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, tuple[Any, Any]]:
-    """Intervals and supports by score, without the rest of the records."""
-    found: dict[str, tuple[Any, Any]] = {}
-    wanted = select(Score.id, Score.record["intervals"]["these_places"], Score.record["support"])
+def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, _ScoreDetails]:
+    """Return the details by score, without the rest of the records."""
+    found: dict[str, _ScoreDetails] = {}
+    parts = (Score.record["intervals"]["these_places"], Score.record["support"], Score.record["confusion"])
     for ids in _chunks([entry.score_id for entry in entries]):
-        found |= {row[0]: (row[1], row[2]) for row in session.execute(wanted.where(Score.id.in_(ids)))}
+        rows = session.execute(select(Score.id, *parts).where(Score.id.in_(ids)))
+        found |= {score_id: _ScoreDetails(*details) for score_id, *details in rows}
     return found
 
 
@@ -377,16 +392,16 @@ def _chunks(values: Sequence[str]) -> Iterable[Sequence[str]]:
 
 
 def _reported(session: Session, phase: Phase, query: BoardQuery) -> tuple[LeaderboardRow, ...]:
-    """Results published elsewhere, the best first."""
+    """Return the results published elsewhere and the ceilings, the best first."""
     found = select(Reported).where(Reported.phase_id == phase.id)
     if query.as_of_ns is not None:
         found = found.where(Reported.created_ns <= query.as_of_ns)
     if query.track != "all":
-        found = found.where(Reported.modality == query.track)
+        found = found.where(is_reported_on(query.track))
     rows = sorted(session.scalars(found), key=lambda row: (-(-1.0 if row.miou is None else row.miou), row.method))
     return tuple(
         LeaderboardRow(
-            "reported",
+            "ceiling" if row.kind == "ceiling" else "reported",
             row.method,
             row.modality,
             {name: getattr(row, name) for name in RATIOS},
@@ -412,7 +427,7 @@ def _unranked(read: _BoardRecords) -> Iterable[LeaderboardRow]:
 
 def _row(read: _BoardRecords, entry: BoardEntry) -> LeaderboardRow:
     policy = policy_of(read.viewer, read.phase, entry.team_id, read.now_ns)
-    intervals, support = read.details[entry.score_id]
+    details = read.details[entry.score_id]
     return LeaderboardRow(
         standing=entry.standing,
         method=entry.method,
@@ -422,7 +437,8 @@ def _row(read: _BoardRecords, entry: BoardEntry) -> LeaderboardRow:
         score_id=entry.score_id,
         team=entry.team if policy.shows("team") else None,
         is_yours=entry.team_id in read.viewer.team_ids,
-        intervals=intervals if policy.shows("intervals") else None,
-        support=support if policy.shows("extras") else None,
+        intervals=details.intervals if policy.shows("intervals") else None,
+        support=details.support if policy.shows("extras") else None,
+        danger=danger(np.array(details.confusion)) if policy.shows("extras") else None,
         submitted_ns=entry.finalized_ns,
     )

@@ -23,7 +23,7 @@ from stone.scoring.ranking import in_order, shared_ranks
 
 Track = Literal["all", "C", "L", "R", "C+L", "C+R", "L+R", "C+L+R"]  # `modalities.Modality`, and all
 Which = Literal["best", "all"]
-EntryStatus = Literal["ranked", "baseline", "undefined", "reported"]
+EntryStatus = Literal["ranked", "baseline", "undefined", "reported", "ceiling"]
 
 TRACKS: tuple[Track, ...] = get_args(Track)
 _SHOWN = (

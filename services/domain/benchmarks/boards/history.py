@@ -15,6 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.boards.entries import Track
+from services.domain.benchmarks.phases.reported_results import is_reported_on
 from services.domain.benchmarks.visibility import ON_BOARDS, rounded
 from services.runtime.orm import Activation, Phase, Reported, Score, SubmissionRow
 from stone.scoring.metric import RATIOS
@@ -59,9 +60,9 @@ def history(session: Session, phase: Phase, track: Track = "all") -> tuple[Board
 
 
 def tracks_with_rows(session: Session, phase: Phase) -> frozenset[str]:
-    """The modalities of which anything stands, or stood, on the board."""
+    """The modalities of which anything stands, or stood, on the board; ceilings are on every track."""
     scored = select(SubmissionRow.modality).where(*_of_board(phase)).distinct()
-    reported = select(Reported.modality).where(Reported.phase_id == phase.id).distinct()
+    reported = select(Reported.modality).where(Reported.phase_id == phase.id, Reported.kind == "published").distinct()
     return frozenset((*session.scalars(scored), *session.scalars(reported)))
 
 
@@ -81,7 +82,7 @@ def _comings(session: Session, phase: Phase, track: Track) -> Iterable[BoardChan
     reported = select(Reported.created_ns).where(Reported.phase_id == phase.id)
     if track != "all":
         found = found.where(SubmissionRow.modality == track)
-        reported = reported.where(Reported.modality == track)
+        reported = reported.where(is_reported_on(track))
     for settled_ns, withdrawn_ns, hidden_ns in session.execute(found):
         ends = [at_ns for at_ns in (withdrawn_ns, hidden_ns) if at_ns is not None]
         if settled_ns is None or (ends and min(ends) <= settled_ns):

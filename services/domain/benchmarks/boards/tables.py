@@ -14,6 +14,7 @@ from typing import Any, Literal
 
 from services.domain.benchmarks.boards.board import Board, LeaderboardRow
 from stone.errors import one_line
+from stone.scoring.confusion import DANGERS
 from stone.scoring.intervals import FEWEST_SEQUENCES, SILENCES
 
 Form = Literal["csv", "parquet", "md", "tex"]
@@ -24,7 +25,7 @@ MEDIA_TYPES: Mapping[Form, str] = {
     "tex": "application/x-tex; charset=utf-8",
 }
 RATIO_NAMES = ("miou", "iou_occ", "iou_t", "iou_p", "iou_n")
-HEADINGS = ("mIoU", "IoU occ", "IoU T", "IoU P", "IoU N")
+HEADINGS = ("mIoU", "IoU occ", "IoU T", "IoU P", "IoU N", "Danger", "Danger T")
 TEXTS = (
     "standing", "team", "method", "modality", "source", "note", "submitted_at", "submission_id", "metric", "signature"
 )  # fmt: skip
@@ -53,18 +54,22 @@ def cells(board: Board, row: LeaderboardRow) -> dict[str, Cell]:
     for name in RATIO_NAMES:
         bounds = (row.intervals or {}).get(name) or (None, None)
         found |= {name: row.ratios[name], f"{name}_low": bounds[0], f"{name}_high": bounds[1]}
-    of_ours = row.standing != "reported" and board.pair is not None
-    return found | {
-        "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
-        "metric": board.pair.metric if of_ours and board.pair else None,
-        "signature": board.pair.signature if of_ours and board.pair else None,
-    }
+    of_ours = row.source is None and board.pair is not None
+    return (
+        found
+        | _danger(row)
+        | {
+            "submitted_at": None if row.submitted_ns is None else _moment(row.submitted_ns),
+            "metric": board.pair.metric if of_ours and board.pair else None,
+            "signature": board.pair.signature if of_ours and board.pair else None,
+        }
+    )
 
 
 def columns() -> tuple[str, ...]:
     """The names of the columns, in their order."""
     bounded = [f"{name}{end}" for name in RATIO_NAMES for end in ("", "_low", "_high")]
-    return ("standing", *NUMBERS, *TEXTS[1:4], *bounded, *TEXTS[4:])
+    return ("standing", *NUMBERS, *TEXTS[1:4], *bounded, *DANGERS, *TEXTS[4:])
 
 
 def _csv(board: Board) -> bytes:
@@ -137,14 +142,17 @@ def _made_by(board: Board, quote: str = "") -> str:
 
 def _notes(board: Board, plain: Callable[[str], str]) -> str:
     """`plain` makes the texts of others harmless."""
-    sources = dict.fromkeys(row.source for row in board.rows if row.source is not None)
-    reported = [f"Reported: {'; '.join(map(plain, sources))}."] if sources else []
+    reported = [
+        f"{title}: {'; '.join(map(plain, sources))}."
+        for title, standing in (("Ceiling", "ceiling"), ("Reported", "reported"))
+        if (sources := dict.fromkeys(row.source or "" for row in board.rows if row.standing == standing))
+    ]
     said = [f"{plain(', '.join(rows))}: {plain(note)}" for note, rows in _rows_by_note(board).items()]
     return " ".join(["Per cent. Rank with its 95 % interval.", *notes(board), *reported, *said])
 
 
 def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
-    """What is to be known of reported rows, and of which."""
+    """What is to be known of reported rows and ceilings, and of which."""
     found: dict[str, list[str]] = {}
     for row in board.rows:
         if row.note is not None:
@@ -160,6 +168,10 @@ def notes(board: Board) -> Iterator[str]:
             yield f"Differences are tested over whole sequences: {SILENCES['few_frames']}."
     else:
         yield f"No ties and no intervals of ranks: {SILENCES[board.silence]}."
+    if any(row.standing == "ceiling" for row in board.rows):
+        yield "The ceiling is the same drive labelled twice: no entry can be expected to score above it."
+    if any(row.danger is not None for row in board.rows):
+        yield "Danger: share of non-traversable voxels predicted T or P, and predicted T alone; lower is better."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
     sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
     if sequences < FEWEST_SEQUENCES:
@@ -170,20 +182,27 @@ def notes(board: Board) -> Iterator[str]:
             f"can have a p below {2.0 ** (1 - sequences):g}."
         )
     if board.secrecy == "running":
-        yield "The ground truth is hidden: values are rounded to 4 digits until the phase ends."
+        yield (
+            "The ground truth is hidden: until the phase ends, values are rounded to 4 digits and only "
+            "administrators see danger."
+        )
 
 
 def _rank(row: LeaderboardRow) -> str:
     if row.rank is None:
-        return {"baseline": "baseline", "reported": "reported"}.get(row.standing, "--")
+        return "--" if row.standing == "undefined" else row.standing
     if row.rank_interval is None:
         return str(row.rank)
     return f"{row.rank} [{row.rank_interval[0]}, {row.rank_interval[1]}]"
 
 
 def _percents(row: LeaderboardRow) -> list[str]:
-    found, digits = (row.ratios[name] for name in RATIO_NAMES), row.percent_digits
+    found, digits = (*(row.ratios[name] for name in RATIO_NAMES), *_danger(row).values()), row.percent_digits
     return ["--" if value is None else f"{100 * round(value, digits + 2):.{digits}f}" for value in found]
+
+
+def _danger(row: LeaderboardRow) -> dict[str, float | None]:
+    return {name: (row.danger or {}).get(name) for name in DANGERS}
 
 
 def _moment(moment_ns: int) -> str:

@@ -1,13 +1,15 @@
-"""Results published elsewhere, added by an administrator: on the leaderboard, marked, never ranked.
+"""Results published elsewhere and ceilings, added by an administrator: on the leaderboard, marked, never ranked.
 
 **Conventions.** The list of a phase is put as a whole; a row is known by its method and modality, and one that is put
-again as it was stays the row it is.
+again as it was stays the row it is. A published result is on the track of its modality; a ceiling is about the labels
+and therefore on every track.
 """
 
 from collections.abc import Iterable, Sequence
 from dataclasses import dataclass, fields
+from typing import Literal, get_args
 
-from sqlalchemy import select
+from sqlalchemy import BindParameter, ColumnElement, or_, select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.phases import lock_phase
@@ -15,12 +17,15 @@ from services.domain.benchmarks.visibility import PERCENT_DIGITS
 from services.runtime.orm import Phase, Reported
 from stone.errors import Refused
 
+ReportedKind = Literal["published", "ceiling"]
+KINDS: tuple[ReportedKind, ...] = get_args(ReportedKind)
+
 MOST_ROWS = 200
 
 
 @dataclass(frozen=True)
 class ReportedRow:
-    """A published result and its source, as ratios; null is what was not published.
+    """A published result or a ceiling with its source, as ratios; null is what was not published.
 
     `note` is what a reader must know of it; `percent_digits` are the decimals of its per cent as printed.
     """
@@ -35,6 +40,12 @@ class ReportedRow:
     miou: float | None = None
     note: str = ""
     percent_digits: int = PERCENT_DIGITS
+    kind: ReportedKind = "published"
+
+
+def is_reported_on(track: str | BindParameter[str]) -> ColumnElement[bool]:
+    """Whether a reported row is on the board of this track."""
+    return or_(Reported.modality == track, Reported.kind == "ceiling")
 
 
 def reported_in(session: Session, phase_id: str) -> list[Reported]:

@@ -19,7 +19,7 @@ from services.domain.benchmarks.visibility import Field, Policy, Viewer, policy_
 from services.runtime.orm import Activation, Benchmark, Blob, GroundTruthRow, Phase, Score, SubmissionRow, Team
 from services.runtime.orm.base import now_ns
 from stone.errors import Refused
-from stone.scoring.confusion import n_predicted_drivable
+from stone.scoring.confusion import danger
 from stone.scoring.intervals import SCOPES, WITHDRAWN, Scope, Silence
 from stone.scoring.metric import RATIOS
 
@@ -184,8 +184,7 @@ def readable_scores(session: Session, viewer: Viewer, submission: SubmissionRow)
 
 def _extras(record: Record) -> Ratios:
     """The extras; a record of an earlier version lacks a share that its confusion gives, and the clear columns."""
-    share = n_predicted_drivable(np.array(record["confusion"]))
-    return {"n_predicted_drivable_ratio": share, "clear_drivable_iou": None, **record["extras"]}
+    return {**danger(np.array(record["confusion"])), "clear_drivable_iou": None, **record["extras"]}
 
 
 def _by_scope(seen: ScoreView, name: str, otherwise: Silence | None) -> Mapping[Scope, Any]:

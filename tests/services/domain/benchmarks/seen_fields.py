@@ -128,7 +128,7 @@ def _of_results(found: SubmissionResults, row: LeaderboardRow) -> dict[str, obje
         "ranks": row.rank_interval or row.tie_group,
         "support": found.support or row.support,
         "confusion": found.confusion,
-        "extras": found.extras,
+        "extras": found.extras or row.danger,
         "within occupied": found.within_occupied,
         "tolerant": found.tolerant,
         "columns": found.columns,

@@ -135,6 +135,38 @@ def test_reported_results_stand_last_with_their_source(platform: Platform) -> No
     assert shown(at, BoardQuery("L", None, "all")).rows == found.rows[:1]
 
 
+def test_a_ceiling_is_above_the_ranks_on_every_track_and_takes_none(platform: Platform) -> None:
+    at = scene(platform)
+    at.enter(at.team(), Made(0.3), modality="C")
+    tracks = [BoardQuery(track, None, "all") for track in ("all", "C", "R")]  # type: ignore[arg-type]
+    before = [shown(at, query) for query in tracks]
+    assert not any("ceiling" in note for found in before for note in notes(found))
+    with platform.database.transaction() as session:
+        for kind, miou in (("ceiling", 0.1), ("published", 0.9)):
+            row = {"method": kind, "modality": "L", "source": "s", "kind": kind, "miou": miou}
+            session.add(Reported(phase_id=at.phase_id, **row))
+    after = [shown(at, query) for query in tracks]
+    told = [[(row.standing, row.rank) for row in found.rows] for found in after]
+    assert told == [[("ceiling", None), ("ranked", 1), ("reported", None)], [("ceiling", None), ("ranked", 1)],
+                    [("ceiling", None)]]  # fmt: skip
+    assert [found.ranked_total for found in after] == [found.ranked_total for found in before]
+    assert all(any("no entry can be expected to score above it" in note for note in notes(found)) for found in after)
+
+
+@pytest.mark.parametrize("made", [Made(0.3), Made(0.3, is_withdrawn=True)])
+def test_danger_is_counted_from_the_confusion_also_of_earlier_scores(platform: Platform, made: Made) -> None:
+    at = scene(platform)
+    at.enter(at.team(), made)
+    of_n = counts(made).sum(axis=(0, 1), dtype=np.int64)[3]
+    (row,) = shown(at).rows
+    assert row.danger == {
+        "n_predicted_drivable_ratio": (of_n[1] + of_n[2]) / of_n.sum(),
+        "n_predicted_t_ratio": of_n[1] / of_n.sum(),
+    }
+    at.hide()
+    assert [shown(at, viewer=viewer).rows[0].danger is None for viewer in (ANYBODY, ADMINISTRATOR)] == [True, False]
+
+
 def test_only_scored_entries_that_stand_are_on_the_board(platform: Platform) -> None:
     at = scene(platform)
     one = at.enter(at.team(), Made(0.3))

@@ -224,10 +224,11 @@ def test_a_track_has_its_own_history(at: Scene) -> None:
 def test_tracks_are_told_of_entries_and_of_reported_rows(at: Scene) -> None:
     enter(at, 50, 0.5, modality="C")
     with at.platform.database.transaction() as session:
-        put_reported(session, session.get_one(Phase, at.phase_id), [ReportedRow("Other", "L+R", "elsewhere", miou=0.1)])
+        rows = [ReportedRow("Other", "L+R", "elsewhere"), ReportedRow("Ceiling", "R", "of all", kind="ceiling")]
+        put_reported(session, session.get_one(Phase, at.phase_id), rows)
         phase = session.get_one(Phase, at.phase_id)
         assert tracks_with_rows(session, phase) == {"C", "L+R"}
-        put_at = session.query(Reported).one().created_ns
+        put_at = max(row.created_ns for row in session.query(Reported))
     assert changes(at)[-1].at_ns == -(-put_at // 1000) * 1000
 
 

@@ -66,11 +66,14 @@ ROW = LeaderboardRow(
     submission_id="a" * 32,
     team="Gang",
     intervals={**dict.fromkeys(RATIOS, (0.1, 0.9)), "iou_n": None},
+    danger={"n_predicted_drivable_ratio": 0.1224, "n_predicted_t_ratio": 0.0591},
     submitted_ns=1_780_000_000 * 10**9,
 )
 REPORTED = LeaderboardRow(
     standing="reported", method="Old", modality="C", ratios=dict.fromkeys(RATIOS), source="a paper"
 )
+
+CEILING = LeaderboardRow("ceiling", "Twice", "L", {**RATIOS, "miou": 0.781}, source="even and odd", percent_digits=1)
 
 
 def board_of(*rows: LeaderboardRow) -> Board:
@@ -94,14 +97,33 @@ def test_csv_and_parquet_say_the_same() -> None:
     assert (read[0]["miou"], read[0]["iou_n"], read[0]["miou_low"], read[0]["iou_n_low"]) == (0.43216, None, 0.1, None)
     assert (read[0]["rank"], read[0]["rank_low"], read[0]["rank_high"], read[1]["rank"]) == (1, 1, 2, None)
     assert (read[0]["signature"], read[1]["signature"]) == (PAIR.signature, None)
+    assert (read[0]["n_predicted_drivable_ratio"], read[0]["n_predicted_t_ratio"]) == (0.1224, 0.0591)
+    assert read[1]["n_predicted_drivable_ratio"] is None
     assert read[0]["submitted_at"] == "2026-05-28T20:26:40Z"
 
 
 def test_markdown_is_a_table_for_people() -> None:
     text = table("md", ROW, REPORTED)
-    assert r"| 1 [1, 2] | Gang | Net | C\+L | 43.22 | 50.00 | 25.00 | 12.50 | -- |" in text
-    assert "| reported |  | Old | C | -- | -- | -- | -- | -- |" in text
+    assert r"| 1 [1, 2] | Gang | Net | C\+L | 43.22 | 50.00 | 25.00 | 12.50 | -- | 12.24 | 5.91 |" in text
+    assert "| reported |  | Old | C | -- | -- | -- | -- | -- | -- | -- |" in text
     assert "Reported: a paper." in text
+    assert "predicted T or P, and predicted T alone; lower is better" in text
+    assert "lower is better" not in table("md", REPORTED)
+
+
+@pytest.mark.parametrize("form", ["csv", "md", "tex"])
+def test_a_ceiling_is_a_row_of_its_own_kind_with_its_source(form: Form) -> None:
+    text = table(form, CEILING, ROW, REPORTED)
+    cut = {"csv": ",", "md": " | ", "tex": " & "}[form]
+    (line,) = [line for line in text.splitlines() if "Twice" in line]
+    assert line.strip("| ").startswith(f"ceiling{cut}")
+    if form == "csv":
+        (row, *_) = csv_rows(text)
+        assert (row["standing"], row["rank"], row["signature"], row["miou"]) == ("ceiling", "", "", "0.781")
+    else:
+        assert f"{cut}78.1{cut}50.0{cut}" in line
+        assert "Ceiling: even and odd. Reported: a paper." in text
+        assert "no entry can be expected to score above it" in text
 
 
 PRINTED = replace(
@@ -126,16 +148,16 @@ def test_a_reported_row_keeps_the_digits_it_was_printed_with_and_its_note() -> N
 
 def test_latex_is_a_booktabs_table() -> None:
     text = table("tex", ROW, REPORTED)
-    assert "1 [1, 2] & Gang & Net & C+L & 43.22 & 50.00 & 25.00 & 12.50 & -- \\\\" in text
+    assert "1 [1, 2] & Gang & Net & C+L & 43.22 & 50.00 & 25.00 & 12.50 & -- & 12.24 & 5.91 \\\\" in text
     body = [line for line in text.splitlines() if not line.startswith("%")]
     assert (body[0], body[1], body[3], body[-2], body[-1]) == (
-        r"\begin{tabular}{rlllrrrrr}",
+        r"\begin{tabular}{rlllrrrrrrr}",
         r"\toprule",
         r"\midrule",
         r"\bottomrule",
         r"\end{tabular}",
     )
-    assert all(line.count("&") == 8 for line in body[4:-2])
+    assert all(line.count("&") == 10 for line in body[4:-2])
 
 
 @pytest.mark.parametrize("form", ["csv", "parquet", "md", "tex"])
@@ -164,7 +186,7 @@ def test_parquet_keeps_a_text_as_it_is(text: str) -> None:
 def test_no_text_opens_html_links_or_cells_in_markdown(text: str) -> None:
     rows = table("md", replace(ROW, method=text, team=text)).splitlines()
     line = next(line for line in rows if "43.22" in line)
-    assert len(re.findall(r"(?<!\\)\|", line)) == 10
+    assert len(re.findall(r"(?<!\\)\|", line)) == 12
     for character in "<>@`[]*_$":
         shown = line.replace("1 [1, 2]", "")
         assert not re.search(rf"(?<!\\){re.escape(character)}", shown), character
@@ -176,7 +198,7 @@ def test_no_text_opens_html_links_or_cells_in_markdown(text: str) -> None:
 def test_a_markdown_reader_reads_the_text_as_it_was_written(text: str) -> None:
     tokens = MarkdownIt("commonmark").enable("table").parse(table("md", replace(ROW, method=text)))
     cells = [token for before, token in pairwise(tokens) if before.type == "td_open"]
-    assert len(cells) == 9
+    assert len(cells) == 11
     children = cells[2].children or []
     assert {child.type for child in children} <= {"text", "text_special"}
     assert "".join(child.content for child in children) == one_line(text).strip()

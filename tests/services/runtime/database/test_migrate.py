@@ -14,6 +14,7 @@ from services.runtime.orm import Base
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from testing.refusals import refused_as
+from tests.services.domain.benchmarks.scored import phase_of_rows
 
 ORDERED = "ix_jobs_ready"
 """An index with a column in descending order, which SQLite does not tell when it is asked for its indexes."""
@@ -51,6 +52,22 @@ def test_an_upgrade_of_an_upgraded_database_changes_nothing(platform: Platform) 
     upgrade(platform.settings)
     with platform.database.reading() as session:
         assert session.execute(text("SELECT name, mode FROM queues")).all() == [("ingest", "paused")]
+
+
+def test_a_ceiling_that_was_put_as_a_published_result_becomes_one(platform_on: Platform) -> None:
+    phase_id = phase_of_rows(platform_on).phase.id
+    columns = "id, phase_id, method, modality, source, created_ns"
+    with schema_connection(platform_on.settings) as connection:
+        command.downgrade(alembic_on(connection), "0031")
+        for method, source in (("a", "stone ceiling --by rings, 7 frames"), ("b", "a paper on stone ceilings")):
+            values = {"id": method * 32, "phase": phase_id, "method": method, "source": source}
+            connection.execute(
+                text(f"INSERT INTO reported ({columns}) VALUES (:id, :phase, :method, 'L', :source, 1)"), values
+            )
+    upgrade(platform_on.settings)
+    with platform_on.database.reading() as session:
+        kinds = session.execute(text("SELECT method, kind FROM reported ORDER BY method")).all()
+    assert kinds == [("a", "ceiling"), ("b", "published")]
 
 
 @pytest.mark.whole
