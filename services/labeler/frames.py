@@ -1,6 +1,6 @@
 """Stage 3, per part: cut the label grid of every frame out of the labelled map, as the bytes of `labels.npz`."""
 
-from collections.abc import Iterator, Sequence
+from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
 from functools import lru_cache
 from itertools import pairwise
@@ -14,20 +14,27 @@ from numpy.typing import NDArray
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Part, Tile, tiles_across
 from services.labeler.scratch import Arrays, load, save, sight_path, surface_path
+from stone.geometry.lattice import VoxelTable, table_of
 from stone.geometry.se3 import SE3
 from stone.labels.column_deflate import deflated_columns
 from stone.labels.columns import Columns, reconcile, spread_out
-from stone.labels.confidence import MapDistances, cut_batch, cut_with_distances, map_distances
+from stone.labels.confidence import CALIBRATED, confidence_of, properties_of
+from stone.labels.crops import cut_batch, cut_with_rows
 from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import Observed, union
 from stone.labels.profiles import VoxelTerrain, distances
 from stone.labels.sight_batches import LANES, SightBatch
 from stone.labels.traversability import Reference, classify, threshold
 from stone.labels.visibility import SightLines, sight_lines
+from stone.sensors.calibration import Vehicle
 from stone_files.npz import npz_bytes
 
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
+# Further arrays: D² as float16, to half a part in a thousand, its greatest value for all beyond; and what stands there
+# if there is no surface.
+MOST_SQUARED = float(np.finfo(np.float16).max)
+NO_SURFACE, UNSURE = np.full(1, -1.0, np.float16), np.zeros(1, np.uint8)
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,63 +132,83 @@ def _bounds(run: LabelRun, part: Part) -> Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _LabelledMap:
-    """The labelled map around some frames; with the D² of its voxels where confidence is asked for."""
+    """The labelled map around some frames. If confidence is asked for, `table` finds its voxels, and `further` holds
+    what their files get besides, by name, with what stands where there is no surface."""
 
     window: Window
-    distances: MapDistances | None
+    table: VoxelTable | None
+    further: Mapping[str, tuple[NDArray[Any], NDArray[Any]]]
 
-    def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[np.float16]]]]:
+    def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[Any]]]]:
         """The frames at these poses (F,), and what goes into the file of each besides."""
-        if self.distances is None:
+        if self.table is None:
             return [(columns, {}) for columns in cut_batch(self.window, map_from_ego)]
-        poses = [map_from_ego[frame] for frame in range(len(map_from_ego))]
-        found = [cut_with_distances(self.window, pose, self.distances) for pose in poses]
-        return [(columns, {"distance_squared": squared}) for columns, squared in found]
+        found = []
+        for frame in range(len(map_from_ego)):
+            columns, rows = cut_with_rows(self.window, map_from_ego[frame], self.table)
+            more = {name: np.append(values, nothing)[rows] for name, (values, nothing) in self.further.items()}
+            found.append((columns, more))
+        return found
 
 
 @dataclass(frozen=True, eq=False)
 class LabelledTile:
     """A tile as the surface stage left it: of its K voxels the terrain, `is_driven`, the D² `squared` against the
-    reference and the vehicle, and the `classes`; `arrays` are all that was left."""
+    reference and the vehicle, the `classes`, and their `confidence`, None in a profile that has none; `arrays` are all
+    that was left."""
 
     terrain: VoxelTerrain
     is_driven: NDArray[np.bool_]
     squared: NDArray[np.float64]
     classes: NDArray[np.uint8]
+    confidence: NDArray[np.uint8] | None
     arrays: Arrays
 
 
-def labelled_tile(run: LabelRun, tile: Tile, reference: Reference) -> LabelledTile:
-    """The tile with the class of each of its voxels."""
+def labelled_tile(run: LabelRun, tile: Tile, reference: Reference, with_confidence: bool = False) -> LabelledTile:
+    """Return the tile with the class of each of its voxels, and with their confidence if asked for."""
     arrays = load(surface_path(run, tile))
     terrain, is_driven = VoxelTerrain(arrays["keys"], arrays["terrain"]), arrays["is_driven"]  # type: ignore[arg-type]
     squared = squared_distances(run, terrain, reference, run.parameters)
     classes = classify(squared, is_driven, run.parameters.reference.alpha)  # type: ignore[arg-type]
-    return LabelledTile(terrain, is_driven, squared, classes, arrays)  # type: ignore[arg-type]
+    confidence = None
+    if with_confidence and run.parameters.profile == CALIBRATED:
+        confidence = confidence_of(properties_of(terrain, squared, reference, _limits(run, run.parameters)), classes)
+    return LabelledTile(terrain, is_driven, squared, classes, confidence, arrays)  # type: ignore[arg-type]
 
 
 def squared_distances(
     run: LabelRun, terrain: VoxelTerrain, reference: Reference, parameters: LabelParameters
 ) -> NDArray[np.float64]:
     """Return the D² (K,) of voxels against a reference and the run's vehicle, as the parameters' profile judges."""
-    limits = (run.sequence.calibration.vehicle, threshold(parameters.reference.alpha))
-    return distances(terrain, reference, parameters.rule, limits)
+    return distances(terrain, reference, parameters.rule, _limits(run, parameters))
+
+
+def _limits(run: LabelRun, parameters: LabelParameters) -> tuple[Vehicle, float]:
+    return run.sequence.calibration.vehicle, threshold(parameters.reference.alpha)
 
 
 def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap:
     """The labelled map around the frames of a part, all of one map."""
-    bounds = _bounds(run, part)
+    bounds, is_asked = _bounds(run, part), run.parameters.confidence
     keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
+    confidence = [np.zeros(0, np.uint8)]
     seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
     for tile in tiles_across(run.parameters, bounds, run.map_of(part)):
         if not surface_path(run, tile).exists():
             continue
-        found = labelled_tile(run, tile, reference)
+        found = labelled_tile(run, tile, reference, with_confidence=is_asked)
         keys.append(found.terrain.keys)
         classes.append(found.classes)
         squared.append(found.squared)
+        confidence += [] if found.confidence is None else [found.confidence]
         seen.append(Observed(found.arrays["bricks"], found.arrays["words"]))  # type: ignore[arg-type]
-    window = window_of(np.concatenate(keys), np.concatenate(classes), union(seen), bounds)
-    if not run.parameters.confidence:
-        return _LabelledMap(window, None)
-    return _LabelledMap(window, map_distances(np.concatenate(keys), np.concatenate(squared)))
+    all_keys = np.concatenate(keys)
+    window = window_of(all_keys, np.concatenate(classes), union(seen), bounds)
+    if not is_asked:
+        return _LabelledMap(window, None, {})
+    near = np.minimum(np.concatenate(squared), MOST_SQUARED).astype(np.float16)
+    further: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {"distance_squared": (near, NO_SURFACE)}
+    if run.parameters.profile == CALIBRATED:
+        further["confidence"] = (np.concatenate(confidence), UNSURE)
+    return _LabelledMap(window, table_of(all_keys), further)

@@ -76,8 +76,9 @@ class LabelParameters:
 
     From `body_clearance_m` above the ground up to its LiDAR the robot's body went through whatever seems to stand in
     its way, so nothing does. `dynamic.every_frame` and `carve.every_frame` are those of a LiDAR at 10 Hz; of a slower
-    one as much time goes by. `confidence` adds to every frame how far each voxel is from the reference, and changes no
-    label. `refinement` is None where the poses are taken as they came.
+    one as much time goes by. `confidence` adds to every frame how far each voxel is from the reference and, in profile
+    `field`, how probably its label is right, and changes no label. `refinement` is None where the poses are taken as
+    they came.
     """
 
     profile: Profile = "paper"

@@ -1,147 +1,71 @@
-"""Distance of each labelled voxel from the driven ground: the D² its class was decided by (paper, Eq. 6).
+"""Confidence: the calibrated probability that the label of a voxel is right.
 
-**Conventions.** Float16, without unit, to half a part in a thousand; 65504 stands for all beyond; −1 where there is no
-surface. A voxel that closes a gap has the D² of the map voxel whose class it took. What was driven has its D² too.
+**Conventions.** The log odds that the vehicle can drive over a voxel are a sum of piecewise linear functions of its
+properties (a generalised additive model; Hastie and Tibshirani, 1986). `CURVES` are fitted by `benchmarks.confidence`
+to worlds whose truth is known, for profile `field`; a voxel is drivable there if the ground is within the vehicle's
+limits and nothing stands on it. T is right, since the robot was there. In files a confidence is a uint8: 255 times the
+probability, at least 1; 0 where there is no surface.
 """
 
-from collections.abc import Sequence
-from dataclasses import dataclass
+from collections.abc import Mapping
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import Keys, VoxelTable, find, pack, table_of
-from stone.geometry.se3 import SE3
-from stone.kernels.lanes import looked_up, lowest
-from stone.labels.columns import Columns
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Window
-from stone.labels.pinholes import FRACTION_BITS, NOT_ASKED, ONE, close_row
-from stone.labels.voxels import VOXEL_M
+from stone.labels.confidence_curves import CURVES
+from stone.labels.profiles import RULES, Profile, VoxelTerrain
+from stone.labels.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference
+from stone.sensors.calibration import Vehicle
 
-NO_SURFACE = np.float16(-1.0)
-UNTAKEN = np.iinfo(np.int32).min
-MOST = float(np.finfo(np.float16).max)
-
-Distances = NDArray[np.float16]
+CALIBRATED: Profile = "field"
+FULL = 255
+Array = NDArray[np.float64]
 
 
-@dataclass(frozen=True, eq=False)
-class MapDistances:
-    """The D² of the labelled map voxels, found by their keys."""
+def properties_of(
+    terrain: VoxelTerrain, squared: Array, reference: Reference, limits: tuple[Vehicle, float]
+) -> Mapping[str, Array]:
+    """Return the properties (K,) of voxels that their confidence depends on, by name.
 
-    table: VoxelTable
-    squared: NDArray[np.float16]
-
-
-def map_distances(keys: Keys, squared: NDArray[np.float64]) -> MapDistances:
-    """Of the labelled voxels `keys` (K,), their D² `squared` (K,)."""
-    return MapDistances(table_of(keys), np.minimum(squared, MOST).astype(np.float16))
-
-
-def cut_with_distances(window: Window, map_from_ego: SE3, distances: MapDistances) -> tuple[Columns, Distances]:
-    """The columns of the frame at this pose, and the D² of every voxel, of `GRID_SHAPE`."""
-    taken = np.full((*GRID_SHAPE, 3), UNTAKEN, np.int32)
-    columns = cut(window, map_from_ego, taken)
-    grid = np.full(GRID_SHAPE, NO_SURFACE)
-    placing = placing_of(window, map_from_ego)
-    table = (distances.table.keys, distances.table.rows, distances.squared.view(np.uint16))  # numba has no float16
-    _look_up((columns.occupied, taken), (placing.start, placing.step, window.origin), table, grid.view(np.uint16))
-    return columns, grid
-
-
-@njit(cache=True, nogil=True)
-def _look_up(labelled, place, table, grid):  # type: ignore[no-untyped-def]
-    (occupied, taken), (start, step, origin), (keys, rows, squared) = labelled, place, table
-    for a in range(grid.shape[0]):
-        for b in range(grid.shape[1]):
-            left = occupied[a, b]
-            while left:
-                c = lowest(left)
-                left &= left - np.uint32(1)
-                i = (start[0] + a * step[0, 0] + b * step[0, 1] + c * step[0, 2]) >> FRACTION_BITS
-                j = (start[1] + a * step[1, 0] + b * step[1, 1] + c * step[1, 2]) >> FRACTION_BITS
-                k = (start[2] + a * step[2, 0] + b * step[2, 1] + c * step[2, 2]) >> FRACTION_BITS
-                if taken[a, b, c, 0] != UNTAKEN:
-                    i, j, k = taken[a, b, c, 0], taken[a, b, c, 1], taken[a, b, c, 2]
-                grid[a, b, c] = squared[find(keys, rows, pack(i + origin[0], j + origin[1], k + origin[2]))]
-
-
-# The columns of one frame: cut from the labelled map, turned into the ego frame.
-#
-# **Conventions.** An ego voxel takes the class of the map voxel that holds its centre. Where the straight way between
-# two neighbouring centres crosses a labelled map voxel that neither centre hits, the nearer of the two takes its class
-# (`stone.labels.pinholes`): so a surface closed in the map stays closed in the grid, whatever the yaw, pitch and roll.
-#
-# Positions are fixed-point map voxels of `FRACTION_BITS`. A row of columns is cut of one frame after another before
-# the next row is: frames of a batch follow each other, so they look up nearly the same voxels of the map.
-
-
-@dataclass(frozen=True, eq=False)
-class CropPlacement:
-    """Fixed-point position in the window of voxel [0, 0, 0]'s centre, `start` (3,), and its change by one voxel along
-    each ego axis, the columns of `step` (3, 3)."""
-
-    start: NDArray[np.int64]
-    step: NDArray[np.int64]
-
-
-def placing_of(window: Window, map_from_ego: SE3) -> CropPlacement:
-    """Where the voxels of a frame lie in the window."""
-    scaled = map_from_ego.as_matrix() / VOXEL_M
-    scaled[:3, 3] -= window.origin
-    first = scaled[:3, 3].copy()
-    for axis in range(3):
-        first += scaled[:3, axis] * (GRID_MIN_M[axis] + 0.5 * VOXEL_M)
-    return CropPlacement(
-        np.rint(first * ONE).astype(np.int64), np.rint(scaled[:3, :3] * VOXEL_M * ONE).astype(np.int64)
-    )
-
-
-def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED) -> Columns:
-    """The columns of the frame at this pose; outside the window all is free and unobserved.
-
-    `taken`, if asked for, (256, 256, 32, 3): where a voxel closes a gap, the voxel of the window it is labelled by.
+    `squared` (K,) is their D², and `limits` the vehicle and the threshold, as `stone.labels.profiles.distances` takes
+    them. `…_sigmas` are standard deviations above the reference, `…_ratio` shares of a limit; the rest is in m and
+    log m².
     """
-    return _cuts(window, [placing_of(window, map_from_ego)], taken)[0]
+    vehicle, threshold = limits
+    features = terrain.features(RULES[CALIBRATED])
+    sigmas = (features - reference.mean) / np.sqrt(np.diag(reference.covariance))
+    slope, step, clearance = terrain.limit_ratios(vehicle).T
+    return {
+        "slope_ratio": slope,
+        "step_ratio": step,
+        "clearance_ratio": clearance,
+        "height_sigmas": sigmas[:, 0],
+        "slope_sigmas": sigmas[:, 1],
+        "roughness_sigmas": sigmas[:, 2],
+        "distance_ratio": np.sqrt(squared / threshold),
+        "pooled_slope_ratio": features[:, 1] / np.deg2rad(vehicle.max_slope_deg),
+        "height_m": features[:, 0],
+        "roughness_log_m2": features[:, 2],
+    }
 
 
-def cut_batch(window: Window, map_from_ego: SE3) -> list[Columns]:
-    """The columns of the frames at these poses (F,), as `cut` gives them one by one."""
-    return _cuts(window, [placing_of(window, map_from_ego[frame]) for frame in range(len(map_from_ego))], NOT_ASKED)
+def hinges(values: Array, knots: Array, end: float) -> Array:
+    """Return how far the values (K,) are beyond each of the knots (n,), at most as far as `end` is; (K, n)."""
+    return np.maximum(np.minimum(values, end)[:, None] - knots, 0.0)
 
 
-def _cuts(window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32]) -> list[Columns]:
-    starts, steps = np.array([one.start for one in placings]), np.array([one.step for one in placings])
-    ones, twos, observed = (np.empty((len(placings), *GRID_SHAPE[:2]), np.uint32) for _ in range(3))
-    rows = np.empty((len(placings), 2, GRID_SHAPE[1], 4), np.uint32)
-    filled = np.zeros(len(placings), np.int64)
-    _cut(window.voxels, (starts, steps), rows, (ones, twos, observed, taken, filled))
-    return [Columns(*words) for words in zip(ones, twos, observed, filled.tolist(), strict=True)]
+def drivable_probability(properties: Mapping[str, Array]) -> Array:
+    """Return the probability (K,) that the vehicle can drive over voxels of these properties."""
+    log_odds = np.full(len(properties["height_m"]), CURVES.intercept)
+    for name, curve in CURVES.curves.items():
+        knots, weights = np.array(curve.knots), np.array(curve.weights)
+        log_odds += hinges(properties[name], knots, curve.end) @ weights
+    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
 
 
-@njit(cache=True, nogil=True)
-def _cut(voxels, places, rows, out):  # type: ignore[no-untyped-def]
-    """A row of columns is closed as soon as it is fetched, while the map around it is near; `rows` (F, 2, 256, 4) are
-    this one and the one before, in turn, bit by bit of the window's voxels."""
-    (starts, steps), (ones, twos, observed, taken, filled) = places, out
-    ways = np.empty(3 * 32 * rows.shape[2], np.int64)
-    for a in range(ones.shape[1]):
-        for f in range(ones.shape[0]):
-            _fetch_row(voxels, (starts[f], steps[f]), a, rows[f, a & 1])
-            row = (a, rows[f], ways)
-            filled[f] += close_row(voxels, (starts[f], steps[f]), row, (ones[f], twos[f], observed[f], taken))
-
-
-@njit(cache=True, nogil=True)
-def _fetch_row(voxels, place, a, row):  # type: ignore[no-untyped-def]
-    """Fill row `a`, (256, 4). What is outside the window is looked up in its outermost layer."""
-    start, step = place
-    su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
-    bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, the row may lie over them
-    u, v, w = start[0] + a * step[0, 0] + ONE, start[1] + a * step[1, 0] + ONE, start[2] + a * step[2, 0] + ONE
-    last = (voxels.shape[0] - 1, voxels.shape[1] - 1, voxels.shape[2] - 1)
-    flat = voxels.reshape(-1)
-    for b in range(row.shape[0]):
-        place = (u + b * bu, v + b * bv, w + b * bw)
-        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = looked_up(flat, last, place, (su, sv, sw), FRACTION_BITS)
+def confidence_of(properties: Mapping[str, Array], classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
+    """Return the confidence (K,) uint8 of voxels' labels, which are the classes (K,) 1 to 3."""
+    drivable = drivable_probability(properties)
+    right = np.where(classes == NON_TRAVERSABLE, 1.0 - drivable, drivable)
+    right[classes == TRAVERSABLE] = 1.0
+    return np.asarray(np.clip(np.rint(right * FULL), 1, FULL), dtype=np.uint8)

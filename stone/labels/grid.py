@@ -1,7 +1,7 @@
 """The label grid around the robot, and the block of the labelled map that a stretch of frames is cut from.
 
 **Conventions.** The grid is ego-aligned: `GRID_MIN_M` to `GRID_MAX_M`, voxels of `VOXEL_M`, shape `GRID_SHAPE`, axes
-x, y, z, C order. `stone.labels.confidence` cuts it out of a `Window`.
+x, y, z, C order. `stone.labels.crops` cuts it out of a `Window`.
 """
 
 import math

@@ -1,6 +1,6 @@
 """Fills pinholes that a turned grid leaves in closed surfaces, whatever the yaw, pitch and roll.
 
-**Conventions.** Positions as in `stone.labels.confidence`. Only free voxels are looked at that a labelled one touches,
+**Conventions.** Positions as in `stone.labels.crops`. Only free voxels are looked at that a labelled one touches,
 in the order of the grid, each back along x, y and z.
 """
 
@@ -26,7 +26,7 @@ def parted(position, back, slope):  # type: ignore[no-untyped-def]
 def close_row(voxels, place, row, out):  # type: ignore[no-untyped-def]
     """Write the classes of row `a`, closing what they and the row before step over; return how many voxels it closed.
 
-    `row` is (a, rows, ways): rows as `stone.labels.confidence` fetches them, and room for the ways back of all
+    `row` is (a, rows, ways): rows as `stone.labels.crops` fetches them, and room for the ways back of all
     voxels of a row; `out` is (ones, twos, observed, taken).
     """
     a, rows, ways = row

@@ -70,11 +70,15 @@ class VoxelTerrain:
         """(K,) of the ground under a footprint."""
         return np.rad2deg(self.columns[:, SLOPE])
 
-    def limit_ratio(self, vehicle: Vehicle) -> Array:
-        """(K,) the largest share of one of the vehicle's limits that a voxel takes; above 1 the vehicle cannot pass."""
+    def limit_ratios(self, vehicle: Vehicle) -> Array:
+        """(K, 3) the shares of the vehicle's limits that a voxel takes: slope, step and height."""
         slope = self.slope_deg / vehicle.max_slope_deg
         step = self.columns[:, STEP] / vehicle.max_step_m
-        found: Array = np.maximum(np.maximum(slope, step), vehicle.height_m / self.columns[:, CLEARANCE])
+        return np.column_stack([slope, step, vehicle.height_m / self.columns[:, CLEARANCE]])
+
+    def limit_ratio(self, vehicle: Vehicle) -> Array:
+        """(K,) the largest of the shares; above 1 the vehicle cannot pass."""
+        found: Array = self.limit_ratios(vehicle).max(axis=1)
         return found
 
 

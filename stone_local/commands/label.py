@@ -50,7 +50,8 @@ ConfidenceOption = Annotated[
     bool,
     typer.Option(
         "--confidence",
-        help="Add the Mahalanobis distance of each voxel to the reference terrain (array distance_squared).",
+        help="Add to each voxel its squared Mahalanobis distance to the driven ground (distance_squared) and, in "
+        "profile field, the probability that its label is right (confidence).",
     ),
 ]
 

@@ -55,7 +55,7 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
     driven = CoverageCounter(run)
     for number, summary in enumerate(tiles):
         step(number, len(tiles) + 1)
-        found = labelled_tile(run, summary.tile, reference)
+        found = labelled_tile(run, summary.tile, reference, with_confidence=True)
         view.add(summary.tile, found.terrain.keys, found.classes)  # type: ignore[arg-type]
         counter.add(found)
         driven.add(summary.tile, found)

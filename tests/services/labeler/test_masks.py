@@ -7,10 +7,10 @@ import pytest
 
 from services.eval.ground_truth import read_truth, truth_hash
 from services.labeler.local_run import LabelOptions, label
-from services.labeler.parameters import LabelParameters
+from services.labeler.parameters import REFERENCES, LabelParameters
 from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, frame_bounds
 from stone.labels.sight_batches import SightBatch
-from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, threshold
+from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, TRAVERSABLE, threshold
 from stone.labels.visibility import sight_lines
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
@@ -112,6 +112,20 @@ def test_the_distance_of_every_voxel_explains_its_class(confident):
         assert squared[classes == POTENTIAL].max() <= limit * 1.001  # float16 rounds
         assert squared[classes == NON_TRAVERSABLE].min() >= limit * 0.999
         assert len(np.unique(squared)) > 100
+
+
+def test_profile_field_gives_every_label_the_probability_that_it_is_right(tmp_path):
+    for path in labelled(tmp_path / "out", confidence=True, profile="field", reference=REFERENCES["field"])[::5]:
+        with np.load(path) as grids:
+            classes, confidence = grids["semantics"], grids["confidence"]
+        assert (confidence.dtype, confidence.shape) == (np.uint8, GRID_SHAPE)
+        assert ((confidence == 0) == (classes == 0)).all()
+        assert (confidence[classes == TRAVERSABLE] == 255).all()
+        assert confidence[classes == POTENTIAL].mean() > 0.99 * 255  # a plain without noise
+        on_boxes = confidence[:, :, 13:][classes[:, :, 13:] == NON_TRAVERSABLE]  # from 0.6 m above it
+        assert len(on_boxes) > 50
+        assert on_boxes.mean() > 0.95 * 255
+        assert len(np.unique(confidence)) > 30
 
 
 def test_labels_with_confidence_are_the_same_ground_truth(plain, confident):

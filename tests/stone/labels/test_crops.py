@@ -9,10 +9,10 @@ from hypothesis import given, settings
 from hypothesis import strategies as st
 from scipy import ndimage
 
-from stone.geometry.lattice import keys_from_indices
+from stone.geometry.lattice import keys_from_indices, table_of
 from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, gathered, reconcile, spread_out
-from stone.labels.confidence import MOST, NO_SURFACE, cut, cut_batch, cut_with_distances, map_distances, placing_of
+from stone.labels.crops import cut, cut_batch, cut_with_rows, placing_of
 from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.pinholes import FRACTION_BITS
@@ -198,7 +198,6 @@ class World:
         self.bounds = low, high = frame_bounds(map_from_ego)
         self.indices = np.unique(rng.integers(low - 3, high + 3, (60_000, 3)), axis=0)
         self.classes = rng.integers(1, 4, len(self.indices)).astype(np.uint8)
-        self.squared = rng.exponential(20, len(self.indices))
         bricks = np.unique(rng.integers(low // BRICK - 1, high // BRICK + 2, (20_000, 3)), axis=0)
         self.observed = Observed(keys_from_indices(bricks), rng.integers(0, 2**64, len(bricks), dtype=np.uint64))
         self.keys = keys_from_indices(self.indices)
@@ -295,18 +294,11 @@ def test_frames_cut_together_are_those_cut_one_by_one():
             np.testing.assert_array_equal(words, expected)
 
 
-def test_each_voxel_has_the_distance_of_the_map_voxel_whose_class_it_took(case):
+def test_each_voxel_has_the_row_of_the_map_voxel_whose_class_it_took(case):
     world, map_from_ego, rows, _ = case
-    columns, squared = cut_with_distances(world.window, map_from_ego, map_distances(world.keys, world.squared))
-    expected = np.where(rows >= 0, world.squared[rows].astype(np.float16), NO_SURFACE)
-    assert squared.dtype == np.float16
-    assert (squared == expected).all()
+    columns, found = cut_with_rows(world.window, map_from_ego, table_of(world.keys))
+    assert (found == rows).all()
     assert (classes_of(columns) == classes_of(cut(world.window, map_from_ego))).all()
-
-
-def test_a_distance_beyond_float16_ends_at_its_greatest_value():
-    far = map_distances(np.array([3, 5], np.int64), np.array([1e9, 7.0]))
-    assert far.squared.tolist() == [MOST, 7.0]
 
 
 def test_the_weight_of_a_window_is_known_before_it_is_made():

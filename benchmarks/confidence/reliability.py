@@ -1,0 +1,47 @@
+"""Reliability: how far what is claimed lies from what is true, in groups of alike confidence."""
+
+from dataclasses import dataclass
+
+import numpy as np
+from numpy.typing import NDArray
+
+GROUPS = 10
+FEWEST = 200  # voxels of a bin of probability; fewer say nothing of it
+Array = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Reliability:
+    """The worst difference of claimed and true shares: in tenths of the `voxels`, and in `bins` of the probability; and
+    both shares in the tenth of the `lowest` confidence."""
+
+    voxels: int
+    tenths: float
+    bins: float
+    lowest: tuple[float, float]
+
+
+def reliability_of(confidence: Array, is_right: NDArray[np.bool_], weight: Array) -> Reliability:
+    """Return the reliability of confidences (K,) of labels that are right or not (K,), of voxels that weigh so much."""
+    order = np.argsort(confidence, kind="stable")
+    before = np.cumsum(weight[order]) - weight[order]
+    tenth = np.empty(len(order), np.int64)
+    tenth[order] = np.minimum((before / weight.sum() * GROUPS).astype(np.int64), GROUPS - 1)
+    by_probability = np.minimum((confidence * GROUPS).astype(np.int64), GROUPS - 1)
+    claimed, right, _ = _shares(tenth, confidence, is_right, weight)
+    in_bins, right_in_bins, count = _shares(by_probability, confidence, is_right, weight)
+    apart = np.abs(in_bins - right_in_bins)[count >= FEWEST]
+    return Reliability(
+        len(order), float(np.nanmax(np.abs(claimed - right))), float(apart.max()), (float(claimed[0]), float(right[0]))
+    )
+
+
+def _shares(
+    group: NDArray[np.int64], confidence: Array, is_right: NDArray[np.bool_], weight: Array
+) -> tuple[Array, Array, NDArray[np.int64]]:
+    """Return what each of the groups claims, how much of it is right, and its voxels; NaN if it has none."""
+    total = np.bincount(group, weight, GROUPS)
+    with np.errstate(invalid="ignore"):
+        claimed = np.bincount(group, weight * confidence, GROUPS) / total
+        right = np.bincount(group, weight * is_right, GROUPS) / total
+    return claimed, right, np.bincount(group, minlength=GROUPS)

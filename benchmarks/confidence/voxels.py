@@ -1,0 +1,163 @@
+"""Voxels of profile `field` with the properties that their confidence depends on, and whether truth lets one drive.
+
+**Conventions.** A voxel of the map is placed in the world by the exact pose of the frame nearest in plan. Truth is that
+of the vehicle's limits in both kinds of worlds (`testing.outside.truth`); grey places are not drivable. T is left out:
+the robot was there. A voxel weighs as many frames as it is in the grid of.
+"""
+
+from collections.abc import Callable
+from dataclasses import dataclass
+from pathlib import Path
+from tempfile import TemporaryDirectory
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.ndimage import distance_transform_edt, map_coordinates
+from scipy.spatial import cKDTree
+
+from benchmarks.truth.__main__ import simulated
+from services.ingest.sequence import open_sequence
+from services.labeler.frames import labelled_tile
+from services.labeler.parameters import parameters_for
+from services.labeler.pipeline import FUSE, REFERENCE, STAGES, SURFACE, label_graph
+from services.labeler.results import load_reference, load_summaries
+from services.labeler.run import LabelRun, silent
+from simulator.options import SimulateOptions
+from simulator.truth import NOT_DRIVABLE, SimulationTruth
+from stone.geometry.lattice import centres_of
+from stone.labels.confidence import CALIBRATED, properties_of
+from stone.labels.traversability import POTENTIAL, TRAVERSABLE, threshold
+from stone.labels.voxels import VOXEL_M
+from stone.sensors.sequence import Sequence, SweepSource
+from testing.outside import truth as outside
+from testing.outside.drive import OutsideDrive
+from testing.outside.lidar import EGO_FROM_LIDAR
+from testing.outside.recording import START_NS
+
+GRID_HALF_M, EVERY = 25.6, 5
+Array = NDArray[np.float64]
+Judge = Callable[[Array], NDArray[np.uint8]]  # of points (N, 3) of the world; 0 is not judged, 1 drivable
+
+
+@dataclass(frozen=True, eq=False)
+class JudgedVoxels:
+    """Of K voxels the `properties` (K, n), whether truth `is_drivable` (K,), whether the label is P, and the weight."""
+
+    names: tuple[str, ...]
+    properties: Array
+    is_drivable: NDArray[np.bool_]
+    is_kept: NDArray[np.bool_]
+    weight: Array
+
+
+@dataclass(frozen=True)
+class OutsideVoxels:
+    """An analytic drive with a fault."""
+
+    drive: OutsideDrive
+    fault: str = "sound"
+
+    @property
+    def name(self) -> str:
+        return f"{self.drive.name} {self.fault}"
+
+    def voxels(self, folder: Path) -> JudgedVoxels:
+        """Return the voxels of the drive; its ideal ranges are kept in the folder."""
+        with TemporaryDirectory(dir=folder) as place:
+            bag, calibration, data = self.drive.record(folder, self.fault, Path(place) / "recording")
+            sequence, sweeps = open_sequence(bag, calibration, "outside")
+            stamps_s = (np.array(sequence.frames.stamps_ns) - START_NS) / 1e9
+            world_from_ego = np.array(self.drive.world.track.poses(stamps_s)) @ EGO_FROM_LIDAR
+            truth = self.drive.truth
+            poses = world_from_ego @ np.linalg.inv(data.ego_from_lidar)
+            return _voxels(sequence, sweeps, poses, lambda points: truth.judge(points).codes)
+
+
+@dataclass(frozen=True)
+class SimulatedVoxels:
+    """A drive through a simulated world."""
+
+    options: SimulateOptions
+
+    @property
+    def name(self) -> str:
+        one = self.options
+        further = [name for name in ("range_noise", "beside_track") if getattr(one, name)]
+        return " ".join((f"simulated-{one.seed}-{one.channels}-{one.seconds:g}s", *further))
+
+    def voxels(self, folder: Path) -> JudgedVoxels:
+        """Return the voxels of the drive; its recording is kept in the folder."""
+        drive = simulated(folder / f"{self.name.replace(' ', '-')}.mcap", self.options)
+        return _voxels(drive.sequence, drive.sweeps, drive.world_from_ego().as_matrix(), _vehicle_judge(drive.truth))
+
+
+def kept_voxels(source: OutsideVoxels | SimulatedVoxels, folder: Path) -> JudgedVoxels:
+    """Return the voxels of a source, kept in the folder from an earlier run where they are."""
+    path = folder / f"{source.name}.npz"
+    if not path.exists():
+        np.savez(path.with_suffix(".part.npz"), **vars(source.voxels(folder)))
+        path.with_suffix(".part.npz").rename(path)
+    with np.load(path) as kept:
+        arrays = dict(kept)
+    return JudgedVoxels(tuple(arrays.pop("names").tolist()), **arrays)
+
+
+def _voxels(sequence: Sequence, sweeps: SweepSource, world_from_ego: Array, judge: Judge) -> JudgedVoxels:
+    map_from_ego = sequence.frames.map_from_ego.as_matrix()
+    world_from_map, near = world_from_ego @ np.linalg.inv(map_from_ego), cKDTree(map_from_ego[:, :2, 3])
+    found = list[tuple[Array, ...]]()
+    names: tuple[str, ...] = ()
+    with TemporaryDirectory() as scratch:
+        run = LabelRun(sequence, sweeps, parameters_for(CALIBRATED), Path(scratch))
+        for job in label_graph(run):
+            if job.kind in (FUSE, SURFACE, REFERENCE):
+                STAGES[job.kind].work(run, job.arguments, silent)
+        reference, limits = (
+            load_reference(run),
+            (sequence.calibration.vehicle, threshold(run.parameters.reference.alpha)),
+        )
+        for summary in load_summaries(run):
+            tile = labelled_tile(run, summary.tile, reference)
+            centres = centres_of(tile.terrain.keys, VOXEL_M)
+            pose = world_from_map[near.query(centres[:, :2])[1]]
+            codes = judge(np.einsum("nij,nj->ni", pose[:, :3, :3], centres) + pose[:, :3, 3])
+            properties = properties_of(tile.terrain, tile.squared, reference, limits)
+            names = tuple(properties)
+            away = np.abs(centres[:, None, :2] - map_from_ego[None, ::EVERY, :2, 3])
+            weight = np.count_nonzero((away < GRID_HALF_M).all(axis=2), axis=1)
+            judged = (codes > 0) & (tile.classes != TRAVERSABLE) & (weight > 0)
+            columns = np.column_stack(list(properties.values()))
+            found.append(
+                (
+                    columns[judged],
+                    (codes == 1)[judged],
+                    (tile.classes == POTENTIAL)[judged],
+                    weight[judged].astype(float),
+                )
+            )
+    return JudgedVoxels(names, *map(np.concatenate, zip(*found, strict=True)))
+
+
+def _vehicle_judge(truth: SimulationTruth) -> Judge:
+    """Return a judge of a simulated world by the rules of the analytic ones."""
+    cell_m, (rows, columns) = outside.CELL_M, truth.height_m.shape
+    extent_m = np.array([columns - 1, rows - 1]) * truth.resolution_m
+    shape = tuple((extent_m[::-1] / cell_m).astype(int) + 1)
+    at = np.mgrid[: shape[0], : shape[1]] * (cell_m / truth.resolution_m)
+    height = map_coordinates(truth.height_m, at, order=1)
+    slope_deg, step_m = outside.plane_over(height, outside.FOOTPRINT_M)
+    face_deg, _ = outside.plane_over(height, outside.FACE_M)
+    tops = truth.obstacle_top_m[tuple(np.minimum(np.indices(shape).T, np.array(truth.obstacle_top_m.shape) - 1).T)]
+    is_blocked = distance_transform_edt(tops <= height + outside.FOOT_M) * cell_m < outside.NEAR_M
+    is_drivable = (slope_deg <= outside.DRIVABLE_DEG) & (step_m <= outside.STEP_M) & (face_deg <= outside.OBSTACLE_DEG)
+    is_drivable &= ~is_blocked
+
+    def judge(points: Array) -> NDArray[np.uint8]:
+        index = np.rint((points[:, :2] - np.asarray(truth.origin_m)) / cell_m).astype(np.int64)
+        j, i = np.clip(index, 0, np.array(shape)[::-1] - 1).T
+        above = (points[:, 2] - truth.elevation_m(points[:, :2])) * np.cos(np.deg2rad(face_deg[i, j]))
+        of_ground = np.where(is_drivable[i, j], outside.DRIVABLE, outside.GREY)
+        of_things = np.where(truth.judge(points) == NOT_DRIVABLE, outside.OBSTACLE, outside.AIR)
+        return np.where(np.abs(above) <= outside.BAND_M, of_ground, of_things).astype(np.uint8)
+
+    return judge
