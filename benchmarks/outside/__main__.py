@@ -12,13 +12,14 @@ import tempfile
 from itertools import product
 from pathlib import Path
 
+from benchmarks.outside.remedies import ROWS
 from benchmarks.outside.rows import Outcome, Row, kept, measure
 from benchmarks.outside.table import Key, show
 from benchmarks.outside.variants import forget, measure_variant
 from services.domain.sequences.label_choices import PROFILES
 from services.labeler.parameters import chosen_parameters
 from testing.outside.drive import OutsideDrive
-from testing.outside.faults import FAULTS, SOUND
+from testing.outside.faults import SOUND
 from testing.outside.worlds import LAYOUTS
 
 
@@ -45,7 +46,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--worlds", nargs="+", choices=LAYOUTS, default=list(LAYOUTS))
     parser.add_argument("--channels", nargs="+", type=int, default=[16, 64, 128], help="of sound drives")
     parser.add_argument("--fault-channels", nargs="*", type=int, default=[64], help="of drives with faults")
-    parser.add_argument("--faults", nargs="+", choices=FAULTS, default=list(FAULTS))
+    parser.add_argument("--faults", nargs="+", choices=ROWS, default=list(ROWS))
     parser.add_argument("--seeds", nargs="+", type=int, default=[1])
     parser.add_argument("--seconds", type=float, default=15.0)
     parser.add_argument("--profiles", nargs="+", choices=PROFILES, default=list(PROFILES))

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
-from services.ingest.sequence import open_sequence
+from benchmarks.outside.remedies import fault_of, opened
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import parameters_for
 from stone.errors import StoneError
@@ -57,15 +57,15 @@ def measure(row: Row, folder: Path) -> Outcome:
 
 
 def _outcome(row: Row, folder: Path, place: Path) -> Outcome:
-    bag, calibration, data = row.drive.record(folder, row.fault, place / "recording")
+    bag, calibration, _ = row.drive.record(folder, fault_of(row.fault), place / "recording")
     try:
-        sequence, sweeps = open_sequence(bag, calibration, "outside")
+        sequence, sweeps = opened(row.fault, bag, calibration)
         parameters = parameters_for(row.profile)  # type: ignore[arg-type]
         record = label(sequence, sweeps, place / "labels", LabelOptions(parameters, WORKERS)).as_record()
     except StoneError as error:
         return Outcome(0, {}, (), error.code)
     codes = tuple(sorted({one["code"] for one in record["findings"] if one["severity"] != "info"}))
-    verdict = judge_labels(place / "labels", row.drive.truth, data.ego_from_lidar)
+    verdict = judge_labels(place / "labels", row.drive.truth, sequence.calibration.ego_from_lidar.as_matrix())
     return Outcome(verdict.frames, dict(verdict.counts), codes)
 
 

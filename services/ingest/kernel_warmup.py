@@ -16,7 +16,7 @@ from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.deskew import SweepMount, deskew
-from stone.sensors.ground_links import Way, drift, look
+from stone.sensors.ground_links import Way, drift, links_between, look
 from stone.sensors.ground_points import plane_around
 from stone.sensors.selection import world_points
 from stone_recordings.messages.lidar import resolve_points
@@ -62,7 +62,8 @@ def _use_libraries() -> None:
     the formats of pictures."""
     plain = _plain().astype(np.float64)
     seen, row = look(plain), np.arange(2)
-    drift((seen, seen), Way(np.stack([row, row], axis=1).astype(np.float64), row.astype(np.float64), 0 * row), 1.0)
+    way = Way(np.stack([row, row], axis=1).astype(np.float64), row.astype(np.float64), 0 * row)
+    drift(links_between((seen, seen), way), way, 1.0)
     Target(plain, 1.0)
     registry()
     time_plot(Frame("warmup", 1.0, ""), ())

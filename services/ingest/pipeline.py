@@ -16,6 +16,7 @@ from stone.findings import Finding
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS
 from stone.sensors.calibration import Calibration
 from stone.sensors.deskew import SweepMount
+from stone.sensors.ground_plane import GroundFit
 from stone.sensors.sequence import Sequence
 from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
@@ -31,6 +32,7 @@ from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.direction_check import direction_findings
 from stone_recordings.sync.ground_check import applied_finding, ground_findings, measured_ground, settled
+from stone_recordings.sync.ground_looks import SeenWay, seen_along
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.lag_check import lag_findings, measured_lag
 from stone_recordings.sync.map_joining import joined
@@ -125,17 +127,30 @@ def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Find
 def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, name: str) -> tuple[Sequence, BagSweeps]:
     """With the ground measured, the mount of the LiDAR corrected by it where that is asked for, and drift in z followed
     where the poses have it."""
-    sequence, sweeps = _synchronised(bag, calibration, options, name)
-    fit, applied = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag)), tuple[Finding, ...]()
+    (sequence, sweeps), applied = _synchronised(bag, calibration, options, name), tuple[Finding, ...]()
+    seen, fit = _ground(bag, sequence, sweeps)
     if options.ground == "auto" and fit is not None:
         settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit)
+        turned = _synchronised(bag, settled_on, options, name)
+        seen, again = _ground(bag, *turned)
+        if again is not None and again.is_way_tilted and not (fit.is_mount_tilted or fit.is_way_tilted):
+            # The map was right, and the poses, which are of the ego frame, did not turn with the LiDAR.
+            settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit.untilted())
+            turned = _synchronised(bag, settled_on, options, name)
+            seen, again = _ground(bag, *turned)
         applied = (applied_finding(fit, settled_on),)
-        sequence, sweeps = _synchronised(bag, settled_on, options, name)
-        fit = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag))
-    doubts = (*ground_findings(sequence, fit), *direction_findings(sequence))
+        (sequence, sweeps), fit = turned, again
+    doubts = (*ground_findings(sequence, fit), *direction_findings(sequence, fit))
     findings = (*sequence.findings, *applied, *doubts)
     measured = replace(sequence, ground=fit, findings=findings)
-    return height_followed(measured, SweepsOfOpenBag(sweeps, bag), fit), sweeps
+    return height_followed(measured, SweepsOfOpenBag(sweeps, bag), fit, seen), sweeps
+
+
+def _ground(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[SeenWay, GroundFit | None]:
+    """What sweeps along the way show of the ground, and where it lies."""
+    opened = SweepsOfOpenBag(sweeps, bag)
+    seen = seen_along(sequence, opened)
+    return seen, measured_ground(sequence, opened, seen)
 
 
 def _without_refuted(sequence: Sequence, seen: tuple[Finding, ...]) -> Sequence:

@@ -3,6 +3,9 @@
 import math
 
 from stone.errors import Refused
+from stone.sensors.calibration import Calibration, entry_of
+from stone.sensors.driving_direction import turned_to_way
+from stone.sensors.ground_plane import GroundFit
 from stone.sensors.sequence import Sequence
 
 
@@ -22,4 +25,27 @@ def footprint_off_ground(height_m: float, tilt_rad: float, band_m: float) -> Ref
         f"and the footprint is swept within ±{band_m:g} m of it: is the LiDAR's mount in the calibration right, "
         "and the ego frame on the ground? "
         "CAL-433 says what to enter; ground auto corrects it for this run",
+    )
+
+
+def mount_tilted(ground: GroundFit) -> Refused:
+    return Refused(
+        "footprint_off_ground",
+        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, and the sweeps in the map "
+        "with it: "
+        "the LiDAR is not mounted as the calibration says, and labels would be wrong; "
+        "CAL-433 says what to enter, and ground auto corrects it for this run",
+    )
+
+
+def poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
+    climb_rad = math.atan(ground.way_slope)
+    mounts = turned_to_way(calibration, 0.0, climb_rad - math.atan(ground.slope_x))
+    entries = [f"enter {entry_of(one)}, or " for one in mounts]
+    return Refused(
+        "poses_tilted",
+        f"by its poses the robot drives {abs(math.degrees(climb_rad)):.1f}° {'above' if climb_rad > 0 else 'below'} "
+        "where it faces, over ground that the sweeps show level with it: the INS is turned on its mount, or its "
+        f"attitude biased, and labels would be wrong; {entries[0] if entries else ''}"
+        "take the poses from the sweeps (odometry kiss-icp)",
     )

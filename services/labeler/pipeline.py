@@ -40,7 +40,7 @@ from services.runtime.jobs.specs import JobSpec
 
 
 def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Sweeps → point map, observed bricks and range images, per tile. Raises `footprint_off_ground`."""
+    """Sweeps → point map, observed bricks and range images, per tile. Raises as `require_ground`."""
     require_ground(run)
     part = part_of(arguments)
     points = fuse(run, part, step)

@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.errors import footprint_off_ground
+from services.labeler.errors import footprint_off_ground, mount_tilted, poses_tilted
 from services.labeler.parameters import LabelParameters
 from stone.errors import Refused
 from stone.geometry.lattice import Keys, indices_of
@@ -89,20 +89,22 @@ class LabelRun:
 
 def ground_refusal(sequence: Sequence, band_m: float) -> Refused | None:
     """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it, or whose halves do
-    one each; None where they do not."""
+    one each, or whose LiDAR or poses are tilted; None where they are not."""
     ground, footprint = sequence.ground, sequence.calibration.footprint
     if ground is None:
         return None
     # From the middle of the footprint to the middle of its half.
     lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
     is_off = abs(ground.height_m) > band_m and ground.is_off_in_all
-    if not is_off and lean_m <= band_m:
-        return None
-    return footprint_off_ground(ground.height_m, ground.tilt_rad, band_m)
+    if is_off or lean_m > band_m:
+        return footprint_off_ground(ground.height_m, ground.tilt_rad, band_m)
+    if ground.is_mount_tilted:
+        return mount_tilted(ground)
+    return poses_tilted(ground, sequence.calibration) if ground.is_way_tilted else None
 
 
 def require_ground(run: LabelRun) -> None:
-    """Raises `footprint_off_ground` where the footprint is not on the ground."""
+    """Raises `footprint_off_ground` where the footprint is not on the ground, `poses_tilted` where the poses are."""
     refusal = ground_refusal(run.sequence, run.parameters.footprint_band_m)
     if refusal is not None:
         raise refusal

@@ -90,3 +90,12 @@ class Calibration:
 
     def of_kind(self, kind: SensorKind) -> tuple[Mount, ...]:
         return tuple(mount for mount in self.mounts if mount.kind == kind)
+
+
+def entry_of(mount: Mount | SE3) -> str:
+    """Return a mount, or that of the LiDAR, as a person enters it."""
+    name = f"lidar_from_sensor of {mount.name}" if isinstance(mount, Mount) else "ego_from_lidar"
+    transform = mount.lidar_from_sensor if isinstance(mount, Mount) else mount
+    place = ", ".join(f"{value:.3f}" for value in transform.translation_m.tolist())
+    turn = ", ".join(f"{value:.5f}" for value in transform.wxyz.tolist())
+    return f"{name} at [{place}] m, wxyz [{turn}]"

@@ -6,13 +6,14 @@ left of x, pitch positive above it. Both are those of a robot that does not turn
 steps far from the line are left out, so a bump moves neither.
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.se3 import SE3
+from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
+from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.clocks import MAD_TO_SIGMA
 
 STEP_M, MOST_ASIDE_RAD = 0.5, float(np.deg2rad(20.0))
@@ -45,6 +46,19 @@ class DrivingDirection:
     def is_pitched(self) -> bool:
         """Whether the pitch is off by more than a sound run shows."""
         return abs(self.pitch_rad) > max(PITCH_BIAS_RAD, SURE_TIMES * self.pitch_error_rad)
+
+
+def turned_to_way(calibration: Calibration, yaw_rad: float, pitch_rad: float) -> tuple[Mount, ...]:
+    """Return the mounts of INS with which a way that led `yaw_rad` to the left of x and `pitch_rad` above it leads
+    along x; their places on the robot stay."""
+    way = np.array([np.cos(pitch_rad) * np.cos(yaw_rad), np.cos(pitch_rad) * np.sin(yaw_rad), np.sin(pitch_rad)])
+    half = np.array([1.0 + way[0], 0.0, way[2], -way[1]])  # the shortest turn of the way to x
+    mounts = []
+    for mount in calibration.of_kind("ins"):
+        placed = calibration.ego_from_lidar @ mount.lidar_from_sensor
+        turned = SE3.from_parts(multiply(half, placed.wxyz), placed.translation_m)
+        mounts.append(replace(mount, lidar_from_sensor=calibration.ego_from_lidar.inverse() @ turned))
+    return tuple(mounts)
 
 
 def driving_direction(track: Trajectory) -> DrivingDirection | None:

@@ -20,7 +20,7 @@ import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
-from stone.geometry.lattice import EMPTY, pack
+from stone.geometry.lattice import EMPTY, indices_of, pack
 from stone.sensors.ground_points import FARTHEST_M, low_points
 from stone.sensors.height_drift import HeightDrift
 
@@ -55,6 +55,16 @@ class Way:
     maps: Rows
 
 
+@dataclass(frozen=True, eq=False)
+class Links:
+    """Pairs (L, 2) of looks at the same ground, by how much the second finds it higher (L,), and where: the middle
+    (L, 2) in plan of the cells that both saw."""
+
+    pairs: Rows
+    height_m: Array
+    middle_m: Array
+
+
 def looks_along(places_m: Array) -> Rows:
     """Which of the places (N, 2) or (N, 3) along a way are looked around at: the first, and one every `SPACING_M`, more
     where that would be many."""
@@ -78,14 +88,23 @@ def look(points_map: Array) -> Look:
     return Look(cells, lowest[:, 2].astype(np.float32))
 
 
-def drift(looks: Listing[Look], way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
-    """What the looks (K,) say, and the correction (K,) of each. Passes whose ground lies more than `floor_m` apart,
-    once the way between them is corrected, are on two floors and say nothing."""
+def links_between(looks: Listing[Look], way: Way) -> Links:
+    """Return the links of the looks (K,) along a way."""
     pairs = _pairs(way)
-    height_m = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()])
-    pairs, height_m = pairs[np.isfinite(height_m)], height_m[np.isfinite(height_m)]
-    along_m = np.diff(way.driven_m[pairs], axis=1)[:, 0]
-    is_near = along_m <= 2 * FARTHEST_M
+    found = np.array([_higher(looks[a], looks[b]) for a, b in pairs.tolist()]).reshape(-1, 3)
+    is_found = np.isfinite(found[:, 0])
+    return Links(pairs[is_found], found[is_found, 0], found[is_found, 1:])
+
+
+def of_one_visit(links: Links, way: Way) -> NDArray[np.bool_]:
+    """Return which of the links (L,) are of looks right after each other."""
+    return np.asarray(np.diff(way.driven_m[links.pairs], axis=1)[:, 0] <= 2 * FARTHEST_M)
+
+
+def drift(links: Links, way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
+    """What the links say, and the correction (K,) of each look. Passes whose ground lies more than `floor_m` apart,
+    once the way between them is corrected, are on two floors and say nothing."""
+    pairs, height_m, is_near = links.pairs, links.height_m, of_one_visit(links, way)
     found_m = _corrections(pairs[is_near], height_m[is_near], way)
     off_m = np.abs(height_m + np.diff(found_m[pairs], axis=1)[:, 0])
     is_same = is_near | (off_m <= floor_m)
@@ -131,14 +150,17 @@ def _partners(before: Rows) -> list[int]:
     return [*np.unique(others[spread]).tolist(), *last.tolist()]
 
 
-def _higher(one: Look, other: Look) -> float:
-    """By how much the other's ground lies higher than the one's; NaN where too little is shared, or it scatters."""
-    _, mine, theirs = np.intersect1d(one.cells, other.cells, assume_unique=True, return_indices=True)
+def _higher(one: Look, other: Look) -> tuple[float, float, float]:
+    """By how much the other's ground lies higher than the one's, and where; NaN where too little is shared, or it
+    scatters."""
+    cells, mine, theirs = np.intersect1d(one.cells, other.cells, assume_unique=True, return_indices=True)
     if len(mine) < FEWEST_CELLS:
-        return np.nan
+        return np.nan, np.nan, np.nan
     off_m = other.heights_m[theirs].astype(np.float64) - one.heights_m[mine]
     middle_m = float(np.median(off_m))
-    return middle_m if float(np.median(np.abs(off_m - middle_m))) <= MOST_SCATTER_M else np.nan
+    x_m, y_m = ((indices_of(cells)[:, :2] + 0.5) * CELL_M).mean(axis=0).tolist()
+    is_one = float(np.median(np.abs(off_m - middle_m))) <= MOST_SCATTER_M
+    return (middle_m if is_one else np.nan), x_m, y_m
 
 
 def _corrections(pairs: Rows, height_m: Array, way: Way) -> Array:

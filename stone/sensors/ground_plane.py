@@ -2,7 +2,14 @@
 
 **Conventions.** In the ego frame, whose origin should lie on the ground under the footprint, with x and y along it. A
 plane is z = height_m + slope_x · x + slope_y · y. One sweep's plane is that of the terrain around it; over a run, hills
-and hollows cancel, and what stays is the calibration's: one height and one tilt.
+and hollows cancel, and what stays is the calibration's: one height and one tilt. Terrain moves that tilt by up to 1.3°;
+looks at the same ground from two places (`stone/sensors/sweep_tilt.py`) show to 0.2° how far the sweeps are tilted in
+the map, and the poses how far the robot drives above or below its x axis. Three faults differ by them, at 2° each:
+
+    ground in the ego frame | way in it | sweeps in the map | cause
+    2°                      | 0°        | 2°                | the LiDAR is mounted otherwise than entered: refused
+    0°                      | −2°       | 2°                | the poses are tilted: refused
+    2°                      | 2°        | 0°                | the body drives pitched: the map is right
 """
 
 from dataclasses import dataclass, replace
@@ -15,6 +22,9 @@ from stone.geometry.se3 import SE3, shortest_turn_to_z
 FEWEST_SWEEPS = 5
 UPRIGHT = 0.3
 TOLERATED_M, TOLERATED_RAD = 0.07, float(np.deg2rad(1.5))
+# Labels lose 2 to 3 % of drivable ground with a LiDAR pitched by 0.5°, 6 to 24 % with 1°; rolled by 1°, 2 to 5 %. Poses
+# that drift in z by 1 % look like tilted ones, and are followed.
+MOST_PITCH, MOST_ROLL, MOST_WAY_SLOPE = np.tan(np.deg2rad([0.55, 1.0, 0.7])).tolist()
 TERRAIN_SHARE = 0.25  # of what its sweeps differ by: 16 channels saw hills 0 to 0.6 m above a mount that was right
 
 Array = NDArray[np.float64]
@@ -23,7 +33,8 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class GroundFit:
     """Over the `sweeps` in which ground was found: its height (m) and slopes, each the mean of the middle half, and
-    the 5th and 95th centile of the height."""
+    the 5th and 95th centile of the height. `map_slope_x` and `map_slope_y` are by how much of them the sweeps are
+    tilted in the map; None where that is not known."""
 
     sweeps: int
     height_m: float
@@ -31,6 +42,13 @@ class GroundFit:
     slope_y: float
     low_m: float
     high_m: float
+    map_slope_x: float | None = None
+    map_slope_y: float | None = None
+
+    @property
+    def way_slope(self) -> float:
+        """The slope in the ego frame of the way that the poses drive; 0 where it is not known."""
+        return 0.0 if self.map_slope_x is None else self.slope_x - self.map_slope_x
 
     @property
     def tilt_rad(self) -> float:
@@ -49,11 +67,41 @@ class GroundFit:
     @property
     def is_tilted(self) -> bool:
         """Whether it leans more than terrain explains."""
-        return self.tilt_rad > TOLERATED_RAD
+        return self.tilt_rad > TOLERATED_RAD or self.is_mount_tilted
+
+    @property
+    def is_map_tilted(self) -> bool:
+        """Whether the sweeps are tilted in the map by most of what they are in the ego frame, or nobody knows: then the
+        LiDAR alone is turned on the robot, else the poses turn with it."""
+        if abs(self.slope_x) >= abs(self.slope_y):
+            return self.map_slope_x is None or _is_most(self.map_slope_x, self.slope_x)
+        return self.map_slope_y is None or _is_most(self.map_slope_y, self.slope_y)
+
+    @property
+    def is_mount_tilted(self) -> bool:
+        """Whether the LiDAR is surely turned on the robot so far that labels fail."""
+        along, across = self.map_slope_x or 0.0, self.map_slope_y or 0.0
+        is_across = min(abs(across), abs(self.slope_y)) > MOST_ROLL and across * self.slope_y > 0
+        return is_across or (abs(along) > MOST_PITCH and not self._is_of_poses)
+
+    @property
+    def is_way_tilted(self) -> bool:
+        """Whether the poses are surely tilted so far that labels fail: the way climbs in the ego frame, the ground does
+        not."""
+        return abs(self.map_slope_x or 0.0) > MOST_WAY_SLOPE and self._is_of_poses
+
+    @property
+    def is_body_pitched(self) -> bool:
+        """Whether the way is pitched in the ego frame, and the ground with it: the map is right."""
+        return self.map_slope_x is not None and not _is_most(self.map_slope_x, -self.way_slope)
+
+    @property
+    def _is_of_poses(self) -> bool:
+        return abs(self.way_slope) > abs(self.slope_x)
 
     def untilted(self) -> "GroundFit":
         """Its height alone."""
-        return replace(self, slope_x=0.0, slope_y=0.0)
+        return replace(self, slope_x=0.0, slope_y=0.0, map_slope_x=None, map_slope_y=None)
 
     def beyond_terrain(self) -> "GroundFit":
         """What the mount is to blame for: the height and the tilt, each only where terrain does not explain it."""
@@ -72,6 +120,10 @@ class GroundFit:
         above_m = float(normal @ (place_m - np.array([0.0, 0.0, self.height_m])))
         wxyz = (SE3.from_parts(back, np.zeros(3)) @ turned).wxyz
         return SE3.from_parts(wxyz, np.array([place_m[0], place_m[1], above_m]))
+
+
+def _is_most(part: float, slope: float) -> bool:
+    return 2 * part * slope >= slope**2
 
 
 def _heading_rad(ego_from_lidar: SE3) -> float:

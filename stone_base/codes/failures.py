@@ -7,7 +7,8 @@ MEANINGS = (
     CodeMeaning(
         "footprint_off_ground",
         "refused",
-        "The ground lies farther from the footprint than the band in which driven ground is looked for.",
+        "The ground lies farther from the footprint than the band in which driven ground is looked for, or the LiDAR "
+        "is mounted otherwise than entered, by the tilt of the ground.",
         "Enter the mount that CAL-433 names, or process with ground auto.",
     ),
     CodeMeaning(
@@ -40,6 +41,12 @@ MEANINGS = (
         "refused",
         "Positions are farther from the origin than a map reaches.",
         "Check the source of poses.",
+    ),
+    CodeMeaning(
+        "poses_tilted",
+        "refused",
+        "By its poses the robot drives above or below where it faces, over ground that the sweeps show level.",
+        "Enter the rotation of the INS that the message names, or process with odometry kiss-icp.",
     ),
     CodeMeaning(
         "reader_crashed",

@@ -6,58 +6,44 @@ is terrain. Ground auto takes the height from what was found, however little, wh
 which terrain moves by half a degree, only where it is beyond that.
 """
 
-from collections import deque
-from collections.abc import Iterable, Iterator
-from concurrent.futures import Future, ThreadPoolExecutor
 from dataclasses import replace
 
 import numpy as np
-from numpy.typing import NDArray
 
-from stone.errors import StoneError
 from stone.findings import Finding
-from stone.sensors.calibration import Calibration
+from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration, entry_of
+from stone.sensors.driving_direction import DrivingDirection, driving_direction
+from stone.sensors.ego_path import track_of
 from stone.sensors.ground_plane import GroundFit, ground_fit
 from stone.sensors.ground_points import plane_around
-from stone.sensors.selection import world_points
 from stone.sensors.sequence import Sequence, SweepSource
+from stone.sensors.sweep_tilt import SweepTilt
+from stone_recordings.sync.ground_looks import SeenWay, seen_ahead, seen_along
 
 SWEEPS = 40
-AHEAD = 2
-MIN_RANGE_M = 1.0
+OF_MOTION = ("ins", "imu")
+MOST_ERROR_ALONG, MOST_ERROR_ACROSS = np.tan(np.deg2rad([0.3, 0.7])).tolist()
 ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
 
 
-def measured_ground(sequence: Sequence, sweeps: SweepSource) -> GroundFit | None:
+def measured_ground(sequence: Sequence, sweeps: SweepSource, seen: SeenWay | None) -> GroundFit | None:
     """Where the ground lies in the ego frame, by sweeps from all over the run; None where too few show it."""
     picked = np.unique(np.linspace(0, len(sequence.frames) - 1, SWEEPS).round().astype(np.int64)).tolist()
     planes = (plane_around(points) for points in seen_ahead(sequence, sweeps, picked))
-    return ground_fit([plane for plane in planes if plane is not None])
+    fit = ground_fit([plane for plane in planes if plane is not None])
+    if fit is None or seen is None or seen.tilt is None:
+        return fit
+    return _linked(fit, seen.tilt, driving_direction(track_of(sequence)))
 
 
-def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> Iterator[NDArray[np.float32]]:
-    """`seen_around` of these frames in their order; a thread reads the next `AHEAD` while one is looked at.
-
-    Nobody else may read the sweeps meanwhile.
-    """
-    coming = deque[Future[NDArray[np.float32]]]()
-    with ThreadPoolExecutor(1) as beside:
-        for row in rows:
-            coming.append(beside.submit(seen_around, sequence, sweeps, row))
-            if len(coming) > AHEAD:
-                yield coming.popleft().result()
-        yield from (one.result() for one in coming)
-
-
-def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
-    """The points (N, 3) of a frame's sweep in its ego frame, without the robot's own; none of a sweep that cannot be
-    read, which is for labelling to say."""
-    calibration = sequence.calibration
-    try:
-        points_lidar = sweeps.sweep(index).points_lidar
-    except StoneError:
-        return np.zeros((0, 3), np.float32)
-    return world_points(points_lidar, calibration.ego_from_lidar, calibration.self_boxes_ego, MIN_RANGE_M)
+def _linked(fit: GroundFit, tilt: SweepTilt, direction: DrivingDirection | None) -> GroundFit:
+    """Return the fit with the tilt of the sweeps in the map, and its slope along x by that and the way, if both are
+    known well enough."""
+    fit = replace(fit, map_slope_y=tilt.slope_y if tilt.error_y < MOST_ERROR_ACROSS else None)
+    if direction is None or np.hypot(tilt.error_x, direction.pitch_error_rad) > MOST_ERROR_ALONG:
+        return fit
+    return replace(fit, map_slope_x=tilt.slope_x, slope_x=tilt.slope_x + float(np.tan(direction.pitch_rad)))
 
 
 def is_off(fit: GroundFit | None) -> bool:
@@ -67,22 +53,37 @@ def is_off(fit: GroundFit | None) -> bool:
 
 def corrected(calibration: Calibration, fit: GroundFit) -> Calibration:
     """The calibration with the LiDAR mounted so that the ground lies where it should."""
-    return replace(calibration, ego_from_lidar=fit.corrected(calibration.ego_from_lidar))
+    return _mounted(calibration, fit.corrected(calibration.ego_from_lidar), fit.tilt_rad > 0.0 and fit.is_map_tilted)
+
+
+def _mounted(calibration: Calibration, ego_from_lidar: SE3, is_body_kept: bool) -> Calibration:
+    """Return the calibration with the LiDAR there; with `is_body_kept`, sensors of the robot's own motion stay where
+    they are on the robot, else beside the LiDAR."""
+    turn = ego_from_lidar.inverse() @ calibration.ego_from_lidar
+    mounts = tuple(
+        replace(mount, lidar_from_sensor=turn @ mount.lidar_from_sensor)
+        if is_body_kept and mount.kind in OF_MOTION
+        else mount
+        for mount in calibration.mounts
+    )
+    return replace(calibration, ego_from_lidar=ego_from_lidar, mounts=mounts)
 
 
 def settled(sequence: Sequence, sweeps: SweepSource, fit: GroundFit) -> Calibration:
     """The calibration with the LiDAR mounted so that the ground is found at the ego origin, to `SETTLED_M`, and level,
     to `SETTLED_RAD`, where the tilt was beyond terrain: whatever height was entered, it ends in the same place."""
     calibration, found = sequence.calibration, fit if fit.is_tilted else fit.untilted()
+    mount = calibration.ego_from_lidar
     for _ in range(ROUNDS):
-        calibration = corrected(calibration, found)
-        again = measured_ground(replace(sequence, calibration=calibration), sweeps)
+        mount = found.corrected(mount)
+        turned = replace(sequence, calibration=replace(calibration, ego_from_lidar=mount))
+        again = measured_ground(turned, sweeps, seen_along(turned, sweeps) if fit.is_tilted else None)
         if again is None:
             break
         found = again if fit.is_tilted else again.untilted()
         if abs(found.height_m) < SETTLED_M and found.tilt_rad < SETTLED_RAD:
             break
-    return calibration
+    return _mounted(calibration, mount, fit.is_tilted and fit.is_map_tilted)
 
 
 def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding, ...]:
@@ -92,11 +93,13 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
         return (Finding("CAL-435", "info", "", unseen),)
     if not is_off(fit):
         return ()
+    right = corrected(sequence.calibration, fit.beyond_terrain())
     sentence = (
         f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
         f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
-        f"and the ego origin on the ground? {_mount(corrected(sequence.calibration, fit.beyond_terrain()))} would "
+        f"and the ego origin on the ground? {_mount(right)}{_moved_mounts(sequence.calibration, right)} would "
         "correct it, and ground auto corrects it for this run"
+        f"{'; as entered, nothing is labelled' if fit.is_mount_tilted else ''}"
     )
     return (Finding("CAL-433", "warning", "", sentence),)
 
@@ -115,6 +118,10 @@ def _above(fit: GroundFit) -> str:
 
 
 def _mount(calibration: Calibration) -> str:
-    place = ", ".join(f"{value:.3f}" for value in calibration.ego_from_lidar.translation_m.tolist())
-    turn = ", ".join(f"{value:.5f}" for value in calibration.ego_from_lidar.wxyz.tolist())
-    return f"ego_from_lidar at [{place}] m, wxyz [{turn}]"
+    return entry_of(calibration.ego_from_lidar)
+
+
+def _moved_mounts(before: Calibration, after: Calibration) -> str:
+    """Return the rotation of each mount that stays on the robot while the LiDAR is turned."""
+    pairs = zip(before.mounts, after.mounts, strict=True)
+    return "".join(f", {entry_of(new)}" for old, new in pairs if new is not old)

@@ -12,54 +12,32 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3
-from stone.sensors.ego_path import maps_of_frames
-from stone.sensors.ground_links import (
-    LEAST_FLOOR_M,
-    SAME_FLOOR_RATIO,
-    TERRAIN_RAD,
-    Way,
-    drift,
-    driven,
-    look,
-    looks_along,
-)
+from stone.sensors.ground_links import LEAST_FLOOR_M, SAME_FLOOR_RATIO, TERRAIN_RAD, drift
 from stone.sensors.ground_plane import GroundFit
-from stone.sensors.ground_points import around_robot
 from stone.sensors.height_drift import HeightDrift
 from stone.sensors.sequence import Sequence, SweepSource
-from stone_recordings.sync.ground_check import is_off, seen_ahead
+from stone_recordings.sync.ground_check import is_off
+from stone_recordings.sync.ground_looks import SeenWay, seen_along
 
 Array = NDArray[np.float64]
 
 
-def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | None) -> Sequence:
+def height_followed(sequence: Sequence, sweeps: SweepSource, fit: GroundFit | None, seen: SeenWay) -> Sequence:
     """The sequence with its drift in z measured, and followed where it is drift; itself where the ground under the
     robot, `fit`, was not measured, or lies off for a reason of the mount."""
-    places_m = sequence.frames.map_from_ego.translation_m
-    if fit is None or is_off(fit) or len(places_m) < 2:
+    if fit is None or is_off(fit) or len(seen.rows) < 2:
         return sequence
-    rows = looks_along(places_m)
-    way = Way(places_m[rows, :2], driven(places_m)[rows], maps_of_frames(sequence)[rows])
-    found, up_m = _drift(sequence, sweeps, (rows, way), SE3.identity())
+    found, up_m = drift(seen.links, seen.way, _floor_m(sequence))
     if found.is_beyond_terrain and fit.tilt_rad > TERRAIN_RAD:
         level = replace(fit, height_m=0.0).corrected(SE3.identity())
-        found, up_m = min((found, up_m), _drift(sequence, sweeps, (rows, way), level), key=lambda one: one[0].apart_m)
+        seen = seen_along(sequence, sweeps, level)
+        found, up_m = min(
+            (found, up_m), drift(seen.links, seen.way, _floor_m(sequence)), key=lambda one: one[0].apart_m
+        )
     if found.is_beyond_terrain and found.is_followable:
-        sequence, found = _moved(sequence, rows, up_m), replace(found, is_followed=True)
+        sequence, found = _moved(sequence, seen.rows, up_m), replace(found, is_followed=True)
     return replace(sequence, height_drift=found, findings=(*sequence.findings, *_findings(found)))
-
-
-def _drift(
-    sequence: Sequence, sweeps: SweepSource, picked: tuple[NDArray[np.int64], Way], level: SE3
-) -> tuple[HeightDrift, Array]:
-    """By the ground of the picked frames, turned by `level` in the ego frame first."""
-    rows, way = picked
-    poses = sequence.frames.map_from_ego
-    seen = (around_robot(points) for points in seen_ahead(sequence, sweeps, rows.tolist()))
-    looks = [look(placed(poses[row] @ level, points_ego)) for row, points_ego in zip(rows.tolist(), seen, strict=True)]
-    return drift(looks, way, _floor_m(sequence))
 
 
 def _floor_m(sequence: Sequence) -> float:

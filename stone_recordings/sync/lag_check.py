@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
 from stone.sensors.sweep_lag import SLOPE_STEP_S, SweepLag, SweepTurns, sweep_lag
-from stone_recordings.sync.ground_check import seen_around
+from stone_recordings.sync.ground_looks import seen_around
 from stone_recordings.sync.registration import Target, Trust
 
 PAIRS = 16

@@ -18,7 +18,7 @@ from stone.geometry.segments import segments_at
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.ego_path import track_of
 from stone.sensors.sequence import Sequence, SweepSource
-from stone_recordings.sync.ground_check import seen_around
+from stone_recordings.sync.ground_looks import seen_around
 from stone_recordings.sync.registration import Registered, Target, Trust
 
 FRAMES_EACH_SIDE = 10

@@ -41,6 +41,11 @@ def _attitude(yaw_deg: float = 0.0, pitch_deg: float = 0.0) -> Fault:
     return lambda drive, _rng: replace(drive, world_from_ins=turned(drive.world_from_ins, turn))
 
 
+def _squatting(drive: Recordable, rng: np.random.Generator) -> Recordable:
+    """The body drives pitched, so the ego frame is; LiDAR and receiver are entered as they are mounted on it."""
+    return _attitude(pitch_deg=-2.0)(_mount(pitch_deg=2.0)(drive, rng), rng)
+
+
 def _late(drive: Recordable, _rng: np.random.Generator) -> Recordable:
     return replace(drive, pose_s=drive.pose_s + LATE_S)
 
@@ -88,6 +93,7 @@ FAULTS: Mapping[str, Fault] = {
     "RTK float 10 cm": _floating,
     "yaw bias 1°": _attitude(yaw_deg=1.0),
     "INS tilted 2°": _attitude(pitch_deg=2.0),
+    "body pitched 2°": _squatting,
     "poses jump 0.6 m": _jumping,
     "rain": _raining,
 }

@@ -1,12 +1,15 @@
 """A biased heading or pitch shows in the direction of every step, and hills, curves and noise do not."""
 
+from dataclasses import replace
+
 import numpy as np
 import pytest
 from scipy.spatial.transform import Rotation
 
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
-from stone.sensors.driving_direction import driving_direction
+from stone.sensors.calibration import Calibration, Mount
+from stone.sensors.driving_direction import driving_direction, turned_to_way
 
 
 def drive(yaw_deg=0.0, pitch_deg=0.0, aside=0.0, count=400, seed=5):
@@ -49,3 +52,17 @@ def test_a_robot_that_drives_any_way_and_a_short_way_say_nothing():
     assert driving_direction(short) is None
     turned = SE3.from_parts(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
     assert driving_direction(Trajectory(whole.stamps_ns, whole.map_from_ego @ turned)) is None
+
+
+def test_with_the_mount_that_is_named_an_ins_faces_where_the_robot_drives():
+    place = SE3.from_parts(np.array([0.9, 0.1, -0.2, 0.3]), np.array([0.2, -0.1, 0.4]))
+    rig = Calibration("rig", SE3.from_parts(np.array([1.0, 0.0, 0.02, 0.0]), np.array([0.1, 0.0, 1.1])))
+    entered = Mount("INS", "ins", rig.ego_from_lidar.inverse() @ place)
+    faulty = drive(1.5, -2.0)
+    found = driving_direction(faulty)
+    (right,) = turned_to_way(replace(rig, mounts=(entered,)), found.yaw_rad, found.pitch_rad)
+    ego_from_ins = rig.ego_from_lidar @ right.lidar_from_sensor
+    np.testing.assert_allclose(ego_from_ins.translation_m, place.translation_m, atol=1e-9)
+    again = driving_direction(Trajectory(faulty.stamps_ns, faulty.map_from_ego @ place @ ego_from_ins.inverse()))
+    # To what the lever arm of 0.4 m adds where the ground is bent.
+    assert np.rad2deg([again.yaw_rad, again.pitch_rad]) == pytest.approx([0.0, 0.0], abs=0.25)

@@ -19,6 +19,7 @@ from stone.sensors.ground_links import (
     Way,
     drift,
     driven,
+    links_between,
     look,
     looks_along,
 )
@@ -203,6 +204,10 @@ def seen_from(place_m, seed: int, off_m: float = 0.0, noise_m: float = 0.02, mov
     return look(np.column_stack([plan, heights + off_m]))
 
 
+def drift_of(looks: list[Look], way: Way, floor_m: float):
+    return drift(links_between(looks, way), way, floor_m)
+
+
 def way_of(places_m) -> Way:
     return Way(places_m, driven(places_m), np.zeros(len(places_m), np.int64))
 
@@ -214,7 +219,7 @@ def looks_of(places_m, off_m, **facts) -> list[Look]:
 @pytest.mark.parametrize("rate", [-0.01, 0.03])
 def test_drift_of_a_straight_way_is_taken_back_to_a_few_centimetres_in_200_m(rate):
     off_m = rate * driven(LINE)
-    found, up_m = drift(looks_of(LINE, off_m), way_of(LINE), FLOOR_M)
+    found, up_m = drift_of(looks_of(LINE, off_m), way_of(LINE), FLOOR_M)
     assert found.is_beyond_terrain
     assert found.is_followable
     assert np.abs(up_m + off_m).max() < 0.05
@@ -223,7 +228,7 @@ def test_drift_of_a_straight_way_is_taken_back_to_a_few_centimetres_in_200_m(rat
 
 
 def test_rough_and_sloping_ground_without_drift_is_no_drift():
-    found, up_m = drift(looks_of(LINE, np.zeros(len(LINE))), way_of(LINE), FLOOR_M)
+    found, up_m = drift_of(looks_of(LINE, np.zeros(len(LINE))), way_of(LINE), FLOOR_M)
     assert not found.is_beyond_terrain
     assert found.apart_m < TOLERATED_M / 4
     assert np.abs(up_m).max() < 0.05
@@ -231,14 +236,14 @@ def test_rough_and_sloping_ground_without_drift_is_no_drift():
 
 def test_a_third_of_what_is_seen_may_move_and_looks_may_scatter():
     off_m = 0.01 * driven(LINE)
-    _, up_m = drift(looks_of(LINE, off_m, noise_m=0.05, movers=2000), way_of(LINE), FLOOR_M)
+    _, up_m = drift_of(looks_of(LINE, off_m, noise_m=0.05, movers=2000), way_of(LINE), FLOOR_M)
     assert np.abs(up_m + off_m).max() < 0.1
 
 
 def test_a_second_visit_at_another_height_lies_on_the_first():
     """Drift that no two looks right after another show: 0.2 %, but 0.4 m after a round."""
     off_m = 0.002 * driven(TWICE_ROUND)
-    found, up_m = drift(looks_of(TWICE_ROUND, off_m), way_of(TWICE_ROUND), FLOOR_M)
+    found, up_m = drift_of(looks_of(TWICE_ROUND, off_m), way_of(TWICE_ROUND), FLOOR_M)
     assert found.apart_m > 0.3
     assert found.is_followable
     twice_m = (off_m + up_m).reshape(2, 80)
@@ -250,7 +255,7 @@ def test_what_lies_a_floor_higher_is_not_pulled_down():
     rows = np.concatenate([np.arange(60), np.arange(100, 160)])
     floor_m = np.where(rows < 80, 0.0, 3.0)
     way = Way(TWICE_ROUND[rows], driven(TWICE_ROUND)[rows], np.zeros(len(rows), np.int64))
-    found, up_m = drift(looks_of(TWICE_ROUND[rows], floor_m), way, FLOOR_M)
+    found, up_m = drift_of(looks_of(TWICE_ROUND[rows], floor_m), way, FLOOR_M)
     assert not found.is_beyond_terrain
     assert np.abs(up_m).max() < 0.05
 
@@ -258,14 +263,14 @@ def test_what_lies_a_floor_higher_is_not_pulled_down():
 def test_maps_are_not_related_to_each_other():
     off_m = np.where(np.arange(160) < 80, 0.0, 2.0)
     maps = (np.arange(160) >= 80).astype(np.int64)
-    found, up_m = drift(looks_of(TWICE_ROUND, off_m), replace(way_of(TWICE_ROUND), maps=maps), FLOOR_M)
+    found, up_m = drift_of(looks_of(TWICE_ROUND, off_m), replace(way_of(TWICE_ROUND), maps=maps), FLOOR_M)
     assert not found.is_beyond_terrain
     assert np.abs(up_m).max() < 0.05
 
 
 def test_a_step_is_said_to_be_none_that_is_slow():
     off_m = np.where(np.arange(len(LINE)) < 50, 0.0, 1.5)
-    found, _ = drift(looks_of(LINE, off_m), way_of(LINE), FLOOR_M)
+    found, _ = drift_of(looks_of(LINE, off_m), way_of(LINE), FLOOR_M)
     assert found.is_beyond_terrain
     assert not found.is_followable
 
@@ -274,14 +279,14 @@ def test_a_step_is_said_to_be_none_that_is_slow():
 @given(st.floats(-50.0, 50.0), st.integers(0, 1000))
 def test_the_height_of_the_map_is_nobodys_drift(level_m, seed):
     off_m = 0.01 * driven(LINE[:12]) + level_m
-    _, up_m = drift([seen_from(p, seed + k, off_m[k]) for k, p in enumerate(LINE[:12])], way_of(LINE[:12]), FLOOR_M)
+    _, up_m = drift_of([seen_from(p, seed + k, off_m[k]) for k, p in enumerate(LINE[:12])], way_of(LINE[:12]), FLOOR_M)
     assert up_m[0] == pytest.approx(0.0, abs=1e-3)
     assert np.abs(up_m + off_m - off_m[0]).max() < 0.03
 
 
 @pytest.mark.parametrize("points", [np.zeros((0, 3)), np.full((50, 3), 1e12), np.zeros((FEWEST_CELLS - 1, 3))])
 def test_where_nothing_can_be_compared_nothing_is_corrected(points):
-    found, up_m = drift([look(points)] * 6, way_of(LINE[:6]), FLOOR_M)
+    found, up_m = drift_of([look(points)] * 6, way_of(LINE[:6]), FLOOR_M)
     assert (found.links, found.apart_m, found.span_m) == (0, 0.0, 0.0)
     assert up_m.tolist() == [0.0] * 6
 

@@ -18,7 +18,7 @@ from stone.sensors.ground_plane import TOLERATED_RAD
 from stone.sensors.height_drift import TOLERATED_M
 from stone.sensors.sequence import Sequence, Sweep, SweepSource
 from stone_recordings.calibrations.file import read_calibration
-from stone_recordings.sync.ground_check import AHEAD, seen_ahead, seen_around
+from stone_recordings.sync.ground_looks import AHEAD, seen_ahead, seen_along, seen_around
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 from testing.refusals import refused_as
@@ -203,16 +203,16 @@ def test_a_sound_drive_keeps_its_poses_bit_for_bit_and_without_ground_nothing_is
     assert drift_codes(sequence) == []
     assert sequence.height_drift.links > 20
     assert sequence.height_drift.apart_m < TOLERATED_M / 2
-    again = height_followed(sequence, sweeps, sequence.ground)
+    again = height_followed(sequence, sweeps, sequence.ground, seen_along(sequence, sweeps))
     assert again.frames is sequence.frames
     assert again.track is sequence.track
     assert read_sequence(sequence_bytes(sequence)).height_drift == sequence.height_drift
     rough = raised(sequence, 0.5 * np.sin(np.arange(len(sequence.frames))))
-    found = height_followed(rough, sweeps, sequence.ground)
+    found = height_followed(rough, sweeps, sequence.ground, seen_along(rough, sweeps))
     assert drift_codes(found) == ["SYN-515"]
     assert np.array_equal(found.frames.map_from_ego.wxyz_xyz, rough.frames.map_from_ego.wxyz_xyz)
     assert not found.height_drift.is_followed
-    assert height_followed(sequence, sweeps, None) is sequence
+    assert height_followed(sequence, sweeps, None, seen_along(sequence, sweeps)) is sequence
 
 
 @pytest.mark.whole

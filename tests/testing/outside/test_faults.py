@@ -41,6 +41,7 @@ def test_every_fault_alters_its_own_part_of_the_data_and_leaves_the_ideal_alone(
         "RTK float 10 cm": {"world_from_ins", "is_fixed"},
         "yaw bias 1°": {"world_from_ins"},
         "INS tilted 2°": {"world_from_ins"},
+        "body pitched 2°": {"ego_from_lidar", "world_from_ins"},
         "poses jump 0.6 m": {"world_from_ins"},
         "rain": {"ranges_m"},
     }
