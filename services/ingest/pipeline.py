@@ -184,7 +184,7 @@ def unjoined_sequence(
     posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
-    doubts = quality_findings(track.topic, frames.quality, track.solution)
+    doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
     mounts = cross_check(rig.tree, calibration, rig.lidar_frame)
     timed = shifted_finding(clock.topic, late_ns) + clock.findings
     sequence = Sequence(

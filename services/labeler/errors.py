@@ -41,11 +41,11 @@ def mount_tilted(ground: GroundFit) -> Refused:
 def poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
     climb_rad = math.atan(ground.way_slope)
     mounts = turned_to_way(calibration, 0.0, climb_rad - math.atan(ground.slope_x))
-    entries = [f"enter {entry_of(one)}, or " for one in mounts]
+    entries = [f"enter {entry_of(one)}" for one in mounts]
+    way_out = entries[0] if entries else "correct the source, or take the poses from the sweeps (odometry kiss-icp)"
     return Refused(
         "poses_tilted",
         f"by its poses the robot drives {abs(math.degrees(climb_rad)):.1f}° {'above' if climb_rad > 0 else 'below'} "
-        "where it faces, over ground that the sweeps show level with it: the INS is turned on its mount, or its "
-        f"attitude biased, and labels would be wrong; {entries[0] if entries else ''}"
-        "take the poses from the sweeps (odometry kiss-icp)",
+        "where it faces, over ground that the sweeps show level with it: the INS is turned on its mount, its "
+        f"attitude is biased, or its heights drift, and labels would be wrong: {way_out}",
     )

@@ -3,7 +3,8 @@
 **Conventions.** Wheels and tracks drive along x of the ego frame. A step is the way between two poses at least `STEP_M`
 apart, in the ego frame of the pose midway; steps that lead backwards or far aside say nothing. Yaw is positive to the
 left of x, pitch positive above it. Both are those of a robot that does not turn, by a line over the turn in a metre;
-steps far from the line are left out, so a bump moves neither.
+steps far from the line are left out, so a bump moves neither. The steps times what yaw is off the line add up to how
+far the poses wander to the side: a heading knows nothing of positions that drift to and fro.
 """
 
 from dataclasses import dataclass, replace
@@ -17,6 +18,7 @@ from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.clocks import MAD_TO_SIGMA
 
 STEP_M, MOST_ASIDE_RAD = 0.5, float(np.deg2rad(20.0))
+WANDER_STEPS = 40  # 20 m: noise of the heading adds up over more
 FEWEST_STEPS = 20
 ROUNDS, OUTLIER_SIGMAS, RIDGE = 5, 3.0, 1e-9
 # Of sound drives, simulated, analytic and KITTI's, both are at most 0.4°.
@@ -29,13 +31,16 @@ Array = NDArray[np.float64]
 
 @dataclass(frozen=True)
 class DrivingDirection:
-    """Over `steps`: yaw and pitch of the way against the robot's x where it goes straight on, and their errors, rad."""
+    """Over `steps`: yaw and pitch of the way against the robot's x where it goes straight on, and their errors, rad.
+    `aside_m` is how far the poses wander to the side, one standard deviation about a straight drift over 20 m (the
+    median of such stretches); 0 if none is as long."""
 
     steps: int
     yaw_rad: float
     yaw_error_rad: float
     pitch_rad: float
     pitch_error_rad: float
+    aside_m: float = 0.0
 
     @property
     def is_yawed(self) -> bool:
@@ -73,11 +78,23 @@ def driving_direction(track: Trajectory) -> DrivingDirection | None:
     )
     if max(yaw_spread, pitch_spread) > UNSTEADY_RAD:
         return None
-    return DrivingDirection(len(steps), yaw, yaw_error, pitch, pitch_error)
+    off_rad = [part[:, 0] - yaw[0] - yaw[1] * part[:, 2] for part in parts]
+    return DrivingDirection(len(steps), float(yaw[0]), yaw_error, float(pitch[0]), pitch_error, _aside_m(off_rad))
 
 
-def _straight_on(angles_rad: Array, turns: Array) -> tuple[float, float, float]:
-    """Return the angle (S,) at no turn, its error, and the spread of the angles about their line over the turn (S,).
+def _aside_m(off_rad: list[Array]) -> float:
+    """Return how far stretches of `WANDER_STEPS` that are so far off their direction (S,) each wander to the side."""
+    found, way = [], np.arange(WANDER_STEPS + 1.0)
+    for off in off_rad:
+        for begin in range(0, len(off) - WANDER_STEPS + 1, WANDER_STEPS):
+            aside_m = np.append(0.0, STEP_M * np.cumsum(off[begin : begin + WANDER_STEPS]))
+            found.append(float(np.std(aside_m - np.polyval(np.polyfit(way, aside_m, 1), way))))
+    return float(np.median(found)) if found else 0.0
+
+
+def _straight_on(angles_rad: Array, turns: Array) -> tuple[Array, float, float]:
+    """Return the line of the angles (S,) over the turn (S,): (angle at no turn, slope); the error of that angle, and
+    the spread about the line.
 
     The ego origin of a robot that steers need not be where it turns about: it then slides aside in proportion.
     """
@@ -89,7 +106,7 @@ def _straight_on(angles_rad: Array, turns: Array) -> tuple[float, float, float]:
         spread = MAD_TO_SIGMA * float(np.median(off))
         kept = off <= OUTLIER_SIGMAS * max(spread, 1e-9)
     weight = np.linalg.pinv(design[kept].T @ design[kept] + RIDGE * np.eye(2))
-    return float(line[0]), spread * float(np.sqrt(weight[0, 0])), spread
+    return np.asarray(line, np.float64), spread * float(np.sqrt(weight[0, 0])), spread
 
 
 def _stretches(segments: NDArray[np.int64]) -> list[NDArray[np.int64]]:

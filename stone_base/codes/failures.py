@@ -46,7 +46,7 @@ MEANINGS = (
         "poses_tilted",
         "refused",
         "By its poses the robot drives above or below where it faces, over ground that the sweeps show level.",
-        "Enter the rotation of the INS that the message names, or process with odometry kiss-icp.",
+        "Enter the rotation of the INS that the message names; without an INS, correct the source of the poses.",
     ),
     CodeMeaning(
         "reader_crashed",

@@ -8,6 +8,8 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone.geometry.trajectory import Trajectory
+from stone.sensors.driving_direction import driving_direction
 from stone.sensors.pose_quality import PoseQuality, Rtk, SolutionQuality, unknown_quality
 from stone_recordings.messages.novatel import FixSamples, InsSamples
 
@@ -21,6 +23,7 @@ RTK_OF_TYPE = {
 }
 STDEV_LIMIT_M = 0.10
 RTK_SHARE_USUAL = 0.95
+LEAST_ASIDE_M = 0.03  # sound drives, simulated and analytic, wander by at most 0.01 m, KITTI's odometry by 0.02 m
 
 
 def solution_quality(samples: InsSamples, rows: NDArray[np.int64], fixes: FixSamples | None) -> SolutionQuality:
@@ -39,7 +42,9 @@ def rtk_of(pos_type: NDArray[np.uint32]) -> NDArray[np.uint8]:
     return np.asarray(table[np.minimum(pos_type, len(table) - 1)], dtype=np.uint8)
 
 
-def quality_findings(topic: str, quality: PoseQuality | None, solution: SolutionQuality | None) -> tuple[Finding, ...]:
+def quality_findings(
+    topic: str, quality: PoseQuality | None, solution: SolutionQuality | None, path: Trajectory
+) -> tuple[Finding, ...]:
     """What a person should know before trusting the frames' poses; nothing about a source without a status."""
     if quality is None or solution is None:
         return ()
@@ -48,7 +53,7 @@ def quality_findings(topic: str, quality: PoseQuality | None, solution: Solution
     share = float((solution.rtk[is_known] == Rtk.FIXED).mean()) if is_known.any() else 1.0
     if share < RTK_SHARE_USUAL:
         floating = float((solution.rtk[is_known] == Rtk.FLOAT).mean())
-        sentence = f"RTK was fixed only {share * 100:.1f} % of the time ({floating * 100:.1f} % float)"
+        sentence = f"RTK was fixed only {share * 100:.1f} % of the time ({floating * 100:.1f} % float){_wander(path)}"
         findings.append(Finding("GNS-301", "warning", topic, sentence))
     worst_m = np.max(quality.stdev_m, axis=1, initial=0.0)
     is_doubtful = worst_m > STDEV_LIMIT_M
@@ -59,6 +64,18 @@ def quality_findings(topic: str, quality: PoseQuality | None, solution: Solution
         )
         findings.append(Finding("GNS-304", "warning", topic, sentence))
     return tuple(findings)
+
+
+def _wander(path: Trajectory) -> str:
+    """Return by how much the poses wander in plan, if it is more than those of a sound run do."""
+    found = driving_direction(path)
+    if found is None or found.aside_m < LEAST_ASIDE_M:
+        return ""
+    plan_cm = 100.0 * found.aside_m * np.sqrt(2.0)
+    return (
+        f"; against the robot's heading the poses wander to the side by {100.0 * found.aside_m:.0f} cm (standard "
+        f"deviation over 20 m), so in plan by about {plan_cm:.0f} cm"
+    )
 
 
 def _held(stamps_ns: NDArray[np.int64], fixes: FixSamples) -> SolutionQuality:

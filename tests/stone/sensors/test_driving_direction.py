@@ -12,7 +12,7 @@ from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.driving_direction import driving_direction, turned_to_way
 
 
-def drive(yaw_deg=0.0, pitch_deg=0.0, aside=0.0, count=400, seed=5):
+def drive(yaw_deg=0.0, pitch_deg=0.0, aside=0.0, count=400, seed=5, wander_m=0.0):
     """A winding way over hills, its tangent the robot's x; the poses are turned by a bias in the ego frame."""
     rng, s = np.random.default_rng(seed), np.linspace(0, 40, count)
     places = np.stack([s, 3 * np.sin(s / 6), 0.8 * np.sin(s / 5)], axis=1)
@@ -24,6 +24,7 @@ def drive(yaw_deg=0.0, pitch_deg=0.0, aside=0.0, count=400, seed=5):
         "ZYX", np.stack([yaw_deg + noise[0], -pitch_deg - noise[1], 0 * s], axis=1), degrees=True
     )
     wxyz = np.roll((attitude * bias).as_quat(), 1, axis=1)
+    places += np.sqrt(2) * wander_m * np.sin(s[:, None] * [0.0, 0.6, 0.0])
     return Trajectory((s * 1e9).astype(np.int64), SE3.from_parts(wxyz, places + rng.normal(0, 0.01, places.shape)))
 
 
@@ -33,6 +34,13 @@ def test_the_bias_is_found_and_what_is_small_is_not_called_one(yaw_deg, pitch_de
     assert np.rad2deg(found.yaw_rad) == pytest.approx(-yaw_deg, abs=0.25)
     assert np.rad2deg(found.pitch_rad) == pytest.approx(-pitch_deg, abs=0.25)
     assert (found.is_yawed, found.is_pitched) == (abs(yaw_deg) >= 1, abs(pitch_deg) >= 2)
+
+
+@pytest.mark.parametrize("wander_m", [0.0, 0.04, 0.07])
+def test_positions_that_wander_to_and_fro_are_measured_to_the_side(wander_m):
+    found = driving_direction(drive(0.5, 0.0, wander_m=wander_m))
+    assert found.aside_m == pytest.approx(wander_m, rel=0.25, abs=0.015)
+    assert not found.is_yawed
 
 
 def test_an_ego_origin_ahead_of_the_axle_slides_aside_in_curves_and_that_is_no_bias():
