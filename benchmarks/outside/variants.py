@@ -12,8 +12,8 @@ from hashlib import sha256
 from pathlib import Path
 from tempfile import TemporaryDirectory
 
+from benchmarks.outside.remedies import fault_of, opened
 from benchmarks.outside.rows import Outcome, Row
-from services.ingest.sequence import open_sequence
 from services.labeler.parameters import LabelParameters
 from services.labeler.pipeline import FRAMES, FUSE, REFERENCE, STAGES, SURFACE, label_graph
 from services.labeler.run import LabelRun, silent
@@ -26,11 +26,10 @@ from testing.outside.verdict import judge_grids
 def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outcome:
     """Return the outcome of a row's drive with these parameters instead of its profile's."""
     place = kept_in(row, folder)
-    data = row.drive.with_fault(folder, row.fault)
     if not (place / "recording").exists():
-        row.drive.record(folder, row.fault, place / "writing")
+        row.drive.record(folder, fault_of(row.fault), place / "writing")
         (place / "writing").rename(place / "recording")
-    sequence, sweeps = open_sequence(*recording_in(place / "recording"), "outside")
+    sequence, sweeps = opened(row.fault, *recording_in(place / "recording"))
     with TemporaryDirectory(dir=place) as labels:
         run = LabelRun(sequence, sweeps, parameters, place, Path(labels))
         try:
@@ -42,7 +41,7 @@ def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outc
             (Path(labels) / token / "labels.npz", int(stamp_ns))
             for token, stamp_ns in zip(sequence.frames.tokens, sequence.frames.stamps_ns, strict=True)
         ]
-        verdict = judge_grids(grids, row.drive.truth, data.ego_from_lidar)
+        verdict = judge_grids(grids, row.drive.truth, sequence.calibration.ego_from_lidar.as_matrix())
     return Outcome(verdict.frames, dict(verdict.counts), ())
 
 
