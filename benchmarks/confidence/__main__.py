@@ -10,14 +10,15 @@ import tempfile
 from pathlib import Path
 
 import numpy as np
+from numpy.typing import NDArray
 from rich.console import Console
 from rich.table import Table
 
-from benchmarks.confidence.fit import fitted
+from benchmarks.confidence.fit import as_source, fitted
 from benchmarks.confidence.reliability import Reliability, reliability_of
-from benchmarks.confidence.voxels import OutsideVoxels, SimulatedVoxels, kept_voxels
+from benchmarks.confidence.voxels import Array, OutsideVoxels, SimulatedVoxels, kept_voxels
 from simulator.options import SimulateOptions
-from stone.labels.confidence import drivable_probability
+from stone.labels.confidence import drivable_log_odds, right_probability
 from testing.outside.drive import OutsideDrive
 
 LOW = "mount 10 cm low"
@@ -60,20 +61,30 @@ def main() -> None:
     options = parser.parse_args()
     options.folder.mkdir(parents=True, exist_ok=True)
     if options.fit:
-        print(fitted([kept_voxels(source, options.folder) for source in TUNED]))
+        print(as_source(fitted([kept_voxels(source, options.folder) for source in TUNED])))
         return
     table = Table("drive", "voxels", "tenths of voxels: worst", "bins of probability: worst", "in the lowest tenth")
+    unseen = list[tuple[Array, NDArray[np.bool_], Array]]()
     for kind, sources in (("tuned", TUNED), ("unseen", UNSEEN)):
         for source in sources:
-            table.add_row(f"{kind}: {source.name}", *_cells(_measured(source, options.folder)))
+            judged = _judged(source, options.folder)
+            unseen += [judged] if kind == "unseen" else []
+            table.add_row(f"{kind}: {source.name}", *_cells(reliability_of(*judged)))
+    together = reliability_of(*map(np.concatenate, zip(*unseen, strict=True)))
+    table.add_row("all unseen, each of the same weight", *_cells(together))
     Console(width=160).print(table)
+    for number, (claimed, right, voxels) in enumerate(together.by_probability):
+        print(
+            f"{10 * number:3} to {10 * number + 10:3} %: {voxels:9,} voxels, claimed {claimed:6.1%}, right {right:6.1%}"
+        )
 
 
-def _measured(source: Source, folder: Path) -> Reliability:
+def _judged(source: Source, folder: Path) -> tuple[Array, NDArray[np.bool_], Array]:
+    """Return of a drive's voxels (K,) the confidence, whether the label is right, and the weight, which adds to 1."""
     voxels = kept_voxels(source, folder)
-    drivable = drivable_probability(dict(zip(voxels.names, voxels.properties.T, strict=True)))
-    confidence = np.where(voxels.is_kept, drivable, 1.0 - drivable)
-    return reliability_of(confidence, voxels.is_kept == voxels.is_drivable, voxels.weight)
+    log_odds = drivable_log_odds(dict(zip(voxels.names, voxels.properties.T, strict=True)))
+    confidence = right_probability(log_odds, ~voxels.is_kept)
+    return confidence, voxels.is_kept == voxels.is_drivable, voxels.weight / voxels.weight.sum()
 
 
 def _cells(found: Reliability) -> tuple[str, ...]:

@@ -13,12 +13,13 @@ Array = NDArray[np.float64]
 @dataclass(frozen=True)
 class Reliability:
     """The worst difference of claimed and true shares: in tenths of the `voxels`, and in `bins` of the probability; and
-    both shares in the tenth of the `lowest` confidence."""
+    both shares in the tenth of the `lowest` confidence. `by_probability`: both shares and the voxels of each bin."""
 
     voxels: int
     tenths: float
     bins: float
     lowest: tuple[float, float]
+    by_probability: tuple[tuple[float, float, int], ...]
 
 
 def reliability_of(confidence: Array, is_right: NDArray[np.bool_], weight: Array) -> Reliability:
@@ -31,9 +32,9 @@ def reliability_of(confidence: Array, is_right: NDArray[np.bool_], weight: Array
     claimed, right, _ = _shares(tenth, confidence, is_right, weight)
     in_bins, right_in_bins, count = _shares(by_probability, confidence, is_right, weight)
     apart = np.abs(in_bins - right_in_bins)[count >= FEWEST]
-    return Reliability(
-        len(order), float(np.nanmax(np.abs(claimed - right))), float(apart.max()), (float(claimed[0]), float(right[0]))
-    )
+    worst, lowest = float(np.nanmax(np.abs(claimed - right))), (float(claimed[0]), float(right[0]))
+    bins = tuple(zip(in_bins.tolist(), right_in_bins.tolist(), count.tolist(), strict=True))
+    return Reliability(len(order), worst, float(apart.max()), lowest, bins)
 
 
 def _shares(

@@ -1,10 +1,11 @@
 """Confidence: the calibrated probability that the label of a voxel is right.
 
 **Conventions.** The log odds that the vehicle can drive over a voxel are a sum of piecewise linear functions of its
-properties (a generalised additive model; Hastie and Tibshirani, 1986). `CURVES` are fitted by `benchmarks.confidence`
-to worlds whose truth is known, for profile `field`; a voxel is drivable there if the ground is within the vehicle's
-limits and nothing stands on it. T is right, since the robot was there. In files a confidence is a uint8: 255 times the
-probability, at least 1; 0 where there is no surface.
+properties (a generalised additive model; Hastie and Tibshirani, 1986), and one more such function, of P or of N, makes
+them the log odds that the label is right. `benchmarks.confidence` fits `CURVES` to worlds whose truth is known, for
+profile `field`; a voxel is drivable there if the ground is within the vehicle's limits and nothing stands on it. T is
+right, since the robot was there. In files a confidence is a uint8: 255 times the probability, at least 1; 0 where there
+is no surface.
 """
 
 from collections.abc import Mapping
@@ -12,7 +13,7 @@ from collections.abc import Mapping
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.confidence_curves import CURVES
+from stone.labels.confidence_curves import CURVES, Curve, Curves
 from stone.labels.profiles import RULES, Profile, VoxelTerrain
 from stone.labels.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference
 from stone.sensors.calibration import Vehicle
@@ -49,23 +50,32 @@ def properties_of(
     }
 
 
-def hinges(values: Array, knots: Array, end: float) -> Array:
-    """Return how far the values (K,) are beyond each of the knots (n,), at most as far as `end` is; (K, n)."""
-    return np.maximum(np.minimum(values, end)[:, None] - knots, 0.0)
+def hinges(values: Array, curve: Curve) -> Array:
+    """Return how far values (K,) lie beyond each of the curve's knots (n,), at most as far as its end; (K, n)."""
+    return np.asarray(np.maximum(np.minimum(values, curve.end)[:, None] - np.array(curve.knots), 0.0))
 
 
-def drivable_probability(properties: Mapping[str, Array]) -> Array:
-    """Return the probability (K,) that the vehicle can drive over voxels of these properties."""
-    log_odds = np.full(len(properties["height_m"]), CURVES.intercept)
-    for name, curve in CURVES.curves.items():
-        knots, weights = np.array(curve.knots), np.array(curve.weights)
-        log_odds += hinges(properties[name], knots, curve.end) @ weights
-    return np.asarray(1.0 / (1.0 + np.exp(-log_odds)))
+def drivable_log_odds(properties: Mapping[str, Array], curves: Curves = CURVES) -> Array:
+    """Return the log odds (K,) that the vehicle can drive over voxels of these properties."""
+    found = np.full(len(properties["height_m"]), curves.intercept)
+    for name, curve in curves.properties.items():
+        found += _on_curve(properties[name], curve)
+    return found
+
+
+def right_probability(log_odds: Array, is_n: NDArray[np.bool_], curves: Curves = CURVES) -> Array:
+    """Return the probability (K,) that the label is right, which is N or P, of voxels with these log odds (K,) to be
+    drivable."""
+    right = np.where(is_n, _on_curve(-log_odds, curves.n_right), _on_curve(log_odds, curves.p_right))
+    return np.asarray(1.0 / (1.0 + np.exp(-right)))
 
 
 def confidence_of(properties: Mapping[str, Array], classes: NDArray[np.uint8]) -> NDArray[np.uint8]:
     """Return the confidence (K,) uint8 of voxels' labels, which are the classes (K,) 1 to 3."""
-    drivable = drivable_probability(properties)
-    right = np.where(classes == NON_TRAVERSABLE, 1.0 - drivable, drivable)
+    right = right_probability(drivable_log_odds(properties), classes == NON_TRAVERSABLE)
     right[classes == TRAVERSABLE] = 1.0
     return np.asarray(np.clip(np.rint(right * FULL), 1, FULL), dtype=np.uint8)
+
+
+def _on_curve(values: Array, curve: Curve) -> Array:
+    return np.asarray(curve.start + hinges(values, curve) @ np.array(curve.weights))

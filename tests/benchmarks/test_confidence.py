@@ -7,7 +7,7 @@ import numpy as np
 from benchmarks.confidence import fit
 from benchmarks.confidence.reliability import reliability_of
 from benchmarks.confidence.voxels import JudgedVoxels
-from stone.labels.confidence import drivable_probability
+from stone.labels.confidence import drivable_log_odds, right_probability
 from stone.labels.confidence_curves import CURVES, Curve
 
 
@@ -28,17 +28,18 @@ def test_few_voxels_of_one_bin_say_nothing():
     assert found.bins < 0.1
 
 
-def test_the_fit_finds_the_curves_that_truth_was_drawn_from(monkeypatch):
-    rng, names = np.random.default_rng(11), tuple(CURVES.curves)
-    true = {name: replace(curve, weights=tuple(0.0 for _ in curve.knots)) for name, curve in CURVES.curves.items()}
-    true["slope_ratio"] = Curve(CURVES.curves["slope_ratio"].knots, 5.0, (0.0, 0.0, 0.0, 0.0, -8.0, 0.0, 0.0))
+def test_the_fit_finds_the_curves_that_truth_was_drawn_from():
+    rng, names = np.random.default_rng(11), tuple(CURVES.properties)
+    true = {name: replace(curve, weights=tuple(0.0 for _ in curve.knots)) for name, curve in CURVES.properties.items()}
+    true["slope_ratio"] = Curve(CURVES.properties["slope_ratio"].knots, 5.0, (0.0, 0.0, 0.0, 0.0, -8.0, 0.0, 0.0))
     columns = np.column_stack([rng.uniform(curve.knots[0], curve.end, 60_000) for curve in true.values()])
     columns[:, names.index("distance_ratio")] = 1.0  # none is clear, so all are taken
     columns[:, names.index("slope_ratio")] = rng.uniform(0.5, 1.8, 60_000)
     probability = 1 / (1 + np.exp(-(3.0 - 8.0 * np.maximum(columns[:, names.index("slope_ratio")] - 1.0, 0))))
-    judged = JudgedVoxels(names, columns, rng.random(60_000) < probability, np.ones(60_000, bool), np.ones(60_000))
+    is_kept = rng.random(60_000) < 0.7
+    judged = JudgedVoxels(names, columns, rng.random(60_000) < probability, is_kept, np.ones(60_000))
     scope: dict[str, object] = {"Curve": Curve, "Curves": type(CURVES)}
-    exec(fit.fitted([judged]), scope)
-    monkeypatch.setattr("stone.labels.confidence.CURVES", scope["CURVES"])
-    found = drivable_probability(dict(zip(names, columns.T, strict=True)))
+    exec(fit.as_source(fit.fitted([judged])), scope)
+    log_odds = drivable_log_odds(dict(zip(names, columns.T, strict=True)), scope["CURVES"])
+    found = right_probability(log_odds, np.zeros(60_000, bool), scope["CURVES"])
     assert np.abs(found - probability).mean() < 0.01

@@ -5,7 +5,7 @@ import math
 import numpy as np
 import pytest
 
-from stone.labels.confidence import confidence_of, drivable_probability, properties_of
+from stone.labels.confidence import confidence_of, drivable_log_odds, properties_of, right_probability
 from stone.labels.confidence_curves import CURVES
 from stone.labels.profiles import CLEARANCE, HEIGHT, POOLED, SLOPE, STEP, VoxelTerrain
 from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, TRAVERSABLE, Reference, threshold
@@ -24,21 +24,24 @@ def terrain(rows):
     return VoxelTerrain(np.arange(len(rows)), columns)
 
 
-def by_hand(properties, row):
-    """The log odds of one voxel, hinge by hinge."""
-    total = CURVES.intercept
-    for name, curve in CURVES.curves.items():
-        value = min(properties[name][row], curve.end)
-        total += sum(w * (value - knot) for knot, w in zip(curve.knots, curve.weights, strict=True) if value > knot)
-    return total
+def by_hand(curve, value):
+    """The curve at a value, hinge by hinge."""
+    value = min(value, curve.end)
+    return curve.start + sum(w * (value - at) for at, w in zip(curve.knots, curve.weights, strict=True) if value > at)
 
 
-def test_the_log_odds_are_the_sum_of_the_curves():
+def test_the_log_odds_are_the_sum_of_the_curves_and_a_label_is_right_by_its_own_curve():
     rng = np.random.default_rng(3)
-    properties = {name: rng.uniform(curve.knots[0] - 1, curve.end + 1, 40) for name, curve in CURVES.curves.items()}
-    expected = [1 / (1 + math.exp(-by_hand(properties, row))) for row in range(40)]
-    np.testing.assert_allclose(drivable_probability(properties), expected, rtol=1e-9)
-    assert np.ptp(expected) > 0.9
+    properties = {name: rng.uniform(one.knots[0] - 1, one.end + 1, 40) for name, one in CURVES.properties.items()}
+    found = drivable_log_odds(properties)
+    for row in range(40):
+        parts = [by_hand(one, properties[name][row]) for name, one in CURVES.properties.items()]
+        assert found[row] == pytest.approx(CURVES.intercept + sum(parts))
+    log_odds = np.linspace(-9, 9, 19)
+    for is_n, curve in ((False, CURVES.p_right), (True, CURVES.n_right)):
+        expected = [1 / (1 + math.exp(-by_hand(curve, -x if is_n else x))) for x in log_odds.tolist()]
+        np.testing.assert_allclose(right_probability(log_odds, np.full(19, is_n)), expected, rtol=1e-9)
+        assert np.ptp(expected) > 0.8
 
 
 def test_properties_are_shares_of_the_vehicles_limits_and_sigmas_of_the_reference():
@@ -70,14 +73,16 @@ def test_a_label_far_within_its_limits_is_nearly_sure_and_one_at_them_is_not():
     assert 0.1 < right[2] < 0.9
 
 
-def test_p_and_n_are_two_sides_of_one_probability_and_what_was_driven_is_sure():
-    properties = properties_of(
-        terrain([(0.1, 0.3, -8.0, 0.3, 0.1, np.inf)] * 3), np.full(3, LIMITS[1]), REFERENCE, LIMITS
+def test_what_makes_p_doubtful_makes_n_sure_and_what_was_driven_is_sure():
+    rows = [(0.1, 0.3, -8.0, 0.3, 0.1, np.inf), (0.3, 0.6, -8.0, 0.5, 0.3, np.inf)]
+    properties = properties_of(terrain(rows), np.array([1.0, 9.0]) * LIMITS[1], REFERENCE, LIMITS)
+    p, n, t = (
+        confidence_of(properties, np.full(2, one, np.uint8)) for one in (POTENTIAL, NON_TRAVERSABLE, TRAVERSABLE)
     )
-    found = confidence_of(properties, np.array([POTENTIAL, NON_TRAVERSABLE, TRAVERSABLE], np.uint8))
-    assert found.dtype == np.uint8
-    assert found[0] + found[1] in (255, 256)
-    assert found[2] == 255
+    assert p.dtype == np.uint8
+    assert p[0] > p[1]
+    assert n[0] < n[1]
+    assert t.tolist() == [255, 255]
 
 
 def test_no_surface_has_the_confidence_0():
