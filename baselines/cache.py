@@ -27,6 +27,7 @@ from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import CLASSES
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedFrame
+from stone_exports.labels import UNSURE
 from stone_files.atomic import atomic_file
 
 VERSION = 1
@@ -36,15 +37,19 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it."""
+    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it.
+
+    An occupied voxel below `least_confidence` is not trained on.
+    """
 
     frame: ExportedFrame
     labels: ExportFileSpan | None
+    least_confidence: float = 0.0
 
 
 @dataclass(frozen=True)
 class CachedFrame:
-    """A file of the cache. `voxels` of each class that its labels have, `sha256` of its content."""
+    """A file of the cache. `voxels` of each class that its labels have, `unsure` ones, `sha256` of its content."""
 
     path: Path
     token: str
@@ -52,6 +57,7 @@ class CachedFrame:
     stamp_us: int
     voxels: tuple[int, int, int, int]
     sha256: str
+    unsure: int = 0
 
     def read(self) -> FrameRecord:
         """The frame."""
@@ -88,7 +94,7 @@ def cached_frames(
 ) -> tuple[CachedFrame, ...]:
     """Every frame in the cache, in order; what is not in it yet is read and put there.
 
-    Raises `DamagedExportError`, `sensor_missing`.
+    Raises `DamagedExportError`, `sensor_missing`, `no_confidence`.
     """
     folder.mkdir(parents=True, exist_ok=True)
     wanted = tuple(sources)
@@ -111,7 +117,7 @@ def data_hash(frames: Iterable[CachedFrame]) -> str:
 def _cached(source: FrameSource, inputs: InputConfig, folder: Path) -> CachedFrame:
     path = folder / f"{source.frame.token}.{_identity(source, inputs)}{SUFFIX}"
     if not path.exists():
-        write_record(path, read_record(source.frame, source.labels, inputs))
+        write_record(path, read_record(source.frame, source.labels, inputs, source.least_confidence))
     return _described(path, source.frame)
 
 
@@ -120,7 +126,8 @@ def _described(path: Path, frame: ExportedFrame) -> CachedFrame:
         said = file.metadata()
     counted = [int(count) for count in json.loads(said["voxels"])]
     free, t, p, n = counted
-    return CachedFrame(path, frame.token, frame.sequence, frame.stamp_us, (free, t, p, n), said["sha256"])
+    unsure = int(said.get("unsure", "0"))
+    return CachedFrame(path, frame.token, frame.sequence, frame.stamp_us, (free, t, p, n), said["sha256"], unsure)
 
 
 def write_record(path: Path, record: FrameRecord) -> None:
@@ -131,6 +138,7 @@ def write_record(path: Path, record: FrameRecord) -> None:
         whole.update(name.encode() + array.tobytes())
     counts = np.zeros(256, np.int64) if record.labels is None else np.bincount(record.labels.reshape(-1), minlength=256)
     metadata = {"sha256": whole.hexdigest(), "voxels": json.dumps(counts[:CLASSES].tolist())}
+    metadata["unsure"] = str(counts[UNSURE])
     with atomic_file(path) as staging:
         save_file(arrays, staging, metadata)
 
@@ -176,4 +184,6 @@ def _identity(source: FrameSource, inputs: InputConfig) -> str:
             [datum.stamp_us, datum.global_from_ego.wxyz_xyz.tolist(), sensor.ego_from_sensor.wxyz_xyz.tolist()]
         )
         facts.append(repr(sensor.intrinsics))
+    if source.least_confidence > 0:
+        facts.append(["least confidence", source.least_confidence])
     return sha256(json.dumps(facts, separators=(",", ":")).encode()).hexdigest()[:16]

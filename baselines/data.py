@@ -23,11 +23,11 @@ from baselines.augment import (
     draw_picture_change,
     generator_of,
 )
-from baselines.batch import Batch, CameraViews, Points
+from baselines.batch import IGNORED, Batch, CameraViews, Points
 from baselines.frame_record import FrameRecord
 from baselines.inputs import CountedVoxels, InputConfig
 from baselines.lattice import VoxelLattice, grid_part
-from stone_exports.labels import NOT_OBSERVED
+from stone_exports.labels import NOT_OBSERVED, UNSURE
 
 Draw = tuple[int, int]
 RECORDS_KEPT = 24
@@ -119,7 +119,8 @@ class FrameDataset(Dataset[Batch]):
         part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice)]
         if self.request.counted == "all":
             part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
-        return torch.from_numpy(part.copy())[None]
+        part = np.where(part == UNSURE, np.uint8(IGNORED), part)
+        return torch.from_numpy(part)[None]
 
     def _cameras(self, record: FrameRecord, rng: np.random.Generator) -> CameraViews:
         size_px = self.request.inputs.image_size_px

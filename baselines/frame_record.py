@@ -37,7 +37,10 @@ class PictureRecord:
 
 @dataclass(frozen=True, eq=False)
 class FrameRecord:
-    """`returns` (N, 4) float32 x y z intensity, `detections` (R, 6) float32 x y z RCS v_x v_y, `labels` with 255."""
+    """`returns` (N, 4) float32 x y z intensity, `detections` (R, 6) float32 x y z RCS v_x v_y.
+
+    `labels` are those of `stone_exports.labels.observed_classes`, with 254 and 255.
+    """
 
     token: str
     sequence: str
@@ -49,8 +52,13 @@ class FrameRecord:
     labels: Classes | None
 
 
-def read_record(frame: ExportedFrame, labels: ExportFileSpan | None, inputs: InputConfig) -> FrameRecord:
-    """Return the parts of a frame that `inputs` names. Raises `DamagedExportError`, `sensor_missing`."""
+def read_record(
+    frame: ExportedFrame, labels: ExportFileSpan | None, inputs: InputConfig, least_confidence: float = 0.0
+) -> FrameRecord:
+    """Return the parts of a frame that `inputs` names, and which of its labels are sure.
+
+    Raises `DamagedExportError`, `sensor_missing`, `no_confidence`.
+    """
     returns, detections = np.zeros((0, 4), np.float32), np.zeros((0, 6), np.float32)
     if inputs.sees("L") or inputs.with_depth:
         lidar = frame.lidar
@@ -58,7 +66,7 @@ def read_record(frame: ExportedFrame, labels: ExportFileSpan | None, inputs: Inp
     if inputs.sees("R"):
         detections = _detections(frame, inputs)
     pictures = tuple(_pictures(frame, inputs)) if inputs.sees("C") else ()
-    classes = None if labels is None else observed_classes(labels)
+    classes = None if labels is None else observed_classes(labels, least_confidence)
     pose = frame.lidar.global_from_ego
     return FrameRecord(frame.token, frame.sequence, frame.stamp_us, pose, returns, detections, pictures, classes)
 

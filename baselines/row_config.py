@@ -31,7 +31,8 @@ class TrainingConfig:
 
     The learning rate rises for `warmup_steps` and falls by a cosine to a thousandth; that of a pretrained image
     backbone is `backbone_rate_ratio` of it. `stride`: every n-th frame of a sequence is trained on; earlier sweeps are
-    all used. `counted`: the voxels that losses and the metric count, as the benchmark's mask has it.
+    all used. `counted`: the voxels that losses and the metric count, as the benchmark's mask has it. Losses ignore
+    occupied voxels whose label is right with a probability below `least_confidence`; what is watched is scored whole.
     """
 
     epochs: int = 24
@@ -45,6 +46,7 @@ class TrainingConfig:
     backbone_rate_ratio: float = 1.0
     stride: int = 1
     counted: CountedVoxels = "all"
+    least_confidence: float = 0.0
     seed: int = 0
     checkpoint_steps: int = 250
 
@@ -52,6 +54,8 @@ class TrainingConfig:
         refuse_below_one(self, "epochs", "batch", "accumulate", "stride", "checkpoint_steps")
         if self.learning_rate < 0:
             raise ValueError(f"a learning_rate of {self.learning_rate} is negative")
+        if not 0 <= self.least_confidence <= 1:
+            raise ValueError(f"a least_confidence of {self.least_confidence} is no probability from 0 to 1")
 
 
 @dataclass(frozen=True)

@@ -17,8 +17,8 @@ from stone_files.archives import tar_spans_of
 LABELS = "gts"
 
 
-def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
-    """Every frame with samples, with its labels where there are some.
+def labelled_frames(paths: Sequence[Path], least_confidence: float = 0.0) -> tuple[FrameSource, ...]:
+    """Every frame with samples, with its labels of at least this confidence where there are some.
 
     Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, and `nothing_to_train_on` where no frame has
     labels.
@@ -32,7 +32,7 @@ def labelled_frames(paths: Sequence[Path]) -> tuple[FrameSource, ...]:
             if not found:
                 raise
         stores += found
-    sources = tuple(_with_labels(frame, stores) for frame in frames_of(exports))
+    sources = tuple(_with_labels(frame, stores, least_confidence) for frame in frames_of(exports))
     if all(source.labels is None for source in sources):
         raise nothing_to_train_on(paths)
     return sources
@@ -47,10 +47,11 @@ def frames_of(exports: Iterable[Files]) -> tuple[ExportedFrame, ...]:
     return tuple(sorted(found.values(), key=lambda frame: (frame.sequence, frame.stamp_us)))
 
 
-def _with_labels(frame: ExportedFrame, stores: Sequence[Files]) -> FrameSource:
+def _with_labels(frame: ExportedFrame, stores: Sequence[Files], least_confidence: float) -> FrameSource:
     name = f"{LABELS}/{frame.sequence}/{frame.token}/labels.npz"
     spans = (store.span(name) for store in stores)
-    return FrameSource(frame, frame.labels or next((span for span in spans if span is not None), None))
+    labels = frame.labels or next((span for span in spans if span is not None), None)
+    return FrameSource(frame, labels, least_confidence)
 
 
 def _label_stores(path: Path) -> Iterator[Files]:

@@ -133,14 +133,14 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
     """Train to the end of the plan, from the beginning or from the run's checkpoint.
 
     Raises what reading exports raises, `nothing_to_train_on`, `run_exists`, `bad_run`,
-    `too_few_frames`, `training_diverged`, `too_little_memory`, `no_accelerator`.
+    `no_confidence`, `too_few_frames`, `training_diverged`, `too_little_memory`, `no_accelerator`.
     """
     with joined_processes(plan.device) as share:
         row, goes_on = opened_run(plan.run, plan.row, plan.resume)
         share.wait()  # each has looked before one writes, or others would find a run that exists
         if share.is_first:
             say_row(plan.run, row)
-        frames = _frames(plan, plan.exports, progress)
+        frames = _frames(plan, plan.exports, progress, row.training.least_confidence)
         watched = _frames(plan, plan.watch, progress) if plan.watch else ()
         state = begun_state(row, frames, share)
         if goes_on:
@@ -161,8 +161,11 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
     return TrainedRun(str(plan.run), said.position.step, said.frames, said.data_sha256, said.best_miou)
 
 
-def _frames(plan: TrainingPlan, exports: Sequence[Path], progress: Progress) -> tuple[CachedFrame, ...]:
-    return cached_frames(labelled_frames(exports), plan.row.inputs, plan.cache or plan.run / "frames", progress)
+def _frames(
+    plan: TrainingPlan, exports: Sequence[Path], progress: Progress, least_confidence: float = 0.0
+) -> tuple[CachedFrame, ...]:
+    sources = labelled_frames(exports, least_confidence)
+    return cached_frames(sources, plan.row.inputs, plan.cache or plan.run / "frames", progress)
 
 
 def targets_of(frames: Sequence[CachedFrame], stride: int) -> tuple[int, ...]:

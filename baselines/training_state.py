@@ -1,5 +1,6 @@
 """What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
 
+import json
 import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
@@ -16,7 +17,7 @@ from baselines.metrics import BatchLosses, build_optimizer
 from baselines.models.architectures import build_model, with_class_counts
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare
-from baselines.row_config import RowConfig
+from baselines.row_config import RowConfig, row_of
 from stone.errors import Refused
 from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import METRIC_VERSION
@@ -48,7 +49,8 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     torch.manual_seed(row.training.seed)
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
     if row.training.counted == "all":
-        free = sum(any(frame.voxels) for frame in frames) * math.prod(GRID_SHAPE) - t - p - n
+        unsure = sum(frame.unsure for frame in frames)
+        free = sum(any(frame.voxels) for frame in frames) * math.prod(GRID_SHAPE) - t - p - n - unsure
     model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:
@@ -62,7 +64,7 @@ def resumed_state(folder: Path, state: TrainingState) -> TrainingState:
     """The state of the run's checkpoint. Raises `bad_run` where that is of another row or other data."""
     read = read_checkpoint(folder, state.model, state.optimizer)
     same: Mapping[str, tuple[object, object]] = {
-        "row": (read.config, state.provenance.config),
+        "row": (row_of(str(folder), json.loads(read.config)).as_json(), state.provenance.config),
         "data": (read.data_sha256, state.provenance.data_sha256),
         "number of processes": (read.processes, state.provenance.processes),
     }

@@ -54,6 +54,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("map_too_large", "The map of a sequence is larger than any robot drives in one run."),
     ("mesh_too_large", "A binary glTF says its length in 32 bits."),
     ("no_accelerator", "The requested device is not available."),
+    ("no_confidence", "A least confidence is required of labels that have no array `confidence`."),
     ("no_export", "The sequence has no finished export of its labels in this format."),
     ("no_label_set", "The sequence has no such label set."),
     ("no_labels", "The sequence has no labels to download yet."),

@@ -32,7 +32,7 @@ NO_NPY = (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxE
 known_head = lru_cache(maxsize=256)(npy_head)  # all files of a dataset have the same
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
 PLAIN = tuple(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
-CONFIDENCE = "distance_squared.npy"
+CONFIDENCE = {"distance_squared.npy": np.float16, "confidence.npy": np.uint8}
 Grid = NDArray[np.uint8]
 
 
@@ -42,7 +42,7 @@ class FrameLabels:
 
     What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
     whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else but the
-    confidence that such labels may have.
+    arrays of confidence that such labels may have.
     """
 
     classes: Grid
@@ -77,7 +77,7 @@ def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
     names = [one.filename for one in listed]
     further = [one for one in listed if one.filename not in PLAIN]
     is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
-    return is_whole and len(further) <= 1 and all(map(arrays.is_confidence, further))
+    return is_whole and all(map(arrays.is_confidence, further))
 
 
 @dataclass(frozen=True)
@@ -106,15 +106,18 @@ class _Arrays:
         return self._whole(member, packed, start)
 
     def is_confidence(self, member: zipfile.ZipInfo) -> bool:
-        """Whether it is a number of each voxel, float16, as labels with confidence have them."""
+        """Whether it is a number of each voxel, of the type that labels with confidence have."""
+        if member.filename not in CONFIDENCE:
+            return False
+        dtype_ours = np.dtype(CONFIDENCE[member.filename])
         packed = self._packed(member)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
-            size = start + 2 * prod(GRID_SHAPE)
+            size = start + dtype_ours.itemsize * prod(GRID_SHAPE)
             npy = self._begun(member, packed, size + 1)
         except NO_NPY:
             return False
-        is_grid = shape == GRID_SHAPE and dtype == np.float16 and not is_fortran and member.filename == CONFIDENCE
+        is_grid = shape == GRID_SHAPE and dtype == dtype_ours and not is_fortran
         return is_grid and len(npy) == size == member.file_size and isal_zlib.crc32(npy) == member.CRC
 
     def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:

@@ -15,27 +15,33 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.labels.grid import GRID_SHAPE
+from stone_base.confidence import least_level, no_confidence
 from stone_exports.files import ExportContent, ExportFileSpan
 from stone_exports.frames import ExportedDatum
 
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
-HIGHEST_CLASS, NOT_OBSERVED = 3, 255
+HIGHEST_CLASS, UNSURE, NOT_OBSERVED = 3, 254, 255
 # What zipfile and numpy raise for bytes that are no archive or no array; `RuntimeError` for one that is encrypted.
 UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, RuntimeError)
 Classes = NDArray[np.uint8]
 
 
-def observed_classes(span: ExportFileSpan) -> Classes:
+def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0) -> Classes:
     """Classes 0–3 (256, 256, 32), `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
 
-    Raises `DamagedExportError`.
+    An occupied voxel below `least_confidence` that its label is right is `UNSURE`. Raises `DamagedExportError`, and
+    `no_confidence` if one is required and the labels have none.
     """
-    arrays = _arrays(span, ("semantics", "mask_lidar"))
+    keys = ("semantics", "mask_lidar", *(("confidence",) if least_confidence > 0 else ()))
+    arrays = _arrays(span, keys)
     classes, is_observed = arrays["semantics"], arrays["mask_lidar"]
     if classes.max() > HIGHEST_CLASS:
         raise span.damaged(f"it has class {classes.max()}, the highest is {HIGHEST_CLASS}")
-    return np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
+    found = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
+    if least_confidence > 0:
+        found[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
+    return found
 
 
 def _arrays(span: ExportFileSpan, keys: tuple[str, ...]) -> dict[str, Classes]:
@@ -43,6 +49,8 @@ def _arrays(span: ExportFileSpan, keys: tuple[str, ...]) -> dict[str, Classes]:
     content = span.read(MOST_LABEL_BYTES)
     try:
         with zipfile.ZipFile(BytesIO(content)) as members:
+            if "confidence" in keys and "confidence.npy" not in members.namelist():
+                raise no_confidence(span.name)
             return {key: _array(span, key, _member(span, members, f"{key}.npy")) for key in keys}
     except UNREADABLE as error:
         raise span.damaged(f"it is not an npz of {', '.join(keys)}") from error

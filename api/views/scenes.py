@@ -71,7 +71,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     shown = shown_by(store, scene.playback)
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
     playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
-    known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
+    known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id, "has_confidence": False}
     kept = _record(store, scene.file)
     record = {**known, **kept, "playback": playback}
     return json.dumps(record, separators=(",", ":")).encode()

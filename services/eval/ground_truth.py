@@ -1,12 +1,13 @@
 """Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
 
 **Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`: uint8 (256, 256, 32); the
-`distance_squared` of labels made with their confidence is not read. The folder may be the one that holds `gts` or `gts`
-itself. Evaluated voxels by mask: `all` — every voxel, as the paper's tables, whose 0 mixes free and unknown; `lidar`,
-`camera` — where that mask is not 0.
+`distance_squared` of labels made with their confidence is not read, `confidence` only if a least one is required. The
+folder may be the one that holds `gts` or `gts` itself. Evaluated voxels by mask: `all` — every voxel, as the paper's
+tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
 """
 
-from collections.abc import Callable, Mapping, Sequence
+from collections.abc import Callable, Iterator, Mapping, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import islice
@@ -14,17 +15,21 @@ from pathlib import Path
 from typing import Literal
 
 import numpy as np
+from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE
+from stone.labels.grid import GRID_SHAPE, Grid
 from stone.scoring.bitplanes import LabelRangeError, TruthPlanes, truth_planes
+from stone_base.confidence import least_level, no_confidence
 from stone_submissions.errors import GroundTruthError, SubmissionError, UnreadableInputError
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, read_bounded
 from stone_submissions.npz_frame import npz_members, read_grid
+from stone_submissions.zip_directory import ZipMember
 
 Mask = Literal["all", "lidar", "camera"]
 # In time order, the tokens of each sequence of a folder of sequences; None where that is not known.
 FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, tuple[str, ...]] | None]
-KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared"})
+CONFIDENCE = "confidence"
+KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared", CONFIDENCE})
 MAX_LABELS_BYTES = 8 * 2**20
 
 
@@ -83,22 +88,50 @@ def read_truth(path: Path, mask: Mask) -> TruthPlanes:
 
 def truth_in(npz: bytes, mask: Mask, path: Path) -> TruthPlanes:
     """The ground truth in the bytes of a label file, which `path` only names. Raises `GroundTruthError`."""
+    with _refused(path):
+        return truth_planes(*_evaluated(npz, _members(npz), mask))
+
+
+def read_sure_truth(path: Path, mask: Mask, least_confidence: float) -> tuple[TruthPlanes, int]:
+    """The ground truth of one frame without its occupied voxels of a lower confidence, and the number left out.
+
+    Raises what `read_truth` raises, and `no_confidence`.
+    """
+    npz = read_bounded(path, MAX_LABELS_BYTES, GroundTruthError)
+    with _refused(path):
+        members = _members(npz)
+        if CONFIDENCE not in members:
+            raise no_confidence(path)
+        semantics, is_evaluated = _evaluated(npz, members, mask)
+        is_unsure = (semantics != 0) & (read_grid(npz, members[CONFIDENCE]) < least_level(least_confidence))
+        left_out = int(np.count_nonzero(is_unsure & is_evaluated))
+        return truth_planes(semantics, is_evaluated & ~is_unsure), left_out
+
+
+@contextmanager
+def _refused(path: Path) -> Iterator[None]:
+    """Turn what is wrong with the bytes of a label file into a `GroundTruthError`."""
     try:
-        return _planes(npz, mask)
+        yield
     except (SubmissionError, LabelRangeError, KeyError) as error:
         fault = f"no array {error}" if isinstance(error, KeyError) else str(error)
         raise GroundTruthError(path, fault) from error
 
 
-def _planes(npz: bytes, mask: Mask) -> TruthPlanes:
+def _members(npz: bytes) -> dict[str, ZipMember]:
     members = npz_members(npz)
     extra = sorted(set(members) - KEYS)
     if extra:
         raise KeyError(f"other than {', '.join(sorted(KEYS))}, but {extra[0]}")
+    return members
+
+
+def _evaluated(npz: bytes, members: Mapping[str, ZipMember], mask: Mask) -> tuple[Grid, NDArray[np.bool_]]:
+    """The classes, and which voxels the mask evaluates."""
     semantics = read_grid(npz, members["semantics"])
     if mask == "all":
-        return truth_planes(semantics, np.ones(GRID_SHAPE, np.bool_))
-    return truth_planes(semantics, read_grid(npz, members[f"mask_{mask}"]) != 0)
+        return semantics, np.ones(GRID_SHAPE, np.bool_)
+    return semantics, read_grid(npz, members[f"mask_{mask}"]) != 0
 
 
 def truth_hash(truth: TruthPlanes) -> bytes:

@@ -17,8 +17,16 @@ from pathlib import Path
 
 from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
 from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined, sampled_tokens
-from services.eval.ground_truth import FrameOrder, Mask, find_ground_truth, read_truth, truth_hash, whole_hash
-from services.eval.score_record import Scores, SequenceFacts, SubmissionCounts
+from services.eval.ground_truth import (
+    FrameOrder,
+    Mask,
+    find_ground_truth,
+    read_sure_truth,
+    read_truth,
+    truth_hash,
+    whole_hash,
+)
+from services.eval.score_record import ConfidenceLimit, Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.signature import Signature
 from stone_submissions.archive import SubmissionZip, open_submission
@@ -31,21 +39,26 @@ def score(
     ground_truth_dir: Path,
     *,
     mask: Mask = "all",
+    least_confidence: float = 0.0,
     threads: int = THREADS,
     progress: Progress = silent,
     order: FrameOrder | None = None,
 ) -> Scores:
     """The scores of a submission that holds exactly the frames of this ground truth; without their `order` in time no
-    interval of these places is told.
+    interval of these places is told. Occupied voxels below the `least_confidence` that their label is right are left
+    out.
 
-    Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`, and what
-    `order` raises.
+    Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`,
+    `no_confidence`, and what `order` raises.
     """
     truth = find_ground_truth(ground_truth_dir, mask, order)
-    paths, hashes = truth.paths(), dict[str, bytes]()
+    paths, hashes, left_out = truth.paths(), dict[str, bytes](), dict[str, int]()
 
     def truth_of(token: str) -> TruthPlanes:
-        planes = read_truth(paths[token], mask)
+        if least_confidence > 0:
+            planes, left_out[token] = read_sure_truth(paths[token], mask, least_confidence)
+        else:
+            planes = read_truth(paths[token], mask)
         hashes[token] = truth_hash(planes)
         return planes
 
@@ -53,7 +66,9 @@ def score(
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
     counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences, counted.column_counts)
-    return Scores(counts_of_frames, Signature(whole_hash(hashes), truth.mask), truth.is_in_time_order)
+    limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
+    evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
+    return Scores(counts_of_frames, Signature(whole_hash(hashes), evaluated), truth.is_in_time_order, limit)
 
 
 def count(

@@ -77,6 +77,19 @@ class SubmissionCounts:
         return np.stack([self.confusions[start:stop].sum(axis=0, dtype=np.int64) for start, stop in runs])
 
 
+@dataclass(frozen=True)
+class ConfidenceLimit:
+    """The least confidence of evaluated occupied voxels, and how many occupied voxels are `left_out` for it."""
+
+    least_confidence: float
+    left_out: int
+
+    def as_record(self, occupied: int) -> Record:
+        """With the share of the occupied voxels left out; `occupied` counts those that are evaluated."""
+        whole = self.left_out + occupied
+        return {**asdict(self), "left_out_ratio": self.left_out / whole if whole else None}
+
+
 @dataclass(frozen=True, eq=False)
 class Scores:
     """One submission against one ground truth; whether its frames are in time order, which intervals need."""
@@ -84,13 +97,17 @@ class Scores:
     counts_of_frames: SubmissionCounts
     signature: Signature
     is_in_time_order: bool
+    limit: ConfidenceLimit | None = None
 
     def as_record(self) -> Record:
         """What `stone score --json` prints."""
         counts_of_frames, metric = self.counts_of_frames, self.signature.metric
         spectra = counts_of_frames.spectra(metric)
+        told = record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order)
+        occupied = sum(map(sum, told["confusion"][1:]))
         return {
-            **record_of(counts_of_frames, spectra, metric, is_in_time_order=self.is_in_time_order),
+            **told,
+            **({"confidence": self.limit.as_record(occupied)} if self.limit else {}),
             "signature": str(self.signature),
             "code_version": code_version("scores"),
         }

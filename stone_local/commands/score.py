@@ -1,7 +1,8 @@
 """`stone score`: a submission against ground truth."""
 
+from collections.abc import Mapping
 from pathlib import Path
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
@@ -9,15 +10,32 @@ from stone_client.options import SubmissionArgument
 from stone_client.progress import reported
 from stone_client.refusals import refuse_submission
 from stone_client.streams import JsonOption, echo_json
-from stone_client.tables import confusion_table, score_table, show
+from stone_client.tables import DASH, confusion_table, score_table, show
 
 GroundTruthOption = Annotated[
     Path,
     typer.Option("--ground-truth", metavar="DIR", exists=True, file_okay=False, help="The folder that holds gts/."),
 ]
 
+LeastConfidenceOption = Annotated[
+    float,
+    typer.Option(
+        "--least-confidence",
+        min=0.0,
+        max=1.0,
+        help="Leave out occupied ground truth whose label is right with a lower probability (default: none). "
+        "Needs labels of `stone label --confidence`.",
+        show_default=False,
+    ),
+]
 
-def score(submission: SubmissionArgument, ground_truth: GroundTruthOption, as_json: JsonOption = False) -> None:
+
+def score(
+    submission: SubmissionArgument,
+    ground_truth: GroundTruthOption,
+    least_confidence: LeastConfidenceOption = 0.0,
+    as_json: JsonOption = False,
+) -> None:
     """Score a submission against labels: IoU of occupancy and of each class, over all voxels and within occupied."""
     from services.eval.pipeline import score as score_submission
     from stone_local.frame_order import in_time_order
@@ -25,13 +43,29 @@ def score(submission: SubmissionArgument, ground_truth: GroundTruthOption, as_js
 
     with reported() as progress:
         try:
-            scores = score_submission(submission, ground_truth, progress=progress, order=in_time_order)
+            scores = score_submission(
+                submission,
+                ground_truth,
+                least_confidence=least_confidence,
+                progress=progress,
+                order=in_time_order,
+            )
         except SubmissionRefusedError as error:
             refuse_submission(error.validation, as_json=as_json)
     record = scores.as_record()
     if as_json:
         echo_json(record)
         return
-    show(score_table(record, f"{record['frames']} frames"))
+    show(score_table(record, f"{record['frames']} frames{_left_out(record)}"))
     show(confusion_table(record["confusion"]))
     typer.echo(f"Signature: {record['signature']}")
+
+
+def _left_out(record: Mapping[str, Any]) -> str:
+    if "confidence" not in record:
+        return ""
+    limit = record["confidence"]
+    share = DASH if limit["left_out_ratio"] is None else f"{100 * limit['left_out_ratio']:.1f} %"
+    return (
+        f", without occupied voxels of confidence below {limit['least_confidence']:g} ({share} of the occupied voxels)"
+    )

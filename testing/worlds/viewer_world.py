@@ -37,12 +37,16 @@ BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
 
 @dataclass(frozen=True)
 class Run:
-    """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Of imported labels they have no features."""
+    """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Of imported labels they have no features.
+
+    With `has_confidence` the map has one, least near the limit of D².
+    """
 
     frames: int = 12
     reach_m: float = 5.0
     step_m: float = 0.6
     is_imported: bool = False
+    has_confidence: bool = False
 
     @cached_property
     def poses(self) -> Floats:
@@ -62,12 +66,18 @@ class Run:
         squared = distance_squared(features, REFERENCE)
         classes = np.where(squared <= LIMIT, 2, 3).astype(np.uint8)
         classes[self._is_driven(indices)] = 1
-        return TileVoxels(indices, classes, features, squared)
+        return TileVoxels(indices, classes, features, squared, self._confidence(squared, classes))
 
     @cached_property
     def grids(self) -> list[Grid]:
         """The label grid of each frame."""
         return [_cut(pose, self.voxels) for pose in self.poses]
+
+    def _confidence(self, squared: Floats, classes: Grid) -> Grid:
+        if not self.has_confidence:
+            return np.zeros(len(classes), np.uint8)
+        far = np.abs(np.log(np.maximum(squared, 1e-9) / LIMIT))
+        return np.where(classes == 1, 255, np.rint(254 - 130 * np.exp(-far))).astype(np.uint8)
 
     def _ground(self) -> NDArray[np.int64]:
         cells = np.arange(-int(self.reach_m / VOXEL_M) - 1, int((self.reach_m + self.frames * self.step_m) / VOXEL_M))
@@ -178,6 +188,7 @@ def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
         "tiles": [{"name": "0_0", **extent, "voxels": len(voxels.classes), "bytes": len(tile)}],
         "meshes": [{"name": "0_0", "triangles": 2 * 40 * 40, "bytes": len(mesh)}],
     }
+    record["has_confidence"] = run.has_confidence
     if run.is_imported:
         record |= {"reference": None, "profile": "imported"}
     stamps = [str(made.START_NS + number * FRAME_NS) for number in range(len(tokens))]

@@ -13,14 +13,17 @@ import numpy as np
 import pytest
 
 from baselines import cache
-from baselines.cache import CachedFrame, cached_frames, data_hash, write_record
+from baselines.cache import CachedFrame, CachedStore, cached_frames, data_hash, write_record
+from baselines.data import FrameDataset, FrameRequest
 from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
+from baselines.lattice import VoxelLattice
 from baselines.row_config import known_rows, read_row, row_of
 from baselines.run_folder import differences, read_run_row, say_row
 from baselines.sources import labelled_frames
 from stone.geometry.se3 import SE3
 from stone_exports.files import DamagedExportError
+from stone_files.npz import npz_bytes
 from testing.refusals import refused_as
 from testing.worlds.small_export import CAMERAS, SmallExport, write_small_export
 from tests.baselines.small_training import row_record, small_row
@@ -54,9 +57,11 @@ def read(monkeypatch: pytest.MonkeyPatch) -> list[str]:
     return tokens
 
 
-def cached(exports: Path | Sequence[Path], folder: Path, inputs: InputConfig = INPUTS) -> tuple[CachedFrame, ...]:
+def cached(
+    exports: Path | Sequence[Path], folder: Path, inputs: InputConfig = INPUTS, least_confidence: float = 0.0
+) -> tuple[CachedFrame, ...]:
     paths = (exports,) if isinstance(exports, Path) else tuple(exports)
-    return cached_frames(labelled_frames(paths), inputs, folder, lambda *_: None)
+    return cached_frames(labelled_frames(paths, least_confidence), inputs, folder, lambda *_: None)
 
 
 def test_a_record_is_read_as_it_was_written(rig: Path, tmp_path: Path) -> None:
@@ -99,6 +104,31 @@ def test_what_has_not_changed_is_not_read_again(rig: Path, tmp_path: Path, read:
     read.clear()
     assert cached(rig, tmp_path) == first
     assert read == []
+
+
+@pytest.mark.parametrize("counted", ["all", "observed"])
+def test_occupied_voxels_of_low_confidence_are_not_trained_on(counted: Any, copied: Path, tmp_path: Path) -> None:
+    lattice = VoxelLattice((-6.4, -6.4, -2.0), shape=(64, 64, 32))
+    request = FrameRequest(InputConfig("L"), lattice, counted=counted)
+    paths = [copied / "gts" / "field" / token / "labels.npz" for token in RIG.tokens]
+    with refused_as("no_confidence", match=r"labels\.npz.*stone label --confidence"):
+        cached(copied, tmp_path / "cache", least_confidence=0.7)
+    usual = FrameDataset(CachedStore(cached(copied, tmp_path / "cache")), request)[0, 1].labels.numpy()[0]
+    for number, path in enumerate(paths):
+        arrays = dict(np.load(path))
+        sure = np.random.default_rng(number).integers(1, 256, arrays["semantics"].shape)
+        arrays["confidence"] = np.where(arrays["semantics"] == 0, 0, sure).astype(np.uint8)
+        path.write_bytes(npz_bytes(arrays))
+    frames = cached(copied, tmp_path / "cache", least_confidence=0.7)
+    arrays = np.load(paths[1])
+    is_unsure = (arrays["semantics"] > 0) & (arrays["confidence"] / 255 < 0.7)
+    assert frames[1].unsure == is_unsure.sum() > 0
+    assert frames[1].voxels[1:] == tuple((arrays["semantics"][~is_unsure] == kind).sum() for kind in (1, 2, 3))
+    found = FrameDataset(CachedStore(frames), request)[0, 1].labels.numpy()[0]
+    assert np.array_equal(found, np.where(is_unsure[96:160, 96:160], 255, usual))
+    assert not np.array_equal(found, usual)
+    again = FrameDataset(CachedStore(cached(copied, tmp_path / "cache")), request)[0, 1].labels.numpy()[0]
+    assert np.array_equal(again, usual)
 
 
 def change_labels(folder: Path, token: str) -> None:
@@ -280,7 +310,15 @@ def test_what_says_something_impossible_is_refused(lie: str) -> None:
 
 @pytest.mark.parametrize(
     ("key", "value"),
-    [("epochs", 0), ("batch", 0), ("accumulate", -1), ("stride", 0), ("checkpoint_steps", 0), ("learning_rate", -1.0)],
+    [
+        ("epochs", 0),
+        ("batch", 0),
+        ("accumulate", -1),
+        ("stride", 0),
+        ("checkpoint_steps", 0),
+        ("learning_rate", -1.0),
+        ("least_confidence", 1.5),
+    ],
 )
 def test_counts_below_one_are_refused(key: str, value: float) -> None:
     with refused_as("bad_row", match=key):

@@ -3,8 +3,10 @@
 import math
 from dataclasses import replace
 from pathlib import Path
+from shutil import copytree
 from typing import Any
 
+import numpy as np
 import pytest
 import torch
 from torch import Tensor, nn
@@ -20,6 +22,7 @@ from baselines.row_config import RowConfig, TrainingConfig
 from baselines.run_folder import LOG, TENSORBOARD
 from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan
+from stone_files.npz import npz_bytes
 from testing.refusals import refused_as
 from testing.worlds.small_export import SmallExport, write_small_export
 from tests.baselines.small_training import (
@@ -146,6 +149,23 @@ def test_exports_without_labels_are_refused(plan: TrainingPlan, tmp_path: Path) 
     bare = write_small_export(tmp_path / "bare", SmallExport(is_labelled=False))
     with refused_as("nothing_to_train_on"):
         trained(replace(plan, exports=(bare,)))
+
+
+def test_a_least_confidence_is_required_of_what_is_trained_on_and_not_of_what_is_watched(
+    plan: TrainingPlan, meadow: Path, tmp_path: Path
+) -> None:
+    limited = replace(plan, row=small_row(epochs=1, least_confidence=0.9))
+    with refused_as("no_confidence", match="stone label --confidence"):
+        trained(limited)
+    sure = copytree(meadow, tmp_path / "sure")
+    for path in sure.glob("gts/*/*/labels.npz"):
+        arrays = dict(np.load(path))
+        path.write_bytes(
+            npz_bytes(arrays | {"confidence": np.where(arrays["semantics"] == 3, 255, 1).astype(np.uint8)})
+        )
+    trained(replace(limited, exports=(sure,), run=tmp_path / "limited"))
+    (watched,) = (line for line in logged(tmp_path / "limited") if line["watched"])
+    assert watched["scores"]["iou_t"] is not None
 
 
 def test_fewer_frames_than_a_step_takes_are_refused(plan: TrainingPlan) -> None:

@@ -9,6 +9,7 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
+from services.domain.viewer.formats import TileVoxels
 from services.domain.viewer.frame_picture import DIFFERENCE_RGB
 from services.runtime.orm import Artefact, SequenceRow
 from stone.labels.class_colours import CLASS_RGB, PALETTES
@@ -71,11 +72,16 @@ def readout(page: Page) -> dict[str, str]:
     return dict(zip(names, values, strict=True)) | {"class": shown.locator("h3").inner_text()}
 
 
+def row_at(tile: TileVoxels, place: str) -> int:
+    """The row of the voxel whose centre is next to this place of the map."""
+    at = np.array([float(value) for value in place.removesuffix(" m").split(",")])
+    return int(np.argmin(np.linalg.norm((tile.indices + 0.5) * VOXEL_M - at, axis=1)))
+
+
 def expected(place: str) -> dict[str, str]:
     """What the tile holds at the voxel whose centre is next to this place of the map, in the readout's words."""
     tile = RUN.voxels
-    at = np.array([float(value) for value in place.removesuffix(" m").split(",")])
-    row = int(np.argmin(np.linalg.norm((tile.indices + 0.5) * VOXEL_M - at, axis=1)))
+    row = row_at(tile, place)
     elevation, slope, rough = tile.features[row]
     d2 = tile.distance_squared[row]
     names = {1: "Traversable", 2: "Potentially traversable", 3: "Non-traversable"}
@@ -177,6 +183,33 @@ def miss_a_frame(page: Page, seen: dict[str, Any]) -> None:
     assert told == {"index": 3, "token": seen["tokens"][3]}
     page.get_by_label("Frame", exact=True).press("End")
     expect(page.locator(".viewer-said")).to_contain_text("Frame 6")
+
+
+def test_confidence_is_a_colour_a_legend_and_a_row_of_the_readout(site: Site, curator: Person) -> None:
+    run = Run(frames=2, reach_m=3.0, has_confidence=True)
+    seen = viewed(site.platform, curator, run)
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}&show=map&colour=confidence")
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        expect(page.get_by_label("Colour by")).to_have_value("confidence")
+        expect(page.locator(".viewer-ticks span")).to_have_text(["50 % and less", "75 %", "100 %"])
+        canvas(page).focus()
+        page.keyboard.press("c")
+        page.keyboard.press("Shift+ArrowDown")
+        name = "Probability that this label is right"
+        until(lambda: name in readout(page))
+        told = readout(page)
+        confidence = run.voxels.confidence[row_at(run.voxels, told["Map position"])]
+        assert told[name] == ("100 %" if confidence == 255 else f"{min(99, round(confidence / 2.55))} %")
+
+
+def test_confidence_cannot_be_chosen_without_one(at_viewer: Page) -> None:
+    at_viewer.goto(f"{at_viewer.url}&colour=confidence")
+    expect(host(at_viewer)).to_have_attribute("data-state", "ready")
+    colours = at_viewer.get_by_label("Colour by")
+    expect(colours).to_have_value("class")
+    assert colours.locator("option:disabled").evaluate_all("all => all.map(one => one.value)") == ["confidence"]
+    expect(at_viewer.get_by_text("only labels of profile field have one")).to_be_visible()
 
 
 def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Person) -> None:

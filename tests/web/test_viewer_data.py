@@ -21,7 +21,7 @@ from testing.web.browsing import Site
 from testing.worlds.viewer_world import Grid, Run, observed_of, viewed
 from web.main import make_site
 
-RUN = Run(frames=2, reach_m=3.0)
+RUN = Run(frames=2, reach_m=3.0, has_confidence=True)
 IMPORTS = """
 const base = document.querySelector('script[src*="modules/app.js"]').src.replace("app.js", "viewer/");
 const load = name => import(base + name + ".js");
@@ -76,15 +76,29 @@ def test_a_frame_decodes_to_the_classes_and_the_mask_it_was_packed_of(loaded: Lo
 def test_a_tile_decodes_to_the_voxels_it_was_made_of(loaded: Loaded) -> None:
     script = """
     const { tileOf } = await load("data/formats");
-    const tile = tileOf(await fetched(`/api/v1/sequences/${given}/scene/tiles/0_0`));
-    return Object.fromEntries(Object.entries(tile).map(([name, values]) => [name, [...values]]));
+    const content = await fetched(`/api/v1/sequences/${given}/scene/tiles/0_0`);
+    const [tile, older] = [tileOf(content), tileOf(content.slice(0, 8 + 29 * (content.length - 8) / 30))];
+    const listed = tile => Object.fromEntries(Object.entries(tile).map(([name, values]) => [name, [...values]]));
+    return [listed(tile), listed(older)];
     """
-    tile, voxels = run(loaded, script, loaded.sequence_id), RUN.voxels
+    (tile, older), voxels = run(loaded, script, loaded.sequence_id), RUN.voxels
     np.testing.assert_array_equal(np.stack([tile["i"], tile["j"], tile["k"]], axis=1), voxels.indices)
     np.testing.assert_array_equal(tile["classes"], voxels.classes)
     features = np.stack([tile["elevation_m"], tile["slope_rad"], tile["roughness"]], axis=1)
     np.testing.assert_allclose(features, voxels.features, rtol=1e-6)
     np.testing.assert_allclose(tile["d2"], voxels.distance_squared, rtol=1e-6)
+    np.testing.assert_array_equal(tile["confidence"], voxels.confidence)
+    assert older == tile | {"confidence": [0] * len(voxels.classes)}
+
+
+def test_confidence_is_coloured_from_a_half_to_one_and_grey_where_unknown(loaded: Loaded) -> None:
+    script = """
+    const { colourOf } = await load("looks");
+    const look = { mode: "confidence", classes: 0b1110, unseen: "show" };
+    return given.map(confidence => colourOf(look, 2, true, { confidence }, {}));
+    """
+    wanted = [255, 10, 10, 10 + round(240 * (2 * 200 / 255 - 1)), 250]
+    assert run(loaded, script, [0, 1, 127, 200, 255]) == wanted
 
 
 def test_what_is_not_a_frame_is_refused(loaded: Loaded) -> None:

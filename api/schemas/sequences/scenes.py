@@ -87,9 +87,10 @@ class SceneDetail(Answer):
     """A labelled sequence as the viewer shows it; `label_set_id` as `v` of its files makes their addresses lasting.
 
     `reference` is null of labels that were imported from a published dataset: the features of their voxels are NaN.
+    `has_confidence`: the confidence of some voxel is known.
     """
 
-    model_config = example(name="n-forest-07", profile="field", footprint_m=[1.06, 0.85])
+    model_config = example(name="n-forest-07", profile="field", footprint_m=[1.06, 0.85], has_confidence=True)
 
     sequence_id: str
     label_set_id: str
@@ -98,6 +99,7 @@ class SceneDetail(Answer):
     grid: GridItem
     footprint_m: list[float]
     reference: ReferenceItem | None
+    has_confidence: bool
     frames: SceneFrames
     tiles: list[TileItem]
     meshes: list[MeshItem]

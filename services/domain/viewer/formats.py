@@ -4,15 +4,16 @@
 |---|---|---|
 | `STV1` | a frame's voxels | u32 planes (3); low class bit, high class bit, seen by LiDAR |
 | `STD1` | how a frame's voxels differ between two label sets | u32 planes (3); the bits of the code, lowest first |
-| `STT1` | the labelled voxels of a tile | u32 n; i32 i, j, k; u8 class; f32 elevation, slope, roughness, D² |
+| `STT1` | the labelled voxels of a tile | u32 n; i32 i j k; u8 class; f32 elevation slope roughness D²; u8 confidence |
 | `STM1` | the tile's surface | u32 v, u32 t; f32 x y z a vertex; u8 class a vertex; u32 corners, three a triangle |
 | `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
 | `STR1` | the cameras of a playback | u32 cameras, frames, columns, rows; u8 has a picture; f32 rays; f32 poses |
 
 **Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel in C order, 256 × 256 × 32,
-the first in the lowest bit. In `STT1` each of the eight arrays stands whole before the next; voxels are in the order of
+the first in the lowest bit. In `STT1` each of the nine arrays stands whole before the next; voxels are in the order of
 i, then j, then k; the centre of one is (index + 0.5) · 0.2 m in the map frame. `STM1` counts from the tile's `min_m`
-(scene.json); class 0 is a vertex outside every voxel. Equal values give equal bytes. Of imported labels elevation,
+(scene.json); class 0 is a vertex outside every voxel. The confidence is that of `labels.npz`, 0 if it is unknown; tiles
+of earlier releases end before it. Equal values give equal bytes. Of imported labels elevation,
 slope, roughness and D² are NaN: a dataset says the class alone. In `STR1` cameras stand in the order of
 `playback.json`: a byte for each frame of each camera, 1 where there is a picture; then of each camera rows × columns
 unit vectors x y z in its optical frame, through places spread evenly from edge to edge of the image, NaN where the lens
@@ -44,12 +45,16 @@ Floats = NDArray[np.floating]
 
 @dataclass(frozen=True, eq=False)
 class TileVoxels:
-    """K voxels of the map: `indices` (K, 3), `classes` (K,) 1 to 3, `features` (K, 3), `distance_squared` (K,)."""
+    """K voxels of the map: `indices` (K, 3), `classes` (K,) 1 to 3, `features` (K, 3), `distance_squared` (K,).
+
+    `confidence` (K,) is the probability that the class is right, times 255; 0 if it is unknown.
+    """
 
     indices: NDArray[np.int64]
     classes: NDArray[np.uint8]
     features: Floats
     distance_squared: Floats
+    confidence: NDArray[np.uint8]
 
 
 @dataclass(frozen=True, eq=False)
@@ -91,6 +96,7 @@ def tile_bytes(voxels: TileVoxels) -> bytes:
     columns = [column.astype("<i4").tobytes() for column in voxels.indices.T]
     columns.append(voxels.classes.astype("u1").tobytes())
     columns += [column.astype("<f4").tobytes() for column in (*voxels.features.T, voxels.distance_squared)]
+    columns.append(voxels.confidence.astype("u1").tobytes())
     return _frame(b"STT1", (len(voxels.classes),), columns)
 
 

@@ -87,7 +87,7 @@ def _tile(one: tuple[Tile, Keys, NDArray[np.uint8]], into: tuple[TopView, SceneW
     (tile, keys, classes), (view, scene) = one, into
     view.add(tile, keys, classes)  # type: ignore[arg-type]
     nothing = np.full((len(keys), 3), np.nan)
-    voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0])
+    voxels = TileVoxels(indices_of(keys), classes, nothing, nothing[:, 0], np.zeros(len(keys), np.uint8))
     corner_m = np.array([tile.i, tile.j, 0.0]) * TILE_VOXELS * VOXEL_M
     mesh = exposed_faces(keys, classes, VOXEL_M)
     shown = mesh

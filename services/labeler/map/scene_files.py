@@ -46,7 +46,8 @@ class SceneFiles:
         if not len(indices) and not len(found.arrays["vertices"]):
             return
         features = np.round(found.terrain.features(self._run.parameters.rule) / STEPS) * STEPS
-        voxels = TileVoxels(indices, found.classes, features, found.squared)
+        confidence = np.zeros(len(indices), np.uint8) if found.confidence is None else found.confidence
+        voxels = TileVoxels(indices, found.classes, features, found.squared, confidence)
         corner_m = np.array([tile.i, tile.j, 0.0]) * self._run.parameters.core_m
         mesh = thinned(_surface(found.arrays, found.classes), MOST_TRIANGLES)
         self._writer.add(tile_name(tile), voxels, mesh, corner_m)
@@ -104,9 +105,11 @@ class SceneWriter:
     out: Path
     tiles: list[dict[str, Any]] = field(default_factory=list)
     meshes: list[dict[str, Any]] = field(default_factory=list)
+    has_confidence: bool = False
 
     def add(self, name: str, voxels: TileVoxels, mesh: TileMesh, corner_m: NDArray[np.float64]) -> None:
         """A tile; its mesh in metres of the map. `corner_m` (3,) is where one without voxels lies."""
+        self.has_confidence |= bool(voxels.confidence.any())
         low, high = corner_m, corner_m
         if len(voxels.indices):
             first, last = corners_of(voxels.indices)
@@ -130,6 +133,7 @@ class SceneWriter:
             "grid": {"shape": list(GRID_SHAPE), "min_m": list(GRID_MIN_M), "voxel_m": VOXEL_M},
             "footprint_m": [footprint.length_m, footprint.width_m],
             "reference": self.about.reference,
+            "has_confidence": self.has_confidence,
             "frames": {
                 "tokens": list(frames.tokens),
                 "stamps_ns": [str(stamp) for stamp in frames.stamps_ns.tolist()],

@@ -62,6 +62,16 @@ RateOption = Annotated[
 StrideOption = Annotated[
     int | None, typer.Option(min=1, show_default=THE_ROWS, help="Train on every n-th frame of a sequence.")
 ]
+LeastConfidenceOption = Annotated[
+    float | None,
+    typer.Option(
+        "--least-confidence",
+        min=0.0,
+        max=1.0,
+        show_default=THE_ROWS,
+        help="Losses ignore occupied voxels whose label is right with a lower probability.",
+    ),
+]
 SeedOption = Annotated[
     int | None, typer.Option(min=0, show_default=THE_ROWS, help="Seed of weights, order and augmentation.")
 ]
@@ -96,6 +106,7 @@ def train(
     accumulate: AccumulateOption = None,
     learning_rate: RateOption = None,
     stride: StrideOption = None,
+    least_confidence: LeastConfidenceOption = None,
     seed: SeedOption = None,
     precision: PrecisionOption = None,
     backbone: BackboneOption = None,
@@ -112,7 +123,8 @@ def train(
         from baselines.train import train as trained
     changes: dict[str, Any] = {
         "epochs": epochs, "batch": batch, "accumulate": accumulate, "learning_rate": learning_rate, "stride": stride,
-        "seed": seed, "precision": None if precision is None else precision.value, "checkpoint_steps": checkpoint_steps,
+        "least_confidence": least_confidence, "seed": seed, "checkpoint_steps": checkpoint_steps,
+        "precision": None if precision is None else precision.value,
     }  # fmt: skip
     config = read_row(row, changes)
     if checkpoint_gradients:

@@ -46,7 +46,7 @@ def labels_of(folder: Path, said: Description = SAID) -> WrittenLabels:
 def write_voxels(folder: Path, voxels: Voxels) -> None:
     (folder / "scene").mkdir(exist_ok=True)
     indices, classes = np.array(list(voxels), np.int64), np.array(list(voxels.values()), np.uint8)
-    tile = TileVoxels(indices, classes, np.zeros((len(classes), 3)), np.zeros(len(classes)))
+    tile = TileVoxels(indices, classes, np.zeros((len(classes), 3)), np.zeros(len(classes)), np.zeros_like(classes))
     (folder / "scene" / "tile_0_0.bin").write_bytes(tile_bytes(tile))
 
 

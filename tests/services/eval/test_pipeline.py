@@ -4,6 +4,7 @@ import json
 import secrets
 import shutil
 import zipfile
+from collections.abc import Mapping
 from pathlib import Path
 
 import numpy as np
@@ -28,7 +29,7 @@ from stone_submissions.verdict import SubmissionRefusedError
 from testing.refusals import refused_as
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
-from tests.services.eval.conftest import World
+from tests.services.eval.conftest import Grid, World, speckled
 from tests.slow_metric import added_columns, slow_counts, slow_ratios, slow_tolerant
 
 TOLD = ["frames", "total", "within_occupied", "tolerant", "columns", "support", "confusion", "extras"]
@@ -62,6 +63,37 @@ def test_scores_are_those_of_a_plain_histogram(mask: Mask, threads: int, world: 
     assert record["confusion"] == expected.tolist()
     assert record["total"] == named_ratios(expected)
     assert json.loads(json.dumps(record, allow_nan=False)) == record
+
+
+@pytest.mark.parametrize("mask", ["all", "lidar"])
+def test_occupied_voxels_of_low_confidence_are_left_out(
+    mask: Mask, world: World, submission: Path, tmp_path: Path
+) -> None:
+    confidence = {token: speckled(30 + at, 256) for at, token in enumerate(world.labels)}
+    expected, left_out, occupied = np.zeros((4, 4), np.int64), 0, 0
+    for path in world.folder.glob("gts/*/*/labels.npz"):
+        token = path.parent.name
+        labels, sure = world.labels[token], np.where(world.labels[token] == 0, 0, 255 - confidence[token])
+        write_labels(tmp_path / path.relative_to(world.folder), np.load(path), confidence=sure.astype(np.uint8))
+        is_evaluated = (world.masks[token] > 0) | (mask == "all")
+        is_unsure = (labels > 0) & (sure / 255 < 0.8)
+        expected += confusion_matrix(labels, world.predictions[token], is_evaluated & ~is_unsure)
+        left_out += int((is_evaluated & is_unsure).sum())
+        occupied += int((is_evaluated & (labels > 0)).sum())
+    limited = score(submission, tmp_path, mask=mask, least_confidence=0.8).as_record()
+    assert limited["confusion"] == expected.tolist()
+    assert 0 < left_out < occupied
+    told = {"least_confidence": 0.8, "left_out": left_out, "left_out_ratio": left_out / occupied}
+    assert limited["confidence"] == told
+    assert f"|mask:{mask},confidence>=0.8|" in limited["signature"]
+    assert score(submission, tmp_path, mask=mask).as_record() == score(submission, world.folder, mask=mask).as_record()
+    with refused_as("no_confidence", match=r"labels\.npz: .*stone label --confidence"):
+        score(submission, world.folder, least_confidence=0.8)
+
+
+def write_labels(path: Path, arrays: Mapping[str, Grid], **further: Grid) -> None:
+    path.parent.mkdir(parents=True)
+    path.write_bytes(npz_bytes({**arrays, **further}))
 
 
 def test_the_signature_follows_the_ground_truth_and_the_mask_not_the_prediction(

@@ -3,7 +3,7 @@
 import { fixed } from "../counts.js";
 import type { SceneFacts } from "./scene.js";
 
-export type Mode = "class" | "difference" | "d2" | "elevation" | "slope" | "roughness";
+export type Mode = "class" | "difference" | "d2" | "confidence" | "elevation" | "slope" | "roughness";
 /** What happens to labels that the frame's LiDAR did not see. */
 export type Unseen = "show" | "fade" | "hide";
 
@@ -19,6 +19,8 @@ export interface Values {
   slope_rad: number;
   roughness: number;
   d2: number;
+  /** The probability that the label is right, times 255; 0 if it is unknown. */
+  confidence: number;
 }
 
 /** How a voxel differs between two label sets, by code (`stone/scoring/agreement.py`); 0 is free in both. */
@@ -29,6 +31,8 @@ export const RAMP_LAST = 250;
 export const NO_VALUE = 255;
 const STEEPEST_RAD = Math.PI / 3;
 const ROUGHNESS = [-14, -4] as const;
+const CERTAIN = 255;
+const LEAST_SHOWN = 0.5;
 
 /** Where the value lies on the ramp, 0–1; D² has its limit in the middle and ten times the limit at the end. */
 export function shareOf(mode: Mode, values: Values, scene: SceneFacts): number {
@@ -37,6 +41,7 @@ export function shareOf(mode: Mode, values: Values, scene: SceneFacts): number {
 }
 
 function rawShare(mode: Mode, values: Values, scene: SceneFacts): number {
+  if (mode === "confidence") return (values.confidence / CERTAIN - LEAST_SHOWN) / (1 - LEAST_SHOWN);
   if (mode === "slope") return values.slope_rad / STEEPEST_RAD;
   if (mode === "roughness") return (values.roughness - ROUGHNESS[0]) / (ROUGHNESS[1] - ROUGHNESS[0]);
   if (mode === "elevation") {
@@ -45,6 +50,11 @@ function rawShare(mode: Mode, values: Values, scene: SceneFacts): number {
   }
   const ratio = values.d2 / (scene.reference?.d2_limit ?? 1);
   return ratio <= 1 ? ratio / 2 : 0.5 + Math.log10(ratio) / 2;
+}
+
+/** The probability in words; only a voxel that was driven over has 100 %. */
+export function percent(confidence: number): string {
+  return `${confidence === CERTAIN ? 100 : Math.min(99, Math.round((100 * confidence) / CERTAIN))} %`;
 }
 
 /** Metres around what the robot drove on. */
@@ -58,6 +68,7 @@ export function elevationRange(scene: SceneFacts): [number, number] {
 export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string] {
   const limit = scene.reference?.d2_limit ?? 1;
   if (mode === "d2") return ["0", `${limit.toFixed(1)} (limit)`, `${(10 * limit).toFixed(0)} and more`];
+  if (mode === "confidence") return ["50 % and less", "75 %", "100 %"];
   if (mode === "slope") return ["0°", "30°", "60° and more"];
   if (mode === "roughness") return ["smooth", `${(1000 * Math.exp((ROUGHNESS[0] + ROUGHNESS[1]) / 4)).toFixed(0)} mm`, "rough"];
   const [low, high] = elevationRange(scene);
@@ -73,6 +84,6 @@ export function colourOf(look: Look, kind: number, seen: boolean, values: Values
   if (!isShown(look, kind, seen)) return 0;
   if (look.mode === "difference") return 0; // the map has none
   if (look.mode === "class") return seen || look.unseen !== "fade" ? kind : kind + FADED;
-  if (values === null) return NO_VALUE;
+  if (values === null || (look.mode === "confidence" && values.confidence === 0)) return NO_VALUE;
   return RAMP_FIRST + Math.round(shareOf(look.mode, values, scene) * (RAMP_LAST - RAMP_FIRST));
 }

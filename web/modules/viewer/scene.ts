@@ -21,6 +21,8 @@ export interface SceneFacts {
   /** The page was opened for the differences; else they are one of the colours that can be chosen. */
   starts_with_difference?: boolean;
   profile: string;
+  /** The confidence of some voxel is known. */
+  has_confidence: boolean;
   footprint_m: [number, number];
   reference: { mean: Vector; covariance: [Vector, Vector, Vector]; d2_limit: number } | null;
   frames: { tokens: string[]; stamps_ns: string[]; map_from_ego: Pose[] };

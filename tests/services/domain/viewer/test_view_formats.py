@@ -51,12 +51,14 @@ def test_a_tile_gives_its_columns_one_after_another(count: int, data: st.DataObj
     classes = data.draw(arrays.arrays(np.uint8, count, elements=st.integers(1, 3)))
     features = data.draw(arrays.arrays(np.float64, (count, 3), elements=st.floats(**NO_NAN)))  # type: ignore[arg-type]
     squared = data.draw(arrays.arrays(np.float64, count, elements=st.floats(0, 2**40, width=32)))
-    read = Read(tile_bytes(TileVoxels(indices, classes, features, squared)), b"STT1")
+    confidence = data.draw(arrays.arrays(np.uint8, count))
+    read = Read(tile_bytes(TileVoxels(indices, classes, features, squared, confidence)), b"STT1")
     assert read.values("I", 1) == [count]
     assert [read.values("i", count) for _ in range(3)] == indices.T.tolist()
     assert read.values("B", count) == classes.tolist()
     assert [read.values("f", count) for _ in range(3)] == [float32(column) for column in features.T]
     assert read.values("f", count) == float32(squared)
+    assert read.values("B", count) == confidence.tolist()
     assert read.is_over()
 
 
@@ -102,9 +104,10 @@ def test_cameras_give_their_pictures_their_rays_and_their_poses() -> None:
 
 
 def test_the_bytes_are_these() -> None:
-    voxels = TileVoxels(np.array([[-1, 2, 3]]), np.array([2], np.uint8), np.array([[0.5, 0.25, -9.0]]), np.array([7.5]))
+    at, kind, sure = np.array([[-1, 2, 3]]), np.array([2], np.uint8), np.array([237], np.uint8)
+    voxels = TileVoxels(at, kind, np.array([[0.5, 0.25, -9.0]]), np.array([7.5]), sure)
     content = zstandard.ZstdDecompressor().decompress(tile_bytes(voxels))
-    assert content.hex() == ("5354543101000000ffffffff0200000003000000020000003f0000803e000010c10000f040")
+    assert content.hex() == ("5354543101000000ffffffff0200000003000000020000003f0000803e000010c10000f040ed")
     content = zstandard.ZstdDecompressor().decompress(cloud_bytes(np.array([[1.0, -2.0, 0.005]]), np.array([9.0])))
     assert content.hex() == "5354433101000000640038ff000009"
     one = PlaybackCameras(np.ones((1, 1), np.bool_), np.full((1, 1, 1, 3), np.nan), np.arange(7.0)[None, None])

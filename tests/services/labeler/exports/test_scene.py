@@ -32,6 +32,7 @@ def voxels_of(drive: Labelled, name: str) -> tuple[NDArray[np.int64], NDArray[np
     indices = np.array([read.values("i", count) for _ in range(3)]).T
     classes = np.array(read.values("B", count), np.int64)
     values = np.array([read.values("f", count) for _ in range(4)]).T
+    assert set(read.values("B", count)) <= {0}  # labels of profile local have no confidence
     assert read.is_over()
     return indices, classes, values
 
@@ -47,6 +48,7 @@ def voxels(drive: Labelled) -> tuple[NDArray[np.int64], NDArray[np.int64], Float
 def test_the_scene_says_of_the_sequence_what_the_sequence_is(drive: Labelled) -> None:
     scene, sequence = scene_of(drive), drive.source().sequence
     assert (scene["name"], scene["profile"], scene["footprint_m"]) == ("drive", "local", [1.06, 0.85])
+    assert scene["has_confidence"] is False
     assert scene["grid"] == {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
     assert scene["frames"]["tokens"] == list(sequence.frames.tokens)
     assert scene["frames"]["stamps_ns"] == [str(stamp) for stamp in sequence.frames.stamps_ns.tolist()]

@@ -189,6 +189,11 @@ def test_labels_of_other_classes_are_written_as_ours(tmp_path: Path) -> None:
 
 FURTHER: dict[str, tuple[dict[str, np.ndarray], bool]] = {
     "confidence": ({"distance_squared": np.full(GRID_SHAPE, 1.5, np.float16)}, True),
+    "both arrays": (
+        {"distance_squared": np.ones(GRID_SHAPE, np.float16), "confidence": np.ones(GRID_SHAPE, np.uint8)},
+        True,
+    ),
+    "a probability as float16": ({"confidence": np.ones(GRID_SHAPE, np.float16)}, False),
     "confidence of another kind": ({"distance_squared": np.zeros(GRID_SHAPE)}, False),
     "confidence of another shape": ({"distance_squared": np.zeros(GRID_SHAPE[:2], np.float16)}, False),
     "something else": ({"distance": np.zeros(GRID_SHAPE, np.float16)}, False),

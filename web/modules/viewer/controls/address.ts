@@ -23,7 +23,7 @@ export interface Standing {
 }
 
 const CLASSES: [number, string][] = [[1, "t"], [2, "p"], [3, "n"]];
-const MODES: Mode[] = ["class", "difference", "d2", "elevation", "slope", "roughness"];
+const MODES: Mode[] = ["class", "difference", "d2", "confidence", "elevation", "slope", "roughness"];
 const WRITES_AFTER_MS = 300;
 
 /** Changes what was chosen to what the address says, and gives what else it says. */
@@ -48,6 +48,7 @@ export function read(address: URL, scene: SceneFacts, choices: Choices): { enlar
 
 function isThere(mode: Mode, scene: SceneFacts): boolean {
   if (mode === "difference") return scene.comparison_id !== undefined;
+  if (mode === "confidence" && !scene.has_confidence) return false;
   return mode === "class" || (scene.tiles.length > 0 && !isImported(scene));
 }
 

@@ -32,13 +32,15 @@ export function firstChoices(scene: SceneFacts): Choices {
 
 const SCOPES: [Choices["scope"], string][] = [["frame", "Frame"], ["map", "Whole run"]];
 const MODES: [Mode, string][] = [
-  ["class", "Class"], ["d2", "D², distance to reference terrain"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
+  ["class", "Class"], ["d2", "D², distance to reference terrain"],
+  ["confidence", "Confidence: probability that the label is right"], ["elevation", "Elevation"], ["slope", "Slope"], ["roughness", "Roughness"],
 ];
 const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
 const UNSEEN: [Unseen, string][] = [["fade", "Faded"], ["show", "Same as observed"], ["hide", "Hidden"]];
 const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the robot's wheels"], ["time", "Age, sweeps of the last second"]];
 const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["plain", "Shown without labels"], ["off", "Hidden"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
+const NO_CONFIDENCE = "No confidence: only labels of profile field have one, and those of earlier releases do not. Process the sequence again with profile field.";
 
 let picks = 0;
 
@@ -77,12 +79,14 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
     if (value === "difference") choose(scopes, (choices.scope = "frame"));
     changed();
   }, hasValues || scene.comparison_id !== undefined);
+  if (!scene.has_confidence) colours.querySelector("option[value=confidence]")?.setAttribute("disabled", "");
   const notes = (["mesh", "points"] as const).flatMap((name) => missing(name, scene) ?? []);
   return make(
     "div", { class: "viewer-choices" },
     group("Labels", scopes,
       ...classes,
       colours,
+      ...(hasValues && !scene.has_confidence && !isImported(scene) ? [make("p", { class: "hint" }, NO_CONFIDENCE)] : []),
       pick("Voxels not observed in this frame", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"),
@@ -91,7 +95,7 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
       ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, "Labels reach 25 m from the robot; what is farther stays as it was photographed.")] : []),
       ...notes.map((note) => make("p", { class: "hint" }, note)),
       ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled by an earlier release without terrain values: process the sequence again for D² and slope.")]),
-      ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels have no features: D², slope and roughness are not available.")] : [])),
+      ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels have no features: D², confidence, slope and roughness are not available.")] : [])),
   );
 }
 

@@ -3,6 +3,7 @@
 import { fixed } from "../../counts.js";
 import type { Found } from "../data/lookup.js";
 import type { Picked } from "../data/model.js";
+import { percent } from "../looks.js";
 import type { SceneFacts, Vector } from "../scene.js";
 
 export const CLASS_NAMES = ["free", "Traversable", "Potentially traversable", "Non-traversable"] as const;
@@ -20,6 +21,7 @@ export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
     ["Slope", slopeWords(found.slope_rad)],
     ["Roughness", `${roughness_mm(found.roughness)} (log ${found.roughness.toFixed(1)})`],
     ["D²", number(found.d2)],
+    ...(found.confidence ? [["Probability that this label is right", percent(found.confidence)] as [string, string]] : []),
   ];
 }
 

@@ -10,7 +10,7 @@ import { rampOf } from "../drawing/theme.js";
 
 const CLASSES = [["Traversable", "fill-t"], ["Potentially", "fill-p"], ["Non-traversable", "fill-n"]] as const;
 const FILLS = ["fill-same", "fill-only-a", "fill-only-b", "fill-easier", "fill-harder"] as const;
-const TITLES: Record<Mode, string> = { class: "", difference: "", d2: "D²", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
+const TITLES: Record<Mode, string> = { class: "", difference: "", d2: "D²", confidence: "Confidence: probability that the label is right", elevation: "Elevation", slope: "Slope", roughness: "Roughness" };
 const WIDTH_PX = 180;
 
 /** With each class's share where there are counts. */

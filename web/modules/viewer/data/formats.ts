@@ -27,6 +27,8 @@ export interface Tile {
   slope_rad: Float32Array;
   roughness: Float32Array;
   d2: Float32Array;
+  /** The probability that the class is right, times 255; 0 if it is unknown. */
+  confidence: Uint8Array;
 }
 
 /** Vertices relative to the tile's lowest corner. */
@@ -77,6 +79,10 @@ class Reader {
     this.at += bytes;
     return part;
   }
+  /** Bytes that the data of earlier releases does not have: zeros then. */
+  added(bytes: number): Uint8Array {
+    return this.at === this.content.length ? new Uint8Array(bytes) : new Uint8Array(this.take(bytes));
+  }
   end(): void {
     if (this.at !== this.content.length) throw new FormatError("The data goes on after what its head says.");
   }
@@ -104,6 +110,7 @@ export function tileOf(content: Uint8Array): Tile {
     slope_rad: new Float32Array(reader.take(4 * n)),
     roughness: new Float32Array(reader.take(4 * n)),
     d2: new Float32Array(reader.take(4 * n)),
+    confidence: reader.added(n),
   };
   reader.end();
   return tile;

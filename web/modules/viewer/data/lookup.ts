@@ -84,5 +84,6 @@ export function found(tile: Tile, row: number): Found {
     slope_rad: tile.slope_rad[row]!,
     roughness: tile.roughness[row]!,
     d2: tile.d2[row]!,
+    confidence: tile.confidence[row]!,
   };
 }

@@ -268,5 +268,6 @@ function mostOf(tile: Tile, rows: number[]): number {
 }
 
 function valuesOf(tile: Tile, row: number): Omit<Found, "index" | "kind"> {
-  return { elevation_m: tile.elevation_m[row]!, slope_rad: tile.slope_rad[row]!, roughness: tile.roughness[row]!, d2: tile.d2[row]! };
+  const { elevation_m, slope_rad, roughness, d2, confidence } = tile;
+  return { elevation_m: elevation_m[row]!, slope_rad: slope_rad[row]!, roughness: roughness[row]!, d2: d2[row]!, confidence: confidence[row]! };
 }

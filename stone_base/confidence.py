@@ -1,0 +1,20 @@
+"""The array `confidence` of `labels.npz`: the probability that a voxel's label is right, times 255; 0 if it is free."""
+
+from math import ceil
+
+from stone_base.errors import Refused
+
+CERTAIN = 255
+
+
+def least_level(least_confidence: float) -> int:
+    """Return the least value of the array that stands for this probability, 0 to 1, or more."""
+    return ceil(CERTAIN * least_confidence)
+
+
+def no_confidence(name: object) -> Refused:
+    return Refused(
+        "no_confidence",
+        f"{name}: it has no array confidence, which a least confidence needs; label the run again with "
+        "`stone label --confidence` (profile field), or leave the option out",
+    )
