@@ -20,9 +20,10 @@ from services.labeler.errors import footprint_off_ground, mount_tilted, poses_ti
 from services.labeler.parameters import LabelParameters
 from stone.errors import Refused
 from stone.geometry.lattice import Keys, indices_of
+from stone.geometry.se3 import steps_of
 from stone.labels.grid import Bounds
 from stone.labels.voxels import VOXEL_M
-from stone.sensors.ego_path import maps_of_frames
+from stone.sensors.ego_path import ego_path, maps_of_frames
 from stone.sensors.sequence import Sequence, SweepSource
 
 USUAL_PERIOD_S = 0.1
@@ -71,6 +72,13 @@ class LabelRun:
     def maps(self) -> NDArray[np.int64]:
         """The map (N,) of each frame."""
         return maps_of_frames(self.sequence)
+
+    @cached_property
+    def way_starts_m(self) -> NDArray[np.float64]:
+        """Return how far the robot had driven before each map (M,), as the pieces of its way through them add up."""
+        stretches = (ego_path(self.sequence, number) for number in range(int(self.maps.max(initial=0)) + 1))
+        lengths_m = [sum(float(steps_of(stretch)[0].sum()) for stretch in path) for path in stretches]
+        return np.cumsum([0.0, *lengths_m[:-1]])
 
     @property
     def period_s(self) -> float:

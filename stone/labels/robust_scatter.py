@@ -12,10 +12,11 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.sensors.clocks import MAD_TO_SIGMA
+
 MOST_STEPS = 100
 RIDGE = 1e-9  # of the rows' own spread: a feature that is the same everywhere has no variance to divide by
 INLIER_RATIO = 0.975
-MAD_PER_SIGMA = 1.4826
 
 Array = NDArray[np.float64]
 
@@ -69,7 +70,7 @@ def _concentrated(scaled: Array, subset: NDArray[np.int64], kept: int) -> tuple[
 def middle_and_spread(rows: Array) -> tuple[Array, Array]:
     """Median and scaled median deviation (d,); the standard deviation where most rows are the same, 1 where all are."""
     middle = np.median(rows, axis=0)
-    spread = MAD_PER_SIGMA * np.median(np.abs(rows - middle), axis=0)
+    spread = MAD_TO_SIGMA * np.median(np.abs(rows - middle), axis=0)
     spread = np.where(spread > 0, spread, rows.std(axis=0))
     return middle, np.where(spread > 0, spread, 1.0)
 

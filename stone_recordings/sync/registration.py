@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3, apart
+from stone.sensors.clocks import MAD_TO_SIGMA
 
 NEIGHBOURS = 10
 COARSE_M, FINE_M = 2.0, 0.5
 DISPLACED_M = 0.7
 ITERATIONS = 40
 FEWEST_POINTS = 200
-SIGMA_OF_MEDIAN = 1.4826
 
 Points = NDArray[np.float64]
 
@@ -106,7 +106,7 @@ class Target:
             return 0.0, np.inf
         off = placed[rows] - self._points[nearest[rows]]
         off_m = np.abs(np.sum(off * self._normals[nearest[rows]], axis=1))
-        return len(rows) / len(source), SIGMA_OF_MEDIAN * float(np.median(off_m))
+        return len(rows) / len(source), MAD_TO_SIGMA * float(np.median(off_m))
 
     def _agrees(self, cloud: Any, best: SE3, start: SE3, trust: Trust) -> bool:
         found = self._aligned(cloud, start)

@@ -15,7 +15,7 @@ from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, s
 from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of
-from stone.geometry.se3 import SE3, steps_of
+from stone.geometry.se3 import SE3
 from stone.labels.footprint import Passes, passed_through, passes
 from stone.labels.ground_shape import ground_shape
 from stone.labels.observed_voxels import Observed
@@ -133,10 +133,8 @@ def _terrain(run: LabelRun, found: VoxelFeatures, points: PointMap, datum: float
 
 def _passes(run: LabelRun, tile: Tile, path: tuple[SE3, ...], terrain: VoxelTerrain) -> Passes:
     """Return when the robot drove over the voxels; the ways through earlier maps lie before that through this one."""
-    earlier = (ego_path(run.sequence, number) for number in range(tile.map))
-    start_m = sum(float(steps_of(stretch)[0].sum()) for stretches in earlier for stretch in stretches)
     footprint, band_m = run.sequence.calibration.footprint, run.parameters.footprint_band_m
-    return passes(terrain.keys, path, footprint, band_m, start_m)
+    return passes(terrain.keys, path, footprint, band_m, float(run.way_starts_m[tile.map]))
 
 
 def _core_mesh(mesh: Mesh, terrain: NDArray[np.float64], tile: Tile, core_m: float) -> tuple[Mesh, NDArray[np.float64]]:
