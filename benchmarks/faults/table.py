@@ -6,7 +6,7 @@ from typing import Any
 # by drive, by fault ("" is none): what `FaultOutcome.as_record` gives
 Outcomes = dict[str, dict[str, dict[str, Any]]]
 # What labelling refuses by a figure that inspection has measured and named by another code.
-NAMED_AS = {"footprint_off_ground": "CAL-433"}
+NAMED_AS = {"footprint_off_ground": "CAL-433", "poses_tilted": "SYN-518"}
 
 
 def shown(made: Outcomes, before: Outcomes) -> str:

@@ -13,9 +13,11 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
+from services.domain.sequences.label_choices import DEFAULT_PROFILE
 from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.sandboxed_inspection import outlook, with_new
 from services.labeler.local_run import LabelOptions, label
+from services.labeler.parameters import parameters_for
 from services.labeler.report import LabelReport
 from stone.errors import StoneError
 from stone.findings import Finding
@@ -144,9 +146,9 @@ def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArra
 
 
 def labelled(bag: Path, rig: Calibration, folder: Path, options: SynchroniseOptions) -> LabelledDrive:
-    """What labelling makes of a recording by this calibration. Raises whatever is no label set."""
+    """What labelling by the default profile makes of a recording. Raises whatever is no label set."""
     sequence, sweeps = synchronise(bag, rig, options, NAME)
-    report = label(sequence, sweeps, folder, LabelOptions())
+    report = label(sequence, sweeps, folder, LabelOptions(parameters_for(DEFAULT_PROFILE)))
     frames = report.sequence.frames
     picked = [row for row, stamp_ns in enumerate(frames.stamps_ns.tolist()) if _is_picked(stamp_ns)]
     grids = {int(frames.stamps_ns[row]): _grid(folder, frames.tokens[row]) for row in picked}
