@@ -49,7 +49,7 @@ from stone.labels.traversability import FEW_VOXELS, Reference
 from stone.sensors.sequence import Sequence
 
 STEEP_SIGMA_DEG = 15.0
-UNLIKE_TIMES = 3.0
+UNLIKE_TIMES = 4.0  # 3.4 in a sound drive, a sixth of which leads through tall grass
 CLASS_NAMES = ("free", "traversable", "potentially_traversable", "non_traversable")
 
 

@@ -166,10 +166,10 @@ USUAL_RATIO = 0.25
 FAR_SIGMAS = 5.0
 FEWEST_FAR_RATIO = 0.002
 WIDENED_TIMES = 1.5
-# In sound drives through worlds with known truth they are at most 3.4 % and 4.1 %, and 6.7 % and 7.1 % or more in most
-# drives whose LiDAR was entered 10 cm too low (`make bench-outside`).
+# In sound drives through worlds with known truth it is at most 3.4 %, and 6.7 % or more in most drives whose LiDAR was
+# entered 10 cm too low (`make bench-outside`).
 STEEP_P_RATIO, STEEP_P_TIMES, FEWEST_STEEP = 0.05, 1.5, 100
-BEYOND_RATIO = 0.06
+BEYOND_RATIO = 0.12  # 0.09 in sound drives with tall grass, which is beyond the limit of a step
 NAMES = ("elevation", "slope", "roughness")
 
 

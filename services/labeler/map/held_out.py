@@ -26,9 +26,9 @@ HALF = 0.5
 HALVES = ("from_first_half", "from_second_half")
 FEWEST_KNOWN, FEWEST_JUDGED = 100, 100
 ENOUGH_KNOWN_M = 12.0  # labels made from 7 m of way hold on a third of other ground, which is no fault of the run
-# Sound drives have 0.88 and more, also through tall grass; with the LiDAR entered 10 cm too low 0.85 (profile `field`,
-# `make bench-outside`).
-POOR_RECALL, FAIR_RECALL = 0.7, 0.86
+# Sound drives through three worlds with three seeds have 0.76 and more, the least with a sixth of the way in tall grass
+# (profile `field`, `make bench-outside`).
+POOR_RECALL, FAIR_RECALL = 0.6, 0.75
 
 
 class HeldOutTrack:

@@ -25,7 +25,7 @@ WORLD = World(grade=(0.0613, 0.0227), boxes=BOXES, spacing_m=0.35, map_from_worl
 SMALL_TILES = TilingParameters(cube_cells=56)  # cores of 8 m: the world lies in nine
 GREY = 128
 FLOOR_M_RAD_LOG_M2, FLOOR_VOXELS = (0.3, 0.07, 0.7), 200
-NOISE, CLEAN_MADS = (0.05, 0.07, 0.7), 3.5
+NOISE, CLEAN_MADS = (0.06, 0.09, 0.7), 3.5
 SLOPE_DEG, STEP_M, HEIGHT_M, BODY_M = 20.0, 0.12, 1.6, 0.3
 Means = dict[tuple[int, ...], np.ndarray]
 
