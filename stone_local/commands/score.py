@@ -66,6 +66,4 @@ def _left_out(record: Mapping[str, Any]) -> str:
         return ""
     limit = record["confidence"]
     share = DASH if limit["left_out_ratio"] is None else f"{100 * limit['left_out_ratio']:.1f} %"
-    return (
-        f", without occupied voxels of confidence below {limit['least_confidence']:g} ({share} of the occupied voxels)"
-    )
+    return f"; {share} of occupied voxels left out (confidence below {limit['least_confidence']:g})"

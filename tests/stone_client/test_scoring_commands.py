@@ -56,6 +56,24 @@ def test_a_perfect_prediction_is_valid_and_scores_one(tmp_path: Path, truth: Pat
     assert record["signature"]
 
 
+def test_a_least_confidence_leaves_out_the_errors_below_it_and_says_so(tmp_path: Path, truth: Path) -> None:
+    """P has 0.8 = 204 / 255; all of it is predicted N."""
+    grid = world()
+    confidence = np.array([0, 255, 204, 250], np.uint8)[grid]
+    for path in truth.glob("gts/*/*/labels.npz"):
+        np.savez_compressed(path, semantics=grid, confidence=confidence)
+    wrong = np.where(grid == 2, 3, grid).astype(np.uint8)
+    submission = write_zip(tmp_path / "sub.zip", dict.fromkeys(TOKENS, wrong))
+    limited = ("score", submission, "--ground-truth", truth, "--least-confidence")
+    assert json.loads(stone(*limited, "0.8", "--json").stdout)["total"]["iou_p"] == 0.0
+    record = json.loads(stone(*limited, "0.81", "--json").stdout)
+    assert (record["total"]["iou_p"], record["total"]["iou_n"]) == (None, 1.0)
+    share = 100 * (grid == 2).sum() / (grid > 0).sum()
+    assert (
+        f"2 frames; {share:.1f} % of occupied voxels left out (confidence below 0.81)" in stone(*limited, "0.81").stdout
+    )
+
+
 def test_a_missing_frame_is_refused_by_both_commands(tmp_path: Path, truth: Path, manifest: Path) -> None:
     submission = write_zip(tmp_path / "sub.zip", {TOKENS[0]: world()})
     for command in (("validate", submission, "--manifest", manifest), ("score", submission, "--ground-truth", truth)):

@@ -1,5 +1,6 @@
 """What labels say beside the classes, on a world ray-cast in closed form: both masks against rays, and confidence."""
 
+import json
 from dataclasses import replace
 
 import numpy as np
@@ -17,6 +18,7 @@ from stone.sensors.calibration import Box
 from testing.rays import cast, in_voxels, lit_share, open_share
 from tests.golden_vectors import MASKS
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, EGO_FROM_LIDAR, RayCast, World, sequence_of
+from tests.services.runtime.view_decoding import Read
 
 # a tile's corner lies in the middle of it, and part of the second box is behind the first
 WORLD = World(
@@ -115,6 +117,7 @@ def test_the_distance_of_every_voxel_explains_its_class(confident):
 
 
 def test_profile_field_gives_every_label_the_probability_that_it_is_right(tmp_path):
+    in_frames = set()
     for path in labelled(tmp_path / "out", confidence=True, profile="field", reference=REFERENCES["field"])[::5]:
         with np.load(path) as grids:
             classes, confidence = grids["semantics"], grids["confidence"]
@@ -126,6 +129,17 @@ def test_profile_field_gives_every_label_the_probability_that_it_is_right(tmp_pa
         assert len(on_boxes) > 50
         assert on_boxes.mean() > 0.95 * 255
         assert len(np.unique(confidence)) > 30
+        in_frames |= set(confidence[classes > 0].tolist())
+    in_map = set()
+    for path in (tmp_path / "out" / "scene").glob("tile_*.bin"):
+        read = Read(path.read_bytes(), b"STT1")
+        (count,) = read.values("I", 1)
+        read.values("i", 3 * count)
+        classes, _, confidence = read.values("B", count), read.values("f", 4 * count), read.values("B", count)
+        assert {sure for kind, sure in zip(classes, confidence, strict=True) if kind == TRAVERSABLE} <= {255}
+        in_map |= set(confidence)
+    assert in_frames <= in_map - {0} == in_map  # frames are cut out of the map that the viewer shows
+    assert json.loads((tmp_path / "out" / "scene" / "scene.json").read_text())["has_confidence"] is True
 
 
 def test_labels_with_confidence_are_the_same_ground_truth(plain, confident):

@@ -52,9 +52,9 @@ function rawShare(mode: Mode, values: Values, scene: SceneFacts): number {
   return ratio <= 1 ? ratio / 2 : 0.5 + Math.log10(ratio) / 2;
 }
 
-/** The probability in words; only a voxel that was driven over has 100 %. */
-export function percent(confidence: number): string {
-  return `${confidence === CERTAIN ? 100 : Math.min(99, Math.round((100 * confidence) / CERTAIN))} %`;
+/** The probability in words; only a voxel that was driven over (class 1) has 100 %, all others have 99 % at most. */
+export function percent(confidence: number, kind: number): string {
+  return `${kind === 1 ? 100 : Math.min(99, Math.round((100 * confidence) / CERTAIN))} %`;
 }
 
 /** Metres around what the robot drove on. */

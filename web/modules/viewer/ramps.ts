@@ -1,4 +1,5 @@
-// Ramps of colour that grow evenly lighter: viridis for measures, inferno for D² (Smith and van der Walt, 2015).
+// Ramps of colour that grow evenly lighter: viridis for measures, its upper three quarters for confidence, inferno for D²
+// (Smith and van der Walt, 2015). Doubtful voxels would look like holes on a dark page in the lowest quarter.
 //
 // Polynomials of degree six fitted to the published tables (M. Zucker), rows by power, columns red, green, blue.
 
@@ -23,10 +24,14 @@ const INFERNO: Rgb[] = [
   [25.13112, -12.24267, -23.07033],
 ];
 
+/** Each ramp's table, and where it begins and how far it goes in it. */
+const RAMPS = { viridis: [VIRIDIS, 0, 1], confidence: [VIRIDIS, 0.25, 0.75], inferno: [INFERNO, 0.15, 0.8] } as const;
+export type RampName = keyof typeof RAMPS;
+
 /** The colour at `share` 0–1 as 0–255 each. */
-export function ramp(name: "viridis" | "inferno", share: number): [number, number, number] {
-  const at = name === "inferno" ? 0.15 + 0.8 * share : share;
-  const rows = name === "inferno" ? INFERNO : VIRIDIS;
+export function ramp(name: RampName, share: number): [number, number, number] {
+  const [rows, begin, length] = RAMPS[name];
+  const at = begin + length * share;
   const channel = (c: 0 | 1 | 2): number => {
     const value = rows.reduceRight((sum, row) => sum * at + row[c], 0);
     return Math.round(255 * Math.min(1, Math.max(0, value)));

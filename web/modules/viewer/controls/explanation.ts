@@ -21,7 +21,7 @@ export function valuesOf(found: Found, scene: SceneFacts): [string, string][] {
     ["Slope", slopeWords(found.slope_rad)],
     ["Roughness", `${roughness_mm(found.roughness)} (log ${found.roughness.toFixed(1)})`],
     ["D²", number(found.d2)],
-    ...(found.confidence ? [["Probability that this label is right", percent(found.confidence)] as [string, string]] : []),
+    ...(found.confidence ? [["Probability that this label is right", percent(found.confidence, found.kind)] as [string, string]] : []),
   ];
 }
 

@@ -4,7 +4,7 @@ import { swatch } from "./choices.js";
 import { HEIGHTS_M, OLDEST_S, type PointColour } from "../drawing/sweeps.js";
 import { make } from "./elements.js";
 import { DIFFERENCES, type Mode, ticksOf } from "../looks.js";
-import { ramp } from "../ramps.js";
+import { type RampName, ramp } from "../ramps.js";
 import type { SceneFacts } from "../scene.js";
 import { rampOf } from "../drawing/theme.js";
 
@@ -44,7 +44,7 @@ export function rampLegend(mode: Mode, scene: SceneFacts): HTMLElement {
   return ramped(TITLES[mode], rampOf(mode), ticksOf(mode, scene));
 }
 
-function ramped(title: string, name: "viridis" | "inferno", words: readonly string[]): HTMLElement {
+function ramped(title: string, name: RampName, words: readonly string[]): HTMLElement {
   const canvas = make("canvas", { width: String(WIDTH_PX), height: "10", role: "presentation" });
   const context = canvas.getContext("2d");
   for (let x = 0; context && x < WIDTH_PX; x++) {

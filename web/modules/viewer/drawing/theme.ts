@@ -2,7 +2,7 @@
 
 import type { Mode } from "../looks.js";
 import { FADED, NO_VALUE, RAMP_FIRST, RAMP_LAST } from "../looks.js";
-import { type Rgb, ramp } from "../ramps.js";
+import { type RampName, type Rgb, ramp } from "../ramps.js";
 
 export type { Rgb };
 
@@ -66,7 +66,8 @@ export function paletteOf(theme: Theme, mode: Mode): Uint8Array {
   return palette;
 }
 
-export function rampOf(mode: Mode): "viridis" | "inferno" {
+export function rampOf(mode: Mode): RampName {
+  if (mode === "confidence") return mode;
   return mode === "d2" ? "inferno" : "viridis";
 }
 
