@@ -17,9 +17,9 @@ from stone.labels.confidence_curves import CURVES, Curve, Curves
 from stone.labels.profiles import RULES, Profile, VoxelTerrain
 from stone.labels.traversability import NON_TRAVERSABLE, TRAVERSABLE, Reference
 from stone.sensors.calibration import Vehicle
+from stone_base.confidence import CERTAIN
 
 CALIBRATED: Profile = "field"
-FULL = 255
 Array = NDArray[np.float64]
 
 
@@ -74,7 +74,7 @@ def confidence_of(properties: Mapping[str, Array], classes: NDArray[np.uint8]) -
     """Return the confidence (K,) uint8 of voxels' labels, which are the classes (K,) 1 to 3."""
     right = right_probability(drivable_log_odds(properties), classes == NON_TRAVERSABLE)
     right[classes == TRAVERSABLE] = 1.0
-    return np.asarray(np.clip(np.rint(right * FULL), 1, FULL), dtype=np.uint8)
+    return np.asarray(np.clip(np.rint(right * CERTAIN), 1, CERTAIN), dtype=np.uint8)
 
 
 def _on_curve(values: Array, curve: Curve) -> Array:
