@@ -157,7 +157,8 @@ def test_a_slope_that_no_robot_drives_is_told():
 
 
 def test_driven_ground_that_is_mostly_unlike_itself_is_told_where_there_is_enough_of_it():
-    assert codes(unlike=151) == ["LAB-605"]
+    assert codes(unlike=200) == []
+    assert codes(unlike=201) == ["LAB-605"]
     assert codes(driven=499, unlike=400) == []
 
 
@@ -216,9 +217,9 @@ def test_a_few_voxels_that_widen_the_slope_are_told_if_steep_ground_becomes_driv
 
 
 def test_driven_ground_beyond_the_vehicles_limits_is_told():
-    assert limit_findings(compared(0, 0, beyond=60)) == []
-    (finding,) = limit_findings(compared(0, 0, beyond=61))
-    assert (finding.code, "6.1%" in finding.message) == ("LAB-615", True)
+    assert limit_findings(compared(0, 0, beyond=120)) == []
+    (finding,) = limit_findings(compared(0, 0, beyond=121))
+    assert (finding.code, "12.1%" in finding.message) == ("LAB-615", True)
 
 
 def test_too_few_driven_voxels_are_not_judged():
