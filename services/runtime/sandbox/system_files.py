@@ -1,12 +1,13 @@
 """Files that any sandboxed child may read: the interpreter, the libraries, this code and its compiled kernels.
 
 **Conventions.** Folders of the project's packages, never the folder that they lie in: a data folder with its keys often
-lies beside them. Modules that a child imports late are found, since their packages were imported by its parent.
+lies beside them. Modules that a child imports late are found, since its parent imports all packages here.
 """
 
 import os
 import sys
 from functools import cache
+from importlib import import_module
 from importlib.util import find_spec
 from pathlib import Path
 
@@ -33,8 +34,12 @@ def _installed() -> tuple[Path, ...]:
 
 
 def _packages() -> set[Path]:
-    specs = (find_spec(name) for name in PACKAGES)
-    return {Path(place) for spec in specs if spec for place in spec.submodule_search_locations or ()}
+    """Import the packages that are installed, and return their folders.
+
+    Python looks into the folder around them again once it changed, and a child may not: it would not find them there.
+    """
+    found = (import_module(name) for name in PACKAGES if find_spec(name))
+    return {Path(place) for package in found for place in package.__path__}
 
 
 def _compiled() -> set[Path]:

@@ -6,6 +6,7 @@ import socket
 import time
 from collections.abc import Callable
 from contextlib import suppress
+from importlib import import_module
 from pathlib import Path
 
 from services.runtime.sandbox import ProgressCallback
@@ -15,6 +16,11 @@ from stone_submissions.errors import SubmissionError
 REMEMBERED = list[int]()
 SECRET = re.compile(rb"stone-secret-[0-9a-f]{32}")  # what it finds is not what it looks like
 PIECE_BYTES, LONGEST_BYTES = 2**20, 45
+
+
+def late_package(name: str) -> bytes:
+    """What a package is that the child alone imports."""
+    return import_module(name).__name__.encode()
 
 
 def environment() -> bytes:

@@ -12,9 +12,11 @@ from secrets import token_hex
 
 import pytest
 
+import services
 from services.runtime.sandbox import SandboxLimits, fences, fork_client, sandboxed
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fork_client import ForkServer, harmless
+from services.runtime.sandbox.system_files import PACKAGES
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.errors import StoneError
 from testing.process_states import is_running, parent_of
@@ -83,6 +85,17 @@ def test_a_child_reads_what_it_is_given_and_the_systems_own_files(server: ForkSe
     )  # fmt: skip
     limits = SandboxLimits(reads=(given,))
     assert sandboxed(partial(spies.readable, asked), limits).decode() == str(given)
+
+
+@needs_landlock
+def test_a_child_finds_a_package_though_the_folder_of_the_packages_changed(server: ForkServer) -> None:
+    """Python looks into a folder again that changed, and a child may not."""
+    assert sandboxed(spies.environment)  # the server has looked
+    beside = Path(services.__file__ or "").parent.parent / f".changed-{token_hex(4)}"
+    beside.touch()
+    beside.unlink()
+    for name in PACKAGES:
+        assert sandboxed(partial(spies.late_package, name)) == name.encode()
 
 
 def test_harmless_variables_are_a_list_of_what_passes() -> None:
