@@ -59,7 +59,7 @@ class SupportItem(Answer):
 
 
 class DangerItem(Answer):
-    """Of N voxels the share predicted drivable (T or P), and predicted T alone; null without N. Lower is better."""
+    """The shares of N voxels that are predicted drivable (T or P), and T alone; null without N. Lower is better."""
 
     model_config = example(n_predicted_drivable_ratio=0.062, n_predicted_t_ratio=0.031)
 

@@ -15,13 +15,14 @@ from numpy.typing import NDArray
 from scipy.ndimage import distance_transform_edt, map_coordinates
 from scipy.spatial import cKDTree
 
+from benchmarks.outside.variants import run_stages
 from benchmarks.truth.__main__ import simulated
 from services.ingest.sequence import open_sequence
 from services.labeler.frames import labelled_tile
 from services.labeler.parameters import parameters_for
-from services.labeler.pipeline import FUSE, REFERENCE, STAGES, SURFACE, label_graph
+from services.labeler.pipeline import FUSE, REFERENCE, SURFACE
 from services.labeler.results import load_reference, load_summaries
-from services.labeler.run import LabelRun, silent
+from services.labeler.run import LabelRun
 from simulator.options import SimulateOptions
 from simulator.truth import NOT_DRIVABLE, SimulationTruth
 from stone.geometry.lattice import centres_of
@@ -31,8 +32,7 @@ from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence, SweepSource
 from testing.outside import truth as outside
 from testing.outside.drive import OutsideDrive
-from testing.outside.lidar import EGO_FROM_LIDAR
-from testing.outside.recording import START_NS
+from testing.outside.verdict import world_from_ego
 
 GRID_HALF_M, EVERY = 25.6, 5
 Array = NDArray[np.float64]
@@ -41,7 +41,8 @@ Judge = Callable[[Array], NDArray[np.uint8]]  # of points (N, 3) of the world; 0
 
 @dataclass(frozen=True, eq=False)
 class JudgedVoxels:
-    """Of K voxels the `properties` (K, n), whether truth `is_drivable` (K,), whether the label is P, and the weight."""
+    """K voxels: their `properties` (K, n), by `names`; `is_drivable` in truth (K,); `is_kept` (K,), labelled P and not
+    N; their `weight` (K,)."""
 
     names: tuple[str, ...]
     properties: Array
@@ -66,10 +67,8 @@ class OutsideVoxels:
         with TemporaryDirectory(dir=folder) as place:
             bag, calibration, data = self.drive.record(folder, self.fault, Path(place) / "recording")
             sequence, sweeps = open_sequence(bag, calibration, "outside")
-            stamps_s = (np.array(sequence.frames.stamps_ns) - START_NS) / 1e9
-            world_from_ego = np.array(self.drive.world.track.poses(stamps_s)) @ EGO_FROM_LIDAR
             truth = self.drive.truth
-            poses = world_from_ego @ np.linalg.inv(data.ego_from_lidar)
+            poses = world_from_ego(truth, sequence.frames.stamps_ns, data.ego_from_lidar)
             return _voxels(sequence, sweeps, poses, lambda points: truth.judge(points).codes)
 
 
@@ -102,20 +101,17 @@ def kept_voxels(source: OutsideVoxels | SimulatedVoxels, folder: Path) -> Judged
     return JudgedVoxels(tuple(arrays.pop("names").tolist()), **arrays)
 
 
-def _voxels(sequence: Sequence, sweeps: SweepSource, world_from_ego: Array, judge: Judge) -> JudgedVoxels:
+def _voxels(sequence: Sequence, sweeps: SweepSource, poses: Array, judge: Judge) -> JudgedVoxels:
+    """Return the voxels of a run whose ego frames have these poses (F, 4, 4) in the world."""
     map_from_ego = sequence.frames.map_from_ego.as_matrix()
-    world_from_map, near = world_from_ego @ np.linalg.inv(map_from_ego), cKDTree(map_from_ego[:, :2, 3])
+    world_from_map, near = poses @ np.linalg.inv(map_from_ego), cKDTree(map_from_ego[:, :2, 3])
     found = list[tuple[Array, ...]]()
     names: tuple[str, ...] = ()
     with TemporaryDirectory() as scratch:
         run = LabelRun(sequence, sweeps, parameters_for(CALIBRATED), Path(scratch))
-        for job in label_graph(run):
-            if job.kind in (FUSE, SURFACE, REFERENCE):
-                STAGES[job.kind].work(run, job.arguments, silent)
-        reference, limits = (
-            load_reference(run),
-            (sequence.calibration.vehicle, threshold(run.parameters.reference.alpha)),
-        )
+        run_stages(run, (FUSE, SURFACE, REFERENCE))
+        reference = load_reference(run)
+        limits = (sequence.calibration.vehicle, threshold(run.parameters.reference.alpha))
         for summary in load_summaries(run):
             tile = labelled_tile(run, summary.tile, reference)
             centres = centres_of(tile.terrain.keys, VOXEL_M)
@@ -126,15 +122,8 @@ def _voxels(sequence: Sequence, sweeps: SweepSource, world_from_ego: Array, judg
             away = np.abs(centres[:, None, :2] - map_from_ego[None, ::EVERY, :2, 3])
             weight = np.count_nonzero((away < GRID_HALF_M).all(axis=2), axis=1)
             judged = (codes > 0) & (tile.classes != TRAVERSABLE) & (weight > 0)
-            columns = np.column_stack(list(properties.values()))
-            found.append(
-                (
-                    columns[judged],
-                    (codes == 1)[judged],
-                    (tile.classes == POTENTIAL)[judged],
-                    weight[judged].astype(float),
-                )
-            )
+            columns = (np.column_stack(list(properties.values())), codes == 1, tile.classes == POTENTIAL, weight)
+            found.append(tuple(column[judged] for column in columns))
     return JudgedVoxels(names, *map(np.concatenate, zip(*found, strict=True)))
 
 

@@ -34,7 +34,7 @@ def measure_variant(row: Row, folder: Path, parameters: LabelParameters) -> Outc
         run = LabelRun(sequence, sweeps, parameters, place, Path(labels))
         try:
             run = replace(run, scratch=_surfaces(run))
-            _do(run, (REFERENCE, FRAMES))
+            run_stages(run, (REFERENCE, FRAMES))
         except StoneError as error:
             return Outcome(0, {}, (), error.code)
         grids = [
@@ -73,11 +73,12 @@ def _surfaces(run: LabelRun) -> Path:
 
 def _made(run: LabelRun, target: Path, kinds: Iterable[str]) -> None:
     run.scratch.mkdir(parents=True, exist_ok=True)
-    _do(run, kinds)
+    run_stages(run, kinds)
     run.scratch.rename(target)
 
 
-def _do(run: LabelRun, kinds: Iterable[str]) -> None:
+def run_stages(run: LabelRun, kinds: Iterable[str]) -> None:
+    """Do the jobs of these kinds in this process, in their order."""
     for job in label_graph(run):
         if job.kind in kinds:
             STAGES[job.kind].work(run, job.arguments, silent)

@@ -45,8 +45,8 @@ def score(
     order: FrameOrder | None = None,
 ) -> Scores:
     """The scores of a submission that holds exactly the frames of this ground truth; without their `order` in time no
-    interval of these places is told. Occupied voxels below the `least_confidence` that their label is right are left
-    out.
+    interval of these places is given. Occupied voxels whose label is right with a probability below `least_confidence`
+    are left out.
 
     Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`,
     `no_confidence`, and what `order` raises.

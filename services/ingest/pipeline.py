@@ -147,7 +147,7 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
 
 
 def _ground(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[SeenWay, GroundFit | None]:
-    """What sweeps along the way show of the ground, and where it lies."""
+    """Return the ground that sweeps along the way show, and its place in the ego frame."""
     opened = SweepsOfOpenBag(sweeps, bag)
     seen = seen_along(sequence, opened)
     return seen, measured_ground(sequence, opened, seen)

@@ -31,9 +31,8 @@ def footprint_off_ground(height_m: float, tilt_rad: float, band_m: float) -> Ref
 def mount_tilted(ground: GroundFit) -> Refused:
     return Refused(
         "footprint_off_ground",
-        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, and the sweeps in the map "
-        "with it: "
-        "the LiDAR is not mounted as the calibration says, and labels would be wrong; "
+        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, and the sweeps in the map with "
+        "it: the LiDAR is not mounted as the calibration says, and labels would be wrong; "
         "CAL-433 says what to enter, and ground auto corrects it for this run",
     )
 

@@ -31,10 +31,10 @@ from stone_files.npz import npz_bytes
 
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
-# Further arrays: D² as float16, to half a part in a thousand, its greatest value for all beyond; and what stands there
-# if there is no surface.
+# Further arrays: D² as float16, to half a part in a thousand, its greatest value for all beyond; and the values that
+# stand for no surface.
 MOST_SQUARED = float(np.finfo(np.float16).max)
-NO_SURFACE, UNSURE = np.full(1, -1.0, np.float16), np.zeros(1, np.uint8)
+NO_SURFACE, UNSURE = -1.0, 0
 
 
 @dataclass(frozen=True, eq=False)
@@ -132,12 +132,12 @@ def _bounds(run: LabelRun, part: Part) -> Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _LabelledMap:
-    """The labelled map around some frames. If confidence is asked for, `table` finds its voxels, and `further` holds
-    what their files get besides, by name, with what stands where there is no surface."""
+    """The labelled map around some frames. If confidence is asked for, `table` finds the rows of its voxels (K,), and
+    `further` has the further arrays of their files, (K + 1,) each, by name; the last value stands for no surface."""
 
     window: Window
     table: VoxelTable | None
-    further: Mapping[str, tuple[NDArray[Any], NDArray[Any]]]
+    further: Mapping[str, NDArray[Any]]
 
     def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[Any]]]]:
         """The frames at these poses (F,), and what goes into the file of each besides."""
@@ -146,8 +146,7 @@ class _LabelledMap:
         found = []
         for frame in range(len(map_from_ego)):
             columns, rows = cut_with_rows(self.window, map_from_ego[frame], self.table)
-            more = {name: np.append(values, nothing)[rows] for name, (values, nothing) in self.further.items()}
-            found.append((columns, more))
+            found.append((columns, {name: values[rows] for name, values in self.further.items()}))
         return found
 
 
@@ -207,8 +206,8 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
     window = window_of(all_keys, np.concatenate(classes), union(seen), bounds)
     if not is_asked:
         return _LabelledMap(window, None, {})
-    near = np.minimum(np.concatenate(squared), MOST_SQUARED).astype(np.float16)
-    further: dict[str, tuple[NDArray[Any], NDArray[Any]]] = {"distance_squared": (near, NO_SURFACE)}
+    all_squared = np.append(np.concatenate(squared), NO_SURFACE)
+    further: dict[str, NDArray[Any]] = {"distance_squared": np.minimum(all_squared, MOST_SQUARED).astype(np.float16)}
     if run.parameters.profile == CALIBRATED:
-        further["confidence"] = (np.concatenate(confidence), UNSURE)
+        further["confidence"] = np.append(np.concatenate(confidence), np.uint8(UNSURE))
     return _LabelledMap(window, table_of(all_keys), further)

@@ -65,7 +65,7 @@ class CropPlacement:
 
 
 def placing_of(window: Window, map_from_ego: SE3) -> CropPlacement:
-    """Where the voxels of a frame lie in the window."""
+    """Return the places of a frame's voxels in the window."""
     scaled = map_from_ego.as_matrix() / VOXEL_M
     scaled[:3, 3] -= window.origin
     first = scaled[:3, 3].copy()

@@ -1,4 +1,4 @@
-"""Where a robot drives, against where its poses say that it faces: a bias of heading or pitch shows in every step.
+"""The direction a robot drives in, in the frame of its poses: a bias of heading or pitch shows in every step.
 
 **Conventions.** Wheels and tracks drive along x of the ego frame. A step is the way between two poses at least `STEP_M`
 apart, in the ego frame of the pose midway; steps that lead backwards or far aside say nothing. Yaw is positive to the

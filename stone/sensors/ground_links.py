@@ -102,8 +102,11 @@ def of_one_visit(links: Links, way: Way) -> NDArray[np.bool_]:
 
 
 def drift(links: Links, way: Way, floor_m: float) -> tuple[HeightDrift, Array]:
-    """What the links say, and the correction (K,) of each look. Passes whose ground lies more than `floor_m` apart,
-    once the way between them is corrected, are on two floors and say nothing."""
+    """Return the drift by the links, and the correction (K,) of each look.
+
+    Passes whose ground is more than `floor_m` apart, once the way between them is corrected, are on two floors and say
+    nothing.
+    """
     pairs, height_m, is_near = links.pairs, links.height_m, of_one_visit(links, way)
     found_m = _corrections(pairs[is_near], height_m[is_near], way)
     off_m = np.abs(height_m + np.diff(found_m[pairs], axis=1)[:, 0])

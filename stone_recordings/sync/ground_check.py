@@ -94,10 +94,11 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
     if not is_off(fit):
         return ()
     right = corrected(sequence.calibration, fit.beyond_terrain())
+    entries = f"{entry_of(right.ego_from_lidar)}{_moved_mounts(sequence.calibration, right)}"
     sentence = (
         f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
         f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
-        f"and the ego origin on the ground? {_mount(right)}{_moved_mounts(sequence.calibration, right)} would "
+        f"and the ego origin on the ground? {entries} would "
         "correct it, and ground auto corrects it for this run"
         f"{'; as entered, nothing is labelled' if fit.is_mount_tilted else ''}"
     )
@@ -108,17 +109,13 @@ def applied_finding(fit: GroundFit, calibration: Calibration) -> Finding:
     """CAL-434: what ground auto did, by the `calibration` it settled on."""
     sentence = (
         f"the ground lay {_above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
-        f"taken to be mounted so that it does not: {_mount(calibration)}"
+        f"taken to be mounted so that it does not: {entry_of(calibration.ego_from_lidar)}"
     )
     return Finding("CAL-434", "info", "", sentence)
 
 
 def _above(fit: GroundFit) -> str:
     return f"{abs(fit.height_m):.2f} m {'above' if fit.height_m > 0 else 'below'} the ego origin"
-
-
-def _mount(calibration: Calibration) -> str:
-    return entry_of(calibration.ego_from_lidar)
 
 
 def _moved_mounts(before: Calibration, after: Calibration) -> str:

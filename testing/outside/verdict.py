@@ -80,12 +80,18 @@ def judge_grids(
 ) -> Verdict:
     """Judge every `every`-th of the label files, each with its frame's stamp in nanoseconds."""
     verdict = Verdict()
-    for path, stamp_ns in grids[::every]:
-        world_from_ego = truth.world.track.poses(np.array([(stamp_ns - START_NS) / 1e9]))[0]
+    poses = world_from_ego(truth, np.array([stamp_ns for _, stamp_ns in grids[::every]]), ego_from_lidar)
+    for (path, _), world_from_grid in zip(grids[::every], poses, strict=True):
         with np.load(path, allow_pickle=False) as archive:
             grid = archive["semantics"]
-        judge_frame(grid, world_from_ego @ EGO_FROM_LIDAR @ np.linalg.inv(ego_from_lidar), truth, verdict)
+        judge_frame(grid, world_from_grid, truth, verdict)
     return verdict
+
+
+def world_from_ego(truth: Truth, stamps_ns: NDArray[np.int64], ego_from_lidar: Array) -> Array:
+    """Return the poses (F, 4, 4) of ego frames at these stamps that lie as the entered mount has them."""
+    poses = np.array(truth.world.track.poses((stamps_ns - START_NS) / 1e9)).reshape(-1, 4, 4)
+    return np.asarray(poses @ EGO_FROM_LIDAR @ np.linalg.inv(ego_from_lidar))
 
 
 def judge_frame(grid: Grid, world_from_grid: Array, truth: Truth, verdict: Verdict) -> None:

@@ -150,7 +150,7 @@ def _pasted(platform: Platform, folder: Path, patch: pytest.MonkeyPatch, *, shor
 
 
 def _drive_of_the_guide(folder: Path) -> None:
-    """The recording of which the guide measures the ceiling."""
+    """Return the recording whose ceiling the guide measures."""
     bag = folder / "run.mcap"
     simulate(bag, SimulateOptions(4.0, 3, channels=16, columns=180, cameras=False))
     calibration_path(bag).rename(folder / "robot.yaml")

@@ -146,7 +146,7 @@ def agreement(ours: Mapping[int, NDArray[np.uint8]], theirs: Mapping[int, NDArra
 
 
 def labelled(bag: Path, rig: Calibration, folder: Path, options: SynchroniseOptions) -> LabelledDrive:
-    """What labelling by the default profile makes of a recording. Raises whatever is no label set."""
+    """Return the labels of a recording by the default profile. Raises the refusal if there are none."""
     sequence, sweeps = synchronise(bag, rig, options, NAME)
     report = label(sequence, sweeps, folder, LabelOptions(parameters_for(DEFAULT_PROFILE)))
     frames = report.sequence.frames

@@ -152,7 +152,7 @@ def _notes(board: Board, plain: Callable[[str], str]) -> str:
 
 
 def _rows_by_note(board: Board) -> Mapping[str, list[str]]:
-    """What is to be known of reported rows and ceilings, and of which."""
+    """Return the notes of reported rows and ceilings, each with the methods of its rows."""
     found: dict[str, list[str]] = {}
     for row in board.rows:
         if row.note is not None:

@@ -19,7 +19,7 @@ PIECE_BYTES, LONGEST_BYTES = 2**20, 45
 
 
 def late_package(name: str) -> bytes:
-    """What a package is that the child alone imports."""
+    """Import a package in the child, and return its name."""
     return import_module(name).__name__.encode()
 
 
