@@ -1,6 +1,151 @@
-"""Extent and shape of the label grid around the robot (`stone/labels/grid.py` says how it lies)."""
+"""The label grids around the robot: one frozen value each, and all that the platform knows by name.
 
-GRID_MIN_M = (-25.6, -25.6, -2.0)
-GRID_MAX_M = (25.6, 25.6, 4.4)
-GRID_SHAPE = (256, 256, 32)
-VOXELS = GRID_SHAPE[0] * GRID_SHAPE[1] * GRID_SHAPE[2]
+**Conventions.** A grid is aligned with the ego frame. `min_m` is its lowest corner, and voxel [i, j, k] covers
+`min_m` + [i, j, k] · `voxel_m` up to the next. Arrays have the grid's `shape`, axes x, y, z, C order. Labels are cut out
+of a map of voxels of `MAP_VOXEL_M`; a voxel of a grid is a cube of `pooled`³ of them. Two grids may be held against
+each other if their `geometry` is the same.
+
+Sources: the paper (256 × 256 × 32 voxels of 0.2 m); the README of the released dataset, revision 4ba5f700; Occ3D
+(arXiv 2304.14365), whose grid the release took over.
+"""
+
+from collections.abc import Mapping
+from dataclasses import dataclass
+from math import isfinite, prod
+
+from stone_base.errors import Refused
+
+MAP_VOXEL_M = 0.2
+MOST_SIDE, SIDE_STEP = 512, 8
+HEIGHTS = (8, 16, 32)
+"""How many voxels a column may have: a column of the map is one word of 32 bits, whole columns fill such words."""
+MOST_MAP_HEIGHT = 32
+MOST_AWAY_M = 200.0
+Corner = tuple[float, float, float]
+Shape = tuple[int, int, int]
+
+
+@dataclass(frozen=True)
+class LabelGrid:
+    """A grid: its lowest corner `min_m`, the side `voxel_m` of a voxel and the number of voxels along each axis.
+
+    `classes` are the numbers of free, T, P and N in its files. `unknown` is the number that its files have for a voxel
+    that nobody knows of; None if their masks tell that.
+    """
+
+    name: str
+    min_m: Corner
+    voxel_m: float
+    shape: Shape
+    classes: tuple[int, int, int, int] = (0, 1, 2, 3)
+    unknown: int | None = None
+
+    @property
+    def max_m(self) -> Corner:
+        """The highest corner, rounded to a micrometre: 256 · 0.2 − 25.6 is 25.6."""
+        x, y, z = (round(low + size * self.voxel_m, 6) for low, size in zip(self.min_m, self.shape, strict=True))
+        return x, y, z
+
+    @property
+    def voxels(self) -> int:
+        """The number of its voxels."""
+        return prod(self.shape)
+
+    @property
+    def pooled(self) -> int:
+        """How many voxels of the map lie along a side of one of its voxels."""
+        return round(self.voxel_m / MAP_VOXEL_M)
+
+    @property
+    def geometry(self) -> tuple[Corner, float, Shape]:
+        """All that places its voxels."""
+        return self.min_m, self.voxel_m, self.shape
+
+    def as_record(self) -> dict[str, object]:
+        """Return the grid as JSON: what `grid_of` reads."""
+        record: dict[str, object] = {"name": self.name, "min_m": list(self.min_m), "voxel_m": self.voxel_m}
+        return {**record, "shape": list(self.shape), "classes": list(self.classes), "unknown": self.unknown}
+
+    def __str__(self) -> str:
+        """Return the name and what it stands for, for a sentence."""
+        low, high = (" ".join(f"{value:g}" for value in corner) for corner in (self.min_m, self.max_m))
+        return f"{self.name} ({' × '.join(map(str, self.shape))} of {self.voxel_m:g} m, [{low}] to [{high}] m)"
+
+
+PAPER = LabelGrid("paper", (-25.6, -25.6, -2.0), 0.2, (256, 256, 32))
+RELEASE = LabelGrid("release", (-40.0, -40.0, -1.0), 0.4, (200, 200, 16), unknown=255)
+OCC3D = LabelGrid("occ3d", (-40.0, -40.0, -1.0), 0.4, (200, 200, 16))
+GRIDS: Mapping[str, LabelGrid] = {grid.name: grid for grid in (PAPER, RELEASE, OCC3D)}
+
+
+def named_grid(name: str) -> LabelGrid:
+    """Return the grid of this name. Raises `bad_grid`."""
+    if name not in GRIDS:
+        raise Refused("bad_grid", f"there is no grid {name[:80]!r}; the platform knows {', '.join(GRIDS)}")
+    return GRIDS[name]
+
+
+def grid_of_shape(shape: tuple[int, ...]) -> LabelGrid | None:
+    """Return the first known grid of arrays of this shape, None if there is none."""
+    return next((grid for grid in GRIDS.values() if grid.shape == shape), None)
+
+
+def grid_of(record: object) -> LabelGrid:
+    """Return the grid that a JSON object describes, as `LabelGrid.as_record` makes it. Raises `bad_grid`."""
+    if not isinstance(record, Mapping):
+        raise _bad("an object", record)
+    unknown_keys = sorted(set(record) - {"name", "min_m", "voxel_m", "shape", "classes", "unknown"})
+    if unknown_keys:
+        raise _bad("name, min_m, voxel_m, shape, classes and unknown, and no other key", unknown_keys[0])
+    low, voxel_m, shape = record.get("min_m"), record.get("voxel_m"), record.get("shape")
+    if not (isinstance(low, list | tuple) and len(low) == 3 and all(map(_is_near, low))):
+        raise _bad(f"min_m as three numbers of metres within ± {MOST_AWAY_M:g}", low)
+    if not (_is_number(voxel_m) and MAP_VOXEL_M <= voxel_m <= MOST_MAP_HEIGHT * MAP_VOXEL_M and _is_multiple(voxel_m)):  # type: ignore[operator, arg-type]
+        raise _bad(f"voxel_m as a whole multiple of {MAP_VOXEL_M} m, the voxel of the map", voxel_m)
+    if not (isinstance(shape, list | tuple) and len(shape) == 3 and all(type(size) is int for size in shape)):
+        raise _bad("shape as three whole numbers of voxels", shape)
+    name, classes, unknown = record.get("name"), record.get("classes", PAPER.classes), record.get("unknown")
+    if not (isinstance(name, str) and 0 < len(name) <= 40 and name.isprintable()):
+        raise _bad("name as a text of 1 to 40 characters", name)
+    if not (isinstance(classes, list | tuple) and tuple(classes) == PAPER.classes):
+        raise _bad("classes as [0, 1, 2, 3]", classes)
+    if not (unknown is None or (type(unknown) is int and 4 <= unknown <= 255)):
+        raise _bad("unknown as null or a number from 4 to 255", unknown)
+    corner = (float(low[0]), float(low[1]), float(low[2]))
+    found = LabelGrid(name, corner, float(voxel_m), (shape[0], shape[1], shape[2]), PAPER.classes, unknown)  # type: ignore[arg-type]
+    _check(found)
+    return found
+
+
+def _check(grid: LabelGrid) -> None:
+    x, y, z = grid.shape
+    if not all(SIDE_STEP <= side <= MOST_SIDE // grid.pooled and side % SIDE_STEP == 0 for side in (x, y)):
+        most = MOST_SIDE // grid.pooled
+        raise _bad(f"multiples of {SIDE_STEP} from {SIDE_STEP} to {most} voxels along x and y", f"{x} × {y}")
+    if z not in HEIGHTS or z * grid.pooled > MOST_MAP_HEIGHT:
+        most_m = MOST_MAP_HEIGHT * MAP_VOXEL_M
+        raise _bad(f"{', '.join(map(str, HEIGHTS))} voxels of together at most {most_m:g} m along z", z)
+    known = GRIDS.get(grid.name)
+    if known is not None and known != grid:
+        raise _bad(f"the name {grid.name!r} for {known} alone", grid)
+
+
+def _is_number(value: object) -> bool:
+    return isinstance(value, int | float) and not isinstance(value, bool) and isfinite(value)
+
+
+def _is_near(value: object) -> bool:
+    return _is_number(value) and abs(value) <= MOST_AWAY_M  # type: ignore[arg-type]
+
+
+def _is_multiple(voxel_m: float) -> bool:
+    return abs(voxel_m / MAP_VOXEL_M - round(voxel_m / MAP_VOXEL_M)) < 1e-9
+
+
+def _bad(expected: str, found: object) -> Refused:
+    return Refused("bad_grid", f"a grid has {expected}, but here is {str(found)[:120]!r}")
+
+
+# The paper's grid, for what has no other yet.
+GRID_MIN_M, GRID_MAX_M, GRID_SHAPE = PAPER.min_m, PAPER.max_m, PAPER.shape
+VOXELS = PAPER.voxels

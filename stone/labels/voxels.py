@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import Keys, find, indices_of, keys_of, pack, table_of
+from stone_base.label_grid import MAP_VOXEL_M
 
-VOXEL_M = 0.2
+VOXEL_M = MAP_VOXEL_M
 
 
 @dataclass(frozen=True, eq=False)
