@@ -148,6 +148,8 @@ PROBLEM_TYPES = {
     "bad_idempotency_key": ProblemType(422, "Invalid Idempotency-Key"),
     "bad_name": ProblemType(422, "A name for a user has characters that would be mistaken for something else"),
     "bad_parameter": ProblemType(422, "A profile or parameter that cannot be chosen, or not with this value"),
+    "grids_differ": ProblemType(409, "Labels of two grids cannot be held against each other"),
+    "mixed_grids": ProblemType(409, "The labels of a dataset version would have more than one grid"),
     "bad_grid": ProblemType(422, "A grid that is not known, or cannot be one"),
     "bad_phase": ProblemType(422, "The rules of a phase contradict themselves or are out of range"),
     "bad_recording_files": ProblemType(422, "The files cannot be one bag"),

@@ -23,8 +23,8 @@ from safetensors.numpy import load_file, save_file
 from baselines.frame_record import STEP_M, FrameRecord, PictureRecord, read_record
 from baselines.inputs import InputConfig
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import CLASSES
+from stone_base.label_grid import PAPER
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedFrame
 from stone_exports.labels import UNSURE
@@ -66,7 +66,7 @@ class CachedFrame:
         pictures = tuple(_pictures(arrays))
         returns = arrays["returns"].astype(np.float32)
         returns[:, :3] *= STEP_M
-        classes = None if labels is None else _inflated(labels)
+        classes = None if labels is None else _inflated(labels, arrays.get("labels.shape"))
         pose = SE3(arrays["global_from_ego"])
         return FrameRecord(
             self.token, self.sequence, self.stamp_us, pose, returns, arrays["detections"], pictures, classes
@@ -152,6 +152,8 @@ def _arrays(record: FrameRecord) -> dict[str, NDArray[np.generic]]:
     }
     if record.labels is not None:
         arrays["labels"] = np.frombuffer(zlib.compress(record.labels.tobytes(), 1), np.uint8)
+        if record.labels.shape != PAPER.shape:
+            arrays["labels.shape"] = np.array(record.labels.shape, np.int64)
     for index, picture in enumerate(record.pictures):
         arrays[f"picture{index}.jpeg"] = np.frombuffer(picture.jpeg, np.uint8)
         arrays[f"picture{index}.intrinsics"] = picture.intrinsics
@@ -169,8 +171,9 @@ def _pictures(arrays: dict[str, NDArray[np.generic]]) -> Iterator[PictureRecord]
         index += 1
 
 
-def _inflated(labels: NDArray[np.uint8]) -> NDArray[np.uint8]:
-    return np.frombuffer(zlib.decompress(labels.tobytes()), np.uint8).reshape(GRID_SHAPE)
+def _inflated(labels: NDArray[np.uint8], shape: NDArray[np.int64] | None) -> NDArray[np.uint8]:
+    sides = PAPER.shape if shape is None else tuple(shape.tolist())
+    return np.frombuffer(zlib.decompress(labels.tobytes()), np.uint8).reshape(sides)
 
 
 def _identity(source: FrameSource, inputs: InputConfig) -> str:

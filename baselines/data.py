@@ -27,6 +27,7 @@ from baselines.batch import IGNORED, Batch, CameraViews, Points
 from baselines.frame_record import FrameRecord
 from baselines.inputs import CountedVoxels, InputConfig
 from baselines.lattice import VoxelLattice, grid_part
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.labels import NOT_OBSERVED, UNSURE
 
 Draw = tuple[int, int]
@@ -47,13 +48,15 @@ class FrameStore(Protocol):
 
 @dataclass(frozen=True, eq=False)
 class FrameRequest:
-    """What is asked of frames: the row's inputs and lattice, how they are augmented, and which voxels count."""
+    """What is asked of frames: the row's inputs and lattice, how they are augmented, which voxels count, and the grid
+    of their labels."""
 
     inputs: InputConfig
     lattice: VoxelLattice
     augment: AugmentConfig = NO_AUGMENTATION
     seed: int = 0
     counted: CountedVoxels = "all"
+    grid: LabelGrid = PAPER
 
 
 class FrameDataset(Dataset[Batch]):
@@ -116,7 +119,7 @@ class FrameDataset(Dataset[Batch]):
         if record.labels is None:
             return None
         # All of the grid is mirrored, then cut: a part of it need not be symmetric about the robot.
-        part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice)]
+        part = mirrors.of_labels(record.labels)[grid_part(self.request.lattice, self.request.grid)]
         if self.request.counted == "all":
             part = np.where(part == NOT_OBSERVED, np.uint8(0), part)
         part = np.where(part == UNSURE, np.uint8(IGNORED), part)

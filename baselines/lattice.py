@@ -9,8 +9,7 @@ from math import isclose
 import torch
 from torch import Tensor
 
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER, LabelGrid
 
 Triple = tuple[float, float, float]
 Shape = tuple[int, int, int]
@@ -20,9 +19,14 @@ Shape = tuple[int, int, int]
 class VoxelLattice:
     """Voxels of `voxel_m` metres from the corner `min_m`, `shape` of them along x, y, z."""
 
-    min_m: Triple = GRID_MIN_M
-    voxel_m: Triple = (VOXEL_M, VOXEL_M, VOXEL_M)
-    shape: Shape = GRID_SHAPE
+    min_m: Triple = PAPER.min_m
+    voxel_m: Triple = (PAPER.voxel_m, PAPER.voxel_m, PAPER.voxel_m)
+    shape: Shape = PAPER.shape
+
+    @classmethod
+    def of(cls, grid: LabelGrid) -> "VoxelLattice":
+        """The whole of a label grid."""
+        return cls(grid.min_m, (grid.voxel_m, grid.voxel_m, grid.voxel_m), grid.shape)
 
     @property
     def max_m(self) -> Triple:
@@ -60,19 +64,19 @@ class VoxelLattice:
         is_inside = ((place >= 0) & (place < place.new_tensor(self.shape))).all(dim=1)
         return torch.where(is_inside[:, None], place, place.new_zeros(())).long(), is_inside
 
-    def is_benchmark(self) -> bool:
-        """Whether a prediction on it is a submission's grid."""
-        return self.shape == GRID_SHAPE and all(
-            isclose(a, b) for a, b in zip((*self.min_m, *self.voxel_m), (*GRID_MIN_M, *([VOXEL_M] * 3)), strict=True)
-        )
+    def is_whole(self, grid: LabelGrid) -> bool:
+        """Whether a prediction on it is one of all of the grid."""
+        whole = VoxelLattice.of(grid)
+        places = zip((*self.min_m, *self.voxel_m), (*whole.min_m, *whole.voxel_m), strict=True)
+        return self.shape == grid.shape and all(isclose(a, b) for a, b in places)
 
 
-def grid_part(lattice: VoxelLattice) -> tuple[slice, slice, slice]:
-    """Where in a benchmark grid (256, 256, 32) the lattice lies. Raises `ValueError` where it is no part of it."""
-    corner = [round((low - of_grid) / VOXEL_M) for low, of_grid in zip(lattice.min_m, GRID_MIN_M, strict=True)]
+def grid_part(lattice: VoxelLattice, grid: LabelGrid) -> tuple[slice, slice, slice]:
+    """Where in a label grid the lattice lies. Raises `ValueError` where it is no part of it."""
+    corner = [round((low - of_grid) / grid.voxel_m) for low, of_grid in zip(lattice.min_m, grid.min_m, strict=True)]
     ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
-    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, GRID_SHAPE, strict=True))
-    if not fits or any(abs(size - VOXEL_M) > 1e-6 for size in lattice.voxel_m):
-        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the benchmark's grid")
+    fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, grid.shape, strict=True))
+    if not fits or any(abs(size - grid.voxel_m) > 1e-6 for size in lattice.voxel_m):
+        raise ValueError(f"a lattice of {lattice.shape} voxels at {lattice.min_m} is no part of the grid {grid}")
     x, y, z = (slice(begin, end) for begin, end in zip(corner, ends, strict=True))
     return x, y, z

@@ -2,7 +2,8 @@
 
 **Conventions.** The file holds all that was learned; points become columns, and pixels cells, outside it
 (`baselines/models/column_net_program.py`). Float32, static shapes, one frame at a time. Its metadata say what it is:
-`stone.row` the configuration, `stone.classes`, `stone.lattice`, `stone.inputs`, `stone.data_sha256`, `stone.steps`.
+`stone.row` the configuration, `stone.classes`, `stone.grid`, `stone.lattice`, `stone.inputs`, `stone.data_sha256`,
+`stone.steps`.
 """
 
 import json
@@ -90,6 +91,7 @@ def _metadata(loaded: LoadedRun, inputs: Mapping[str, Tensor]) -> dict[str, str]
     return {
         "stone.row": loaded.row.as_json(),
         "stone.classes": json.dumps(CLASSES),
+        "stone.grid": json.dumps(loaded.row.label_grid.as_record()),
         "stone.lattice": json.dumps(asdict(loaded.predictor.model.lattice)),
         "stone.inputs": json.dumps({name: MEANINGS[name] for name in inputs}),
         "stone.outputs": json.dumps({name: MEANINGS[name] for name in OUTPUTS}),

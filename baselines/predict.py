@@ -25,7 +25,8 @@ from baselines.processes import usable_device
 from baselines.row_config import RowConfig
 from baselines.run_folder import read_run_row
 from baselines.sources import frames_of
-from stone.labels.grid import GRID_SHAPE
+from stone.errors import Refused
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.files import refuse_missing
 from stone_exports.frames import ExportedFrame
 from stone_exports.tables import exports_in
@@ -78,10 +79,11 @@ class WrittenPrediction:
 def predict(plan: PredictionPlan, progress: Progress) -> WrittenPrediction:
     """Predict every frame of the manifest.
 
-    Raises `bad_run`, `bad_row`, `bad_manifest`, what reading exports raises, `frames_missing`.
+    Raises `bad_run`, `bad_row`, `bad_manifest`, `grids_differ`, what reading exports raises, `frames_missing`.
     """
     loaded = loaded_run(plan.run, plan.device)
     manifest = read_manifest(plan.manifest)
+    loaded.require_grid(manifest.grid)
     frames = frames_of([files for path in plan.exports for files in exports_in(path)])
     places = {frame.token: index for index, frame in enumerate(frames)}
     refuse_missing(manifest.sequences, places)
@@ -90,7 +92,7 @@ def predict(plan: PredictionPlan, progress: Progress) -> WrittenPrediction:
 
     def predicted() -> Iterator[tuple[str, bytes]]:
         for done, (index, grid) in enumerate(grids, start=1):
-            yield frames[index].token, frame_file(grid)
+            yield frames[index].token, frame_file(grid, loaded.row.label_grid)
             progress("predict", done, len(in_order))
 
     write_files(plan.output, predicted())
@@ -104,17 +106,18 @@ class Predictor:
     model: OccupancyModel[Any]
     device: torch.device
     precision: str
+    grid: LabelGrid = PAPER
 
     def classes(self, dataset: FrameDataset, index: int) -> NDArray[np.uint8]:
-        """Classes (256, 256, 32) of a frame."""
+        """Classes of a frame, of the grid's shape."""
         batch = moved(dataset[0, index], self.device)
         with torch.inference_mode():
             with torch.autocast(self.device.type, torch.bfloat16, enabled=self.precision == "bfloat16"):
                 outputs = self.model(batch)
             classes = self.model.classes(outputs, batch)[0]
-        grid = np.zeros(GRID_SHAPE, np.uint8)
-        grid[grid_part(self.model.lattice)] = classes.cpu().numpy()
-        return grid
+        whole = np.zeros(self.grid.shape, np.uint8)
+        whole[grid_part(self.model.lattice, self.grid)] = classes.cpu().numpy()
+        return whole
 
 
 @dataclass(frozen=True, eq=False)
@@ -125,12 +128,24 @@ class LoadedRun:
     predictor: Predictor
     provenance: WeightsProvenance
 
+    def require_grid(self, grid: LabelGrid) -> None:
+        """Raise `grids_differ` if what is asked for is of another grid than the row's."""
+        if grid.geometry != self.row.label_grid.geometry:
+            raise Refused(
+                "grids_differ",
+                f"the manifest asks for {grid}, and the run was trained at {self.row.label_grid}; train a row whose "
+                f"grid is {grid.name}",
+            )
+
     def predicted(self, store: FrameStore, indices: Iterable[int]) -> Iterator[tuple[int, NDArray[np.uint8]]]:
-        """Index and classes (256, 256, 32) of frames of the store; cheapest in the order of time, as they share sweeps.
+        """Index and classes, of the grid's shape, of frames of the store; cheapest in the order of time, as they share
+        sweeps.
 
         Raises what reading the store raises.
         """
-        dataset = FrameDataset(store, FrameRequest(self.row.inputs, self.predictor.model.lattice))
+        dataset = FrameDataset(
+            store, FrameRequest(self.row.inputs, self.predictor.model.lattice, grid=self.row.label_grid)
+        )
         return ((index, self.predictor.classes(dataset, index)) for index in indices)
 
     def written(self, output: Path, frames: int) -> WrittenPrediction:
@@ -143,4 +158,4 @@ def loaded_run(run: Path, device: str) -> LoadedRun:
     row, own = read_run_row(run), usable_device(device)
     model = build_model(row.model).to(own)
     provenance = read_weights(run, model)
-    return LoadedRun(row, Predictor(model.eval(), own, row.training.precision), provenance)
+    return LoadedRun(row, Predictor(model.eval(), own, row.training.precision, row.label_grid), provenance)

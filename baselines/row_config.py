@@ -16,10 +16,11 @@ from ruamel.yaml.error import YAMLError
 
 from baselines.augment import AugmentConfig
 from baselines.inputs import CountedVoxels, InputConfig, refuse_below_one
-from baselines.lattice import grid_part
+from baselines.lattice import VoxelLattice, grid_part
 from baselines.models.architectures import ModelConfig
 from baselines.models.column_net_config import ColumnNetConfig
 from stone.errors import Refused
+from stone_base.label_grid import PAPER, LabelGrid, grid_of, named_grid
 
 CONFIGS = Path(__file__).with_name("configs")
 MOST_CONFIG_BYTES = 65536
@@ -60,7 +61,8 @@ class TrainingConfig:
 
 @dataclass(frozen=True)
 class RowConfig:
-    """One row. `name` and `method` are what the files and a board call it, `reference` its paper."""
+    """One row. `name` and `method` are what the files and a board call it, `reference` its paper, `grid` the grid of
+    its labels: a name, or the record of one; the model's lattice is a part of it, and all of it if none is named."""
 
     name: str
     method: str
@@ -69,6 +71,7 @@ class RowConfig:
     model: Annotated[ModelConfig, Field(discriminator="architecture")]
     augment: AugmentConfig = field(default_factory=AugmentConfig)
     training: TrainingConfig = field(default_factory=TrainingConfig)
+    grid: str | dict[str, Any] = PAPER.name
 
     def __post_init__(self) -> None:
         said = getattr(self.model, "modality", self.inputs.modality)
@@ -77,10 +80,27 @@ class RowConfig:
         shape = getattr(self.model, "image_shape", self.inputs.image_size_px)
         if self.inputs.sees("C") and shape != self.inputs.image_size_px:
             raise ValueError(f"pictures of {self.inputs.image_size_px} are given, the model is made for {shape}")
-        grid_part(self.model.lattice)
+        grid_part(self.model.lattice, self.label_grid)
+        low_m, high_m = self.label_grid.min_m, self.label_grid.max_m
+        for axis, ratio in enumerate((self.augment.mirror_x_ratio, self.augment.mirror_y_ratio)):
+            if ratio > 0 and abs(low_m[axis] + high_m[axis]) > 1e-6:
+                name = f"augment.mirror_{'xy'[axis]}_ratio"
+                raise ValueError(f"the grid {self.label_grid} is not symmetric about the robot; set {name} to 0")
+
+    @property
+    def label_grid(self) -> LabelGrid:
+        """The grid of its labels. Raises `ValueError`."""
+        return _grid_of(self.grid)
 
     def as_json(self) -> str:
         return json.dumps(asdict(self), sort_keys=True)
+
+
+def _grid_of(said: object) -> LabelGrid:
+    try:
+        return named_grid(said) if isinstance(said, str) else grid_of(said)
+    except Refused as error:
+        raise ValueError(str(error)) from error
 
 
 ROW: TypeAdapter[RowConfig] = TypeAdapter(RowConfig)
@@ -117,7 +137,7 @@ def with_checkpointed_gradients(row: RowConfig) -> RowConfig:
 def row_of(name: str, said: object) -> RowConfig:
     """The row that a mapping describes. Raises `bad_row`."""
     try:
-        row = ROW.validate_python(said)
+        row = ROW.validate_python(_with_lattice(said))
     except ValidationError as error:
         first = error.errors()[0]
         place = ".".join(str(part) for part in first["loc"])
@@ -127,6 +147,17 @@ def row_of(name: str, said: object) -> RowConfig:
     if unknown is not None:
         raise bad_row(name, f"{unknown} is not a field")
     return row
+
+
+def _with_lattice(said: object) -> object:
+    """A row that names a grid, and no lattice of its model, with all of the grid as that."""
+    if not isinstance(said, Mapping) or "grid" not in said or not isinstance(said.get("model"), Mapping):
+        return said
+    try:
+        lattice = asdict(VoxelLattice.of(_grid_of(said["grid"])))
+    except ValueError:
+        return said  # reading the row refuses the grid in its place
+    return {**said, "model": {"lattice": lattice, **said["model"]}}
 
 
 def _unknown_keys(said: object, value: object, path: str) -> Iterator[str]:

@@ -195,7 +195,12 @@ class _Run:
         indices = targets_of(frames[0], self.config.stride)
         self.sampler = EpochSampler(indices, self.config.seed, (share.rank, share.world))
         request = FrameRequest(
-            plan.row.inputs, state.model.lattice, plan.row.augment, self.config.seed, self.config.counted
+            plan.row.inputs,
+            state.model.lattice,
+            plan.row.augment,
+            self.config.seed,
+            self.config.counted,
+            plan.row.label_grid,
         )
         self.loader: DataLoader[Batch] = DataLoader(
             FrameDataset(CachedStore(frames[0]), request),
@@ -278,7 +283,12 @@ class _Run:
         """Score what is watched, keep the best weights, say so, and begin the next epoch."""
         scores, best = dict[str, float | None](), self.state.provenance.best_miou
         if self.watched:
-            request = FrameRequest(self.plan.row.inputs, self.state.model.lattice, counted=self.config.counted)
+            request = FrameRequest(
+                self.plan.row.inputs,
+                self.state.model.lattice,
+                counted=self.config.counted,
+                grid=self.plan.row.label_grid,
+            )
             dataset = FrameDataset(CachedStore(self.watched), request)
             targets = targets_of(self.watched, self.config.stride)
             scores = scores_on(self.state.model, dataset, targets, (self.share.device, self.config.precision))

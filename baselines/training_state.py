@@ -1,7 +1,6 @@
 """What changes while a row is trained: weights, the optimiser, and how far it is; made anew or from a checkpoint."""
 
 import json
-import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -19,7 +18,6 @@ from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare
 from baselines.row_config import RowConfig, row_of
 from stone.errors import Refused
-from stone.labels.grid import GRID_SHAPE
 from stone.scoring.metric import METRIC_VERSION
 
 
@@ -50,7 +48,7 @@ def begun_state(row: RowConfig, frames: Sequence[CachedFrame], share: ProcessSha
     free, t, p, n = (sum(frame.voxels[place] for frame in frames) for place in range(4))
     if row.training.counted == "all":
         unsure = sum(frame.unsure for frame in frames)
-        free = sum(any(frame.voxels) for frame in frames) * math.prod(GRID_SHAPE) - t - p - n - unsure
+        free = sum(any(frame.voxels) for frame in frames) * row.label_grid.voxels - t - p - n - unsure
     model = build_model(with_class_counts(row.model, (free, t, p, n))).to(share.device)
     losses: nn.Module = BatchLosses(model, row.training.precision)
     if share.world > 1:

@@ -16,10 +16,10 @@ from numpy.typing import NDArray
 
 from services.labeler.exports.source import LabelledSequence, folder_source
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Mount
 from stone.sensors.projection import project
+from stone_base.label_grid import PAPER
 from stone_recordings.sync.samples import checked_samples
 from testing.rays import cast, in_voxels, lit_share
 
@@ -88,7 +88,7 @@ def in_image(mount: Mount, ego_from_camera: SE3, voxels: NDArray[np.int64]) -> M
     """Return which voxels (N, 3) have their centre in the camera's image."""
     if mount.intrinsics is None:
         return np.zeros(len(voxels), np.bool_)
-    centres_ego = (voxels + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+    centres_ego = (voxels + 0.5) * VOXEL_M + np.array(PAPER.min_m)
     return project(ego_from_camera.inverse() @ centres_ego, mount.intrinsics)[1]
 
 

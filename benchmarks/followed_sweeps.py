@@ -17,10 +17,10 @@ from services.ingest.sequence import open_sequence
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun
 from stone.geometry.lattice import centres_of
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.observed_voxels import BRICK, CarveParameters, Carver, Observed
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.selection import selected
+from stone_base.label_grid import PAPER
 
 FRAMES = 10
 Rays = list[NDArray[np.float32]]
@@ -60,7 +60,7 @@ def carved(run: LabelRun, rays: Rays, parameters: CarveParameters) -> tuple[Obse
 def in_grid(run: LabelRun, observed: Observed, frame: int) -> NDArray[np.bool_]:
     """Return which bricks (B,) have their centre in the grid of the frame."""
     centres = run.sequence.frames.map_from_ego[frame].inverse() @ centres_of(observed.keys, BRICK * VOXEL_M)
-    return np.asarray(((centres >= GRID_MIN_M) & (centres < GRID_MAX_M)).all(axis=1))
+    return np.asarray(((centres >= PAPER.min_m) & (centres < PAPER.max_m)).all(axis=1))
 
 
 if __name__ == "__main__":

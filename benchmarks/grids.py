@@ -10,9 +10,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE, Grid
+from stone.labels.grid import Grid
+from stone_base.label_grid import PAPER
 
-X, Y, Z = GRID_SHAPE
+X, Y, Z = PAPER.shape
 WORLD = 1024
 LAYERS = np.arange(Z, dtype=np.float32)
 STEP = 4
@@ -50,7 +51,7 @@ def render(random: np.random.Generator, seen: GridWorld, floor: float, porous_ra
     """The ground as a sheet of 1–3 voxels, bushes above it as a porous mass."""
     above = LAYERS - (seen.height - floor)[..., None]
     is_bush = (above > 0) & (above < seen.bushes[..., None])
-    is_bush &= random.random(GRID_SHAPE, dtype=np.float32) > porous_ratio
+    is_bush &= random.random(PAPER.shape, dtype=np.float32) > porous_ratio
     solid = np.where(seen.bushes > 4, 3, 2).astype(np.uint8)[..., None]
     return np.where(np.abs(above) <= 0.9, seen.classes[..., None], np.where(is_bush, solid, 0)).astype(np.uint8)
 

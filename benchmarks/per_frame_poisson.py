@@ -24,9 +24,9 @@ from services.labeler.tile_plan import plan_of
 from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.telemetry.process_usage import used_cpu_s
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.surface.pointmap import merge
+from stone_base.label_grid import PAPER
 
 NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
 LIMITS = SandboxLimits(memory_bytes=32 * 2**30, cpu_s=3600)
@@ -70,7 +70,7 @@ def _frame_voxels(cloud_map: NDArray[np.float64], map_from_ego: SE3, sensor_ego:
     import open3d
 
     points = map_from_ego.inverse() @ cloud_map
-    points = points[((points >= GRID_MIN_M) & (points < GRID_MAX_M)).all(axis=1)]
+    points = points[((points >= PAPER.min_m) & (points < PAPER.max_m)).all(axis=1)]
     cloud = open3d.geometry.PointCloud(open3d.utility.Vector3dVector(points))
     cloud.estimate_normals(open3d.geometry.KDTreeSearchParamKNN(knn=NEIGHBOURS))
     cloud.orient_normals_towards_camera_location(sensor_ego)

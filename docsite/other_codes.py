@@ -136,6 +136,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
         "A variable or a secret file is named like a setting, and is none: what it says would be ignored.",
     ),
     ("unknown_team", "None of the caller's teams is called so."),
+    ("unknown_grid", "The labels have a shape that no known grid has, and nothing names theirs."),
     ("unreadable_input", "A file that was named cannot be opened."),
     ("unresolved_name", "A module uses a name that nothing defines."),
     ("unsorted_stamps", "Stamps go back in time where they must not."),

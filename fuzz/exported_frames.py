@@ -16,8 +16,8 @@ import numpy as np
 from PIL import Image
 
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.calibration import CameraIntrinsics
+from stone_base.label_grid import PAPER
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import ExportFileSpan, FolderFiles
 from stone_exports.frames import ExportedDatum, ExportedSensor, frames_in
@@ -103,7 +103,7 @@ def frames_seeds() -> Iterator[tuple[str, bytes]]:
 
 def exported_labels_seeds() -> Iterator[tuple[str, bytes]]:
     """As we write them, and stored, with an array that is small: what is mutated is not all zeros."""
-    free = np.zeros(GRID_SHAPE, np.uint8)
+    free = np.zeros(PAPER.shape, np.uint8)
     yield "ours", npz_bytes({"semantics": free, "mask_lidar": free})
     file, small = BytesIO(), BytesIO()
     np.save(small, np.zeros(3, np.uint8))

@@ -17,7 +17,7 @@ from tempfile import TemporaryDirectory
 
 import numpy as np
 
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import SubmissionError
@@ -78,7 +78,7 @@ def archive_seeds() -> Iterator[tuple[str, bytes]]:
 
 
 def frame_seeds() -> Iterator[tuple[str, bytes]]:
-    free = np.zeros(GRID_SHAPE, np.uint8)
+    free = np.zeros(PAPER.shape, np.uint8)
     yield "ours", npz_bytes({"semantics": free})
     for name, arrays in (("numpy", {"semantics": free}), ("int64", {"semantics": free.astype(np.int64)})):
         file = BytesIO()

@@ -13,8 +13,9 @@ from numpy.typing import NDArray
 from simulator.truth import DRIVABLE, NOT_DRIVABLE
 from stone.geometry.se3 import Array
 
-GRID_MIN_M = (-25.6, -25.6, -2.0)
-VOXEL_M = 0.2
+Place = tuple[tuple[float, float, float], float]
+# The lowest corner of the paper's grid and its voxel, metres.
+PAPER: Place = ((-25.6, -25.6, -2.0), 0.2)
 
 
 @dataclass(frozen=True)
@@ -56,12 +57,16 @@ class LabelVerdict:
 
 
 def judge_semantics(
-    semantics: NDArray[np.uint8], judge: Callable[[Array], NDArray[np.uint8]], map_from_ego: Array
+    semantics: NDArray[np.uint8],
+    judge: Callable[[Array], NDArray[np.uint8]],
+    map_from_ego: Array,
+    place: Place = PAPER,
 ) -> NDArray[np.int64]:
-    """(4,) counts of one frame: drivable kept and lost, blocked kept and lost."""
+    """(4,) counts of one frame, whose grid lies at this place: drivable kept and lost, blocked kept and lost."""
     index = np.argwhere(semantics > 0)
     label = semantics[tuple(index.T)]
-    centres = (index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M)
+    low_m, voxel_m = place
+    centres = (index + 0.5) * voxel_m + np.asarray(low_m)
     verdict = judge(centres @ map_from_ego[:3, :3].T + map_from_ego[:3, 3])
     is_kept = label < 3
     return np.array(

@@ -1,7 +1,7 @@
 """The label grids around the robot: one frozen value each, and all that the platform knows by name.
 
 **Conventions.** A grid is aligned with the ego frame. `min_m` is its lowest corner, and voxel [i, j, k] covers
-`min_m` + [i, j, k] · `voxel_m` up to the next. Arrays have the grid's `shape`, axes x, y, z, C order. Labels are cut out
+`min_m` + [i, j, k] · `voxel_m` up to the next. Arrays have its `shape`, axes x, y, z, C order. Labels are cut out
 of a map of voxels of `MAP_VOXEL_M`; a voxel of a grid is a cube of `pooled`³ of them. Two grids may be held against
 each other if their `geometry` is the same.
 
@@ -9,18 +9,20 @@ Sources: the paper (256 × 256 × 32 voxels of 0.2 m); the README of the release
 (arXiv 2304.14365), whose grid the release took over.
 """
 
+import re
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from math import isfinite, prod
 
 from stone_base.errors import Refused
 
 MAP_VOXEL_M = 0.2
-MOST_SIDE, SIDE_STEP = 512, 8
+MOST_SIDE, MOST_MAP_SIDE, SIDE_STEP = 320, 512, 8
 HEIGHTS = (8, 16, 32)
 """How many voxels a column may have: a column of the map is one word of 32 bits, whole columns fill such words."""
 MOST_MAP_HEIGHT = 32
 MOST_AWAY_M = 200.0
+NAME = re.compile(r"[a-z0-9][a-z0-9_-]{0,39}")
 Corner = tuple[float, float, float]
 Shape = tuple[int, int, int]
 
@@ -57,6 +59,12 @@ class LabelGrid:
         return round(self.voxel_m / MAP_VOXEL_M)
 
     @property
+    def on_map(self) -> "LabelGrid":
+        """The same space in voxels of the map's size."""
+        x, y, z = (size * self.pooled for size in self.shape)
+        return replace(self, voxel_m=MAP_VOXEL_M, shape=(x, y, z))
+
+    @property
     def geometry(self) -> tuple[Corner, float, Shape]:
         """All that places its voxels."""
         return self.min_m, self.voxel_m, self.shape
@@ -85,9 +93,35 @@ def named_grid(name: str) -> LabelGrid:
     return GRIDS[name]
 
 
+def require_one_geometry(a: LabelGrid, b: LabelGrid) -> None:
+    """Raise `grids_differ` if the voxels of A and B are not the same places."""
+    if a.geometry != b.geometry:
+        raise Refused(
+            "grids_differ",
+            f"A has the grid {a}, B has {b}; labels can be compared at one grid: process one of them again",
+        )
+
+
+def recorded_grid(record: object) -> LabelGrid:
+    """Return the grid of a record that names one only if it is not the paper's. Raises `bad_grid`."""
+    return PAPER if record is None else grid_of(record)
+
+
+def record_unless_paper(grid: LabelGrid) -> dict[str, object] | None:
+    """Return the record that `recorded_grid` reads."""
+    return None if grid == PAPER else grid.as_record()
+
+
 def grid_of_shape(shape: tuple[int, ...]) -> LabelGrid | None:
     """Return the first known grid of arrays of this shape, None if there is none."""
     return next((grid for grid in GRIDS.values() if grid.shape == shape), None)
+
+
+def grid_with_shape(shape: tuple[int, ...]) -> LabelGrid:
+    """Return some grid of arrays of this shape, wherever it lies. Raises `bad_grid` if no grid can have the shape."""
+    return grid_of_shape(shape) or grid_of(
+        {"name": "unnamed", "min_m": [0, 0, 0], "voxel_m": MAP_VOXEL_M, "shape": shape}
+    )
 
 
 def grid_of(record: object) -> LabelGrid:
@@ -105,8 +139,8 @@ def grid_of(record: object) -> LabelGrid:
     if not (isinstance(shape, list | tuple) and len(shape) == 3 and all(type(size) is int for size in shape)):
         raise _bad("shape as three whole numbers of voxels", shape)
     name, classes, unknown = record.get("name"), record.get("classes", PAPER.classes), record.get("unknown")
-    if not (isinstance(name, str) and 0 < len(name) <= 40 and name.isprintable()):
-        raise _bad("name as a text of 1 to 40 characters", name)
+    if not (isinstance(name, str) and NAME.fullmatch(name)):
+        raise _bad("name as 1 to 40 small letters, digits, - or _", name)
     if not (isinstance(classes, list | tuple) and tuple(classes) == PAPER.classes):
         raise _bad("classes as [0, 1, 2, 3]", classes)
     if not (unknown is None or (type(unknown) is int and 4 <= unknown <= 255)):
@@ -119,8 +153,8 @@ def grid_of(record: object) -> LabelGrid:
 
 def _check(grid: LabelGrid) -> None:
     x, y, z = grid.shape
-    if not all(SIDE_STEP <= side <= MOST_SIDE // grid.pooled and side % SIDE_STEP == 0 for side in (x, y)):
-        most = MOST_SIDE // grid.pooled
+    most = min(MOST_SIDE, MOST_MAP_SIDE // grid.pooled)
+    if not all(SIDE_STEP <= side <= most and side % SIDE_STEP == 0 for side in (x, y)):
         raise _bad(f"multiples of {SIDE_STEP} from {SIDE_STEP} to {most} voxels along x and y", f"{x} × {y}")
     if z not in HEIGHTS or z * grid.pooled > MOST_MAP_HEIGHT:
         most_m = MOST_MAP_HEIGHT * MAP_VOXEL_M

@@ -104,6 +104,26 @@ ProfileOption = Annotated[
         "local ground, no limits. paper: absolute elevation, as published."
     ),
 ]
+GridsOption = Annotated[
+    list[str],
+    typer.Option(
+        "--grid",
+        metavar="NAME|FILE",
+        help="Grid of the labels: paper, release, occ3d, or a JSON or YAML file with its name, min_m, voxel_m and "
+        "shape (default: paper). Repeat it to cut several from one map.",
+        show_default=False,
+    ),
+]
+GridOption = Annotated[
+    str | None,
+    typer.Option(
+        "--grid",
+        metavar="NAME|FILE",
+        help="Grid of the labels: paper, release, occ3d, or a JSON or YAML file with its name, min_m, voxel_m and "
+        "shape (default: what the files say).",
+        show_default=False,
+    ),
+]
 OdometryOption = Annotated[
     str | None,
     typer.Option(metavar="TOPIC", help="Pose source: a topic, or kiss-icp; default: the best one in the bag."),

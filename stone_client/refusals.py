@@ -61,7 +61,7 @@ def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
 def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
     """The same for a record of a validation, ours or a server's."""
     for one in report["errors"]:
-        hint = f" ({shape_hint(one['actual'])})" if one["code"] == "bad_shape" else ""
+        hint = f" ({shape_hint(one['expected'], one['actual'])})" if one["code"] == "bad_shape" else ""
         said = f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}{hint}"
         typer.echo(one_line(said), err=True)
     if report["errors_total"] > len(report["errors"]):

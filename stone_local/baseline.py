@@ -1,7 +1,7 @@
 """A submission from exported data by geometry alone: one sweep a frame, no training, the same bytes every time.
 
-**Conventions.** Frames are those of the manifest, in its order. A few frames are in memory at a time, however many
-there are. Source of the method: `stone/labels/baseline.py`.
+**Conventions.** Frames are those of the manifest, in its order and at its grid. A few frames are in memory at a time,
+however many there are. Source of the method: `stone/labels/baseline.py`.
 """
 
 from collections import deque
@@ -15,6 +15,7 @@ from pathlib import Path
 from typing import Any, TypeVar
 
 from stone.labels.baseline import DEFAULTS, BaselineParameters, predict_from_sweep
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_client.progress import Report
 from stone_exports.files import refuse_missing
 from stone_exports.sweeps import SweepFile, sweeps_in
@@ -59,7 +60,7 @@ def write_baseline(sources: Sequence[Path], plan: BaselinePlan, progress: Report
     manifest = read_manifest(plan.manifest)
     sweeps = find_sweeps(sources, manifest)
     frames = ((token, sweeps[token]) for token in manifest.tokens)
-    made = _in_order(partial(predicted, parameters=plan.parameters), frames, plan.workers)
+    made = _in_order(partial(predicted, parameters=plan.parameters, grid=manifest.grid), frames, plan.workers)
     write_files(plan.output, _with_progress(made, len(manifest.tokens), progress))
     with plan.output.open("rb") as file:
         digest = file_digest(file, "sha256").hexdigest()
@@ -80,10 +81,12 @@ def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, Swe
     return found
 
 
-def predicted(frame: tuple[str, SweepFile], parameters: BaselineParameters = DEFAULTS) -> Frame:
-    """The file of one frame. Raises `DamagedExportError`."""
+def predicted(
+    frame: tuple[str, SweepFile], parameters: BaselineParameters = DEFAULTS, grid: LabelGrid = PAPER
+) -> Frame:
+    """The file of one frame, predicted at the grid. Raises `DamagedExportError`."""
     token, sweep = frame
-    return token, frame_file(predict_from_sweep(sweep.points_ego(), parameters))
+    return token, frame_file(predict_from_sweep(sweep.points_ego(), parameters, grid), grid)
 
 
 def _with_progress(frames: Iterable[Frame], total: int, progress: Report) -> Iterator[Frame]:

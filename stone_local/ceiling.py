@@ -58,8 +58,9 @@ def ceiling(opened: OpenedSequence, plan: CeilingPlan, progress: Progress) -> di
         label_sequence(opened.sequence, sweeps, plan.output / name, options, progress)
     truth, submission = (plan.output / name for name in HALVES)
     zip_path = plan.output / "odd.zip"
-    paths = find_ground_truth(submission).paths().items()
-    write_files(zip_path, ((token, frame_file(np.load(path)["semantics"])) for token, path in paths))
+    given = find_ground_truth(submission)
+    paths, grid = given.paths().items(), given.manifest.grid
+    write_files(zip_path, ((token, frame_file(np.load(path)["semantics"], grid)) for token, path in paths))
     record = score(zip_path, truth, mask=plan.mask, progress=progress, order=in_time_order).as_record()
     row = row_of(record, opened.sequence.name, plan.by)
     with atomic_file(plan.output / ROW_FILE) as staging:

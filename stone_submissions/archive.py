@@ -17,34 +17,32 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_base.label_grid import GRID_SHAPE
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.archives import DEFLATED
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
-from stone_submissions.errors import (
-    SubmissionError,
-    UnreadableInputError,
-)
+from stone_submissions.errors import SubmissionError, UnreadableInputError, bad_shape
 from stone_submissions.npz_frame import inflate_exactly
 from stone_submissions.verdict import ValidationProblem, problem_of
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 
-MAX_FRAME_BYTES = 3 * 2**20
+SPARE_BYTES = 2**20  # of the file of a frame, beyond a byte for each voxel
 SPARE_ENTRIES = 1000
 EMPTY_DEFLATED_BYTES = 2
 
 
 @dataclass(frozen=True)
 class SubmissionZip:
-    """The frames found by token, and what is wrong with the archive as a whole."""
+    """The frames found by token, what is wrong with the archive as a whole, and the grid its frames must have."""
 
     name: str
     descriptor: int
     frames: dict[str, ZipMember]
     problems: tuple[ValidationProblem, ...]
+    grid: LabelGrid = PAPER
 
     def read(self, token: str) -> bytes | bytearray:
-        """The npz file of one frame; a few hundred kB, at most `MAX_FRAME_BYTES`.
+        """The npz file of one frame; a few hundred kB, at most `most_frame_bytes`.
 
         Raises `truncated`, `corrupt`, `too_large`, `unsupported_zip`, `overlapping_files`.
         """
@@ -63,8 +61,9 @@ class SubmissionZip:
 
 
 @contextmanager
-def open_submission(path: Path, tokens: Sequence[str]) -> Iterator[SubmissionZip]:
-    """The submission against the tokens it must hold; a broken archive opens too, with its one problem and no frames.
+def open_submission(path: Path, tokens: Sequence[str], grid: LabelGrid = PAPER) -> Iterator[SubmissionZip]:
+    """The submission against the tokens it must hold, frames of a grid; a broken archive opens too, with its one
+    problem and no frames.
 
     Raises `UnreadableInputError` where the file cannot be opened.
     """
@@ -73,12 +72,12 @@ def open_submission(path: Path, tokens: Sequence[str]) -> Iterator[SubmissionZip
     except OSError as error:
         raise UnreadableInputError(path, error.strerror or "unknown reason") from error
     try:
-        yield _matched(path, descriptor, tokens)
+        yield _matched(path, descriptor, tokens, grid)
     finally:
         os.close(descriptor)
 
 
-def _matched(path: Path, descriptor: int, tokens: Sequence[str]) -> SubmissionZip:
+def _matched(path: Path, descriptor: int, tokens: Sequence[str], grid: LabelGrid) -> SubmissionZip:
     try:
         facts = os.fstat(descriptor)
         if not stat.S_ISREG(facts.st_mode):
@@ -88,11 +87,20 @@ def _matched(path: Path, descriptor: int, tokens: Sequence[str]) -> SubmissionZi
     except OSError as error:
         raise UnreadableInputError(path, error.strerror or "unknown reason") from error
     except SubmissionError as error:
-        return SubmissionZip(path.name, descriptor, {}, (problem_of(error, path.name, None),))
-    return _matching(path.name, descriptor, members, frozenset(tokens))
+        return SubmissionZip(path.name, descriptor, {}, (problem_of(error, path.name, None),), grid)
+    frames, problems = _matching(members, frozenset(tokens), most_frame_bytes(grid))
+    return SubmissionZip(path.name, descriptor, frames, problems, grid)
 
 
-def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: frozenset[str]) -> SubmissionZip:
+def most_frame_bytes(grid: LabelGrid) -> int:
+    """Return how large the file of a frame may be."""
+    return grid.voxels + SPARE_BYTES
+
+
+def _matching(
+    members: Sequence[ZipMember], tokens: frozenset[str], most_bytes: int
+) -> tuple[dict[str, ZipMember], tuple[ValidationProblem, ...]]:
+    """The sound frames by token, and the problems."""
     prefix = _common_prefix(members, tokens)
     frames: dict[str, ZipMember] = {}
     problems: list[ValidationProblem] = []
@@ -101,7 +109,7 @@ def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: 
         if prefix.startswith(member.name) and _is_folder(member):
             continue
         is_ours = f"{prefix}{token}.npz" == member.name and token in tokens
-        fault = _fault(member, is_ours, token in frames)
+        fault = _fault(member, is_ours, token in frames, most_bytes)
         if fault is not None:
             problems.append(problem_of(fault, member.name, token if is_ours else None))
         if is_ours:
@@ -114,17 +122,17 @@ def _matching(name: str, descriptor: int, members: Sequence[ZipMember], tokens: 
     ]
     refused = {problem.frame for problem in problems}
     sound = {token: member for token, member in frames.items() if token not in refused}
-    return SubmissionZip(name, descriptor, sound, tuple(problems))
+    return sound, tuple(problems)
 
 
-def _fault(member: ZipMember, is_ours: bool, is_second: bool) -> SubmissionError | None:
+def _fault(member: ZipMember, is_ours: bool, is_second: bool, most_bytes: int) -> SubmissionError | None:
     if not is_ours:
         return SubmissionError("unexpected_file", "the frames of the manifest only", _stranger(member.name))
     if is_second:
         return SubmissionError("duplicate_frame", "each frame once", "a second file of this name")
     size_bytes = max(member.packed_bytes, member.unpacked_bytes)
-    if size_bytes > MAX_FRAME_BYTES:
-        return SubmissionError("too_large", f"at most {MAX_FRAME_BYTES} bytes a frame", f"{size_bytes} bytes")
+    if size_bytes > most_bytes:
+        return SubmissionError("too_large", f"at most {most_bytes} bytes a frame", f"{size_bytes} bytes")
     return None
 
 
@@ -163,10 +171,10 @@ def write_files(path: Path, frames: Iterable[tuple[str, bytes]]) -> None:
             archive.writestr(zipfile.ZipInfo(f"{token}.npz"), content)
 
 
-def frame_file(grid: Grid) -> bytes:
-    """The file of one frame. Raises `bad_dtype`, `bad_shape`."""
+def frame_file(grid: Grid, label_grid: LabelGrid = PAPER) -> bytes:
+    """The file of one frame of a label grid. Raises `bad_dtype`, `bad_shape`."""
     if grid.dtype != np.uint8:
         raise SubmissionError("bad_dtype", "uint8 ('|u1')", str(grid.dtype))
-    if grid.shape != GRID_SHAPE:
-        raise SubmissionError("bad_shape", str(GRID_SHAPE), str(grid.shape))
+    if grid.shape != label_grid.shape:
+        raise bad_shape(label_grid, str(grid.shape))
     return npz_bytes({"semantics": grid})

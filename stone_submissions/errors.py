@@ -5,20 +5,13 @@ was found; whoever reads knows the file and the frame. Codes are those of the de
 those fits.
 """
 
+import re
 from pathlib import Path
 
 from stone_base.errors import Refused, StoneError
+from stone_base.label_grid import LabelGrid, grid_of_shape
 
-TO_XYZ = {
-    "(32, 256, 256)": "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
-    "(256, 32, 256)": "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
-    "(1, 256, 256, 32)": "grid[0]: a frame has no batch axis",
-    "(256, 256, 32, 1)": "grid[..., 0]: a frame has no channel axis",
-    "(4, 256, 256, 32)": "grid.argmax(0): a frame holds one class per voxel, not a score per class",
-    "(256, 256, 32, 4)": "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
-    "Fortran order": "numpy.ascontiguousarray(grid)",
-}
-AXES = "axes are x, y, z, with 256 × 256 × 32 voxels of 0.2 m, in C order"
+SHAPE = re.compile(r"\((\d{1,4}), (\d{1,4}), (\d{1,4})\)")
 
 MISTAKES = {
     "missing_frame": "a submission holds every frame of the manifest; was the prediction loop cut short?",
@@ -31,7 +24,7 @@ MISTAKES = {
     "too_large": "a frame is one uint8 grid; was it saved as int64, or with more arrays?",
     "extra_array": "save the prediction alone",
     "missing_array": "name it: numpy.savez_compressed(path, semantics=grid)",
-    "bad_shape": AXES,
+    "bad_shape": "axes are x, y, z, in C order",
     "bad_dtype": "cast with .astype(numpy.uint8) before saving",
     "label_out_of_range": "0 free, 1 T, 2 P, 3 N; is 'unknown' written as 255, or another class map?",
     "encrypted": "password-protected archives are not accepted",
@@ -42,10 +35,32 @@ MISTAKES = {
 """The most frequent cause of each fault of a file; of `bad_shape`, `shape_hint` knows more."""
 
 
-def shape_hint(found: str) -> str:
-    """What makes a frame of the shape or order `found`, as a `bad_shape` quotes it, one of (256, 256, 32)."""
-    step = TO_XYZ.get(found)
-    return AXES if step is None else f"axes are x, y, z: {step}"
+def bad_shape(grid: LabelGrid, found: str) -> "SubmissionError":
+    """Return why an array of the shape or order `found` is no frame of the grid."""
+    return SubmissionError("bad_shape", str(grid.shape), found)
+
+
+def shape_hint(expected: str, found: str) -> str:
+    """Return what makes a frame of the shape or order `found` one of the shape expected, both as `bad_shape` quotes
+    them."""
+    wanted = SHAPE.match(expected)
+    if wanted is None:
+        return MISTAKES["bad_shape"]
+    x, y, z = map(int, wanted.groups())
+    step = {
+        str((z, x, y)): "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
+        str((x, z, y)): "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+        str((1, x, y, z)): "grid[0]: a frame has no batch axis",
+        str((x, y, z, 1)): "grid[..., 0]: a frame has no channel axis",
+        str((4, x, y, z)): "grid.argmax(0): a frame holds one class per voxel, not a score per class",
+        str((x, y, z, 4)): "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+        "Fortran order": "numpy.ascontiguousarray(grid)",
+    }.get(found)
+    if step is not None:
+        return f"axes are x, y, z: {step}"
+    grid = grid_of_shape((x, y, z))
+    size = f" of {grid.voxel_m:g} m" if grid else ""
+    return f"axes are x, y, z, with {x} × {y} × {z} voxels{size}, in C order"
 
 
 class SubmissionError(StoneError):
@@ -53,7 +68,7 @@ class SubmissionError(StoneError):
 
     def __init__(self, code: str, expected: str, actual: str) -> None:
         self.code, self.expected, self.actual = code, expected, actual
-        mistake = shape_hint(actual) if code == "bad_shape" else MISTAKES[code]
+        mistake = shape_hint(expected, actual) if code == "bad_shape" else MISTAKES[code]
         super().__init__(f"expected {expected}, found {actual} ({mistake})")
 
 

@@ -1,8 +1,9 @@
 """The manifest: which frames a submission must hold, no more and no fewer.
 
-**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`. A sequence is
-named as everywhere (`stone/sensors/sequence.py`); a frame token is 32 lower-case hex digits and occurs once. The
-order of tokens carries no meaning. Nothing in it tells a label.
+**Conventions.** JSON: `{"stone_manifest": 1, "sequences": {"<sequence name>": ["<frame_token>", …]}}`, and `grid`, that
+of the frames (`stone_base.label_grid`), if it is not the paper's. A sequence is named as everywhere
+(`stone/sensors/sequence.py`); a frame token is 32 lower-case hex digits and occurs once. The order of tokens carries no
+meaning. Nothing in it tells a label.
 """
 
 import json
@@ -11,7 +12,8 @@ from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass
 from pathlib import Path
 
-from stone_base.errors import StoneError
+from stone_base.errors import Refused, StoneError
+from stone_base.label_grid import PAPER, LabelGrid, grid_of
 from stone_base.names import NAME
 from stone_files.atomic import atomic_file
 from stone_submissions.errors import UnreadableInputError, bad_manifest
@@ -25,16 +27,19 @@ MAX_FRAMES = 200_000
 
 @dataclass(frozen=True)
 class Manifest:
-    """Sequence name → its frame tokens."""
+    """Sequence name → its frame tokens; the grid of all of them."""
 
     sequences: Mapping[str, tuple[str, ...]]
+    grid: LabelGrid = PAPER
 
     @property
     def tokens(self) -> tuple[str, ...]:
         return tuple(token for tokens in self.sequences.values() for token in tokens)
 
     def as_record(self) -> dict[str, object]:
-        return {"stone_manifest": VERSION, "sequences": {name: list(tokens) for name, tokens in self.sequences.items()}}
+        sequences = {name: list(tokens) for name, tokens in self.sequences.items()}
+        grid = {} if self.grid == PAPER else {"grid": self.grid.as_record()}
+        return {"stone_manifest": VERSION, **grid, "sequences": sequences}
 
 
 def read_manifest(path: Path) -> Manifest:
@@ -50,7 +55,17 @@ def read_manifest(path: Path) -> Manifest:
     fault = next(_faults(record), None)
     if fault is not None:
         raise bad_manifest(path, fault)
-    return Manifest({name: tuple(tokens) for name, tokens in record["sequences"].items()})
+    return Manifest({name: tuple(tokens) for name, tokens in record["sequences"].items()}, _grid_in(path, record))
+
+
+def _grid_in(path: Path, record: Mapping[str, object]) -> LabelGrid:
+    """The grid that a manifest names. Raises `bad_manifest`."""
+    if "grid" not in record:
+        return PAPER
+    try:
+        return grid_of(record["grid"])
+    except Refused as error:
+        raise bad_manifest(path, str(error)) from error
 
 
 def write_manifest(path: Path, manifest: Manifest) -> None:

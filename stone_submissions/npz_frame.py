@@ -19,11 +19,9 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_base.label_grid import GRID_SHAPE, VOXELS
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.archives import CENTRAL, DEFLATED, END, LOCAL, STORED
-from stone_submissions.errors import (
-    SubmissionError,
-)
+from stone_submissions.errors import SubmissionError, bad_shape
 from stone_submissions.zip_directory import IN_EXTRA_32, ReadAt, ZipMember, payload_span, read_directory
 
 PREDICTION_KEYS = ("semantics", "arr_0")
@@ -33,7 +31,7 @@ MAX_ARRAYS = 64
 # Escapes, and digits that run into letters (0xF…, 1if): what Python's parser warns of or makes large numbers from.
 NOT_IN_A_HEADER = re.compile(rb"\\|\d[A-Za-z_]")
 MOST_BRACKETS = 64
-LEAST_NPY_BYTES, MOST_NPY_BYTES = VOXELS + 64, VOXELS + 12 + MAX_HEADER_BYTES
+LEAST_HEADER_BYTES = 64
 
 Buffer = bytes | bytearray | memoryview
 
@@ -48,22 +46,22 @@ class NpyHeader:
     start: int
 
 
-def prediction_grid(npz: Buffer) -> NDArray[np.uint8]:
-    """The one array of a submitted frame, under one of `PREDICTION_KEYS`.
+def prediction_grid(npz: Buffer, grid: LabelGrid = PAPER) -> NDArray[np.uint8]:
+    """The one array of a submitted frame of a grid, under one of `PREDICTION_KEYS`.
 
     Raises the `SubmissionError` leaf that names what is wrong; values are not looked at.
     """
     plain = plain_member(npz, PLAIN_NAMES)
     if plain is not None:
         member, start = plain
-        return _grid_of(memoryview(npz)[start : member.limit], member)
+        return _grid_of(memoryview(npz)[start : member.limit], member, grid)
     members = npz_members(npz)
     known = [key for key in PREDICTION_KEYS if key in members]
     if not known:
         raise SubmissionError("missing_array", " or ".join(PREDICTION_KEYS), _listed(members))
     if len(members) > 1:
         raise SubmissionError("extra_array", "one array", _listed(members))
-    return read_grid(npz, members[known[0]])
+    return read_grid(npz, members[known[0]], grid)
 
 
 def npz_members(npz: Buffer) -> dict[str, ZipMember]:
@@ -85,26 +83,38 @@ def npz_members(npz: Buffer) -> dict[str, ZipMember]:
     return by_key
 
 
-def read_grid(npz: Buffer, member: ZipMember) -> NDArray[np.uint8]:
-    """The grid stored as `member` of this npz.
+def read_grid(npz: Buffer, member: ZipMember, grid: LabelGrid = PAPER) -> NDArray[np.uint8]:
+    """The array of a grid's shape stored as `member` of this npz.
 
     Raises `bad_dtype`, `bad_shape`, `too_large`, `truncated`, `corrupt`, `not_npz`.
     """
     start, stop = payload_span(_reader(npz), member)
-    return _grid_of(memoryview(npz)[start:stop], member)
+    return _grid_of(memoryview(npz)[start:stop], member, grid)
 
 
-def _grid_of(packed: memoryview, member: ZipMember) -> NDArray[np.uint8]:
-    """The grid in the packed bytes of `member`."""
-    if not LEAST_NPY_BYTES <= member.unpacked_bytes <= MOST_NPY_BYTES:
-        raise _size_refusal(packed, member)
+def array_shape(npz: Buffer, member: ZipMember) -> tuple[int, ...]:
+    """Return the shape that the header of an array declares. Raises `not_npz`, and what finding it raises."""
+    start, stop = payload_span(_reader(npz), member)
+    packed = memoryview(npz)[start:stop]
+    try:
+        head = bytes(packed[: 12 + MAX_HEADER_BYTES]) if member.method == STORED else _peek(packed)
+    except zlib.error as error:
+        raise SubmissionError("corrupt", "a deflate stream", "other bytes") from error
+    return parse_header(head).shape
+
+
+def _grid_of(packed: memoryview, member: ZipMember, grid: LabelGrid) -> NDArray[np.uint8]:
+    """The array in the packed bytes of `member`."""
+    least, most = _npy_bytes(grid)
+    if not least <= member.unpacked_bytes <= most:
+        raise _size_refusal(packed, member, grid)
     npy = packed if member.method == STORED else inflate_exactly(packed, member.unpacked_bytes)
     if deflate.crc32(npy) != member.crc32:
         raise SubmissionError("corrupt", f"CRC-32 {member.crc32:08x}", f"{deflate.crc32(npy):08x}")
-    header = _checked(parse_header(bytes(npy[: 12 + MAX_HEADER_BYTES])))
-    if len(npy) - header.start != VOXELS:
-        raise SubmissionError("truncated", f"{VOXELS} bytes of voxels", f"{len(npy) - header.start}")
-    return np.frombuffer(npy, np.uint8, VOXELS, header.start).reshape(GRID_SHAPE)
+    header = _checked(parse_header(bytes(npy[: 12 + MAX_HEADER_BYTES])), grid)
+    if len(npy) - header.start != grid.voxels:
+        raise SubmissionError("truncated", f"{grid.voxels} bytes of voxels", f"{len(npy) - header.start}")
+    return np.frombuffer(npy, np.uint8, grid.voxels, header.start).reshape(grid.shape)
 
 
 def parse_header(head: bytes) -> NpyHeader:
@@ -143,32 +153,36 @@ def _is_size(number: object) -> bool:
     return type(number) is int and 0 <= number < 2**63
 
 
-def _checked(header: NpyHeader) -> NpyHeader:
+def _npy_bytes(grid: LabelGrid) -> tuple[int, int]:
+    """The fewest and the most bytes of the npy file of an array of the grid's shape."""
+    return grid.voxels + LEAST_HEADER_BYTES, grid.voxels + 12 + MAX_HEADER_BYTES
+
+
+def _checked(header: NpyHeader, grid: LabelGrid) -> NpyHeader:
     if header.descr not in ("|u1", "u1", "<u1", ">u1"):
         hint = ", an object array, which only pickle could read" if "O" in header.descr else ""
         raise SubmissionError("bad_dtype", "uint8 ('|u1')", f"{header.descr!r}{hint}")
-    if header.shape != GRID_SHAPE:
-        raise SubmissionError("bad_shape", str(GRID_SHAPE), str(header.shape))
+    if header.shape != grid.shape:
+        raise bad_shape(grid, str(header.shape))
     if header.is_fortran:
-        raise SubmissionError("bad_shape", f"{GRID_SHAPE} in C order", "Fortran order")
+        raise SubmissionError("bad_shape", f"{grid.shape} in C order", "Fortran order")
     return header
 
 
-def _size_refusal(packed: memoryview, member: ZipMember) -> SubmissionError:
+def _size_refusal(packed: memoryview, member: ZipMember, grid: LabelGrid) -> SubmissionError:
     """Why a member of this size is no grid: its own header says so best, and 4 KiB of it cost nothing."""
     raw: bytes
+    least, most = _npy_bytes(grid)
     try:
         raw = bytes(packed[: 12 + MAX_HEADER_BYTES]) if member.method == STORED else _peek(packed)
-        _checked(parse_header(raw))
+        _checked(parse_header(raw), grid)
     except SubmissionError as error:
-        if error.code != "not_npz" or member.unpacked_bytes < LEAST_NPY_BYTES:
+        if error.code != "not_npz" or member.unpacked_bytes < least:
             return error
     except zlib.error:
         return SubmissionError("corrupt", "a deflate stream", "other bytes")
-    code = "truncated" if member.unpacked_bytes < LEAST_NPY_BYTES else "too_large"
-    return SubmissionError(
-        code, f"{LEAST_NPY_BYTES} to {MOST_NPY_BYTES} bytes of npy", f"{member.unpacked_bytes} bytes"
-    )
+    code = "truncated" if member.unpacked_bytes < least else "too_large"
+    return SubmissionError(code, f"{least} to {most} bytes of npy", f"{member.unpacked_bytes} bytes")
 
 
 def _peek(packed: memoryview) -> bytes:

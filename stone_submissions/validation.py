@@ -38,7 +38,7 @@ def validate(zip_path: Path, manifest_path: Path, *, threads: int = THREADS, pro
     Raises `UnreadableInputError` for a path that cannot be opened and `bad_manifest` for a broken manifest.
     """
     manifest = read_manifest(manifest_path)
-    with open_submission(zip_path, manifest.tokens) as submission:
+    with open_submission(zip_path, manifest.tokens, manifest.grid) as submission:
         found = verdict(check_range(submission, manifest.tokens, threads=threads, progress=progress))
         return merged([verdict(submission.problems), found])
 
@@ -67,7 +67,7 @@ def validate_frame(submission: SubmissionZip, token: str) -> ValidationProblem |
 
 def frame_grid(submission: SubmissionZip, token: str) -> Grid:
     """The grid of one frame, its values not yet looked at. Raises `SubmissionError`."""
-    return prediction_grid(submission.read(token))
+    return prediction_grid(submission.read(token), submission.grid)
 
 
 def refusal_of(submission: SubmissionZip, token: str, work: Callable[[], None]) -> ValidationProblem | None:

@@ -3,8 +3,8 @@
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 
 Array = NDArray[np.floating]
 Indices = NDArray[np.int64]
@@ -13,7 +13,7 @@ Mask = NDArray[np.bool_]
 
 def in_voxels(points_ego: ArrayLike) -> Array:
     """Ego points (N, 3) in voxels of the grid, from its lowest corner."""
-    return np.asarray((np.asarray(points_ego) - np.array(GRID_MIN_M)) / VOXEL_M)
+    return np.asarray((np.asarray(points_ego) - np.array(PAPER.min_m)) / VOXEL_M)
 
 
 def cast(occupied: Mask, begin: Array, end: Array) -> tuple[Indices, Mask]:

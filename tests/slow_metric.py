@@ -1,7 +1,8 @@
 """The metric as one would write it down from its definition: column by column, in plain integers and fractions.
 
 **Conventions.** Nothing of the platform is imported: this is what its kernels are held against, and what the golden
-vectors are made by. Grids are (256, 256, 32) uint8 or bool, axes x, y, z. A frame's counts are plain lists: `confusion`
+vectors are made by. Grids are uint8 or bool, axes x, y, z; a place is where one lies and how large its voxels are:
+lowest x and y and side, in mm. A frame's counts are plain lists: `confusion`
 [ring][truth][prediction], `bev` [ring][both, truth only, prediction only], `pairs` [ring][occupied, T, P, N],
 `columns` [ring][truth][prediction].
 """
@@ -14,6 +15,8 @@ from functools import lru_cache
 from typing import Any
 
 Ratio = float | None
+Place = tuple[int, int, int]
+PAPER: Place = (-25_600, -25_600, 200)
 
 
 @dataclass(frozen=True)
@@ -24,33 +27,35 @@ class Counts:
     columns: list[list[list[int]]]
 
 
-def ring_of(x: int, y: int) -> int:
-    """0 below 10 m, 1 below 20 m, 2 beyond: of the column's centre, squared in units of half a voxel."""
-    squared = (2 * x + 1 - 256) ** 2 + (2 * y + 1 - 256) ** 2
-    return (squared >= (10 * 10) ** 2) + (squared >= (20 * 10) ** 2)
+def ring_of(x: int, y: int, place: Place) -> int:
+    """0 below 10 m, 1 below 20 m, 2 beyond: of the column's centre, in half millimetres."""
+    low_x, low_y, side = place
+    squared = (2 * low_x + (2 * x + 1) * side) ** 2 + (2 * low_y + (2 * y + 1) * side) ** 2
+    return (squared >= 20_000**2) + (squared >= 40_000**2)
 
 
 def is_drivable(labels: Sequence[int]) -> bool:
     return (1 in labels or 2 in labels) and 3 not in labels
 
 
-def slow_counts(truth: Any, prediction: Any, is_evaluated: Any) -> Counts:
+def slow_counts(truth: Any, prediction: Any, is_evaluated: Any, place: Place = PAPER) -> Counts:
     """What is to be counted of one frame. Raises `ValueError` where the prediction holds what is no class."""
     if prediction.max() > 3:
         raise ValueError("label_out_of_range")
     confusion, columns = ([[[0] * 4 for _ in range(4)] for _ in range(3)] for _ in range(2))
     bev, near = [[0] * 3 for _ in range(3)], [[0] * 4 for _ in range(3)]
     grids = [grid.astype("uint8").tobytes() for grid in (truth, prediction, is_evaluated)]
-    for number in range(256 * 256):
-        column_grids = [grid[32 * number : 32 * number + 32] for grid in grids]
+    across, along, height = truth.shape
+    for number in range(across * along):
+        column_grids = [grid[height * number : height * number + height] for grid in grids]
         pairs, there, claimed = column_counts(*column_grids)
-        ring = ring_of(*divmod(number, 256))
+        ring = ring_of(*divmod(number, along), place)
         for (row, column), voxels in pairs.items():
             confusion[ring][row][column] += voxels
         bev[ring][0] += there and claimed
         bev[ring][1] += there and not claimed
         bev[ring][2] += claimed and not there
-        found, row, column = column_scores(*column_grids)
+        found, row, column = column_scores(*column_grids, -(-1600 // place[2]))
         near[ring] = [old + new for old, new in zip(near[ring], found, strict=True)]
         columns[ring][row][column] += 1
     return Counts(confusion, bev, near, columns)
@@ -64,24 +69,26 @@ def column_counts(true: bytes, predicted: bytes, seen: bytes) -> tuple[Counter[t
 
 
 @lru_cache(maxsize=2**17)
-def column_scores(true: bytes, predicted: bytes, seen: bytes) -> tuple[list[int], int, int]:
-    """Pairs of occupied, T, P and N of a column, and its class in the truth and in the prediction."""
+def column_scores(true: bytes, predicted: bytes, seen: bytes, free: int = 8) -> tuple[list[int], int, int]:
+    """Pairs of occupied, T, P and N of a column, and its class in the truth and in the prediction; a robot drives under
+    what has so many voxels `free` below it."""
     a, b = ([label if is_seen else 0 for label, is_seen in zip(grid, seen, strict=True)] for grid in (true, predicted))
-    return [pairs_of(a, b, labels) for labels in ((1, 2, 3), (1,), (2,), (3,))], class_of(a), class_of(b)
+    pairs = [pairs_of(a, b, labels) for labels in ((1, 2, 3), (1,), (2,), (3,))]
+    return pairs, class_of(a, free), class_of(b, free)
 
 
 def pairs_of(a: Sequence[int], b: Sequence[int], labels: Sequence[int]) -> int:
     """The voxels with one of the other side at most one voxel above or below: of the side that has fewer of them."""
-    in_a, in_b = ([z for z in range(32) if side[z] in labels] for side in (a, b))
+    in_a, in_b = ([z for z in range(len(side)) if side[z] in labels] for side in (a, b))
     near_b = [z for z in in_a if any(abs(z - other) <= 1 for other in in_b)]
     near_a = [z for z in in_b if any(abs(z - other) <= 1 for other in in_a)]
     return min(len(near_b), len(near_a))
 
 
-def class_of(labels: Sequence[int]) -> int:
-    """The worst of a column; an N does not count if 1.6 m or more, eight voxels, are free to drive under."""
-    surface = [z for z in range(32) if labels[z] in (1, 2)]
-    blocking = [z for z in range(32) if labels[z] == 3 and not (surface and z - surface[0] - 1 >= 8)]
+def class_of(labels: Sequence[int], free: int) -> int:
+    """The worst of a column; an N does not count if 1.6 m or more, so many voxels, are free to drive under."""
+    surface = [z for z in range(len(labels)) if labels[z] in (1, 2)]
+    blocking = [z for z in range(len(labels)) if labels[z] == 3 and not (surface and z - surface[0] - 1 >= free)]
     if blocking:
         return 3
     return 2 if 2 in labels else 1 if 1 in labels else 0

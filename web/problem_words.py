@@ -18,10 +18,10 @@ ADVICE = {
     "not_npz": "Write each frame with numpy.savez_compressed(path, semantics=grid).",
     "truncated": "The file ends before it should. Was it cut short while it was written or copied?",
     "corrupt": "Bytes changed after they were written. Write the zip again and send it again.",
-    "too_large": "A frame is one uint8 grid of 256 × 256 × 32. Was it saved as int64, or with more arrays?",
+    "too_large": "A frame is one uint8 grid. Was it saved as int64, or with more arrays?",
     "extra_array": "Save the prediction alone, one array a file.",
     "missing_array": "Name the array: numpy.savez_compressed(path, semantics=grid).",
-    "bad_shape": "Axes are x, y, z, with 256 × 256 × 32 voxels, in C order.",
+    "bad_shape": "Axes are x, y, z, in C order.",
     "bad_dtype": "Cast with .astype(numpy.uint8) before saving.",
     "label_out_of_range": "0 is free, 1 T, 2 P, 3 N. Is “unknown” written as 255, or a different class map used?",
     "encrypted": "Password-protected archives are not accepted.",
@@ -54,5 +54,5 @@ def _advice(code: str, problems: Sequence[FileProblem]) -> str:
     """For a shape, what makes the first one that was found the right one."""
     if code != "bad_shape":
         return ADVICE.get(code, UNKNOWN)
-    hint = shape_hint(problems[0].actual)
+    hint = shape_hint(problems[0].expected, problems[0].actual)
     return f"{hint[0].upper()}{hint[1:]}."

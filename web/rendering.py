@@ -20,6 +20,7 @@ from api.views.people import sign_in_ways
 from services.domain.sequences.label_choices import BOUNDS, DEFAULT_PROFILE
 from stone_base.codes.catalogue import CATALOGUE, harm_of
 from stone_base.codes.meaning import HARM_WORDS
+from stone_base.label_grid import GRIDS
 from web import words
 from web.assets import Assets
 from web.words import colours_of
@@ -70,6 +71,7 @@ class PageTemplates:
             "import_map": Markup(assets.import_map),
             "label_bounds": BOUNDS,
             "default_profile": DEFAULT_PROFILE,
+            "label_grids": GRIDS,
             "meaning_of": CATALOGUE.get,
             "harm_of": harm_of,
             "harm_words": HARM_WORDS,

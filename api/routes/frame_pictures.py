@@ -125,4 +125,5 @@ def _truth(store: Store, located: ExportLocation, token: str) -> tuple[Grid, Gri
 @lru_cache(maxsize=HELD_GRIDS)
 def _predicted(store: Store, of: tuple[str, ExportLocation], token: str) -> Grid | None:
     """A store that is a bucket brings the whole zip to this machine once."""
-    return predicted_grid(store.local(of[0]), all_tokens(store, of[1]), token)
+    shape = _truth(store, of[1], token)[0].shape
+    return predicted_grid(store.local(of[0]), all_tokens(store, of[1]), token, shape)

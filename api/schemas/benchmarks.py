@@ -5,6 +5,7 @@ from typing import Annotated, Any, Generic, Literal, TypeVar
 from pydantic import Field
 
 from api.schemas.base import SHA256_EXAMPLE, Answer, Body, Instant, Reason, example, example_of
+from api.schemas.grids import GridItem
 from api.schemas.phase_bodies import BENCHMARK_PATTERN, NEW_PHASE_EXAMPLE, Heading, NewPhaseBody, Prose, Version
 from api.schemas.quality import QualityFields
 from services.domain.benchmarks.phases.phases import NewBenchmark, PhaseStatus
@@ -62,6 +63,7 @@ class PhaseItem(QualityFields):
     dataset: str
     part: str
     mask: str
+    grid: GridItem
     is_hidden: bool
     standing: PhaseStatus
     opens_at: Instant | None

@@ -5,6 +5,7 @@ from typing import Annotated, Literal
 from pydantic import Field
 
 from api.schemas.base import Answer, Body, Instant, Line, Reason, example
+from api.schemas.grids import GridItem
 from api.schemas.splits import DrivenItem, RuleItem, Sizes
 from services.domain.datasets.input_jobs import InputState
 
@@ -35,6 +36,7 @@ class DatasetItem(Answer):
     manifest_sha256: str
     manifest_bytes: int
     sizes: Sizes
+    grid: GridItem
     created_at: Instant
 
 

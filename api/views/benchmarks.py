@@ -20,6 +20,7 @@ from api.schemas.benchmarks import (
     PhaseItem,
     SignatureItem,
 )
+from api.schemas.grids import GridItem
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.findings import findings_of
 from services.domain.benchmarks.phases.phases import phase_status
@@ -56,12 +57,13 @@ def phase_detail(session: Session, phase: Phase) -> PhaseDetail:
 
 def phase_item(session: Session, phase: Phase) -> PhaseItem:
     """A phase as everybody sees it."""
-    at_ns = now_ns()
+    at_ns, dataset = now_ns(), session.get_one(Dataset, phase.dataset_id)
     return PhaseItem.of(
         phase,
         **dataset_quality(session, phase.dataset_id).as_record(),
         benchmark=session.get_one(Benchmark, phase.benchmark_id).name,
-        dataset=session.get_one(Dataset, phase.dataset_id).name,
+        dataset=dataset.name,
+        grid=GridItem.recorded(dataset.grid),
         standing=phase_status(phase, at_ns),
         window_s=phase.window_ns // 10**9,
         active=_active(session, phase),

@@ -10,12 +10,13 @@ from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
 from api.schemas.datasets import DatasetDetail, DatasetItem, DatasetMemberItem, DatasetPartItem
+from api.schemas.grids import GridItem
 from services.domain.datasets.catalogue import OPEN, entries_of
 from services.domain.datasets.files import files_of
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
-from services.domain.datasets.versions import members_now, refuse_low, told_statistics
+from services.domain.datasets.versions import grid_of_members, members_now, refuse_low, told_statistics
 from services.runtime.orm import Dataset, DatasetMember
 from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
@@ -44,6 +45,7 @@ def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
     revision = current_splits(session).revision
     try:
         current, members, warnings = members_now(session)
+        grid_of_members(members)
         refuse_low(members, least_recall)
         files = [file for part in OPEN for file in files_of(session, members[part])]
     except StoneError as error:
@@ -67,4 +69,4 @@ def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:
 def dataset_item(session: Session, row: Dataset) -> DatasetItem:
     counted = select(DatasetMember.part, func.count()).where(DatasetMember.dataset_id == row.id)
     sizes = dict(session.execute(counted.group_by(DatasetMember.part)).all())
-    return DatasetItem.of(row, sizes={part: sizes.get(part, 0) for part in PARTS})
+    return DatasetItem.of(row, sizes={part: sizes.get(part, 0) for part in PARTS}, grid=GridItem.recorded(row.grid))

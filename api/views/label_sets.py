@@ -6,6 +6,7 @@ from functools import lru_cache
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from api.schemas.grids import GridItem
 from api.schemas.sequences.label_sets import LabelComparisonItem, LabelSetItem
 from api.views.jobs import coded_failure
 from services.domain.exports.requests import counting_labels
@@ -30,6 +31,7 @@ def label_set_items(session: Session, sequence_id: str, rows: Listing[LabelSet])
             **row.quality.as_record(),
             profile=str(row.parameters.get("profile", "")),
             is_counting=counting is not None and row.id == counting.id,
+            grid=GridItem.recorded(row.grid),
         )
         for row in rows
     ]

@@ -30,6 +30,7 @@ from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
 from stone.errors import Refused
 from stone.labels.class_colours import ColourName
+from stone_base.label_grid import PAPER
 
 HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
@@ -73,7 +74,7 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
     known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id, "has_confidence": False}
     kept = _record(store, scene.file)
-    record = {**known, **kept, "playback": playback}
+    record = {**known, **kept, "grid": {"name": PAPER.name, **kept["grid"]}, "playback": playback}
     return json.dumps(record, separators=(",", ":")).encode()
 
 

@@ -36,6 +36,7 @@ from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan, train
 from benchmarks.models.worlds import ModelWorld, made_world
 from stone.scoring.metric import CLASSES
+from stone_base.label_grid import PAPER
 from stone_local.baseline import BaselinePlan, write_baseline
 
 ROWS = ("l-conet-small", "occfusion-cl-small", "column-net-small")
@@ -133,7 +134,7 @@ def judged(
 
 def confusion_in(submission: Path, world: ModelWorld, lattice: VoxelLattice) -> NDArray[np.int64]:
     """Of the frames of a submission, over the part of their grids that the lattice covers."""
-    part, whole = grid_part(lattice), np.zeros((CLASSES, CLASSES), np.int64)
+    part, whole = grid_part(lattice, PAPER), np.zeros((CLASSES, CLASSES), np.int64)
     for labels in sorted(world.ground_truth.rglob("labels.npz")):
         truth, predicted = classes_of(labels, "semantics"), _submitted(submission, labels.parent.name)
         whole += class_confusion(torch.from_numpy(predicted[part]), torch.from_numpy(truth[part]))

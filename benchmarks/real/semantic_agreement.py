@@ -10,9 +10,9 @@ from benchmarks.real.errors import DescriptionError
 from benchmarks.real.labelled_map import Figures
 from benchmarks.real.measures import WrittenLabels
 from benchmarks.real.opening import classes_of
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.traversability import FREE, NON_TRAVERSABLE, TRAVERSABLE
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 
 Counts = Mapping[int, NDArray[np.int64]]
 NOTHING = np.zeros(4, np.int64)
@@ -29,8 +29,8 @@ def semantic_counts(labels: WrittenLabels, semantics: Semantics) -> Counts:
     for scan in semantics.scans:
         points, kinds = classes_of(labels.described, scan.points, scan.labels)
         points_ego = labels.sequence.calibration.ego_from_lidar @ points.astype(np.float64)
-        index = np.floor((points_ego - GRID_MIN_M) / VOXEL_M).astype(np.int64)
-        inside = ((index >= 0) & (index < GRID_SHAPE)).all(axis=1)
+        index = np.floor((points_ego - PAPER.min_m) / VOXEL_M).astype(np.int64)
+        inside = ((index >= 0) & (index < PAPER.shape)).all(axis=1)
         found = labels.grid(_frame_of(labels, scan))[tuple(index[inside].T)]
         kinds = kinds[inside]
         judged = (found != TRAVERSABLE) | (not is_stated)

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.score.material import Material
-from stone.scoring.bitplanes import VOXELS
+from stone_base.label_grid import VOXELS
 
 CLASSES = 4
 Counts = NDArray[np.int64]

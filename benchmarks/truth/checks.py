@@ -19,10 +19,11 @@ from simulator.truth import SimulationTruth
 from simulator.verdict import LabelVerdict, judge_semantics
 from stone.geometry.lattice import centres_of, keys_of
 from stone.geometry.se3 import SE3, Array
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
+from stone.labels.grid import Grid
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.selection import SelectionParameters, world_points
 from stone.sensors.sequence import Sequence, SweepSource
+from stone_base.label_grid import PAPER
 
 FOOTPRINT_BAND_M = 0.15
 EVIDENCE_M, THINNED_M = 0.4, 0.05
@@ -64,7 +65,7 @@ def judged(drive: Drive, labels: Path) -> LabelVerdict:
 
 def grid_centres(index: NDArray[np.int64]) -> Array:
     """Voxel centres (N, 3) in the ego frame."""
-    return np.asarray((index + 0.5) * VOXEL_M + np.asarray(GRID_MIN_M))
+    return np.asarray((index + 0.5) * VOXEL_M + np.asarray(PAPER.min_m))
 
 
 @dataclass(frozen=True)
@@ -87,7 +88,7 @@ def footprint_counts(drive: Drive, labels: Path) -> FootprintCounts:
     """Over every `JUDGED_EVERY`-th frame, each at its own pose."""
     footprint = drive.sequence.calibration.footprint
     half = np.array([footprint.length_m / 2, footprint.width_m / 2, FOOTPRINT_BAND_M])
-    index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
+    index = np.argwhere(np.ones(PAPER.shape, np.bool_))
     index = index[(np.abs(grid_centres(index)) <= half).all(axis=1)]
     surface = np.unique(keys_of(read_mesh(labels / "mesh.ply").vertices_map, VOXEL_M))
     total = np.zeros(4, np.int64)
@@ -208,13 +209,13 @@ def walker_counts(drive: Drive, labels: Path) -> WalkerCounts:
     walker = walker_ahead(truth.trajectory, truth)
     feet = np.stack([walker.route.at(int(stamp_ns) + SWEEP_NS // 2)[0] for stamp_ns in stamps_ns])
     tree, poses = cKDTree(feet[:, :2]), drive.world_from_ego()
-    index = np.argwhere(np.ones(GRID_SHAPE, np.bool_))
+    index = np.argwhere(np.ones(PAPER.shape, np.bool_))
     total = np.zeros(4, np.int64)
     for frame in range(0, len(stamps_ns), WALKER_EVERY):
         world_from_ego = poses[frame]
-        plan = (world_from_ego @ grid_centres(index[:: GRID_SHAPE[2]]))[:, :2]
+        plan = (world_from_ego @ grid_centres(index[:: PAPER.shape[2]]))[:, :2]
         near = np.isfinite(tree.query(plan, distance_upper_bound=2.0)[0])
-        mine = index.reshape(-1, GRID_SHAPE[2], 3)[near].reshape(-1, 3)
+        mine = index.reshape(-1, PAPER.shape[2], 3)[near].reshape(-1, 3)
         centres = world_from_ego @ grid_centres(mine)
         is_walker = np.isfinite(tree.query(centres[:, :2], distance_upper_bound=WALKER_RADIUS_M + VOXEL_M / 2)[0])
         above_m = centres[:, 2] - truth.elevation_m(centres[:, :2])

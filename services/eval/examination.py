@@ -32,7 +32,6 @@ from services.runtime.sandbox.fork_client import warm_unless_served
 from stone.errors import PlatformFaultError, Refused
 from stone.scoring.bitplanes import (
     NO_COLUMN_COUNTS,
-    RINGS,
     ColumnCounts,
     Confusion,
     Drivable,
@@ -43,6 +42,8 @@ from stone.scoring.bitplanes import (
 )
 from stone.scoring.columns import counted_every
 from stone.scoring.metric import CLASSES
+from stone.scoring.plane_layout import RINGS
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.errors import SubmissionError, UnreadableInputError
 from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
@@ -212,12 +213,13 @@ LONGEST_PROBLEMS_BYTES = 2**20
 
 @dataclass(frozen=True)
 class Examination:
-    """What is to be looked at; without a `pack_path` frames are checked and nothing is counted."""
+    """What is to be looked at, frames of a grid; without a `pack_path` they are checked and nothing is counted."""
 
     zip_path: Path
     tokens: tuple[str, ...]
     span: Span
     pack_path: Path | None = None
+    grid: LabelGrid = PAPER
 
     @property
     def limits(self) -> SandboxLimits:
@@ -274,7 +276,7 @@ def answer_bytes(frames: int) -> int:
 
 def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
     """The child's part."""
-    with open_submission(examination.zip_path, examination.tokens) as submission:
+    with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:
         tokens = examination.tokens[slice(*examination.span)]
         if submission.problems or examination.pack_path is None:
             found = examined(submission, tokens, threads=1, progress=progress)

@@ -1,14 +1,15 @@
 """Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
 
-**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`: uint8 (256, 256, 32); the
-`distance_squared` of labels made with their confidence is not read, `confidence` only if a least one is required. The
-folder may be the one that holds `gts` or `gts` itself. Evaluated voxels by mask: `all` — every voxel, as the paper's
+**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`, uint8 of the grid's shape;
+the `distance_squared` of labels made with their confidence is not read, `confidence` only if a least one is required.
+The folder may be the one that holds `gts` or `gts` itself. All frames have one grid: that of `grid.json` beside `gts`,
+or the first known grid of the shape of the first frame. Evaluated voxels by mask: `all` — every voxel, as the paper's
 tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
 """
 
 from collections.abc import Callable, Iterator, Mapping, Sequence
 from contextlib import contextmanager
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from hashlib import sha256
 from itertools import islice
 from pathlib import Path
@@ -17,12 +18,15 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE, Grid
+from stone.errors import Refused
+from stone.labels.grid import Grid
 from stone.scoring.bitplanes import LabelRangeError, TruthPlanes, truth_planes
 from stone_base.confidence import least_level, no_confidence
+from stone_base.label_grid import GRIDS, PAPER, LabelGrid, grid_of_shape
+from stone_files.grid_file import GRID_FILE, read_grid_file
 from stone_submissions.errors import GroundTruthError, SubmissionError, UnreadableInputError
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, read_bounded
-from stone_submissions.npz_frame import npz_members, read_grid
+from stone_submissions.npz_frame import array_shape, npz_members, read_grid
 from stone_submissions.zip_directory import ZipMember
 
 Mask = Literal["all", "lidar", "camera"]
@@ -53,12 +57,15 @@ class GroundTruth:
         return {token: self.path(sequence, token) for sequence, tokens in sequences for token in tokens}
 
 
-def find_ground_truth(folder: Path, mask: Mask = "all", order: FrameOrder | None = None) -> GroundTruth:
+def find_ground_truth(
+    folder: Path, mask: Mask = "all", order: FrameOrder | None = None, grid: LabelGrid | None = None
+) -> GroundTruth:
     """The frames that have labels in this folder, sequences in the order of their names, frames in that which `order`
     tells.
 
-    Raises `UnreadableInputError` where there is no such folder, `GroundTruthError` where it holds no label file, a
-    name that is none of ours, and what `order` raises.
+    Without a `grid` it is found (see above). Raises `UnreadableInputError` where there is no such folder,
+    `GroundTruthError` where it holds no label file, a name that is none of ours, `unknown_grid`, `bad_grid`, and what
+    `order` raises.
     """
     root = folder / "gts" if (folder / "gts").is_dir() else folder
     if not root.is_dir():
@@ -75,24 +82,50 @@ def find_ground_truth(folder: Path, mask: Mask = "all", order: FrameOrder | None
     if len(set(manifest.tokens)) < len(manifest.tokens):
         raise GroundTruthError(root, "two sequences share a frame token")
     ordered = None if order is None else order(root, manifest.sequences)
-    return GroundTruth(root, manifest if ordered is None else Manifest(ordered), mask, ordered is not None)
+    found = GroundTruth(root, manifest if ordered is None else Manifest(ordered), mask, ordered is not None)
+    return replace(found, manifest=replace(found.manifest, grid=grid or _grid_at(found)))
 
 
-def read_truth(path: Path, mask: Mask) -> TruthPlanes:
-    """The ground truth of one frame, read as strictly as a submission is.
+def _grid_at(truth: GroundTruth) -> LabelGrid:
+    """The grid of a folder's labels. Raises `unknown_grid`, `bad_grid`, `GroundTruthError`."""
+    for place in (truth.folder / GRID_FILE, truth.folder.parent / GRID_FILE):
+        if place.is_file():
+            return read_grid_file(place)
+    path = next(iter(truth.paths().values()))
+    npz = read_bounded(path, MAX_LABELS_BYTES, GroundTruthError)
+    with _refused(path):
+        shape = array_shape(npz, _members(npz)["semantics"])
+    known = grid_of_shape(shape)
+    if known is None:
+        raise unknown_grid(path, shape)
+    return known
+
+
+def unknown_grid(path: Path, shape: tuple[int, ...]) -> Refused:
+    return Refused(
+        "unknown_grid",
+        f"{path} has labels of shape {str(shape)[:60]}, which is that of none of {', '.join(GRIDS)}; name their grid"
+        f" with --grid, or in {GRID_FILE} beside gts",
+    )
+
+
+def read_truth(path: Path, mask: Mask, grid: LabelGrid = PAPER) -> TruthPlanes:
+    """The ground truth of one frame of a grid, read as strictly as a submission is.
 
     Raises `UnreadableInputError`, and `GroundTruthError` for anything but a label file of the labeler.
     """
-    return truth_in(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), mask, path)
+    return truth_in(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), mask, path, grid)
 
 
-def truth_in(npz: bytes, mask: Mask, path: Path) -> TruthPlanes:
+def truth_in(npz: bytes, mask: Mask, path: Path, grid: LabelGrid = PAPER) -> TruthPlanes:
     """The ground truth in the bytes of a label file, which `path` only names. Raises `GroundTruthError`."""
     with _refused(path):
-        return truth_planes(*_evaluated(npz, _members(npz), mask))
+        return truth_planes(*_evaluated(npz, _members(npz), mask, grid), grid)
 
 
-def read_sure_truth(path: Path, mask: Mask, least_confidence: float) -> tuple[TruthPlanes, int]:
+def read_sure_truth(
+    path: Path, mask: Mask, least_confidence: float, grid: LabelGrid = PAPER
+) -> tuple[TruthPlanes, int]:
     """The ground truth of one frame without its occupied voxels of a lower confidence, and the number left out.
 
     Raises what `read_truth` raises, and `no_confidence`.
@@ -102,10 +135,10 @@ def read_sure_truth(path: Path, mask: Mask, least_confidence: float) -> tuple[Tr
         members = _members(npz)
         if CONFIDENCE not in members:
             raise no_confidence(path)
-        semantics, is_evaluated = _evaluated(npz, members, mask)
-        is_unsure = (semantics != 0) & (read_grid(npz, members[CONFIDENCE]) < least_level(least_confidence))
+        semantics, is_evaluated = _evaluated(npz, members, mask, grid)
+        is_unsure = (semantics != 0) & (read_grid(npz, members[CONFIDENCE], grid) < least_level(least_confidence))
         left_out = int(np.count_nonzero(is_unsure & is_evaluated))
-        return truth_planes(semantics, is_evaluated & ~is_unsure), left_out
+        return truth_planes(semantics, is_evaluated & ~is_unsure, grid), left_out
 
 
 @contextmanager
@@ -126,12 +159,14 @@ def _members(npz: bytes) -> dict[str, ZipMember]:
     return members
 
 
-def _evaluated(npz: bytes, members: Mapping[str, ZipMember], mask: Mask) -> tuple[Grid, NDArray[np.bool_]]:
+def _evaluated(
+    npz: bytes, members: Mapping[str, ZipMember], mask: Mask, grid: LabelGrid
+) -> tuple[Grid, NDArray[np.bool_]]:
     """The classes, and which voxels the mask evaluates."""
-    semantics = read_grid(npz, members["semantics"])
+    semantics = read_grid(npz, members["semantics"], grid)
     if mask == "all":
-        return semantics, np.ones(GRID_SHAPE, np.bool_)
-    return semantics, read_grid(npz, members[f"mask_{mask}"]) != 0
+        return semantics, np.ones(grid.shape, np.bool_)
+    return semantics, read_grid(npz, members[f"mask_{mask}"], grid) != 0
 
 
 def truth_hash(truth: TruthPlanes) -> bytes:

@@ -121,7 +121,7 @@ def made_score(
     return NewScore(
         submission_id=case.submission_id,
         evaluation_version=evaluation_version,
-        signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric)),
+        signature=str(Signature(case.truth.sha256, case.truth.mask, evaluation_version.metric, case.truth.grid)),
         record={
             "code_version": case.kept.code_version if case.kept else code_version("scores"),
             **record_of(counts_of_frames, spectra, evaluation_version.metric),

@@ -7,8 +7,8 @@ from tempfile import TemporaryDirectory
 import numpy as np
 
 from services.eval.truth_pack import TruthPack, write_truth_pack
-from stone.labels.grid import GRID_SHAPE
 from stone.scoring.bitplanes import frame_counts, truth_planes
+from stone_base.label_grid import PAPER
 from stone_submissions.manifest import Manifest
 
 
@@ -18,7 +18,7 @@ def warm() -> None:
 
     By the way that a frame takes, so that none is forgotten.
     """
-    nothing, token = np.zeros(GRID_SHAPE, np.uint8), "0" * 32
+    nothing, token = np.zeros(PAPER.shape, np.uint8), "0" * 32
     truth = truth_planes(nothing, nothing == 0)
     with TemporaryDirectory() as folder:
         path = Path(folder) / "truth.pack"

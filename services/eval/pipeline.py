@@ -29,6 +29,7 @@ from services.eval.ground_truth import (
 from services.eval.score_record import ConfidenceLimit, Scores, SequenceFacts, SubmissionCounts
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.signature import Signature
+from stone_base.label_grid import LabelGrid
 from stone_submissions.archive import SubmissionZip, open_submission
 from stone_submissions.validation import THREADS, Progress, silent
 from stone_submissions.verdict import SubmissionRefusedError, verdict
@@ -43,32 +44,34 @@ def score(
     threads: int = THREADS,
     progress: Progress = silent,
     order: FrameOrder | None = None,
+    grid: LabelGrid | None = None,
 ) -> Scores:
     """The scores of a submission that holds exactly the frames of this ground truth; without their `order` in time no
     interval of these places is given. Occupied voxels whose label is right with a probability below `least_confidence`
     are left out.
 
     Raises `SubmissionRefusedError` with the whole validation, `GroundTruthError`, `UnreadableInputError`,
-    `no_confidence`, and what `order` raises.
+    `no_confidence`, `unknown_grid`, and what `order` raises.
     """
-    truth = find_ground_truth(ground_truth_dir, mask, order)
+    truth = find_ground_truth(ground_truth_dir, mask, order, grid)
+    found = truth.manifest.grid
     paths, hashes, left_out = truth.paths(), dict[str, bytes](), dict[str, int]()
 
     def truth_of(token: str) -> TruthPlanes:
         if least_confidence > 0:
-            planes, left_out[token] = read_sure_truth(paths[token], mask, least_confidence)
+            planes, left_out[token] = read_sure_truth(paths[token], mask, least_confidence, found)
         else:
-            planes = read_truth(paths[token], mask)
+            planes = read_truth(paths[token], mask, found)
         hashes[token] = truth_hash(planes)
         return planes
 
-    with open_submission(zip_path, truth.manifest.tokens) as submission:
+    with open_submission(zip_path, truth.manifest.tokens, found) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
     sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
     counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences, counted.column_counts)
     limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
     evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
-    return Scores(counts_of_frames, Signature(whole_hash(hashes), evaluated), truth.is_in_time_order, limit)
+    return Scores(counts_of_frames, Signature(whole_hash(hashes), evaluated, grid=found), truth.is_in_time_order, limit)
 
 
 def count(

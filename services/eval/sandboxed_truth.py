@@ -71,7 +71,7 @@ class TruthInputs:
         """Read one frame. Raises `labels_unfit`, whose sentence quotes nothing of the file, and `short_pack`."""
         file = self.files[token]
         try:
-            return truth_in(file.read(self.packs), self.mask, Path(file.name))
+            return truth_in(file.read(self.packs), self.mask, Path(file.name), self.manifest.grid)
         except GroundTruthError as error:
             raise labels_unfit(f"file {file.name}", "no label file with the arrays that the phase needs") from error
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.runtime.code_version import code_version
-from stone.scoring.bitplanes import RING_EDGES_M, ColumnCounts, Confusion, Drivable
+from stone.scoring.bitplanes import ColumnCounts, Confusion, Drivable
 from stone.scoring.columns import counted_every
 from stone.scoring.confusion import Counts, extras, named_ratios, supports, tolerant_ratios
 from stone.scoring.intervals import (
@@ -27,6 +27,7 @@ from stone.scoring.intervals import (
     ratio_spectra,
 )
 from stone.scoring.metric import METRIC_VERSION, OCCUPIED_VERSION, RATIOS, Metric, metric_of
+from stone.scoring.plane_layout import RING_EDGES_M
 from stone.scoring.signature import Signature
 from stone_files.npz import npz_bytes
 

@@ -18,6 +18,7 @@ from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, GroundTruthRow, Score, SubmissionRow
 from services.runtime.platform import Platform
 from stone.errors import Refused
+from stone_base.label_grid import LabelGrid, recorded_grid
 from stone_submissions.manifest import Manifest, read_manifest
 
 VALIDATION = "validation"
@@ -34,6 +35,11 @@ class ReadyTruth:
     facts: Mapping[str, Any]
     manifest_key: str
     pack_key: str
+
+    @property
+    def grid(self) -> LabelGrid:
+        """The grid of its labels."""
+        return recorded_grid(self.facts.get("grid"))
 
     def manifest(self, platform: Platform) -> Manifest:
         return read_manifest(platform.store.local(self.manifest_key))

@@ -46,10 +46,10 @@ class EvalStageContext:
         Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`.
         """
         store = self.platform.store
-        tokens = case.truth.manifest(self.platform).tokens
+        manifest = case.truth.manifest(self.platform)
         pack = None if case.is_validation else store.local(case.truth.pack_key)
         watch = sandbox_watch_of(self.attempt, "check", span[1] - span[0])
-        found = examine(Examination(store.local(case.kept_key()), tokens, span, pack), watch)
+        found = examine(Examination(store.local(case.kept_key()), manifest.tokens, span, pack, manifest.grid), watch)
         if found.counts is not None:
             process_counters().add(FRAMES, ("scored",), span[1] - span[0])
         return found

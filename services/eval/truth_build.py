@@ -6,7 +6,7 @@ version's index, inside a sequence that of time. A ground truth that is ready is
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import partial
 from secrets import token_hex
 from typing import Any
@@ -21,7 +21,7 @@ from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, Tr
 from services.eval.scoring_workspace import EvalStageContext
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome
-from services.runtime.orm import Blob, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
 from services.runtime.orm.base import now_ns
 from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
@@ -29,6 +29,7 @@ from services.runtime.store.blobs import PreparedBlob, link_all, prepare
 from services.runtime.store.pack_reading import ExportLocation, StoredFiles, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
+from stone_base.label_grid import PAPER, LabelGrid, recorded_grid
 from stone_submissions.manifest import MAX_FRAMES, SEQUENCE_NAME, Manifest, is_token, write_manifest
 
 MANIFEST = "manifest.json"
@@ -36,9 +37,11 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class TruthSource:
-    """What a ground truth is made of: where the part's files lie, and what is said of its sequences by name."""
+    """What a ground truth is made of: its mask and grid, where the part's files lie, and what is said of its sequences
+    by name."""
 
     mask: Mask
+    grid: LabelGrid
     located: ExportLocation
     said: Mapping[str, Mapping[str, Any]]
 
@@ -94,7 +97,8 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
         for row in session.scalars(members)
     }
     mask: Mask = truth.mask  # type: ignore[assignment]  # a phase has no other
-    return TruthSource(mask, located, said)
+    grid = recorded_grid(session.get_one(Dataset, truth.dataset_id).grid)
+    return TruthSource(mask, grid, located, said)
 
 
 def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
@@ -108,7 +112,9 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
         raise SandboxCrashedError("built something else than what was asked")
     write_manifest(folder / MANIFEST, inputs.manifest)
     pack, listed = (prepare(store, context.platform.database, folder / name, adopt=True) for name in (PACK, MANIFEST))
-    facts = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
+    facts: dict[str, Any] = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
+    if source.grid != PAPER:
+        facts["grid"] = source.grid.as_record()
     return BuiltTruth(built, pack, listed, facts)
 
 
@@ -117,7 +123,7 @@ def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> TruthInpu
     ordinals, manifest = _frames(stored, source.said)
     files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
     packs = {number: store.local(stored.object_keys[number]) for number in sorted({one.pack for one in files.values()})}
-    return TruthInputs(packs, files, manifest, source.mask)
+    return TruthInputs(packs, files, replace(manifest, grid=source.grid), source.mask)
 
 
 def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:

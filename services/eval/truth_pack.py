@@ -1,13 +1,13 @@
 """A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
-`offsets`, `counts`, `crc32`), then where the index starts and the magic again; little-endian. A frame is the `changes`
-and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of
-that of
-zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a stranger's; its
-checks are against decay.
+`offsets`, `counts`, `crc32`, and `grid`, JSON, if it is not the paper's), then where the index starts and the magic
+again; little-endian. A frame is the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a
+quarter of the time of LZ4 and an eighth of that of zstd, for 1.6 and 3 times the bytes. The same ground truth makes the
+same bytes. A pack is ours, never a stranger's; its checks are against decay.
 """
 
+import json
 import os
 import struct
 from collections.abc import Callable
@@ -24,9 +24,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.eval.ground_truth import truth_hash, whole_hash
-from stone.errors import StoneError
-from stone.scoring.bitplanes import RINGS, TruthPlanes
-from stone.scoring.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
+from stone.errors import Refused, StoneError
+from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.plane_layout import RINGS, layout_of
+from stone.scoring.plane_runs import PLANES, PlaneRuns, planes_of, runs_of
+from stone_base.label_grid import PAPER, LabelGrid, grid_of
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import UnreadableInputError
@@ -74,7 +76,7 @@ def write_truth_pack(
 
     `truth_of` is called from several threads; what it raises is raised.
     """
-    tokens, index = manifest.tokens, _Index()
+    tokens, index = manifest.tokens, _Index(manifest.grid)
     with atomic_file(path) as staging, staging.open("wb") as file, ThreadPoolExecutor(threads) as pool:
         file.write(MAGIC)
         for start in range(0, len(tokens), BATCH):
@@ -106,6 +108,8 @@ class TruthPack:
             raise
         self.tokens: tuple[str, ...] = tuple(token.tobytes().hex() for token in index["tokens"])
         self._offsets, self._counts, self._crc32 = (index[key] for key in ("offsets", "counts", "crc32"))
+        self.grid = self._grid_in(index)
+        self._changes = PLANES * layout_of(self.grid).columns // 64
 
     def __enter__(self) -> Self:
         return self
@@ -122,10 +126,9 @@ class TruthPack:
         packed = os.pread(self._descriptor, stop - start, start)
         if deflate.crc32(packed) != self._crc32[index]:
             raise TruthPackError(self._path, f"frame {index} fails its checksum")
-        runs = PlaneRuns(
-            np.frombuffer(packed, np.uint64, CHANGES), np.frombuffer(packed, np.uint32, offset=8 * CHANGES)
-        )
-        return TruthPlanes(planes_of(runs), self._counts[index])
+        changes = np.frombuffer(packed, np.uint64, self._changes)
+        runs = PlaneRuns(changes, np.frombuffer(packed, np.uint32, offset=changes.nbytes))
+        return TruthPlanes(planes_of(runs), self._counts[index], self.grid)
 
     def planes_of(self, token: str) -> TruthPlanes:
         """The ground truth of this frame, which must be in `tokens`."""
@@ -146,15 +149,25 @@ class TruthPack:
         raw = os.pread(self._descriptor, stop - start, start)
         try:
             with np.load(BytesIO(raw), allow_pickle=False) as arrays:
-                return {key: arrays[key] for key in ("tokens", "offsets", "counts", "crc32")}
+                keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"grid"})
+                return {key: arrays[key] for key in keys}
         except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
             raise TruthPackError(self._path, "its index is no npz") from error
+
+    def _grid_in(self, index: dict[str, NDArray[Any]]) -> LabelGrid:
+        if "grid" not in index:
+            return PAPER
+        try:
+            return grid_of(json.loads(index["grid"].tobytes()))
+        except (ValueError, Refused) as error:
+            raise TruthPackError(self._path, "its grid is none") from error
 
 
 class _Index:
     """What was written so far."""
 
-    def __init__(self) -> None:
+    def __init__(self, grid: LabelGrid) -> None:
+        self._grid = grid
         self.hashes: dict[str, bytes] = {}
         self.offsets = [len(MAGIC)]
         self._counts: list[NDArray[np.int64]] = []
@@ -170,7 +183,10 @@ class _Index:
         tokens = np.frombuffer(bytes.fromhex("".join(self.hashes)), np.uint8).reshape(-1, 16)
         counts = np.array(self._counts, np.int64).reshape(-1, RINGS, 4)
         offsets, crc32 = np.array(self.offsets, np.uint64), np.array(self._crc32, np.uint32)
-        return npz_bytes({"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32})
+        arrays: dict[str, NDArray[Any]] = {"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32}
+        if self._grid != PAPER:
+            arrays["grid"] = np.frombuffer(json.dumps(self._grid.as_record()).encode(), np.uint8)
+        return npz_bytes(arrays)
 
 
 def _packed(truth: TruthPlanes) -> _PackedTruthFrame:

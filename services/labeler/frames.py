@@ -17,16 +17,18 @@ from services.labeler.scratch import Arrays, load, save, sight_path, surface_pat
 from stone.geometry.lattice import VoxelTable, table_of
 from stone.geometry.se3 import SE3
 from stone.labels.column_deflate import deflated_columns
-from stone.labels.columns import Columns, reconcile, spread_out
+from stone.labels.columns import Columns, Words, reconcile, spread_out
 from stone.labels.confidence import CALIBRATED, confidence_of, properties_of
 from stone.labels.crops import cut_batch, cut_with_rows
-from stone.labels.grid import GRID_SHAPE, Bounds, Window, frame_bounds, window_bytes, window_of
+from stone.labels.grid import Bounds, Window, frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import Observed, union
+from stone.labels.pooling import pooled, pooled_further
 from stone.labels.profiles import VoxelTerrain, distances
 from stone.labels.sight_batches import LANES, SightBatch
 from stone.labels.traversability import Reference, classify, threshold
 from stone.labels.visibility import SightLines, sight_lines
 from stone.sensors.calibration import Vehicle
+from stone_base.label_grid import LabelGrid
 from stone_files.npz import npz_bytes
 
 MAX_WINDOW_BYTES = 192 * 2**20
@@ -62,7 +64,8 @@ def compute_sight_lines(run: LabelRun, camera: int) -> None:
     """Lay out once per run what the calibration's camera of this number can see; nothing without its intrinsics."""
     mount = run.sequence.calibration.of_kind("camera")[camera]
     if mount.intrinsics is not None:
-        lines = sight_lines(mount.intrinsics, run.sequence.calibration.ego_from_lidar @ mount.lidar_from_sensor)
+        ego_from_camera = run.sequence.calibration.ego_from_lidar @ mount.lidar_from_sensor
+        lines = sight_lines(mount.intrinsics, ego_from_camera, run.parameters.grid)
         save(sight_path(run, camera), vars(lines))
 
 
@@ -80,13 +83,15 @@ def _sight_of(run: LabelRun) -> SightBatch:
     paths = sorted((run.scratch / "sight").glob("[0-9]*.npz"))
     states = [path.stat() for path in paths]
     versions = tuple((state.st_ino, state.st_mtime_ns, state.st_size) for state in states)
-    return _sight_in(tuple(paths), versions, get_ident())
+    return _sight_in(tuple(paths), versions, run.parameters.grid, get_ident())
 
 
 @lru_cache(maxsize=1)
-def _sight_in(paths: tuple[Path, ...], _versions: tuple[tuple[int, int, int], ...], _thread: int) -> SightBatch:
+def _sight_in(
+    paths: tuple[Path, ...], _versions: tuple[tuple[int, int, int], ...], grid: LabelGrid, _thread: int
+) -> SightBatch:
     """Kept for the next part of the run: 90 MB to be filled take as long as five frames. Each thread has its own."""
-    return SightBatch([SightLines(**load(path)) for path in paths])  # type: ignore[arg-type]
+    return SightBatch([SightLines(**load(path)) for path in paths], grid)  # type: ignore[arg-type]
 
 
 def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
@@ -96,16 +101,17 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
 
 
 def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
-    poses = run.sequence.frames.map_from_ego
-    cuts = labelled_map.cut(poses[slice(*batch)])
-    grids = np.empty((len(GRIDS), *GRID_SHAPE), np.uint8)  # the same memory for every frame: fresh pages cost more
+    poses, shape = run.sequence.frames.map_from_ego, run.parameters.grid.shape
+    height, cuts = shape[2], labelled_map.cut(poses[slice(*batch)])
+    grids = np.empty((len(GRIDS), *shape), np.uint8)  # the same memory for every frame: fresh pages cost more
     seen = sight.visible(np.stack([columns.occupied for columns, _ in cuts]))
     for token, (columns, extra), visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
-        masks = reconcile(columns, visible)
-        spread_out(columns.ones, columns.twos, grids[0])
-        spread_out(masks.observed, out=grids[1])
-        spread_out(masks.visible, out=grids[2])
-        packed = (deflated_columns(columns.ones, columns.twos), *map(deflated_columns, (masks.observed, masks.visible)))
+        masks = reconcile(columns, visible, height)
+        layers: list[tuple[Words, Words | None]]
+        layers = [(columns.ones, columns.twos), (masks.observed, None), (masks.visible, None)]
+        for (low, high), grid in zip(layers, grids, strict=True):
+            spread_out(low, high, grid)
+        packed = [deflated_columns(low, high, height) for low, high in layers]
         arrays: dict[str, NDArray[Any]] = {**dict(zip(GRIDS, grids, strict=True)), **extra}
         payload = npz_bytes(arrays, deflated=dict(zip(GRIDS, packed, strict=True)))
         yield LabelledFrame(token, payload, masks.by_class, masks.by_mask, columns.filled)
@@ -127,26 +133,31 @@ def _near_together(run: LabelRun, part: Part) -> list[Part]:
 
 
 def _bounds(run: LabelRun, part: Part) -> Bounds:
-    return frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
+    return frame_bounds(run.sequence.frames.map_from_ego[slice(*part)], run.parameters.grid)
 
 
 @dataclass(frozen=True, eq=False)
 class _LabelledMap:
-    """The labelled map around some frames. If confidence is asked for, `table` finds the rows of its voxels (K,), and
-    `further` has the further arrays of their files, (K + 1,) each, by name; the last value stands for no surface."""
+    """The labelled map around some frames, which are cut at `grid`. If confidence is asked for, `table` finds the rows
+    of its voxels (K,), and `further` has the further arrays of their files, (K + 1,) each, by name; the last value
+    stands for no surface."""
 
+    grid: LabelGrid
     window: Window
     table: VoxelTable | None
     further: Mapping[str, NDArray[Any]]
 
     def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[Any]]]]:
         """The frames at these poses (F,), and what goes into the file of each besides."""
+        grid = self.grid
         if self.table is None:
-            return [(columns, {}) for columns in cut_batch(self.window, map_from_ego)]
+            return [(pooled(columns, grid), {}) for columns in cut_batch(self.window, map_from_ego, grid.on_map)]
         found = []
         for frame in range(len(map_from_ego)):
-            columns, rows = cut_with_rows(self.window, map_from_ego[frame], self.table)
-            found.append((columns, {name: values[rows] for name, values in self.further.items()}))
+            fine, rows = cut_with_rows(self.window, map_from_ego[frame], self.table, grid.on_map)
+            columns = pooled(fine, grid)
+            further = {name: values[rows] for name, values in self.further.items()}
+            found.append((columns, further if columns is fine else pooled_further(fine, columns, further, grid)))
         return found
 
 
@@ -205,9 +216,9 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
     all_keys = np.concatenate(keys)
     window = window_of(all_keys, np.concatenate(classes), union(seen), bounds)
     if not is_asked:
-        return _LabelledMap(window, None, {})
+        return _LabelledMap(run.parameters.grid, window, None, {})
     all_squared = np.append(np.concatenate(squared), NO_SURFACE)
     further: dict[str, NDArray[Any]] = {"distance_squared": np.minimum(all_squared, MOST_SQUARED).astype(np.float16)}
     if run.parameters.profile == CALIBRATED:
         further["confidence"] = np.append(np.concatenate(confidence), np.uint8(UNSURE))
-    return _LabelledMap(window, table_of(all_keys), further)
+    return _LabelledMap(run.parameters.grid, window, table_of(all_keys), further)

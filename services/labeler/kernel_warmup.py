@@ -23,6 +23,7 @@ from stone.geometry.se3 import SE3
 from stone.kernels.loading import load_compiler
 from stone.sensors.calibration import Calibration, CameraIntrinsics, Mount
 from stone.sensors.sequence import Frames, Sequence, Sweep, frame_token
+from stone_base.label_grid import RELEASE
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 
 load_compiler()
@@ -61,13 +62,15 @@ def warmup_sequence() -> Sequence:
 
 @cache
 def warm() -> None:
-    """Label the small run by the default profile with confidence, and by the paper's, and draw it: once a process."""
+    """Label the small run by the default profile with confidence, and by the paper's, and draw it, and at a grid of
+    larger voxels: once a process."""
     from services.labeler.pipeline import MAP, PICTURES
 
     confident = replace(parameters_for(DEFAULT_PROFILE), confidence=True)
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         _label(Path(folder) / "confident", confident, without=(MAP, PICTURES))
         _label(Path(folder) / "paper", parameters_for("paper"))
+        _label(Path(folder) / "release", replace(parameters_for("paper"), grids=(RELEASE,)), without=(MAP, PICTURES))
 
 
 def _label(scratch: Path, parameters: LabelParameters, without: Collection[str] = ()) -> None:

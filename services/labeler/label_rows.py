@@ -31,13 +31,15 @@ LABELS = "labels/"  # how the names of packs of labels begin
 
 @dataclass(frozen=True)
 class NewLabelSet:
-    """A label set to be: whose it is, which run made it, from what, and which kind of code."""
+    """A label set to be: whose it is, which run made it, from what, which kind of code, and its grid's record if it is
+    not the paper's."""
 
     sequence_id: str
     job_id: str
     recipe: str
     parameters: Mapping[str, Any]
     kind: ResultKind = "labels"
+    grid: Mapping[str, Any] | None = None
 
 
 @dataclass(frozen=True)
@@ -66,6 +68,7 @@ def write_label_set(session: Session, labels: NewLabelSet, told: PublicationAnsw
         parameters=dict(labels.parameters),
         code_version=code_version(labels.kind),
         frames=len(told.tokens),
+        grid=dict(labels.grid) if labels.grid is not None else None,
         **told.totals.model_dump(),
     )
     session.add(row)

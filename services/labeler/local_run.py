@@ -4,33 +4,37 @@ Poses are refined before that where it is asked for.
 
 **Conventions.** The output folder appears whole or not at all. Its contents (design §4):
 `gts/<sequence>/<frame_token>/labels.npz`, `frames.parquet`, `mesh.ply`, `bev.png`, `map.png`, `features.png`,
-`thumbnail.png`, `scene/` for the viewer, `report.json`, and `sequence.npz`, the synchronised sequence itself, of which
-exports are made.
+`thumbnail.png`, `scene/` for the viewer, `report.json`, `grid.json`, and `sequence.npz`, the synchronised sequence
+itself, of which exports are made. Labels of one more grid, cut from the same map, are `grids/<name>/` with its own
+`gts/`, tables and report.
 """
 
 import json
 import shutil
 from collections import Counter
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Collection, Mapping
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass, field, replace
+from itertools import product
 from pathlib import Path
 from typing import Any
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.errors import no_usable_frames
-from services.labeler.exports.source import SOURCE
+from services.labeler.exports.source import MESH, SOURCE
 from services.labeler.map.map_files import map_folder
 from services.labeler.map.refinement import refined
 from services.labeler.parameters import LabelParameters
-from services.labeler.pipeline import STAGES, label_graph
+from services.labeler.pipeline import FRAMES, SIGHT, STAGES, label_graph
 from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
+from stone_base.label_grid import LabelGrid
 from stone_files.atomic import atomic_directory
+from stone_files.grid_file import GRID_FILE, grid_text
 from stone_recordings.joining.joined_recording import JoinedRecording, write_joined
 from stone_recordings.sync.sequence_file import sequence_bytes
 
@@ -67,6 +71,7 @@ Progress = Callable[[str, int, int], None]
 Key = tuple[object, ...]
 REPORT = "report.json"
 JOINED_RUN = "recording"
+FURTHER = "grids"
 
 
 @dataclass(frozen=True)
@@ -112,10 +117,48 @@ def label(
             refinement = done.as_record()
         run = LabelRun(sequence, sweeps, options.parameters, staging / ".scratch", staging / "gts" / sequence.name)
         stages.run(tasks_of(run))
-        report = _published(_completed(run, options, own), staging, options)
+        further = [_at_grid(run, grid) for grid in options.parameters.grids[1:]]
+        for other, kind in product(further, (SIGHT, FRAMES)):
+            stages.run(tasks_of(other, {kind}))
+        run = _completed(run, options, own)
+        for other in further:
+            _publish_grid(replace(other, sequence=run.sequence), refinement, options)
+        report = _published(run, staging, options)
         report = replace(report, refinement=refinement, costs=stages.meter.as_record())
         (staging / REPORT).write_text(report.text())
     return report
+
+
+def _at_grid(run: LabelRun, grid: LabelGrid) -> LabelRun:
+    """The same run, its map made, with the frames to be cut at another grid: its scratch links to what the map is."""
+    scratch = run.scratch / FURTHER / grid.name
+    scratch.mkdir(parents=True)
+    for made in run.scratch.iterdir():
+        if made.name not in (FURTHER, "packs", "sight"):
+            (scratch / made.name).symlink_to(made)
+    out = run.scratch.parent / FURTHER / grid.name
+    grids = (grid, *(one for one in run.parameters.grids if one != grid))
+    parameters = replace(run.parameters, grids=grids)
+    return replace(run, parameters=parameters, scratch=scratch, labels_root=out / "gts" / run.sequence.name)
+
+
+def _publish_grid(run: LabelRun, refinement: Any, options: LabelOptions) -> None:
+    """What a folder of labels needs to be scored and exported; pictures and map are those of the first grid."""
+    report, out = (
+        replace(report_of(run), refinement=refinement),
+        run.scratch.parents[2] / FURTHER / run.parameters.grid.name,
+    )
+    _write_tables(run, report, out, options)
+    shutil.copy(run.scratch.resolve() / "map" / MESH, out / MESH)
+    (out / REPORT).write_text(report.text())
+
+
+def _write_tables(run: LabelRun, report: LabelReport, out: Path, options: LabelOptions) -> None:
+    write_frames(out / "frames.parquet", run.sequence, report.counts)
+    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(run.sequence))
+    (out / GRID_FILE).write_text(grid_text(run.parameters.grid))
+    if options.source:
+        (out / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
 
 
 @dataclass(frozen=True)
@@ -148,11 +191,11 @@ def _stage(task: Task) -> str:
     return str(task.key[0])
 
 
-def tasks_of(run: LabelRun) -> list[Task]:
-    """The jobs of a run as tasks of this machine's processes, all but the publishing."""
-    jobs = [job for job in label_graph(run) if job.kind in STAGES]
+def tasks_of(run: LabelRun, kinds: Collection[str] = STAGES.keys()) -> list[Task]:
+    """The jobs of a run as tasks of this machine's processes, all but the publishing, or those of some kinds alone."""
+    jobs = [job for job in label_graph(run) if job.kind in kinds]
     keys: dict[str, Key] = {job.key: (STAGES[job.kind].shown, job.key) for job in jobs}
-    waits = {job.key: frozenset(keys[one] for one in job.needs) for job in jobs}
+    waits = {job.key: frozenset(keys[one] for one in job.needs if one in keys) for job in jobs}
     return [Task(keys[job.key], STAGES[job.kind].work, (run, job.arguments, silent), waits[job.key]) for job in jobs]
 
 
@@ -166,14 +209,11 @@ def _completed(run: LabelRun, options: LabelOptions, own: int) -> LabelRun:
 
 def _published(run: LabelRun, out: Path, options: LabelOptions) -> LabelReport:
     """Everything but `report.json` put where it stays, and what is to be reported; scratch is gone then."""
-    sequence, report = run.sequence, report_of(run)
+    report = report_of(run)
     options.at_end(run)
     for drawn in map_folder(run).iterdir():
         drawn.replace(out / drawn.name)
-    write_frames(out / "frames.parquet", sequence, report.counts)
-    (out / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
-    if options.source:
-        (out / SOURCE).write_text(json.dumps(dict(options.source)) + "\n")
+    _write_tables(run, report, out, options)
     if options.joined is not None:
         (out / JOINED_RUN).mkdir()
         write_joined(options.joined, out / JOINED_RUN)

@@ -13,6 +13,7 @@ from stone.sensors.selection import SelectionParameters
 from stone.surface.range_image import DynamicParameters
 from stone.surface.screened_poisson import PoissonParameters
 from stone.surface.terrain import TerrainParameters
+from stone_base.label_grid import PAPER, LabelGrid
 
 Solver = Literal["lattice", "octree"]
 
@@ -78,7 +79,7 @@ class LabelParameters:
     its way, so nothing does. `dynamic.every_frame` and `carve.every_frame` are those of a LiDAR at 10 Hz; of a slower
     one as much time goes by. `confidence` adds to every frame how far each voxel is from the reference and, in profile
     `field`, how probably its label is right, and changes no label. `refinement` is None where the poses are taken as
-    they came.
+    they came. The map covers all `grids`; labels are cut at the first, and can be at the others.
     """
 
     profile: Profile = "paper"
@@ -94,6 +95,12 @@ class LabelParameters:
     local_ground_radius_m: float = 0.5
     confidence: bool = False
     refinement: RefinementParameters | None = None
+    grids: tuple[LabelGrid, ...] = (PAPER,)
+
+    @property
+    def grid(self) -> LabelGrid:
+        """The grid that labels are cut at."""
+        return self.grids[0]
 
     @property
     def rule(self) -> ProfileRule:
@@ -134,10 +141,12 @@ def other_profile(parameters: LabelParameters) -> LabelParameters:
     return replace(parameters, profile=profile, reference=reference)
 
 
-def chosen_parameters(profile: str, choices: Mapping[str, float]) -> LabelParameters:
-    """The parameters of a profile with some chosen by dotted name. Raises `bad_parameter`."""
+def chosen_parameters(
+    profile: str, choices: Mapping[str, float], grids: tuple[LabelGrid, ...] = (PAPER,)
+) -> LabelParameters:
+    """The parameters of a profile with some chosen by dotted name, for these grids. Raises `bad_parameter`."""
     check_choices(profile, choices)
-    parameters = parameters_for(cast("Profile", profile))
+    parameters = replace(parameters_for(cast("Profile", profile)), grids=grids)
     for name, value in choices.items():
         parameters = _replaced(parameters, name.split("."), value)
     return parameters

@@ -32,6 +32,8 @@ from services.labeler.sandboxed_run import described
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Job, LabelSet
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all
+from stone_base.label_grid import recorded_grid
+from stone_files.grid_file import GRID_FILE
 from stone_files.joined_file import JOINED
 
 NEEDED = (CHECKED_FILE, "sums", "packs", FAR, MAP, COMPARISON, COVERAGE)
@@ -70,6 +72,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
     return [
         left_file(REPORT, folder / PUBLISHED / REPORT),
         left_file(TABLE, folder / PUBLISHED / TABLE),
+        left_file(GRID_FILE, folder / PUBLISHED / GRID_FILE),
         left_file(SEQUENCE_FILE, folder / CHECKED_FILE),
         *([left_file(JOINED, folder / JOINED)] if is_joined else []),
         *files_left(folder / MAP),
@@ -85,7 +88,7 @@ def _write_rows(publication: _Publication, session: Session) -> None:
     recipe = context.arguments["recipe"]
     labels = standing_label_set(session, sequence.id, recipe)
     if labels is None:
-        labels = _write_labels(publication, session, NewLabelSet(sequence.id, run.id, recipe, _parameters(context)))
+        labels = _write_labels(publication, session, _new_label_set(context, sequence.id, run.id))
         if context.platform.settings.viewing.makes_playback:
             follow_labels(session, sequence, labels, PLAYBACK)
     run.result = {"label_set_id": labels.id, "frames": len(publication.told.tokens), "recipe": recipe}
@@ -101,5 +104,11 @@ def _write_labels(publication: _Publication, session: Session, new: NewLabelSet)
     return labels
 
 
+def _new_label_set(context: LabelStageContext, sequence_id: str, run_id: str) -> NewLabelSet:
+    grid = context.arguments.get("grid")
+    return NewLabelSet(sequence_id, run_id, context.arguments["recipe"], _parameters(context), grid=grid)
+
+
 def _parameters(context: LabelStageContext) -> dict[str, Any]:
-    return asdict(chosen_parameters(context.arguments["profile"], context.arguments["parameters"]))
+    grid = recorded_grid(context.arguments.get("grid"))
+    return asdict(chosen_parameters(context.arguments["profile"], context.arguments["parameters"], (grid,)))

@@ -11,18 +11,21 @@ from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
 from services.labeler.totals import totals_of
 from stone_base.label_quality import quality_of
+from stone_files.grid_file import GRID_FILE, grid_text
 
 PUBLISHED = "published"
 
 
 def publication(run: LabelRun) -> PublicationAnswer:
-    """Write both files into the folder `published` of scratch, and say what rows are to say."""
+    """Write report, frame table and grid into the folder `published` of scratch, and say what rows are to say."""
     report, out = report_of(run), run.scratch / PUBLISHED
     quality = quality_of(report.as_record())
     with whole(out / REPORT) as staging:
         staging.write_text(report.text())
     with whole(out / TABLE) as staging:
         write_frames(staging, run.sequence, report.counts)
+    with whole(out / GRID_FILE) as staging:
+        staging.write_text(grid_text(run.parameters.grid))
     frames = run.sequence.frames
     return PublicationAnswer(
         tokens=list(frames.tokens),

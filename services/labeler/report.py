@@ -8,7 +8,8 @@ where they are few, with the share of the map that has another class by the othe
 that the reference leaves out, which stay T. `track` is how much of what the
 footprint went over is T, pinholes closed, and which share of the way has none; `height_drift` what the poses drifted
 in z. `map.far_points` are those that were left out as no LiDAR sees as far; `solver` is how the surface was solved for,
-residuals in cells, null where Open3D did. `refinement` is null where poses were taken as they came; `recordings` are
+residuals in cells, null where Open3D did. `grid` is that of these labels; the map covers those of
+`further_grids` too. `refinement` is null where poses were taken as they came; `recordings` are
 those that were joined, with the offsets of their clocks, [] for one alone. What was measured while it was made
 (seconds, memory) is apart, in `costs`: without them equal inputs give equal bytes. `filled_share_of_occupied` is the
 share of the occupied voxels that close a gap between two voxel centres (`stone.labels.pinholes`).
@@ -85,6 +86,8 @@ class LabelReport:
             "inputs": dict(sequence.inputs),
             "recordings": [asdict(recording) for recording in sequence.recordings],
             "parameters": asdict(self.parameters),
+            "grid": self.parameters.grid.as_record(),
+            "further_grids": [grid.name for grid in self.parameters.grids[1:]],
             "class_share_of_occupied": self.class_shares(),
             "filled_share_of_occupied": round(float(self.counts.filled.sum()) / self._occupied(), 6),
             "profiles": dict(self.profiles),

@@ -16,6 +16,7 @@ from services.runtime.platform import Platform
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace
+from stone_base.label_grid import recorded_grid
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED
 
@@ -34,7 +35,8 @@ class LabelStageContext:
     @property
     def opening(self) -> RunOpening:
         """The run, for stages that read no sweeps."""
-        return RunOpening(self.workspace.folder, self.arguments["profile"], self.arguments["parameters"])
+        grid = recorded_grid(self.arguments.get("grid"))
+        return RunOpening(self.workspace.folder, self.arguments["profile"], self.arguments["parameters"], grid=grid)
 
     def opening_with_sweeps(self) -> RunOpening:
         """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""

@@ -24,6 +24,7 @@ from services.labeler.scratch import recorded_writes
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence, Sweep, SweepSource
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_recordings.sync.sequence_file import read_sequence
 from stone_recordings.sync.sweeps import read_sweeps
 
@@ -47,21 +48,22 @@ class LateSweeps:
 
 @dataclass(frozen=True)
 class RunOpening:
-    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read, and which file
-    of the folder is its sequence."""
+    """What a run is opened with: its folder, the choices of its owner, the bag where sweeps are read, which file of the
+    folder is its sequence, and the grid of its labels."""
 
     folder: Path
     profile: str
     choices: Mapping[str, float]
     recording: Path | None = None
     sequence_file: str = SEQUENCE_FILE
+    grid: LabelGrid = PAPER
 
     def run(self) -> LabelRun:
         path = self.folder / self.sequence_file
         status = path.stat()
         sequence = _sequence_of(path, (status.st_ino, status.st_mtime_ns, status.st_size))
         sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording)
-        return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices), self.folder)
+        return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices, (self.grid,)), self.folder)
 
 
 @lru_cache(maxsize=1)

@@ -47,13 +47,13 @@ def plan_of(run: LabelRun) -> TilePlan:
 
 def tiles_around(run: LabelRun, part: Part) -> list[Tile]:
     """The tiles that the label grids of a part can touch."""
-    bounds = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)])
+    bounds = frame_bounds(run.sequence.frames.map_from_ego[slice(*part)], run.parameters.grid)
     return tiles_across(run.parameters, bounds, run.map_of(part))
 
 
 def reach_m(parameters: LabelParameters, sensor_ego: NDArray[np.float64]) -> float:
     """How far from the ego's origin a frame matters, metres."""
-    box = labelled_box(parameters.selection.margin_m)
+    box = labelled_box(parameters.selection.margin_m, parameters.grids)
     corner = np.maximum(np.abs(box.min_m), np.abs(box.max_m))
     sensor_m = float(np.linalg.norm(sensor_ego))
     brick_m = BRICK * VOXEL_M

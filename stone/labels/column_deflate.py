@@ -1,12 +1,14 @@
 """Deflates a label grid from its columns: what a column shares with the one before is compared in words, not voxels.
 
-**Conventions.** The grid is a run of columns of 32 bytes (`stone.labels.columns`). A byte that differs from that of the
-column before is a literal, stretches of others are matches `BACK` bytes back. All is one final block with a code of its
-own; as matches have one distance alone, its code takes a bit. Words are filled from their lowest bit on.
+**Conventions.** The grid is a run of columns of 8, 16 or 32 bytes, its height (`stone.labels.columns`). A byte that
+differs from that of the column before is a literal, stretches of others are matches a column back. All is one final
+block with a code of its own; as matches have one distance alone, its code takes a bit. Words are filled from their
+lowest bit on.
 
 Source: RFC 1951, 3.2.
 """
 
+from functools import lru_cache
 from typing import Any
 
 import numpy as np
@@ -16,17 +18,18 @@ from numba.extending import intrinsic
 from numpy.typing import NDArray
 
 from stone.kernels.lanes import I8, I32, I64, pointer, popcount, splat
-from stone.labels.columns import NOTHING, Words
+from stone.labels.columns import Words, nothing
+from stone_base.label_grid import PAPER
 
 # A label grid as literals and matches, from the words of its columns.
 #
-# **Conventions.** The grid is a run of columns of 32 bytes (`stone.labels.columns`). A byte that differs from that of
-# the column before is a literal, stretches of others are matches `BACK` bytes back, or literals where they are shorter
-# than `FEWEST`. Which bits of a word are set is not foreseeable, so that a branch would be guessed wrong at every
-# other byte: so columns that differ are gathered first, then their bytes that do, eight at a time; then each is said.
+# **Conventions.** A byte that differs from that of the column before is a literal, stretches of others are matches a
+# column back, or literals where they are shorter than `FEWEST`. Which bits of a word are set is not foreseeable, so
+# that a branch would be guessed wrong at every other byte: so columns that differ are gathered first, then their bytes
+# that do, eight at a time; then each is said.
 
 
-BACK, FEWEST, MOST = 32, 3, 258  # bytes: how far back matches are, and how long
+FEWEST, MOST = 3, 258  # bytes: how long matches are
 LITERALS, END, MATCH = 4, 4, 5  # tokens: a literal is its value, a match of n bytes is `MATCH` + n
 TOKENS = MATCH + MOST + 1
 EIGHT, BEFORE = 8, 2  # bytes looked at at once, and how many before a literal are noted with it
@@ -34,14 +37,15 @@ EIGHT, BEFORE = 8, 2  # bytes looked at at once, and how many before a literal a
 BITS = np.array([[*(n for n in range(8) if byte >> n & 1), *[0] * 8][:8] for byte in range(256)], np.int32)
 
 
-def tokens_of(ones: Words, twos: Words) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
+def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16], NDArray[np.int64]]:
     """The tokens of the grid, `END` the last, and how often each comes (`TOKENS`,)."""
-    one, two, size = ones.reshape(-1), twos.reshape(-1), BACK * ones.size
+    one, two, size = ones.reshape(-1), twos.reshape(-1), height * ones.size
     columns = np.empty(ones.size + 1, np.int64)
     places, codes = np.empty(size + EIGHT, np.int32), np.empty(size + EIGHT, np.uint8)
-    literals = _find_literals(one, two, columns[: _find_columns(one, two, columns)], places, codes)
+    found = columns[: _find_columns(one, two, columns)]
+    literals = _find_literals((one, two), found, height, places, codes)
     tokens, counts = np.empty(size + 2, np.uint16), np.zeros(TOKENS, np.int64)
-    last = one[-1] >> np.uint32(BACK - BEFORE), two[-1] >> np.uint32(BACK - BEFORE)
+    last = one[-1] >> np.uint32(height - BEFORE), two[-1] >> np.uint32(height - BEFORE)
     filled = _say((places[:literals], codes), (size, *last), tokens)
     _count(tokens[:filled], counts)
     return tokens[:filled], counts
@@ -85,22 +89,23 @@ def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _find_literals(ones, twos, columns, places, codes):  # type: ignore[no-untyped-def]
+def _find_literals(words, columns, height, places, codes):  # type: ignore[no-untyped-def]
     """The places of the bytes that differ, all of the first column; with each, `BEFORE` bytes before it and itself."""
-    found = np.int64(0)
+    (ones, twos), found = words, np.int64(0)
+    last, whole = np.uint32(height - BEFORE), np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     for n in range(columns.size):
         column = columns[n]
         one, two = ones[column], twos[column]
-        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~one, two)
+        one_before, two_before = (ones[column - 1], twos[column - 1]) if n else (~one & whole, two)
         differs = np.uint64((one ^ one_before) | (two ^ two_before))
-        near_one = np.uint64(one) << np.uint64(BEFORE) | np.uint64(one_before >> np.uint32(BACK - BEFORE))
-        near_two = np.uint64(two) << np.uint64(BEFORE) | np.uint64(two_before >> np.uint32(BACK - BEFORE))
-        for byte in range(BACK // EIGHT):
+        near_one = np.uint64(one) << np.uint64(BEFORE) | np.uint64(one_before >> last)
+        near_two = np.uint64(two) << np.uint64(BEFORE) | np.uint64(two_before >> last)
+        for byte in range(height // EIGHT):
             shift = np.uint64(EIGHT * byte)
             at = found + np.int64(popcount(differs & ((np.uint64(1) << shift) - np.uint64(1))))
             near = np.uint32(near_one >> shift), np.uint32(near_two >> shift)
             set_bits = np.int64((differs >> shift) & np.uint64(255))
-            note_eight(BITS, set_bits, BACK * column + EIGHT * byte, near, (places, codes), at)
+            note_eight(BITS, set_bits, height * column + EIGHT * byte, near, (places, codes), at)
         found += np.int64(popcount(differs))
     return found
 
@@ -161,14 +166,18 @@ def _count(tokens, counts):  # type: ignore[no-untyped-def]
 
 
 LONGEST_CODE, SHARE = 15, 2000  # no symbol counts for less than this share: so no code is longer, see `_code_lengths`
-END_OF_BLOCK, SYMBOLS, DISTANCES, DISTANCE_SYMBOL = 256, 286, 10, 9
-DISTANCE_BITS, DISTANCE_WORD = 4, 0b1110  # the code, 0, and the 7 by which `BACK` is beyond 25, the symbol's least
+END_OF_BLOCK, SYMBOLS = 256, 286
+# By height: the symbol of that distance, the bits after its code, and the code, 0, with those bits above it: all ones,
+# as 8, 16 and 32 are the last distances of their symbols (3.2.5 of the source).
+DISTANCES = {8: (5, 1, 0b10), 16: (7, 2, 0b110), 32: (9, 3, 0b1110)}
 CODE_LENGTH_ORDER = (16, 17, 18, 0, 8, 7, 9, 6, 10, 5, 11, 4, 12, 3, 13, 2, 14, 1, 15)
 TURNED = np.array([int(f"{length:04b}"[::-1], 2) for length in range(16)])  # codes begin with their highest bit
 
 
-def _token_symbols() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
+@lru_cache(maxsize=3)
+def _token_symbols(height: int) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.int64]]:
     """Per token its symbol, the number of bits after the symbol's code, and these bits; 3.2.5 of the source."""
+    _, distance_bits, distance_word = DISTANCES[height]
     symbols, bits, extra = np.zeros((3, TOKENS), np.int64)
     symbols[:LITERALS], symbols[END] = np.arange(LITERALS), END_OF_BLOCK
     length, symbol = FEWEST, END_OF_BLOCK + 1
@@ -179,35 +188,34 @@ def _token_symbols() -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.i
         symbol += 1
     symbols[MATCH + MOST], bits[MATCH + MOST], extra[MATCH + MOST] = symbol, 0, 0
     matches = slice(MATCH + FEWEST, None)
-    extra[matches] |= DISTANCE_WORD << bits[matches]
-    bits[matches] += DISTANCE_BITS
+    extra[matches] |= distance_word << bits[matches]
+    bits[matches] += 1 + distance_bits
     return symbols, bits, extra
 
 
-TOKEN_SYMBOLS, TOKEN_BITS, TOKEN_EXTRA = _token_symbols()
-
-
-def deflated_columns(ones: Words, twos: Words = NOTHING) -> bytes:
+def deflated_columns(ones: Words, twos: Words | None = None, height: int = PAPER.shape[2]) -> bytes:
     """The final deflate block of the grid that `stone.labels.columns.spread_out` makes of these columns."""
-    tokens, counts = tokens_of(ones, twos)
-    lengths = _code_lengths(np.bincount(TOKEN_SYMBOLS, counts, SYMBOLS).astype(np.int64))
-    words, bits = _token_words(lengths)
-    header = _header(lengths)
+    tokens, counts = tokens_of(ones, nothing(ones.shape) if twos is None else twos, height)
+    symbols = _token_symbols(height)
+    lengths = _code_lengths(np.bincount(symbols[0], counts, SYMBOLS).astype(np.int64))
+    words, bits = _token_words(lengths, symbols)
+    header = _header(lengths, DISTANCES[height][0])
     size = int(header[:, 1].sum()) + int(bits.astype(np.int64) @ counts)
     out = np.empty(size // 32 + 1, "<u4")
     _write(tokens, words, bits, header, out)
     return out.tobytes()[: (size + 7) // 8]
 
 
-def _header(lengths: NDArray[np.int64]) -> NDArray[np.uint64]:
+def _header(lengths: NDArray[np.int64], distance: int) -> NDArray[np.uint64]:
     """The values and widths (K, 2) of the fields that begin a block with a code of its own (3.2.7).
 
-    The lengths of codes are written in a code of four bits each, their value itself.
+    The lengths of codes are written in a code of four bits each, their value itself; `distance` is the last symbol of
+    its kind, and the only one that comes.
     """
-    fixed = [(1, 1), (2, 2), (SYMBOLS - 257, 5), (DISTANCES - 1, 5), (len(CODE_LENGTH_ORDER) - 4, 4)]
+    fixed = [(1, 1), (2, 2), (SYMBOLS - 257, 5), (distance, 5), (len(CODE_LENGTH_ORDER) - 4, 4)]
     fixed += [(4 if length <= LONGEST_CODE else 0, 3) for length in CODE_LENGTH_ORDER]
-    coded = np.full((SYMBOLS + DISTANCES, 2), 4, np.uint64)
-    coded[:, 0] = TURNED[np.append(lengths, np.arange(DISTANCES) == DISTANCE_SYMBOL)]
+    coded = np.full((SYMBOLS + distance + 1, 2), 4, np.uint64)
+    coded[:, 0] = TURNED[np.append(lengths, np.arange(distance + 1) == distance)]
     return np.concatenate([np.array(fixed, np.uint64), coded])
 
 
@@ -251,7 +259,7 @@ def _reversed(code, length):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _token_words(lengths):  # type: ignore[no-untyped-def]
+def _token_words(lengths, symbols):  # type: ignore[no-untyped-def]
     """Per token the bits that stand for it and how many they are; codes are canonical (3.2.2)."""
     codes, code = np.zeros(lengths.size, np.int64), 0
     for length in range(1, LONGEST_CODE + 1):
@@ -262,9 +270,9 @@ def _token_words(lengths):  # type: ignore[no-untyped-def]
         code <<= 1
     words, bits = np.zeros(TOKENS, np.uint64), np.zeros(TOKENS, np.uint64)
     for token in range(TOKENS):
-        length = lengths[TOKEN_SYMBOLS[token]]
-        words[token] = codes[TOKEN_SYMBOLS[token]] | TOKEN_EXTRA[token] << length
-        bits[token] = length + TOKEN_BITS[token] if length else 0
+        length = lengths[symbols[0][token]]
+        words[token] = codes[symbols[0][token]] | symbols[2][token] << length
+        bits[token] = length + symbols[1][token] if length else 0
     return words, bits
 
 

@@ -1,26 +1,27 @@
 """A label grid as upright columns of bits: a frame is cut, hidden, counted and compared in words, not in voxels.
 
-**Conventions.** A column is the 32 voxels over one place (x, y) of the grid of `stone.labels.grid`; bit z of its uint32
-word stands for voxel z. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
+**Conventions.** A column is the voxels over one place (x, y) of a grid, at most 32; bit z of its uint32 word stands for
+voxel z, and bits above the grid's height are 0. The class of a voxel is its bit of `ones` plus twice its bit of `twos`.
 """
 
 from dataclasses import dataclass
+from functools import lru_cache
 
 import numpy as np
 from numba import njit
 from numpy.typing import NDArray
 
 from stone.kernels.lanes import popcount, spread
-from stone.labels.grid import GRID_SHAPE, Grid
+from stone.labels.grid import Grid
+from stone_base.label_grid import PAPER
 
+COLUMN = 32  # bytes that are written at once
 Words = NDArray[np.uint32]
-SHAPE = GRID_SHAPE[:2]
-NOTHING = np.zeros(SHAPE, np.uint32)
 
 
 @dataclass(frozen=True, eq=False)
 class Columns:
-    """The label grid of one frame, each (256, 256) uint32: both bits of the classes, and what was observed.
+    """The label grid of one frame, each (X, Y) uint32: both bits of the classes, and what was observed.
 
     `filled` of its labelled voxels close a gap (`stone.labels.pinholes`).
     """
@@ -36,26 +37,43 @@ class Columns:
 
 
 def gathered(grid: Grid) -> Words:
-    """The columns (256, 256) in which those voxels are set that are not 0 in the grid."""
-    return np.packbits(grid != 0, axis=-1, bitorder="little").view("<u4")[..., 0]
+    """The columns (X, Y) in which those voxels are set that are not 0 in the grid, at most 32 voxels high."""
+    packed = np.zeros((*grid.shape[:2], COLUMN // 8), np.uint8)
+    bits = np.packbits(grid != 0, axis=-1, bitorder="little")
+    packed[..., : bits.shape[-1]] = bits
+    return packed.view("<u4")[..., 0]
 
 
-def spread_out(ones: Words, twos: Words = NOTHING, out: Grid | None = None) -> Grid:
-    """The grid (`out` if given), of `GRID_SHAPE`, whose voxels are their bit of `ones` plus twice that of `twos`."""
-    grid = np.empty(GRID_SHAPE, np.uint8) if out is None else out
-    _spread(ones.reshape(-1), twos.reshape(-1), grid.reshape(-1))
+@lru_cache(maxsize=4)
+def nothing(shape: tuple[int, ...]) -> Words:
+    """Return columns of this shape without a voxel, not to be written to."""
+    return np.zeros(shape, np.uint32)
+
+
+def spread_out(ones: Words, twos: Words | None = None, out: Grid | None = None, height: int = PAPER.shape[2]) -> Grid:
+    """Return (in `out`) the grid of this height whose voxels are their bit of `ones` plus twice that of `twos`."""
+    grid = np.empty((*ones.shape, height), np.uint8) if out is None else out
+    both = ones, nothing(ones.shape) if twos is None else twos
+    _spread(both[0].reshape(-1), both[1].reshape(-1), grid.shape[-1], grid.reshape(-1))
     return grid
 
 
 @njit(cache=True, nogil=True)
-def _spread(ones, twos, out):  # type: ignore[no-untyped-def]
+def _spread(ones, twos, height, out):  # type: ignore[no-untyped-def]
+    """A column is written 32 bytes at once, the next over what is beyond its end; the last ones byte by byte."""
     for column in range(ones.size):
-        spread(ones[column], twos[column], out, 32 * column)
+        at = height * column
+        if at + COLUMN <= out.size:
+            spread(ones[column], twos[column], out, at)
+        else:
+            for z in range(height):
+                bit = np.uint32(z)
+                out[at + z] = (ones[column] >> bit & np.uint32(1)) + np.uint32(2) * (twos[column] >> bit & np.uint32(1))
 
 
 @dataclass(frozen=True, eq=False)
 class Masks:
-    """What was observed and what cameras see of one frame, (256, 256) uint32 each, and how much that is.
+    """What was observed and what cameras see of one frame, (X, Y) uint32 each, and how much that is.
 
     `by_class` (4,) counts the voxels of each class, `by_mask` (2,) those of each mask.
     """
@@ -66,11 +84,14 @@ class Masks:
     by_mask: NDArray[np.int64]
 
 
-def reconcile(columns: Columns, visible: Words) -> Masks:
-    """Make the masks agree: what is labelled was observed, and cameras vouch for no voxel that no ray reached."""
-    masks = Masks(np.empty(SHAPE, np.uint32), np.empty(SHAPE, np.uint32), np.zeros(4, np.int64), np.zeros(2, np.int64))
+def reconcile(columns: Columns, visible: Words, height: int = PAPER.shape[2]) -> Masks:
+    """Make the masks of a grid of this height agree: what is labelled was observed, and cameras vouch for no voxel that
+    no ray reached."""
+    shape = columns.ones.shape
+    masks = Masks(np.empty(shape, np.uint32), np.empty(shape, np.uint32), np.zeros(4, np.int64), np.zeros(2, np.int64))
     words = [each.reshape(-1) for each in (columns.ones, columns.twos, columns.observed, visible)]
     _reconcile(tuple(words), (masks.observed.reshape(-1), masks.visible.reshape(-1)), (masks.by_class, masks.by_mask))
+    masks.by_class[0] = height * columns.ones.size - masks.by_class[1:].sum()
     return masks
 
 
@@ -85,4 +106,3 @@ def _reconcile(words, masks, counts):  # type: ignore[no-untyped-def]
             by_class[kind + 1] += np.int64(popcount(np.uint64(word)))
         by_mask[0] += np.int64(popcount(np.uint64(seen)))
         by_mask[1] += np.int64(popcount(np.uint64(seen & visible[column])))
-    by_class[0] = 32 * ones.size - by_class[1:].sum()

@@ -1,8 +1,11 @@
 """Crops: the columns of one frame, and what else is known of their voxels, cut out of the labelled map.
 
-**Conventions.** An ego voxel takes the class of the map voxel that holds its centre. Where the straight way between
-two neighbouring centres crosses a labelled map voxel that neither centre hits, the nearer of the two takes its class
-(`stone.labels.pinholes`): so a surface closed in the map stays closed in the grid, whatever the yaw, pitch and roll.
+**Conventions.** An ego voxel of the map's size takes the class of the map voxel that holds its centre. Where the
+straight way between two neighbouring centres crosses a labelled map voxel that neither centre hits, the nearer of the
+two takes its class (`stone.labels.pinholes`): so a surface closed in the map stays closed in the grid, whatever the
+yaw, pitch and roll.
+
+A larger voxel is pooled of those it consists of (`stone.labels.pooling`).
 
 Positions are fixed-point map voxels of `FRACTION_BITS`. A row of columns is cut of one frame after another before
 the next row is: frames of a batch follow each other, so they look up nearly the same voxels of the map.
@@ -19,20 +22,24 @@ from stone.geometry.lattice import VoxelTable, find, pack
 from stone.geometry.se3 import SE3
 from stone.kernels.lanes import looked_up, lowest
 from stone.labels.columns import Columns
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Window
+from stone.labels.grid import Window
 from stone.labels.pinholes import FRACTION_BITS, NOT_ASKED, ONE, close_row
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER, LabelGrid
 
 UNTAKEN = np.iinfo(np.int32).min
 
 
-def cut_with_rows(window: Window, map_from_ego: SE3, labelled: VoxelTable) -> tuple[Columns, NDArray[np.int32]]:
-    """Return the columns of the frame at this pose, and of every voxel, of `GRID_SHAPE`, the row of the labelled map
-    voxel whose class it took; −1 if there is no surface. A voxel that closes a gap has the row of its neighbour's."""
-    taken = np.full((*GRID_SHAPE, 3), UNTAKEN, np.int32)
-    columns = cut(window, map_from_ego, taken)
-    found = np.full(GRID_SHAPE, -1, np.int32)
-    placing = placing_of(window, map_from_ego)
+def cut_with_rows(
+    window: Window, map_from_ego: SE3, labelled: VoxelTable, grid: LabelGrid = PAPER
+) -> tuple[Columns, NDArray[np.int32]]:
+    """Return the columns of the frame at this pose, and of every voxel of a grid in voxels of the map's size the row of
+    the labelled map voxel whose class it took; −1 if there is no surface. A voxel that closes a gap has the row of its
+    neighbour's."""
+    taken = np.full((*grid.shape, 3), UNTAKEN, np.int32)
+    columns = cut(window, map_from_ego, taken, grid)
+    found = np.full(grid.shape, -1, np.int32)
+    placing = placing_of(window, map_from_ego, grid)
     place = (placing.start, placing.step, window.origin)
     _look_up((columns.occupied, taken), place, (labelled.keys, labelled.rows), found)
     return columns, found
@@ -64,57 +71,64 @@ class CropPlacement:
     step: NDArray[np.int64]
 
 
-def placing_of(window: Window, map_from_ego: SE3) -> CropPlacement:
+def placing_of(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> CropPlacement:
     """Return the places of a frame's voxels in the window."""
     scaled = map_from_ego.as_matrix() / VOXEL_M
     scaled[:3, 3] -= window.origin
     first = scaled[:3, 3].copy()
     for axis in range(3):
-        first += scaled[:3, axis] * (GRID_MIN_M[axis] + 0.5 * VOXEL_M)
+        first += scaled[:3, axis] * (grid.min_m[axis] + 0.5 * VOXEL_M)
     return CropPlacement(
         np.rint(first * ONE).astype(np.int64), np.rint(scaled[:3, :3] * VOXEL_M * ONE).astype(np.int64)
     )
 
 
-def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED) -> Columns:
-    """The columns of the frame at this pose; outside the window all is free and unobserved.
+def cut(window: Window, map_from_ego: SE3, taken: NDArray[np.int32] = NOT_ASKED, grid: LabelGrid = PAPER) -> Columns:
+    """Return the columns of the frame at this pose, of a grid in voxels of the map's size; outside the window all is
+    free and unobserved.
 
-    `taken`, if asked for, (256, 256, 32, 3): where a voxel closes a gap, the voxel of the window it is labelled by.
+    `taken`, if asked for, is of the grid's shape and 3: where a voxel closes a gap, the voxel of the window it is
+    labelled by.
     """
-    return _cuts(window, [placing_of(window, map_from_ego)], taken)[0]
+    return _cuts(window, [placing_of(window, map_from_ego, grid)], taken, grid.shape)[0]
 
 
-def cut_batch(window: Window, map_from_ego: SE3) -> list[Columns]:
-    """The columns of the frames at these poses (F,), as `cut` gives them one by one."""
-    return _cuts(window, [placing_of(window, map_from_ego[frame]) for frame in range(len(map_from_ego))], NOT_ASKED)
+def cut_batch(window: Window, map_from_ego: SE3, grid: LabelGrid = PAPER) -> list[Columns]:
+    """Return the columns of the frames at these poses (F,), as `cut` gives them one by one."""
+    placings = [placing_of(window, map_from_ego[frame], grid) for frame in range(len(map_from_ego))]
+    return _cuts(window, placings, NOT_ASKED, grid.shape)
 
 
-def _cuts(window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32]) -> list[Columns]:
+def _cuts(
+    window: Window, placings: Sequence[CropPlacement], taken: NDArray[np.int32], shape: tuple[int, int, int]
+) -> list[Columns]:
     starts, steps = np.array([one.start for one in placings]), np.array([one.step for one in placings])
-    ones, twos, observed = (np.empty((len(placings), *GRID_SHAPE[:2]), np.uint32) for _ in range(3))
-    rows = np.empty((len(placings), 2, GRID_SHAPE[1], 4), np.uint32)
+    ones, twos, observed = (np.empty((len(placings), *shape[:2]), np.uint32) for _ in range(3))
+    rows = np.empty((len(placings), 2, shape[1], 4), np.uint32)
     filled = np.zeros(len(placings), np.int64)
-    _cut(window.voxels, (starts, steps), rows, (ones, twos, observed, taken, filled))
+    _cut(window.voxels, (starts, steps), (rows, shape[2]), (ones, twos, observed, taken, filled))
     return [Columns(*words) for words in zip(ones, twos, observed, filled.tolist(), strict=True)]
 
 
 @njit(cache=True, nogil=True)
-def _cut(voxels, places, rows, out):  # type: ignore[no-untyped-def]
-    """A row of columns is closed as soon as it is fetched, while the map around it is near; `rows` (F, 2, 256, 4) are
-    this one and the one before, in turn, bit by bit of the window's voxels."""
-    (starts, steps), (ones, twos, observed, taken, filled) = places, out
+def _cut(voxels, places, room, out):  # type: ignore[no-untyped-def]
+    """A row of columns of this height is closed as soon as it is fetched, while the map around it is near; `rows`
+    (F, 2, Y, 4) are this one and the one before, in turn, bit by bit of the window's voxels."""
+    (starts, steps), (rows, height), (ones, twos, observed, taken, filled) = places, room, out
+    used = np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     ways = np.empty(3 * 32 * rows.shape[2], np.int64)
     for a in range(ones.shape[1]):
         for f in range(ones.shape[0]):
-            _fetch_row(voxels, (starts[f], steps[f]), a, rows[f, a & 1])
+            _fetch_row(voxels, (starts[f], steps[f]), (a, used), rows[f, a & 1])
             row = (a, rows[f], ways)
             filled[f] += close_row(voxels, (starts[f], steps[f]), row, (ones[f], twos[f], observed[f], taken))
 
 
 @njit(cache=True, nogil=True)
-def _fetch_row(voxels, place, a, row):  # type: ignore[no-untyped-def]
-    """Fill row `a`, (256, 4). What is outside the window is looked up in its outermost layer."""
-    start, step = place
+def _fetch_row(voxels, place, asked, row):  # type: ignore[no-untyped-def]
+    """Fill row a of `asked`, (Y, 4), with the bits that are used. What is outside the window is looked up in its
+    outermost layer."""
+    (start, step), (a, used) = place, asked
     su, sv, sw = step[0, 2], step[1, 2], step[2, 2]
     bu, bv, bw = step[0, 1], step[1, 1], step[2, 1]  # read once: for all the compiler knows, the row may lie over them
     u, v, w = start[0] + a * step[0, 0] + ONE, start[1] + a * step[1, 0] + ONE, start[2] + a * step[2, 0] + ONE
@@ -122,4 +136,5 @@ def _fetch_row(voxels, place, a, row):  # type: ignore[no-untyped-def]
     flat = voxels.reshape(-1)
     for b in range(row.shape[0]):
         place = (u + b * bu, v + b * bv, w + b * bw)
-        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = looked_up(flat, last, place, (su, sv, sw), FRACTION_BITS)
+        one, two, occupied, seen = looked_up(flat, last, place, (su, sv, sw), FRACTION_BITS)
+        row[b, 0], row[b, 1], row[b, 2], row[b, 3] = one & used, two & used, occupied & used, seen & used

@@ -1,7 +1,6 @@
 """The label grid around the robot, and the block of the labelled map that a stretch of frames is cut from.
 
-**Conventions.** The grid is ego-aligned: `GRID_MIN_M` to `GRID_MAX_M`, voxels of `VOXEL_M`, shape `GRID_SHAPE`, axes
-x, y, z, C order. `stone.labels.crops` cuts it out of a `Window`.
+**Conventions.** Grids are those of `stone_base.label_grid`. `stone.labels.crops` cuts one out of a `Window`.
 """
 
 import math
@@ -18,6 +17,7 @@ from stone.labels.voxels import VOXEL_M
 from stone_base.label_grid import GRID_MAX_M as GRID_MAX_M
 from stone_base.label_grid import GRID_MIN_M as GRID_MIN_M
 from stone_base.label_grid import GRID_SHAPE as GRID_SHAPE
+from stone_base.label_grid import PAPER, LabelGrid
 
 LOW, HIGH, OCCUPIED, OBSERVED = 1, 2, 4, 8  # bits of a voxel of a window
 MOST_BYTES = 2**31 - 1  # places in a window are counted in 32 bits
@@ -110,9 +110,9 @@ def _put_observed(voxels, corners, words):  # type: ignore[no-untyped-def]
                 voxels[x + 1, y + 1, z + 1] |= np.uint8(OBSERVED) if seen else np.uint8(0)
 
 
-def frame_bounds(map_from_ego: SE3, margin_voxels: int = 2) -> Bounds:
-    """The half-open range of map voxel indices that the grids at these poses (P,) can touch."""
-    low, high = np.array(GRID_MIN_M), np.array(GRID_MAX_M)
+def frame_bounds(map_from_ego: SE3, grid: LabelGrid = PAPER, margin_voxels: int = 2) -> Bounds:
+    """Return the half-open range of map voxel indices that the grids at these poses (P,) can touch."""
+    low, high = np.array(grid.min_m), np.array(grid.max_m)
     corners = np.array([[(low, high)[(c >> axis) & 1][axis] for axis in range(3)] for c in range(8)])
     corners_map = SE3(map_from_ego.wxyz_xyz[..., None, :]) @ corners
     indices = np.floor(corners_map.reshape(-1, 3) / VOXEL_M).astype(np.int64)

@@ -5,6 +5,7 @@ batch of any size gives what its frames give alone.
 """
 
 from collections.abc import Sequence
+from math import prod
 from typing import Any
 
 import numpy as np
@@ -14,36 +15,47 @@ from numba.extending import intrinsic
 
 from stone.kernels.lanes import I8, I32, bits_of, pointer, splat, transpose
 from stone.labels.columns import Words
-from stone.labels.visibility import AT_SOURCE, FRAMED, IN_IMAGE, OPEN, SIDE_BIT, VOXEL_BITS, SightLines, ways
+from stone.labels.visibility import (
+    AT_SOURCE,
+    FRAMED_HEIGHT,
+    IN_IMAGE,
+    OPEN,
+    SIDE_BIT,
+    VOXEL_BITS,
+    SightLines,
+    framed,
+    ways,
+)
+from stone_base.label_grid import PAPER, LabelGrid
 
 LANES = 32
-BESIDE = 16  # columns; a row of the grid has a whole number of times as many
+BESIDE = 16  # columns
 VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
 
 
 class SightBatch:
     """Follows the lines of a robot's cameras through up to `LANES` frames at a time; keeps 90 MB to do it in."""
 
-    def __init__(self, cameras: Sequence[SightLines]) -> None:
-        voxels = int(np.prod(FRAMED)) if cameras else 0
-        self._cameras = cameras
-        self._ways = ways()
+    def __init__(self, cameras: Sequence[SightLines], grid: LabelGrid = PAPER) -> None:
+        voxels = prod(framed(grid.shape)) if cameras else 0
+        self._cameras, self._sides = cameras, grid.shape[:2]
+        self._ways = ways(grid.shape)
         self._open = np.full(voxels * LANES, OPEN, np.uint8)
         self._free, self._seen = np.zeros(voxels, np.uint32), np.zeros(voxels, np.uint32)
 
     def visible(self, occupied: Words) -> Words:
-        """What any camera sees past the labelled voxels: (F, 256, 256) columns from such, F up to `LANES`."""
+        """What any camera sees past the labelled voxels: (F, X, Y) columns from such, F up to `LANES`."""
         if not self._cameras:
             return np.zeros_like(occupied)
         frames = len(occupied)
         batch = np.zeros((LANES, occupied[0].size), np.uint32)
         batch[:frames] = occupied.reshape(frames, -1)
-        _by_voxel(batch, self._free)
+        _by_voxel(batch, self._sides, self._free)
         self._seen[:] = 0
         for lines in self._cameras:
             _look((lines.place, lines.weight), self._ways, (self._free, self._open, self._seen))
             _look_at_sides(lines.place, self._ways, (self._free, self._open, self._seen))
-        _by_frame(self._seen, batch)
+        _by_frame(self._seen, self._sides, batch)
         return batch[:frames].reshape(occupied.shape)
 
 
@@ -128,32 +140,32 @@ def _look_at_sides(place, ways, state):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _by_voxel(batch, free):  # type: ignore[no-untyped-def]
+def _by_voxel(batch, sides, free):  # type: ignore[no-untyped-def]
     """From columns of each frame to lanes of each voxel: in which frames it is free.
 
     `BESIDE` columns at a time, a line of the cache: their words in one frame and the next lie so far apart that they
     push each other out of it.
     """
     near = np.empty((BESIDE, LANES), np.uint32)
-    for a in range(FRAMED[0] - 2):
-        for b in range(0, FRAMED[1] - 2, BESIDE):
-            column = a * (FRAMED[1] - 2) + b
+    for a in range(sides[0]):
+        for b in range(0, sides[1], BESIDE):
+            column, beside = a * sides[1] + b, min(BESIDE, sides[1] - b)
             for lane in range(LANES):
-                for n in range(BESIDE):
+                for n in range(beside):
                     near[n, lane] = ~batch[lane, column + n]
-            for n in range(BESIDE):
-                transpose(near, n * LANES, free, ((a + 1) * FRAMED[1] + b + n + 1) * FRAMED[2] + 1)
+            for n in range(beside):
+                transpose(near, n * LANES, free, ((a + 1) * (sides[1] + 2) + b + n + 1) * FRAMED_HEIGHT + 1)
 
 
 @njit(cache=True, nogil=True)
-def _by_frame(seen, batch):  # type: ignore[no-untyped-def]
+def _by_frame(seen, sides, batch):  # type: ignore[no-untyped-def]
     """And back: what is seen."""
     near = np.empty((BESIDE, LANES), np.uint32)
-    for a in range(FRAMED[0] - 2):
-        for b in range(0, FRAMED[1] - 2, BESIDE):
-            column = a * (FRAMED[1] - 2) + b
-            for n in range(BESIDE):
-                transpose(seen, ((a + 1) * FRAMED[1] + b + n + 1) * FRAMED[2] + 1, near, n * LANES)
+    for a in range(sides[0]):
+        for b in range(0, sides[1], BESIDE):
+            column, beside = a * sides[1] + b, min(BESIDE, sides[1] - b)
+            for n in range(beside):
+                transpose(seen, ((a + 1) * (sides[1] + 2) + b + n + 1) * FRAMED_HEIGHT + 1, near, n * LANES)
             for lane in range(LANES):
-                for n in range(BESIDE):
+                for n in range(beside):
                     batch[lane, column + n] = near[n, lane]

@@ -1,10 +1,10 @@
 """Visibility of the grid's voxels from one camera, hidden by other voxels or not.
 
-**Conventions.** Grid as in `stone.labels.grid`. Line of sight is decided voxel by voxel outwards: how open the way to a
-voxel is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around that
-point (XDraw: Franklin & Ray, 1994). A free voxel is seen when its way is at least half open; a labelled one also when
-that holds for a free voxel before one of its sides that face the camera, for there the line ends (at a grazing angle
-the way to its middle leads through other ground). One neighbour instead of four would bend every line towards the
+**Conventions.** Grids as in `stone_base.label_grid`. Line of sight is decided voxel by voxel outwards: how open the way
+to a voxel is, is how open it is at the point one step nearer to the camera, interpolated between the four voxels around
+that point (XDraw: Franklin & Ray, 1994). A free voxel is seen when its way is at least half open; a labelled one also
+when that holds for a free voxel before one of its sides that face the camera, for there the line ends (at a grazing
+angle the way to its middle leads through other ground). One neighbour instead of four would bend every line towards the
 grid's axes. The steps depend on the calibration alone, so they are laid out once per robot;
 `stone.labels.sight_batches` follows them for many frames at once.
 
@@ -18,16 +18,13 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import CameraIntrinsics
+from stone_base.label_grid import PAPER, LabelGrid
 
 OPEN = 240  # a way that nothing blocks; 16 × 15 levels fit a byte
 NEAR_M = 0.1
-RIM_M = 2 * VOXEL_M  # lines are followed so far around the image, else they would look around walls there
-
-FRAMED = (GRID_SHAPE[0] + 2, GRID_SHAPE[1] + 2, GRID_SHAPE[2] + 2)
-STRIDES = (FRAMED[1] * FRAMED[2], FRAMED[2], 1)
+RIM = 2  # voxels: lines are followed so far around the image, else they would look around walls there
+FRAMED_HEIGHT = 34  # voxels, of a grid of any height: columns are words of 32 bits
 VOXEL_BITS, SIDE_BIT = 22, 27
 AT_SOURCE = 0  # the way of a voxel beside the camera, or of one that lines come from but that is out of sight itself
 IN_IMAGE = np.uint32(1 << 31)
@@ -47,17 +44,23 @@ class SightLines:
     weight: NDArray[np.uint8]
 
 
-def ways() -> NDArray[np.int64]:
+def framed(shape: tuple[int, ...]) -> tuple[int, int, int]:
+    """Return the shape of a grid with its frame."""
+    return shape[0] + 2, shape[1] + 2, FRAMED_HEIGHT
+
+
+def ways(shape: tuple[int, ...]) -> NDArray[np.int64]:
     """(25, 6) framed flat steps by way: to the first of the four, from there to the second, from the first to the
     third; towards the camera along x, y and z."""
-    table = np.zeros((25, 6), np.int64)
+    table, size = np.zeros((25, 6), np.int64), framed(shape)
+    strides = size[1] * size[2], size[2], 1
     for code in range(1, len(table)):
         main, step, below_one, below_other = _way_of(code)
         one, other = (main + 1) % 3, (main + 2) % 3
-        first = STRIDES[main] * step - STRIDES[one] * below_one - STRIDES[other] * below_other
-        table[code, :3] = first, STRIDES[one], STRIDES[other]
+        first = strides[main] * step - strides[one] * below_one - strides[other] * below_other
+        table[code, :3] = first, strides[one], strides[other]
         for axis, sign in ((main, step), (one, 1 - 2 * below_one), (other, 1 - 2 * below_other)):
-            table[code, 3 + axis] = STRIDES[axis] * sign
+            table[code, 3 + axis] = strides[axis] * sign
     return table
 
 
@@ -66,7 +69,7 @@ def _way_of(code: int) -> tuple[int, int, int, int]:
     return (code - 1) >> 3, 1 if (code - 1) & 4 else -1, (code - 1) >> 1 & 1, (code - 1) & 1
 
 
-def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLines:
+def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3, grid: LabelGrid = PAPER) -> SightLines:
     """The sight lines of one camera through the grid.
 
     The image border is that of the undistorted pinhole: distortion bends lines within the image by less than a voxel
@@ -74,48 +77,49 @@ def sight_lines(intrinsics: CameraIntrinsics, ego_from_camera: SE3) -> SightLine
     """
     k = intrinsics
     image = np.array([k.fx_px, k.fy_px, k.cx_px, k.cy_px, k.width_px, k.height_px], np.float64)
-    camera = (ego_from_camera.translation_m - np.array(GRID_MIN_M)) / VOXEL_M
-    kinds = np.zeros(GRID_SHAPE, np.uint8)
-    _project(ego_from_camera.inverse().as_matrix(), image, np.array(GRID_MIN_M), kinds)
+    low = np.array(grid.min_m)
+    camera = (ego_from_camera.translation_m - low) / grid.voxel_m
+    kinds = np.zeros(grid.shape, np.uint8)
+    _project(ego_from_camera.inverse().as_matrix(), image, (low, grid.voxel_m), kinds)
     _add_sources(camera, kinds)
-    ranks, layers = _ranks(camera)
+    ranks, layers = _ranks(camera, max(grid.shape))
     places = np.empty((np.count_nonzero(kinds), 3), np.int16)
     _sort(kinds, ranks, np.zeros(layers + 1, np.int64), places)
     lines = SightLines(np.empty(len(places), np.uint32), np.zeros((len(places), 4), np.uint8))
-    _lay_out(places, camera, kinds, (lines.place, lines.weight))
+    _lay_out(places, camera, (kinds, framed(grid.shape)), (lines.place, lines.weight))
     return lines
 
 
-def _ranks(camera: NDArray[np.float64]) -> tuple[NDArray[np.int64], int]:
-    """For each axis the rank of its layers of voxels by their distance from the camera, (3, 256), and how many."""
-    middles = np.arange(max(GRID_SHAPE)) + 0.5
+def _ranks(camera: NDArray[np.float64], side: int) -> tuple[NDArray[np.int64], int]:
+    """For each axis the rank of its layers of voxels by their distance from the camera, (3, side), and how many."""
+    middles = np.arange(side) + 0.5
     distances = np.abs(middles - camera[:, None])
     values, ranks = np.unique(distances, return_inverse=True)
     return ranks.reshape(distances.shape), len(values)
 
 
-OUT_OF_SIGHT, SOURCE, RIM, INSIDE = range(4)
+OUT_OF_SIGHT, SOURCE, AT_RIM, INSIDE = range(4)
 
 
 @njit(cache=True, nogil=True)
-def _project(camera_from_ego, image, low, kinds):  # type: ignore[no-untyped-def]
-    """Which voxels are in the image, and which nearer than `RIM_M` to it."""
-    m = camera_from_ego
+def _project(camera_from_ego, image, place, kinds):  # type: ignore[no-untyped-def]
+    """Which voxels are in the image, and which nearer than `RIM` to it."""
+    m, (low, voxel_m) = camera_from_ego, place
     fx, fy, cx, cy, width, height = image
     for a in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             for c in range(kinds.shape[2]):
-                p = (low[0] + (a + 0.5) * VOXEL_M, low[1] + (b + 0.5) * VOXEL_M, low[2] + (c + 0.5) * VOXEL_M)
+                p = (low[0] + (a + 0.5) * voxel_m, low[1] + (b + 0.5) * voxel_m, low[2] + (c + 0.5) * voxel_m)
                 z = m[2, 0] * p[0] + m[2, 1] * p[1] + m[2, 2] * p[2] + m[2, 3]
                 if z <= NEAR_M:
                     continue
                 u = fx * (m[0, 0] * p[0] + m[0, 1] * p[1] + m[0, 2] * p[2] + m[0, 3]) / z + cx
                 v = fy * (m[1, 0] * p[0] + m[1, 1] * p[1] + m[1, 2] * p[2] + m[1, 3]) / z + cy
-                rim_u, rim_v = RIM_M * fx / z, RIM_M * fy / z
+                rim_u, rim_v = RIM * voxel_m * fx / z, RIM * voxel_m * fy / z
                 if 0 <= u < width and 0 <= v < height:
                     kinds[a, b, c] = INSIDE
                 elif -rim_u <= u < width + rim_u and -rim_v <= v < height + rim_v:
-                    kinds[a, b, c] = RIM
+                    kinds[a, b, c] = AT_RIM
 
 
 @njit(inline="always")
@@ -159,7 +163,7 @@ def _add_sources(camera, kinds):  # type: ignore[no-untyped-def]
     for a in range(kinds.shape[0]):
         for b in range(kinds.shape[1]):
             for c in range(kinds.shape[2]):
-                if kinds[a, b, c] < RIM:
+                if kinds[a, b, c] < AT_RIM:
                     continue
                 way, voxel, weights = _nearer((a, b, c), camera)
                 for corner in range(4 if way != AT_SOURCE else 0):
@@ -192,16 +196,16 @@ def _sort(kinds, ranks, begins, places):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _lay_out(places, camera, kinds, out):  # type: ignore[no-untyped-def]
-    place, weight = out
+def _lay_out(places, camera, grid, out):  # type: ignore[no-untyped-def]
+    (kinds, size), (place, weight) = grid, out
     for s in range(places.shape[0]):
         a, b, c = np.int64(places[s, 0]), np.int64(places[s, 1]), np.int64(places[s, 2])
-        framed = np.uint32(((a + 1) * FRAMED[1] + b + 1) * FRAMED[2] + c + 1)
+        voxel = np.uint32(((a + 1) * size[1] + b + 1) * size[2] + c + 1)
         if kinds[a, b, c] == SOURCE:
-            place[s] = framed
+            place[s] = voxel
             continue
         way, _, weights = _nearer((a, b, c), camera)
-        place[s] = framed | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
+        place[s] = voxel | np.uint32(way << VOXEL_BITS) | (IN_IMAGE if kinds[a, b, c] == INSIDE else np.uint32(0))
         for axis in range(3):
             place[s] |= np.uint32(_shows(kinds, (a, b, c), camera, axis)) << np.uint32(SIDE_BIT + axis)
         for corner in range(4):
@@ -217,4 +221,4 @@ def _shows(kinds, at, camera, axis):  # type: ignore[no-untyped-def]
     step = 1 if gap > 0 else -1
     i, j, k = at[0] + (step if axis == 0 else 0), at[1] + (step if axis == 1 else 0), at[2] + (step if axis == 2 else 0)
     inside = 0 <= i < kinds.shape[0] and 0 <= j < kinds.shape[1] and 0 <= k < kinds.shape[2]
-    return inside and kinds[i, j, k] >= RIM
+    return inside and kinds[i, j, k] >= AT_RIM

@@ -1,19 +1,17 @@
 """Confusion of label grids by bit planes and population counts: exact integers, one to two memory passes.
 
-**Conventions.** A grid is (256, 256, 32) uint8, z fastest, classes 0–3. Class bits split into a low and a high plane
-of one bit a voxel; a column (32 voxels along z) is one uint32. Columns are sorted by ring — the horizontal distance of
-the column's centre from the ego origin, half-open: 0–10, 10–20, from 20 m — so that each ring is one contiguous run of
-words. Truth planes are ANDed with the plane of evaluated voxels beforehand. Confusions are [ring, truth, prediction].
-Seen from above, a column is drivable where its evaluated voxels hold a T or P and no N; columns drivable in both, in
-the truth only and in the prediction only are counted [ring, 3]. The counts of `stone.scoring.columns` are made of the
-same planes where they are wanted.
+**Conventions.** A grid is (X, Y, Z) uint8, z fastest, classes 0–3; Z divides 32. Class bits split into a low and a high
+plane of one bit a voxel; a column (up to 32 voxels along z) is one uint32. Columns lie as in
+`stone.scoring.plane_layout`. Truth planes are ANDed with the plane of evaluated voxels beforehand. Confusions are
+[ring, truth, prediction]. Seen from above, a column is drivable where its evaluated voxels hold a T or P and no N;
+columns drivable in both, in the truth only and in the prediction only are counted [ring, 3]. The counts of
+`stone.scoring.columns` are made of the same planes where they are wanted.
 
 Source: counts of unions from counts of intersections by inclusion–exclusion; the planes are a bitmap index (O'Neil and
 Quass, 1997).
 """
 
 from dataclasses import dataclass
-from itertools import pairwise
 from typing import Any
 
 import numpy as np
@@ -23,16 +21,13 @@ from numpy.typing import NDArray
 from stone.errors import ShapeError, StoneError
 from stone.kernels.column_words import drivable32, pack1, pack8
 from stone.kernels.lanes import popcount, prefetch
-from stone.labels.grid import GRID_SHAPE, Grid
-from stone.labels.voxels import VOXEL_M
-from stone.scoring.columns import count_columns, count_pairs
+from stone.labels.grid import Grid
+from stone.scoring.columns import count_columns, count_pairs, overhead_voxels
 from stone.scoring.metric import CLASSES
-from stone_base.label_grid import VOXELS as VOXELS
+from stone.scoring.plane_layout import CHUNK, RINGS, layout_of
+from stone_base.label_grid import PAPER, LabelGrid
 
-RING_EDGES_M = (10.0, 20.0)
-RINGS = len(RING_EDGES_M) + 1
-COLUMNS = VOXELS // 32
-WORDS = VOXELS // 64
+WORD = 32  # voxels
 
 Planes = NDArray[np.uint64]
 Columns = NDArray[np.uint32]
@@ -54,13 +49,14 @@ class LabelRangeError(StoneError):
 
 @dataclass(frozen=True, eq=False)
 class TruthPlanes:
-    """Ground truth of one frame, ring-sorted: `planes` (3, WORDS) = low, high, evaluated.
+    """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
 
     `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set.
     """
 
     planes: Planes
     counts: NDArray[np.int64]
+    grid: LabelGrid = PAPER
 
 
 @dataclass(frozen=True, eq=False)
@@ -84,50 +80,52 @@ class FrameCounts:
     column_counts: ColumnCounts
 
 
-def column_rings() -> NDArray[np.int64]:
-    """Ring of each column (65536,), x slowest."""
-    half = [(np.arange(n) - n / 2 + 0.5) * VOXEL_M for n in GRID_SHAPE[:2]]
-    distance_m = np.hypot(half[0][:, None], half[1][None, :])
-    return np.asarray(np.digitize(distance_m, RING_EDGES_M).ravel(), dtype=np.int64)
-
-
-_ORDER = np.argsort(column_rings(), kind="stable")
-_BOUNDS = np.concatenate([[0], np.cumsum(np.bincount(column_rings(), minlength=RINGS))])
-# Columns counted at a time: their planes, 32 KiB, stay in the nearest cache and cost no page faults.
-_CHUNK = 4096
-
-
-def _schedule() -> tuple[NDArray[np.int64], NDArray[np.int64]]:
-    """Runs (source column, target column, length) of the sort, and chunks (ring, start, stop, first run, last run)."""
-    starts = np.concatenate([np.arange(low, high, _CHUNK) for low, high in pairwise(_BOUNDS)])
-    stops = np.append(starts[1:], COLUMNS)
-    breaks = np.unique(np.concatenate([[0], np.flatnonzero(np.diff(_ORDER) != 1) + 1, starts]))
-    runs = np.stack([_ORDER[breaks], breaks, np.diff(np.append(breaks, COLUMNS))], axis=1)
-    rings = np.searchsorted(_BOUNDS, starts, side="right") - 1
-    chunks = np.stack([rings, starts, stops, np.searchsorted(breaks, starts), np.searchsorted(breaks, stops)], axis=1)
-    return runs.astype(np.int64), chunks.astype(np.int64)
-
-
-_RUNS, _CHUNKS = _schedule()
-
-
 @njit(cache=True, nogil=True)
-def _pack(voxels: Grid, runs: NDArray[np.int64], low: Columns, high: Columns, wanted: Columns) -> np.uint64:
+def _pack(source: Any, runs: NDArray[np.int64], low: Columns, high: Columns, wanted: Columns) -> np.uint64:
     """Both planes of the columns in `runs`, sorted, from 0 on; not 0 if a voxel is above 3.
 
     Packing leaves the memory idle, so that the same columns of `wanted` (planes, columns) are brought near meanwhile.
     """
+    voxels, height = source
     origin = runs[0, 1]
     beyond = np.uint64(0)
-    for r in range(runs.shape[0]):
-        source, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
+    for _ in range(np.int64(height < WORD)):
+        beyond |= _pack_low(voxels, height, runs, low, high)
+    for r in range(runs.shape[0] * np.int64(height == WORD)):
+        start, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
         many = columns - columns % 8
         for i in range(0, many, 8):
-            beyond |= pack8(voxels, 32 * (source + i), low, high, target + i)
+            beyond |= pack8(voxels, 32 * (start + i), low, high, target + i)
             for plane in range(wanted.shape[0]):
                 prefetch(wanted, plane * wanted.shape[1] + target + origin + i)
         for i in range(many, columns):
-            beyond |= pack1(voxels, 32 * (source + i), low, high, target + i)
+            beyond |= pack1(voxels, 32 * (start + i), low, high, target + i)
+    return beyond
+
+
+@njit(cache=True, nogil=True)
+def _pack_low(voxels: Grid, height: int, runs: NDArray[np.int64], low: Columns, high: Columns) -> np.uint64:
+    """As `_pack`, of columns of fewer voxels than a word has: several are packed into each, and taken apart."""
+    origin, beyond = runs[0, 1], np.uint64(0)
+    near_low, near_high = np.empty(8, np.uint32), np.empty(8, np.uint32)
+    share, own = WORD // height, np.uint32((1 << height) - 1)
+    for r in range(runs.shape[0]):
+        start, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
+        many = columns - columns % (8 * share)
+        for i in range(0, many, 8 * share):
+            beyond |= pack8(voxels, height * (start + i), near_low, near_high, 0)
+            for word in range(8):
+                for part in range(share):
+                    at, shift = target + i + word * share + part, np.uint32(part * height)
+                    low[at], high[at] = near_low[word] >> shift & own, near_high[word] >> shift & own
+        for i in range(many, columns):
+            one = two = np.uint32(0)
+            for z in range(height):
+                voxel = np.uint32(voxels[height * (start + i) + z])
+                one |= (voxel & np.uint32(1)) << np.uint32(z)
+                two |= (voxel >> np.uint32(1) & np.uint32(1)) << np.uint32(z)
+                beyond |= np.uint64(voxel >> np.uint32(2))
+            low[target + i], high[target + i] = one, two
     return beyond
 
 
@@ -215,24 +213,24 @@ def _exact(joint: NDArray[np.int64]) -> None:
 
 
 @njit(cache=True, nogil=True)
-def _count(voxels: Grid, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint64:
+def _count(source: Any, truth: Planes, counts: NDArray[np.int64], schedule: Any, outs: Any) -> np.uint64:
     """The counts of each ring, added to the column counts if these have rings; returns not 0 if a voxel is above 3."""
-    runs, chunks = schedule
-    low, high, beyond = np.empty(_CHUNK, np.uint32), np.empty(_CHUNK, np.uint32), np.uint64(0)
+    runs, chunks, overhead = schedule
+    low, high, beyond = np.zeros(CHUNK, np.uint32), np.zeros(CHUNK, np.uint32), np.uint64(0)
     joint, bev = np.zeros((counts.shape[0], 4, 4), np.int64), np.zeros((counts.shape[0], 3), np.int64)
     columns = truth.view(np.uint32)
     for c in range(chunks.shape[0]):
-        ring, start, stop, first, last = chunks[c]
-        beyond |= _pack(voxels, runs[first:last], low, high, columns)
+        ring, start, stop, end, first, last = chunks[c]
+        beyond |= _pack(source, runs[first:last], low, high, columns)
         a, b, words = start // 2, stop // 2, (stop - start) // 2
         packed_low, packed_high = low.view(np.uint64)[:words], high.view(np.uint64)[:words]
         _joint(truth[0, a:b], truth[1, a:b], truth[2, a:b], packed_low, packed_high, joint[ring])
         truth_columns = (columns[0, start:stop], columns[1, start:stop])
         _drivable(truth_columns, columns[2, start:stop], low[: stop - start], high[: stop - start], bev[ring])
         for _ in range(min(outs[2].shape[0], 1)):
-            predicted = low[: stop - start], high[: stop - start]
-            count_pairs(truth_columns, columns[2, start:stop], predicted, outs[2][ring])
-            count_columns(truth_columns, columns[2, start:stop], predicted, outs[3][ring])
+            predicted, taken = (low[: end - start], high[: end - start]), (columns[0, start:end], columns[1, start:end])
+            count_pairs(taken, columns[2, start:end], predicted, outs[2][ring])
+            count_columns(taken, columns[2, start:end], predicted, (overhead, outs[3][ring]))
     for ring in range(counts.shape[0]):
         joint[ring, :, 0] = counts[ring]
         _exact(joint[ring])
@@ -249,19 +247,25 @@ def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
     )
 
 
-def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_]) -> TruthPlanes:
+def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelGrid = PAPER) -> TruthPlanes:
     """Ground truth made ready: voxels that are not evaluated count nowhere.
 
-    Raises `ShapeError` for other shapes than (256, 256, 32) and `LabelRangeError` for values above 3.
+    Raises `ShapeError` for other shapes than the label grid's and `LabelRangeError` for values above 3.
     """
-    if is_evaluated.shape != GRID_SHAPE:
-        raise ShapeError("is_evaluated", is_evaluated.shape, str(GRID_SHAPE))
-    low, high = _sorted_planes(grid)
-    valid, _ = _sorted_planes(is_evaluated.astype(np.uint8))
-    planes = np.stack([low & valid, high & valid, valid])
-    counts = np.zeros((RINGS, 4), np.int64)
-    _count_truth(planes, _BOUNDS, counts)
-    return TruthPlanes(planes, counts)
+    if is_evaluated.shape != label_grid.shape:
+        raise ShapeError("is_evaluated", is_evaluated.shape, str(label_grid.shape))
+    low, high = _sorted_planes(grid, label_grid)
+    valid, _ = _sorted_planes(is_evaluated.astype(np.uint8), label_grid)
+    return truth_of_planes(np.stack([low & valid, high & valid, valid]), label_grid)
+
+
+def truth_of_planes(planes: Planes, label_grid: LabelGrid = PAPER) -> TruthPlanes:
+    """Return the ground truth that has these planes. Raises `ShapeError` if they are not the label grid's."""
+    layout, counts = layout_of(label_grid), np.zeros((RINGS, 4), np.int64)
+    if planes.shape != (3, layout.words):
+        raise ShapeError("planes", planes.shape, f"(3, {layout.words}) for {label_grid}")
+    _count_truth(planes, layout.bounds, counts)
+    return TruthPlanes(planes, counts, label_grid)
 
 
 NO_COLUMN_COUNTS = ColumnCounts(np.empty((0, CLASSES), np.int32), np.empty((0, CLASSES, CLASSES), np.int32))
@@ -276,11 +280,14 @@ def count_by_ring(
 ) -> None:
     """Write the confusion (3, 4, 4) and the drivable columns (3, 3) of one frame, over the evaluated voxels.
 
-    Column counts are added to `columns_out` if it is given. Raises `ShapeError` for other shapes than (256, 256, 32)
-    and `LabelRangeError` for values above 3, evaluated or not; then what was written means nothing.
+    Column counts are added to `columns_out` if it is given. Raises `ShapeError` for other shapes than the truth's grid
+    has and `LabelRangeError` for values above 3, evaluated or not; then what was written means nothing.
     """
     outs = (confusion_out, bev_out, columns_out.pairs, columns_out.columns)
-    if _count(_voxels(prediction), truth.planes, truth.counts, (_RUNS, _CHUNKS), outs):
+    grid, layout = truth.grid, layout_of(truth.grid)
+    schedule = (layout.runs, layout.chunks, overhead_voxels(grid.voxel_m))
+    source = _voxels(prediction, grid), grid.shape[2]
+    if _count(source, truth.planes, truth.counts, schedule, outs):
         raise LabelRangeError(int(prediction.max()))
 
 
@@ -292,17 +299,18 @@ def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
     return counts
 
 
-def _sorted_planes(grid: Grid) -> tuple[Planes, Planes]:
-    planes = np.empty((2, COLUMNS), np.uint32)
-    if _pack(_voxels(grid), _RUNS, planes[0], planes[1], planes[:0]):
+def _sorted_planes(grid: Grid, label_grid: LabelGrid) -> tuple[Planes, Planes]:
+    layout = layout_of(label_grid)
+    planes = np.zeros((2, layout.columns), np.uint32)
+    if _pack((_voxels(grid, label_grid), label_grid.shape[2]), layout.runs, planes[0], planes[1], planes[:0]):
         raise LabelRangeError(int(grid.max()))
     low, high = planes.view(np.uint64)
     return low, high
 
 
-def _voxels(grid: Grid) -> Grid:
-    if grid.shape != GRID_SHAPE or grid.dtype != np.uint8:
-        raise ShapeError("a label grid", grid.shape, f"{GRID_SHAPE} of uint8 (not {grid.dtype})")
+def _voxels(grid: Grid, label_grid: LabelGrid) -> Grid:
+    if grid.shape != label_grid.shape or grid.dtype != np.uint8:
+        raise ShapeError("a label grid", grid.shape, f"{label_grid.shape} of uint8 (not {grid.dtype})")
     voxels = np.ascontiguousarray(grid).reshape(-1)
     voxels.flags.writeable = False  # as a buffer read from a file is: one compiled kernel serves both
     return voxels

@@ -1,8 +1,8 @@
 """Counts by column: pairs of voxels one voxel apart in height, and columns that count once.
 
-**Conventions.** A column is 32 voxels along z in the bits of a word, bit 0 the lowest; a class has the low and the high
-bit of two planes. Compiled kernels for `stone.scoring.bitplanes`, which hands over columns of the truth that hold no
-voxel but evaluated ones, and columns of a prediction that may.
+**Conventions.** A column is up to 32 voxels along z in the bits of a word, bit 0 the lowest; a class has the low and
+the high bit of two planes. Compiled kernels for `stone.scoring.bitplanes`, which hands over columns of the truth that
+hold no voxel but evaluated ones, and columns of a prediction that may.
 
 - *Pairs* of a set (occupied, T, P, N): in each column the voxels of the truth that have a voxel of the prediction at
   most one voxel above or below, or the voxels of the prediction that have one of the truth, whichever are fewer. A
@@ -21,17 +21,19 @@ from numba import njit
 from numpy.typing import NDArray
 
 from stone.kernels.lanes import popcount
-from stone.labels.voxels import VOXEL_M
 
 CLEARANCE_M = 1.6
 """The height of a robot that drives under an obstacle."""
-# An N this many voxels above the surface leaves `CLEARANCE_M` between both.
-_OVERHEAD = np.uint64(round(CLEARANCE_M / VOXEL_M) + 1)
 _ONE = np.uint64(1)
 
 COUNTED_FRAMES = 250
 
 Columns = NDArray[np.uint32]
+
+
+def overhead_voxels(voxel_m: float) -> int:
+    """Return how many voxels above the surface an N leaves `CLEARANCE_M` between both."""
+    return round(CLEARANCE_M / voxel_m) + 1
 
 
 def counted_every(frames: int) -> int:
@@ -70,15 +72,19 @@ def _thickened(column: Any) -> Any:
 
 
 @njit(cache=True, nogil=True)
-def count_columns(truth: Any, evaluated: Columns, prediction: Any, counts: NDArray[np.int32]) -> None:
-    """The confusion (4, 4) [truth, prediction] of columns added; both are a low and a high plane."""
-    (truth_low, truth_high), (low, high) = truth, prediction
+def count_columns(truth: Any, evaluated: Columns, prediction: Any, out: Any) -> None:
+    """The confusion (4, 4) [truth, prediction] of columns added; both are a low and a high plane.
+
+    `out` are the number of `overhead_voxels` and the counts.
+    """
+    (truth_low, truth_high), (low, high), (voxels, counts) = truth, prediction, out
+    overhead = np.uint64(voxels)
     s11 = s12 = s13 = s21 = s22 = s23 = s31 = s32 = s33 = np.uint64(0)
     t1 = t2 = t3 = q1 = q2 = q3 = np.uint64(0)
     for i in range(low.size):
         valid = np.uint64(evaluated[i])
-        g1, g2, g3 = _class_of(np.uint64(truth_low[i]), np.uint64(truth_high[i]))
-        p1, p2, p3 = _class_of(np.uint64(low[i]) & valid, np.uint64(high[i]) & valid)
+        g1, g2, g3 = _class_of(np.uint64(truth_low[i]), np.uint64(truth_high[i]), overhead)
+        p1, p2, p3 = _class_of(np.uint64(low[i]) & valid, np.uint64(high[i]) & valid, overhead)
         s11, s12, s13 = s11 + (g1 & p1), s12 + (g1 & p2), s13 + (g1 & p3)
         s21, s22, s23 = s21 + (g2 & p1), s22 + (g2 & p2), s23 + (g2 & p3)
         s31, s32, s33 = s31 + (g3 & p1), s32 + (g3 & p2), s33 + (g3 & p3)
@@ -100,12 +106,12 @@ def count_columns(truth: Any, evaluated: Columns, prediction: Any, counts: NDArr
 
 
 @njit(inline="always")
-def _class_of(low: Any, high: Any) -> Any:
+def _class_of(low: Any, high: Any, overhead: Any) -> Any:
     """Whether (0 or 1) a column is T, P, N; none of them where it is free."""
     blocking = low & high
     surface = low ^ high
     lowest = surface & (~surface + _ONE)
-    within_reach = (lowest << _OVERHEAD) - _ONE  # all voxels where there is no surface
+    within_reach = (lowest << overhead) - _ONE  # all voxels where there is no surface
     is_n = np.uint64((blocking & within_reach) != 0)
     is_p = np.uint64((high & ~blocking) != 0) & (is_n ^ _ONE)
     is_t = np.uint64((low & ~blocking) != 0) & (is_n ^ _ONE) & (is_p ^ _ONE)

@@ -1,7 +1,7 @@
 """Bit planes as runs of equal columns: neighbours in a scene are often the same, and runs are quick to unroll.
 
-**Conventions.** Planes (3, WORDS) uint64 are taken as 3 · COLUMNS columns of one uint32 in their order. Bit n of
-`changes` says that column n differs from the one before it (the first always does); `columns` are those that do.
+**Conventions.** Planes (3, W) uint64, W a multiple of 32, are taken as 6 · W columns of one uint32 in their order. Bit
+n of `changes` says that column n differs from the one before it (the first always does); `columns` are those that do.
 """
 
 from dataclasses import dataclass
@@ -12,40 +12,40 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.kernels.column_words import unroll8
-from stone.scoring.bitplanes import COLUMNS, WORDS, Planes
+from stone.scoring.bitplanes import Planes
+from stone.scoring.plane_layout import WHOLE
 
 PLANES = 3
-CHANGES = PLANES * COLUMNS // 64
 
 
 @dataclass(frozen=True, eq=False)
 class PlaneRuns:
-    """`changes` (CHANGES,) uint64 with as many bits set as `columns` (R,) uint32 has entries."""
+    """`changes` (6 · W / 64,) uint64 with as many bits set as `columns` (R,) uint32 has entries."""
 
     changes: NDArray[np.uint64]
     columns: NDArray[np.uint32]
 
 
 def runs_of(planes: Planes) -> PlaneRuns:
-    """Raises `ShapeError` for other shapes than (3, WORDS)."""
-    if planes.shape != (PLANES, WORDS):
-        raise ShapeError("planes", planes.shape, f"({PLANES}, {WORDS})")
+    """Raises `ShapeError` for other shapes than (3, a multiple of 32)."""
+    if len(planes.shape) != 2 or planes.shape[0] != PLANES or 2 * planes.shape[1] % WHOLE or not planes.size:
+        raise ShapeError("planes", planes.shape, f"({PLANES}, a multiple of {WHOLE // 2})")
     columns = np.ascontiguousarray(planes).view(np.uint32).reshape(-1)
     is_new = np.concatenate([[True], columns[1:] != columns[:-1]])
     return PlaneRuns(np.packbits(is_new, bitorder="little").view(np.uint64), columns[is_new])
 
 
 def planes_of(runs: PlaneRuns) -> Planes:
-    """The planes (3, WORDS) that `runs_of` was given.
+    """The planes (3, W) that `runs_of` was given.
 
     Raises `ShapeError` where changes and columns do not belong together.
     """
     changes, columns = runs.changes, runs.columns
-    if changes.shape != (CHANGES,) or not changes[0] & np.uint64(1):
-        raise ShapeError("changes", changes.shape, f"({CHANGES},), of which the first bit is set")
+    if changes.ndim != 1 or not changes.size or changes.size % PLANES or not changes[0] & np.uint64(1):
+        raise ShapeError("changes", changes.shape, f"a multiple of {PLANES}, of which the first bit is set")
     if columns.shape != (int(np.bitwise_count(changes).sum(dtype=np.int64)),):
         raise ShapeError("columns", columns.shape, "one entry for each bit that is set in changes")
-    planes = np.empty((PLANES, WORDS), np.uint64)
+    planes = np.empty((PLANES, 32 * changes.size // PLANES), np.uint64)
     _unroll(changes, columns, planes.view(np.uint32).reshape(-1))
     return planes
 

@@ -14,6 +14,7 @@ from stone_client.clock_offsets import ClockOffsetOption
 from stone_client.options import (
     DEFAULT_PROFILE,
     CalibrationOption,
+    GridsOption,
     Ground,
     GroundOption,
     LidarOption,
@@ -96,6 +97,7 @@ def label(
     solver: SolverOption = Solver.LATTICE,
     refine: RefineOption = None,
     ground: GroundOption = Ground.GIVEN,
+    grid: GridsOption = [],  # noqa: B006
     time_offset: TimeOffsetOption = [],  # noqa: B006
     clock_offset: ClockOffsetOption = [],  # noqa: B006
     poses: PosesOption = None,
@@ -103,19 +105,20 @@ def label(
     confidence: ConfidenceOption = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Label every frame of a recording: free, traversable, potentially traversable or not, in 0.2 m voxels.
+    """Label every frame of a recording: free, traversable, potentially traversable or not, voxel by voxel.
 
     Several recordings of one run (sensors in different files, or a run that was cut) are joined first: the offsets of
     their clocks are measured and reported.
     """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import OpenedSequence, with_sequence
-    from services.labeler.local_run import JOINED_RUN, LabelOptions
+    from services.labeler.local_run import FURTHER, JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
     from services.labeler.parameters import RefinementParameters
     from services.labeler.parameters import chosen_parameters as label_parameters
     from services.labeler.process_pool import begin_loading
     from services.labeler.report import LabelReport
+    from stone_files.grid_file import chosen_grids
 
     begin_loading()
     with reported() as progress:
@@ -124,7 +127,7 @@ def label(
         sources = replace(sources, time_offsets_ns=chosen_offsets(time_offset), poses_frame=poses_frame)
         sources = replace(sources, poses=chosen_poses(poses, poses_frame, odometry))
         refinement = RefinementParameters(refine.value) if refine else None
-        parameters = label_parameters(profile.value, chosen_parameters(parameter))
+        parameters = label_parameters(profile.value, chosen_parameters(parameter), chosen_grids(grid))
         parameters = replace(parameters, confidence=confidence, refinement=refinement)
         parameters = replace(parameters, surface=replace(parameters.surface, solver=solver.value))
         recordings = RunRecordings(bags, clock_offset, calibration, lambda: sources)
@@ -146,6 +149,8 @@ def label(
         show(class_table(title, record["class_share_of_occupied"]))
         typer.echo(_held_out_line(record["held_out"]))
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
+        for other in record["further_grids"]:
+            typer.echo(f"Labels at grid {other}: {output / FURTHER / other}")
         recall, judged_m = record["held_out"]["recall"], record["held_out"]["judged_m"]
         if recall is not None:
             typer.echo(f"Held-out track: {recall:.1%} of {judged_m:g} m is T or P in labels made from its other half")

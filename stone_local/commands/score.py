@@ -6,7 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stone_client.options import SubmissionArgument
+from stone_client.options import GridOption, SubmissionArgument
 from stone_client.progress import reported
 from stone_client.refusals import refuse_submission
 from stone_client.streams import JsonOption, echo_json
@@ -34,10 +34,12 @@ def score(
     submission: SubmissionArgument,
     ground_truth: GroundTruthOption,
     least_confidence: LeastConfidenceOption = 0.0,
+    grid: GridOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Score a submission against labels: IoU of occupancy and of each class, over all voxels and within occupied."""
     from services.eval.pipeline import score as score_submission
+    from stone_files.grid_file import chosen_grid
     from stone_local.frame_order import in_time_order
     from stone_submissions.verdict import SubmissionRefusedError
 
@@ -49,6 +51,7 @@ def score(
                 least_confidence=least_confidence,
                 progress=progress,
                 order=in_time_order,
+                grid=chosen_grid(grid) if grid else None,
             )
         except SubmissionRefusedError as error:
             refuse_submission(error.validation, as_json=as_json)

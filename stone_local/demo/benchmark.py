@@ -13,8 +13,6 @@ from urllib.parse import quote
 import numpy as np
 
 from stone.labels.baseline import DEFAULTS, BaselineParameters
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
 from stone.splits.splits import PARTS
 from stone_client.api import Api
 from stone_client.errors import ServerRefusedError
@@ -57,7 +55,7 @@ ENTRIES = (
         "corridor.zip",
         "single sweep, long corridor",
         "entry",
-        BaselineParameters(corridor_reach_m=25.6, gap_passes=12),
+        BaselineParameters(corridor_reach_m=25.6, gap_m=2.4),
     ),
 )
 
@@ -74,10 +72,11 @@ def write_entry(entry: DemoEntry, manifest: Path, sources: Sequence[Path], progr
 
 def write_flat_ground(manifest: Path, output: Path) -> None:
     """Potentially traversable ground at the robot's height in every frame, and nothing else."""
-    grid = np.zeros(GRID_SHAPE, np.uint8)
-    grid[:, :, round(-GRID_MIN_M[2] / VOXEL_M)] = POTENTIALLY_TRAVERSABLE
-    content = frame_file(grid)
-    write_files(output, ((token, content) for token in read_manifest(manifest).tokens))
+    asked = read_manifest(manifest)
+    labels = np.zeros(asked.grid.shape, np.uint8)
+    labels[:, :, round(-asked.grid.min_m[2] / asked.grid.voxel_m)] = POTENTIALLY_TRAVERSABLE
+    content = frame_file(labels, asked.grid)
+    write_files(output, ((token, content) for token in asked.tokens))
 
 
 TEAM = "demo"

@@ -178,14 +178,14 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
     """
     sequence = plan.sequence
     store = RecordedStore(sequence, BagSamples(plan.bag, sequence), loaded.row.inputs)
-    indices = _asked(plan)
+    indices = _asked(plan, loaded)
     begun, hz = monotonic(), recorded_hz(sequence)
     pace = PredictionPace(0, len(indices), 0.0, hz)
 
     def files() -> Iterator[tuple[str, bytes]]:
         nonlocal pace
         for done, (index, grid) in enumerate(loaded.predicted(store, indices), start=1):
-            yield sequence.frames.tokens[index], frame_file(grid)
+            yield sequence.frames.tokens[index], frame_file(grid, loaded.row.label_grid)
             pace = PredictionPace(done, len(indices), monotonic() - begun, hz)
             paces(pace)
 
@@ -203,13 +203,16 @@ def predict_recording(loaded: LoadedRun, plan: RecordingPlan, paces: Paces) -> R
     return record()
 
 
-def _asked(plan: RecordingPlan) -> tuple[int, ...]:
-    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `not_of_recording`."""
+def _asked(plan: RecordingPlan, loaded: LoadedRun) -> tuple[int, ...]:
+    """Indices of the frames to predict, in the order of time. Raises `bad_manifest`, `grids_differ`,
+    `not_of_recording`."""
     tokens = plan.sequence.frames.tokens
     if plan.manifest is None:
         return tuple(range(len(tokens)))
     places = {token: index for index, token in enumerate(tokens)}
-    asked = read_manifest(plan.manifest).tokens
+    manifest = read_manifest(plan.manifest)
+    loaded.require_grid(manifest.grid)
+    asked = manifest.tokens
     missing = [token for token in asked if token not in places]
     if missing:
         raise Refused(

@@ -106,7 +106,7 @@ def test_the_scene_is_what_the_labeler_wrote_with_what_is_known_of_it_now(
 ) -> None:
     shown = scene(api, curator, forest)
     kept = json.loads(played.files["scene/scene.json"])
-    assert {key: shown[key] for key in kept} == kept
+    assert {key: shown[key] for key in kept} == {**kept, "grid": {"name": "paper", **kept["grid"]}}
     assert (shown["sequence_id"], shown["label_set_id"]) == (forest["id"], played.id)
     assert shown["playback"].pop("export_id")
     assert shown["playback"] == {"state": "ready", "cameras": ["CAM_FRONT"], "has_clouds": True, "has_rays": True}

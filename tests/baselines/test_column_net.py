@@ -21,6 +21,7 @@ from baselines.layers.terrain_columns import (
 )
 from baselines.models.column_net import ColumnNet, ColumnOutputs, hard_voxels
 from baselines.models.column_net_config import ColumnNetConfig
+from stone_base.label_grid import PAPER
 from tests.baselines.boxes_frame import SMALL, boxes_frame
 
 TINY = ColumnNetConfig(
@@ -57,7 +58,7 @@ def test_it_answers_on_its_lattice_from_any_sensors(modality: str) -> None:
 def test_the_full_size_is_light_and_answers_on_the_benchmarks_grid() -> None:
     with torch.device("meta"):
         model = ColumnNet(ColumnNetConfig())
-    assert model.lattice.is_benchmark()
+    assert model.lattice.is_whole(PAPER)
     assert sum(parameter.numel() for parameter in model.parameters()) < 2_500_000
 
 

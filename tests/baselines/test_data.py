@@ -35,6 +35,7 @@ from baselines.models.occupancy_model import OccupancyModel, likeliest
 from baselines.train import joined, scores_on
 from stone.geometry.se3 import SE3
 from stone.scoring.metric import RATIOS
+from stone_base.label_grid import PAPER
 
 INPUTS = InputConfig("C+L+R", (24, 32), ("CAM_FRONT",), lidar_sweeps=4, radar_scans=3, with_depth=True)
 SMALL = VoxelLattice((-3.2, -3.2, -1.2), shape=(32, 32, 16))
@@ -328,7 +329,7 @@ def test_epochs_have_other_orders() -> None:
 )
 def test_a_lattice_that_is_no_part_of_the_grid_is_refused(lattice: VoxelLattice) -> None:
     with pytest.raises(ValueError, match="is no part of the benchmark's grid"):
-        grid_part(lattice)
+        grid_part(lattice, PAPER)
 
 
 CPU = (torch.device("cpu"), "float32")

@@ -38,6 +38,7 @@ from services.labeler.exports.sandboxed_export import write_sensed
 from simulator.pipeline import simulate
 from stone.sensors.samples import CameraSample
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import PAPER
 from stone_client.main import app
 from stone_exports.frames import frames_in
 from stone_exports.tables import exports_in
@@ -351,7 +352,7 @@ def predicted_grids(plan: PredictionPlan) -> dict[str, np.ndarray]:
 def test_a_prediction_is_a_valid_submission_and_free_outside_the_lattice(plan: PredictionPlan) -> None:
     written = predict(plan, lambda *_: None)
     assert (written.frames, written.method, written.modality, written.steps) == (6, "Small", "L", 32)
-    part = grid_part(small_row().model.lattice)
+    part = grid_part(small_row().model.lattice, PAPER)
     for grid in predicted_grids(plan).values():
         inside = grid[part].copy()
         outside = grid.copy()

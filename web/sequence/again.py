@@ -1,7 +1,7 @@
 """What the run that made the labels was asked for, to ask for the same with another profile.
 
-**Conventions.** Only the profile is another one; topics, parameters, ground, chosen recordings and clock offsets stay.
-The calibration is the one that is assigned to the sequence now.
+**Conventions.** Only the profile is another one; topics, parameters, grid, ground, chosen recordings and clock offsets
+stay. The calibration is the one that is assigned to the sequence now.
 """
 
 from collections.abc import Mapping
@@ -13,6 +13,7 @@ from sqlalchemy.orm import Session
 from services.domain.sequences.processing import GIVEN_GROUND, PROCESS, ProcessRequest, request_of
 from services.runtime.orm import Job, LabelSet
 from stone_base.counts import counted
+from stone_base.label_grid import GRIDS, PAPER
 
 
 @dataclass(frozen=True)
@@ -23,13 +24,14 @@ class RunChoices:
     odometry_topic: str
     lidar_topic: str
     parameters: Mapping[str, float]
+    grid: str
     kept: Mapping[str, Any]
     kept_words: tuple[str, ...]
 
     @property
     def has_details(self) -> bool:
         """Whether a field is filled in that is one click behind."""
-        return bool(self.odometry_topic or self.lidar_topic or self.parameters)
+        return bool(self.odometry_topic or self.lidar_topic or self.parameters or self.grid != PAPER.name)
 
 
 def choices_of(session: Session, labels: LabelSet | None, profile: str) -> RunChoices | None:
@@ -43,6 +45,7 @@ def choices_of(session: Session, labels: LabelSet | None, profile: str) -> RunCh
         odometry_topic=asked.odometry_topic or "",
         lidar_topic=asked.lidar_topic or "",
         parameters=dict(asked.parameters),
+        grid=asked.grid.name,
         kept=_kept(asked),
         kept_words=_words(asked),
     )
@@ -54,6 +57,7 @@ def _kept(asked: ProcessRequest) -> dict[str, Any]:
         "ground": asked.ground,
         "recording_ids": list(asked.recording_ids),
         "clock_offsets_s": offsets_s,
+        **({} if asked.grid.name in GRIDS else {"grid": asked.grid.as_record()}),
     }
 
 

@@ -1,6 +1,7 @@
 """Label sets over the wire, and comparisons of two of them."""
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, example, example_of
+from api.schemas.grids import GridItem
 from api.schemas.jobs import FailureItem, JobItem
 from api.schemas.quality import QualityFields
 
@@ -25,6 +26,7 @@ class LabelSetItem(QualityFields):
     frames: int
     code_version: str
     is_counting: bool
+    grid: GridItem
     created_at: Instant
 
 

@@ -3,16 +3,7 @@
 from typing import Literal
 
 from api.schemas.base import ID_EXAMPLE, Answer, example
-
-
-class GridItem(Answer):
-    """The grid of a frame in the ego frame: voxels of `voxel_m`, x, y, z."""
-
-    model_config = example(shape=[256, 256, 32], min_m=[-25.6, -25.6, -2.0], voxel_m=0.2)
-
-    shape: list[int]
-    min_m: list[float]
-    voxel_m: float
+from api.schemas.grids import GridItem
 
 
 class ReferenceItem(Answer):

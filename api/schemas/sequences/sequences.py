@@ -6,6 +6,7 @@ from typing import Annotated, Any, Literal
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
 
 from api.schemas.base import ID_EXAMPLE, Answer, Body, IdText, Instant, Line, coded, example, example_of
+from api.schemas.grids import GridBody, GridName, chosen_grid
 from api.schemas.quality import QualityFields
 from services.domain.sequences.label_choices import DEFAULT_PROFILE, LabelProfile
 from services.domain.sequences.processing import ProcessRequest
@@ -230,7 +231,8 @@ class ProcessBody(Body):
     """How a sequence is to be labelled; parameters that are left out are those of the profile.
 
     Without `recording_ids` it is made of all registered recordings, and again, by itself, once one is added.
-    `clock_offsets_s`, by id or name of recording, are added to its times instead of what is measured.
+    `clock_offsets_s`, by id or name of recording, are added to its times instead of what is measured. `grid` is that of
+    the labels.
     """
 
     model_config = example(
@@ -249,14 +251,16 @@ class ProcessBody(Body):
     clock_offsets_s: dict[RecordingName, OffsetSeconds] = Field(
         default={}, max_length=MOST_MEMBERS, examples=[{"cameras.mcap": -0.08}]
     )
+    grid: GridName | GridBody = "paper"
 
     def chosen(self) -> ProcessRequest:
-        """The request as the runtime understands it."""
+        """The request as the runtime understands it. Raises `bad_grid`."""
         stages = tuple[str, ...](self.stages)
         topics = (self.odometry_topic, self.lidar_topic)
         chosen = ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)
         offsets_ns = {name: round(offset_s * 1e9) for name, offset_s in self.clock_offsets_s.items()}
-        return replace(chosen, recording_ids=tuple(self.recording_ids), clock_offsets_ns=offsets_ns)
+        chosen = replace(chosen, recording_ids=tuple(self.recording_ids), clock_offsets_ns=offsets_ns)
+        return replace(chosen, grid=chosen_grid(self.grid))
 
 
 class FrameItem(Answer):

@@ -31,6 +31,7 @@ from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding
 from stone.splits.surroundings import DAYLIGHT, UNSAID
 from stone_base.counts import counted
+from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper, recorded_grid
 from stone_base.label_quality import UNKNOWN
 
 # The manifest of a dataset version: its contents in one JSON file whose sha256 identifies it.
@@ -67,6 +68,7 @@ def manifest_bytes(
         "splits": {part: [one.sequence.name for one in labelled] for part, labelled in members.items()},
         "sequences": [_described(one, part) for part, labelled in members.items() for one in labelled],
         "statistics": told_statistics(members),
+        "grid": grid_of_members(members).as_record(),
         "files": {part: [file.as_record() for file in of_part] for part, of_part in files.items()},
     }
     return (json.dumps(record, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
@@ -103,6 +105,19 @@ def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
     return {**said, "label_set": label_set, "voxels": voxels}
 
 
+def grid_of_members(members: Members) -> LabelGrid:
+    """Return the one grid of all labels of a version. Raises `mixed_grids`."""
+    named = {recorded_grid(one.labels.grid): one for labelled in members.values() for one in labelled}
+    if len(named) > 1:
+        found = "; ".join(f"{one.entry.name} has {grid}" for grid, one in list(named.items())[:3])
+        raise Refused(
+            "mixed_grids",
+            f"the labels of the splits have {len(named)} grids: {found}. A version has one; process the sequences again"
+            " with one grid, or take them out of the splits",
+        )
+    return next(iter(named), PAPER)
+
+
 @dataclass(frozen=True, eq=False)
 class PreparedPart:
     """A part whose index and sums are stored: its files, the blobs they lie in, size and sha256 of its tar, if open."""
@@ -130,12 +145,13 @@ class PreparedDataset:
 def prepare_dataset(platform: Platform, asked: NewDataset, folder: Path) -> PreparedDataset:
     """Prepare a version but for its rows; `folder` is where its own files are written.
 
-    Raises `no_splits`, `splits_broken`, `held_out_low`, `bad_member`, `name_taken`, `StoreFullError`.
+    Raises `no_splits`, `splits_broken`, `mixed_grids`, `held_out_low`, `bad_member`, `name_taken`, `StoreFullError`.
     """
     with platform.database.reading() as session:
         if session.scalar(select(Dataset.id).where(Dataset.name == asked.name)) is not None:
             raise name_taken("dataset version", asked.name)
         current, members, warnings = members_now(session)
+    grid_of_members(members)
     refuse_low(members, platform.settings.publishing.least_held_out_recall)
     return replace(assembled(platform, asked, folder, (current.revision, members)), warnings=warnings)
 
@@ -170,6 +186,7 @@ def write_dataset(session: Session, prepared: PreparedDataset) -> Dataset:
         code_version=code_version("labels"),
         manifest_sha256=prepared.manifest.sha256,
         manifest_bytes=prepared.manifest.size_bytes,
+        grid=record_unless_paper(grid_of_members(prepared.members)),
         created_by=prepared.asked.user_id,
         created_ns=prepared.created_ns,
     )

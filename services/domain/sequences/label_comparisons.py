@@ -29,6 +29,7 @@ from services.runtime.orm import (
 )
 from services.runtime.orm.base import now_ns
 from stone.errors import Refused
+from stone_base.label_grid import recorded_grid, require_one_geometry
 
 COMPARE = "eval.compare"
 NS_PER_US = 1000
@@ -56,13 +57,14 @@ class StoredPair:
 def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: str) -> tuple[LabelComparison, Job]:
     """The comparison of A and B and its job: those that stand already, or new ones.
 
-    Raises `unknown_label_set`, `same_label_set`, `SequenceDeletedError`, `QueueDrainingError`.
+    Raises `unknown_label_set`, `same_label_set`, `grids_differ`, `SequenceDeletedError`, `QueueDrainingError`.
     """
     sequence = lock_sequence(session, sequence.id)
     for label_set_id in (a_id, b_id):
         _require_label_set(session, sequence, label_set_id)
     if a_id == b_id:
         raise Refused("same_label_set", f"A and B are both label set {a_id}; name two different ones")
+    _require_one_grid(session, a_id, b_id)
     comparison = _existing_comparison(session, a_id, b_id)
     if comparison is not None:
         job = session.get_one(Job, comparison.job_id, populate_existing=True)
@@ -76,6 +78,12 @@ def start_comparison(session: Session, sequence: SequenceRow, a_id: str, b_id: s
     session.add(comparison)
     session.flush()
     return comparison, job
+
+
+def _require_one_grid(session: Session, a_id: str, b_id: str) -> None:
+    """Raises `grids_differ`."""
+    a, b = (recorded_grid(session.get_one(LabelSet, label_set_id).grid) for label_set_id in (a_id, b_id))
+    require_one_geometry(a, b)
 
 
 def compared_by(session: Session, attempt: Attempt) -> LabelComparison:

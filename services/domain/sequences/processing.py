@@ -32,6 +32,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.store.recipes import recipe_of
 from services.runtime.telemetry.tracing import link_uploads_of
 from stone.errors import Refused
+from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper, recorded_grid
 
 PROCESS = "sequence.process"
 REGISTER = "ingest.register"
@@ -62,6 +63,7 @@ class ProcessRequest:
     ground: str = GIVEN_GROUND
     recording_ids: tuple[str, ...] = ()
     clock_offsets_ns: Mapping[str, int] = field(default_factory=dict)
+    grid: LabelGrid = PAPER
 
 
 @dataclass(frozen=True)
@@ -177,7 +179,14 @@ def _arguments(request: ProcessRequest, inputs: Ingredients) -> dict[str, Any]:
         "parameters": dict(request.parameters),
         "stages": list(request.stages),
         "code_version": code_version("labels"),
+        **_grid_record(request),
     }
+
+
+def _grid_record(request: ProcessRequest) -> dict[str, Any]:
+    """The grid, unless it is the paper's: what was asked for before there were others stays the same request."""
+    record = record_unless_paper(request.grid)
+    return {} if record is None else {"grid": record}
 
 
 def request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
@@ -191,6 +200,7 @@ def request_of(arguments: Mapping[str, Any]) -> ProcessRequest:
         ground=arguments.get("ground", GIVEN_GROUND),
         recording_ids=tuple(arguments["recording_ids"]) if arguments.get("names_recordings") else (),
         clock_offsets_ns=arguments.get("clock_offsets_ns", {}),
+        grid=recorded_grid(arguments.get("grid")),
     )
 
 
@@ -211,6 +221,7 @@ def _recipe(sequence: SequenceRow, request: ProcessRequest, inputs: Ingredients)
             "profile": request.profile,
             "parameters": {name: float(value) for name, value in request.parameters.items()},
             "stages": request.stages,
+            **_grid_record(request),
         },
     )
 

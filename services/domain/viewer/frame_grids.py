@@ -6,9 +6,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.runtime.store.protocol import Store
-from stone.errors import PlatformFaultError
+from stone.errors import PlatformFaultError, Refused
+from stone_base.label_grid import LabelGrid, grid_with_shape
 from stone_submissions.errors import SubmissionError
-from stone_submissions.npz_frame import npz_members, read_grid
+from stone_submissions.npz_frame import array_shape, npz_members, read_grid
 
 SHOWN_GRIDS = ("semantics", "mask_lidar")
 
@@ -25,13 +26,25 @@ def stored_grids(store: Store, object_key: str, span: tuple[int, int]) -> tuple[
     return semantics, seen
 
 
+def _grid_of(shape: tuple[int, ...]) -> LabelGrid:
+    """Some grid of this shape. Raises `bad_shape`."""
+    try:
+        return grid_with_shape(shape)
+    except Refused as error:
+        raise SubmissionError("bad_shape", "the shape of a label grid", str(shape)) from error
+
+
 def read_grids(payload: bytes, keys: Iterable[str]) -> list[NDArray[np.uint8]]:
-    """The grids (256, 256, 32) of these keys, in their order. Raises `grid_unreadable`."""
-    grids, key = list[NDArray[np.uint8]](), ""
+    """The grids of these keys, in their order: all of the shape that the first declares, which a label grid can have.
+
+    Raises `grid_unreadable`.
+    """
+    grids, key, known = list[NDArray[np.uint8]](), "", None
     try:
         members = npz_members(payload)
         for key in keys:
-            grids.append(read_grid(payload, members[key]))
+            known = known or _grid_of(array_shape(payload, members[key]))
+            grids.append(read_grid(payload, members[key], known))
     except KeyError as error:
         raise grid_unreadable(key, "it is not in the file") from error
     except SubmissionError as error:

@@ -12,22 +12,23 @@ import numpy as np
 from numpy.typing import NDArray
 
 from services.eval.ground_truth import KEYS
-from stone.labels.grid import GRID_SHAPE, Grid
+from stone.labels.grid import Grid
 from stone.scoring.agreement import agreement_ratios
-from stone.scoring.bitplanes import RINGS, LabelRangeError, count_by_ring, truth_planes
+from stone.scoring.bitplanes import LabelRangeError, count_by_ring, truth_planes
 from stone.scoring.metric import CLASSES
+from stone.scoring.plane_layout import RINGS
+from stone_base.label_grid import LabelGrid
 from stone_submissions.errors import GroundTruthError, SubmissionError
 from stone_submissions.npz_frame import npz_members, read_grid
 from stone_submissions.validation import Progress, silent
 
 SEMANTICS, SEEN = "semantics", "mask_lidar"
 Counted = NDArray[np.int64]
-EVERYWHERE = np.ones(GRID_SHAPE, np.bool_)
 
 
 @dataclass(frozen=True, eq=False)
 class LabelGrids:
-    """The labels of a frame, (256, 256, 32) uint8; `seen` is None where the file does not say what was seen."""
+    """The labels of a frame, uint8 of the grid's shape; `seen` is None where the file does not say what was seen."""
 
     semantics: Grid
     seen: Grid | None
@@ -56,14 +57,14 @@ class LabelSetCounts:
     agreements: NDArray[np.float64]
 
 
-def label_grids(npz: bytes, path: Path) -> LabelGrids:
-    """The grids of a label file, read as strictly as a submission. Raises `GroundTruthError`."""
+def label_grids(npz: bytes, path: Path, grid: LabelGrid) -> LabelGrids:
+    """The labels in a file of labels at a grid, read as strictly as a submission. Raises `GroundTruthError`."""
     try:
         members = npz_members(npz)
         if SEMANTICS not in members or not members.keys() <= KEYS:
             raise GroundTruthError(path, f"its arrays are {', '.join(sorted(members))[:200]}, not semantics and masks")
-        seen = read_grid(npz, members[SEEN]) if SEEN in members else None
-        semantics = read_grid(npz, members[SEMANTICS])
+        seen = read_grid(npz, members[SEEN], grid) if SEEN in members else None
+        semantics = read_grid(npz, members[SEMANTICS], grid)
         if (highest := int(semantics.max())) >= CLASSES:
             raise LabelRangeError(highest)
         return LabelGrids(semantics, seen)
@@ -71,19 +72,21 @@ def label_grids(npz: bytes, path: Path) -> LabelGrids:
         raise GroundTruthError(path, str(error)) from error
 
 
-def counted_pairs(frames: Iterable[FrameGrids], total: int, progress: Progress = silent) -> LabelSetCounts:
-    """The counts of `total` frames, one after another. Raises what a frame raises."""
+def counted_pairs(
+    frames: Iterable[FrameGrids], total: int, grid: LabelGrid, progress: Progress = silent
+) -> LabelSetCounts:
+    """The counts of `total` frames of a grid, one after another. Raises what a frame raises."""
     everywhere, where_seen = (np.zeros((RINGS, CLASSES, CLASSES), np.int64) for _ in range(2))
     voxels, agreements, says_seen = np.zeros(3, np.int64), np.full(total, np.nan), True
     for index, grids in enumerate(frames):
         a, b = grids()
-        of_frame = _confusion(a, b, EVERYWHERE)
+        of_frame = _confusion(a, b, np.ones(grid.shape, np.bool_), grid)
         everywhere += of_frame
         agreements[index] = agreement_ratios(of_frame.sum(axis=0))
         if a.seen is None or b.seen is None:
             says_seen = False
         elif says_seen:
-            where_seen += _confusion(a, b, (a.seen != 0) & (b.seen != 0))
+            where_seen += _confusion(a, b, (a.seen != 0) & (b.seen != 0), grid)
             voxels += _seen_voxels(a.seen, b.seen)
         progress("compare", index + 1, total)
     both, in_a, in_b = voxels.tolist()
@@ -91,9 +94,9 @@ def counted_pairs(frames: Iterable[FrameGrids], total: int, progress: Progress =
     return LabelSetCounts(everywhere, seen, agreements)
 
 
-def _confusion(a: LabelGrids, b: LabelGrids, is_evaluated: NDArray[np.bool_]) -> Counted:
+def _confusion(a: LabelGrids, b: LabelGrids, is_evaluated: NDArray[np.bool_], grid: LabelGrid) -> Counted:
     confusion, bev = np.empty((RINGS, CLASSES, CLASSES), np.int32), np.empty((RINGS, 3), np.int32)
-    count_by_ring(b.semantics, truth_planes(a.semantics, is_evaluated), confusion, bev)
+    count_by_ring(b.semantics, truth_planes(a.semantics, is_evaluated, grid), confusion, bev)
     return confusion.astype(np.int64)
 
 

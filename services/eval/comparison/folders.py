@@ -11,6 +11,7 @@ from services.eval.comparison.counting import FrameGrids, LabelGrids, counted_pa
 from services.eval.comparison.record import ComparedFrames, comparison_record
 from services.eval.comparison.stage import no_shared_frame
 from services.eval.ground_truth import MAX_LABELS_BYTES, find_ground_truth
+from stone_base.label_grid import LabelGrid, require_one_geometry
 from stone_files.atomic import atomic_file
 from stone_submissions.errors import GroundTruthError
 from stone_submissions.manifest import read_bounded
@@ -19,15 +20,16 @@ from stone_submissions.validation import Progress, silent
 
 @dataclass(frozen=True)
 class LabelFolders:
-    """The label files of A and of B by frame token, of the frames in both and in the order of A."""
+    """The label files of A and of B by frame token, of the frames in both and in the order of A, and their grid."""
 
     a: dict[str, Path]
     b: dict[str, Path]
     frames: ComparedFrames
+    grid: LabelGrid
 
     def grids(self, token: str) -> tuple[LabelGrids, LabelGrids]:
         """Raises `UnreadableInputError`, `GroundTruthError`."""
-        return _read(self.a[token]), _read(self.b[token])
+        return _read(self.a[token], self.grid), _read(self.b[token], self.grid)
 
     def pairs(self) -> Iterator[FrameGrids]:
         return (partial(self.grids, token) for token in self.frames.tokens)
@@ -36,18 +38,21 @@ class LabelFolders:
 def open_folders(a: Path, b: Path) -> LabelFolders:
     """Two folders that hold `gts/<sequence>/<frame_token>/labels.npz`.
 
-    Raises `UnreadableInputError`, `GroundTruthError`, `nothing_in_common`.
+    Raises `UnreadableInputError`, `GroundTruthError`, `unknown_grid`, `grids_differ`, `nothing_in_common`.
     """
-    of_a, of_b = (find_ground_truth(folder).paths() for folder in (a, b))
+    found = [find_ground_truth(folder) for folder in (a, b)]
+    of_a, of_b = (truth.paths() for truth in found)
+    grid, other = (truth.manifest.grid for truth in found)
+    require_one_geometry(grid, other)
     shared = [token for token in of_a if token in of_b]
     if not shared:
         raise no_shared_frame(str(a), str(b), (len(of_a), len(of_b)))
-    return LabelFolders(of_a, of_b, ComparedFrames(shared, len(of_a) - len(shared), len(of_b) - len(shared)))
+    return LabelFolders(of_a, of_b, ComparedFrames(shared, len(of_a) - len(shared), len(of_b) - len(shared)), grid)
 
 
 def compare_folders(folders: LabelFolders, progress: Progress = silent) -> dict[str, Any]:
     """The record of the comparison. Raises what `LabelFolders.grids` raises."""
-    counts = counted_pairs(folders.pairs(), len(folders.frames.tokens), progress)
+    counts = counted_pairs(folders.pairs(), len(folders.frames.tokens), folders.grid, progress)
     return comparison_record(folders.frames, counts)
 
 
@@ -67,5 +72,5 @@ def write_pictures(folders: LabelFolders, record: dict[str, Any], folder: Path) 
     return written
 
 
-def _read(path: Path) -> LabelGrids:
-    return label_grids(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), path)
+def _read(path: Path, grid: LabelGrid) -> LabelGrids:
+    return label_grids(read_bounded(path, MAX_LABELS_BYTES, GroundTruthError), path, grid)

@@ -14,8 +14,8 @@ import numpy as np
 
 from services.eval.comparison.counting import Counted, LabelSetCounts
 from stone.scoring.agreement import agreement_ratios
-from stone.scoring.bitplanes import RING_EDGES_M
 from stone.scoring.confusion import named_ratios
+from stone.scoring.plane_layout import RING_EDGES_M
 
 LEAST_ALIKE = 12
 RINGS_M: tuple[tuple[float, float | None], ...] = tuple(zip((0.0, *RING_EDGES_M), (*RING_EDGES_M, None), strict=True))

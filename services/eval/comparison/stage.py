@@ -42,8 +42,9 @@ from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from stone.errors import Refused
-from stone.scoring.bitplanes import RINGS, VOXELS
 from stone.scoring.metric import CLASSES
+from stone.scoring.plane_layout import RINGS
+from stone_base.label_grid import LabelGrid, recorded_grid
 
 Voxels = Annotated[int, Field(ge=0, lt=2**62)]
 Cells = Annotated[list[Voxels], Field(min_length=RINGS * CLASSES**2, max_length=RINGS * CLASSES**2)]
@@ -69,9 +70,9 @@ class CountsAnswer(SandboxAnswer):
             agreements=[None if np.isnan(one) else float(one) for one in counts.agreements],
         )
 
-    def counts(self, frames: int) -> LabelSetCounts:
-        """Raises `SandboxCrashedError` where they are not those of this many frames."""
-        if len(self.agreements) != frames or sum(self.confusion) != frames * VOXELS:
+    def counts(self, frames: int, grid: LabelGrid) -> LabelSetCounts:
+        """Raises `SandboxCrashedError` where they are not those of this many frames of the grid."""
+        if len(self.agreements) != frames or sum(self.confusion) != frames * grid.voxels:
             raise SandboxCrashedError(f"counted something else than {frames} frames")
         agreements = np.array([nan if one is None else one for one in self.agreements])
         if self.seen_confusion is None:
@@ -82,14 +83,16 @@ class CountsAnswer(SandboxAnswer):
 
 @dataclass(frozen=True)
 class PackedPairs:
-    """The label files of all frames in A and in B, and the packs by number in which they lie; a plain value."""
+    """The label files of all frames in A and in B, the packs by number in which they lie, and their grid; a plain
+    value."""
 
     packs: Mapping[int, Path]
     pairs: tuple[tuple[PackedLabelFile, PackedLabelFile], ...]
+    grid: LabelGrid
 
     def grids(self, index: int) -> tuple[LabelGrids, LabelGrids]:
         """Raises `labels_unfit`, `short_pack`, `GroundTruthError`."""
-        a, b = (label_grids(file.read(self.packs), Path(file.name)) for file in self.pairs[index])
+        a, b = (label_grids(file.read(self.packs), Path(file.name), self.grid) for file in self.pairs[index])
         return a, b
 
     def frames(self) -> Iterator[FrameGrids]:
@@ -109,10 +112,10 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
             return Outcome({"comparison_id": comparison.id})
         pairs = stored_pairs(session, comparison)
         a, b = (session.get_one(LabelSet, label_set_id) for label_set_id in (comparison.a_id, comparison.b_id))
-        totals = (a.frames, b.frames)
+        totals, grid = (a.frames, b.frames), recorded_grid(a.grid)
     if not pairs:
         raise no_shared_frame(comparison.a_id, comparison.b_id, totals)
-    counts = _counted(context, pairs)
+    counts = _counted(context, pairs, grid)
     frames = ComparedFrames([pair.a.token for pair in pairs], totals[0] - len(pairs), totals[1] - len(pairs))
     record = comparison_record(frames, counts)
     attempt.log("compared", frames=len(pairs))
@@ -122,20 +125,20 @@ def compare_label_sets(context: EvalStageContext) -> Outcome:
 
 def count_pairs(packed: PackedPairs, _folder: Path, progress: ProgressCallback) -> bytes:
     """The child's part. Raises as `PackedPairs.grids`."""
-    return CountsAnswer.of(counted_pairs(packed.frames(), len(packed.pairs), progress)).packed()
+    return CountsAnswer.of(counted_pairs(packed.frames(), len(packed.pairs), packed.grid, progress)).packed()
 
 
-def _counted(context: EvalStageContext, pairs: list[StoredPair]) -> LabelSetCounts:
-    packed = _packed(context, pairs)
+def _counted(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid) -> LabelSetCounts:
+    packed = _packed(context, pairs, grid)
     folder = context.folder / f"comparison-{token_hex(8)}"
     folder.mkdir()
     reads = tuple(packed.packs.values())
     sandbox = JobSandbox(folder, reads, context.attempt, context.platform.settings, warm)
     answer = sandbox.run(partial(count_pairs, packed), "compare", len(pairs))
-    return CountsAnswer.believed(answer).counts(len(pairs))
+    return CountsAnswer.believed(answer).counts(len(pairs), grid)
 
 
-def _packed(context: EvalStageContext, pairs: list[StoredPair]) -> PackedPairs:
+def _packed(context: EvalStageContext, pairs: list[StoredPair], grid: LabelGrid) -> PackedPairs:
     """The packs on this machine, and where each file lies in them."""
     keys = sorted({file.object_key for pair in pairs for file in (pair.a, pair.b)})
     numbers = {key: number for number, key in enumerate(keys)}
@@ -146,7 +149,7 @@ def _packed(context: EvalStageContext, pairs: list[StoredPair]) -> PackedPairs:
 
     store = context.platform.store
     packs = {number: store.local(key) for key, number in numbers.items()}
-    return PackedPairs(packs, tuple((packed(pair.a), packed(pair.b)) for pair in pairs))
+    return PackedPairs(packs, tuple((packed(pair.a), packed(pair.b)) for pair in pairs), grid)
 
 
 def _by_ring(cells: list[int]) -> Counted:

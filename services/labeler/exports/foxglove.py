@@ -51,10 +51,10 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step, silent
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB
-from stone.labels.grid import GRID_MIN_M, Grid
-from stone.labels.voxels import VOXEL_M
+from stone.labels.grid import Grid
 from stone.sensors.calibration import Calibration, CameraIntrinsics
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
+from stone_base.label_grid import LabelGrid
 
 CHUNK_BYTES = 4 << 20
 
@@ -105,7 +105,7 @@ def _frame(source: LabelledSequence, index: int) -> Iterator[Logged]:
     frames, calibration = source.sequence.frames, source.sequence.calibration
     stamp_ns = int(frames.stamps_ns[index])
     yield stamp_ns, "/tf", transforms(calibration, frames.map_from_ego[index], stamp_ns)
-    yield stamp_ns, "/labels", voxel_grid(source.grids(index)["semantics"], stamp_ns)
+    yield stamp_ns, "/labels", voxel_grid(source.grids(index)["semantics"], source.grid, stamp_ns)
     yield stamp_ns, f"/{LIDAR}", lidar_cloud(source.samples.lidar(index), stamp_ns)
     for mount in calibration.of_kind("radar"):
         if (scan := source.samples.radar(mount.name, index)) is not None:
@@ -167,17 +167,17 @@ def transforms(calibration: Calibration, map_from_ego: SE3, stamp_ns: int) -> Fr
     )
 
 
-def voxel_grid(semantics: Grid, stamp_ns: int) -> VoxelGrid:
-    """The classes (X, Y, Z) of a frame."""
+def voxel_grid(semantics: Grid, grid: LabelGrid, stamp_ns: int) -> VoxelGrid:
+    """The classes (X, Y, Z) of a frame of the grid."""
     columns, rows, _ = semantics.shape
-    corner = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array(GRID_MIN_M))
+    corner = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array(grid.min_m))
     return VoxelGrid(
         timestamp=timestamp(stamp_ns),
         frame_id=EGO,
         pose=pose(corner),
         row_count=rows,
         column_count=columns,
-        cell_size=Vector3(x=VOXEL_M, y=VOXEL_M, z=VOXEL_M),
+        cell_size=Vector3(x=grid.voxel_m, y=grid.voxel_m, z=grid.voxel_m),
         slice_stride=rows * columns * CELL.itemsize,
         row_stride=columns * CELL.itemsize,
         cell_stride=CELL.itemsize,

@@ -2,13 +2,13 @@
 
     dataset/sequences/<NN>/  voxels/<i>.{bin,label,invalid,occluded}  velodyne/<i>.bin  calib.txt  poses.txt  times.txt
 
-**Conventions.** 256 × 256 × 32 voxels, x slowest and z fastest, as theirs; but the grid lies all around the robot,
-[−25.6, 25.6) m forward, where theirs begins at the sensor. Scans are in the ego frame (theirs: Velodyne), so that scan
-and voxels share one frame; remission is the intensity as recorded. `bin`: a return of this sweep lies there; `label`:
-the class, uint16; `invalid`: no sweep of the run observed it; `occluded`: hidden from this frame's LiDAR behind
-labelled voxels. Bits are packed eight to a byte, the first in the highest. Poses are cam0's, relative to the first
-frame; cam0 is the ego frame with KITTI's camera axes (`Tr`). Source: semantic-kitti-api (auxiliary/SSCDataset.py,
-generate_sequential.py, auxiliary/shaders/draw_voxels.vert).
+**Conventions.** The voxels of the labels' grid, x slowest and z fastest, as theirs (256 × 256 × 32); but the grid lies
+all around the robot, [−25.6, 25.6) m forward in the paper's, where theirs begins at the sensor. Scans are in the ego
+frame (theirs: Velodyne), so that scan and voxels share one frame; remission is the intensity as recorded. `bin`: a
+return of this sweep lies there; `label`: the class, uint16; `invalid`: no sweep of the run observed it; `occluded`:
+hidden from this frame's LiDAR behind labelled voxels. Bits are packed eight to a byte, the first in the highest. Poses
+are cam0's, relative to the first frame; cam0 is the ego frame with KITTI's camera axes (`Tr`). Source:
+semantic-kitti-api (auxiliary/SSCDataset.py, generate_sequential.py, auxiliary/shaders/draw_voxels.vert).
 """
 
 from collections.abc import Mapping
@@ -22,13 +22,12 @@ from services.labeler.run import Step
 from stone.geometry.se3 import SE3, Array, wxyz_from_rotation
 from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
 from stone.labels.columns import Words, gathered, spread_out
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.sight_batches import LANES, SightBatch
 from stone.labels.visibility import sight_lines
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import LidarSample
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import LabelGrid
 
 SEQUENCES = Path("dataset") / "sequences"
 CONFIG = "semantic-kitti-stone.yaml"
@@ -47,7 +46,7 @@ def write_kitti(source: LabelledSequence, out: Path, step: Step) -> None:
     sequence, folder = source.sequence, out / SEQUENCES / "00"
     for name in ("voxels", "velodyne"):
         (folder / name).mkdir(parents=True)
-    lidar, total = _all_around(sequence.calibration.ego_from_lidar), len(sequence.frames)
+    lidar, total = _all_around(sequence.calibration.ego_from_lidar, source.grid), len(sequence.frames)
     for begin in range(0, total, LANES):
         batch = range(begin, min(begin + LANES, total))
         occupied = np.stack([gathered(source.grids(index)["semantics"]) for index in batch])
@@ -86,10 +85,10 @@ def _write_frame(source: LabelledSequence, index: int, visible: Words, folder: P
     grids, name = source.grids(index), f"{index:06d}"
     scan = _in_ego(source.samples.lidar(index), source.sequence.calibration.ego_from_lidar)
     contents = {
-        "bin": packed(_occupied(scan[:, :3])),
+        "bin": packed(_occupied(scan[:, :3], source.grid)),
         "label": grids["semantics"].astype("<u2").tobytes(),
         "invalid": packed(grids["mask_lidar"] == 0),
-        "occluded": packed(spread_out(~visible)),
+        "occluded": packed(spread_out(~visible, height=source.grid.shape[2])),
     }
     for suffix, content in contents.items():
         (folder / "voxels" / f"{name}.{suffix}").write_bytes(content)
@@ -101,24 +100,25 @@ def _in_ego(sample: LidarSample, ego_from_lidar: SE3) -> NDArray[np.float64]:
     return np.column_stack([ego_from_lidar @ sample.points_lidar.astype(np.float64), sample.intensity])
 
 
-def _occupied(points_ego: NDArray[np.float64]) -> NDArray[np.bool_]:
+def _occupied(points_ego: NDArray[np.float64], label_grid: LabelGrid) -> NDArray[np.bool_]:
     """The voxels of the grid in which there is a point."""
-    indices = np.floor((points_ego - np.array(GRID_MIN_M)) / VOXEL_M).astype(np.int64)
-    inside = ((indices >= 0) & (indices < np.array(GRID_SHAPE))).all(axis=1)
-    grid = np.zeros(GRID_SHAPE, np.bool_)
+    indices = np.floor((points_ego - np.array(label_grid.min_m)) / label_grid.voxel_m).astype(np.int64)
+    inside = ((indices >= 0) & (indices < np.array(label_grid.shape))).all(axis=1)
+    grid = np.zeros(label_grid.shape, np.bool_)
     grid[tuple(indices[inside].T)] = True
     return grid
 
 
-def _all_around(ego_from_lidar: SE3) -> SightBatch:
+def _all_around(ego_from_lidar: SE3, grid: LabelGrid) -> SightBatch:
     """Six pinholes at the LiDAR, each a face of a cube."""
     lines = []
     for face in FACES:
         forward = np.array(face, np.float64)
         right = np.roll(forward, 1)
         rotation = np.stack([right, np.cross(forward, right), forward], axis=1)
-        lines.append(sight_lines(QUARTER, SE3.from_parts(wxyz_from_rotation(rotation), ego_from_lidar.translation_m)))
-    return SightBatch(lines)
+        pose = SE3.from_parts(wxyz_from_rotation(rotation), ego_from_lidar.translation_m)
+        lines.append(sight_lines(QUARTER, pose, grid))
+    return SightBatch(lines, grid)
 
 
 def _write_track(folder: Path, sequence: Sequence) -> None:

@@ -31,11 +31,11 @@ from services.labeler.exports.source import LabelledSequence
 from services.labeler.run import Step, silent
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_NAME, CLASS_RGB, PAPER
-from stone.labels.grid import GRID_MIN_M, Grid
-from stone.labels.voxels import VOXEL_M
+from stone.labels.grid import Grid
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import LidarSample, RadarSample
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import LabelGrid
 
 # Our values as columns of Rerun's archetypes.
 #
@@ -81,13 +81,13 @@ def picture(content: bytes) -> Columns:
     return rr.EncodedImage.columns(blob=[content], media_type=["image/jpeg"])
 
 
-def voxels(semantics: Grid) -> Columns:
-    """The labelled voxels of a frame as boxes of their class, in the ego frame."""
+def voxels(semantics: Grid, grid: LabelGrid) -> Columns:
+    """The labelled voxels of a frame of the grid as boxes of their class, in the ego frame."""
     indices = np.argwhere(semantics)
-    centres = ((indices + 0.5) * VOXEL_M + GRID_MIN_M).astype(np.float32)
+    centres = ((indices + 0.5) * grid.voxel_m + grid.min_m).astype(np.float32)
     boxes = rr.Boxes3D.columns(centers=centres, class_ids=semantics[tuple(indices.T)].astype(np.uint16))
     # Without `show_labels` a viewer writes the name of its class on every one of few boxes.
-    shape = rr.Boxes3D.columns(half_sizes=[[VOXEL_M / 2] * 3], fill_mode=["solid"], show_labels=[False])
+    shape = rr.Boxes3D.columns(half_sizes=[[grid.voxel_m / 2] * 3], fill_mode=["solid"], show_labels=[False])
     return [*boxes.partition([len(indices)]), *shape]
 
 
@@ -249,7 +249,7 @@ def _frame(source: LabelledSequence, index: int) -> Iterator[Chunk]:
     frames, calibration = source.sequence.frames, source.sequence.calibration
     times = _times(index, int(frames.stamps_ns[index]))
     yield Chunk.from_columns(EGO, times, transform(frames.map_from_ego[index]))
-    yield Chunk.from_columns(LABELS, times, voxels(source.grids(index)["semantics"]))
+    yield Chunk.from_columns(LABELS, times, voxels(source.grids(index)["semantics"], source.grid))
     yield Chunk.from_columns(LIDAR, times, returns(source.samples.lidar(index)))
     for mount in calibration.of_kind("radar"):
         if (scan := source.samples.radar(mount.name, index)) is not None:

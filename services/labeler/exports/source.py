@@ -1,7 +1,8 @@
 """The input of an export: a labelled sequence, its label files and its recording.
 
-**Conventions.** Grids are (256, 256, 32), aligned with the ego frame at the frame's stamp (CONVENTIONS.md). Values are
-immutable; nothing is loaded before it is asked for, so an export needs the memory of one frame.
+**Conventions.** Grids have the shape of the labels' grid and are aligned with the ego frame at the frame's stamp
+(CONVENTIONS.md). Values are immutable; nothing is loaded before it is asked for, so an export needs the memory of one
+frame.
 """
 
 import io
@@ -9,6 +10,7 @@ import json
 import zipfile
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import cached_property
 from pathlib import Path
 from typing import Any
 
@@ -18,9 +20,9 @@ from numpy.typing import NDArray
 from services.labeler.exports.dataset_source import DatasetSourceFiles
 from services.labeler.exports.errors import damaged_labels
 from stone.errors import Refused
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.samples import SampleSource
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import LabelGrid, recorded_grid
 from stone_recordings.sync.sequence_file import read_sequence
 
 REPORT, SEQUENCE, SOURCE, MESH, TABLE = "report.json", "sequence.npz", "source.json", "mesh.ply", "frames.parquet"
@@ -43,6 +45,11 @@ class LabelledSequence:
     frames_table: Path
     published: DatasetSourceFiles | None = None
 
+    @cached_property
+    def grid(self) -> LabelGrid:
+        """The grid of its labels, by its report. Raises `bad_grid`."""
+        return recorded_grid(self.report.get("grid"))
+
     def grids(self, index: int) -> dict[str, NDArray[Any]]:
         """The grids of frame `index`: semantics, mask_lidar and mask_camera, uint8, and further ones where asked for.
 
@@ -52,7 +59,7 @@ class LabelledSequence:
         try:
             with np.load(io.BytesIO(payload), allow_pickle=False) as arrays:
                 grids = dict(arrays)
-                _check_grids(grids)
+                _check_grids(grids, self.grid.shape)
                 return grids
         except (ValueError, OSError, KeyError, EOFError, zipfile.BadZipFile) as error:
             token = self.sequence.frames.tokens[index]
@@ -74,9 +81,9 @@ class _FrameFiles:
             raise damaged_labels(path, "it is missing") from error
 
 
-def _check_grids(grids: Mapping[str, NDArray[Any]]) -> None:
+def _check_grids(grids: Mapping[str, NDArray[Any]], shape: tuple[int, ...]) -> None:
     for key in ("semantics", "mask_lidar", "mask_camera"):
-        if grids[key].shape != GRID_SHAPE or grids[key].dtype != np.uint8:
+        if grids[key].shape != shape or grids[key].dtype != np.uint8:
             raise ValueError(f"{key} is {grids[key].dtype} {grids[key].shape}")
 
 

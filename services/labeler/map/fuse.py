@@ -3,6 +3,8 @@
 Every n-th sweep also leaves a range image, against which the surface stage votes moving things out.
 """
 
+from collections.abc import Iterable
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -10,13 +12,13 @@ from services.labeler.map.far_points import FarPoints, far_points_of, save_far_p
 from services.labeler.map.fused_files import fused_columns
 from services.labeler.run import LabelRun, Part, Step, Tile, core_cells, silent, tiles_of
 from services.labeler.scratch import fused_path, image_name, images_path, save
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M
 from stone.labels.observed_voxels import BRICK, Carver, Observed
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
 from stone.sensors.selection import selected
 from stone.surface.pointmap import PointMap, PointMapBuilder
 from stone.surface.range_image import range_image
+from stone_base.label_grid import LabelGrid
 
 
 def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
@@ -27,7 +29,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     carver = Carver(parameters.carve)
     images, far = dict[str, NDArray[np.generic]](), FarPoints()
     imaged = run.every(parameters.dynamic.every_frame)
-    reach = labelled_box(parameters.selection.margin_m)
+    reach = labelled_box(parameters.selection.margin_m, parameters.grids)
     for index in range(*part):
         sweep = run.sweeps.sweep(index)
         pose, far = frames.map_from_ego[index], far + far_points_of(sweep)
@@ -48,10 +50,10 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     return int(builder.points)
 
 
-def labelled_box(margin_m: float) -> Box:
-    """The label grid, `margin_m` wider on every side, in the ego frame."""
-    x, y, z = GRID_MIN_M
-    u, v, w = GRID_MAX_M
+def labelled_box(margin_m: float, grids: Iterable[LabelGrid]) -> Box:
+    """The label grids together, `margin_m` wider on every side, in the ego frame."""
+    x, y, z = (min(lows) for lows in zip(*(grid.min_m for grid in grids), strict=True))
+    u, v, w = (max(highs) for highs in zip(*(grid.max_m for grid in grids), strict=True))
     return Box((x - margin_m, y - margin_m, z - margin_m), (u + margin_m, v + margin_m, w + margin_m))
 
 

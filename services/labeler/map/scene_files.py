@@ -21,11 +21,11 @@ from services.labeler.scratch import Arrays, tile_name, whole
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import indices_of
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.traversability import Reference, threshold
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
 from stone.surface.mesh import Mesh
+from stone_base.label_grid import PAPER, LabelGrid
 
 FEATURES = ("elevation_m", "slope_rad", "roughness")
 STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # of a metre, a radian, a log m²
@@ -37,7 +37,9 @@ class SceneFiles:
 
     def __init__(self, run: LabelRun, reference: Reference, out: Path) -> None:
         self._run = run
-        said = SceneDescription(run.sequence, run.parameters.profile, _reference_record(run, reference))
+        said = SceneDescription(
+            run.sequence, run.parameters.profile, _reference_record(run, reference), run.parameters.grid
+        )
         self._writer = SceneWriter(said, out)
 
     def add(self, tile: Tile, found: LabelledTile) -> None:
@@ -90,11 +92,13 @@ POSE_DIGITS = 4, 8  # metres, quaternion
 
 @dataclass(frozen=True, eq=False)
 class SceneDescription:
-    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features."""
+    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features; `grid`
+    that of the frames."""
 
     sequence: Sequence
     profile: str
     reference: Mapping[str, Any] | None
+    grid: LabelGrid = PAPER
 
 
 @dataclass
@@ -130,7 +134,7 @@ class SceneWriter:
         return {
             "name": sequence.name,
             "profile": self.about.profile,
-            "grid": {"shape": list(GRID_SHAPE), "min_m": list(GRID_MIN_M), "voxel_m": VOXEL_M},
+            "grid": _grid_record(self.about.grid),
             "footprint_m": [footprint.length_m, footprint.width_m],
             "reference": self.about.reference,
             "has_confidence": self.has_confidence,
@@ -147,6 +151,10 @@ class SceneWriter:
         with whole(self.out / FOLDER / name) as staging:
             staging.write_bytes(content)
         return len(content)
+
+
+def _grid_record(grid: LabelGrid) -> dict[str, Any]:
+    return {"name": grid.name, "shape": list(grid.shape), "min_m": list(grid.min_m), "voxel_m": grid.voxel_m}
 
 
 def _poses(poses: SE3) -> list[list[float]]:

@@ -70,15 +70,15 @@ class Canvas:
         return Image.fromarray(self._pixels).reduce(FINER)
 
 
-def voxel_boxes(classes: NDArray[np.uint8], low_m: NDArray[np.float64]) -> Boxes:
+def voxel_boxes(classes: NDArray[np.uint8], low_m: NDArray[np.float64], voxel_m: float = VOXEL_M) -> Boxes:
     """The labelled voxels of a dense block (X, Y, Z) whose corner is at `low_m` (3,), in the colours of the classes."""
     flat = np.flatnonzero(classes)
     sides, light = np.zeros(len(flat), np.uint8), np.zeros((len(flat), 6), np.float32)
     expose(classes, flat, sides, light)
     shown = sides != 0
     flat, sides, light = flat[shown], sides[shown], light[shown]
-    low = np.stack(np.unravel_index(flat, classes.shape), axis=1) * VOXEL_M + low_m
-    bounds = np.concatenate([low, low + VOXEL_M], axis=1).astype(np.float32)
+    low = np.stack(np.unravel_index(flat, classes.shape), axis=1) * voxel_m + low_m
+    bounds = np.concatenate([low, low + voxel_m], axis=1).astype(np.float32)
     return Boxes(bounds, sides, light, PALETTE[classes.reshape(-1)[flat]])
 
 

@@ -4,7 +4,7 @@ The arrangement of the paper's Fig. 6. A camera without a picture leaves a blank
 """
 
 from collections.abc import Iterable, Mapping
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from datetime import UTC, datetime
 
 import numpy as np
@@ -18,10 +18,12 @@ from services.labeler.previews.picture_opening import opened
 from services.labeler.previews.render import Boxes, Camera, Canvas, Colour, beads, solid_boxes, voxel_boxes
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import INK, PAPER, TRACK
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, Grid
+from stone.labels.grid import Grid
 from stone.sensors.calibration import Box, Footprint
 from stone.sensors.samples import CameraSample
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import PAPER as GRID
+from stone_base.label_grid import LabelGrid
 
 ABOVE = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT")
 BELOW = ("CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
@@ -56,7 +58,7 @@ def frame_pictures(source: LabelledSequence, index: int) -> FramePictures:
 
     Raises IndexError, and what the source raises.
     """
-    grids, around = source.grids(index), surroundings_of(source.sequence, index)
+    grids, around = source.grids(index), surroundings_of(source.sequence, index, source.grid)
     return FramePictures(bev(grids, around), oblique(grids, around), frame_sheet(source, index))
 
 
@@ -71,7 +73,7 @@ def frame_sheet(source: LabelledSequence, index: int, ratio: float | None = None
         for column, channel in enumerate(channels):
             place = _Rectangle(GAP_PX + column * (CAMERA_PX + GAP_PX), row, CAMERA_PX, high_px)
             _place_camera(sheet, place, channel, samples[channel])
-    grids, around = source.grids(index), surroundings_of(source.sequence, index)
+    grids, around = source.grids(index), surroundings_of(source.sequence, index, source.grid)
     size_px = (WIDTH_PX - 3 * GAP_PX - PLAN_PX, PLAN_PX)
     sheet.paste(bev(grids, around, PLAN_PX), (GAP_PX, top_px))
     sheet.paste(oblique(grids, around, size_px), (2 * GAP_PX + PLAN_PX, top_px))
@@ -139,25 +141,26 @@ def _nowhere() -> NDArray[np.float64]:
 
 @dataclass(frozen=True, eq=False)
 class Surroundings:
-    """`track_ego` (P, 3): the whole run's poses in this frame's axes, in their order; most lie outside the grid."""
+    """`track_ego` (P, 3): the whole run's poses in this frame's axes, in their order; most lie outside the `grid`."""
 
     track_ego: NDArray[np.float64] = field(default_factory=_nowhere)
     footprint: Footprint = field(default_factory=Footprint)
+    grid: LabelGrid = GRID
 
 
 ALONE = Surroundings()
 
 
-def surroundings_of(sequence: Sequence, index: int) -> Surroundings:
-    """Of frame `index`."""
+def surroundings_of(sequence: Sequence, index: int, grid: LabelGrid = GRID) -> Surroundings:
+    """Of frame `index`, labelled at this grid."""
     poses = sequence.frames.map_from_ego
     ego_from_map: SE3 = poses[index].inverse()
-    return Surroundings(ego_from_map @ poses.translation_m, sequence.calibration.footprint)
+    return Surroundings(ego_from_map @ poses.translation_m, sequence.calibration.footprint, grid)
 
 
-def runs_inside(track_ego: NDArray[np.float64]) -> list[NDArray[np.float64]]:
+def runs_inside(track_ego: NDArray[np.float64], grid: LabelGrid = GRID) -> list[NDArray[np.float64]]:
     """The pieces (P', 3) of a track that lie in the grid in plan."""
-    low, high = np.array(GRID_MIN_M[:2]), np.array(GRID_MAX_M[:2])
+    low, high = np.array(grid.min_m[:2]), np.array(grid.max_m[:2])
     inside = ((track_ego[:, :2] >= low) & (track_ego[:, :2] < high)).all(axis=1)
     cuts = np.flatnonzero(np.diff(inside.astype(np.int8))) + 1
     pieces = np.split(track_ego, cuts)
@@ -181,39 +184,57 @@ FINER = 2
 
 
 def bev(grids: Mapping[str, Grid], around: Surroundings = ALONE, side_px: int = SIDE_PX) -> Image.Image:
-    """A square picture of `semantics`; with `mask_lidar` what was never seen is grey."""
+    """A picture of `semantics`, its longer side `side_px`; with `mask_lidar` what was never seen is grey."""
     fine_px = side_px * FINER
+    frame = _PlanFrame(around.grid, fine_px)
     image = Image.fromarray(plan(grids["semantics"], grids.get("mask_lidar"))).resize(
-        (fine_px, fine_px), Image.Resampling.NEAREST
+        frame.size_px, Image.Resampling.NEAREST
     )
     pen = ImageDraw.Draw(image)
     for radius_m in RINGS_M:
-        _ring(pen, radius_m, fine_px)
-    for run in runs_inside(around.track_ego):
+        _ring(pen, radius_m, frame)
+    for run in runs_inside(around.track_ego, around.grid):
         width_px = max(2, round(fine_px / 220))
         for colour, wider_px in ((PAPER, 2 * FINER), (TRACK, 0)):
-            pen.line(_pixels(run, fine_px), fill=colour, width=width_px + wider_px, joint="curve")
+            pen.line(frame.pixels(run), fill=colour, width=width_px + wider_px, joint="curve")
     x, y = around.footprint.length_m / 2, around.footprint.width_m / 2
     outline = np.array([(x, y), (x, -y), (-x, -y), (-x, y)])
-    pen.polygon(_pixels(outline, fine_px), fill=INK)
-    pen.polygon(_pixels(np.array([(x, 0.0), (0.1, -0.6 * y), (0.1, 0.6 * y)]), fine_px), fill=(245, 245, 245))
+    pen.polygon(frame.pixels(outline), fill=INK)
+    pen.polygon(frame.pixels(np.array([(x, 0.0), (0.1, -0.6 * y), (0.1, 0.6 * y)])), fill=(245, 245, 245))
     return image.reduce(FINER)
 
 
-def _ring(pen: ImageDraw.ImageDraw, radius_m: int, side_px: int) -> None:
-    x, y = _pixels(np.zeros((1, 2)), side_px)[0]
-    radius = radius_m * side_px / (GRID_MAX_M[0] - GRID_MIN_M[0])
+@dataclass(frozen=True)
+class _PlanFrame:
+    """A grid from above in a picture whose longer side has `side_px`."""
+
+    grid: LabelGrid
+    side_px: int
+
+    @property
+    def px_per_m(self) -> float:
+        return self.side_px / (max(self.grid.shape[:2]) * self.grid.voxel_m)
+
+    @property
+    def size_px(self) -> tuple[int, int]:
+        """Width and height: y runs across, x up."""
+        x, y = (round(sides * self.grid.voxel_m * self.px_per_m) for sides in self.grid.shape[:2])
+        return y, x
+
+    def pixels(self, points_ego: NDArray[np.float64]) -> list[tuple[float, float]]:
+        """Where points (P, 2 or 3) are in the picture."""
+        high_x, high_y = self.grid.max_m[:2]
+        across, down = (high_y - points_ego[:, 1]) * self.px_per_m, (high_x - points_ego[:, 0]) * self.px_per_m
+        return list(zip(across.tolist(), down.tolist(), strict=True))
+
+
+def _ring(pen: ImageDraw.ImageDraw, radius_m: int, frame: _PlanFrame) -> None:
+    (x, y), side_px = frame.pixels(np.zeros((1, 2)))[0], frame.side_px
+    radius = radius_m * frame.px_per_m
     pen.ellipse((x - radius, y - radius, x + radius, y + radius), outline=RING, width=max(2, side_px // 500))
     size, aside = max(20, side_px // 36), radius * 0.7071
     halo = {"stroke_width": size // 7, "stroke_fill": PAPER}
     pen.text((x + aside, y - aside), f"{radius_m} m", INK, font(size), anchor="mm", **halo)  # type: ignore[arg-type]
-
-
-def _pixels(points_ego: NDArray[np.float64], side_px: int) -> list[tuple[float, float]]:
-    """Where points (P, 2 or 3) are in the picture."""
-    scale = side_px / (GRID_MAX_M[0] - GRID_MIN_M[0])
-    across, down = (GRID_MAX_M[1] - points_ego[:, 1]) * scale, (GRID_MAX_M[0] - points_ego[:, 0]) * scale
-    return list(zip(across.tolist(), down.tolist(), strict=True))
 
 
 # The label grid of one frame from behind and above, in perspective.
@@ -231,9 +252,10 @@ def oblique(
     size_px: tuple[int, int] = (OBLIQUE_WIDTH_PX, HEIGHT_PX),
 ) -> Image.Image:
     """The picture of `grids["semantics"]` with the robot and its track; what is not labelled is not drawn."""
-    canvas = Canvas(CAMERA, *size_px)
-    canvas.add(voxel_boxes(np.ascontiguousarray(grids["semantics"]), np.array(GRID_MIN_M)))
-    for run in runs_inside(around.track_ego):
+    grid, wider = around.grid, around.grid.max_m[0] / GRID.max_m[0]
+    canvas = Canvas(replace(CAMERA, eye_m=CAMERA.eye_m * wider, target_m=CAMERA.target_m * wider), *size_px)
+    canvas.add(voxel_boxes(np.ascontiguousarray(grids["semantics"]), np.array(grid.min_m), grid.voxel_m))
+    for run in runs_inside(around.track_ego, grid):
         canvas.add(track_boxes(run))
     for boxes in robot_boxes(around.footprint):
         canvas.add(boxes)

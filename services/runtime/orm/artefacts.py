@@ -39,7 +39,8 @@ class LabelSet(WithQuality, Base):
     """The labels of a sequence under one recipe (sha256 of inputs, parameters and code version); made once.
 
     Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
-    drove, voxels of all frames by class) is null where an earlier version did not write it down.
+    drove, voxels of all frames by class) is null where an earlier version did not write it down. The paper's `grid` is
+    null.
     """
 
     __tablename__ = "label_sets"
@@ -56,6 +57,7 @@ class LabelSet(WithQuality, Base):
     t_voxels: Mapped[Count | None]
     p_voxels: Mapped[Count | None]
     n_voxels: Mapped[Count | None]
+    grid: Mapped[Record | None]
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     chosen_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

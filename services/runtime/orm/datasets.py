@@ -8,7 +8,7 @@ deleted. The database refuses to change its rows; inputs are added to it.
 from sqlalchemy import ForeignKey, String
 from sqlalchemy.orm import Mapped, mapped_column
 
-from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, WithQuality, new_id, now_ns
+from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, WithQuality, new_id, now_ns
 
 
 class Splits(Base):
@@ -29,7 +29,8 @@ class SplitMember(Base):
 
 
 class Dataset(Base):
-    """A version of the dataset; the manifest is a blob, so its name and its content are one."""
+    """A version of the dataset; the manifest is a blob, so its name and its content are one. `grid` is that of all its
+    labels, null if it is the paper's."""
 
     __tablename__ = "datasets"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
@@ -38,6 +39,7 @@ class Dataset(Base):
     code_version: Mapped[str] = mapped_column(String(64))
     manifest_sha256: Mapped[str] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     manifest_bytes: Mapped[Bytes]
+    grid: Mapped[Record | None]
     created_by: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

@@ -7,6 +7,7 @@ import typer
 from stone_client.clock_offsets import ClockOffsetOption, clock_offsets_body
 from stone_client.options import (
     DEFAULT_PROFILE,
+    GridOption,
     Ground,
     GroundOption,
     LidarOption,
@@ -33,6 +34,7 @@ def process(
     odometry: OdometryOption = None,
     lidar: LidarOption = None,
     ground: GroundOption = Ground.GIVEN,
+    grid: GridOption = None,
     recording: RecordingOption = [],  # noqa: B006
     clock_offset: ClockOffsetOption = [],  # noqa: B006
     watch: WatchOption = False,
@@ -46,12 +48,14 @@ def process(
     from stone_client.connection import connected
     from stone_client.server.run_watch import watch_run
     from stone_client.server.sequences import find_sequence, recordings_named, start_run
+    from stone_files.grid_file import chosen_grid
 
     body: dict[str, Any] = {"profile": profile.value}
     body |= {"parameters": chosen_parameters(parameter)} if parameter else {}
     body |= {"odometry_topic": odometry} if odometry else {}
     body |= {"lidar_topic": lidar} if lidar else {}
     body |= {"ground": ground.value} if ground != Ground.GIVEN else {}
+    body |= {"grid": chosen_grid(grid).as_record()} if grid else {}
     body |= clock_offsets_body(clock_offset)
     with connected(server) as api:
         found = find_sequence(api, sequence)

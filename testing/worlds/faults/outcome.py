@@ -22,10 +22,10 @@ from services.labeler.report import LabelReport
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone.labels.footprint import BAND_M
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import PAPER
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.report.inspection import inspect_in
 from testing.worlds.faults.drive import SoundDrive, faulty
@@ -129,7 +129,7 @@ def driven_off_track_m(sequence: Sequence, grids: Mapping[int, NDArray[np.uint8]
     rows = {stamp_ns: row for row, stamp_ns in enumerate(sequence.frames.stamps_ns.tolist())}
     found = [np.zeros(0)]
     for stamp_ns, grid in grids.items():
-        ego_m = (np.argwhere(grid == 1) * VOXEL_M + GRID_MIN_M + VOXEL_M / 2).astype(np.float64)
+        ego_m = (np.argwhere(grid == 1) * VOXEL_M + PAPER.min_m + VOXEL_M / 2).astype(np.float64)
         driven_m = sequence.frames.map_from_ego[rows[stamp_ns]] @ ego_m
         found.append(np.linalg.norm(driven_m[:, None] - poses_m, axis=2).min(axis=1))
     return np.concatenate(found)

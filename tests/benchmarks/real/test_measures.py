@@ -24,9 +24,9 @@ from services.domain.viewer.formats import TileVoxels, tile_bytes
 from services.labeler.map.ply import write_mesh
 from stone.geometry.lattice import keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.calibration import Calibration, Footprint
 from stone.sensors.sequence import Frames, Sequence
+from stone_base.label_grid import PAPER
 from stone_recordings.calibrations.file import read_calibration
 
 T, P, N = 1, 2, 3
@@ -126,7 +126,7 @@ def with_scan(folder: Path, kinds: list[int]) -> NDArray[np.uint8]:
     points[:, :3] = np.array([0.1, 0.1, 0.1]) + np.outer(np.arange(len(kinds)), [0.2, 0, 0])
     points.tofile(folder / "s.bin")
     (np.array(kinds, "<u4") | 0x10000).astype("<u4").tofile(folder / "s.label")
-    return np.zeros(GRID_SHAPE, np.uint8)
+    return np.zeros(PAPER.shape, np.uint8)
 
 
 def write_grid(folder: Path, grid: NDArray[np.uint8]) -> None:

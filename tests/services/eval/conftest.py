@@ -9,8 +9,8 @@ import pytest
 from numpy.typing import NDArray
 
 from services.eval.ground_truth import find_ground_truth
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import frame_token
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from stone_submissions.manifest import write_manifest
 from testing.worlds import benchmark_world
@@ -32,8 +32,8 @@ class World:
 
 def speckled(seed: int, high: int = 4) -> Grid:
     rng = np.random.default_rng(seed)
-    is_set = rng.random(GRID_SHAPE, dtype=np.float32) < 0.05
-    return np.where(is_set, rng.integers(0, high, GRID_SHAPE), 0).astype(np.uint8)
+    is_set = rng.random(PAPER.shape, dtype=np.float32) < 0.05
+    return np.where(is_set, rng.integers(0, high, PAPER.shape), 0).astype(np.uint8)
 
 
 @pytest.fixture(scope="session")

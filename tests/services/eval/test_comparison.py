@@ -12,8 +12,9 @@ from PIL import Image
 from services.domain.viewer.frame_picture import DIFFERENCE_RGB, GREY, SAME_ALPHA, difference_picture
 from services.eval.comparison.folders import compare_folders, open_folders, write_pictures
 from stone.scoring.agreement import EASIER, HARDER, ONLY_A, ONLY_B, SAME
+from stone_base.errors import StoneError
 from stone_files.npz import npz_bytes
-from stone_submissions.errors import GroundTruthError, UnreadableInputError
+from stone_submissions.errors import UnreadableInputError
 from testing.refusals import refused_as
 from tests.plain_confusion import confusion_matrix
 
@@ -130,5 +131,6 @@ def test_label_sets_of_different_runs_are_refused_with_the_likely_reason(tmp_pat
 def test_a_label_file_that_is_none_is_refused_by_its_name(tmp_path: Path, arrays: dict[str, np.ndarray]) -> None:
     good = write_labels(tmp_path / "good", {TOKENS[0]: {"semantics": random_grid(1)}})
     bad = write_labels(tmp_path / "bad", {TOKENS[0]: arrays})
-    with pytest.raises(GroundTruthError, match=TOKENS[0]):
+    with pytest.raises(StoneError, match=TOKENS[0]) as refusal:
         compare_folders(open_folders(good, bad))
+    assert refusal.value.code in ("bad_ground_truth", "unknown_grid")

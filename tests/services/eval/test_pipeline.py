@@ -16,10 +16,10 @@ from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.examination import count_range
 from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
-from stone.labels.grid import GRID_SHAPE
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import RATIOS
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.archive import open_submission
@@ -45,7 +45,7 @@ def submission(world: World, tmp_path: Path) -> Path:
 
 def plain_confusion(world: World, mask: Mask) -> np.ndarray[tuple[int, int], np.dtype[np.int64]]:
     """The oracle: numpy alone, on the arrays that the files were written from."""
-    everywhere, nowhere = np.ones(GRID_SHAPE, np.bool_), np.zeros(GRID_SHAPE, np.bool_)
+    everywhere, nowhere = np.ones(PAPER.shape, np.bool_), np.zeros(PAPER.shape, np.bool_)
     total = np.zeros((4, 4), np.int64)
     for token, labels in world.labels.items():
         evaluated = {"all": everywhere, "lidar": world.masks[token] > 0, "camera": nowhere}[mask]
@@ -128,7 +128,7 @@ def test_columns_are_counted_in_few_frames_evenly_spaced(
 ) -> None:
     """Of three frames the first and the third, whatever ranges they are counted in."""
     monkeypatch.setattr("stone.scoring.columns.COUNTED_FRAMES", 2)
-    everywhere = np.ones(GRID_SHAPE, np.bool_)
+    everywhere = np.ones(PAPER.shape, np.bool_)
     tokens = find_ground_truth(world.folder).manifest.tokens
     counted = [slow_counts(world.labels[token], world.predictions[token], everywhere) for token in tokens[::2]]
     for part_frames in (500, 1):
@@ -175,9 +175,9 @@ def test_a_ground_truth_that_is_none_is_refused(world: World, submission: Path, 
     ("name", "content"),
     [
         ("a" * 32, b"not an npz"),
-        ("a" * 32, npz_bytes({"labels": np.zeros(GRID_SHAPE, np.uint8)})),
-        ("a" * 32, npz_bytes({"semantics": np.full(GRID_SHAPE, 9, np.uint8)})),
-        ("a" * 32, npz_bytes({"mask_lidar": np.zeros(GRID_SHAPE, np.uint8)})),
+        ("a" * 32, npz_bytes({"labels": np.zeros(PAPER.shape, np.uint8)})),
+        ("a" * 32, npz_bytes({"semantics": np.full(PAPER.shape, 9, np.uint8)})),
+        ("a" * 32, npz_bytes({"mask_lidar": np.zeros(PAPER.shape, np.uint8)})),
         ("a" * 32, bytes(9 * 2**20)),
         ("frame-1", b""),
     ],
@@ -186,14 +186,14 @@ def test_a_broken_label_file_is_refused_with_its_path(name: str, content: bytes,
     path = tmp_path / "gts" / "s" / name / "labels.npz"
     path.parent.mkdir(parents=True)
     path.write_bytes(content)
-    write_submission(tmp_path / "sub.zip", [(name, np.zeros(GRID_SHAPE, np.uint8))])
+    write_submission(tmp_path / "sub.zip", [(name, np.zeros(PAPER.shape, np.uint8))])
     with pytest.raises(GroundTruthError, match=r"labels\.npz"):
         score(tmp_path / "sub.zip", tmp_path)
 
 
 def test_the_writer_takes_only_grids(tmp_path: Path) -> None:
     with refused_as("bad_dtype", match="int64"):
-        write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros(GRID_SHAPE, np.int64))])
+        write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros(PAPER.shape, np.int64))])
     with refused_as("bad_shape", match=r"\(2, 2, 2\)"):
         write_submission(tmp_path / "s.zip", [("a" * 32, np.zeros((2, 2, 2), np.uint8))])
     assert list(tmp_path.iterdir()) == []

@@ -43,6 +43,7 @@ from services.runtime.orm import (
 from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback, job_sandbox
 from stone.scoring.bitplanes import TruthPlanes
+from stone_base.label_grid import LabelGrid
 from stone_files.npz import npz_bytes
 from stone_submissions.manifest import read_manifest
 from testing.api.serving import person
@@ -210,9 +211,9 @@ def job_of(world: World, job_id: str) -> Job:
 def test_no_label_file_is_opened_in_the_worker_itself(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
     opened_here = list[str]()
 
-    def noted(npz: bytes, mask: Mask, path: Path) -> TruthPlanes:
+    def noted(npz: bytes, mask: Mask, path: Path, grid: LabelGrid) -> TruthPlanes:
         opened_here.append(str(path))
-        return truth_in(npz, mask, path)
+        return truth_in(npz, mask, path, grid)
 
     monkeypatch.setattr(sandboxed_truth, "truth_in", noted)
     job_id = begun(world)

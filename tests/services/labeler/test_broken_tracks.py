@@ -9,9 +9,9 @@ from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import LabelParameters, TilingParameters
 from stone.geometry.se3 import SE3
 from stone.labels.footprint import BAND_M
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box, Footprint
+from stone_base.label_grid import PAPER
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
 WORLD = World(grade=(0.06, 0.02), boxes=(Box((1.5, 2.0, 0.0), (2.7, 3.2, 1.4)),), frames=16)
@@ -81,7 +81,7 @@ def test_nothing_is_driven_on_beyond_the_footprint_of_a_pose(made):
     reach_m = np.hypot(footprint.length_m, footprint.width_m) / 2 + BAND_M + 0.2  # the poses are 0.4 m apart
     for index, grid in enumerate(grids(folder / "whole", frames.tokens)):
         rows = slice(0, BREAK) if index < BREAK else slice(BREAK, None)
-        driven = poses[index] @ (np.argwhere(grid["semantics"] == 1) * VOXEL_M + GRID_MIN_M + VOXEL_M / 2)
+        driven = poses[index] @ (np.argwhere(grid["semantics"] == 1) * VOXEL_M + PAPER.min_m + VOXEL_M / 2)
         gaps_m = np.linalg.norm(driven[:, None] - poses.translation_m[rows], axis=2).min(axis=1)
         assert len(driven) > 20
         assert gaps_m.max() < reach_m + VOXEL_M

@@ -14,9 +14,9 @@ from services.labeler.parameters import parameters_for
 from services.labeler.results import reference_from
 from services.labeler.run import LabelRun, Tile
 from stone.geometry.lattice import indices_of
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.sensors.calibration import Box
 from stone.surface.mesh import Mesh
+from stone_base.label_grid import PAPER
 from tests.services.labeler.straight_line import Constants, classes_by_voxel, vertex_normals
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -97,11 +97,11 @@ def test_the_grid_of_every_frame_holds_those_voxels_and_no_others(level):
     assert differing(level.classes, expected) == {}
     poses = level.run.sequence.frames.map_from_ego
     for index, frame in enumerate(level.frames):
-        corner = np.round((poses[index].translation_m + GRID_MIN_M) / 0.2).astype(int)
-        grid = np.zeros(GRID_SHAPE, np.uint8)
+        corner = np.round((poses[index].translation_m + PAPER.min_m) / 0.2).astype(int)
+        grid = np.zeros(PAPER.shape, np.uint8)
         for voxel, kind in expected.items():
             at = np.array(voxel) - corner
-            if (at >= 0).all() and (at < GRID_SHAPE).all():
+            if (at >= 0).all() and (at < PAPER.shape).all():
                 grid[tuple(at)] = kind
         np.testing.assert_array_equal(semantics(frame), grid)
 

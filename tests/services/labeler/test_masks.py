@@ -9,12 +9,13 @@ import pytest
 from services.eval.ground_truth import read_truth, truth_hash
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import REFERENCES, LabelParameters
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, frame_bounds
+from stone.labels.grid import frame_bounds
 from stone.labels.sight_batches import SightBatch
 from stone.labels.traversability import NON_TRAVERSABLE, POTENTIAL, TRAVERSABLE, threshold
 from stone.labels.visibility import sight_lines
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
+from stone_base.label_grid import PAPER
 from testing.rays import cast, in_voxels, lit_share, open_share
 from tests.golden_vectors import MASKS
 from tests.services.labeler.worlds import CALIBRATION, CAMERA, EGO_FROM_LIDAR, RayCast, World, sequence_of
@@ -45,8 +46,8 @@ def confident(tmp_path_factory):
 
 
 def centres_ego():
-    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
-    return (index + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in PAPER.shape], indexing="ij"), axis=-1)
+    return (index + 0.5) * VOXEL_M + np.array(PAPER.min_m)
 
 
 @pytest.mark.whole
@@ -90,9 +91,9 @@ def test_mask_camera_is_where_half_of_many_rays_come_through_or_any_ends_on_a_si
 def in_image():
     """Which voxels the camera has in its image when nothing is in the way."""
     assert CAMERA.intrinsics is not None
-    nothing = np.zeros((1, *GRID_SHAPE[:2]), np.uint32)
+    nothing = np.zeros((1, *PAPER.shape[:2]), np.uint32)
     (words,) = SightBatch([sight_lines(CAMERA.intrinsics, EGO_FROM_CAMERA)]).visible(nothing)
-    return np.unpackbits(words.view(np.uint8), bitorder="little").reshape(GRID_SHAPE).astype(bool)
+    return np.unpackbits(words.view(np.uint8), bitorder="little").reshape(PAPER.shape).astype(bool)
 
 
 def test_confidence_is_an_array_more_and_changes_nothing_else(plain, confident):
@@ -107,7 +108,7 @@ def test_the_distance_of_every_voxel_explains_its_class(confident):
     for path in confident[::5]:
         grids = np.load(path)
         classes, squared = grids["semantics"], grids["distance_squared"]
-        assert (squared.dtype, squared.shape) == (np.float16, GRID_SHAPE)
+        assert (squared.dtype, squared.shape) == (np.float16, PAPER.shape)
         assert np.isfinite(squared).all()
         assert ((squared == -1) == (classes == 0)).all()
         assert (squared[classes > 0] >= 0).all()
@@ -121,7 +122,7 @@ def test_profile_field_gives_every_label_the_probability_that_it_is_right(tmp_pa
     for path in labelled(tmp_path / "out", confidence=True, profile="field", reference=REFERENCES["field"])[::5]:
         with np.load(path) as grids:
             classes, confidence = grids["semantics"], grids["confidence"]
-        assert (confidence.dtype, confidence.shape) == (np.uint8, GRID_SHAPE)
+        assert (confidence.dtype, confidence.shape) == (np.uint8, PAPER.shape)
         assert ((confidence == 0) == (classes == 0)).all()
         assert (confidence[classes == TRAVERSABLE] == 255).all()
         assert confidence[classes == POTENTIAL].mean() > 0.99 * 255  # a plain without noise

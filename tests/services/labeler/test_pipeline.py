@@ -19,10 +19,10 @@ from services.labeler.local_run import LabelOptions, label
 from services.labeler.map.ply import FACE, HEADER, VERTEX
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
 from stone.labels.class_colours import CLASS_RGB
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import ExcludedFrame
+from stone_base.label_grid import PAPER
 from testing.refusals import refused_as
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -60,7 +60,16 @@ def made(tmp_path_factory):
 
 def test_every_frame_has_its_labels_and_nothing_else_is_left(made):
     tokens = set(sequence_of(WORLD).frames.tokens)
-    files = {"frames.parquet", "mesh.ply", "bev.png", "map.png", "features.png", "report.json", "sequence.npz"}
+    files = {
+        "frames.parquet",
+        "mesh.ply",
+        "bev.png",
+        "map.png",
+        "features.png",
+        "report.json",
+        "sequence.npz",
+        "grid.json",
+    }
     assert {path.name for path in made.iterdir()} == {"gts", "scene", "thumbnail.png", *files}
     assert {path.name for path in (made / "gts").iterdir()} == {"small"}
     assert {path.name for path in (made / "gts" / "small").iterdir()} == tokens
@@ -73,7 +82,7 @@ def test_label_files_hold_three_grids_of_bytes(made):
     for path in made.glob("gts/small/*/labels.npz"):
         with np.load(path, allow_pickle=False) as arrays:
             assert arrays.files == ["semantics", "mask_lidar", "mask_camera"]
-            assert {arrays[name].shape for name in arrays.files} == {GRID_SHAPE}
+            assert {arrays[name].shape for name in arrays.files} == {PAPER.shape}
             assert {arrays[name].dtype for name in arrays.files} == {np.dtype(np.uint8)}
             assert set(np.unique(arrays["semantics"])) == {0, 1, 2, 3}
             assert set(np.unique(arrays["mask_lidar"])) == {0, 1}
@@ -83,7 +92,7 @@ def test_label_files_hold_three_grids_of_bytes(made):
 
 
 def test_traversable_ground_is_under_the_robot_in_every_frame(made):
-    middle = [round(-low / VOXEL_M) for low in GRID_MIN_M]
+    middle = [round(-low / VOXEL_M) for low in PAPER.min_m]
     x, y, z = (slice(at - 2, at + 2) for at in middle)
     for semantics in grids(made):
         assert (semantics[x, y, z] == 1).any(axis=2).all()
@@ -94,14 +103,14 @@ def test_the_box_is_not_traversable_and_the_ground_beside_it_is(made):
     semantics = grids(made)[0]
     start = sequence_of(WORLD).frames.map_from_ego[0].inverse() @ WORLD.placed()
     walls = start @ np.array([[1.5, 2.6, 0.9], [2.1, 2.0, 0.9]])
-    for i, j, k in np.floor((walls - np.array(GRID_MIN_M)) / VOXEL_M).astype(int):
+    for i, j, k in np.floor((walls - np.array(PAPER.min_m)) / VOXEL_M).astype(int):
         assert 3 in semantics[i - 1 : i + 2, j - 1 : j + 2, k - 1 : k + 2]
-    x, y, z = np.floor((start @ np.array([-1.0, -1.5, -0.09]) - np.array(GRID_MIN_M)) / VOXEL_M).astype(int)
+    x, y, z = np.floor((start @ np.array([-1.0, -1.5, -0.09]) - np.array(PAPER.min_m)) / VOXEL_M).astype(int)
     assert set(np.unique(semantics[x - 2 : x + 3, y - 2 : y + 3, z - 2 : z + 3])) == {0, 2}
 
 
 def test_nothing_is_labelled_where_no_ray_came(made):
-    x = (np.arange(GRID_SHAPE[0]) + 0.5) * VOXEL_M + GRID_MIN_M[0]
+    x = (np.arange(PAPER.shape[0]) + 0.5) * VOXEL_M + PAPER.min_m[0]
     frames = sequence_of(WORLD).frames
     reach_m = WORLD.reach_m + WORLD.step_m * WORLD.frames + 0.6
     away = np.hypot(*np.meshgrid(x, x, indexing="ij")) > reach_m

@@ -13,8 +13,8 @@ from benchmarks.real.labelled_map import read_map
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import TilingParameters, parameters_for
 from stone.geometry.lattice import indices_of
-from stone.labels.grid import GRID_MIN_M
 from stone.sensors.calibration import Box
+from stone_base.label_grid import PAPER
 from tests.services.labeler.straight_line import Constants, driven_voxels
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 
@@ -144,7 +144,7 @@ def test_the_report_has_the_share_of_occupied_voxels_whose_centre_is_in_no_label
     occupied, filled = 0, 0
     for token, pose in zip(frames.tokens, frames.map_from_ego.as_matrix(), strict=True):
         at = np.argwhere(np.load(folder / "gts" / "small" / token / "labels.npz")["semantics"])
-        centres = ((at + 0.5) * 0.2 + GRID_MIN_M) @ pose[:3, :3].T + pose[:3, 3]
+        centres = ((at + 0.5) * 0.2 + PAPER.min_m) @ pose[:3, :3].T + pose[:3, 3]
         occupied += len(at)
         filled += sum(tuple(voxel) not in labelled for voxel in np.floor(centres / 0.2).astype(int).tolist())
     share = json.loads((folder / "report.json").read_text())["filled_share_of_occupied"]

@@ -23,11 +23,11 @@ from services.labeler.process_pool import Task, Workers
 from services.labeler.run import LabelRun
 from services.labeler.sandboxed_run import RunOpening
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_SHAPE
 from stone.labels.sight_batches import SightBatch
 from stone.labels.visibility import sight_lines
 from stone.sensors.calibration import Calibration
 from stone.sensors.sequence import Frames, Sequence
+from stone_base.label_grid import PAPER
 from stone_base.process_tuning import COMMAND_COLLECTS_AFTER, keep_freed_memory
 from stone_recordings.sync.sequence_file import sequence_bytes
 from testing.refusals import refused_as
@@ -189,7 +189,7 @@ def test_another_run_in_the_same_folder_sees_what_its_own_cameras_see(tmp_path: 
     before = _sight_of(run_in(tmp_path))
     turned = replace(CAMERA, lidar_from_sensor=BACKWARD @ CAMERA.lidar_from_sensor)
     run = run_in(tmp_path, replace(CALIBRATION, mounts=(turned,)))
-    nothing = np.zeros((1, *GRID_SHAPE[:2]), np.uint32)
+    nothing = np.zeros((1, *PAPER.shape[:2]), np.uint32)
     assert turned.intrinsics is not None
     alone = SightBatch([sight_lines(turned.intrinsics, CALIBRATION.ego_from_lidar @ turned.lidar_from_sensor)])
     assert (_sight_of(run).visible(nothing) == alone.visible(nothing)).all()

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.labels.baseline import DEFAULTS, N, P, T, column_centres_m, ground_heights, predict_from_sweep
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER
 
 Points = NDArray[np.float32]
 FLAT_LAYER = 10  # z = 0.05 m lies in [0, 0.2)
@@ -58,7 +58,7 @@ def test_the_ground_under_the_robot_is_known_without_a_point() -> None:
 
 
 def test_gaps_are_closed_from_neighbours_and_no_further() -> None:
-    lowest = np.full(GRID_SHAPE[:2], np.inf, np.float32)
+    lowest = np.full(PAPER.shape[:2], np.inf, np.float32)
     lowest[10:12] = 0.5
     ground = ground_heights(lowest)
     assert ground[12:18, 40] == pytest.approx(0.5)
@@ -73,12 +73,12 @@ def test_no_points_give_an_empty_grid() -> None:
 @given(hnp.arrays(np.float32, st.tuples(st.integers(0, 50), st.just(3)), elements=st.floats(width=32)))
 def test_any_points_give_classes_and_every_measured_voxel_is_occupied(points: Points) -> None:
     grid = predict_from_sweep(points)
-    assert grid.shape == GRID_SHAPE
+    assert grid.shape == PAPER.shape
     assert grid.dtype == np.uint8
     assert grid.max() <= N
     finite = points[np.isfinite(points).all(axis=1)].astype(np.float64)
     index = (finite - (-25.6, -25.6, -2.0)) / 0.2
-    inside = ((index >= 1e-3) & (index < np.array(GRID_SHAPE) - 1e-3) & (np.abs(index % 1 - 0.5) < 0.499)).all(axis=1)
+    inside = ((index >= 1e-3) & (index < np.array(PAPER.shape) - 1e-3) & (np.abs(index % 1 - 0.5) < 0.499)).all(axis=1)
     assert (grid[tuple(index[inside].astype(int).T)] > 0).all()
 
 
@@ -93,9 +93,9 @@ def test_other_shapes_are_refused() -> None:
 
 
 def test_only_the_robots_own_footprint_is_known_without_a_point() -> None:
-    lowest = np.full(GRID_SHAPE[:2], np.inf, np.float32)
+    lowest = np.full(PAPER.shape[:2], np.inf, np.float32)
     lowest[200:203, 128] = 0.05
-    parameters = replace(DEFAULTS, gap_passes=0, footprint_length_m=2.0, footprint_width_m=0.8)
+    parameters = replace(DEFAULTS, gap_m=0.0, footprint_length_m=2.0, footprint_width_m=0.8)
     known_x, known_y = np.nonzero(np.isfinite(ground_heights(lowest, parameters))[:200])
     x_m, y_m = column_centres_m()
     assert np.abs(x_m[known_x]).max() == pytest.approx(0.9)

@@ -13,10 +13,12 @@ from stone.geometry.lattice import keys_from_indices, table_of
 from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, gathered, reconcile, spread_out
 from stone.labels.crops import cut, cut_batch, cut_with_rows, placing_of
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE, frame_bounds, window_bytes, window_of
+from stone.labels.grid import frame_bounds, window_bytes, window_of
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.pinholes import FRACTION_BITS
+from stone.labels.pooling import pooled
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER, RELEASE, LabelGrid
 from tests.observed_voxels import voxel_keys
 
 NOTHING = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
@@ -45,7 +47,7 @@ poses = st.builds(
 
 
 def cropped(indices, classes, map_from_ego):
-    """The classes of `GRID_SHAPE` of the frame at this pose, in a map of the labelled voxels (K, 3)."""
+    """The classes of `PAPER.shape` of the frame at this pose, in a map of the labelled voxels (K, 3)."""
     keys = keys_from_indices(indices)
     order = np.argsort(keys)
     window = window_of(keys[order], classes[order].astype(np.uint8), NOTHING, frame_bounds(map_from_ego))
@@ -62,8 +64,8 @@ def sheet_across(axis, place, map_from_ego):
 
 
 def centres_map(map_from_ego):
-    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
-    return map_from_ego @ ((index + 0.5) * VOXEL_M + np.array(GRID_MIN_M))
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in PAPER.shape], indexing="ij"), axis=-1)
+    return map_from_ego @ ((index + 0.5) * VOXEL_M + np.array(PAPER.min_m))
 
 
 def cloud_around(map_from_ego, seed, count=200_000):
@@ -83,7 +85,7 @@ def test_a_voxel_has_the_class_of_the_map_voxel_that_holds_its_centre(map_from_e
     classes = cropped(indices, kinds, map_from_ego)
     scaled = centres_map(map_from_ego) / VOXEL_M
     rng = np.random.default_rng(seed)
-    for a, b, c in rng.integers(0, GRID_SHAPE, (4000, 3)):
+    for a, b, c in rng.integers(0, PAPER.shape, (4000, 3)):
         at = scaled[a, b, c]
         if np.abs(at - np.round(at)).min() < 1e-3:  # the grid's fixed point has 2^-20 voxels a step
             continue
@@ -150,10 +152,10 @@ def test_a_quarter_turn_is_exact(quarters):
 def test_an_aligned_grid_is_the_map_itself():
     here = pose(4.0, -6.0, 1.0)
     indices, kinds = cloud_around(here, 5)
-    low = np.round((here.translation_m + np.array(GRID_MIN_M)) / VOXEL_M).astype(int)
-    expected = np.zeros(GRID_SHAPE, np.uint8)
+    low = np.round((here.translation_m + np.array(PAPER.min_m)) / VOXEL_M).astype(int)
+    expected = np.zeros(PAPER.shape, np.uint8)
     at = indices - low
-    inside = ((at >= 0) & (at < GRID_SHAPE)).all(axis=1)
+    inside = ((at >= 0) & (at < PAPER.shape)).all(axis=1)
     expected[tuple(at[inside].T)] = kinds[inside]
     classes = cropped(indices, kinds, here)
     assert (classes == expected).all()
@@ -164,7 +166,7 @@ def test_an_aligned_grid_is_the_map_itself():
 def test_the_bounds_of_a_frame_hold_its_whole_grid(map_from_ego):
     low, high = frame_bounds(map_from_ego)
     corners = np.array([[a, b, c] for a in (0, 1) for b in (0, 1) for c in (0, 1)])
-    corners = np.array(GRID_MIN_M) + corners * (np.array(GRID_MAX_M) - np.array(GRID_MIN_M))
+    corners = np.array(PAPER.min_m) + corners * (np.array(PAPER.max_m) - np.array(PAPER.min_m))
     voxels = np.floor((map_from_ego @ corners) / VOXEL_M)
     assert (voxels > low).all()
     assert (voxels < high - 1).all()
@@ -174,9 +176,9 @@ def test_the_bounds_of_a_frame_hold_its_whole_grid(map_from_ego):
 
 
 def test_the_grid_is_the_declared_one():
-    spans = (np.array(GRID_MAX_M) - np.array(GRID_MIN_M)) / VOXEL_M
-    np.testing.assert_allclose(spans, GRID_SHAPE, atol=1e-9)
-    assert max(GRID_SHAPE) < 2**FRACTION_BITS
+    spans = (np.array(PAPER.max_m) - np.array(PAPER.min_m)) / VOXEL_M
+    np.testing.assert_allclose(spans, PAPER.shape, atol=1e-9)
+    assert max(PAPER.shape) < 2**FRACTION_BITS
 
 
 AXES = np.eye(3, dtype=np.int64)
@@ -193,9 +195,9 @@ def classes_of(columns):
 class World:
     """Random labelled voxels and observed bricks around a pose, as dense arrays over the window's range too."""
 
-    def __init__(self, map_from_ego, seed):
+    def __init__(self, map_from_ego, seed, grid=PAPER):
         rng = np.random.default_rng(seed)
-        self.bounds = low, high = frame_bounds(map_from_ego)
+        self.bounds = low, high = frame_bounds(map_from_ego, grid)
         self.indices = np.unique(rng.integers(low - 3, high + 3, (60_000, 3)), axis=0)
         self.classes = rng.integers(1, 4, len(self.indices)).astype(np.uint8)
         bricks = np.unique(rng.integers(low // BRICK - 1, high // BRICK + 2, (20_000, 3)), axis=0)
@@ -210,10 +212,10 @@ class World:
         return np.where(self.keys[row] == keys, row, -1).reshape(positions.shape[:-1])
 
 
-def fixed_point(world, map_from_ego):
+def fixed_point(world, map_from_ego, grid=PAPER):
     """Position (256, 256, 32, 3) of every centre in the map, in voxels times 2^20, whole numbers."""
-    placing = placing_of(world.window, map_from_ego)
-    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
+    placing = placing_of(world.window, map_from_ego, grid)
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij"), axis=-1)
     return placing.start + index @ placing.step.T + (world.window.origin << FRACTION_BITS)
 
 
@@ -250,9 +252,9 @@ def first_crossed(world, a, b, ends):
     return zip(ends[hit].tolist(), row_at[hit].tolist(), entered[hit].tolist(), strict=True)
 
 
-def rows_of(world, map_from_ego):
+def rows_of(world, map_from_ego, grid=PAPER):
     """The labelled voxel (its row) each voxel of the grid has its class from, −1 for none; and how many are filled."""
-    positions = fixed_point(world, map_from_ego)
+    positions = fixed_point(world, map_from_ego, grid)
     held = world.at(positions >> FRACTION_BITS)
     rows, closing = held.copy(), gaps(world, positions, held)
     for a, b, c, axis, row, is_nearer in closing:
@@ -278,7 +280,7 @@ def test_a_frame_is_its_voxels_looked_up_one_by_one_and_its_gaps_closed_in_turn(
 def test_a_frame_is_observed_voxel_by_voxel(case):
     world, map_from_ego, *_ = case
     keys = keys_from_indices((fixed_point(world, map_from_ego) >> FRACTION_BITS).reshape(-1, 3))
-    expected = np.isin(keys, voxel_keys(world.observed)).reshape(GRID_SHAPE)
+    expected = np.isin(keys, voxel_keys(world.observed)).reshape(PAPER.shape)
     assert (spread_out(cut(world.window, map_from_ego).observed) == expected).all()
 
 
@@ -301,6 +303,43 @@ def test_each_voxel_has_the_row_of_the_map_voxel_whose_class_it_took(case):
     assert (classes_of(columns) == classes_of(cut(world.window, map_from_ego))).all()
 
 
+@pytest.mark.parametrize("grid", [RELEASE, LabelGrid("deep", (-8.0, -4.0, -2.0), 0.8, (32, 24, 8))], ids=str)
+def test_a_larger_voxel_is_pooled_of_the_map_voxels_in_it(grid):
+    """By the definition, cube by cube: any occupied, the class of most of them, the highest of equals."""
+    fine = grid.on_map
+    assert (fine.min_m, fine.max_m, fine.voxel_m) == (grid.min_m, grid.max_m, VOXEL_M)
+    world = World(POSES["tilted"], 4)
+    cut_fine = cut(world.window, POSES["tilted"], grid=fine)
+    columns, n = pooled(cut_fine, grid), grid.pooled
+    classes, seen = (spread_out(*words, height=fine.shape[2]) for words in (both(cut_fine), (cut_fine.observed,)))
+    found, found_seen = (spread_out(*words, height=grid.shape[2]) for words in (both(columns), (columns.observed,)))
+    rng = np.random.default_rng(3)
+    for voxel in rng.integers(0, grid.shape, (3000, 3)).tolist():
+        cube = tuple(slice(n * at, n * at + n) for at in voxel)
+        counts = np.bincount(classes[cube].ravel(), minlength=4)[1:]
+        expected = 3 - int(np.argmax(counts[::-1])) if counts.any() else 0
+        assert found[tuple(voxel)] == expected
+        assert found_seen[tuple(voxel)] == (seen[cube].any() or counts.any())
+    assert len(np.unique(found)) == 4
+
+
+def both(columns):
+    return columns.ones, columns.twos
+
+
+@pytest.mark.parametrize("grid", [RELEASE.on_map, LabelGrid("ahead", (1.3, -7.7, -0.9), 0.2, (72, 104, 16))], ids=str)
+def test_a_frame_of_any_grid_is_its_voxels_looked_up_and_its_gaps_closed(grid):
+    map_from_ego = POSES["tilted"]
+    world = World(map_from_ego, 5, grid)
+    rows, filled = rows_of(world, map_from_ego, grid)
+    columns = cut(world.window, map_from_ego, grid=grid)
+    expected = np.where(rows >= 0, world.classes[rows], 0)
+    assert (spread_out(*both(columns), height=grid.shape[2]) == expected).all()
+    assert columns.filled == filled > 100
+    _, found = cut_with_rows(world.window, map_from_ego, table_of(world.keys), grid)
+    assert (found == rows).all()
+
+
 def test_the_weight_of_a_window_is_known_before_it_is_made():
     bounds = frame_bounds(POSES["tilted"])
     nothing = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
@@ -316,7 +355,7 @@ def test_a_window_whose_voxels_cannot_be_counted_is_refused_before_it_is_made():
 
 def test_columns_are_the_grid_bit_by_bit():
     rng = np.random.default_rng(2)
-    grid = rng.integers(0, 4, GRID_SHAPE, dtype=np.uint8)
+    grid = rng.integers(0, 4, PAPER.shape, dtype=np.uint8)
     ones, twos = gathered(grid & 1), gathered(grid & 2)
     assert (spread_out(ones, twos) == grid).all()
     assert ones[7, 9] == sum(int(grid[7, 9, z] & 1) << z for z in range(32))
@@ -324,8 +363,8 @@ def test_columns_are_the_grid_bit_by_bit():
 
 def test_masks_agree_and_are_counted():
     rng = np.random.default_rng(3)
-    classes = (rng.integers(0, 4, GRID_SHAPE) * (rng.uniform(size=GRID_SHAPE) < 0.1)).astype(np.uint8)
-    observed, visible = rng.integers(0, 2, (2, *GRID_SHAPE)).astype(np.uint8)
+    classes = (rng.integers(0, 4, PAPER.shape) * (rng.uniform(size=PAPER.shape) < 0.1)).astype(np.uint8)
+    observed, visible = rng.integers(0, 2, (2, *PAPER.shape)).astype(np.uint8)
     columns = Columns(gathered(classes & 1), gathered(classes & 2), gathered(observed))
     masks = reconcile(columns, gathered(visible))
     expected = observed | (classes > 0)

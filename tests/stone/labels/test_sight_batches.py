@@ -10,36 +10,36 @@ from hypothesis import strategies as st
 
 from stone.geometry.se3 import SE3
 from stone.labels.columns import gathered, spread_out
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.sight_batches import BESIDE, LANES, SightBatch, _by_frame, _by_voxel
-from stone.labels.visibility import FRAMED, IN_IMAGE, OPEN, VOXEL_BITS, sight_lines, ways
-from stone.labels.voxels import VOXEL_M
+from stone.labels.sight_batches import LANES, SightBatch, _by_frame, _by_voxel
+from stone.labels.visibility import IN_IMAGE, OPEN, VOXEL_BITS, framed, sight_lines, ways
 from stone.sensors.calibration import CameraIntrinsics
+from stone_base.label_grid import PAPER, RELEASE, LabelGrid
 from testing.rays import in_voxels, lit_share, open_share
 
+FRAMED = framed(PAPER.shape)
 INTRINSICS = CameraIntrinsics("pinhole", 640, 480, 400.0, 400.0, 320.0, 240.0)
 # z forward is ego x, x right is ego −y, y down is ego −z
 FORWARD = np.array([0.5, -0.5, 0.5, -0.5])
 EGO_FROM_CAMERA = SE3.from_parts(FORWARD, np.array([0.41, 0.03, 1.13]))
 
 
-def centres():
-    index = np.stack(np.meshgrid(*[np.arange(n) for n in GRID_SHAPE], indexing="ij"), axis=-1)
-    return (index + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+def centres(grid=PAPER):
+    index = np.stack(np.meshgrid(*[np.arange(n) for n in grid.shape], indexing="ij"), axis=-1)
+    return (index + 0.5) * grid.voxel_m + np.array(grid.min_m)
 
 
-def pixels(ego_from_camera, k=INTRINSICS):
+def pixels(ego_from_camera, k=INTRINSICS, grid=PAPER):
     """(u, v, depth) of every voxel centre, by the camera matrix."""
     matrix = np.array([[k.fx_px, 0, k.cx_px], [0, k.fy_px, k.cy_px], [0, 0, 1.0]])
     inverse = np.linalg.inv(ego_from_camera.as_matrix())
-    u, v, depth = np.moveaxis((centres() @ inverse[:3, :3].T + inverse[:3, 3]) @ matrix.T, -1, 0)
+    u, v, depth = np.moveaxis((centres(grid) @ inverse[:3, :3].T + inverse[:3, 3]) @ matrix.T, -1, 0)
     ahead = np.where(depth > 0.1, depth, np.inf)
     return u / ahead, v / ahead, depth
 
 
-def in_image(ego_from_camera, k=INTRINSICS):
+def in_image(ego_from_camera, k=INTRINSICS, grid=PAPER):
     """Which voxels' centres lie in the image."""
-    u, v, depth = pixels(ego_from_camera, k)
+    u, v, depth = pixels(ego_from_camera, k, grid)
     return (u >= 0) & (u < k.width_px) & (v >= 0) & (v < k.height_px) & (depth > 0.1)
 
 
@@ -48,27 +48,49 @@ def seen_in(classes, *lines):
 
 
 def test_in_an_empty_grid_all_of_the_image_is_seen_and_nothing_else():
-    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8))
+    visible = seen_in(np.zeros(PAPER.shape, np.uint8))
     assert (visible == in_image(EGO_FROM_CAMERA)).all()
     assert visible.sum() > 100_000
 
 
+@pytest.mark.parametrize("grid", [RELEASE, LabelGrid("near", (-3.0, -9.4, -1.0), 0.2, (40, 88, 8))], ids=str)
+def test_of_any_grid_a_voxel_is_seen_if_the_definition_says_so(grid):
+    """Voxel by voxel, the definition by recursion; two frames at once, one of them with nothing in the way."""
+    lines = sight_lines(INTRINSICS, EGO_FROM_CAMERA, grid)
+    rng, (x, y, z) = np.random.default_rng(11), grid.shape
+    classes = np.zeros(grid.shape, np.uint8)
+    classes[:, :, : z // 4] = 1
+    for low in rng.integers([x // 2 + 4, y // 4, z // 4], [x - 8, 3 * y // 4, z // 2], (25, 3)):
+        classes[tuple(slice(a, a + b) for a, b in zip(low, rng.integers(2, 6, 3), strict=True))] = 3
+    occupied = np.stack([gathered(classes), gathered(np.zeros_like(classes))])
+    seen = SightBatch([lines], grid).visible(occupied)
+    visible, open_ = (spread_out(words, height=z).astype(bool) for words in seen)
+    assert (open_ == in_image(EGO_FROM_CAMERA, grid=grid)).all()
+    voxels, is_in_image = placed(lines, grid)
+    in_view = set(map(tuple, voxels[lines.place >> VOXEL_BITS & 31 > 0].tolist()))
+    camera = tuple(((EGO_FROM_CAMERA.translation_m - grid.min_m) / grid.voxel_m).tolist())
+    of_view = np.flatnonzero(is_in_image)
+    for voxel in sorted(map(tuple, voxels[rng.choice(of_view, 150, replace=False)].tolist())):
+        assert visible[voxel] == is_seen(voxel, camera, classes == 0, in_view, {}), voxel
+    assert 0.05 < visible[open_].mean() < 0.95
+
+
 def test_what_any_of_two_cameras_sees_is_seen():
     backward = SE3.from_parts(np.array([0.5, -0.5, -0.5, 0.5]), EGO_FROM_CAMERA.translation_m)
-    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8), LINES(), sight_lines(INTRINSICS, backward))
+    visible = seen_in(np.zeros(PAPER.shape, np.uint8), LINES(), sight_lines(INTRINSICS, backward))
     assert (visible == in_image(EGO_FROM_CAMERA) | in_image(backward)).all()
     assert visible[:64].any()
     assert visible[-64:].any()
 
 
 def test_without_cameras_nothing_is_seen():
-    occupied = np.zeros((3, *GRID_SHAPE[:2]), np.uint32)
+    occupied = np.zeros((3, *PAPER.shape[:2]), np.uint32)
     assert not SightBatch([]).visible(occupied).any()
 
 
 @pytest.mark.parametrize("place", [133, 200])
 def test_nothing_is_seen_behind_a_wall(place):
-    classes = np.zeros(GRID_SHAPE, np.uint8)
+    classes = np.zeros(PAPER.shape, np.uint8)
     classes[place] = 3
     visible = seen_in(classes)
     free_view = in_image(EGO_FROM_CAMERA)
@@ -78,7 +100,7 @@ def test_nothing_is_seen_behind_a_wall(place):
 
 def test_a_camera_outside_the_grid_sees_into_it():
     outside = SE3.from_parts(FORWARD, np.array([-40.0, 0.0, 1.0]))
-    visible = seen_in(np.zeros(GRID_SHAPE, np.uint8), sight_lines(INTRINSICS, outside))
+    visible = seen_in(np.zeros(PAPER.shape, np.uint8), sight_lines(INTRINSICS, outside))
     assert (visible == in_image(outside)).all()
     assert visible.any()
 
@@ -89,17 +111,17 @@ LINES = functools.cache(lambda: sight_lines(INTRINSICS, EGO_FROM_CAMERA))
 def scene(seed, boxes=10):
     """Ground and boxes on it."""
     rng = np.random.default_rng(seed)
-    classes = np.zeros(GRID_SHAPE, np.uint8)
+    classes = np.zeros(PAPER.shape, np.uint8)
     classes[:, :, 8:10] = 1
     for low in rng.integers([132, 60, 8], [240, 190, 14], (boxes, 3)):
         classes[tuple(slice(a, b) for a, b in zip(low, low + rng.integers(3, 16, 3), strict=True))] = 3
     return classes
 
 
-def placed(lines):
+def placed(lines, grid=PAPER):
     """Voxels (S, 3) of the grid in the order of the lines, and which are in the image."""
-    framed = np.stack(np.unravel_index(lines.place & ((1 << VOXEL_BITS) - 1), FRAMED), axis=1)
-    return framed - 1, lines.place & IN_IMAGE > 0
+    places = np.stack(np.unravel_index(lines.place & ((1 << VOXEL_BITS) - 1), framed(grid.shape)), axis=1)
+    return places - 1, lines.place & IN_IMAGE > 0
 
 
 def way_of(voxel, camera, is_free, in_view, known):
@@ -122,7 +144,7 @@ def way_of(voxel, camera, is_free, in_view, known):
                 share *= 1 - abs(point[axis] - near[axis])
             weight = left if number == 3 else min(left, round(share * OPEN))
             left -= weight
-            inside = all(0 <= n < size for n, size in zip(near, GRID_SHAPE, strict=True))
+            inside = all(0 <= n < size for n, size in zip(near, is_free.shape, strict=True))
             if weight and inside and is_free[tuple(near)]:
                 total += weight * way_of(tuple(near), camera, is_free, in_view, known)
             elif weight and not inside:
@@ -176,17 +198,16 @@ def test_a_batch_of_any_size_gives_what_its_frames_give_alone(size):
 
 
 def test_lanes_of_voxels_and_columns_of_frames_hold_the_same_bits():
-    columns = np.random.default_rng(1).integers(0, 2**32, (LANES, GRID_SHAPE[0] * GRID_SHAPE[1]), np.uint32)
-    assert GRID_SHAPE[1] % BESIDE == 0
+    columns = np.random.default_rng(1).integers(0, 2**32, (LANES, PAPER.shape[0] * PAPER.shape[1]), np.uint32)
     free, back = np.zeros(np.prod(FRAMED), np.uint32), np.zeros_like(columns)
-    _by_voxel(columns, free)
+    _by_voxel(columns, PAPER.shape[:2], free)
     inside = free.reshape(FRAMED)[1:-1, 1:-1, 1:-1]
     for lane in (0, 13, LANES - 1):
-        is_set = spread_out(columns[lane].reshape(GRID_SHAPE[:2])) == 1
+        is_set = spread_out(columns[lane].reshape(PAPER.shape[:2])) == 1
         assert ((inside >> lane & 1 == 0) == is_set).all()
     inside[:] = ~inside
     assert free.reshape(FRAMED)[0].max() == 0
-    _by_frame(free, back)
+    _by_frame(free, PAPER.shape[:2], back)
     assert (back == columns).all()
 
 
@@ -198,11 +219,11 @@ def test_every_line_comes_from_voxels_that_were_looked_at_before_or_from_outside
     turn = rng.normal(size=4)
     lines = sight_lines(INTRINSICS, SE3.from_parts(turn / np.linalg.norm(turn), rng.uniform(-30, 30, 3) * [1, 1, 0.1]))
     voxel, code = (lines.place & ((1 << VOXEL_BITS) - 1)).astype(np.int64), (lines.place >> VOXEL_BITS) & 31
-    first, one, other = ways()[code, :3].T
+    first, one, other = ways(PAPER.shape)[code, :3].T
     order = np.full(np.prod(FRAMED), len(voxel))
     order[voxel] = np.arange(len(voxel))
     grid = np.stack(np.unravel_index(np.arange(np.prod(FRAMED)), FRAMED), axis=1) - 1
-    order[((grid < 0) | (grid >= GRID_SHAPE)).any(axis=1)] = -1
+    order[((grid < 0) | (grid >= PAPER.shape)).any(axis=1)] = -1
     for corner, step in enumerate((first, first + one, first + other, first + one + other)):
         used = (code > 0) & (lines.weight[:, corner] > 0)
         assert (order[(voxel + step)[used]] < np.flatnonzero(used)).all()

@@ -10,10 +10,8 @@ from hypothesis.extra import numpy as hnp
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.labels.grid import GRID_MAX_M, GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
 from stone.scoring.agreement import DIFFERENCES, agreement_ratios, differences
-from stone.scoring.bitplanes import RING_EDGES_M
 from stone.scoring.confusion import iou_classes, iou_occupied, named_ratios, ratios, supports, within_occupied
 from stone.scoring.metric import (
     CLASS_NAMES,
@@ -24,7 +22,9 @@ from stone.scoring.metric import (
     current_metric,
     metric_of,
 )
+from stone.scoring.plane_layout import RING_EDGES_M
 from stone.scoring.signature import Signature
+from stone_base.label_grid import PAPER
 from testing.refusals import refused_as
 from tests.plain_confusion import confusion_matrix
 
@@ -152,9 +152,9 @@ def test_other_shapes_are_refused() -> None:
 def test_a_definition_names_the_numbers_of_the_code(version: str) -> None:
     text = " ".join(metric_of(version).definition.split())
     assert text.startswith(f"# {version}: ")
-    ranges = " × ".join(f"[{low}, {high})" for low, high in zip(GRID_MIN_M, GRID_MAX_M, strict=True))
+    ranges = " × ".join(f"[{low}, {high})" for low, high in zip(PAPER.min_m, PAPER.max_m, strict=True))
     assert ranges.replace("-", "−") in text
-    assert " × ".join(map(str, GRID_SHAPE)) + f" voxels of {VOXEL_M} m" in text
+    assert " × ".join(map(str, PAPER.shape)) + f" voxels of {VOXEL_M} m" in text
     near, far = RING_EDGES_M
     assert f"0–{near:g}, {near:g}–{far:g}, from {far:g} m" in text
     for index, name in enumerate(CLASS_NAMES):

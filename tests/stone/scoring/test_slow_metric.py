@@ -11,20 +11,13 @@ from hypothesis import strategies as st
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.labels.grid import GRID_SHAPE, Grid
-from stone.scoring.bitplanes import (
-    COLUMNS,
-    RINGS,
-    WORDS,
-    LabelRangeError,
-    Planes,
-    column_rings,
-    frame_counts,
-    truth_planes,
-)
+from stone.labels.grid import Grid
+from stone.scoring.bitplanes import LabelRangeError, Planes, frame_counts, truth_planes
 from stone.scoring.confusion import extras, named_ratios, tolerant_ratios
 from stone.scoring.metric import METRICS, RATIOS
-from stone.scoring.plane_runs import CHANGES, PlaneRuns, planes_of, runs_of
+from stone.scoring.plane_layout import RINGS, column_rings, layout_of
+from stone.scoring.plane_runs import PlaneRuns, planes_of, runs_of
+from stone_base.label_grid import OCC3D, PAPER, RELEASE, LabelGrid
 from tests.plain_confusion import confusion_matrix
 from tests.slow_metric import (
     Counts,
@@ -37,13 +30,17 @@ from tests.slow_metric import (
 )
 
 Mask = NDArray[np.bool_]
-EVERYWHERE, NOWHERE = np.ones(GRID_SHAPE, np.bool_), np.zeros(GRID_SHAPE, np.bool_)
+COLUMNS, WORDS = 256 * 256, 256 * 128
+# Grids whose columns are shorter than a word, and one that lies ahead of the robot: its rings are odd.
+FORWARD = LabelGrid("forward", (2.0, -3.7, -1.0), 0.2, (136, 72, 8))
+GRIDS = [RELEASE, OCC3D, FORWARD, LabelGrid("coarse", (-40.0, -44.8, -2.4), 0.8, (112, 104, 8))]
+EVERYWHERE, NOWHERE = np.ones(PAPER.shape, np.bool_), np.zeros(PAPER.shape, np.bool_)
 
 
 def scattered(seed: int, columns: int, classes: tuple[int, ...]) -> Grid:
     """Labels of these classes in this many columns, some of them in the outermost."""
     rng = np.random.default_rng(seed)
-    grid = np.zeros(GRID_SHAPE, np.uint8)
+    grid = np.zeros(PAPER.shape, np.uint8)
     x, y = (np.append(rng.integers(0, 256, columns), [0, 255]) for _ in range(2))
     grid[x, y] = rng.choice([0, *classes], (columns + 2, 32)).astype(np.uint8)
     return grid
@@ -80,11 +77,44 @@ def test_random_grids_count_as_the_slow_metric_counts(
 ) -> None:
     rng = np.random.default_rng(seed)
     truth, prediction = scattered(seed, 2000, true), scattered(seed // 2, 2000, predicted)
-    holds(truth, prediction, rng.random(GRID_SHAPE, np.float32) < evaluated_ratio)
+    holds(truth, prediction, rng.random(PAPER.shape, np.float32) < evaluated_ratio)
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: grid.name)
+@pytest.mark.parametrize(("occupied_ratio", "evaluated_ratio"), [(0.02, 1.0), (0.4, 0.6)])
+def test_every_grid_counts_as_the_slow_metric_counts(
+    grid: LabelGrid, occupied_ratio: float, evaluated_ratio: float
+) -> None:
+    rng = np.random.default_rng(grid.voxels)
+    truth, prediction = (
+        np.where(rng.random(grid.shape) < occupied_ratio, rng.integers(0, 4, grid.shape), 0).astype(np.uint8)
+        for _ in range(2)
+    )
+    is_evaluated = rng.random(grid.shape) < evaluated_ratio
+    place = tuple(round(1000 * length_m) for length_m in (*grid.min_m[:2], grid.voxel_m))
+    slow = slow_counts(truth, prediction, is_evaluated, place)  # type: ignore[arg-type]
+    found = frame_counts(prediction, truth_planes(truth, is_evaluated, grid))
+    by_column = found.column_counts
+    arrays = (found.confusion, found.bev, by_column.pairs, by_column.columns)
+    assert Counts(*(array.tolist() for array in arrays)) == slow
+    assert sum(map(sum, slow.columns[0])) > 0
+    planes = truth_planes(truth, is_evaluated, grid).planes
+    np.testing.assert_array_equal(planes_of(runs_of(planes)), planes)
+
+
+@pytest.mark.parametrize("grid", GRIDS, ids=lambda grid: grid.name)
+def test_labels_of_another_grid_are_refused(grid: LabelGrid) -> None:
+    truth = truth_planes(np.zeros(grid.shape, np.uint8), np.ones(grid.shape, np.bool_), grid)
+    with pytest.raises(ShapeError):
+        frame_counts(np.zeros(PAPER.shape, np.uint8), truth)
+    beyond = np.zeros(grid.shape, np.uint8)
+    beyond[-1, -1, -1] = 255
+    with pytest.raises(LabelRangeError):
+        frame_counts(beyond, truth)
 
 
 def filled(label: int) -> Callable[[], Grid]:
-    return lambda: np.full(GRID_SHAPE, label, np.uint8)
+    return lambda: np.full(PAPER.shape, label, np.uint8)
 
 
 @pytest.mark.whole
@@ -162,26 +192,30 @@ def standing(column: tuple[int, int], labels: dict[int, int]) -> Grid:
 
 def random_grid(seed: int, occupied_ratio: float) -> Grid:
     rng = np.random.default_rng(seed)
-    is_occupied = rng.random(GRID_SHAPE, dtype=np.float32) < occupied_ratio
-    return np.where(is_occupied, rng.integers(0, 4, GRID_SHAPE), 0).astype(np.uint8)
+    is_occupied = rng.random(PAPER.shape, dtype=np.float32) < occupied_ratio
+    return np.where(is_occupied, rng.integers(0, 4, PAPER.shape), 0).astype(np.uint8)
 
 
 @settings(max_examples=4, deadline=None)
 @given(st.integers(0, 2**32 - 1), st.floats(0, 1), st.floats(0, 1))
 def test_each_ring_counts_as_a_histogram_does(seed: int, occupied_ratio: float, evaluated_ratio: float) -> None:
     truth, prediction = random_grid(seed, occupied_ratio), random_grid(seed + 1, 1 - occupied_ratio)
-    is_evaluated = np.random.default_rng(seed + 2).random(GRID_SHAPE, dtype=np.float32) < evaluated_ratio
+    is_evaluated = np.random.default_rng(seed + 2).random(PAPER.shape, dtype=np.float32) < evaluated_ratio
     counted = frame_counts(prediction, truth_planes(truth, is_evaluated)).confusion
     assert counted.dtype == np.int32
-    rings = column_rings().reshape(*GRID_SHAPE[:2], 1)
+    rings = column_rings().reshape(*PAPER.shape[:2], 1)
     for ring in range(RINGS):
         np.testing.assert_array_equal(
             counted[ring], confusion_matrix(truth, prediction, is_evaluated & (rings == ring))
         )
 
 
+def test_the_planes_of_the_papers_grid_have_a_place_for_each_column() -> None:
+    assert layout_of(PAPER).words == WORDS
+
+
 def test_a_column_lies_in_the_ring_of_its_distance_from_the_robot() -> None:
-    rings = column_rings().reshape(GRID_SHAPE[:2])
+    rings = column_rings().reshape(PAPER.shape[:2])
     for x, y in [(128, 128), (128, 177), (128, 178), (177, 128), (178, 128), (128, 227), (128, 228), (0, 0), (92, 163)]:
         distance_m = ((x * 0.2 - 25.5) ** 2 + (y * 0.2 - 25.5) ** 2) ** 0.5
         assert rings[x, y] == (distance_m >= 10) + (distance_m >= 20)
@@ -189,20 +223,20 @@ def test_a_column_lies_in_the_ring_of_its_distance_from_the_robot() -> None:
 
 
 def test_a_value_above_three_is_refused_even_where_nothing_is_evaluated() -> None:
-    nothing = truth_planes(np.zeros(GRID_SHAPE, np.uint8), np.zeros(GRID_SHAPE, np.bool_))
+    nothing = truth_planes(np.zeros(PAPER.shape, np.uint8), np.zeros(PAPER.shape, np.bool_))
     for value in (4, 128, 255):
-        grid = np.zeros(GRID_SHAPE, np.uint8)
+        grid = np.zeros(PAPER.shape, np.uint8)
         grid[200, 17, 31] = value
         with pytest.raises(LabelRangeError):
             frame_counts(grid, nothing)
 
 
 def test_other_shapes_and_types_are_refused() -> None:
-    everywhere = np.ones(GRID_SHAPE, np.bool_)
+    everywhere = np.ones(PAPER.shape, np.bool_)
     for truth, is_evaluated in (
         (np.zeros((32, 256, 256), np.uint8), everywhere),
-        (np.zeros(GRID_SHAPE, np.int64), everywhere),
-        (np.zeros(GRID_SHAPE, np.uint8), everywhere[:1]),
+        (np.zeros(PAPER.shape, np.int64), everywhere),
+        (np.zeros(PAPER.shape, np.uint8), everywhere[:1]),
     ):
         with pytest.raises(ShapeError):
             truth_planes(truth, is_evaluated)
@@ -210,7 +244,7 @@ def test_other_shapes_and_types_are_refused() -> None:
 
 def test_memory_order_does_not_matter() -> None:
     truth, prediction = random_grid(1, 0.3), random_grid(2, 0.3)
-    planes = truth_planes(truth, np.ones(GRID_SHAPE, np.bool_))
+    planes = truth_planes(truth, np.ones(PAPER.shape, np.bool_))
     same = frame_counts(np.asfortranarray(prediction), planes)
     np.testing.assert_array_equal(same.confusion, frame_counts(prediction, planes).confusion)
     np.testing.assert_array_equal(same.bev, frame_counts(prediction, planes).bev)
@@ -245,7 +279,7 @@ def test_runs_that_do_not_fit_are_refused_before_anything_is_read() -> None:
     runs = runs_of(patchy(0, 0.1))
     first = runs.changes.copy()
     first[0] &= ~np.uint64(1)
-    everywhere = np.full(CHANGES, 2**64 - 1, np.uint64)
+    everywhere = np.full(3 * COLUMNS // 64, 2**64 - 1, np.uint64)
     for wrong in (
         PlaneRuns(everywhere, runs.columns),
         replace(runs, columns=runs.columns[1:]),

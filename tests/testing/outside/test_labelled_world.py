@@ -8,10 +8,11 @@ import pytest
 
 from services.ingest.sequence import open_sequence
 from services.labeler.local_run import LabelOptions, label
+from stone_base.label_grid import PAPER
 from testing.outside.drive import OutsideDrive
 from testing.outside.recording import LEAD_S
 from testing.outside.track import LENGTH_M, WIDTH_M
-from testing.outside.verdict import GRID_MIN_M, T, judge_labels
+from testing.outside.verdict import T, judge_labels
 
 pytestmark = pytest.mark.release
 DRIVE = OutsideDrive("forest", 16, seconds=5.0, columns=600)
@@ -41,7 +42,7 @@ def beyond_footprint(labels: Path, token: str, driven: np.ndarray, row: int) -> 
     """Return how far the farthest T voxel of a frame lies beyond the footprint of every pose, metres."""
     with np.load(next(labels.glob(f"gts/*/{token}/labels.npz"))) as archive:
         index = np.argwhere(archive["semantics"] == T)
-    points = ((index + 0.5) * 0.2 + GRID_MIN_M) @ driven[row, :3, :3].T + driven[row, :3, 3]
+    points = ((index + 0.5) * 0.2 + PAPER.min_m) @ driven[row, :3, :3].T + driven[row, :3, 3]
     half = np.array([LENGTH_M, WIDTH_M]) / 2 + HALF_DIAGONALS_M
     nearest = np.full(len(points), np.inf)
     for pose in np.linalg.inv(DRIVE.world.track.poses(WAY_S)):

@@ -8,12 +8,14 @@ export function asked(form: HTMLFormElement): Record<string, unknown> {
   const fields = new FormData(form);
   const topics = ["odometry_topic", "lidar_topic"].map((name) => [name, String(fields.get(name) ?? "").trim()]);
   const profile = fields.get("profile");
+  const grid = String(fields.get("grid") ?? "");
   const parameters = [...form.querySelectorAll<HTMLInputElement>("[data-parameter]")]
     .filter((field) => field.value !== "")
     .map((field) => [field.dataset["parameter"], field.valueAsNumber]);
   return {
     ...keptFrom(form),
     ...(profile ? { profile: String(profile) } : {}),
+    ...(grid && grid !== "paper" ? { grid } : {}),
     parameters: Object.fromEntries(parameters),
     stages: String(fields.get("stages") ?? "synchronise,label").split(","),
     ...Object.fromEntries(topics.filter(([, topic]) => topic)),

@@ -31,6 +31,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.packs import read_index
 from stone.errors import Refused
 from stone.scoring.metric import METRIC_VERSION
+from stone_base.label_grid import recorded_grid, require_one_geometry
 
 LABELS = "gts/"
 
@@ -65,12 +66,13 @@ def start_truth(
 ) -> tuple[GroundTruthRow, Job]:
     """A ground truth to be, and the job that makes it; `compared` where the version is not that of the active one.
 
-    Raises `empty_part`, `truth_in_making`, `other_frames`, `truth_changed`, `QueueDrainingError`.
+    Raises `empty_part`, `truth_in_making`, `other_frames`, `grids_differ`, `truth_changed`, `QueueDrainingError`.
     """
     phase = lock_phase(session, phase.id)
     refuse_empty(session, dataset, phase.part)
     _refuse_second(session, phase)
     _refuse_other_frames(session, phase, dataset, compared)
+    _refuse_other_grid(session, phase, dataset)
     last = select(func.coalesce(func.max(GroundTruthRow.number), 0)).where(GroundTruthRow.phase_id == phase.id)
     truth = GroundTruthRow(
         id=new_id(), phase_id=phase.id, number=session.scalars(last).one() + 1, dataset_id=dataset.id
@@ -125,6 +127,15 @@ def _refuse_other_frames(
             f"{compared.missing} frame(s) of the active ground truth are not in this version and {compared.extra} "
             "are new; the entries could not be scored again, so make a new phase of this version",
         )
+
+
+def _refuse_other_grid(session: Session, phase: Phase, dataset: Dataset) -> None:
+    """A phase has the grid of its first ground truth: what was submitted has its shape."""
+    first = select(Dataset).join(GroundTruthRow, GroundTruthRow.dataset_id == Dataset.id)
+    first = first.where(GroundTruthRow.phase_id == phase.id).order_by(GroundTruthRow.number).limit(1)
+    standing = session.scalar(first)
+    if standing is not None:
+        require_one_geometry(recorded_grid(standing.grid), recorded_grid(dataset.grid))
 
 
 def _has_entries(session: Session, phase: Phase) -> bool:

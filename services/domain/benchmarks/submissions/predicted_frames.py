@@ -16,8 +16,9 @@ from services.domain.benchmarks.submissions.result_errors import UNTIL
 from services.domain.benchmarks.submissions.results import ScoreView
 from services.runtime.orm import Blob
 from stone.errors import Refused
+from stone_base.label_grid import grid_with_shape
 from stone_submissions.archive import open_submission
-from stone_submissions.npz_frame import prediction_grid
+from stone_submissions.validation import frame_grid
 
 
 def downloadable_zip(session: Session, seen: ScoreView) -> Blob:
@@ -40,13 +41,13 @@ def pictured_zip(session: Session, seen: ScoreView) -> Blob:
     return _kept_zip(session, seen)
 
 
-def predicted_grid(path: Path, tokens: Sequence[str], token: str) -> NDArray[np.uint8] | None:
-    """The classes (256, 256, 32) that the zip predicts for a frame, of all `tokens` it must hold; None without it.
+def predicted_grid(path: Path, tokens: Sequence[str], token: str, shape: tuple[int, ...]) -> NDArray[np.uint8] | None:
+    """The classes, of this shape, that the zip predicts for a frame, of all `tokens` it must hold; None without it.
 
     Raises `SubmissionError` where the file is not what was accepted.
     """
-    with open_submission(path, tokens) as opened:
-        return prediction_grid(opened.read(token)) if token in opened.frames else None
+    with open_submission(path, tokens, grid_with_shape(shape)) as opened:
+        return frame_grid(opened, token) if token in opened.frames else None
 
 
 def _kept_zip(session: Session, seen: ScoreView) -> Blob:

@@ -4,8 +4,9 @@
     gts/<sequence>/<frame_token>/labels.npz   maps/<token>.png
 
 **Conventions.** As in `services/labeler/exports/nuscenes/samples.py`; the map is shifted by whole metres until all of
-it has positive coordinates, and the mask of it says where one could drive. What was imported is written as it was
-published: its own tables, samples and maps, byte for byte.
+it has positive coordinates, and the mask of it says where one could drive. Labels of a grid with a number for what is
+unknown are the array `label`, as the released dataset has it; others are the file itself. What was imported is written
+as it was published: its own tables, samples and maps, byte for byte.
 """
 
 import struct
@@ -25,6 +26,9 @@ from services.labeler.run import Step
 from stone.errors import Refused
 from stone.labels.voxels import VOXEL_M
 from stone_base.label_quality import quality_of
+from stone_files.npz import npz_bytes
+
+RELEASED_KEY = "label"
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
@@ -37,7 +41,7 @@ def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
     def label(index: int) -> None:
         labels = out / "gts" / sequence.name / frames.tokens[index] / "labels.npz"
         labels.parent.mkdir(parents=True)
-        labels.write_bytes(source.labels(index))
+        labels.write_bytes(_label_file(source, index))
         step(index + 1, len(frames))
 
     if source.published is None:
@@ -46,6 +50,16 @@ def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:
     source.published.write(out)
     for index in range(len(frames)):
         label(index)
+
+
+def _label_file(source: LabelledSequence, index: int) -> bytes:
+    """The labels of a frame as the layout of its grid has them; what was imported is as it was published."""
+    unknown = source.grid.unknown
+    if unknown is None or source.published is not None:
+        return source.labels(index)
+    grids = source.grids(index)
+    is_unknown = (grids["mask_lidar"] == 0) & (grids["semantics"] == 0)
+    return npz_bytes({RELEASED_KEY: np.where(is_unknown, np.uint8(unknown), grids["semantics"])})
 
 
 def _write_recorded(source: LabelledSequence, out: Path, label: Callable[[int], None]) -> None:

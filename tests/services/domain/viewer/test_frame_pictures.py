@@ -22,7 +22,7 @@ from services.domain.viewer.frame_picture import (
     with_words,
 )
 from stone.labels.class_colours import CLASS_RGB, INK, PALETTES, PAPER, UNSEEN, ColourName
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER as GRID
 from stone_files.npz import npz_bytes
 from testing.colour_vision import least_of_pairs
 from testing.refusals import refused_as
@@ -109,9 +109,9 @@ def test_words_are_laid_over_the_picture_and_read_on_light_and_dark() -> None:
 
 def test_every_column_shows_its_highest_label_and_forward_is_up() -> None:
     rng = np.random.default_rng(0)
-    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    semantics = np.zeros(GRID.shape, np.uint8)
     semantics[40:90, 60:140] = (rng.integers(1, 4, (50, 80, 32)) * (rng.random((50, 80, 32)) < 0.05)).astype(np.uint8)
-    mask = np.zeros(GRID_SHAPE, np.uint8)
+    mask = np.zeros(GRID.shape, np.uint8)
     mask[:128, :, 3] = 1
     shown = plan(semantics, mask)
     hues = np.array([CLASS_RGB[kind] for kind in (1, 2, 3)], float)
@@ -126,7 +126,7 @@ def test_every_column_shows_its_highest_label_and_forward_is_up() -> None:
 
 
 def test_relief_that_rises_is_lit_otherwise_than_relief_that_falls() -> None:
-    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    semantics = np.zeros(GRID.shape, np.uint8)
     for i in range(100, 110):
         semantics[i, :, i - 95] = 2
         semantics[i + 20, :, 20 - (i - 95)] = 2
@@ -135,9 +135,9 @@ def test_relief_that_rises_is_lit_otherwise_than_relief_that_falls() -> None:
 
 
 def test_the_picture_has_two_pixels_a_voxel_and_the_robot_in_the_middle() -> None:
-    semantics = np.zeros(GRID_SHAPE, np.uint8)
+    semantics = np.zeros(GRID.shape, np.uint8)
     semantics[200, 30, 5] = 3  # 14.4 m ahead, 19.5 m to the right
-    png = Image.open(io.BytesIO(picture_bytes(semantics, np.ones(GRID_SHAPE, np.uint8))))
+    png = Image.open(io.BytesIO(picture_bytes(semantics, np.ones(GRID.shape, np.uint8))))
     pixels = np.asarray(png.convert("RGBA"))
     assert pixels.shape == (512, 512, 4)
     assert tuple(pixels[256, 256]) == (*INK, 255)
@@ -148,7 +148,7 @@ def test_the_picture_has_two_pixels_a_voxel_and_the_robot_in_the_middle() -> Non
 def grids(seed: int = 0) -> dict[str, NDArray[np.uint8]]:
     rng = np.random.default_rng(seed)
     return {
-        key: (rng.integers(0, 4, GRID_SHAPE) * (rng.random(GRID_SHAPE) < 0.02)).astype(np.uint8)
+        key: (rng.integers(0, 4, GRID.shape) * (rng.random(GRID.shape) < 0.02)).astype(np.uint8)
         for key in ("semantics", "mask_lidar", "mask_camera")
     }
 
@@ -167,7 +167,7 @@ def test_what_is_damaged_or_of_another_form_is_named() -> None:
     flipped = bytearray(payload)
     flipped[60:90] = bytes(30)
     small = npz_bytes({"semantics": np.zeros((2, 2, 2), np.uint8)})
-    wide = npz_bytes({"semantics": np.zeros(GRID_SHAPE, np.int16)})
+    wide = npz_bytes({"semantics": np.zeros(GRID.shape, np.int16)})
     for content, reason in ((bytes(flipped), "semantics"), (small, "2, 2, 2"), (wide, "<i2"), (b"no zip", "zip")):
         with refused_as("grid_unreadable", match=reason):
             read_grids(content, ("semantics",))

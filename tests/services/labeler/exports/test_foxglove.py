@@ -13,8 +13,8 @@ from services.labeler.exports.meshes import open_mesh
 from services.labeler.exports.source import LabelledSequence
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 from tests.services.labeler.exports.made import Labelled
 from tests.services.labeler.exports.protobuf_wire import decoded, messages_of
 
@@ -136,19 +136,19 @@ def test_log_times_are_the_stamps_in_the_messages(written):
 
 def test_every_voxel_has_the_colour_and_the_class_of_its_label_at_its_place(written):
     grid, semantics = written.of("/labels"), written.source.grids(FRAME)["semantics"]
-    assert (grid["column_count"], grid["row_count"]) == GRID_SHAPE[:2]
+    assert (grid["column_count"], grid["row_count"]) == PAPER.shape[:2]
     assert grid["frame_id"] == "ego"
     assert [grid["cell_size"][axis] for axis in "xyz"] == [VOXEL_M] * 3
-    assert pose_of(**grid["pose"]).wxyz_xyz.tolist() == [1, 0, 0, 0, *GRID_MIN_M]
+    assert pose_of(**grid["pose"]).wxyz_xyz.tolist() == [1, 0, 0, 0, *PAPER.min_m]
     cells = records_of(grid)
     assert grid["row_stride"] == grid["cell_stride"] * grid["column_count"]
     assert grid["slice_stride"] == grid["row_stride"] * grid["row_count"]
-    assert len(grid["data"]) == grid["slice_stride"] * GRID_SHAPE[2]
+    assert len(grid["data"]) == grid["slice_stride"] * PAPER.shape[2]
     # by the documentation's own formula: byte offset to place
     offsets = np.flatnonzero(cells["class"]) * grid["cell_stride"]
     z, y = offsets // grid["slice_stride"], offsets % grid["slice_stride"] // grid["row_stride"]
     x = offsets % grid["row_stride"] // grid["cell_stride"]
-    shown = np.zeros(GRID_SHAPE, np.uint8)
+    shown = np.zeros(PAPER.shape, np.uint8)
     shown[x, y, z] = cells["class"][cells["class"] > 0]
     np.testing.assert_array_equal(shown, semantics)
     for kind, colour in CLASS_RGB.items():

@@ -9,7 +9,7 @@ import yaml
 
 from services.labeler.exports.kitti import CONFIG, packed, write_kitti
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
+from stone_base.label_grid import PAPER
 from tests.services.labeler.exports.made import Labelled, unheard
 
 
@@ -57,10 +57,10 @@ def test_labels_and_masks_are_those_of_the_frame(out: Path, drive: Labelled) -> 
 def test_a_scan_lies_in_its_voxels(out: Path) -> None:
     folder = out / "dataset" / "sequences" / "00"
     scan = np.fromfile(folder / "velodyne" / "000003.bin", np.float32).reshape(-1, 4)
-    occupied, hit = unpacked(folder / "voxels" / "000003.bin"), np.zeros(GRID_SHAPE, np.uint8)
+    occupied, hit = unpacked(folder / "voxels" / "000003.bin"), np.zeros(PAPER.shape, np.uint8)
     for x, y, z, _remission in scan.tolist():
-        index = tuple(int(np.floor((p - low) / 0.2)) for p, low in zip((x, y, z), GRID_MIN_M, strict=True))
-        if all(0 <= i < n for i, n in zip(index, GRID_SHAPE, strict=True)):
+        index = tuple(int(np.floor((p - low) / 0.2)) for p, low in zip((x, y, z), PAPER.min_m, strict=True))
+        if all(0 <= i < n for i, n in zip(index, PAPER.shape, strict=True)):
             hit[index] = 1
     # a point on a border may fall to either side of it, rounded to float32
     assert (hit != occupied).sum() <= 2
@@ -72,15 +72,15 @@ def is_hidden(labels: Any, eye: Any, voxel: Any) -> bool:
     middle = voxel + 0.5
     steps = int(np.linalg.norm(middle - eye) * 5) + 1
     passed = np.floor(eye + (middle - eye) * np.linspace(0, 1, steps, endpoint=False)[:, None]).astype(int)
-    inside = ((passed >= 0) & (passed < np.array(GRID_SHAPE))).all(axis=1) & (passed != voxel).any(axis=1)
+    inside = ((passed >= 0) & (passed < np.array(PAPER.shape))).all(axis=1) & (passed != voxel).any(axis=1)
     return bool((labels[tuple(passed[inside].T)] > 0).any())
 
 
 def test_what_is_occluded_lies_behind_labels_as_straight_rays_see_it(out: Path, drive: Labelled) -> None:
     occluded = unpacked(out / "dataset" / "sequences" / "00" / "voxels" / "000003.occluded")
     source, rng = drive.source(), np.random.default_rng(5)
-    eye = (source.sequence.calibration.ego_from_lidar.translation_m - np.array(GRID_MIN_M)) / 0.2
-    labels, voxels = source.grids(3)["semantics"], rng.integers(0, GRID_SHAPE, (2000, 3))
+    eye = (source.sequence.calibration.ego_from_lidar.translation_m - np.array(PAPER.min_m)) / 0.2
+    labels, voxels = source.grids(3)["semantics"], rng.integers(0, PAPER.shape, (2000, 3))
     hidden = [is_hidden(labels, eye, voxel) for voxel in voxels]
     agree = occluded[tuple(voxels.T)] == np.array(hidden)
     assert 0.05 < np.mean(hidden) < 0.95

@@ -13,8 +13,8 @@ from services.labeler.exports.meshes import open_mesh
 from services.labeler.exports.rerun import write_rerun
 from services.labeler.exports.source import LabelledSequence
 from stone.labels.class_colours import CLASS_NAME, CLASS_RGB
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 from tests.services.labeler.exports.made import Labelled
 
 FRAME = 5
@@ -105,7 +105,7 @@ def test_the_boxes_are_the_labelled_voxels_in_the_colours_of_their_class(written
     semantics = written.source.grids(FRAME)["semantics"]
     centres = vectors(written.at("/map/ego/labels", "Boxes3D:centers"))
     classes = np.asarray(written.at("/map/ego/labels", "Boxes3D:class_ids"))
-    indices = np.round((centres - np.array(GRID_MIN_M)) / VOXEL_M - 0.5).astype(int)
+    indices = np.round((centres - np.array(PAPER.min_m)) / VOXEL_M - 0.5).astype(int)
     shown = np.zeros_like(semantics)
     shown[tuple(indices.T)] = classes
     np.testing.assert_array_equal(shown, semantics)

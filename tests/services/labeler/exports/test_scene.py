@@ -49,7 +49,8 @@ def test_the_scene_says_of_the_sequence_what_the_sequence_is(drive: Labelled) ->
     scene, sequence = scene_of(drive), drive.source().sequence
     assert (scene["name"], scene["profile"], scene["footprint_m"]) == ("drive", "local", [1.06, 0.85])
     assert scene["has_confidence"] is False
-    assert scene["grid"] == {"shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
+    place = {"name": "paper", "shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
+    assert scene["grid"] == place
     assert scene["frames"]["tokens"] == list(sequence.frames.tokens)
     assert scene["frames"]["stamps_ns"] == [str(stamp) for stamp in sequence.frames.stamps_ns.tolist()]
     poses = np.array(scene["frames"]["map_from_ego"])

@@ -8,8 +8,8 @@ import numpy as np
 from PIL import Image
 
 from services.labeler.exports.source import LabelledSequence
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from tests.services.labeler.worlds import World, sequence_of, stamp_of
 
@@ -51,11 +51,11 @@ class Labels:
     far: int = field(default=160)
 
     def __call__(self, index: int) -> bytes:
-        semantics = np.zeros(GRID_SHAPE, np.uint8)
+        semantics = np.zeros(PAPER.shape, np.uint8)
         semantics[60:200, 60:200, 9] = 2
         semantics[100:150, 126:130, 9] = 1
         semantics[self.far - 2 * index, 90:166, 10:20] = 3
-        mask = np.zeros(GRID_SHAPE, np.uint8)
+        mask = np.zeros(PAPER.shape, np.uint8)
         mask[40:220, 40:220] = 1
         return npz_bytes({"semantics": semantics, "mask_lidar": mask, "mask_camera": mask})
 

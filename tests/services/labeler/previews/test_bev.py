@@ -4,12 +4,12 @@ import numpy as np
 
 from services.labeler.previews.sheet import Surroundings, bev, runs_inside
 from stone.labels.class_colours import INK, TRACK
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.calibration import Footprint
+from stone_base.label_grid import PAPER
 
 
 def test_the_robot_is_in_the_middle_and_its_track_where_it_drove():
-    grids = {"semantics": np.zeros(GRID_SHAPE, np.uint8)}
+    grids = {"semantics": np.zeros(PAPER.shape, np.uint8)}
     track = np.array([[-30.0, 0, 0], [-10.0, 5.0, 0], [0.0, 5.0, 0], [10.0, 5.0, 0], [40.0, 5.0, 0]])
     picture = np.asarray(bev(grids, Surroundings(track, Footprint(2.0, 1.0)), 512))
     assert picture.shape == (512, 512, 3)

@@ -1,0 +1,83 @@
+"""Pooling: the columns of a grid of larger voxels, from those of the same space in voxels of the map's size.
+
+**Conventions.** A voxel of n map voxels a side is occupied if any of its n³ is, and has the class of most of those that
+are; of classes equally frequent it has the highest (N before P before T). It is observed if any of its n³ is observed
+or occupied.
+"""
+
+from collections.abc import Mapping
+from typing import Any
+
+import numpy as np
+from numba import njit
+from numpy.typing import NDArray
+
+from stone.kernels.lanes import popcount
+from stone.labels.columns import Columns, spread_out
+from stone_base.label_grid import LabelGrid
+
+
+def pooled(fine: Columns, grid: LabelGrid) -> Columns:
+    """Return the columns of the grid, from those of `grid.on_map`."""
+    if grid.pooled == 1:
+        return fine
+    ones, twos, observed = np.zeros((3, *grid.shape[:2]), np.uint32)
+    _pool((fine.ones, fine.twos, fine.observed), grid.pooled, grid.shape[2], (ones, twos, observed))
+    return Columns(ones, twos, observed, fine.filled)
+
+
+@njit(cache=True, nogil=True)
+def _pool(fine, side, height, out):  # type: ignore[no-untyped-def]
+    (ones, twos, observed), (low, high, seen) = fine, out
+    cell = np.uint64((1 << side) - 1)
+    for a in range(low.shape[0]):
+        for b in range(low.shape[1]):
+            any_one, any_two, any_seen = np.uint32(0), np.uint32(0), np.uint32(0)
+            for u in range(a * side, (a + 1) * side):
+                for v in range(b * side, (b + 1) * side):
+                    any_one |= ones[u, v]
+                    any_two |= twos[u, v]
+                    any_seen |= observed[u, v]
+            occupied = np.uint64(any_one | any_two)
+            any_seen |= any_one | any_two
+            for c in range(height):
+                shift = np.uint64(c * side)
+                seen[a, b] |= np.uint32((np.uint64(any_seen) >> shift & cell) != 0) << np.uint32(c)
+                if occupied >> shift & cell:
+                    kind = _class_of(ones, twos, (a * side, b * side, cell << shift), side)
+                    low[a, b] |= np.uint32(kind & 1) << np.uint32(c)
+                    high[a, b] |= np.uint32(kind >> 1) << np.uint32(c)
+
+
+@njit(inline="always")
+def _class_of(ones, twos, place, side):  # type: ignore[no-untyped-def]
+    """The class of most of the occupied voxels of a cube, the highest of those that are equally frequent."""
+    first, second, mask = place
+    t = p = n = np.uint64(0)
+    for u in range(first, first + side):
+        for v in range(second, second + side):
+            one, two = np.uint64(ones[u, v]) & mask, np.uint64(twos[u, v]) & mask
+            t += popcount(one & ~two)
+            p += popcount(two & ~one)
+            n += popcount(one & two)
+    if n >= p and n >= t:
+        return 3
+    return 2 if p >= t else 1
+
+
+def pooled_further(
+    fine: Columns, columns: Columns, further: Mapping[str, NDArray[Any]], grid: LabelGrid
+) -> dict[str, NDArray[Any]]:
+    """Return further arrays of the grid's shape, by name, from those of `grid.on_map`: of each voxel the mean of those
+    of its map voxels that have its class; without a surface that of all of them."""
+    n, (x, y, z) = grid.pooled, grid.shape
+    cubes, height = (x, n, y, n, z, n), n * z
+    classes, own = spread_out(fine.ones, fine.twos, height=height), spread_out(columns.ones, columns.twos, height=z)
+    is_used = classes.reshape(cubes) == own[:, None, :, None, :, None]
+    counts = is_used.sum(axis=(1, 3, 5))
+    return {name: _mean(values.reshape(cubes), is_used, counts) for name, values in further.items()}
+
+
+def _mean(values: NDArray[Any], is_used: NDArray[np.bool_], counts: NDArray[np.int64]) -> NDArray[Any]:
+    mean: NDArray[np.float64] = np.where(is_used, values, 0).sum(axis=(1, 3, 5), dtype=np.float64) / counts
+    return np.asarray(np.rint(mean) if values.dtype == np.uint8 else mean, dtype=values.dtype)
