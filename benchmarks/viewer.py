@@ -50,7 +50,8 @@ const mount = document.querySelector('script[src*="modules/viewer/mount.js"]').s
 const { planesOf, labelled, classAt } = await import(mount.replace("mount.js", "data/formats.js"));
 const { decompress } = await import("fzstd");
 const answer = await fetch(`/api/v1/frames/${given.token}/voxels`);
-const planes = planesOf(decompress(new Uint8Array(await answer.arrayBuffer())));
+const { grid } = viewerOf(document.querySelector("[data-viewer]")).scene;
+const planes = planesOf(decompress(new Uint8Array(await answer.arrayBuffer())), grid);
 const indices = labelled(planes), place = new three.Matrix4(), colours = given.colours;
 const box = new three.BoxGeometry(.2, .2, .2);
 const boxes = new three.InstancedMesh(box, new three.MeshBasicMaterial(), indices.length);

@@ -30,7 +30,7 @@ from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
 from stone.errors import Refused
 from stone.labels.class_colours import ColourName
-from stone_base.label_grid import PAPER
+from stone_base.label_grid import MAP_VOXEL_M, PAPER
 
 HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
@@ -72,7 +72,8 @@ def scene_bytes(store: Store, scene: SceneLocation) -> bytes:
     shown = shown_by(store, scene.playback)
     playback: dict[str, Any] = {"export_id": scene.playback.export_id, "state": scene.playback.state}
     playback |= {"cameras": list(shown.cameras), "has_clouds": shown.has_clouds, "has_rays": shown.has_rays}
-    known = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id, "has_confidence": False}
+    known: dict[str, Any] = {"sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
+    known |= {"has_confidence": False, "map_voxel_m": MAP_VOXEL_M}  # scenes of earlier releases lack them
     kept = _record(store, scene.file)
     record = {**known, **kept, "grid": {"name": PAPER.name, **kept["grid"]}, "playback": playback}
     return json.dumps(record, separators=(",", ":")).encode()

@@ -19,7 +19,7 @@ from services.domain.viewer.playback import INDEX, PlaybackChannels, cloud_file,
 from services.runtime.orm import Artefact, LabelSet, SequenceRow
 from services.runtime.platform import Platform
 from stone.labels.traversability import Reference, distance_squared, threshold
-from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import MAP_VOXEL_M, PAPER, LabelGrid
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
 from testing.worlds import made
@@ -28,7 +28,6 @@ from testing.worlds.viewer_cameras import CHANNELS, camera_files, played
 Grid = NDArray[np.uint8]
 Floats = NDArray[Any]
 FRAME_NS = 100_000_000
-SHAPE, MIN_M = (256, 256, 32), np.array([-25.6, -25.6, -2.0])
 REFERENCE = Reference(np.array([0.1, 0.09, -9.6]), np.diag([0.16, 0.003, 0.4]), 900, False)
 LIMIT = threshold(0.05)
 BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
@@ -39,7 +38,8 @@ BLOCK_M = (6.0, -3.4, 7.0, -2.2, 1.4)
 class Run:
     """`frames` poses `step_m` apart; voxels within `reach_m` of the track. Of imported labels they have no features.
 
-    With `has_confidence` the map has one, least near the limit of D².
+    With `has_confidence` the map has one, least near the limit of D². The frames have the grid `grid`; voxels of the
+    map have the side `voxel_m`.
     """
 
     frames: int = 12
@@ -47,6 +47,8 @@ class Run:
     step_m: float = 0.6
     is_imported: bool = False
     has_confidence: bool = False
+    grid: LabelGrid = PAPER
+    voxel_m: float = MAP_VOXEL_M
 
     @cached_property
     def poses(self) -> Floats:
@@ -61,8 +63,8 @@ class Run:
     @cached_property
     def voxels(self) -> TileVoxels:
         """All voxels of the map, by index."""
-        indices = np.unique(np.concatenate([self._ground(), _block()]), axis=0)
-        features = features_at((indices + 0.5) * VOXEL_M)
+        indices = np.unique(np.concatenate([self._ground(), _block(self.voxel_m)]), axis=0)
+        features = features_at((indices + 0.5) * self.voxel_m)
         squared = distance_squared(features, REFERENCE)
         classes = np.where(squared <= LIMIT, 2, 3).astype(np.uint8)
         classes[self._is_driven(indices)] = 1
@@ -71,7 +73,7 @@ class Run:
     @cached_property
     def grids(self) -> list[Grid]:
         """The label grid of each frame."""
-        return [_cut(pose, self.voxels) for pose in self.poses]
+        return [_cut(pose, self) for pose in self.poses]
 
     def _confidence(self, squared: Floats, classes: Grid) -> Grid:
         if not self.has_confidence:
@@ -80,14 +82,16 @@ class Run:
         return np.where(classes == 1, 255, np.rint(254 - 130 * np.exp(-far))).astype(np.uint8)
 
     def _ground(self) -> NDArray[np.int64]:
-        cells = np.arange(-int(self.reach_m / VOXEL_M) - 1, int((self.reach_m + self.frames * self.step_m) / VOXEL_M))
-        x, y = (axis.ravel() for axis in np.meshgrid((cells + 0.5) * VOXEL_M, (cells + 0.5) * VOXEL_M, indexing="ij"))
+        farthest_m = self.reach_m + self.frames * self.step_m
+        cells = np.arange(-int(self.reach_m / self.voxel_m) - 1, int(farthest_m / self.voxel_m))
+        middles = (cells + 0.5) * self.voxel_m
+        x, y = (axis.ravel() for axis in np.meshgrid(middles, middles, indexing="ij"))
         gaps = np.hypot(x[:, None] - self.poses[:, 0], y[:, None] - self.poses[:, 1]).min(axis=1)
         x, y = x[gaps <= self.reach_m], y[gaps <= self.reach_m]
-        return np.floor(np.stack([x, y, height_m(x, y)], axis=1) / VOXEL_M).astype(np.int64)
+        return np.floor(np.stack([x, y, height_m(x, y)], axis=1) / self.voxel_m).astype(np.int64)
 
     def _is_driven(self, indices: NDArray[np.int64]) -> NDArray[np.bool_]:
-        centre = (indices[:, :2] + 0.5) * VOXEL_M
+        centre = (indices[:, :2] + 0.5) * self.voxel_m
         gaps = np.linalg.norm(centre[:, None] - self.poses[None, :, :2], axis=2).min(axis=1)
         return np.asarray(gaps <= 0.45)
 
@@ -110,37 +114,46 @@ def features_at(points: Floats) -> Floats:
 def _is_block(points: Floats) -> NDArray[np.bool_]:
     x, y = points[:, 0], points[:, 1]
     low_x, low_y, high_x, high_y, _ = BLOCK_M
-    above = points[:, 2] > height_m(x, y) + VOXEL_M / 2
+    above = points[:, 2] > height_m(x, y) + MAP_VOXEL_M / 2
     return (x >= low_x) & (x < high_x) & (y >= low_y) & (y < high_y) & above
 
 
-def _block() -> NDArray[np.int64]:
+def _block(voxel_m: float) -> NDArray[np.int64]:
     low_x, low_y, high_x, high_y, high = BLOCK_M
     ranges = [
-        np.arange(round(a / VOXEL_M), round(b / VOXEL_M)) for a, b in ((low_x, high_x), (low_y, high_y), (0, high))
+        np.arange(round(a / voxel_m), round(b / voxel_m)) for a, b in ((low_x, high_x), (low_y, high_y), (0, high))
     ]
     return np.stack(np.meshgrid(*ranges, indexing="ij"), axis=-1).reshape(-1, 3)
 
 
-def _cut(pose: Floats, voxels: TileVoxels) -> Grid:
-    """The grid around the pose: each of its voxels has the class of the map's voxel that holds its centre."""
+def _cut(pose: Floats, run: Run) -> Grid:
+    """The grid around the pose: each of its voxels has the class of the map's voxel that holds its centre.
+
+    One of several voxels of the map has the highest class of those that hold the centres of its parts.
+    """
+    voxels, grid = run.voxels, run.grid
     w, z = pose[3], pose[6]
     cos, sin = w * w - z * z, 2 * w * z
     turn = np.array([[cos, -sin, 0], [sin, cos, 0], [0, 0, 1]])
     low = voxels.indices.min(axis=0) - 1
     held = np.zeros(voxels.indices.max(axis=0) + 2 - low, np.uint8)
     held[tuple((voxels.indices - low).T)] = voxels.classes
-    centres = (np.moveaxis(np.indices(SHAPE), 0, -1) + 0.5) * VOXEL_M + MIN_M
-    index = np.floor((centres @ turn.T + pose[:3]) / VOXEL_M).astype(np.int64) - low
+    parts = round(grid.voxel_m / run.voxel_m)
+    fine = np.indices([size * parts for size in grid.shape], np.int16)
+    centres = (np.moveaxis(fine, 0, -1) + 0.5) * (grid.voxel_m / parts) + grid.min_m
+    index = np.floor((centres @ turn.T + pose[:3]) / run.voxel_m).astype(np.int64) - low
     index = np.clip(index, 0, np.array(held.shape) - 1)  # its border holds nothing
-    return np.ascontiguousarray(held[tuple(np.moveaxis(index, -1, 0))])
+    x, y, z = grid.shape
+    classes = held[tuple(np.moveaxis(index, -1, 0))].reshape(x, parts, y, parts, z, parts)
+    return np.ascontiguousarray(classes.max(axis=(1, 3, 5)))
 
 
 def observed_of(grid: Grid) -> Grid:
     """What the frame's LiDAR saw: everything but a wedge to the left behind the robot."""
-    x, y = np.meshgrid(np.arange(SHAPE[0]) - 128, np.arange(SHAPE[1]) - 128, indexing="ij")
+    across, along, _ = grid.shape
+    x, y = np.meshgrid(np.arange(across) - across // 2, np.arange(along) - along // 2, indexing="ij")
     seen = ~((y > 6) & (x < -4))
-    return np.broadcast_to(seen[..., None], SHAPE).astype(np.uint8).copy()
+    return np.broadcast_to(seen[..., None], grid.shape).astype(np.uint8).copy()
 
 
 def viewed(
@@ -173,7 +186,7 @@ def viewed(
 def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
     """`scene/…` as the labeler writes it: one tile and its surface."""
     voxels = run.voxels
-    low, high = voxels.indices.min(axis=0) * VOXEL_M, (voxels.indices.max(axis=0) + 1) * VOXEL_M
+    low, high = voxels.indices.min(axis=0) * run.voxel_m, (voxels.indices.max(axis=0) + 1) * run.voxel_m
     if run.is_imported:
         voxels = replace(voxels, features=voxels.features * np.nan, distance_squared=voxels.distance_squared * np.nan)
     tile, mesh = tile_bytes(voxels), mesh_bytes(_surface(run, low))
@@ -189,6 +202,8 @@ def scene_files(name: str, tokens: list[str], run: Run) -> dict[str, bytes]:
         "meshes": [{"name": "0_0", "triangles": 2 * 40 * 40, "bytes": len(mesh)}],
     }
     record["has_confidence"] = run.has_confidence
+    if run.grid != PAPER:  # else as scenes of earlier releases, of maps that name no voxel
+        record |= {"grid": {key: run.grid.as_record()[key] for key in record["grid"]}, "map_voxel_m": run.voxel_m}
     if run.is_imported:
         record |= {"reference": None, "profile": "imported"}
     stamps = [str(made.START_NS + number * FRAME_NS) for number in range(len(tokens))]

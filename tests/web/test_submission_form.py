@@ -6,6 +6,7 @@ in its directory.
 
 import io
 import random
+import re
 import stat
 import struct
 import zipfile
@@ -15,11 +16,15 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from numpy.typing import NDArray
+from playwright.sync_api import Page
 
 from stone_submissions.archive import open_submission
 from testing.web.browsing import Site
 
 TOKENS = tuple(f"{number:032x}" for number in (11, 22, 33, 44))
+PAPER = np.zeros((256, 256, 32), np.uint8)
+HINTED = re.compile(r"axes are x, y, z: (.+?)(?: if |:|$)")
 Found = list[tuple[str, str, str | None]]
 READ = """async ({at, zips, tokens}) => {
   const { examined, manifestOf } = await import(at);
@@ -100,9 +105,9 @@ def told() -> Iterator[bytes]:
     yield submission + b"more"
 
 
-def of_frames(method: int) -> bytes:
+def of_frames(method: int, grid: NDArray[np.uint8] = PAPER) -> bytes:
     """A submission of real frames, which are archives themselves."""
-    content, inner = io.BytesIO(), frame(np.savez_compressed, semantics=np.zeros((256, 256, 32), np.uint8))
+    content, inner = io.BytesIO(), frame(np.savez_compressed, semantics=grid)
     with zipfile.ZipFile(content, "w", method) as archive:
         for name in whole():
             archive.writestr(name, inner)
@@ -143,14 +148,62 @@ def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
     return said
 
 
+def modules_of(page: Page) -> str:
+    """Where the page's modules are."""
+    sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
+    return f"{sheet.rpartition('/')[0]}/modules"
+
+
 def by_the_page(site: Site, archives: list[bytes]) -> list[Found]:
     with site.visit() as page:
         page.goto("/sign-in")
-        sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
-        at = f"{sheet.rpartition('/')[0]}/modules/submission/frames.js"
+        at = f"{modules_of(page)}/submission/frames.js"
         zips = [b64encode(archive).decode() for archive in archives]
         said = page.evaluate(READ, {"at": at, "zips": zips, "tokens": list(TOKENS)})
     return [[(code, file, frame) for code, file, frame in problems] for problems in said]
+
+
+SHAPES = {"paper": (256, 256, 32), "release": (200, 200, 16), "long": (160, 80, 8)}
+LOOK = """async ({at, grid, tokens, zips}) => {
+  const { examined, manifestOf } = await import(at + "frames.js");
+  const { faultIn, shapeHint } = await import(at + "first_frame.js");
+  const manifest = manifestOf({ sequences: { run: tokens }, ...(grid ? { grid } : {}) });
+  const said = [];
+  for (const zip of zips) {
+    const file = new File([Uint8Array.from(atob(zip), (one) => one.charCodeAt(0))], "run.zip");
+    const { frames, problems } = await examined(file, manifest);
+    const fault = await faultIn(file, [...frames.values()][0], manifest.shape);
+    const hint = fault && shapeHint(manifest.shape, fault.actual);
+    said.push(fault && [problems.length, fault.code, fault.expected, fault.actual, hint]);
+  }
+  return said;
+}"""
+
+
+@pytest.mark.parametrize("shape", SHAPES.values(), ids=SHAPES)
+def test_the_first_frame_is_held_against_the_grid_of_the_manifest(site: Site, shape: tuple[int, int, int]) -> None:
+    """Every hint, taken as it stands, makes of the array that was found one of the shape."""
+    x, y, z = shape
+    right = np.zeros(shape, np.uint8)
+    turned = (right.transpose(2, 0, 1), right.transpose(0, 2, 1), right[None], right[..., None])
+    scored = (np.zeros((4, *shape), np.uint8), np.zeros((*shape, 4), np.uint8))
+    others = [np.zeros(other, np.uint8) for other in SHAPES.values() if other != shape]
+    arrays = [right, *map(np.ascontiguousarray, turned), *scored, np.asfortranarray(right), *others]
+    zips = [b64encode(of_frames(zipfile.ZIP_STORED, array)).decode() for array in arrays]
+    given = {"grid": {"shape": shape} if shape != SHAPES["paper"] else None, "tokens": list(TOKENS), "zips": zips}
+    with site.visit() as page:
+        page.goto("/sign-in")
+        said = page.evaluate(LOOK, given | {"at": f"{modules_of(page)}/submission/"})
+    assert said[0] is None
+    for array, (problems, code, expected, actual, hint) in zip(arrays[1:], said[1:], strict=True):
+        assert (problems, code) == (0, "bad_shape")
+        assert expected.startswith(str(shape))
+        assert actual == (str(array.shape) if array.flags.c_contiguous else "Fortran order")
+        if any(array is other for other in others):
+            assert hint == f"axes are x, y, z, with {x} × {y} × {z} voxels, in C order"
+        else:
+            made = eval(HINTED.match(hint)[1], {"grid": array, "numpy": np})  # type: ignore[index]
+            assert made.shape == shape
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")

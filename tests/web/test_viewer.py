@@ -1,6 +1,7 @@
 """The 3D viewer as people use it: by keys, by mouse, by its address, and where there is little to see."""
 
 from collections.abc import Iterator
+from dataclasses import replace
 from typing import Any
 from urllib.parse import parse_qs, urlsplit
 
@@ -9,20 +10,23 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
-from services.domain.viewer.formats import TileVoxels
+from services.domain.viewer.formats import TileVoxels, voxels_bytes
 from services.domain.viewer.frame_picture import DIFFERENCE_RGB
 from services.runtime.orm import Artefact, SequenceRow
+from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB, PALETTES
-from stone.labels.voxels import VOXEL_M
 from stone.scoring.agreement import DIFFERENCES, SAME, differences
+from stone_base.label_grid import MAP_VOXEL_M, PAPER, RELEASE
 from testing.api.serving import Person
 from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import Grid, Run, viewed
+from testing.worlds.viewer_world import Grid, Run, observed_of, viewed
+from tests.web.looking import keep
 from tests.web.test_viewer_data import IMPORTS
 
+KINDS = {1: "Traversable", 2: "Potentially traversable", 3: "Non-traversable"}
 RUN, SHORT = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=3.0)
 VIEWER = "const viewer = (await load('mount')).viewerOf(document.querySelector('[data-viewer]'));"
 VIEW = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.viewpoint; }}"
@@ -72,10 +76,17 @@ def readout(page: Page) -> dict[str, str]:
     return dict(zip(names, values, strict=True)) | {"class": shown.locator("h3").inner_text()}
 
 
-def row_at(tile: TileVoxels, place: str) -> int:
+def send_voxels(page: Page, facts: dict[str, Any], run: Run) -> None:
+    """Answer for the platform, which reads no frame of this grid."""
+    for token, grid in zip(facts["tokens"], run.grids if run.grid != PAPER else [], strict=False):
+        body = voxels_bytes(grid, observed_of(grid))
+        page.route(f"**/frames/{token}/voxels?*", lambda route, _, body=body: route.fulfill(body=body))  # type: ignore[misc]
+
+
+def row_at(tile: TileVoxels, place: str, voxel_m: float = MAP_VOXEL_M) -> int:
     """The row of the voxel whose centre is next to this place of the map."""
     at = np.array([float(value) for value in place.removesuffix(" m").split(",")])
-    return int(np.argmin(np.linalg.norm((tile.indices + 0.5) * VOXEL_M - at, axis=1)))
+    return int(np.argmin(np.linalg.norm((tile.indices + 0.5) * voxel_m - at, axis=1)))
 
 
 def expected(place: str) -> dict[str, str]:
@@ -84,14 +95,13 @@ def expected(place: str) -> dict[str, str]:
     row = row_at(tile, place)
     elevation, slope, rough = tile.features[row]
     d2 = tile.distance_squared[row]
-    names = {1: "Traversable", 2: "Potentially traversable", 3: "Non-traversable"}
     return {
         "Elevation": f"{elevation:.2f} m",
         "Slope": f"{np.degrees(slope):.1f}°",
         "Roughness": f"{1000 * np.exp(rough / 2):.0f} mm (log {rough:.1f})",
         "D²": f"{d2:.1f}",
         "Map position": place,
-        "class": names[int(tile.classes[row])],
+        "class": KINDS[int(tile.classes[row])],
     }
 
 
@@ -225,6 +235,59 @@ def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Pe
         until(lambda: set(readout(page)) == {"Map position", "class"})
         values = page.get_by_label("Colour by").locator("option").evaluate_all("all => all.map(one => one.value)")
         assert values == ["class"]
+
+
+RELEASED = Run(frames=2, reach_m=14.0, grid=RELEASE)
+BOUGHT = replace(RELEASED, voxel_m=0.4, is_imported=True)
+MARKED_M = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.marker.lines.scale.x; }}"
+
+
+@pytest.mark.parametrize("run", [RELEASED, BOUGHT], ids=["labelled here", "imported"])
+def test_a_frame_of_the_released_datasets_grid_is_picked_in_and_so_is_its_map(
+    site: Site, curator: Person, run: Run
+) -> None:
+    seen = viewed(site.platform, curator, run, has_clouds=True)
+    with site.visit(curator) as page:
+        send_voxels(page, seen, run)
+        page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
+        expect(host(page)).to_have_attribute("data-state", "ready")
+        canvas(page).focus()
+        page.keyboard.press("c")
+        page.keyboard.press("Shift+ArrowDown")
+        expect(page.locator(".viewer-readout")).to_be_visible()
+        picked_in_frame(page, run)
+        keep(page, f"viewer-release-{'imported' if run.is_imported else 'labelled'}")
+        page.get_by_label("Point cloud").check()
+        page.get_by_label("Points by").select_option("height")
+        expect(page.locator(".viewer-ticks span")).to_have_text(["-1.0 m", "2.2 m", "5.4 m"])
+        page.get_by_label("Point cloud").uncheck()
+        page.get_by_label("Show", exact=True).select_option("map")
+        canvas(page).press("ArrowDown")
+        until(lambda: page.evaluate(MARKED_M) == run.voxel_m)
+        place = place_of(readout(page))
+        row = row_at(run.voxels, readout(page)["Map position"], run.voxel_m)
+        assert place == pytest.approx((run.voxels.indices[row] + 0.5) * run.voxel_m, abs=0.051)
+        assert readout(page)["class"] == KINDS[int(run.voxels.classes[row])]
+
+
+def picked_in_frame(page: Page, run: Run) -> None:
+    """The voxel is one of the frame's grid, of the class there; its values are of a voxel of the map in it."""
+    told, pose = readout(page), SE3(run.poses[1][[3, 4, 5, 6, 0, 1, 2]])
+    at = (pose.inverse() @ place_of(told) - run.grid.min_m) / run.grid.voxel_m
+    index = np.floor(at).astype(int)
+    assert at == pytest.approx(index + 0.5, abs=0.2)  # of voxels: positions are to a decimetre
+    kind = run.grids[1][tuple(index)]
+    assert told["class"] == KINDS[int(kind)]
+    assert page.evaluate(MARKED_M) == run.grid.voxel_m == 0.4
+    tile = run.voxels
+    parts = np.floor((pose.inverse() @ ((tile.indices + 0.5) * run.voxel_m) - run.grid.min_m) / run.grid.voxel_m + 0.5)
+    is_near = (np.abs(parts - 0.5 - index) <= 1).all(axis=1) & (tile.classes == kind)
+    slopes = {f"{np.degrees(slope):.1f}°" for slope in tile.features[is_near, 1]}
+    assert run.is_imported or told["Slope"] in slopes
+
+
+def place_of(told: dict[str, str]) -> Any:
+    return np.array([float(value) for value in told["Map position"].removesuffix(" m").split(",")])
 
 
 def test_without_webgl_frames_are_shown_from_above_and_without_a_scene_nothing_is(

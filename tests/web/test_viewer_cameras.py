@@ -10,17 +10,17 @@ from playwright.sync_api import Locator, Page, Route, expect
 from services.domain.viewer.playback import INDEX, PlaybackChannels, index_record
 from services.runtime.platform import Platform
 from stone.geometry.se3 import SE3
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.projection import project, rays_through
+from stone_base.label_grid import RELEASE
 from testing.api.serving import Person
 from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
-from testing.worlds.viewer_world import BLOCK_M, MIN_M, SHAPE, Run, viewed
-from tests.web.test_viewer import VIEWER, canvas, host, readout
+from testing.worlds.viewer_world import BLOCK_M, Run, viewed
+from tests.web.test_viewer import VIEWER, canvas, host, readout, send_voxels
 from tests.web.test_viewer_data import IMPORTS
 
-RUN = Run(frames=6, reach_m=4.5)
+RUN, RELEASED = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=6.0, grid=RELEASE)
 # Where the top of the marked voxel is in the 3D view, as shares of its size; it fails where none is marked.
 MARKED_IN_3D = f"""async () => {{ {IMPORTS} {VIEWER}
   const {{ marker }} = viewer.world, {{ camera, orbit }} = viewer.stage;
@@ -34,13 +34,15 @@ MARKED_IN_3D = f"""async () => {{ {IMPORTS} {VIEWER}
 
 
 @pytest.fixture
-def seen(site: Site, curator: Person) -> dict[str, Any]:
-    return viewed(site.platform, curator, RUN, has_cameras=True)
+def seen(site: Site, curator: Person, request: pytest.FixtureRequest) -> dict[str, Any]:
+    run = getattr(request, "param", RUN)
+    return viewed(site.platform, curator, run, has_cameras=True) | {"run": run}
 
 
 @pytest.fixture
 def at_viewer(site: Site, curator: Person, seen: dict[str, Any]) -> Iterator[Page]:
     with site.visit(curator) as page:
+        send_voxels(page, seen, seen["run"])
         page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
         expect(strip(page)).to_have_attribute("data-frame", "1")
         yield page
@@ -72,38 +74,40 @@ def views(page: Page, token: str, size: tuple[int, int]) -> list[Any]:
     return [np.array(ids).reshape(size[1], size[0]) for ids in page.evaluate(script, given)]
 
 
-def voxels_of(ids: Any) -> Any:
+def voxels_of(run: Run, ids: Any) -> Any:
     """(N, 3) indices of the voxels with these ids."""
-    return np.stack(np.unravel_index(ids - 1, SHAPE), axis=-1)
+    return np.stack(np.unravel_index(ids - 1, run.grid.shape), axis=-1)
 
 
-def corners_of(voxels: Any) -> Any:
+def corners_of(run: Run, voxels: Any) -> Any:
     """(N, 8, 3) of voxels (N, 3) in the ego frame."""
     corners = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    return (voxels[:, None] + corners) * VOXEL_M + MIN_M
+    return (voxels[:, None] + corners) * run.grid.voxel_m + run.grid.min_m
 
 
+@pytest.mark.parametrize(("seen", "reach"), [(RUN, 25), (RELEASED, 40)], indirect=["seen"], ids=["paper", "release"])
 def test_every_pixel_with_a_label_is_of_the_first_voxel_that_its_ray_meets(
-    at_viewer: Page, seen: dict[str, Any]
+    at_viewer: Page, seen: dict[str, Any], reach: int
 ) -> None:
     """Catches alone a pixel off by a half, a quaternion transposed, the frame's pose in the place of the shutter's."""
-    token = seen["tokens"][1]
+    token, run = seen["tokens"][1], seen["run"]
+    expect(at_viewer.get_by_text(f"Labels reach {reach} m from the robot")).to_be_visible()
     large, small = views(at_viewer, token, (320, 200)), views(at_viewer, token, (64, 40))
     for place, channel in enumerate(CHANNELS):
-        are_within(channel, large[place])
-        are_first(channel, small[place])
-    block_hides(large)
+        are_within(run, channel, large[place])
+        are_first(run, channel, small[place])
+    block_hides(run, large)
 
 
-def are_within(channel: str, ids: Any) -> None:
+def are_within(run: Run, channel: str, ids: Any) -> None:
     """Every pixel is where numpy projects its voxel."""
     rows, columns = np.nonzero(ids)
     assert len(rows) > 3000, channel
-    voxels = voxels_of(ids[rows, columns])
-    assert (RUN.grids[1][tuple(voxels.T)] > 0).all()
+    voxels = voxels_of(run, ids[rows, columns])
+    assert (run.grids[1][tuple(voxels.T)] > 0).all()
     lens = lens_of(channel)
     camera_from_ego = shutter_pose(channel).inverse()
-    corners = (camera_from_ego @ corners_of(voxels).reshape(-1, 3)).reshape(-1, 8, 3)
+    corners = (camera_from_ego @ corners_of(run, voxels).reshape(-1, 3)).reshape(-1, 8, 3)
     whole = (corners[..., 2] > 0.05).all(axis=1)
     pixels = np.stack([project(corners[whole, corner], lens)[0] for corner in range(8)], axis=1)
     pixels = (pixels + 0.5) * (320 / lens.width_px)
@@ -113,33 +117,34 @@ def are_within(channel: str, ids: Any) -> None:
     assert is_inside.mean() == 1.0, f"{(~is_inside).sum()} of {len(at)} pixels are outside their voxel"
 
 
-def are_first(channel: str, ids: Any) -> None:
+def are_first(run: Run, channel: str, ids: Any) -> None:
     """What a pixel shows is the voxel that small steps along its ray meet first."""
-    grid, random = RUN.grids[1], np.random.default_rng(3)
+    random = np.random.default_rng(3)
     pose, lens = shutter_pose(channel), lens_of(channel)
     rows, columns = random.integers(0, 40, 60), random.integers(0, 64, 60)
     scale = lens.width_px / 64
     pixels = np.stack([(columns + 0.5) * scale - 0.5, (rows + 0.5) * scale - 0.5], axis=1)
     rays = SE3(np.array([*pose.wxyz_xyz[:4], 0, 0, 0])) @ rays_through(pixels, lens)
     same = sum(
-        _stepped(grid, pose.translation_m, ray) == ids[row, column]
+        _stepped(run, pose.translation_m, ray) == ids[row, column]
         for ray, row, column in zip(rays, rows, columns, strict=True)
     )
     assert same >= 58, f"{channel}: {same} of 60"  # a ray through an edge may meet either
 
 
-def _stepped(grid: Any, start_m: Any, ray: Any) -> int:
+def _stepped(run: Run, start_m: Any, ray: Any) -> int:
     """1 + index of the first labelled voxel along the ray, by steps of a millimetre."""
-    steps = np.floor((np.arange(0.1, 40, 0.001)[:, None] * ray + start_m - MIN_M) / VOXEL_M).astype(int)
-    steps = steps[((steps >= 0) & (steps < SHAPE)).all(axis=1)]
-    met = np.flatnonzero(grid[tuple(steps.T)])
-    return int(np.ravel_multi_index(tuple(steps[met[0]]), SHAPE)) + 1 if len(met) else 0
+    places_m, grid = np.arange(0.1, 40, 0.001)[:, None] * ray + start_m, run.grid
+    steps = np.floor((places_m - grid.min_m) / grid.voxel_m).astype(int)
+    steps = steps[((steps >= 0) & (steps < grid.shape)).all(axis=1)]
+    met = np.flatnonzero(run.grids[1][tuple(steps.T)])
+    return int(np.ravel_multi_index(tuple(steps[met[0]]), grid.shape)) + 1 if len(met) else 0
 
 
-def block_hides(ids: list[Any]) -> None:
+def block_hides(run: Run, ids: list[Any]) -> None:
     """Where the block stands it is seen, and not the ground behind it."""
     x0, y0, x1, y1, high_m = BLOCK_M
-    pose = SE3(RUN.poses[1][[3, 4, 5, 6, 0, 1, 2]])
+    pose = SE3(run.poses[1][[3, 4, 5, 6, 0, 1, 2]])
     block = pose.inverse() @ np.array([(x0 + x1) / 2, (y0 + y1) / 2, high_m / 2])
     hits = 0
     for place, channel in enumerate(CHANNELS):
@@ -148,7 +153,7 @@ def block_hides(ids: list[Any]) -> None:
         if not is_in[0]:
             continue
         column, row = ((pixels[0] + 0.5) / 2).astype(int)
-        met = voxels_of(ids[place][row, column][None])[0] * VOXEL_M + MIN_M
+        met = corners_of(run, voxels_of(run, ids[place][row, column][None]))[0, 0]
         assert np.hypot(*(met[:2] - block[:2])) < 1.5, "the block, not the ground behind it"
         hits += 1
     assert hits

@@ -4,7 +4,9 @@
 NumPy. Faces are compared with the slow definition: a face is seen where the voxel beside it is empty.
 """
 
+import json
 import shutil
+from base64 import b64encode
 from collections.abc import Iterator
 from dataclasses import dataclass
 from pathlib import Path
@@ -15,6 +17,9 @@ import pytest
 from playwright.sync_api import Browser, Page
 from scipy.optimize import nnls
 
+from services.domain.viewer.formats import voxels_bytes
+from stone.geometry.se3 import SE3
+from stone_base.label_grid import PAPER, RELEASE, LabelGrid
 from testing.api.serving import person, serving
 from testing.servers.fixtures import make_settings, opened
 from testing.web.browsing import Site
@@ -22,14 +27,15 @@ from testing.worlds.viewer_world import Grid, Run, observed_of, viewed
 from web.main import make_site
 
 RUN = Run(frames=2, reach_m=3.0, has_confidence=True)
-IMPORTS = """
+IMPORTS = (
+    f"const PAPER = {json.dumps(PAPER.as_record())};"
+    + """
 const base = document.querySelector('script[src*="modules/app.js"]').src.replace("app.js", "viewer/");
 const load = name => import(base + name + ".js");
-const fetched = async path => {
-  const { decompress } = await import(base + "../../libraries/fzstd/esm/index.mjs");
-  return decompress(new Uint8Array(await (await fetch(path)).arrayBuffer()));
-};
+const unpacked = async content => (await import(base + "../../libraries/fzstd/esm/index.mjs")).decompress(content);
+const fetched = async path => unpacked(new Uint8Array(await (await fetch(path)).arrayBuffer()));
 """
+)
 
 
 @dataclass(frozen=True)
@@ -62,7 +68,7 @@ def run(loaded: Loaded, script: str, given: object = None) -> Any:
 def test_a_frame_decodes_to_the_classes_and_the_mask_it_was_packed_of(loaded: Loaded) -> None:
     script = """
     const { planesOf, labelled, classAt, isObserved } = await load("data/formats");
-    const planes = planesOf(await fetched(`/api/v1/frames/${given}/voxels`));
+    const planes = planesOf(await fetched(`/api/v1/frames/${given}/voxels`), PAPER);
     const indices = [...labelled(planes)];
     return indices.map(index => [index, classAt(planes, index), Number(isObserved(planes, index))]);
     """
@@ -104,7 +110,7 @@ def test_confidence_is_coloured_from_a_half_to_one_and_grey_where_unknown(loaded
 def test_what_is_not_a_frame_is_refused(loaded: Loaded) -> None:
     script = """
     const { planesOf } = await load("data/formats");
-    return given.map(bytes => { try { planesOf(new Uint8Array(bytes)); return false; } catch { return true; } });
+    return given.map(bytes => { try { planesOf(new Uint8Array(bytes), PAPER); return false; } catch { return true; } });
     """
     another_magic, many_planes = [83, 84, 86, 50, 3, 0, 0, 0], [83, 84, 86, 49, 9, 0, 0, 0]
     cut, short = [83, 84, 86, 49, 3, 0, 0, 0, 1], [83, 84, 86, 49]
@@ -179,15 +185,86 @@ def _stepped(grid: Any, start: Any, direction: Any) -> Any:
     return steps[met[0]].tolist() if len(met) else None
 
 
-def test_the_floor_is_the_lowest_label_of_each_square(loaded: Loaded) -> None:
+GRIDS = {
+    "paper": (PAPER, 4),
+    "release": (RELEASE, 2),
+    "low": (LabelGrid("low", (-3.0, 1.0, -5.0), 0.6, (24, 16, 8)), 1),
+    "wide": (LabelGrid("wide", (-0.8, -40.0, -1.0), 0.2, (8, 320, 16)), 4),
+}
+"""Grids, and how many columns the sides of a square have whose floor is told."""
+
+
+@pytest.mark.parametrize(("grid", "square"), GRIDS.values(), ids=GRIDS)
+def test_a_frame_is_drawn_picked_and_seen_by_cameras_in_its_own_grid(
+    loaded: Loaded, grid: LabelGrid, square: int
+) -> None:
+    """Catches alone a side, a corner or a height of another grid: faces, floor and rays against NumPy's."""
     script = """
-    const { columnsOf, lowestOf } = await load("data/columns"), { planesOf } = await load("data/formats");
-    const planes = planesOf(await fetched(`/api/v1/frames/${given}/voxels`));
-    return Array.from(lowestOf(columnsOf(planes, false)));
+    const { Model } = await load("data/model"), { planesOf } = await load("data/formats");
+    const { castRays, columnsOf } = await load("data/columns");
+    const look = { mode: "class", classes: 14, unseen: "show" }, { grid } = given;
+    const frames = { tokens: ["a"], map_from_ego: [given.pose] };
+    const model = new Model({ grid, map_voxel_m: 0.2, frames, tiles: [] });
+    const planes = planesOf(await unpacked(Uint8Array.from(atob(given.voxels), one => one.charCodeAt(0))), grid);
+    model.keepFrame("a", "class", planes);
+    const { faces, lowest, corner_m, voxel_m } = model.drawFrame("a", look);
+    const picked = given.rays.map(([from_m, direction]) => model.pick({ from_m, direction }, "frame", "a", look));
+    const ids = new Uint32Array(given.rays.length);
+    castRays(columnsOf(planes, false), given.start, Float32Array.from(given.sights.flat()), ids);
+    const centres = picked.map(one => one && one.centre_m);
+    const told = picked.map(one => one && [one.id, one.kind, ...one.index]);
+    const drawn = { vertices: [...faces.vertices], lowest: [...lowest], corner_m, voxel_m };
+    return { ...drawn, ids: [...ids], picked: told, centres };
     """
-    squares = np.asarray(RUN.grids[1].reshape(64, 4, 64, 4, 32).any(axis=(1, 3)))
-    lowest = np.where(squares.any(axis=2), squares.argmax(axis=2), -1)
-    assert run(loaded, script, loaded.tokens[1]) == lowest.ravel().tolist()
+    random = np.random.default_rng(11)
+    classes = np.zeros(grid.shape, np.uint8)
+    voxels = random.integers(0, grid.shape, (900, 3))
+    classes[tuple(voxels.T)] = random.integers(1, 4, 900)
+    pose = SE3(np.array([*np.array([0.9, 0.1, -0.2, 0.4]) / np.sqrt(1.02), 12.0, -7.0, 3.0]))
+    middle = np.array(grid.shape) / 2 + (0.21, -0.33, 0.17)  # rays from a corner run along edges
+    starts = middle + random.normal(0, 1, (60, 3)) * 40
+    to_metres = lambda points: points * grid.voxel_m + grid.min_m  # noqa: E731
+    aims = voxels[random.integers(0, 900, 60)] + 0.5
+    sights = (aims - middle).astype(np.float32)
+    given = {
+        "grid": grid.as_record(),
+        "pose": np.concatenate([pose.translation_m, pose.wxyz]).tolist(),
+        "voxels": b64encode(voxels_bytes(classes, classes)).decode(),
+        "rays": np.stack([pose @ to_metres(starts), pose @ to_metres(aims) - pose @ to_metres(starts)], 1).tolist(),
+        "start": middle.tolist(),
+        "sights": sights.tolist(),
+    }
+    made = run(loaded, script, given)
+    assert sorted(_covered(np.array(made["vertices"]).reshape(-1, 4, 4))) == sorted(_exposed(classes))
+    assert (made["corner_m"], made["voxel_m"]) == (list(grid.min_m), grid.voxel_m)
+    assert made["lowest"] == _floor(classes, square).ravel().tolist()
+    met = [_walked(classes, start, aim - start) for start, aim in zip(starts, aims, strict=True)]
+    found = [one and one[2:] for one in made["picked"]]
+    assert sum(a == b for a, b in zip(found, met, strict=True)) >= 58, "a ray through an edge may meet either"
+    for one, centre_m in zip(made["picked"], made["centres"], strict=True):
+        if one:
+            assert one[:2] == [np.ravel_multi_index(one[2:], grid.shape) + 1, classes[tuple(one[2:])]]
+            assert centre_m == pytest.approx(pose @ to_metres(np.array(one[2:]) + 0.5))
+    near = 0.1 / grid.voxel_m / np.linalg.norm(sights, axis=1, keepdims=True)
+    seen = [_walked(classes, middle + sight * skipped, sight) for sight, skipped in zip(sights, near, strict=True)]
+    ids = [int(np.ravel_multi_index(one, grid.shape)) + 1 if one else 0 for one in seen]
+    assert sum(a == b for a, b in zip(made["ids"], ids, strict=True)) >= 58
+
+
+def _floor(classes: Grid, square: int) -> Any:
+    """The lowest label of each square of columns, −1 where there is none."""
+    x, y, z = classes.shape
+    squares = np.asarray(classes.reshape(x // square, square, y // square, square, z).any(axis=(1, 3)))
+    return np.where(squares.any(axis=2), squares.argmax(axis=2), -1)
+
+
+def _walked(classes: Grid, start: Any, along: Any) -> Any:
+    """The first voxel that steps of a thousandth of a voxel meet, up to twice as far as `along` goes."""
+    at = np.arange(0, 2, 0.001 / np.linalg.norm(along))
+    steps = np.floor(at[:, None] * along + start).astype(int)
+    steps = steps[((steps >= 0) & (steps < classes.shape)).all(axis=1)]
+    met = np.flatnonzero(classes[tuple(steps.T)])
+    return steps[met[0]].tolist() if len(met) else None
 
 
 SIGMAS = np.array([0.05, 0.07, 0.7])

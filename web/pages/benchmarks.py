@@ -22,6 +22,7 @@ from services.domain.benchmarks.phases.open_frames import open_truth_of
 from services.domain.benchmarks.visibility import Viewer
 from services.runtime.orm import Benchmark, Phase
 from services.runtime.platform import Platform
+from stone_base.label_grid import PAPER
 from web.boards.open_example import chosen_frame
 from web.boards.rows import ShownBoard, shortened, shown_board
 from web.markdown import html_of
@@ -68,6 +69,7 @@ def show_benchmark(
         "phases": [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases],
         "first": first,
         "example": chosen_frame(platform, truth),
+        "grid": PAPER,
     }
     return page(request, caller, "boards/benchmark.html", **known)
 

@@ -78,16 +78,20 @@ class SceneDetail(Answer):
     """A labelled sequence as the viewer shows it; `label_set_id` as `v` of its files makes their addresses lasting.
 
     `reference` is null of labels that were imported from a published dataset: the features of their voxels are NaN.
-    `has_confidence`: the confidence of some voxel is known.
+    `has_confidence`: the confidence of some voxel is known. `grid` is that of the frames; the tiles are of a map whose
+    voxels have the side `map_voxel_m`.
     """
 
-    model_config = example(name="n-forest-07", profile="field", footprint_m=[1.06, 0.85], has_confidence=True)
+    model_config = example(
+        name="n-forest-07", profile="field", map_voxel_m=0.2, footprint_m=[1.06, 0.85], has_confidence=True
+    )
 
     sequence_id: str
     label_set_id: str
     name: str
     profile: str
     grid: GridItem
+    map_voxel_m: float
     footprint_m: list[float]
     reference: ReferenceItem | None
     has_confidence: bool

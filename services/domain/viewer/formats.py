@@ -9,16 +9,16 @@
 | `STC1` | one sweep | u32 n; i16 x y z a point, centimetres in the ego frame; u8 intensity a point |
 | `STR1` | the cameras of a playback | u32 cameras, frames, columns, rows; u8 has a picture; f32 rays; f32 poses |
 
-**Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel in C order, 256 × 256 × 32,
-the first in the lowest bit. In `STT1` each of the nine arrays stands whole before the next; voxels are in the order of
-i, then j, then k; the centre of one is (index + 0.5) · 0.2 m in the map frame. `STM1` counts from the tile's `min_m`
-(scene.json); class 0 is a vertex outside every voxel. The confidence is that of `labels.npz`, 0 if it is unknown; tiles
-of earlier releases end before it. Equal values give equal bytes. Of imported labels elevation,
-slope, roughness and D² are NaN: a dataset says the class alone. In `STR1` cameras stand in the order of
-`playback.json`: a byte for each frame of each camera, 1 where there is a picture; then of each camera rows × columns
-unit vectors x y z in its optical frame, through places spread evenly from edge to edge of the image, NaN where the lens
-sees nothing; then for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz, from where the camera was
-when it took the picture into the ego frame of the labels, NaN where it is not known.
+**Conventions.** Little-endian, nothing between the parts. A plane has a bit for each voxel of the scene's grid in C
+order, the first in the lowest bit. In `STT1` each of the nine arrays stands whole before the next; voxels are in the
+order of i, then j, then k; the centre of one is (index + 0.5) · `map_voxel_m` in the map frame. `STM1` counts from the
+tile's `min_m` (scene.json); class 0 is a vertex outside every voxel. The confidence is that of `labels.npz`, 0 if it is
+unknown; tiles of earlier releases end before it. Equal values give equal bytes. Of imported labels elevation, slope,
+roughness and D² are NaN: a dataset says the class alone. In `STR1` cameras stand in the order of `playback.json`: a
+byte for each frame of each camera, 1 where there is a picture; then of each camera rows × columns unit vectors x y z in
+its optical frame, through places spread evenly from edge to edge of the image, NaN where the lens sees nothing; then
+for each frame of each camera `ego_from_camera` as tx ty tz qw qx qy qz, from where the camera was when it took the
+picture into the ego frame of the labels, NaN where it is not known.
 """
 
 from dataclasses import dataclass

@@ -2,6 +2,7 @@
 
 **Conventions.** Per column the highest labelled voxel shows, lit by the relief; grey is what no ray reached, the ground
 (transparent, on paper white) what was seen to be free all the way. Pictures are PNG files of one fixed palette (below).
+Grids (X, Y, Z) are of any size; Z is 8, 16 or 32. A column is a square of `px_per_column` pixels.
 """
 
 import io
@@ -15,6 +16,7 @@ from PIL import Image, ImageDraw, ImageFont
 
 from stone.labels.class_colours import INK, PALETTES, PAPER, TRACK, UNSEEN, ColourName
 from stone.scoring.agreement import BOTH_FREE, EASIER, HARDER, ONLY_A, ONLY_B, SAME, differences
+from stone_base.label_grid import LabelGrid
 
 # Pictures of labels for pages: PNG files of one fixed palette, in which the class colours can be exchanged.
 #
@@ -128,26 +130,33 @@ def _on_paper() -> NDArray[np.uint8]:
 
 Grid = NDArray[np.uint8]
 
-PX_PER_VOXEL = 2
+SIDE_PX = 512
 ROBOT_PX = ((0, -9), (6, 7), (0, 3), (-6, 7))  # an arrowhead that points forward
 
 
-def picture_bytes(semantics: Grid, observed: Grid) -> bytes:
-    """A PNG, 512 × 512, of the grids (256, 256, 32), with the robot in the middle."""
+def picture_bytes(semantics: Grid, observed: Grid, place: LabelGrid | None = None) -> bytes:
+    """A PNG of the grids (X, Y, Z), with the robot where `place` has the ego origin; without it, in the middle."""
     image = Image.fromarray(enlarged(plan_indices(semantics, observed)))
-    middle = np.array(image.size) / 2
-    outline = [(float(x), float(y)) for x, y in middle + np.array(ROBOT_PX)]
+    right, down = np.array(image.size) / 2 if place is None else _robot_px(place)
+    outline = [(right + x, down + y) for x, y in ROBOT_PX]
     ImageDraw.Draw(image).polygon(outline, fill=ROBOT_INDEX, outline=CASING_INDEX)
     return png_of(np.asarray(image))
 
 
+def _robot_px(grid: LabelGrid) -> tuple[float, float]:
+    """Where the ego origin is in a picture of this grid, from its left and from its top."""
+    px_per_m = px_per_column(grid.shape) / grid.voxel_m
+    ahead_m, left_m, _ = grid.max_m
+    return left_m * px_per_m, ahead_m * px_per_m
+
+
 def plan(semantics: Grid, observed: Grid | None = None) -> Grid:
-    """(256, 256, 3) on paper: one pixel per column; with `observed` what was never seen is grey."""
+    """(X, Y, 3) on paper: one pixel per column; with `observed` what was never seen is grey."""
     return rgb_on_paper(plan_indices(semantics, observed))
 
 
 def plan_indices(semantics: Grid, observed: Grid | None = None) -> Indices:
-    """(256, 256): the same as indices of a picture's palette."""
+    """(X, Y): the same as indices of a picture's palette."""
     highest = _highest(semantics)
     kind = np.take_along_axis(semantics, highest[..., None], axis=2)[..., 0]
     shown = lit(kind, _rise(np.where(kind > 0, highest, np.nan)))
@@ -156,25 +165,31 @@ def plan_indices(semantics: Grid, observed: Grid | None = None) -> Indices:
     return np.ascontiguousarray(shown[::-1, ::-1])
 
 
+def px_per_column(shape: tuple[int, ...]) -> int:
+    """How many pixels wide a column of a grid (X, Y, …) is, so that the longer side has about `SIDE_PX`."""
+    return max(1, round(SIDE_PX / max(shape[:2])))
+
+
 def enlarged(indices: Indices) -> Indices:
-    """Each pixel as a square of `PX_PER_VOXEL` a side."""
-    return indices.repeat(PX_PER_VOXEL, axis=0).repeat(PX_PER_VOXEL, axis=1)
+    """Each pixel of a plan (X, Y) as a square of `px_per_column` a side."""
+    side_px = px_per_column(indices.shape)
+    return indices.repeat(side_px, axis=0).repeat(side_px, axis=1)
 
 
 def _highest(semantics: Grid) -> NDArray[np.int64]:
-    """The highest labelled voxel of each column (256, 256); 0 where none is: the top bit of a word of 32."""
-    words = np.packbits(semantics != 0, axis=2, bitorder="little").view("<u4")[..., 0]
+    """The highest labelled voxel of each column (X, Y); 0 where none is: the top bit of a word of Z."""
+    words = np.packbits(semantics != 0, axis=2, bitorder="little").view(f"<u{semantics.shape[2] // 8}")[..., 0]
     return np.asarray(np.maximum(np.frexp(words.astype(np.float64))[1] - 1, 0), dtype=np.int64)
 
 
 def _any_above(observed: Grid) -> NDArray[np.bool_]:
-    """Which columns (256, 256) hold anything; eight voxels are looked at in one word."""
+    """Which columns (X, Y) hold anything; eight voxels are looked at in one word."""
     words = np.ascontiguousarray(observed).view(np.uint64)
     return np.asarray(words.any(axis=2), dtype=np.bool_)
 
 
 def _rise(height: NDArray[np.float64]) -> NDArray[np.float64]:
-    """By how many voxels each column (256, 256) rises against a light from ahead on the left; 0 beside NaN heights."""
+    """By how many voxels each column (X, Y) rises against a light from ahead on the left; 0 beside NaN heights."""
     fall = [np.nan_to_num(height - np.roll(height, -1, axis)) for axis in (0, 1)]
     return -fall[0] - fall[1]
 
@@ -198,20 +213,20 @@ _INDEX = np.array([GROUND_INDEX if code == BOTH_FREE else DIFFERENCE_INDEX + cod
 
 
 def comparison_picture(a: SeenGrid, b: SeenGrid) -> bytes:
-    """A PNG: A, B and the difference side by side, 512 px each, of grids (256, 256, 32)."""
-    panels = [plan_indices(*a), plan_indices(*b), _difference_indices(a[0], b[0])]
-    side_px = panels[0].shape[0] * PX_PER_VOXEL
-    whole = np.full((side_px + HEAD_PX, len(panels) * side_px + (len(panels) - 1) * GAP_PX), GROUND_INDEX, np.uint8)
+    """A PNG: A, B and the difference side by side, of grids (X, Y, Z)."""
+    panels = [enlarged(one) for one in (plan_indices(*a), plan_indices(*b), _difference_indices(a[0], b[0]))]
+    high_px, wide_px = panels[0].shape
+    whole = np.full((high_px + HEAD_PX, len(panels) * wide_px + (len(panels) - 1) * GAP_PX), GROUND_INDEX, np.uint8)
     words, font = Image.new("L", whole.shape[::-1]), ImageFont.load_default(18)
     for place, (name, indices) in enumerate(zip(PANELS, panels, strict=True)):
-        left = place * (side_px + GAP_PX)
+        left = place * (wide_px + GAP_PX)
         ImageDraw.Draw(words).text((left, 2), name, fill=255, font=font)
-        whole[HEAD_PX:, left : left + side_px] = enlarged(indices)
+        whole[HEAD_PX:, left : left + wide_px] = indices
     return png_of(with_words(whole, words))
 
 
 def difference_picture(a: Grid, b: Grid) -> bytes:
-    """A PNG of where two grids (256, 256, 32) differ, 512 × 512; transparent where both are free."""
+    """A PNG of where two grids (X, Y, Z) differ; transparent where both are free."""
     return png_of(enlarged(_difference_indices(a, b)))
 
 

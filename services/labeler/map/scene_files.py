@@ -22,10 +22,9 @@ from stone.geometry.corners import corners_of
 from stone.geometry.lattice import indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.traversability import Reference, threshold
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.sequence import Sequence
 from stone.surface.mesh import Mesh
-from stone_base.label_grid import PAPER, LabelGrid
+from stone_base.label_grid import MAP_VOXEL_M, PAPER, LabelGrid
 
 FEATURES = ("elevation_m", "slope_rad", "roughness")
 STEPS = np.array([2.0**-10, 2.0**-12, 2.0**-8])  # of a metre, a radian, a log m²
@@ -92,13 +91,16 @@ POSE_DIGITS = 4, 8  # metres, quaternion
 
 @dataclass(frozen=True, eq=False)
 class SceneDescription:
-    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features; `grid`
-    that of the frames."""
+    """What a scene says of its labels. `reference` is the driven ground, None where voxels have no features.
+
+    `grid` is that of the frames; the tiles are on the lattice of the map, whose voxels have the side `map_voxel_m`.
+    """
 
     sequence: Sequence
     profile: str
     reference: Mapping[str, Any] | None
     grid: LabelGrid = PAPER
+    map_voxel_m: float = MAP_VOXEL_M
 
 
 @dataclass
@@ -117,7 +119,7 @@ class SceneWriter:
         low, high = corner_m, corner_m
         if len(voxels.indices):
             first, last = corners_of(voxels.indices)
-            low, high = first * VOXEL_M, (last + 1) * VOXEL_M
+            low, high = first * self.about.map_voxel_m, (last + 1) * self.about.map_voxel_m
         facts = {"name": name, "min_m": _rounded(low), "max_m": _rounded(high), "voxels": len(voxels.indices)}
         self.tiles.append(facts | {"bytes": self._write(f"tile_{name}.bin", tile_bytes(voxels))})
         moved = replace(mesh, vertices_m=np.round((mesh.vertices_m - low) / VERTEX_STEP_M) * VERTEX_STEP_M)
@@ -129,12 +131,13 @@ class SceneWriter:
         self._write(INDEX, json.dumps(self._record(), separators=(",", ":")).encode())
 
     def _record(self) -> dict[str, Any]:
-        sequence = self.about.sequence
+        sequence, grid = self.about.sequence, self.about.grid
         footprint, frames = sequence.calibration.footprint, sequence.frames
         return {
             "name": sequence.name,
             "profile": self.about.profile,
             "grid": _grid_record(self.about.grid),
+            "map_voxel_m": self.about.map_voxel_m,
             "footprint_m": [footprint.length_m, footprint.width_m],
             "reference": self.about.reference,
             "has_confidence": self.has_confidence,

@@ -4,6 +4,7 @@
 // (stone_submissions/npz_frame.py). Nothing but literals is read, and no stream is followed beyond its bound.
 
 import { Bytes, Fault, plain } from "./archive.js";
+import type { Shape } from "./frames.js";
 import { type Member, readDirectory } from "./zip.js";
 import { beginsAsZip } from "./zip_end.js";
 
@@ -13,29 +14,30 @@ const HEAD_BYTES = 12 + 4096;
 const MOST_ARRAYS = 64;
 const KEYS = ["semantics", "arr_0"];
 const BYTE_TYPES = ["|u1", "u1", "<u1", ">u1"];
-const SHAPE = "256, 256, 32";
-/** As stone_submissions/errors.py has it. */
-const TO_XYZ: Record<string, string> = {
-  "(32, 256, 256)": "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
-  "(256, 32, 256)": "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
-  "(1, 256, 256, 32)": "grid[0]: a frame has no batch axis",
-  "(256, 256, 32, 1)": "grid[..., 0]: a frame has no channel axis",
-  "(4, 256, 256, 32)": "grid.argmax(0): a frame holds one class per voxel, not a score per class",
-  "(256, 256, 32, 4)": "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
-  "Fortran order": "numpy.ascontiguousarray(grid)",
-};
-
-/** What makes a frame of the shape or order that was found one of (256, 256, 32). */
-export function shapeHint(found: string): string {
-  const step = TO_XYZ[found];
-  return step ? `axes are x, y, z: ${step}` : "axes are x, y, z, with 256 × 256 × 32 voxels of 0.2 m, in C order";
+/** How to make a frame of the expected shape of one that was found, by what was found: as stone_submissions/errors.py. */
+function stepsTo([x, y, z]: Shape): Record<string, string> {
+  return {
+    [`(${z}, ${x}, ${y})`]: "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
+    [`(${x}, ${z}, ${y})`]: "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+    [`(1, ${x}, ${y}, ${z})`]: "grid[0]: a frame has no batch axis",
+    [`(${x}, ${y}, ${z}, 1)`]: "grid[..., 0]: a frame has no channel axis",
+    [`(4, ${x}, ${y}, ${z})`]: "grid.argmax(0): a frame holds one class per voxel, not a score per class",
+    [`(${x}, ${y}, ${z}, 4)`]: "grid.argmax(-1): a frame holds one class per voxel, not a score per class",
+    "Fortran order": "numpy.ascontiguousarray(grid)",
+  };
 }
 
-/** What would be refused of this frame; null where nothing is seen, or nothing can be said. */
-export async function faultIn(archive: Blob, member: Member): Promise<Fault | null> {
+/** What makes a frame of the shape or order that was found one of the expected shape. */
+export function shapeHint(expected: Shape, found: string): string {
+  const step = stepsTo(expected)[found];
+  return step ? `axes are x, y, z: ${step}` : `axes are x, y, z, with ${expected.join(" × ")} voxels, in C order`;
+}
+
+/** What would be refused of this frame of the shape; null where nothing is seen, or nothing can be said. */
+export async function faultIn(archive: Blob, member: Member, shape: Shape): Promise<Fault | null> {
   try {
     const npz = await unpacked(archive, member, member.unpacked_bytes);
-    await refuseArray(npz, await arrayOf(npz));
+    await refuseArray(npz, await arrayOf(npz), shape.join(", "));
     return null;
   } catch (error) {
     if (error instanceof Fault) return error.code === "unsaid" ? null : error;
@@ -57,7 +59,7 @@ async function arrayOf(npz: Blob): Promise<Member> {
   return known;
 }
 
-async function refuseArray(npz: Blob, array: Member): Promise<void> {
+async function refuseArray(npz: Blob, array: Member, expected: string): Promise<void> {
   const head = new Uint8Array(await (await unpacked(npz, array, HEAD_BYTES)).arrayBuffer());
   const view = new DataView(head.buffer);
   const isNpy = head.length >= 12 && String.fromCharCode(...head.subarray(0, 6)) === "\x93NUMPY" && [1, 2, 3].includes(head[6] ?? 0);
@@ -70,8 +72,8 @@ async function refuseArray(npz: Blob, array: Member): Promise<void> {
   const order = /'fortran_order'\s*:\s*(True|False)/.exec(text)?.[1];
   if (!descr || shape === undefined || !order) throw new Fault("unsaid", "", "");
   if (!BYTE_TYPES.includes(descr)) throw new Fault("bad_dtype", "uint8 ('|u1')", `'${descr}'`);
-  if (shape !== SHAPE) throw new Fault("bad_shape", `(${SHAPE})`, `(${shape})`);
-  if (order === "True") throw new Fault("bad_shape", `(${SHAPE}) in C order`, "Fortran order");
+  if (shape !== expected) throw new Fault("bad_shape", `(${expected})`, `(${shape})`);
+  if (order === "True") throw new Fault("bad_shape", `(${expected}) in C order`, "Fortran order");
 }
 
 /** The first `most` bytes of a member, inflated where it is packed. */

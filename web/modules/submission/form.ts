@@ -73,7 +73,7 @@ async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manif
     showVerdict(place, file, known, verdict);
     if (isUnreadable(verdict)) return "Select another file: this one would be rejected.";
     if (verdict.problems.length) return "Fix the zip first: it would be rejected.";
-    await warned(place, file, verdict);
+    await warned(place, file, known, verdict);
     return file.size > most_bytes ? `It has ${sized(file.size)}; frames of this phase never need more than ${sized(most_bytes)}.` : "";
   } catch (error) {
     sayError(place, error);
@@ -82,10 +82,10 @@ async function looked(form: HTMLFormElement, file: File, manifest: Promise<Manif
 }
 
 /** What is wrong inside of the first frame is told, and may be so in all; the platform has the last word. */
-async function warned(place: HTMLElement, file: File, verdict: Verdict): Promise<void> {
+async function warned(place: HTMLElement, file: File, { shape }: Manifest, verdict: Verdict): Promise<void> {
   const [member] = verdict.frames.values();
-  const fault = member ? await faultIn(file, member) : null;
-  if (member && fault) showWarning(place, member.name, fault);
+  const fault = member ? await faultIn(file, member, shape) : null;
+  if (member && fault) showWarning(place, member.name, shape, fault);
 }
 
 function entryOf(form: HTMLFormElement, kind: Entry["kind"]): Entry {

@@ -3,13 +3,19 @@
 import { Fault, plain } from "./archive.js";
 import { type Member, readDirectory } from "./zip.js";
 
-const MOST_FRAME_BYTES = 3 * 2 ** 20;
+/** The grid of manifests that name none: the paper's. */
+const PAPER_SHAPE: Shape = [256, 256, 32];
+const SPARE_FRAME_BYTES = 2 ** 20;
 const SPARE_ENTRIES = 1000;
 const MOST_FRAMES = 200_000;
 const TOKEN = /^[0-9a-f]{32}$/;
 
-/** Which frames a submission must hold: by sequence, in the manifest's order. */
+/** How many voxels a frame has along x, y and z. */
+export type Shape = readonly [number, number, number];
+
+/** Which frames a submission must hold: by sequence, in the manifest's order; and the shape of their grid. */
 export interface Manifest {
+  shape: Shape;
   sequences: Map<string, string[]>;
   tokens: Set<string>;
 }
@@ -32,24 +38,25 @@ export interface Verdict {
 
 /** The manifest as the API serves it. Throws where it is none. */
 export function manifestOf(said: unknown): Manifest {
-  const listed = (said as { sequences?: Record<string, unknown> }).sequences;
+  const { sequences: listed, grid } = said as { sequences?: Record<string, unknown>; grid?: { shape: Shape } | null };
   const sequences = new Map(Object.entries(listed ?? {}).map(([name, tokens]) => [name, (tokens as string[]).map(String)]));
   const all = [...sequences.values()].flat();
   if (!all.length || all.length > MOST_FRAMES || !all.every((token) => TOKEN.test(token))) throw new Error("The manifest cannot be read.");
-  return { sequences, tokens: new Set(all) };
+  return { shape: grid?.shape ?? PAPER_SHAPE, sequences, tokens: new Set(all) };
 }
 
 /** Reads the directory only, whatever the size of the file. */
 export async function examined(file: File, manifest: Manifest): Promise<Verdict> {
   try {
-    return matched(await readDirectory(file, manifest.tokens.size + SPARE_ENTRIES), manifest.tokens);
+    return matched(await readDirectory(file, manifest.tokens.size + SPARE_ENTRIES), manifest);
   } catch (error) {
     if (!(error instanceof Fault)) throw error;
     return { frames: new Map(), problems: [{ ...said(error), file: plain(file.name), frame: null }], folder: "" };
   }
 }
 
-export function matched(members: readonly Member[], tokens: ReadonlySet<string>): Verdict {
+function matched(members: readonly Member[], { tokens, shape }: Manifest): Verdict {
+  const most_bytes = shape.reduce((product, size) => product * size) + SPARE_FRAME_BYTES;
   const folder = commonFolder(members, tokens);
   const frames = new Map<string, Member>();
   const problems: Problem[] = [];
@@ -57,7 +64,7 @@ export function matched(members: readonly Member[], tokens: ReadonlySet<string>)
     if (folder.startsWith(member.name) && isFolder(member)) continue;
     const token = tokenOf(member.name, folder);
     const isOurs = tokens.has(token) && member.name === `${folder}${token}.npz`;
-    const fault = faultOf(member, isOurs, frames.has(token));
+    const fault = isOurs ? faultOf(member, most_bytes, frames.has(token)) : new Fault("unexpected_file", "the frames of the manifest only", stranger(member.name));
     if (fault) problems.push({ ...said(fault), file: plain(member.name), frame: isOurs ? token : null });
     if (isOurs && !frames.has(token)) frames.set(token, member);
   }
@@ -74,11 +81,10 @@ function tokenOf(name: string, folder: string): string {
   return file.endsWith(".npz") ? file.slice(0, -".npz".length) : file;
 }
 
-function faultOf(member: Member, isOurs: boolean, isSecond: boolean): Fault | null {
-  if (!isOurs) return new Fault("unexpected_file", "the frames of the manifest only", stranger(member.name));
+function faultOf(member: Member, most_bytes: number, isSecond: boolean): Fault | null {
   if (isSecond) return new Fault("duplicate_frame", "each frame once", "a second file of this name");
   const size_bytes = Math.max(member.packed_bytes, member.unpacked_bytes);
-  if (size_bytes > MOST_FRAME_BYTES) return new Fault("too_large", `at most ${MOST_FRAME_BYTES} bytes a frame`, `${size_bytes} bytes`);
+  if (size_bytes > most_bytes) return new Fault("too_large", `at most ${most_bytes} bytes a frame`, `${size_bytes} bytes`);
   return null;
 }
 

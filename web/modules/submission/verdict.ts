@@ -3,7 +3,7 @@
 import { count, counted } from "../counts.js";
 import { type Fault, plain } from "./archive.js";
 import { shapeHint } from "./first_frame.js";
-import type { Manifest, Problem, Verdict } from "./frames.js";
+import type { Manifest, Problem, Shape, Verdict } from "./frames.js";
 
 const MOST_STRIPS = 24;
 const MOST_CELLS = 160;
@@ -29,11 +29,11 @@ export function showVerdict(place: HTMLElement, file: File, manifest: Manifest, 
   place.append(...kinds(verdict.problems).map(kindPart));
 }
 
-/** Say what is wrong inside of a frame that was looked into. */
-export function showWarning(place: HTMLElement, file: string, { code, expected, actual }: Fault): void {
+/** Say what is wrong inside of a frame of the shape that was looked into. */
+export function showWarning(place: HTMLElement, file: string, shape: Shape, { code, expected, actual }: Fault): void {
   const said = part("p", "finding");
   said.dataset["severity"] = "warning";
-  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}${code === "bad_shape" ? ` (${shapeHint(actual)})` : ""}. Is it so in all?`);
+  const words = part("span", "", `The first frame was looked into: ${code.replaceAll("_", " ")} in ${plain(file)}. Expected ${expected}, found ${actual}${code === "bad_shape" ? ` (${shapeHint(shape, actual)})` : ""}. Is it so in all?`);
   said.append(words);
   place.append(said);
 }

@@ -1,5 +1,7 @@
 // What a scene is: the JSON of `/api/v1/sequences/{id}/scene`, and poses.
 
+import type { Grid } from "./data/grid.js";
+
 export type Vector = [number, number, number];
 /** Translation in metres and a unit quaternion wxyz. */
 export type Pose = [number, number, number, number, number, number, number];
@@ -21,6 +23,9 @@ export interface SceneFacts {
   /** The page was opened for the differences; else they are one of the colours that can be chosen. */
   starts_with_difference?: boolean;
   profile: string;
+  grid: Grid;
+  /** The side of a voxel of the map, whose lattice the tiles are on. */
+  map_voxel_m: number;
   /** The confidence of some voxel is known. */
   has_confidence: boolean;
   footprint_m: [number, number];

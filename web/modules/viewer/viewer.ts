@@ -10,6 +10,7 @@ import { button, make } from "./controls/elements.js";
 import { keysPanel } from "./controls/keys.js";
 import { classLegend, differenceLegend, pointLegend, rampLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
+import { heightsOf } from "./data/grid.js";
 import type { Picked, Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
 import { isShown } from "./looks.js";
@@ -161,7 +162,7 @@ export class Viewer {
     const counts = scope === "frame" ? this.counts : [];
     if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
     else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
-    const ramp = layers.points ? pointLegend(points) : null;
+    const ramp = layers.points ? pointLegend(points, heightsOf(this.scene.grid)) : null;
     if (ramp) this.legend.append(ramp);
   }
 
@@ -177,7 +178,7 @@ export class Viewer {
     this.aiming.toggle(false);
     const picked = id ? await this.world.pickVoxel(id).catch(() => null) : null;
     this.choose(picked);
-    if (!picked) this.say("No label there: free, or farther than 25 m from the robot.");
+    if (!picked) this.say("No label there: free, or outside the label grid.");
     else if (picked.difference === null && !isShown(this.choices.look, picked.kind, picked.seen)) {
       this.say(`Switched off: ${CLASS_NAMES[picked.kind]}${picked.seen ? "" : ", not observed"}.`);
     } else this.say(null);

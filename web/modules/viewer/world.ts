@@ -5,8 +5,8 @@ import { bytes } from "../api.js";
 import type { Asking } from "./data/worker_client.js";
 import type { Viewpoint } from "./controls/address.js";
 import type { Choices } from "./controls/choices.js";
-import { GRID_MIN_M } from "./data/formats.js";
 import { FrameStore } from "./data/frame_store.js";
+import { heightsOf, highestOf, reachOf } from "./data/grid.js";
 import { GroundHeight } from "./drawing/ground_height.js";
 import { MapLayer } from "./drawing/map_layer.js";
 import type { Picked, Ray } from "./data/model.js";
@@ -17,9 +17,12 @@ import { SweepLayer } from "./drawing/sweeps.js";
 import { Ground, Marker, Robot, Track } from "./drawing/surroundings.js";
 import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 
-const KNOWN_M = 45;
+/** So far beyond the corners of the frame's grid the terrain is fetched. */
+const KNOWN_BEYOND_M = 9;
 const SURFACE_REACH_M = 80;
 const START_DISTANCE_M = 34;
+/** From above the camera is so far away, in sides of the grid. */
+const ABOVE_RATIO = 62 / 51.2;
 
 export class World {
   readonly origin: Vector;
@@ -32,6 +35,7 @@ export class World {
   private readonly track: Track;
   private readonly marker = new Marker();
   private readonly height: GroundHeight;
+  private readonly known_m: number;
   private readonly cloud: SweepLayer;
   private readonly store: FrameStore;
   private round = 0;
@@ -39,12 +43,13 @@ export class World {
   constructor(readonly scene: SceneFacts, readonly asking: Asking, private readonly stage: Stage, private readonly choices: Choices) {
     const first = scene.frames.map_from_ego[0] ?? [0, 0, 0, 1, 0, 0, 0];
     this.origin = [first[0], first[1], first[2]];
-    this.height = new GroundHeight(scene.frames.map_from_ego);
+    this.height = new GroundHeight(scene.frames.map_from_ego, scene.grid);
+    this.known_m = Math.hypot(...reachOf(scene.grid)) + KNOWN_BEYOND_M;
     const surfaces = new SurfacePaint(this.paint);
     this.map = new MapLayer(this.asking, scene, this.paint, this.origin, surfaces);
     this.robot = new Robot(scene.footprint_m);
     this.track = new Track(scene.frames.map_from_ego, scene.footprint_m[1], this.origin);
-    this.cloud = new SweepLayer(this.paint, () => stage.canvas.clientHeight);
+    this.cloud = new SweepLayer(this.paint, heightsOf(scene.grid), () => stage.canvas.clientHeight);
     stage.orbit.floor = (x, y) => this.height.at(x + this.origin[0], y + this.origin[1]) - this.origin[2];
     this.paint.paint(choices.look.mode);
     this.store = new FrameStore(this.asking, scene, { ...choices.look });
@@ -68,13 +73,13 @@ export class World {
     const round = ++this.round;
     const before = this.pose(this.index);
     const pose = this.pose(index);
-    if (!["class", "difference"].includes(this.choices.look.mode)) await this.map.know(place(pose), KNOWN_M);
+    if (!["class", "difference"].includes(this.choices.look.mode)) await this.map.know(place(pose), this.known_m);
     const drawn = await this.store.take(index);
     if (round === this.round) await beside?.();
     if (round !== this.round) return null;
     const forwards = index >= this.index ? 1 : -1;
     this.index = index;
-    this.frame.show(drawn, [...GRID_MIN_M]);
+    this.frame.show(drawn, drawn.corner_m);
     this.height.stand(drawn.lowest, pose);
     this.stand(pose, before);
     void this.choose()
@@ -113,32 +118,37 @@ export class World {
 
   /** The voxel that the ray meets; its terrain is fetched where it was not yet. */
   async pick(ray: Ray): Promise<Picked | null> {
-    await this.map.know(place(this.pose(this.index)), KNOWN_M).catch(() => undefined);
+    await this.map.know(place(this.pose(this.index)), this.known_m).catch(() => undefined);
     const token = this.scene.frames.tokens[this.index] ?? "";
     return this.asking.ask({ kind: "pick", ray, scope: this.choices.scope, token, look: { ...this.choices.look } });
   }
 
   /** The voxel of the frame with this id (1 + its index), as `pick` tells it. */
   async pickVoxel(id: number): Promise<Picked> {
-    await this.map.know(place(this.pose(this.index)), KNOWN_M).catch(() => undefined);
+    await this.map.know(place(this.pose(this.index)), this.known_m).catch(() => undefined);
     const token = this.scene.frames.tokens[this.index] ?? "";
     return this.asking.ask({ kind: "pick-voxel", token, voxel: id, look: { ...this.choices.look } });
   }
 
   mark(picked: Picked | null): void {
     const centre = picked && (picked.centre_m.map((value, axis) => value - this.origin[axis]!) as Vector);
-    this.marker.mark(centre, picked?.scope === "frame" ? headingOf(this.pose(this.index)) : 0);
+    const { grid, map_voxel_m } = this.scene;
+    const isOfFrame = picked?.scope === "frame";
+    this.marker.mark(centre, isOfFrame ? grid.voxel_m : map_voxel_m, isOfFrame ? headingOf(this.pose(this.index)) : 0);
     this.stage.ask();
   }
 
-  /** Behind the robot, or from above with its heading up. */
+  /** Behind the robot, or the grid from above with the robot's heading up. */
   look(from: "behind" | "above"): void {
     const { orbit } = this.stage;
     const pose = this.pose(this.index);
-    orbit.target.set(...this.local(toMap(pose, from === "behind" ? [3, 0, 0.5] : [0, 0, 0])));
+    const { min_m, shape, voxel_m } = this.scene.grid;
+    const high = highestOf(this.scene.grid);
+    const middle: Vector = [(min_m[0] + high[0]) / 2, (min_m[1] + high[1]) / 2, 0];
+    orbit.target.set(...this.local(toMap(pose, from === "behind" ? [3, 0, 0.5] : middle)));
     orbit.yaw_rad = headingOf(pose) + Math.PI + (from === "behind" ? 0.42 : 0);
     orbit.pitch_rad = from === "behind" ? 0.56 : Math.PI / 2 - 0.002;
-    orbit.distance_m = from === "behind" ? START_DISTANCE_M : 62;
+    orbit.distance_m = from === "behind" ? START_DISTANCE_M : ABOVE_RATIO * voxel_m * Math.max(shape[0], shape[1]);
     this.stage.ask();
   }
 
@@ -171,8 +181,8 @@ export class World {
       group.matrixWorldNeedsUpdate = true;
     }
     const [x, y, z] = this.local(place(pose));
-    this.ground.move([x, y, z + GRID_MIN_M[2]]);
-    this.marker.mark(null, 0);
+    this.ground.move([x, y, z + this.scene.grid.min_m[2]]);
+    this.marker.mark(null, 1, 0);
     if (this.choices.follows) this.follow(pose, before);
   }
 

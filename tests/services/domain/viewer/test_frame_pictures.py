@@ -12,6 +12,7 @@ from services.domain.viewer.frame_picture import (
     GROUND_INDEX,
     LIGHTS,
     UNSEEN_INDEX,
+    comparison_picture,
     lit,
     of_class,
     picture_bytes,
@@ -23,6 +24,7 @@ from services.domain.viewer.frame_picture import (
 )
 from stone.labels.class_colours import CLASS_RGB, INK, PALETTES, PAPER, UNSEEN, ColourName
 from stone_base.label_grid import PAPER as GRID
+from stone_base.label_grid import RELEASE, LabelGrid
 from stone_files.npz import npz_bytes
 from testing.colour_vision import least_of_pairs
 from testing.refusals import refused_as
@@ -143,6 +145,36 @@ def test_the_picture_has_two_pixels_a_voxel_and_the_robot_in_the_middle() -> Non
     assert tuple(pixels[256, 256]) == (*INK, 255)
     assert {tuple(pixel) for pixel in pixels[110:112, 450:452].reshape(-1, 4).tolist()} == {(*CLASS_RGB[3], 255)}
     assert pixels[108, 450, 3] == 0  # free, and seen: the page shows through
+
+
+OTHER_GRIDS = {
+    "release": (RELEASE, 3),
+    "aside": (LabelGrid("aside", (-6.4, -12.8, -1.0), 0.4, (64, 40, 8)), 8),
+    "largest": (LabelGrid("largest", (-51.2, -51.2, -1.0), 0.2, (512, 512, 16)), 1),
+}
+
+
+@pytest.mark.parametrize(("grid", "side_px"), OTHER_GRIDS.values(), ids=OTHER_GRIDS)
+def test_a_picture_of_another_grid_has_about_the_same_size_and_the_robot_at_its_ego_origin(
+    grid: LabelGrid, side_px: int
+) -> None:
+    """Catches alone columns read as words of 32 voxels, and a robot in the middle of a grid that lies aside."""
+    x, y, z = grid.shape
+    semantics = np.zeros(grid.shape, np.uint8)
+    semantics[x - 2, 5, [0, z - 1]] = 1, 3  # in front, to the right
+    observed = np.ones(grid.shape, np.uint8)
+    observed[0, 0] = 0
+    pixels = np.asarray(opened(picture_bytes(semantics, observed, grid)).convert("RGBA"))
+    assert pixels.shape == (x * side_px, y * side_px, 4)
+    assert 384 <= max(x, y) * side_px <= 640
+    column = pixels[side_px : 2 * side_px, (y - 6) * side_px : (y - 5) * side_px]
+    assert {tuple(pixel) for pixel in column.reshape(-1, 4).tolist()} == {(*CLASS_RGB[3], 255)}
+    assert (pixels[-side_px:, -side_px:, 3] > 0).all(), "behind on the right nothing was seen"
+    assert pixels[0, 0, 3] == 0
+    down, right = (round((high / grid.voxel_m) * side_px) for high in grid.max_m[:2])
+    assert tuple(pixels[down, right]) == (*INK, 255)
+    beside = opened(comparison_picture((semantics, observed), (semantics * 0, None)))
+    assert (beside.width - 3 * y * side_px, beside.height - x * side_px) == (2 * 16, 28)
 
 
 def grids(seed: int = 0) -> dict[str, NDArray[np.uint8]]:

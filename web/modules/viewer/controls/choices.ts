@@ -2,6 +2,7 @@
 
 import { make } from "./elements.js";
 import { isImported } from "./explanation.js";
+import { reachOf } from "../data/grid.js";
 import type { PointColour } from "../drawing/sweeps.js";
 import type { Look, Mode, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
@@ -92,7 +93,7 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
       layer("robot", "Robot"), layer("grid", "Ground grid"),
       pick("Points by", POINTS, choices.points, (value) => ((choices.points = value), changed()), missing("points", scene) === undefined),
       pick("Cameras", CAMERAS, choices.cameras, (value) => ((choices.cameras = value), changed()), scene.playback.cameras.length > 0, "cameras"),
-      ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, "Labels reach 25 m from the robot; what is farther stays as it was photographed.")] : []),
+      ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, `Labels reach ${Math.floor(Math.max(...reachOf(scene.grid)))} m from the robot; what is farther stays as it was photographed.`)] : []),
       ...notes.map((note) => make("p", { class: "hint" }, note)),
       ...(hasValues ? [] : [make("p", { class: "hint" }, "Labelled by an earlier release without terrain values: process the sequence again for D² and slope.")]),
       ...(isImported(scene) ? [make("p", { class: "hint" }, "Imported labels have no features: D², confidence, slope and roughness are not available.")] : [])),

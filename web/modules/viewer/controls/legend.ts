@@ -1,7 +1,7 @@
 // What the colours mean: classes with their counts, or a ramp with its values.
 
 import { swatch } from "./choices.js";
-import { HEIGHTS_M, OLDEST_S, type PointColour } from "../drawing/sweeps.js";
+import { OLDEST_S, type PointColour } from "../drawing/sweeps.js";
 import { make } from "./elements.js";
 import { DIFFERENCES, type Mode, ticksOf } from "../looks.js";
 import { type RampName, ramp } from "../ramps.js";
@@ -33,10 +33,10 @@ function shareLegend(entries: readonly (readonly [string, string])[], counts: re
   return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "of this frame's voxels")] : []));
 }
 
-/** What the colours of points mean, where a ramp says it. */
-export function pointLegend(by: PointColour): HTMLElement | null {
+/** What the colours of points mean, where a ramp says it; that of heights is as high as the label grid. */
+export function pointLegend(by: PointColour, [low, high]: readonly [number, number]): HTMLElement | null {
   if (by === "intensity") return null;
-  if (by === "height") return ramped("Points, height", "viridis", [HEIGHTS_M[0], (HEIGHTS_M[0] + HEIGHTS_M[1]) / 2, HEIGHTS_M[1]].map((height) => `${height.toFixed(1)} m`));
+  if (by === "height") return ramped("Points, height", "viridis", [low, (low + high) / 2, high].map((height) => `${height.toFixed(1)} m`));
   return ramped("Points, age", "viridis", [`${OLDEST_S} s`, `${OLDEST_S / 2} s`, "now"]);
 }
 

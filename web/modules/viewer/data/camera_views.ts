@@ -4,8 +4,9 @@
 // its nodes they are interpolated. They start where the camera was when it took the picture, which is not where the
 // frame's labels stand: the robot moved in between, and the pose says so.
 
-import { castRays } from "./columns.js";
-import { type CameraFacts, GRID_MIN_M, VOXEL_M } from "./formats.js";
+import { type Columns, castRays } from "./columns.js";
+import type { CameraFacts } from "./formats.js";
+import { inVoxels } from "./grid.js";
 
 /** A picture of labels, row by row: 1 + index of the voxel seen and its palette index, both 0 where there is none. */
 export interface CameraView {
@@ -30,7 +31,7 @@ export class CameraRays {
   constructor(private readonly facts: CameraFacts) {}
 
   /** 1 + index of the voxel in each pixel, 0 where no label is seen or the camera's place is not known. */
-  cast(columns: Uint32Array, size: ViewSize, frame: number): Uint32Array {
+  cast(columns: Columns, size: ViewSize, frame: number): Uint32Array {
     const pixels = size.width * size.height;
     const ids = new Uint32Array(pixels);
     const pose = this.facts.egoFromCamera.subarray((size.camera * this.facts.frames + frame) * 7).subarray(0, 7);
@@ -38,8 +39,7 @@ export class CameraRays {
     const optical = this.directions(size);
     if (this.turned.length !== 3 * pixels) this.turned = new Float32Array(3 * pixels);
     turn(pose, optical, this.turned);
-    const from = [0, 1, 2].map((axis) => (pose[axis]! - GRID_MIN_M[axis]!) / VOXEL_M) as [number, number, number];
-    castRays(columns, from, this.turned, ids);
+    castRays(columns, inVoxels(columns.grid, [pose[0]!, pose[1]!, pose[2]!]), this.turned, ids);
     return ids;
   }
 

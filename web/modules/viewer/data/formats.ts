@@ -2,22 +2,19 @@
 //
 // All little endian behind a magic of four letters. Whatever does not have the length that its head says is refused.
 
-/** Side of a voxel in metres, and the label grid around the robot: voxels by axis, its lowest corner in the ego frame. */
-export const VOXEL_M = 0.2;
-export const SHAPE = [256, 256, 32] as const;
-export const GRID_MIN_M = [-25.6, -25.6, -2] as const;
-const VOXELS = SHAPE[0] * SHAPE[1] * SHAPE[2];
-const PLANE_BYTES = VOXELS / 8;
+import { type Grid, voxelCount } from "./grid.js";
+
 const MOST = 20_000_000;
 
-/** Three bit planes over the grid, bit `index % 8` of byte `index >> 3`, index = (i · 256 + j) · 32 + k. */
+/** Three bit planes over the grid, bit `index % 8` of byte `index >> 3`. */
 export interface Planes {
+  grid: Grid;
   low: Uint8Array;
   high: Uint8Array;
   observed: Uint8Array;
 }
 
-/** Labelled voxels of a square of the map, sorted by index; the centre of (i, j, k) is ((i, j, k) + ½) · 0.2 m. */
+/** Labelled voxels of a square of the map, sorted by index; the centre of (i, j, k) is ((i, j, k) + ½) · the voxel of the map. */
 export interface Tile {
   i: Int32Array;
   j: Int32Array;
@@ -89,13 +86,13 @@ class Reader {
 }
 
 /** `STV1`, or `STD1`, whose planes are the bits of a code. */
-export function planesOf(content: Uint8Array, magic: "STV1" | "STD1" = "STV1"): Planes {
+export function planesOf(content: Uint8Array, grid: Grid, magic: "STV1" | "STD1" = "STV1"): Planes {
   const reader = new Reader(content, magic);
   const planes = reader.count();
   if (planes !== 3) throw new FormatError(`The frame has ${planes} planes, not 3.`);
-  const [low, high, observed] = [0, 1, 2].map(() => new Uint8Array(reader.take(PLANE_BYTES)));
+  const [low, high, observed] = [0, 1, 2].map(() => new Uint8Array(reader.take(voxelCount(grid) / 8)));
   reader.end();
-  return { low: low!, high: high!, observed: observed! };
+  return { grid, low: low!, high: high!, observed: observed! };
 }
 
 export function tileOf(content: Uint8Array): Tile {
@@ -168,17 +165,17 @@ export function codeAt(planes: Planes, index: number): number {
 
 /** The indices of all voxels that have a class, ascending. */
 export function labelled(planes: Planes): Uint32Array {
-  return listed((byte) => planes.low[byte]! | planes.high[byte]!);
+  return listed(planes, (byte) => planes.low[byte]! | planes.high[byte]!);
 }
 
 /** The indices of all voxels that have a code, ascending. */
 export function coded(planes: Planes): Uint32Array {
-  return listed((byte) => planes.low[byte]! | planes.high[byte]! | planes.observed[byte]!);
+  return listed(planes, (byte) => planes.low[byte]! | planes.high[byte]! | planes.observed[byte]!);
 }
 
-function listed(bitsOf: (byte: number) => number): Uint32Array {
+function listed({ low }: Planes, bitsOf: (byte: number) => number): Uint32Array {
   const found: number[] = [];
-  for (let byte = 0; byte < PLANE_BYTES; byte++) {
+  for (let byte = 0; byte < low.length; byte++) {
     let bits = bitsOf(byte);
     while (bits) {
       found.push(byte * 8 + 31 - Math.clz32(bits & -bits));

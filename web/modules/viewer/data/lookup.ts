@@ -1,6 +1,6 @@
 // The labelled map as tiles: which voxel is at a place, and what the ground is like there.
 
-import { type Tile, VOXEL_M } from "./formats.js";
+import type { Tile } from "./formats.js";
 import type { Values } from "../looks.js";
 import type { Piece, Vector } from "../scene.js";
 
@@ -14,6 +14,8 @@ export class Tiles {
   private readonly held = new Map<string, { piece: Piece; tile: Tile }>();
   private last: { piece: Piece; tile: Tile } | undefined;
 
+  constructor(private readonly voxel_m: number) {}
+
   keep(piece: Piece, tile: Tile): void {
     this.held.set(piece.name, { piece, tile });
   }
@@ -24,21 +26,26 @@ export class Tiles {
 
   /** The voxel of this index. */
   at(i: number, j: number, k: number): Found | null {
-    const near = this.holding(i, j);
+    const near = this.pieceOf(i, j);
     if (!near) return null;
     const row = rowOf(near.tile, i, j, k);
     return row < 0 ? null : found(near.tile, row);
   }
 
+  /** The voxel that holds the place in the map. */
+  holding(point: Vector): Found | null {
+    return this.at(...(point.map((value) => Math.floor(value / this.voxel_m)) as Vector));
+  }
+
   /** The voxel at, or else the nearest one that touches, the place in the map. */
   near(point: Vector): Found | null {
-    const [i, j, k] = point.map((value) => Math.floor(value / VOXEL_M)) as Vector;
+    const [i, j, k] = point.map((value) => Math.floor(value / this.voxel_m)) as Vector;
     const exact = this.at(i, j, k);
     if (exact) return exact;
     let best: Found | null = null;
     let least = Infinity;
     for (const [di, dj, dk] of AROUND) {
-      const distance = distanceTo(point, [i + di, j + dj, k + dk]);
+      const distance = this.distance(point, [i + di, j + dj, k + dk]);
       if (distance >= least) continue;
       const candidate = this.at(i + di, j + dj, k + dk);
       if (candidate) [best, least] = [candidate, distance];
@@ -46,8 +53,12 @@ export class Tiles {
     return best;
   }
 
-  private holding(i: number, j: number): { piece: Piece; tile: Tile } | undefined {
-    const [x, y] = [(i + 0.5) * VOXEL_M, (j + 0.5) * VOXEL_M];
+  private distance(point: Vector, index: Vector): number {
+    return Math.hypot(...point.map((value, axis) => value - (index[axis]! + 0.5) * this.voxel_m));
+  }
+
+  private pieceOf(i: number, j: number): { piece: Piece; tile: Tile } | undefined {
+    const [x, y] = [(i + 0.5) * this.voxel_m, (j + 0.5) * this.voxel_m];
     const holds = ({ piece }: { piece: Piece }): boolean =>
       x >= piece.min_m[0] && x < piece.max_m[0] && y >= piece.min_m[1] && y < piece.max_m[1];
     if (this.last && holds(this.last)) return this.last;
@@ -58,10 +69,6 @@ export class Tiles {
 
 const STEPS = [-1, 0, 1];
 const AROUND = STEPS.flatMap((i) => STEPS.flatMap((j) => STEPS.map((k): Vector => [i, j, k])));
-
-function distanceTo(point: Vector, index: Vector): number {
-  return Math.hypot(...point.map((value, axis) => value - (index[axis]! + 0.5) * VOXEL_M));
-}
 
 /** The row of the voxel by halving, −1 where there is none. */
 export function rowOf(tile: Tile, i: number, j: number, k: number): number {

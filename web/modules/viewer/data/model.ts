@@ -3,9 +3,8 @@
 import { type Faces, facesOf } from "./faces.js";
 import { CameraRays, type CameraView, type ViewSize } from "./camera_views.js";
 import { columnsOf, lowestOf } from "./columns.js";
-import {
-  type CameraFacts, type Planes, type Tile, GRID_MIN_M, SHAPE, VOXEL_M, classAt, codeAt, coded, isObserved, labelled,
-} from "./formats.js";
+import { type CameraFacts, type Planes, type Tile, classAt, codeAt, coded, isObserved, labelled } from "./formats.js";
+import { idOf, inMetres, inVoxels, indexOf, voxelAt } from "./grid.js";
 import { type Found, Tiles } from "./lookup.js";
 import { DIFFERENCES, type Look, type Mode, colourOf } from "../looks.js";
 import { type Piece, type Pose, type SceneFacts, type Vector, toEgo, toMap, turnedToEgo } from "../scene.js";
@@ -30,13 +29,14 @@ export interface Picked {
   difference: number | null;
 }
 
-/** Faces, how many voxels of each class (or difference) they stand for, and the place of voxel (0, 0, 0)'s lowest corner on its lattice. */
+/** Faces, how many voxels of each class (or difference) they stand for, and where they lie in the ego frame or the map. */
 export interface Drawn {
   faces: Faces;
   counts: number[];
-  origin: Vector;
-  voxel: number;
-  /** Of a frame: the lowest labelled voxel in each 4 × 4 columns, row by row along y, −1 where there is none. */
+  /** The lowest corner of voxel (0, 0, 0), and the side of a voxel. */
+  corner_m: Vector;
+  voxel_m: number;
+  /** Of a frame: the lowest labelled voxel in each square of columns, as `lowestOf` finds it. */
   lowest?: Int8Array;
 }
 
@@ -46,11 +46,13 @@ export interface Ray {
 }
 
 export class Model {
-  readonly tiles = new Tiles();
+  readonly tiles: Tiles;
   private readonly frames = new Map<string, Planes>();
   private cameras: CameraRays | null = null;
 
-  constructor(private readonly scene: SceneFacts) {}
+  constructor(readonly scene: SceneFacts) {
+    this.tiles = new Tiles(scene.map_voxel_m);
+  }
 
   keepFrame(token: string, mode: Mode, planes: Planes): void {
     const key = keyOf(token, mode);
@@ -66,17 +68,16 @@ export class Model {
     const planes = this.planes(token, look.mode);
     const lowest = lowestOf(columnsOf(planes, look.mode === "difference"));
     if (look.mode === "difference") return { ...drawnDifferences(planes), lowest };
-    const pose = this.pose(token);
-    const solid = new Solid(SHAPE);
+    const [pose, { grid }] = [this.pose(token), planes];
+    const solid = new Solid(grid.shape);
     const counts: [number, number, number] = [0, 0, 0];
     for (const index of labelled(planes)) {
-      const [i, j, k] = place(index);
       const kind = classAt(planes, index);
       counts[kind - 1]!++;
-      const values = look.mode === "class" ? null : this.tiles.near(toMap(pose, centre(i, j, k)));
-      solid.paint(i, j, k, colourOf(look, kind, isObserved(planes, index), values, this.scene));
+      const values = look.mode === "class" ? null : this.foundIn(pose, planes, index);
+      solid.paint(...voxelAt(grid, index), colourOf(look, kind, isObserved(planes, index), values, this.scene));
     }
-    return { faces: facesOf(solid), counts, origin: [0, 0, 0], voxel: 1, lowest };
+    return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m, lowest };
   }
 
   /** A tile with voxels of 2^level lattice steps, each of the class that most of its own have. */
@@ -93,7 +94,9 @@ export class Model {
       const values = look.mode === "class" ? null : valuesOf(tile, row);
       solid.paint(...at, colourOf(look, kind, true, values, this.scene));
     }
-    return { faces: facesOf(solid), counts, origin: low, voxel };
+    const { map_voxel_m } = this.scene;
+    const corner_m = low.map((value) => value * map_voxel_m) as Vector;
+    return { faces: facesOf(solid), counts, corner_m, voxel_m: map_voxel_m * voxel };
   }
 
   openCameras(facts: CameraFacts): void {
@@ -127,7 +130,7 @@ export class Model {
     const [pose, known] = [this.pose(token), new Map<number, number>()];
     const made = (index: number): number => {
       if (look.mode === "difference") return codeAt(planes, index);
-      const values = look.mode === "class" ? null : this.tiles.near(toMap(pose, centre(...place(index))));
+      const values = look.mode === "class" ? null : this.foundIn(pose, planes, index);
       return colourOf(look, classAt(planes, index), isObserved(planes, index), values, this.scene);
     };
     return (id) => {
@@ -137,6 +140,24 @@ export class Model {
     };
   }
 
+  /**
+   * The map in a voxel of the frame. A voxel of several of the map's is looked at in as many parts; the first part of its
+   * own class counts, else the map at or around its centre.
+   */
+  private foundIn(pose: Pose, planes: Planes, index: number): Found | null {
+    const { grid } = planes;
+    const [i, j, k] = voxelAt(grid, index);
+    const at = (x: number, y: number, z: number): Vector => toMap(pose, inMetres(grid, [i + x, j + y, k + z]));
+    const parts = Math.round(grid.voxel_m / this.scene.map_voxel_m);
+    const kind = classAt(planes, index);
+    for (let part = 0; parts > 1 && part < parts ** 3; part++) {
+      const [x, y, z] = [part % parts, Math.floor(part / parts) % parts, Math.floor(part / parts ** 2)] as const;
+      const found = this.tiles.holding(at((x + 0.5) / parts, (y + 0.5) / parts, (z + 0.5) / parts));
+      if (found?.kind === kind) return found;
+    }
+    return this.tiles.near(at(0.5, 0.5, 0.5));
+  }
+
   pick(ray: Ray, scope: "frame" | "map", token: string, look: Look): Picked | null {
     return scope === "frame" ? this.pickFrame(ray, token, look) : this.pickMap(ray, token, look);
   }
@@ -144,40 +165,42 @@ export class Model {
   /** The voxel of the frame with this id. */
   pickedAt(token: string, id: number, look: Look): Picked {
     const [planes, at] = [this.planes(token, look.mode), id - 1];
-    const index = place(at);
-    const centre_m = toMap(this.pose(token), centre(...index));
+    const [pose, index] = [this.pose(token), voxelAt(planes.grid, at)];
+    const centre_m = toMap(pose, inMetres(planes.grid, index.map((value) => value + 0.5) as Vector));
     const picked = { id, index, centre_m, scope: "frame" as const };
     if (look.mode === "difference") return { ...picked, kind: 0, seen: true, found: null, difference: codeAt(planes, at) };
     const [kind, seen] = [classAt(planes, at), isObserved(planes, at)];
-    return { ...picked, kind, seen, found: this.tiles.near(centre_m), difference: null };
+    return { ...picked, kind, seen, found: this.foundIn(pose, planes, at), difference: null };
   }
 
   private pickFrame(ray: Ray, token: string, look: Look): Picked | null {
     const [planes, pose] = [this.planes(token, look.mode), this.pose(token)];
     const isDifference = look.mode === "difference";
-    const from = toEgo(pose, ray.from_m).map((value, axis) => (value - GRID_MIN_M[axis]!) / VOXEL_M) as Vector;
-    const sight = { from, direction: turnedToEgo(pose, ray.direction), low: [0, 0, 0] as Vector, high: [...SHAPE] as Vector };
+    const { grid } = planes;
+    const from = inVoxels(grid, toEgo(pose, ray.from_m));
+    const sight = { from, direction: turnedToEgo(pose, ray.direction), low: [0, 0, 0] as Vector, high: grid.shape };
     const index = firstVoxel(sight, (i, j, k) => {
-      const at = (i * SHAPE[1] + j) * SHAPE[2] + k;
+      const at = indexOf(grid, i, j, k);
       if (isDifference) return codeAt(planes, at) > 0;
       const kind = classAt(planes, at);
       return kind > 0 && ((look.classes >> kind) & 1) === 1 && (look.unseen !== "hide" || isObserved(planes, at));
     });
-    return index && this.pickedAt(token, idOf(index), look);
+    return index && this.pickedAt(token, idOf(grid, index), look);
   }
 
   private pickMap(ray: Ray, token: string, look: Look): Picked | null {
-    const from = ray.from_m.map((value) => value / VOXEL_M) as Vector;
-    const [low, high] = bounds(this.scene.tiles);
+    const { grid, map_voxel_m, tiles } = this.scene;
+    const from = ray.from_m.map((value) => value / map_voxel_m) as Vector;
+    const [low, high] = bounds(tiles, map_voxel_m);
     const index = firstVoxel({ from, direction: ray.direction, low, high }, (i, j, k) => {
       const met = this.tiles.at(i, j, k);
       return met !== null && ((look.classes >> met.kind) & 1) === 1;
     });
     const found = index && this.tiles.at(...index);
     if (!index || !found) return null;
-    const centre_m = index.map((value) => (value + 0.5) * VOXEL_M) as Vector;
-    const inFrame = toEgo(this.pose(token), centre_m).map((value, axis) => Math.floor((value - GRID_MIN_M[axis]!) / VOXEL_M)) as Vector;
-    return { id: idOf(inFrame), index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
+    const centre_m = index.map((value) => (value + 0.5) * map_voxel_m) as Vector;
+    const inFrame = inVoxels(grid, toEgo(this.pose(token), centre_m)).map(Math.floor) as Vector;
+    return { id: idOf(grid, inFrame), index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
   }
 
   private planes(token: string, mode: Mode): Planes {
@@ -199,34 +222,21 @@ function keyOf(token: string, mode: Mode): string {
 }
 
 function drawnDifferences(planes: Planes): Drawn {
-  const solid = new Solid(SHAPE);
+  const { grid } = planes;
+  const solid = new Solid(grid.shape);
   const counts = DIFFERENCES.slice(1).map(() => 0);
   for (const index of coded(planes)) {
     const code = codeAt(planes, index);
     counts[code - 1]!++;
-    solid.paint(...place(index), code);
+    solid.paint(...voxelAt(grid, index), code);
   }
-  return { faces: facesOf(solid), counts, origin: [0, 0, 0], voxel: 1 };
+  return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m };
 }
 
-function place(index: number): Vector {
-  return [Math.floor(index / (SHAPE[1] * SHAPE[2])), Math.floor(index / SHAPE[2]) % SHAPE[1], index % SHAPE[2]];
-}
-
-/** 1 + index of the voxel in the frame's grid; 0 outside. */
-function idOf(index: Vector): number {
-  if (index.some((value, axis) => value < 0 || value >= SHAPE[axis]!)) return 0;
-  return (index[0] * SHAPE[1] + index[1]) * SHAPE[2] + index[2] + 1;
-}
-
-/** The centre of the frame's voxel in the ego frame. */
-function centre(i: number, j: number, k: number): Vector {
-  return [GRID_MIN_M[0] + (i + 0.5) * VOXEL_M, GRID_MIN_M[1] + (j + 0.5) * VOXEL_M, GRID_MIN_M[2] + (k + 0.5) * VOXEL_M];
-}
-
-function bounds(pieces: Piece[]): [Vector, Vector] {
-  const low = [0, 1, 2].map((axis) => Math.floor(Math.min(...pieces.map((one) => one.min_m[axis]!)) / VOXEL_M) - 1);
-  const high = [0, 1, 2].map((axis) => Math.ceil(Math.max(...pieces.map((one) => one.max_m[axis]!)) / VOXEL_M) + 1);
+/** The half-open range of the map's voxels that the tiles can hold, and one around it. */
+function bounds(pieces: Piece[], voxel_m: number): [Vector, Vector] {
+  const low = [0, 1, 2].map((axis) => Math.floor(Math.min(...pieces.map((one) => one.min_m[axis]!)) / voxel_m) - 1);
+  const high = [0, 1, 2].map((axis) => Math.ceil(Math.max(...pieces.map((one) => one.max_m[axis]!)) / voxel_m) + 1);
   return [low as Vector, high as Vector];
 }
 

@@ -57,7 +57,7 @@ function answerTo(asked: Asked): Answers[Asked["kind"]] {
   if (!model) throw new Error("The scene was not opened.");
   switch (asked.kind) {
     case "frame":
-      if (asked.content) model.keepFrame(asked.token, asked.look.mode, planesOf(decompress(asked.content), magicOf(asked.look)));
+      if (asked.content) model.keepFrame(asked.token, asked.look.mode, planesOf(decompress(asked.content), model.scene.grid, magicOf(asked.look)));
       return model.drawFrame(asked.token, asked.look);
     case "tile":
       if (asked.content) model.tiles.keep(asked.piece, tileOf(decompress(asked.content)));

@@ -4,7 +4,6 @@
 import { Group, type Mesh, type PerspectiveCamera } from "three";
 import { bytes } from "../../api.js";
 import type { Asking } from "../data/worker_client.js";
-import { VOXEL_M } from "../data/formats.js";
 import type { Look } from "../looks.js";
 import type { Piece, SceneFacts, Vector } from "../scene.js";
 import { SurfacePaint, surfaceMesh } from "./sensed_layers.js";
@@ -59,7 +58,7 @@ export class MapLayer implements Prop {
       const made = await this.asking.ask({ kind: "draw-tile", name, look, level });
       if (round !== this.round) return;
       const block = this.shown.get(name)?.block ?? new VoxelBlock(this.paint);
-      const lowest = made.origin.map((value, axis) => value * VOXEL_M - this.origin[axis]!) as Vector;
+      const lowest = made.corner_m.map((value, axis) => value - this.origin[axis]!) as Vector;
       block.show(made, lowest);
       this.voxels.add(block.group);
       this.shown.set(name, { level, block });

@@ -4,7 +4,6 @@ import {
   BoxGeometry, BufferAttribute, BufferGeometry, Color, DoubleSide, EdgesGeometry, GLSL3, Group, LineBasicMaterial, LineSegments,
   Mesh, MeshBasicMaterial, PlaneGeometry, ShaderMaterial, Vector2, Vector3,
 } from "three";
-import { VOXEL_M } from "../data/formats.js";
 import { type Pose, type Vector, toMap } from "../scene.js";
 import { GROUND_FRAGMENT, GROUND_VERTEX } from "./shaders.js";
 import type { Prop } from "./stage.js";
@@ -100,18 +99,18 @@ export class Marker implements Prop {
   readonly lines: LineSegments<BufferGeometry, LineBasicMaterial>;
 
   constructor() {
-    const side = VOXEL_M * 1.06;
     const material = new LineBasicMaterial({ depthTest: false });
-    this.lines = new LineSegments(new EdgesGeometry(new BoxGeometry(side, side, side)), material);
+    this.lines = new LineSegments(new EdgesGeometry(new BoxGeometry(1.06, 1.06, 1.06)), material);
     this.lines.visible = false;
     this.lines.renderOrder = 5;
   }
 
-  /** Around the voxel with this centre, turned as its grid is; null takes it away. */
-  mark(centre: Vector | null, yaw_rad: number): void {
+  /** Around the voxel with this centre and side, turned as its grid is; null takes it away. */
+  mark(centre: Vector | null, side_m: number, yaw_rad: number): void {
     this.lines.visible = centre !== null;
     if (centre === null) return;
     this.lines.position.set(...centre);
+    this.lines.scale.setScalar(side_m);
     this.lines.rotation.z = yaw_rad;
   }
 

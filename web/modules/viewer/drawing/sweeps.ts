@@ -12,8 +12,6 @@ import type { VoxelPaint } from "./voxel_layer.js";
 
 export const POINT_COLOURS = ["intensity", "height", "time"] as const;
 export type PointColour = (typeof POINT_COLOURS)[number];
-/** Metres above the robot's wheels between which the ramp of heights runs: as high as the label grid. */
-export const HEIGHTS_M = [-2, 4.4] as const;
 /** Sweeps no older than this are shown by their age. */
 export const OLDEST_S = 1;
 const share = (rgb: Rgb): Vector3 => new Vector3(...rgb).divideScalar(255);
@@ -30,14 +28,15 @@ export class SweepLayer implements Prop {
   private sweeps: Sweep[] = [];
   private by: PointColour = "intensity";
 
-  constructor(paint: VoxelPaint, private readonly height_px: () => number) {
+  /** `heights_m`: above the robot's wheels, between which the ramp of heights runs. */
+  constructor(paint: VoxelPaint, heights_m: readonly [number, number], private readonly height_px: () => number) {
     const colours = new Uint8Array(1024).fill(255);
     for (let place = 0; place < 256; place++) colours.set(ramp("viridis", place / 255), place * 4);
     const texture = new DataTexture(colours, 256, 1);
     texture.needsUpdate = true;
     this.shared = {
       dim: { value: new Vector3() }, bright: { value: new Vector3() }, pixels: { value: 800 }, paper: paint.paper, fade: paint.fade,
-      ramp: { value: texture }, by: { value: 0 }, ground: { value: 0 }, heights: { value: [...HEIGHTS_M] },
+      ramp: { value: texture }, by: { value: 0 }, ground: { value: 0 }, heights: { value: heights_m },
     };
   }
 

@@ -4,7 +4,6 @@ import {
   BufferAttribute, BufferGeometry, DataTexture, GLSL3, Group, IntType, Matrix3, Mesh, MeshBasicMaterial, type PerspectiveCamera,
   ShaderMaterial, Sphere, Vector2, Vector3,
 } from "three";
-import { VOXEL_M } from "../data/formats.js";
 import type { Mode } from "../looks.js";
 import type { Drawn } from "../data/model.js";
 import { VOXEL_FRAGMENT, VOXEL_VERTEX } from "./shaders.js";
@@ -66,8 +65,7 @@ export class VoxelBlock {
     this.mesh.geometry.dispose();
     this.mesh.geometry = geometryOf(drawn);
     this.high = highestOf(drawn.faces.vertices);
-    const size = VOXEL_M * drawn.voxel;
-    this.mesh.matrix.makeScale(size, size, size).setPosition(...lowest_m);
+    this.mesh.matrix.makeScale(drawn.voxel_m, drawn.voxel_m, drawn.voxel_m).setPosition(...lowest_m);
     this.mesh.matrixWorldNeedsUpdate = true;
   }
 
