@@ -239,6 +239,7 @@ def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Pe
 
 RELEASED = Run(frames=2, reach_m=14.0, grid=RELEASE)
 BOUGHT = replace(RELEASED, voxel_m=0.4, is_imported=True)
+GROUND_M = f"async given => {{ {IMPORTS} {VIEWER} return given.map(([x, y]) => viewer.world.height.at(x, y)); }}"
 MARKED_M = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.marker.lines.scale.x; }}"
 
 
@@ -257,6 +258,7 @@ def test_a_frame_of_the_released_datasets_grid_is_picked_in_and_so_is_its_map(
         expect(page.locator(".viewer-readout")).to_be_visible()
         picked_in_frame(page, run)
         keep(page, f"viewer-release-{'imported' if run.is_imported else 'labelled'}")
+        stands_on_the_ground(page, run)
         page.get_by_label("Point cloud").check()
         page.get_by_label("Points by").select_option("height")
         expect(page.locator(".viewer-ticks span")).to_have_text(["-1.0 m", "2.2 m", "5.4 m"])
@@ -280,10 +282,25 @@ def picked_in_frame(page: Page, run: Run) -> None:
     assert told["class"] == KINDS[int(kind)]
     assert page.evaluate(MARKED_M) == run.grid.voxel_m == 0.4
     tile = run.voxels
-    parts = np.floor((pose.inverse() @ ((tile.indices + 0.5) * run.voxel_m) - run.grid.min_m) / run.grid.voxel_m + 0.5)
-    is_near = (np.abs(parts - 0.5 - index) <= 1).all(axis=1) & (tile.classes == kind)
-    slopes = {f"{np.degrees(slope):.1f}°" for slope in tile.features[is_near, 1]}
+    centres = (pose.inverse() @ ((tile.indices + 0.5) * run.voxel_m) - run.grid.min_m) / run.grid.voxel_m
+    is_in = (np.abs(centres - index - 0.5) <= 0.61).all(axis=1) & (tile.classes == kind)
+    slopes = {f"{np.degrees(slope):.1f}°" for slope in tile.features[is_in, 1]}
     assert run.is_imported or told["Slope"] in slopes
+
+
+def stands_on_the_ground(page: Page, run: Run) -> None:
+    """The camera's floor is the lowest label of squares of 0.8 m; from above it sees the whole grid."""
+    pose = SE3(run.poses[1][[3, 4, 5, 6, 0, 1, 2]])
+    around = np.random.default_rng(2).uniform(-8, 8, (20, 2))
+    around_map = pose @ np.column_stack([around, np.zeros(20)])
+    low_m = run.grid.min_m
+    squares = run.grids[1].reshape(100, 2, 100, 2, 16).any(axis=(1, 3))
+    lowest = [squares[tuple(np.floor((place - low_m[:2]) / 0.8).astype(int))].argmax() for place in around]
+    wanted_m = np.array(lowest) * 0.4 + low_m[2] + pose.translation_m[2]
+    assert page.evaluate(GROUND_M, around_map[:, :2].tolist()) == pytest.approx(wanted_m)
+    canvas(page).press("2")
+    assert page.evaluate(VIEW)[2:5] == pytest.approx([80 * 62 / 51.2, 0, 0], abs=1e-6)
+    canvas(page).press("1")
 
 
 def place_of(told: dict[str, str]) -> Any:

@@ -14,6 +14,7 @@ from typing import Any
 
 import numpy as np
 import pytest
+import zstandard
 from playwright.sync_api import Browser, Page
 from scipy.optimize import nnls
 
@@ -265,6 +266,29 @@ def _walked(classes: Grid, start: Any, along: Any) -> Any:
     steps = steps[((steps >= 0) & (steps < classes.shape)).all(axis=1)]
     met = np.flatnonzero(classes[tuple(steps.T)])
     return steps[met[0]].tolist() if len(met) else None
+
+
+def test_a_voxel_of_several_of_the_maps_has_the_values_of_a_part_of_its_own_class(loaded: Loaded) -> None:
+    script = """
+    const { Model } = await load("data/model"), { planesOf } = await load("data/formats");
+    const grid = { shape: [8, 8, 8], min_m: [-3.2, -3.2, 0], voxel_m: 0.8 };
+    const frames = { tokens: ["a"], map_from_ego: [[0, 0, 0, 1, 0, 0, 0]] };
+    const model = new Model({ grid, map_voxel_m: 0.2, frames, tiles: [] });
+    model.keepFrame("a", "class", planesOf(Uint8Array.from(given.planes), grid));
+    const n = given.k.length, none = new Float32Array(n), zeros = new Uint8Array(n);
+    const tile = { i: zeros, j: zeros, k: given.k, classes: given.classes, elevation_m: none, slope_rad: none,
+      roughness: none, d2: given.d2, confidence: zeros };
+    model.tiles.keep({ min_m: [0, 0, 0], max_m: [1, 1, 9] }, tile);
+    const look = { mode: "class", classes: 14, unseen: "show" };
+    return given.ids.map(id => model.pickedAt("a", id, look).found?.d2 ?? null);
+    """
+    classes = np.zeros((8, 8, 8), np.uint8)
+    classes[4, 4, :4] = 3, 2, 1, 3
+    ids = (np.ravel_multi_index(np.array([[4, 4, k] for k in range(4)]).T, classes.shape) + 1).tolist()
+    planes = zstandard.decompress(voxels_bytes(classes, classes))
+    # A pile of voxels of the map in one corner: P under N in a voxel of N, N under P in one of P, P in one of T, none.
+    pile = {"k": [0, 3, 4, 7, 8], "classes": [2, 3, 3, 2, 2], "d2": [1, 2, 3, 4, 5]}
+    assert run(loaded, script, {"planes": list(planes), "ids": ids, **pile}) == [2, 4, None, None]
 
 
 SIGMAS = np.array([0.05, 0.07, 0.7])

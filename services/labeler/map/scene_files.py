@@ -131,7 +131,7 @@ class SceneWriter:
         self._write(INDEX, json.dumps(self._record(), separators=(",", ":")).encode())
 
     def _record(self) -> dict[str, Any]:
-        sequence, grid = self.about.sequence, self.about.grid
+        sequence = self.about.sequence
         footprint, frames = sequence.calibration.footprint, sequence.frames
         return {
             "name": sequence.name,

@@ -1,6 +1,7 @@
 """The map as the viewer is given it: the voxels, the surface and the frames of the labels, and nothing else."""
 
 import json
+from pathlib import Path
 from typing import Any
 
 import numpy as np
@@ -10,10 +11,13 @@ from PIL import Image
 from scipy.spatial import KDTree
 from scipy.stats import chi2
 
+from services.domain.viewer.formats import TileMesh, TileVoxels
 from services.labeler.exports.meshes import open_mesh
+from services.labeler.map.scene_files import SceneDescription, SceneWriter
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB, TRACK
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import RELEASE
 from tests.services.labeler.exports.made import Labelled
 from tests.services.runtime.view_decoding import Read
 
@@ -51,6 +55,7 @@ def test_the_scene_says_of_the_sequence_what_the_sequence_is(drive: Labelled) ->
     assert scene["has_confidence"] is False
     place = {"name": "paper", "shape": [256, 256, 32], "min_m": [-25.6, -25.6, -2.0], "voxel_m": 0.2}
     assert scene["grid"] == place
+    assert scene["map_voxel_m"] == 0.2
     assert scene["frames"]["tokens"] == list(sequence.frames.tokens)
     assert scene["frames"]["stamps_ns"] == [str(stamp) for stamp in sequence.frames.stamps_ns.tolist()]
     poses = np.array(scene["frames"]["map_from_ego"])
@@ -61,6 +66,22 @@ def test_the_scene_says_of_the_sequence_what_the_sequence_is(drive: Labelled) ->
         key: reported[key] for key in ("mean", "covariance")
     }
     assert scene["reference"]["d2_limit"] == pytest.approx(chi2.ppf(0.95, 3))
+
+
+def test_a_scene_names_the_grid_of_its_frames_and_lays_its_tiles_by_the_voxel_of_its_map(
+    drive: Labelled, tmp_path: Path
+) -> None:
+    sequence = drive.source().sequence
+    writer = SceneWriter(SceneDescription(sequence, "imported", None, RELEASE, 0.4), tmp_path)
+    one, none = np.ones(1), np.zeros((0, 3))
+    voxels = TileVoxels(np.array([[-3, 0, 5]]), one, np.ones((1, 3)), one, one)
+    writer.add("a", voxels, TileMesh(none, none[:, 0], none), np.zeros(3))
+    writer.finish()
+    scene = json.loads((tmp_path / "scene" / "scene.json").read_text())
+    place = {"name": "release", "shape": [200, 200, 16], "min_m": [-40.0, -40.0, -1.0], "voxel_m": 0.4}
+    assert scene["grid"] == place
+    assert scene["map_voxel_m"] == 0.4
+    assert (scene["tiles"][0]["min_m"], scene["tiles"][0]["max_m"]) == ([-1.2, 0.0, 2.0], [-0.8, 0.4, 2.4])
 
 
 def test_every_file_of_the_scene_is_told_of_with_its_size(drive: Labelled) -> None:

@@ -34,9 +34,10 @@ function columnBits(plane: Uint8Array, { shape: [x, y, z] }: Grid): Uint8Array |
   return new BITS[z as keyof typeof BITS](plane.buffer as ArrayBuffer, plane.byteOffset, x * y);
 }
 
+/** About how wide the squares are whose lowest voxel is the ground. */
 const SQUARE_M = 0.8;
 
-/** Sides of the squares whose ground is told, in columns: 1, 2 or 4, which divide every side of a grid. */
+/** How many columns are along a side of the squares of `lowestOf`: 1, 2 or 4, which divide every side of a grid. */
 export function squareColumns({ voxel_m }: Grid): number {
   return Math.max(1, 2 ** Math.floor(Math.log2(SQUARE_M / voxel_m + 1e-9)));
 }
