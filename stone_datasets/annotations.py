@@ -30,8 +30,10 @@ from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 from stone_datasets.samples import picture_of
 from stone_datasets.scene_tables import TABLES, SceneTableFiles, encoded
 from stone_datasets.splits import Splits, check_splits, scenes_named, splits_of
-from stone_exports.frames import TOKEN, ExportedSensor
+from stone_datasets.stated_layout import StatedLayout, form_of_tokens
+from stone_exports.frames import ExportedSensor
 from stone_files.dataset_layout import ANNOTATIONS, is_inside
+from stone_files.dataset_layouts import plain_token
 
 SPLIT_KEYS = {"train_split": "train", "val_split": "val", "test_split": "test"}
 PICTURE_FOLDERS = ("", "imgs/", "samples/")
@@ -60,7 +62,7 @@ class AnnotatedScene:
     cameras: dict[str, AnnotatedCamera] = field(default_factory=dict)
 
 
-def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex | None:
+def read_annotations(files: DatasetFiles, stated: StatedLayout, faults: DatasetFaults) -> DatasetIndex | None:
     """The index of a dataset that has nothing else; None where it cannot be made for its faults."""
     splits, sequences, names, seen = dict[str, tuple[str, ...]](), list[DatasetSequence](), NameColumn(), set[int]()
     try:
@@ -73,10 +75,15 @@ def read_annotations(files: DatasetFiles, faults: DatasetFaults) -> DatasetIndex
         return None
     if len(faults):
         return None
+    try:
+        form_of_tokens([one.label_name(0).split("/")[2] for one in sequences if len(one)], DatasetPlace(ANNOTATIONS))
+    except DatasetFaultError as fault:
+        faults.add(fault)
+        return None
     check_splits((ANNOTATIONS, splits), [one.name for one in sequences], faults)
     named = splits_of(splits)
     whole = tuple(replace(one, splits=named.get(one.name, ())) for one in sequences)
-    return DatasetIndex(files, "occ3d", whole, splits)
+    return DatasetIndex(files, stated.of(files, whole), whole, splits)
 
 
 def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
@@ -86,7 +93,7 @@ def compare_annotations(index: DatasetIndex, faults: DatasetFaults) -> Splits:
         for scene, rows in _scenes(index.files, splits):
             for row in rows:
                 token = row.named
-                if token not in known.get(scene, ()):
+                if plain_token(token) not in known.get(scene, ()):
                     faults.add(
                         DatasetFaultError(
                             "DST-030", row.place, f"the tables have no frame of {quoted(scene)} with this token"
@@ -147,14 +154,19 @@ def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> Datas
     keys, links = [hash(token) for token in scene.tokens], np.array(scene.links, np.int64).reshape(-1, 2)
     columns = (np.array(keys, np.int64), links[:, 0], links[:, 1], np.array(scene.stamps_us, np.int64))
     group = np.zeros(len(keys), np.int64)
+    try:
+        has_dashes = form_of_tokens(scene.tokens, DatasetPlace(f"{ANNOTATIONS} scene {name}"))
+    except DatasetFaultError as fault:
+        faults.add(fault)
+        return None
     check_chains(LinkedRows(f"{ANNOTATIONS} scene {name}", *columns, group, scene.tokens), faults)
-    return _sequence(files, scene, names) if faults.total == before else None
+    return replace(_sequence(files, scene, names), has_dashes=has_dashes) if faults.total == before else None
 
 
 def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRow, NameColumn, set[int]]) -> None:
     row, names, seen = what
     token = row.named
-    if TOKEN.fullmatch(token) is None:
+    if plain_token(token) is None:
         raise DatasetFaultError("DST-017", row.place, f"{quoted(token)} is not a frame token")
     if hash(token) in seen:
         raise DatasetFaultError("DST-018", row.place, "an earlier frame has the same token")
@@ -212,7 +224,7 @@ def _sequence(files: DatasetFiles, scene: AnnotatedScene, names: NameColumn) -> 
     rank = np.argsort(order)
     poses = SE3(np.array(scene.poses, np.float64).reshape(-1, 7)[order])
     stamps_ns = np.array(scene.stamps_us, np.int64)[order] * NS_PER_US
-    tokens = tuple(scene.tokens[place] for place in order.tolist())
+    tokens = tuple(scene.tokens[place].replace("-", "") for place in order.tolist())
     channels = {name: _channel(files, name, camera, (names, rank)) for name, camera in scene.cameras.items()}
     is_labelled = files.has_folder(label_folder(scene.name))
     return DatasetSequence(scene.name, "", "", "", tokens, stamps_ns, poses, channels, is_labelled)

@@ -28,6 +28,14 @@ class ClassMap:
     name: str
     meaning: NDArray[np.uint8]
 
+    def with_unobserved(self, number: int | None) -> "ClassMap":
+        """Return the map in which a number that it does not name, if there is one, is unobserved."""
+        if number is None or self.meaning[number] != UNKNOWN:
+            return self
+        meaning = self.meaning.copy()
+        meaning[number] = UNOBSERVED
+        return ClassMap(self.name, meaning)
+
 
 def class_map_of(name: str, meanings: Mapping[int, str]) -> ClassMap:
     table = np.full(256, UNKNOWN, np.uint8)

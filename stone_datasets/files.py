@@ -1,8 +1,8 @@
-"""The files of a dataset, in a folder or in place in a tar: found by name, as byte ranges.
+"""The files of a dataset, in a folder or in place in a tar or zip: found by name, as byte ranges.
 
-**Conventions.** A name is a relative path of plain parts below the dataset's root; what leads outside is refused, in a
-tar also where nothing refers to it. Of a tar 24 bytes a file are held. Names are found by Python's hash of them, which
-is of 64 bits and another in every process.
+**Conventions.** A name is a relative path of plain parts below the dataset's root; what leads outside is refused, in an
+archive also where nothing refers to it. Of a tar 24 bytes a file are held, of a zip 56. Names are found by Python's
+hash of them, which is of 64 bits and another in every process.
 """
 
 import os
@@ -16,17 +16,20 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone_datasets.columns import NumberColumn, places_of
+from stone_datasets.zip_files import NOT_ZIPPED, PLACE, DatasetZip, Places, note_labels, open_zip
 from stone_exports.files import ExportFileSpan
 from stone_files.archives import NAME, tar_members
+from stone_files.byte_ranges import ByteRanges
 from stone_files.dataset_layout import (
     head_of,
     is_below,
     is_inside,
+    is_zip,
     leaving,
     refuse_compressed,
     refuse_outside,
+    root_in_archive,
     root_in_folder,
-    root_in_tar,
 )
 
 
@@ -98,29 +101,30 @@ class DatasetTar:
         at = int(places_of(self.keys, np.array([hash(self.root + name)]))[0])
         return None if at < 0 else ExportFileSpan(self.path, name, *self.places[at].tolist())
 
-    def spans(self, names: Iterable[str]) -> NDArray[np.int64]:
-        """Where the files of these names, none of which leads outside, begin and how long they are (N, 2).
-
-        −1 and −1 where there is none.
-        """
+    def spans(self, names: Iterable[str]) -> Places:
+        """The places (N, 6) of the files of these names, as `DatasetZip.spans`: all but offset and size are −1."""
         keys = NumberColumn("q")
         keys.extend(hash(self.root + name) for name in names)
         at = places_of(self.keys, keys.array(np.int64))
-        found = np.full((len(at), 2), -1, np.int64)
-        found[at >= 0] = self.places[at[at >= 0]]
+        found = np.full((len(at), len(PLACE)), NOT_ZIPPED, np.int64)
+        found[at >= 0, :2] = self.places[at[at >= 0]]
         return found
 
     def has_folder(self, name: str) -> bool:
         return self.root + name in self.folders
 
 
-def open_dataset(path: Path) -> DatasetFiles:
-    """The dataset in a folder or tar, also one folder below. Raises a `DatasetFaultError`, `bad_tar`."""
-    return _in_tar(path) if path.is_file() else _in_folder(path)
+DatasetArchive = DatasetTar | DatasetZip
 
 
-def _in_folder(path: Path) -> DatasetFiles:
-    return DatasetFolder(*root_in_folder(path))
+def open_dataset(where: Path | ByteRanges) -> DatasetFiles:
+    """The dataset in a folder, tar or zip, also one folder below, or in a zip that is read by ranges.
+
+    Raises a `DatasetFaultError`, `bad_tar`.
+    """
+    if not isinstance(where, Path) or is_zip(where):
+        return open_zip(where)
+    return _in_tar(where) if where.is_file() else DatasetFolder(*root_in_folder(where))
 
 
 def _in_tar(path: Path) -> DatasetFiles:
@@ -136,14 +140,8 @@ def _in_tar(path: Path) -> DatasetFiles:
         head = head_of(name)
         if head is not None:
             heads.add(head)
-        _note_labels(folders, name)
-    root, version = root_in_tar(path, heads)
+        note_labels(folders, name)
+    root, version = root_in_archive(path, heads)
     order = np.argsort(keys.array(np.int64), kind="stable")
     held = (keys.array(np.int64)[order], places.array(np.int64).reshape(-1, 2)[order])
     return DatasetTar(path, version, root, *held, frozenset(folders))
-
-
-def _note_labels(folders: set[str], name: str) -> None:
-    """Of the folders only those two above labels.npz are asked for."""
-    if name.endswith("/labels.npz"):
-        folders.add(name.rsplit("/", 2)[0])

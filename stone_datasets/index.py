@@ -1,24 +1,24 @@
 """What a dataset holds: its sequences with frames, poses and calibrated sensors, and the file of every datum.
 
-**Conventions.** A scene is a sequence, a sample a frame, its token the frame's; frames are in the order of their
+**Conventions.** A scene is a sequence, a sample a frame, its token the frame's: 32 hex digits, also if the dataset
+writes them as a UUID with dashes, as all or none of its sample tokens are. Frames are in the order of their
 stamps. `map_from_ego` is what `ego_pose` says, to the last bit: the map is the dataset's `global`. Times are
 nanoseconds of stamps that are whole microseconds. Arrays are by sequence; nothing is opened before it is asked for.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
-from typing import Literal
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
+from stone_base.label_grid import LabelGrid
 from stone_datasets.columns import NameColumn
 from stone_datasets.files import DatasetFiles
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedSensor
-
-Layout = Literal["release", "occ3d"]  # tables; annotations.json alone
+from stone_files.dataset_layouts import DatasetLayout, dashed_token
 
 
 @dataclass(frozen=True, eq=False)
@@ -42,7 +42,10 @@ class DatasetChannel:
 
 @dataclass(frozen=True, eq=False)
 class DatasetSequence:
-    """One scene. `splits` are those that name it; `is_labelled` where its frames have labels (all, or none)."""
+    """One scene. `splits` are those that name it; `is_labelled` where its frames have labels (all, or none).
+
+    With `has_dashes` the dataset writes `tokens` as UUIDs.
+    """
 
     name: str
     logfile: str
@@ -54,13 +57,14 @@ class DatasetSequence:
     channels: Mapping[str, DatasetChannel]
     is_labelled: bool
     splits: tuple[str, ...] = ()
+    has_dashes: bool = False
 
     def __len__(self) -> int:
         return len(self.tokens)
 
     def label_name(self, index: int) -> str:
         """The file of a frame's labels."""
-        return f"{label_folder(self.name)}/{self.tokens[index]}/labels.npz"
+        return label_name(self.name, self.tokens[index], has_dashes=self.has_dashes)
 
 
 @dataclass(frozen=True, eq=False)
@@ -68,9 +72,14 @@ class DatasetIndex:
     """All sequences, in the order of the table `scene`; splits name them."""
 
     files: DatasetFiles
-    layout: Layout
+    layout: DatasetLayout
     sequences: tuple[DatasetSequence, ...]
     splits: Mapping[str, tuple[str, ...]]
+
+    @property
+    def grid(self) -> LabelGrid:
+        """The grid of its labels."""
+        return self.layout.grid
 
     def file(self, channel: DatasetChannel, place: int) -> ExportFileSpan | None:
         """The file of a channel's `place`-th datum; None where it is not there. Raises `DST-004`."""
@@ -83,3 +92,8 @@ class DatasetIndex:
 
 def label_folder(sequence: str) -> str:
     return f"gts/{sequence}"
+
+
+def label_name(sequence: str, token: str, *, has_dashes: bool) -> str:
+    """The file of the labels of the frame with this token."""
+    return f"{label_folder(sequence)}/{dashed_token(token) if has_dashes else token}/labels.npz"

@@ -138,10 +138,5 @@ def _decoded(span: ExportFileSpan) -> Iterator[str]:
     except UnicodeDecodeError as error:
         raise DatasetFaultError("DST-011", DatasetPlace(span.name), "it is not UTF-8") from error
     except DamagedExportError as error:
-        raise _cut(span) from error
-
-
-def _cut(span: ExportFileSpan) -> DatasetFaultError:
-    return DatasetFaultError(
-        "DST-011", DatasetPlace(span.name), "it ends early: another program truncated it while it was read"
-    )
+        what = f"{error.why}; did another program truncate it while it was read?"
+        raise DatasetFaultError("DST-011", DatasetPlace(span.name), what) from error

@@ -1,7 +1,7 @@
 """Labels of a frame in a published dataset: classes of this platform, and the masks where there are some.
 
-**Conventions.** As docs/formats/labels.md: uint8 (256, 256, 32), axes x y z of the ego frame. An array is inflated no
-farther than its header says, and its header is compared first.
+**Conventions.** As docs/formats/labels.md: uint8 of the shape of the layout's grid, axes x y z of the ego frame. An
+array is inflated no farther than its header says, and its header is compared first.
 """
 
 import struct
@@ -10,18 +10,18 @@ from collections.abc import Sequence
 from dataclasses import dataclass, replace
 from functools import lru_cache
 from io import BytesIO
-from math import prod
 
 import numpy as np
 from isal import isal_zlib
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import LabelGrid
 from stone_datasets.classes import OWN_CLASSES, UNKNOWN, UNOBSERVED, ClassMap
 from stone_datasets.faults import DatasetPlace
 from stone_exports.files import DamagedExportError, ExportFileSpan
 from stone_exports.labels import UNREADABLE, npy_head
 from stone_files.dataset_faults import DatasetFaultError
+from stone_files.dataset_layouts import LAYOUTS, DatasetLayout, recognised_layout
 
 MOST_PACKED_BYTES = 32 * 2**20
 MOST_ARRAYS = 64
@@ -51,25 +51,45 @@ class FrameLabels:
     content: bytes | None = None
 
 
-def read_labels(span: ExportFileSpan, classes: ClassMap = OWN_CLASSES) -> FrameLabels:
-    """The labels of one frame. Raises a `DatasetFaultError`."""
+def read_labels(
+    span: ExportFileSpan, classes: ClassMap = OWN_CLASSES, layout: DatasetLayout = LAYOUTS["paper"]
+) -> FrameLabels:
+    """The labels of one frame, a file of this layout. Raises a `DatasetFaultError`."""
+    listed, arrays = _opened(span, layout.grid)
+    members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
+    if layout.label_key not in members:
+        what = f"it has no {layout.label_key}, but {', '.join(sorted(members))[:100] or 'nothing'}"
+        raise DatasetFaultError("DST-062", DatasetPlace(span.name), what)
+    found = arrays.grid_of(members[layout.label_key])
+    masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
+    meant = _meant(span, found, (masks[0], masks[1]), classes.with_unobserved(layout.grid.unknown))
+    return replace(meant, content=arrays.content) if meant.classes is found and _are_ours(listed, arrays) else meant
+
+
+def layout_of_labels(span: ExportFileSpan | None, *, has_dashes: bool) -> DatasetLayout:
+    """The layout that a label file and the form of tokens tell; of a file that cannot be read, tokens alone."""
+    known = recognised_layout((), None, has_dashes=has_dashes)
+    if span is None:
+        return known
+    try:
+        listed, arrays = _opened(span, known.grid)
+        members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
+        keys = [one.label_key for one in LAYOUTS.values() if one.label_key in members]
+        shape = arrays.shape_of(members[keys[0]]) if keys else None
+    except (DatasetFaultError, *NO_NPY):
+        return known
+    return recognised_layout(members, shape, has_dashes=has_dashes)
+
+
+def _opened(span: ExportFileSpan, grid: LabelGrid) -> tuple[list[zipfile.ZipInfo], "_Arrays"]:
     if span.size_bytes > MOST_PACKED_BYTES:
         raise DatasetFaultError("DST-065", DatasetPlace(span.name), f"it has {span.size_bytes} bytes")
     try:
         content = span.read(MOST_PACKED_BYTES)
         with zipfile.ZipFile(BytesIO(content)) as archive:
-            listed = archive.infolist()
-            members = {one.filename.removesuffix(".npy"): one for one in listed[:MOST_ARRAYS]}
+            return archive.infolist(), _Arrays(span.name, content, grid)
     except (*UNREADABLE, DamagedExportError) as error:
         raise DatasetFaultError("DST-061", DatasetPlace(span.name), f"it is not a zip ({error})"[:200]) from error
-    if SEMANTICS not in members:
-        what = f"it has no {SEMANTICS}, but {', '.join(sorted(members))[:100] or 'nothing'}"
-        raise DatasetFaultError("DST-062", DatasetPlace(span.name), what)
-    arrays = _Arrays(span.name, content)
-    found = arrays.grid(members[SEMANTICS])
-    masks = [_mask(arrays, members[key], key) if key in members else None for key in (MASK_LIDAR, MASK_CAMERA)]
-    meant = _meant(span, found, (masks[0], masks[1]), classes)
-    return replace(meant, content=content) if meant.classes is found and _are_ours(listed, arrays) else meant
 
 
 def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
@@ -82,22 +102,26 @@ def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
 
 @dataclass(frozen=True)
 class _Arrays:
-    """The bytes of a npz."""
+    """The bytes of a npz whose arrays are of a grid."""
 
     name: str
     content: bytes
+    grid: LabelGrid
 
-    def grid(self, member: zipfile.ZipInfo, *, is_mask: bool = False) -> Grid:
+    def shape_of(self, member: zipfile.ZipInfo) -> tuple[int, ...]:
+        """The shape that the header of a member declares. Raises a `DatasetFaultError`, one of `NO_NPY`."""
+        return known_head(self._begun(member, self._packed(member), HEAD_BYTES))[0]
+
+    def grid_of(self, member: zipfile.ZipInfo, *, is_mask: bool = False) -> Grid:
         """The grid of a member. Raises a `DatasetFaultError`, DST-067 if a mask has another shape or type."""
         packed, place = self._packed(member), DatasetPlace(self.name)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
         except NO_NPY as error:
             raise self._damaged(member, "it is not an npy array") from error
-        if shape != GRID_SHAPE:
-            raise DatasetFaultError(
-                "DST-067" if is_mask else "DST-063", place, f"{member.filename} has shape {str(shape)[:60]}"
-            )
+        if shape != self.grid.shape:
+            what = f"{member.filename} has shape {str(shape)[:60]}, the grid is {self.grid}"
+            raise DatasetFaultError("DST-067" if is_mask else "DST-063", place, what)
         if dtype != np.uint8 or is_fortran:
             order = "Fortran" if is_fortran else "C"
             raise DatasetFaultError(
@@ -113,15 +137,15 @@ class _Arrays:
         packed = self._packed(member)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))
-            size = start + dtype_ours.itemsize * prod(GRID_SHAPE)
+            size = start + dtype_ours.itemsize * self.grid.voxels
             npy = self._begun(member, packed, size + 1)
         except NO_NPY:
             return False
-        is_grid = shape == GRID_SHAPE and dtype == dtype_ours and not is_fortran
+        is_grid = shape == self.grid.shape and dtype == dtype_ours and not is_fortran
         return is_grid and len(npy) == size == member.file_size and isal_zlib.crc32(npy) == member.CRC
 
     def _whole(self, member: zipfile.ZipInfo, packed: bytes, start: int) -> Grid:
-        size = start + prod(GRID_SHAPE)
+        size = start + self.grid.voxels
         try:
             npy = self._begun(member, packed, size + 1)
         except INFLATING as error:
@@ -132,7 +156,7 @@ class _Arrays:
             )
         if len(npy) < size or member.file_size != size or isal_zlib.crc32(npy) != member.CRC:
             raise self._damaged(member, "it ends early, or its checksum is wrong")
-        return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
+        return np.frombuffer(npy, np.uint8, self.grid.voxels, start).reshape(self.grid.shape)
 
     def _begun(self, member: zipfile.ZipInfo, packed: bytes, most: int) -> bytes:
         """The first bytes of what is packed, at most so many."""
@@ -156,7 +180,7 @@ class _Arrays:
 
 
 def _mask(arrays: _Arrays, member: zipfile.ZipInfo, key: str) -> Grid:
-    mask = arrays.grid(member, is_mask=True)
+    mask = arrays.grid_of(member, is_mask=True)
     if mask.max() > 1:
         raise DatasetFaultError("DST-068", DatasetPlace(arrays.name), f"{key} has {int(mask.max())}")
     return mask
@@ -170,7 +194,7 @@ def _meant(span: ExportFileSpan, found: Grid, masks: tuple[Grid | None, Grid | N
     classes = said.meaning[found]
     if (classes == UNKNOWN).any():
         numbers = np.unique(found[classes == UNKNOWN]).tolist()
-        what = f"{SEMANTICS} has {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not name"
+        what = f"the labels have {', '.join(map(str, numbers[:20]))}, which {said.name!r} does not name"
         raise DatasetFaultError("DST-066", DatasetPlace(span.name), what)
     is_unobserved = classes == UNOBSERVED
     if is_unobserved.any():

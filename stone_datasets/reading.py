@@ -1,7 +1,8 @@
 """Reads a published dataset: the index of all that its tables say, and the check of all that its files hold.
 
-**Conventions.** Three stages: `rows` (every row by itself), `links` (how tables fit together), `files` (every file). A
-stage begins where those before found nothing wrong, since one fault would be told again by each that builds on it.
+**Conventions.** Four stages: `rows` (every row by itself), `links` (how tables fit together), `files` (every file),
+`sweeps` (returns against labels). A stage begins where those before found nothing wrong, since one fault would be told
+again by each that builds on it.
 """
 
 from collections import Counter
@@ -17,12 +18,15 @@ from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
 from stone_datasets.files import DatasetFiles, open_dataset
+from stone_datasets.grid_fit import GridFit, check_fit
 from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, label_folder
 from stone_datasets.labels import FrameLabels, read_labels
 from stone_datasets.samples import check_sample
 from stone_datasets.splits import check_splits, read_splits, splits_of
+from stone_datasets.stated_layout import UNSTATED, StatedLayout, form_of_tokens
 from stone_datasets.tables import DatasetTables, read_tables
 from stone_exports.frames import LIDAR_CHANNEL
+from stone_files.byte_ranges import ByteRanges
 from stone_files.dataset_layout import ANNOTATIONS
 
 # What a dataset holds, counted while its files are checked.
@@ -43,6 +47,7 @@ class DatasetContents:
     masks: Counter[str] = field(default_factory=Counter)
     labelled: int = 0
     size_bytes: int = 0
+    fit: GridFit | None = None
 
     def add_labels(self, labels: FrameLabels) -> None:
         occupied = [int(np.count_nonzero(labels.classes == number)) for number in (1, 2, 3)]
@@ -59,12 +64,14 @@ class DatasetContents:
         occupied = sum(self.voxels[name] for name in CLASS_NAMES[1:])
         index = self.index
         return {
-            "layout": index.layout,
+            "layout": index.layout.name,
+            "grid": index.grid.as_record(),
             "version": index.files.version,
             "sequences": [_sequence_record(one) for one in index.sequences],
             "frames": sum(map(len, index.sequences)),
             "labelled_frames": self.labelled,
             "masks": {name: self.masks[name] for name in ("mask_lidar", "mask_camera")},
+            "returns_in_occupied": None if self.fit is None else self.fit.as_record(),
             "classes": self.class_map,
             "class_share_of_occupied": {
                 name: self.voxels[name] / occupied if occupied else None for name in CLASS_NAMES[1:]
@@ -116,7 +123,7 @@ def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: D
             span = index.file(channel, place)
             if span is None:
                 raise DatasetFaultError("DST-050", at, f"{channel.filename(place)} is missing")
-            check_sample(span, channel.sensor, at)
+            check_sample(span, channel.sensor, at, has_no_returns=index.layout.has_no_returns)
         except DatasetFaultError as fault:
             faults.add(fault)
             continue
@@ -125,7 +132,7 @@ def _check_channel(channel: DatasetChannel, contents: DatasetContents, faults: D
 
 
 def _place(index: DatasetIndex, channel: DatasetChannel, row: int) -> DatasetPlace:
-    if index.layout == "release":
+    if index.files.version:
         return DatasetPlace(f"{index.files.version}/sample_data.json", row + 1)
     return DatasetPlace(ANNOTATIONS)
 
@@ -138,14 +145,14 @@ def _check_labels(
         span = contents.index.labels(sequence, frame)
         if span is None:
             raise DatasetFaultError("DST-060", DatasetPlace(sequence.label_name(frame)), "it is missing")
-        contents.add_labels(read_labels(span, classes))
+        contents.add_labels(read_labels(span, classes, contents.index.layout))
     except DatasetFaultError as fault:
         faults.add(fault)
         return
     contents.size_bytes += span.size_bytes
 
 
-Stage = Literal["rows", "links", "files"]
+Stage = Literal["rows", "links", "files", "sweeps"]
 
 
 @dataclass(frozen=True)
@@ -165,18 +172,18 @@ class DatasetReading:
     placed: PlacedData | None
 
 
-def read_dataset(path: Path) -> DatasetIndex:
-    """The index of the dataset in a folder or tar; its files are not opened.
+def read_dataset(path: Path, stated: StatedLayout = UNSTATED) -> DatasetIndex:
+    """The index of the dataset in a folder, tar or zip; of its files the first labels are opened.
 
     Raises the first `DatasetFaultError` that is found, `bad_tar`.
     """
-    return read_tables_of(path).index
+    return read_tables_of(path, stated).index
 
 
-def read_tables_of(path: Path) -> DatasetReading:
+def read_tables_of(path: Path, stated: StatedLayout = UNSTATED) -> DatasetReading:
     """As `read_dataset`, with the columns of its tables."""
     faults = DatasetFaults()
-    _, reading = _read(open_dataset(path), faults)
+    _, reading = _read(open_dataset(path), stated, faults)
     faults.raise_first()
     if reading is None:
         raise AssertionError("an index is missing and no fault says why")
@@ -184,39 +191,56 @@ def read_tables_of(path: Path) -> DatasetReading:
 
 
 def check_dataset(
-    path: Path, classes: ClassMap = OWN_CLASSES, most: int = MOST_SHOWN, progress: Progress = lambda _done, _of: None
+    where: Path | ByteRanges,
+    classes: ClassMap = OWN_CLASSES,
+    most: int = MOST_SHOWN,
+    progress: Progress = lambda _done, _of: None,
+    stated: StatedLayout = UNSTATED,
 ) -> DatasetCheck:
     """Read and check the whole dataset; `progress` gets the frames done and their total. Raises `bad_tar` if a tar has
-    no readable file.
+    no readable file, `bad_layout`.
     """
     faults = DatasetFaults(most)
     try:
-        reached, reading = _read(open_dataset(path), faults)
+        reached, reading = _read(open_dataset(where), stated, faults)
     except DatasetFaultError as fault:
         faults.add(fault)
         return DatasetCheck(faults, "rows")
     if reading is None or faults.total:
         return DatasetCheck(faults, reached)
     contents = check_files(reading.index, classes, faults, progress)
-    return DatasetCheck(faults, "files", None if len(faults) else contents)
+    if len(faults):
+        return DatasetCheck(faults, "files")
+    try:
+        contents.fit = check_fit(reading.index, classes)
+    except DatasetFaultError as fault:
+        faults.add(fault)
+    return DatasetCheck(faults, "sweeps", None if len(faults) else contents)
 
 
-def _read(files: DatasetFiles, faults: DatasetFaults) -> tuple[Stage, DatasetReading | None]:
+def _read(files: DatasetFiles, stated: StatedLayout, faults: DatasetFaults) -> tuple[Stage, DatasetReading | None]:
     if files.version:
         tables = read_tables(files, faults)
         if len(faults):
             return "rows", None
-        reading = _linked(files, tables, faults)
+        reading = _linked(files, tables, stated, faults)
     else:
-        index = read_annotations(files, faults)
+        index = read_annotations(files, stated, faults)
         reading = None if index is None else DatasetReading(index, None)
     if reading is not None and not reading.index.sequences and not len(faults):
         faults.add(DatasetFaultError("DST-001", DatasetPlace(files.version or ANNOTATIONS), "it has no scenes"))
     return "links", reading
 
 
-def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -> DatasetReading | None:
+def _linked(
+    files: DatasetFiles, tables: DatasetTables, stated: StatedLayout, faults: DatasetFaults
+) -> DatasetReading | None:
     """The index of sound rows; None where they do not fit together."""
+    try:
+        has_dashes = form_of_tokens(tables.samples.tokens, DatasetPlace(tables.file("sample")))
+    except DatasetFaultError as fault:
+        faults.add(fault)
+        return None
     frames = frames_of(tables, faults)
     placed = None if faults.total else data_of(tables, frames, faults)
     if placed is None or faults.total:
@@ -224,12 +248,15 @@ def _linked(files: DatasetFiles, tables: DatasetTables, faults: DatasetFaults) -
     sequences = []
     for scene, channels in zip(tables.scenes.values(), channels_of(placed), strict=True):
         start, stop = frames.starts[scene.place : scene.place + 2].tolist()
-        tokens = tuple(tables.samples.tokens[row] for row in frames.order[start:stop].tolist())
+        tokens = tuple(tables.samples.tokens[row].replace("-", "") for row in frames.order[start:stop].tolist())
         stamps_ns, poses = frames.stamps_ns[start:stop], channels[LIDAR_CHANNEL].map_from_ego
         log, is_labelled = scene.log, files.has_folder(label_folder(scene.name))
         of_log = (log.logfile, log.vehicle, log.location)
-        sequences.append(DatasetSequence(scene.name, *of_log, tokens, stamps_ns, poses, channels, is_labelled))
-    return DatasetReading(_with_splits(DatasetIndex(files, "release", tuple(sequences), {}), faults), placed)
+        sequences.append(
+            DatasetSequence(scene.name, *of_log, tokens, stamps_ns, poses, channels, is_labelled, has_dashes=has_dashes)
+        )
+    index = DatasetIndex(files, stated.of(files, sequences), tuple(sequences), {})
+    return DatasetReading(_with_splits(index, faults), placed)
 
 
 def _with_splits(index: DatasetIndex, faults: DatasetFaults) -> DatasetIndex:

@@ -15,8 +15,9 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel
 from stone_datasets.faults import DatasetPlace, quoted
 from stone_exports.cameras import COEFFICIENTS
-from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M, TOKEN
+from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M
 from stone_files.dataset_faults import DatasetFaultError
+from stone_files.dataset_layouts import plain_token
 
 __all__ = ["FARTHEST_MOUNT_M", "FARTHEST_POSE_M", "DatasetRow"]
 
@@ -81,8 +82,9 @@ class DatasetRow:
         return found
 
     def frame_token(self) -> str:
+        """The token of a sample as it is written."""
         found = self.token()
-        if TOKEN.fullmatch(found) is None:
+        if plain_token(found) is None:
             raise DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token")
         return found
 

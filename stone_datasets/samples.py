@@ -22,18 +22,20 @@ ENDS = {"JPEG": b"\xff\xd9", "PNG": b"IEND"}
 UNREADABLE = (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError)
 
 
-def check_sample(span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPlace) -> None:
-    """Raises a `DatasetFaultError` where the file is not what its sensor gives."""
+def check_sample(
+    span: ExportFileSpan, sensor: ExportedSensor, place: DatasetPlace, *, has_no_returns: bool = False
+) -> None:
+    """Raises a `DatasetFaultError` where the file is not what its sensor gives, as `check_sweep` of a LiDAR."""
     if sensor.modality == "lidar":
-        check_sweep(span, place)
+        check_sweep(span, place, has_no_returns=has_no_returns)
     elif sensor.modality == "camera":
         check_picture(span, sensor.intrinsics, place)
     else:
         check_scan(span, place)
 
 
-def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
-    """Rows of five float32, all finite."""
+def check_sweep(span: ExportFileSpan, place: DatasetPlace, *, has_no_returns: bool = False) -> None:
+    """Rows of five float32, all finite unless the layout has rows of shots without a return."""
     if span.size_bytes % (COLUMNS * 4) or not 0 < span.size_bytes <= MOST_SWEEP_BYTES:
         raise DatasetFaultError(
             "DST-051", place, f"{span.name} has {span.size_bytes} bytes, not a multiple of {COLUMNS * 4}"
@@ -42,9 +44,11 @@ def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
         rows = np.frombuffer(span.read(MOST_SWEEP_BYTES), "<f4").reshape(-1, COLUMNS)
     except DamagedExportError as error:
         raise DatasetFaultError(
-            "DST-051", place, f"{span.name} ends early: another program truncated it while it was read"
+            "DST-051", place, f"{span.name}: {error.why}; did another program truncate it while it was read?"
         ) from error
     is_finite = np.isfinite(rows).all(axis=1)
+    if has_no_returns and is_finite.any():
+        return
     if not is_finite.all():
         what = (
             f"{span.name}: {len(rows) - int(is_finite.sum())} of {len(rows)} points, the first is {is_finite.argmin()}"
@@ -55,10 +59,11 @@ def check_sweep(span: ExportFileSpan, place: DatasetPlace) -> None:
 def check_picture(span: ExportFileSpan, lens: CameraIntrinsics | None, place: DatasetPlace) -> None:
     """A JPEG or PNG of the size that the lens is of, with an end."""
     form, size_px = picture_of(span, place)
+    end = _part(span, max(span.size_bytes - END_BYTES, 0), place)
     if lens is not None and size_px != (lens.width_px, lens.height_px):
         what = f"{span.name} has {size_px[0]} × {size_px[1]} pixels, its row says {lens.width_px} × {lens.height_px}"
         raise DatasetFaultError("DST-055", place, what)
-    if ENDS[form] not in span.part(max(span.size_bytes - END_BYTES, 0), END_BYTES):
+    if ENDS[form] not in end:
         raise DatasetFaultError("DST-054", place, f"{span.name} has no end marker in its last {END_BYTES} bytes")
 
 
@@ -69,10 +74,18 @@ def picture_of(span: ExportFileSpan, place: DatasetPlace) -> tuple[str, tuple[in
             "DST-053", place, f"{span.name} has {span.size_bytes} bytes, at most {MOST_PICTURE_BYTES} are read"
         )
     try:
-        with Image.open(BytesIO(span.part(0, HEAD_BYTES)), formats=tuple(ENDS)) as image:
+        with Image.open(BytesIO(_part(span, 0, place)), formats=tuple(ENDS)) as image:
             return str(image.format), image.size
     except UNREADABLE as error:
         raise DatasetFaultError("DST-053", place, f"{span.name} does not begin as JPEG or PNG") from error
+
+
+def _part(span: ExportFileSpan, start: int, place: DatasetPlace) -> bytes:
+    """The first bytes of a picture from `start` on. Raises `DST-054`."""
+    try:
+        return span.part(start, HEAD_BYTES)
+    except DamagedExportError as error:
+        raise DatasetFaultError("DST-054", place, f"{span.name}: {error.why}") from error
 
 
 def check_scan(span: ExportFileSpan, place: DatasetPlace) -> None:

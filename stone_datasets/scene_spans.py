@@ -1,4 +1,4 @@
-"""Where the files of each scene lie in the tar of a dataset, under the names that they have in the release's layout.
+"""Where the files of each scene lie in the archive of a dataset, under the names that they have in exports.
 
 **Conventions.** Key-frame data and labels are all there, or their first is refused. A file of a sweep between frames,
 or of a map, that is missing is left out, since nothing is made of it. Of a datum the row of its table is kept (from
@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from stone_datasets.annotations import picture_names
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace, quoted
-from stone_datasets.files import DatasetTar
+from stone_datasets.files import DatasetArchive
 from stone_datasets.index import DatasetSequence
 from stone_datasets.json_stream import json_rows
+from stone_datasets.zip_files import PLACE
 from stone_files.archives import NAME
 from stone_files.dataset_faults import DatasetFaultError
 from stone_files.dataset_layout import ANNOTATIONS
@@ -27,18 +28,22 @@ MAPS = "maps/"
 
 @dataclass(frozen=True, eq=False)
 class SceneSpans:
-    """N files of sensors and maps: `names`, `places` (N, 2) as offset and size in the tar, the `channels` they are of
-    ("" of a map) and the `rows` (N,) that name them. `labels` (F, 2) are the places of the labels of each frame.
+    """N files of sensors and maps: `names`, the names `held` by the archive, `places` (N, 6) in it (`PLACE`), the
+    `channels` they are of ("" of a map) and the `rows` (N,) that name them. `labels` (F, 6) are the places of the
+    labels of each frame.
     """
 
     names: tuple[str, ...]
+    held: tuple[str, ...]
     places: NDArray[np.int64]
     channels: tuple[str, ...]
     rows: NDArray[np.int64]
     labels: NDArray[np.int64]
 
 
-def table_spans(tar: DatasetTar, placed: PlacedData, sequences: tuple[DatasetSequence, ...]) -> Iterator[SceneSpans]:
+def table_spans(
+    tar: DatasetArchive, placed: PlacedData, sequences: tuple[DatasetSequence, ...]
+) -> Iterator[SceneSpans]:
     """The spans of each scene of the release's layout. Raises a `DatasetFaultError`."""
     names = placed.tables.data.names
     places = tar.spans(names[row] for row in range(len(names)))
@@ -56,10 +61,11 @@ def table_spans(tar: DatasetTar, placed: PlacedData, sequences: tuple[DatasetSeq
         channels = (*(placed.sensor(row).sensor.channel for row in rows.tolist()), *("" for _ in drawn))
         every = np.concatenate([places[rows], tar.spans(drawn)])
         every_row = np.concatenate([rows, np.full(len(drawn), -1, np.int64)])
-        yield SceneSpans(named, every, channels, every_row, label_places(tar, sequence))
+        held = tuple(f"{tar.root}{name}" for name in named)
+        yield SceneSpans(named, held, every, channels, every_row, label_places(tar, sequence))
 
 
-def annotated_spans(tar: DatasetTar, sequence: DatasetSequence) -> SceneSpans:
+def annotated_spans(tar: DatasetArchive, sequence: DatasetSequence) -> SceneSpans:
     """The spans of a scene of Occ3D's layout. Raises a `DatasetFaultError`."""
     channels = list(sequence.channels.values())
     named = [picture_names(sequence, channel) for channel in channels]
@@ -71,13 +77,14 @@ def annotated_spans(tar: DatasetTar, sequence: DatasetSequence) -> SceneSpans:
         raise DatasetFaultError("DST-050", DatasetPlace(ANNOTATIONS), f"{quoted(name)} is missing")
     of = tuple(channel.sensor.channel for channel in channels for _ in channel.frames)
     rows = np.full(len(of), -1, np.int64)
-    return SceneSpans(tuple(chain.from_iterable(named)), places, of, rows, label_places(tar, sequence))
+    held = tuple(f"{tar.root}{name}" for name in chain.from_iterable(there))
+    return SceneSpans(tuple(chain.from_iterable(named)), held, places, of, rows, label_places(tar, sequence))
 
 
-def label_places(tar: DatasetTar, sequence: DatasetSequence) -> NDArray[np.int64]:
+def label_places(tar: DatasetArchive, sequence: DatasetSequence) -> NDArray[np.int64]:
     """Those of each frame; none of a scene without labels. Raises `DST-060`."""
     if not sequence.is_labelled:
-        return np.zeros((0, 2), np.int64)
+        return np.zeros((0, len(PLACE)), np.int64)
     places = tar.spans(sequence.label_name(frame) for frame in range(len(sequence)))
     lost = np.flatnonzero(places[:, 0] < 0)
     if len(lost):
@@ -85,7 +92,7 @@ def label_places(tar: DatasetTar, sequence: DatasetSequence) -> NDArray[np.int64
     return places
 
 
-def _maps(tar: DatasetTar, placed: PlacedData) -> Mapping[str, tuple[str, ...]]:
+def _maps(tar: DatasetArchive, placed: PlacedData) -> Mapping[str, tuple[str, ...]]:
     """The pictures of maps by token of the log: files below maps/ that are there, each once."""
     span = tar.span(placed.tables.file("map"))
     found = dict[str, dict[str, None]]()

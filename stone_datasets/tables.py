@@ -18,8 +18,8 @@ from stone_datasets.json_stream import json_rows
 from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 
 MODALITIES = ("camera", "lidar", "radar")
-# Of what is in them nothing is needed; where they are there, they are read all the same.
-OTHERS = ("attribute", "category", "instance", "map", "sample_annotation", "visibility")
+# Nothing that is in them is needed; if they are there, their tokens are compared. Boxes and their like are not opened.
+OTHERS = ("category", "map")
 # Rows that are looked for while those that name them are read.
 REFERRED = {"calibrated_sensor": "sensor", "scene": "log", "sample": "scene", "sample_data": "calibrated_sensor"}
 WIDEST_PX = 1 << 15

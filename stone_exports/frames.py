@@ -1,12 +1,11 @@
 """Frames of exports of the nuScenes layout with what every sensor gave: the input of models.
 
-**Conventions.** A scene is a sequence, a sample a frame, its token the frame's. `global_from_ego` is the robot's pose
-when a datum was measured; `ego_from_sensor` its mount. Frames are in the order of their stamps; `earlier` ones of a
-sequence are those that a prediction may see too. Nothing outside is trusted: rows are checked, sizes bounded. Files are
-opened when they are read, not before.
+**Conventions.** A scene is a sequence, a sample a frame, its token the frame's, without the dashes that a UUID has.
+`global_from_ego` is the robot's pose when a datum was measured; `ego_from_sensor` its mount. Frames are in the order of
+their stamps; `earlier` ones of a sequence are those that a prediction may see too. Nothing outside is trusted: rows are
+checked, sizes bounded. Files are opened when they are read, not before.
 """
 
-import re
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -17,9 +16,9 @@ from stone.sensors.sequence import NAME
 from stone_exports.cameras import intrinsics_of
 from stone_exports.files import ExportContent, ExportFileSpan, Files
 from stone_exports.tables import row_pose, table_rows, table_span
+from stone_files.dataset_layouts import plain_token
 
 FARTHEST_MOUNT_M, FARTHEST_POSE_M = 100.0, 1e7
-TOKEN = re.compile(r"[0-9a-f]{32}")
 LIDAR_CHANNEL = "LIDAR_TOP"
 
 
@@ -68,14 +67,15 @@ def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
     data = _data(files)
     frames = []
     for row in table_rows(files, "sample"):
-        token, sequence = str(row.get("token")), scenes.get(str(row.get("scene_token")))
-        if sequence is None or TOKEN.fullmatch(token) is None:
+        written, sequence = str(row.get("token")), scenes.get(str(row.get("scene_token")))
+        token = plain_token(written)
+        if sequence is None or token is None:
             raise table_span(files, "sample").damaged(
-                f"frame {token[:40]!r} belongs to no sequence, or is not a frame token"
+                f"frame {written[:40]!r} belongs to no sequence, or is not a frame token"
             )
-        if LIDAR_CHANNEL in data.get(token, {}):
-            labels = files.span(f"gts/{sequence}/{token}/labels.npz")
-            frames.append(ExportedFrame(token, sequence, _stamp_us(files, "sample", row), data[token], labels))
+        if LIDAR_CHANNEL in data.get(written, {}):
+            labels = files.span(f"gts/{sequence}/{written}/labels.npz")
+            frames.append(ExportedFrame(token, sequence, _stamp_us(files, "sample", row), data[written], labels))
     return tuple(sorted(frames, key=lambda frame: (frame.sequence, frame.stamp_us)))
 
 

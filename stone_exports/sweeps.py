@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 from stone.geometry.se3 import SE3
 from stone_exports.files import ExportContent, Files
 from stone_exports.tables import row_pose, table_rows, table_span
+from stone_files.dataset_layouts import plain_token
 
 CHANNEL = "LIDAR_TOP"
 COLUMNS = 5  # x y z intensity ring
@@ -54,7 +55,7 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, SweepFile]:
     found = dict[str, SweepFile]()
     for row in table_rows(files, "sample_data"):
         mount = mounts.get(str(row.get("calibrated_sensor_token")))
-        token = row.get("sample_token")
+        token = plain_token(str(row.get("sample_token")))
         if mount is None or token not in tokens or row.get("is_key_frame") is not True:
             continue
         filename = str(row.get("filename"))

@@ -20,7 +20,7 @@ from stone_files.archives import tar_spans_of
 TABLES = "v1.0-trainval"
 SAMPLE_DATA = f"{TABLES}/sample_data.json"
 EXPORTED = re.compile(
-    rf"(.*/)?({TABLES}/[a-z_]+\.json|samples/[A-Z0-9_]+/[^/]+\.(jpg|pcd|pcd\.bin)|gts/[^/]+/[0-9a-f]{{32}}/labels\.npz)"
+    rf"(.*/)?({TABLES}/[a-z_]+\.json|samples/[A-Z0-9_]+/[^/]+\.(jpg|pcd|pcd\.bin)|gts/[^/]+/[0-9a-f-]{{32,36}}/labels\.npz)"
 )
 
 

@@ -36,13 +36,23 @@ DATASET_FAULTS = {
     ),
     "DST-002": DatasetFault("There are tables in two places.", "give one version, or the folder of one dataset"),
     "DST-003": DatasetFault(
-        "The tar is compressed, so that no file in it can be read by its place.", "unpack it, or `gunzip` it first"
+        "The tar is compressed, so that no file in it can be read by its place.",
+        "`gunzip` it first; a zip is read as it is",
     ),
     "DST-004": DatasetFault(
         "A path is absolute, has `..`, or is a link to outside of the dataset.",
         "paths are relative to the dataset's folder; copy what a link leads to",
     ),
     "DST-005": DatasetFault("A table has more rows than are read.", "is it a table at all?"),
+    "DST-006": DatasetFault(
+        "The zip is cut off, has two files of one name, or is none that every program reads alike.",
+        "was the download cut off? write it again with `zip -r`",
+    ),
+    "DST-007": DatasetFault("Two files of the zip overlap, or one overlaps its directory.", "write the zip again"),
+    "DST-008": DatasetFault("A file of the zip is encrypted.", "write the zip without a password"),
+    "DST-009": DatasetFault(
+        "The files of the zip would inflate to more bytes than any dataset's do.", "is it a zip bomb?"
+    ),
     "DST-010": DatasetFault("A table is missing.", "was the dataset unpacked completely?"),
     "DST-011": DatasetFault("A table is not JSON.", "was the download cut off?"),
     "DST-012": DatasetFault("A table is JSON, but not a list of rows.", "tables are `[{…}, …]`"),
@@ -51,7 +61,7 @@ DATASET_FAULTS = {
     "DST-015": DatasetFault("A row lacks a key that is needed.", "was it written by another version of the tool?"),
     "DST-016": DatasetFault("A value is of another type than the schema says.", "is a number written as text?"),
     "DST-017": DatasetFault(
-        "A token is invalid: a frame token is 32 hex digits, any other 1 to 128 characters.",
+        "A token is invalid: a frame token is 32 hex digits or a UUID of them, any other 1 to 128 characters.",
         "frame tokens name the folders of labels and the files of submissions",
     ),
     "DST-018": DatasetFault(
@@ -122,6 +132,10 @@ DATASET_FAULTS = {
         "A file's name or folder is of another sensor than its row.", "does the row name the file of another camera?"
     ),
     "DST-042": DatasetFault("Two rows name one file.", "was a row copied without changing its file name?"),
+    "DST-043": DatasetFault(
+        "Some frame tokens are UUIDs with dashes, others 32 hex digits without.",
+        "were two datasets joined? all tokens of one have one form",
+    ),
     "DST-045": DatasetFault(
         "The splits are not an object of lists of scene names.",
         'expected is {"train": ["scene", …], …}, and one such file',
@@ -156,11 +170,13 @@ DATASET_FAULTS = {
         "gts/<scene>/<frame token>/labels.npz; was the dataset unpacked completely?",
     ),
     "DST-061": DatasetFault("A label file is not an npz file.", "was the copy cut off?"),
-    "DST-062": DatasetFault("Labels lack an array.", "labels.npz has semantics, mask_lidar and mask_camera"),
+    "DST-062": DatasetFault(
+        "Labels lack the array of classes.",
+        "`semantics` in the paper's and Occ3D's layout, `label` in the release's; was another --layout stated?",
+    ),
     "DST-063": DatasetFault(
-        "Labels are of another grid.",
-        "this platform's is 256 × 256 × 32 voxels of 0.2 m; Occ3D-nuScenes has 200 × 200 × 16 of 0.4 m, "
-        "which is another grid",
+        "Labels are of another grid than stated, or than the first labels.",
+        "was another --grid stated, or are labels of two sets mixed?",
     ),
     "DST-064": DatasetFault("Labels are of another dtype or order.", "uint8 in C order"),
     "DST-065": DatasetFault(
@@ -188,6 +204,10 @@ DATASET_FAULTS = {
     "DST-072": DatasetFault(
         "The labels of a scene occupy more voxels of a part of its map than any surface has.",
         "do the poses climb without end, or does --classes map free space to an occupied class?",
+    ),
+    "DST-073": DatasetFault(
+        "Sweeps, labels and tables do not fit together: the returns of frames lie in no occupied voxels.",
+        "state the grid with --grid; quaternions are w x y z",
     ),
 }
 

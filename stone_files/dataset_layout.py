@@ -1,4 +1,4 @@
-"""The layout of a published dataset: where its tables are, in a folder or a tar, and what of it is refused unread.
+"""The layout of a published dataset: where its tables are, in a folder, tar or zip, and what of it is refused unread.
 
 **Conventions.** A dataset lies in the folder that is given, or one below it. Its tables are in `v1.0-*/`, or all is in
 annotations.json: then its version is "". A name is a path relative to the dataset. The client refuses by the same
@@ -10,7 +10,10 @@ from collections.abc import Iterator
 from pathlib import Path
 from reprlib import Repr
 
+from stone_files.archives import MOST_FILES, tar_members
+from stone_files.byte_ranges import LocalRanges
 from stone_files.dataset_faults import QUOTED, DatasetFaultError, DatasetPlace
+from stone_files.zip_directory import ZipFaultError, checked_end, directory_members
 
 ANNOTATIONS = "annotations.json"
 VERSION_FOLDER = re.compile(r"v1\.0-[a-z0-9_-]{1,40}")
@@ -20,8 +23,10 @@ COMPRESSED = {
     b"BZh": "bzip2",
     b"\xfd7zXZ": "xz",
     b"\x28\xb5\x2f\xfd": "zstd",
-    b"PK\x03\x04": "zip",
 }
+ZIPPED = (b"PK\x03\x04", b"PK\x05\x06")
+# Faults of a zip that have a code of their own among those of datasets; all others are `DST-006`.
+ZIP_FAULTS = {"symlink": "DST-004", "overlapping_files": "DST-007", "encrypted": "DST-008"}
 SHORT = Repr()
 SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
@@ -36,8 +41,8 @@ def root_in_folder(path: Path) -> tuple[Path, str]:
     return path / root, version
 
 
-def root_in_tar(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
-    """Root, which ends in a slash or is empty, and version, by all that `head_of` answered for the tar's names.
+def root_in_archive(path: Path, heads: set[tuple[str, str]]) -> tuple[str, str]:
+    """Root, which ends in a slash or is empty, and version, by all that `head_of` answered for the archive's names.
 
     Raises `DST-001`, `DST-002`.
     """
@@ -59,6 +64,38 @@ def refuse_compressed(path: Path) -> None:
     for magic, tool in COMPRESSED.items():
         if begin.startswith(magic):
             raise DatasetFaultError("DST-003", DatasetPlace(path.name), f"it is compressed by {tool}")
+
+
+def is_zip(path: Path) -> bool:
+    """Whether the path is that of a file that begins as a zip."""
+    if not path.is_file():
+        return False
+    with path.open("rb") as file:
+        return file.read(4) in ZIPPED
+
+
+def zip_fault(path: Path, fault: ZipFaultError) -> DatasetFaultError:
+    """The refusal of a dataset whose zip has this fault."""
+    return DatasetFaultError(ZIP_FAULTS.get(fault.code, "DST-006"), DatasetPlace(path.name), str(fault))
+
+
+def refuse_archive(path: Path) -> None:
+    """Refuse a tar or zip that has no dataset, by its heads alone. Raises a `DatasetFaultError`, `bad_tar`."""
+    refuse_compressed(path)
+    heads = set[tuple[str, str]]()
+    try:
+        for name in _zip_names(path) if is_zip(path) else (name for name, _place in tar_members(path)):
+            refuse_outside(name)
+            heads |= {head} if (head := head_of(name)) else set()
+    except ZipFaultError as fault:
+        raise zip_fault(path, fault) from fault
+    root_in_archive(path, heads)
+
+
+def _zip_names(path: Path) -> Iterator[str]:
+    ranges = LocalRanges(path)
+    end = checked_end(ranges.read_at, ranges.size_bytes, MOST_FILES)
+    return (member.name for member in directory_members(ranges.read_at, end))
 
 
 def refuse_outside(name: str) -> None:

@@ -4,6 +4,7 @@ from collections.abc import Mapping
 from typing import Any
 
 from stone_base.counts import counted
+from stone_base.label_grid import grid_of
 from stone_client.tables import DASH, plain_table, safe_text, show
 
 MOST_SEQUENCES = 60
@@ -32,8 +33,14 @@ def _classes(record: Mapping[str, Any]) -> Any:
     """Shares of the occupied voxels, and how many frames have which mask."""
     title = f"Labels of {counted(record['labelled_frames'], 'frame')}, by the classes of {safe_text(record['classes'])}"
     table = plain_table(title, "", "")
+    table.add_row("grid", safe_text(str(grid_of(record["grid"]))))
     for name, share in record["class_share_of_occupied"].items():
         table.add_row(f"{name} of the occupied voxels", DASH if share is None else f"{share:.1%}")
+    if record["returns_in_occupied"] is not None:
+        shares = record["returns_in_occupied"]
+        for name, key in (("their own labels", "own_frame"), ("labels of a frame near by", "frame_near_by")):
+            if "as stated" in shares[key]:
+                table.add_row(f"LiDAR returns in occupied voxels of {name}", f"{shares[key]['as stated']:.1%}")
     for name, count in record["masks"].items():
         table.add_row(f"frames with {name}", str(count))
     return table

@@ -1,4 +1,4 @@
-"""Local datasets to send: a tar as it is, or a folder as the tar that it would make, of which no copy is written.
+"""Local datasets to send: a tar or zip as it is, a folder as the tar that it would make, of which no copy is written.
 
 **Conventions.** Equal folders give equal tars, so that a client that was killed goes on with the same upload. What has
 no plain name (`stone_files/archives.py`: hidden files, blanks) cannot be in a dataset and is not sent. What the
@@ -25,17 +25,8 @@ from stone_files.archives import (
     ArchiveMembers,
     Segment,
     layout,
-    tar_members,
 )
-from stone_files.dataset_layout import (
-    head_of,
-    is_below,
-    leaving,
-    refuse_compressed,
-    refuse_outside,
-    root_in_folder,
-    root_in_tar,
-)
+from stone_files.dataset_layout import is_below, leaving, refuse_archive, root_in_folder
 
 ENDING = ".tar"
 
@@ -76,28 +67,18 @@ class DatasetFolderTar:
 
 def dataset_name(path: Path) -> str:
     """The default name of a dataset that lies there."""
-    return path.resolve().name.removesuffix(ENDING)
+    return path.resolve().name.removesuffix(ENDING).removesuffix(".zip")
 
 
 def hashed_dataset(path: Path, progress: Report) -> LocalContent:
-    """The dataset in a folder or a tar with its hash.
+    """The dataset in a folder, tar or zip with its hash.
 
     Raises a `DatasetFaultError`, `bad_tar`, `file_changed`.
     """
     if path.is_dir():
         return _hashed_folder(path, progress)
-    _refuse_layout(path)
+    refuse_archive(path)
     return hashed(path, progress)
-
-
-def _refuse_layout(path: Path) -> None:
-    """What the server would refuse of a tar by its heads alone."""
-    refuse_compressed(path)
-    heads = set[tuple[str, str]]()
-    for name, _place in tar_members(path):
-        refuse_outside(name)
-        heads |= {head} if (head := head_of(name)) else set()
-    root_in_tar(path, heads)
 
 
 def _hashed_folder(path: Path, progress: Report) -> DatasetFolderTar:

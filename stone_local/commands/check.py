@@ -12,9 +12,28 @@ from stone_local.dataset_tables import show_contents
 
 if TYPE_CHECKING:
     from stone_datasets.reading import DatasetCheck
+    from stone_files.byte_ranges import ByteRanges
 
 DatasetArgument = Annotated[
-    Path, typer.Argument(metavar="DATASET", exists=True, help="A folder or a tar: nuScenes tables, or Occ3D's layout.")
+    str,
+    typer.Argument(
+        metavar="DATASET",
+        help="A folder, tar or ZIP: nuScenes tables, or Occ3D's layout; or the address of a ZIP.",
+    ),
+]
+LayoutOption = Annotated[
+    str | None,
+    typer.Option(
+        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
+    ),
+]
+GridOption = Annotated[
+    str | None,
+    typer.Option(
+        "--grid",
+        metavar="NAME|FILE",
+        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
+    ),
 ]
 ClassesOption = Annotated[
     Path | None,
@@ -28,20 +47,24 @@ FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help=
 def check(
     dataset: DatasetArgument,
     classes: ClassesOption = None,
+    layout: LayoutOption = None,
+    grid: GridOption = None,
     faults: FaultsOption = 100,
     as_json: JsonOption = False,
 ) -> None:
     """Check a published dataset completely and show its contents, or its faults by table, row and file.
 
-    Every row of the tables, every sweep, scan and label file is read; of pictures the head and the end. Exit code 1
-    where anything is wrong.
+    Every row of the tables, every sweep, scan and label file is read; of pictures the head and the end. A ZIP is read
+    where it lies, and nothing is unpacked. Exit code 1 if anything is wrong.
     """
     from stone_datasets.classes import OWN_CLASSES, read_class_map
     from stone_datasets.reading import check_dataset
+    from stone_datasets.stated_layout import StatedLayout, read_grid
 
+    where, stated = _opened(dataset), StatedLayout(layout, None if grid is None else read_grid(grid))
     said = OWN_CLASSES if classes is None else read_class_map(classes)
     with reported() as progress:
-        found = check_dataset(dataset, said, faults, lambda done, of: progress("frames", done, of))
+        found = check_dataset(where, said, faults, lambda done, of: progress("frames", done, of), stated)
     if found.contents is None:
         _refuse(found, as_json=as_json)
     record = found.contents.as_record()
@@ -51,13 +74,25 @@ def check(
         show_contents(record)
 
 
+def _opened(dataset: str) -> "Path | ByteRanges":
+    """The path, or the ranges of an address."""
+    from stone_local.url_ranges import is_url, open_url
+
+    if is_url(dataset):
+        return open_url(dataset)
+    path = Path(dataset)
+    if not path.exists():
+        raise typer.BadParameter(f"{dataset!r} does not exist", param_hint="DATASET")
+    return path
+
+
 def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
     """Every fault on a line of its own, then how far the check came."""
     for fault in found.faults.found:
         echo_notice(f"{fault.code}: {fault}")
     if found.faults.total > len(found.faults.found):
         echo_notice(f"… and {found.faults.total - len(found.faults.found)} more")
-    if found.reached != "files":
+    if found.reached not in ("files", "sweeps"):
         echo_notice(f"These are of its {found.reached}: what follows was not checked; fix them and check again")
     if as_json:
         faults = [fault.as_record() for fault in found.faults.found]

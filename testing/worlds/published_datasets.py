@@ -42,7 +42,7 @@ class SyntheticDataset:
     """What to write: scenes of `frames`, the first `longer` of one more.
 
     `labels` are taken in turn; none: a test set. After `turns_after` frames the robot drives back and forth again; 0:
-    on and on.
+    on and on. So many scenes, `drive_scenes`, are chunks of one drive: of one log, their stamps and poses join.
     """
 
     scenes: int = 2
@@ -54,6 +54,7 @@ class SyntheticDataset:
     splits: Mapping[str, Sequence[str]] | None = None
     locations: Sequence[str] = ("field",)
     turns_after: int = 0
+    drive_scenes: int = 1
 
     @property
     def names(self) -> tuple[str, ...]:
@@ -69,7 +70,12 @@ class SyntheticDataset:
         return self.frames + (scene < self.longer)
 
     def stamp_us(self, scene: int, frame: int) -> int:
-        return FIRST_US + scene * SCENE_US + frame * STEP_US
+        before = sum(self.length(one) for one in range(self.first_of_drive(scene), scene))
+        return FIRST_US + scene // self.drive_scenes * SCENE_US + (before + frame) * STEP_US
+
+    def first_of_drive(self, scene: int) -> int:
+        """The first scene of the drive that a scene is a chunk of."""
+        return scene // self.drive_scenes * self.drive_scenes
 
     def location(self, scene: int) -> str:
         return self.locations[min(scene, len(self.locations) - 1)]
@@ -154,6 +160,7 @@ def tables_of(what: SyntheticDataset) -> Mapping[str, Iterator[Row]]:
         "log": (
             {"token": _of("log", name), "logfile": LOGFILE, "vehicle": "rover", "location": what.location(scene)}
             for scene, name in enumerate(what.names)
+            if scene % what.drive_scenes == 0
         ),
         "scene": (_scene(what, scene) for scene in range(what.scenes)),
         "sample": (row for scene in range(what.scenes) for row in _samples(what, scene)),
@@ -184,7 +191,7 @@ def _scene(what: SyntheticDataset, scene: int) -> Row:
     tokens, name = what.tokens(scene), what.names[scene]
     return {
         "token": _of("scene", name),
-        "log_token": _of("log", name),
+        "log_token": _of("log", what.names[what.first_of_drive(scene)]),
         "nbr_samples": what.length(scene),
         "first_sample_token": tokens[0],
         "last_sample_token": tokens[-1],
@@ -215,7 +222,7 @@ def _poses(what: SyntheticDataset, scene: int) -> Iterator[Row]:
 
 def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
     """`rotation` and `translation` of the robot at a stamp."""
-    moved_us, turn_us = stamp_us - what.stamp_us(scene, 0), what.turns_after * STEP_US
+    moved_us, turn_us = stamp_us - what.stamp_us(what.first_of_drive(scene), 0), what.turns_after * STEP_US
     if turn_us:
         moved_us = turn_us - abs(moved_us % (2 * turn_us) - turn_us)
     pose = global_from_ego(START_US + moved_us)

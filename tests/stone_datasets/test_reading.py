@@ -142,7 +142,7 @@ def test_a_check_counts_frames_files_classes_and_bytes(good: Path) -> None:
 
 def test_annotations_alone_are_a_dataset_of_cameras(good: Path, good_annotated: Path) -> None:
     index, tables = read_dataset(good_annotated), read_dataset(good)
-    assert index.layout == "occ3d"
+    assert (index.layout.name, index.files.version) == ("paper", "")
     for sequence, wanted in zip(index.sequences, tables.sequences, strict=True):
         assert sequence.tokens == wanted.tokens
         assert sequence.stamps_ns.tolist() == wanted.stamps_ns.tolist()

@@ -63,7 +63,7 @@ class ImportedFacts:
 
 @dataclass(frozen=True)
 class NewImport:
-    """The import of the dataset in a complete upload of a tar, called `name`, or else as its file is.
+    """The import of the dataset in a complete upload of a tar or zip, called `name`, or else as its file is.
 
     Without `classes` its labels are numbered as ours. A scene that is called as a sequence of the owner's is refused,
     or (`existing` "add") its labels become another label set of that sequence. With `sets_splits` the draft splits
@@ -91,7 +91,7 @@ def start_import(session: Session, owner: User, new: NewImport) -> tuple[Dataset
         id=new_id(),
         owner_id=owner.id,
         upload_id=upload.id,
-        name=(new.name or upload.filename.removesuffix(".tar"))[:LONGEST_NAME],
+        name=(new.name or upload.filename.removesuffix(".tar").removesuffix(".zip"))[:LONGEST_NAME],
         sha256=upload.sha256,
         size_bytes=upload.length_bytes,
         classes=new.classes.as_record() if new.classes else None,

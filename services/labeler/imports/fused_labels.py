@@ -20,12 +20,14 @@ from services.labeler.run import Tile
 from services.labeler.scratch import tile_name
 from stone.geometry.lattice import BIAS, EMPTY, MASK, Keys, indices_of, pack, slot_of
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
+from stone.labels.grid import Grid
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_datasets.faults import DatasetPlace
 from stone_files.dataset_faults import DatasetFaultError
 
 # Votes for the classes of map voxels: each occupied voxel of a frame votes for the map voxel that its centre lies in.
+# A voxel of a coarser grid is voted for as the cubes of 0.2 m that it consists of.
 #
 # **Conventions.** Votes lie in bricks of 8 × 8 × 8 map voxels, found by their keys of `stone.geometry.lattice`; a
 # voxel has one word, the votes for T in its lowest 21 bits, for P in the next, for N in the highest. At most eight
@@ -37,7 +39,6 @@ SIDE, SHIFT, CELLS = 8, 3, 512
 BITS = 21
 MOST_BRICKS = 16384  # 64 MiB of votes
 MOST_FRAMES = 1 << 18
-WORDS_A_COLUMN = GRID_SHAPE[2] // 8
 
 
 @dataclass(frozen=True, eq=False)
@@ -53,6 +54,7 @@ class VoteBricks:
     """Bricks that votes are counted in, empty at first. `size` is a power of two."""
 
     size: int = MOST_BRICKS
+    grid: LabelGrid = PAPER
     _table: Keys = field(init=False)
     _rows: NDArray[np.int32] = field(init=False)
     _keys: Keys = field(init=False)
@@ -75,9 +77,9 @@ class VoteBricks:
         if self._state[1] >= MOST_FRAMES:
             return begun
         words = np.require(classes.reshape(-1), requirements=("C", "A")).view(np.uint64)
-        start, step = _placed(map_from_ego)
+        start, step = _placed(map_from_ego, self.grid)
         bricks = (self._table, self._rows, self._keys, self._votes, self._state)
-        column = int(_vote(words, (start, step), begun, bricks))
+        column = int(_vote(words, (start, step, self.grid.pooled), (self.grid.shape, begun), bricks))
         self._state[1] += column < 0
         return column
 
@@ -101,46 +103,49 @@ class VoteBricks:
         return found
 
 
-def _placed(map_from_ego: SE3) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Where the centre of voxel [0, 0, 0] lies in units of map voxels (3,), and what one further along each axis adds,
-    the columns of (3, 3)."""
+def _placed(map_from_ego: SE3, grid: LabelGrid) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Where the centre of the first cube of voxel [0, 0, 0] lies in units of map voxels (3,), and what the next cube
+    along each axis adds, the columns of (3, 3)."""
     step = map_from_ego.rotation()
-    first = np.array(GRID_MIN_M) / VOXEL_M + 0.5
+    first = np.array(grid.min_m) / VOXEL_M + 0.5
     return map_from_ego.translation_m / VOXEL_M + step @ first, np.ascontiguousarray(step)
 
 
 @njit(cache=True, nogil=True)
-def _vote(words, placed, begun, bricks):  # type: ignore[no-untyped-def]
+def _vote(words, placed, columns, bricks):  # type: ignore[no-untyped-def]
     """A word is eight voxels of a column. The brick of the voxel before is looked at first: it mostly is the same."""
-    (start, step), (table, rows, keys, votes, state) = placed, bricks
-    last_key, row = np.int64(EMPTY), 0
-    for column in range(begun, GRID_SHAPE[0] * GRID_SHAPE[1]):
-        a, b = column >> 8, column & 255
+    (start, step, pooled), (shape, begun), (table, rows, keys, votes, state) = placed, columns, bricks
+    last_key, row, words_a_column, cubes = np.int64(EMPTY), 0, shape[2] // 8, pooled**3
+    for column in range(begun, shape[0] * shape[1]):
+        a, b = column // shape[1] * pooled, column % shape[1] * pooled
         x = start[0] + a * step[0, 0] + b * step[0, 1]
         y = start[1] + a * step[1, 0] + b * step[1, 1]
         z = start[2] + a * step[2, 0] + b * step[2, 1]
-        if state[0] + GRID_SHAPE[2] > keys.size:  # a column may need as many new bricks as it has voxels
+        if state[0] + shape[2] * cubes > keys.size:  # a column may need as many new bricks as it has cubes
             return column
-        for part in range(WORDS_A_COLUMN):
-            word = words[column * WORDS_A_COLUMN + part]
+        for part in range(words_a_column):
+            word = words[column * words_a_column + part]
             if word == 0:
                 continue
-            for c in range(8 * part, 8 * part + 8):
-                kind = (word >> np.uint64(8 * (c & 7))) & np.uint64(3)
+            for voxel in range(8 * part, 8 * part + 8):
+                kind = (word >> np.uint64(8 * (voxel & 7))) & np.uint64(3)
                 if kind == 0:
                     continue
-                i = np.int64(np.floor(x + c * step[0, 2]))
-                j = np.int64(np.floor(y + c * step[1, 2]))
-                k = np.int64(np.floor(z + c * step[2, 2]))
-                key = pack(i >> SHIFT, j >> SHIFT, k >> SHIFT)  # type: ignore[arg-type]
-                if key != last_key:
-                    slot = slot_of(table, key)
-                    if table[slot] == EMPTY:
-                        table[slot], rows[slot], keys[state[0]] = key, state[0], key
-                        state[0] += 1
-                    last_key, row = key, rows[slot]
-                cell = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
-                votes[row, cell] += np.uint64(1) << (np.uint64(BITS) * (kind - np.uint64(1)))
+                for cube in range(cubes):
+                    e, f = cube // (pooled * pooled), cube // pooled % pooled
+                    c = voxel * pooled + cube % pooled
+                    i = np.int64(np.floor(x + e * step[0, 0] + f * step[0, 1] + c * step[0, 2]))
+                    j = np.int64(np.floor(y + e * step[1, 0] + f * step[1, 1] + c * step[1, 2]))
+                    k = np.int64(np.floor(z + e * step[2, 0] + f * step[2, 1] + c * step[2, 2]))
+                    key = pack(i >> SHIFT, j >> SHIFT, k >> SHIFT)  # type: ignore[arg-type]
+                    if key != last_key:
+                        slot = slot_of(table, key)
+                        if table[slot] == EMPTY:
+                            table[slot], rows[slot], keys[state[0]] = key, state[0], key
+                            state[0] += 1
+                        last_key, row = key, rows[slot]
+                    cell = ((i & 7) << 6) | ((j & 7) << 3) | (k & 7)
+                    votes[row, cell] += np.uint64(1) << (np.uint64(BITS) * (kind - np.uint64(1)))
     return -1
 
 

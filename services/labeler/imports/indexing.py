@@ -1,7 +1,8 @@
 """What a sandboxed child does to index a dataset: its tables are checked and parted by scene.
 
-**Conventions.** No file of a sensor and no labels are opened (of Occ3D's layout the first picture of each camera is,
-for its size). Everything is streamed: what is held grows by some hundred bytes a row.
+**Conventions.** Of the files of sensors and labels only those of some frames are opened, to see that they fit together,
+and of Occ3D's layout the first picture of each camera, for its size. Everything is streamed: what is held grows by some
+hundred bytes a row.
 """
 
 from collections.abc import Iterator
@@ -10,7 +11,7 @@ from pathlib import Path
 import numpy as np
 
 from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
-from services.labeler.imports.scene_parts import TABLES, DatasetOpening, scene_folder, write_scene_parts
+from services.labeler.imports.scene_parts import TABLES, DatasetOpening, SceneAbout, scene_folder, write_scene_parts
 from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence
@@ -18,7 +19,8 @@ from stone.splits.surroundings import REGION, UNSAID
 from stone_datasets.annotations import write_annotated_tables
 from stone_datasets.build import PlacedData
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.files import DatasetTar
+from stone_datasets.files import DatasetArchive
+from stone_datasets.grid_fit import check_fit
 from stone_datasets.index import DatasetIndex
 from stone_datasets.reading import read_tables_of
 from stone_datasets.scene_spans import SceneSpans, annotated_spans, table_spans
@@ -38,17 +40,21 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     reading = read_tables_of(opening.dataset)
     progress("check", 1, 1)
     index, tar = reading.index, reading.index.files
-    if not isinstance(tar, DatasetTar):
+    if not isinstance(tar, DatasetArchive):
         raise DatasetFaultError(
-            "DST-001", DatasetPlace(opening.dataset.name), "it is a folder, where a tar is imported"
+            "DST-001", DatasetPlace(opening.dataset.name), "it is a folder, where a tar or zip is imported"
         )
+    check_fit(index, opening.classes)
     inputs = {opening.name: opening.sha256}
     for ordinal in range(len(index.sequences)):
         (folder / scene_folder(ordinal) / TABLES).mkdir(parents=True)
     placed = reading.placed
     scenes = _annotated(index, tar, inputs) if placed is None else _tabled(index, tar, (placed, inputs))
     for ordinal, (sequence, spans) in enumerate(scenes):
-        write_scene_parts(folder / scene_folder(ordinal), tar.version, sequence, spans)
+        about = SceneAbout(
+            tar.version, tar.root, index.layout.name, index.grid.as_record(), index.sequences[ordinal].has_dashes
+        )
+        write_scene_parts(folder / scene_folder(ordinal), about, sequence, spans)
         progress("index", ordinal, len(index.sequences))
     progress("index", len(index.sequences), len(index.sequences))
     _write_tables(index, placed, folder)
@@ -56,18 +62,18 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     return _answer(index).packed()
 
 
-def _tabled(index: DatasetIndex, tar: DatasetTar, of: tuple[PlacedData, dict[str, str]]) -> Iterator[Scene]:
+def _tabled(index: DatasetIndex, tar: DatasetArchive, of: tuple[PlacedData, dict[str, str]]) -> Iterator[Scene]:
     placed, inputs = of
     order = np.argsort(placed.scene, kind="stable")
     bounds = np.searchsorted(placed.scene[order], np.arange(len(index.sequences) + 1)).tolist()
     for ordinal, spans in enumerate(table_spans(tar, placed, index.sequences)):
         data = placed_data(placed, order[bounds[ordinal] : bounds[ordinal + 1]])
-        yield sequence_of(index.sequences[ordinal], data, inputs), spans
+        yield sequence_of(index.sequences[ordinal], data, inputs, index.grid), spans
 
 
-def _annotated(index: DatasetIndex, tar: DatasetTar, inputs: dict[str, str]) -> Iterator[Scene]:
+def _annotated(index: DatasetIndex, tar: DatasetArchive, inputs: dict[str, str]) -> Iterator[Scene]:
     for scene in index.sequences:
-        yield sequence_of(scene, annotated_data(scene), inputs), annotated_spans(tar, scene)
+        yield sequence_of(scene, annotated_data(scene), inputs, index.grid), annotated_spans(tar, scene)
 
 
 def _write_tables(index: DatasetIndex, placed: PlacedData | None, folder: Path) -> None:

@@ -23,7 +23,7 @@ from services.labeler.child_answers import PackAnswer, PublicationAnswer, Range,
 from services.labeler.exports.nuscenes.tables import VERSION
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.frames import GRIDS, FrameVoxelCounts
-from services.labeler.imports.fused_labels import FusedLabels
+from services.labeler.imports.fused_labels import FusedLabels, VoteBricks
 from services.labeler.imports.label_counts import class_counts, set_count
 from services.labeler.imports.map_products import PROFILE, MapFacts, write_map_products
 from services.labeler.imports.scene_parts import (
@@ -41,12 +41,10 @@ from services.runtime.code_version import code_version
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.store.packs import PackWriter, index_bytes, pieces_of
 from stone.findings import Finding
-from stone.labels.grid import GRID_SHAPE, Grid
-from stone.sensors.sequence import Sequence
+from stone.labels.grid import Grid
 from stone.splits.composition import duration_ns, path_length_m
 from stone_datasets.classes import MEANINGS, OWN_CLASSES, ClassMap
 from stone_datasets.faults import DatasetPlace
-from stone_datasets.index import label_folder
 from stone_datasets.labels import FrameLabels, read_labels
 from stone_datasets.samples import check_sample
 from stone_exports.files import ExportFileSpan
@@ -95,15 +93,13 @@ def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
 
 def _checked(parts: SceneParts, number: int, sensors: dict[str, ExportedSensor]) -> ExportFileSpan:
     """The span of a file, which is what its sensor gives; of a map nothing is asked."""
-    spans = parts.spans
-    span = ExportFileSpan(parts.tar, spans.names[number], *spans.places[number].tolist())
-    channel, row = spans.channels[number], int(spans.rows[number])
+    span, channel, row = parts.file(number), parts.spans.channels[number], int(parts.spans.rows[number])
     if not channel:
         return span
     if channel not in sensors:
         raise scene_damaged(f"{span.name} is of {channel!r}, which the rig does not have")
-    table = ANNOTATIONS if row < 0 else f"{parts.version}/sample_data.json"
-    check_sample(span, sensors[channel], DatasetPlace(table, None if row < 0 else row + 1))
+    place = DatasetPlace(ANNOTATIONS) if row < 0 else DatasetPlace(f"{parts.about.version}/sample_data.json", row + 1)
+    check_sample(span, sensors[channel], place, has_no_returns=parts.layout.has_no_returns)
     return span
 
 
@@ -148,9 +144,8 @@ def copied_labels(parts: SceneParts, classes: ClassMap, out: Path, into: Importe
     """
     (out / LABELS).mkdir(parents=True)
     classes = OWN_CLASSES if np.array_equal(classes.meaning, OWN_CLASSES.meaning) else classes
-    tokens, folder = parts.sequence.frames.tokens, label_folder(parts.sequence.name)
-    for frame, (offset, size) in enumerate(parts.spans.labels.tolist()):
-        labels = read_labels(ExportFileSpan(parts.tar, f"{folder}/{tokens[frame]}/labels.npz", offset, size), classes)
+    for frame in range(len(parts.spans.labels)):
+        labels = read_labels(parts.label_file(frame), classes, parts.layout)
         path = out / LABELS / f"{frame // FRAMES_A_PACK * FRAMES_A_PACK:06d}.pack"
         _add(labels, path, into)
         yield labels.classes
@@ -158,7 +153,7 @@ def copied_labels(parts: SceneParts, classes: ClassMap, out: Path, into: Importe
 
 def _add(labels: FrameLabels, path: Path, into: ImportedLabels) -> None:
     masks = {"mask_lidar": labels.mask_lidar, "mask_camera": labels.mask_camera}
-    grids = [np.ones(GRID_SHAPE, np.uint8) if mask is None else mask for mask in masks.values()]
+    grids = [np.ones_like(labels.classes) if mask is None else mask for mask in masks.values()]
     payload = labels.content
     if payload is None:
         payload = npz_bytes(dict(zip(GRIDS, (labels.classes, *grids), strict=True)))
@@ -196,12 +191,15 @@ def _labels(parts: SceneParts, opening: SceneOpening, progress: ProgressCallback
     """The labels in packs, and what is made of them."""
     sequence, out, labels = parts.sequence, parts.folder / OUT, ImportedLabels()
     scratch = parts.folder / SCRATCH
-    fused, poses = FusedLabels(sequence.name, scratch / "votes"), sequence.frames.map_from_ego
+    fused, poses = (
+        FusedLabels(sequence.name, scratch / "votes", VoteBricks(grid=parts.layout.grid)),
+        sequence.frames.map_from_ego,
+    )
     for frame, classes in enumerate(copied_labels(parts, opening.classes, out, labels)):
         fused.add(classes, poses[frame])
         progress("labels", frame + 1, len(poses))
     mapped = write_map_products(fused, sequence, (out, scratch), lambda done, total: progress("map", done, total))
-    (out / REPORT).write_text(report_text(sequence, opening.classes, labels, mapped))
+    (out / REPORT).write_text(report_text(parts, opening.classes, labels, mapped))
     return labels
 
 
@@ -236,9 +234,9 @@ NO_MASK = {
 }
 
 
-def report_text(sequence: Sequence, classes: ClassMap, labels: ImportedLabels, mapped: MapFacts) -> str:
+def report_text(parts: SceneParts, classes: ClassMap, labels: ImportedLabels, mapped: MapFacts) -> str:
     """The file."""
-    counts = labels.counts()
+    counts, sequence = labels.counts(), parts.sequence
     record = {
         "sequence": sequence.name,
         "code_version": code_version("imports"),
@@ -246,6 +244,8 @@ def report_text(sequence: Sequence, classes: ClassMap, labels: ImportedLabels, m
         "excluded": [],
         "pose_source": sequence.pose_source,
         "map_origin_deg_m": None,
+        "grid": parts.layout.grid.as_record(),
+        "layout": parts.layout.name,
         "inputs": dict(sequence.inputs),
         "parameters": {"profile": PROFILE, "classes": class_record(classes)},
         "class_share_of_occupied": _shares(counts),

@@ -1,17 +1,17 @@
 """What the index of a dataset leaves of a scene for its import.
 
     scenes/<ordinal>/sequence.npz   the synchronised sequence
-    scenes/<ordinal>/files.npz      spans of its files and labels in the tar
-    scenes/<ordinal>/about.json     the folder of tables in the dataset, "" where it has none
+    scenes/<ordinal>/files.npz      spans of its files and labels in the archive
+    scenes/<ordinal>/about.json     `SceneAbout`
     scenes/<ordinal>/tables/…       its tables and splits
 
-**Conventions.** Spans lie within the tar, or are refused when they are read.
+**Conventions.** Spans lie within the tar or zip, or are refused when they are read.
 """
 
 import io
 import json
 import zipfile
-from dataclasses import dataclass
+from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
@@ -20,31 +20,68 @@ from numpy.typing import NDArray
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from stone.errors import Refused
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import grid_of
 from stone_datasets.classes import ClassMap
+from stone_datasets.index import label_name
 from stone_datasets.scene_spans import SceneSpans
+from stone_datasets.zip_files import PLACE, placed_span
+from stone_exports.files import ExportFileSpan
+from stone_files.byte_ranges import LocalRanges
+from stone_files.dataset_layouts import DatasetLayout, named_layout
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
 
 FILES, ABOUT, TABLES = "files.npz", "about.json", "tables"
 
 
+@dataclass(frozen=True)
+class SceneAbout:
+    """What a scene shares with its dataset.
+
+    `version` is the folder of tables, "" if there is none; `root` the folder in the archive; `layout` a name of
+    `LAYOUTS`; `grid` that of its labels as a record. With `has_dashes` the dataset writes tokens as UUIDs.
+    """
+
+    version: str
+    root: str
+    layout: str
+    grid: dict[str, object]
+    has_dashes: bool
+
+    def labels_as(self) -> DatasetLayout:
+        """Return the layout of its label files. Raises `bad_layout`, `bad_grid`."""
+        return named_layout(self.layout).with_grid(grid_of(self.grid))
+
+
 @dataclass(frozen=True, eq=False)
 class SceneParts:
-    """The scene in the folder `folder`, whose files lie in `tar`."""
+    """The scene in the folder `folder`, whose files lie in the archive `tar`."""
 
     folder: Path
     tar: Path
-    version: str
+    about: SceneAbout
+    layout: DatasetLayout
     sequence: Sequence
     spans: SceneSpans
 
+    def file(self, number: int) -> ExportFileSpan:
+        """The file of this place among `spans.names`."""
+        names = (self.spans.names[number], self.spans.held[number])
+        return placed_span(LocalRanges(self.tar), names, self.spans.places[number])
 
-def write_scene_parts(folder: Path, version: str, sequence: Sequence, spans: SceneSpans) -> None:
+    def label_file(self, frame: int) -> ExportFileSpan:
+        """The labels of this frame, by the name that the dataset gives them."""
+        token, has_dashes = self.sequence.frames.tokens[frame], self.about.has_dashes
+        name = label_name(self.sequence.name, token, has_dashes=has_dashes)
+        return placed_span(LocalRanges(self.tar), (name, f"{self.about.root}{name}"), self.spans.labels[frame])
+
+
+def write_scene_parts(folder: Path, about: SceneAbout, sequence: Sequence, spans: SceneSpans) -> None:
     """Write all but the tables into the folder, which is there."""
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
-    (folder / ABOUT).write_text(json.dumps({"version": version}))
+    (folder / ABOUT).write_text(json.dumps(asdict(about)))
     numbers = {"places": spans.places, "rows": spans.rows, "labels": spans.labels}
-    names = {"names": _joined(spans.names), "channels": _joined(spans.channels)}
+    names = {"names": _joined(spans.names), "held": _joined(spans.held), "channels": _joined(spans.channels)}
     (folder / FILES).write_bytes(npz_bytes({**numbers, **names}))
 
 
@@ -52,26 +89,30 @@ def read_scene_parts(folder: Path, tar: Path) -> SceneParts:
     """Raises `scene_damaged`."""
     try:
         sequence = read_sequence((folder / SEQUENCE_FILE).read_bytes())
-        version = str(json.loads((folder / ABOUT).read_bytes())["version"])
+        about = SceneAbout(**json.loads((folder / ABOUT).read_bytes()))
+        layout = about.labels_as()
         with np.load(io.BytesIO((folder / FILES).read_bytes()), allow_pickle=False) as arrays:
             numbers = [arrays[key].astype(np.int64) for key in ("places", "rows", "labels")]
-            names, channels = (_parted(arrays[key]) for key in ("names", "channels"))
-    except (OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
+            names, held, channels = (_parted(arrays[key]) for key in ("names", "held", "channels"))
+    except (Refused, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise scene_damaged(f"{folder.name} cannot be read ({error})") from error
     places, rows, labels = numbers
-    parts = SceneParts(folder, tar, version, sequence, SceneSpans(names, places, channels, rows, labels))
+    spans = SceneSpans(names, held, places, channels, rows, labels)
+    parts = SceneParts(folder, tar, about, layout, sequence, spans)
     _check(parts)
     return parts
 
 
 def _check(parts: SceneParts) -> None:
     spans, size_bytes = parts.spans, parts.tar.stat().st_size
-    counts = {len(spans.names), len(spans.channels), len(spans.places), len(spans.rows)}
-    if len(counts) > 1 or spans.places.shape[1:] != (2,) or spans.labels.shape != (len(parts.sequence.frames), 2):
+    counts = {len(spans.names), len(spans.held), len(spans.channels), len(spans.places), len(spans.rows)}
+    wanted = (len(parts.sequence.frames), len(PLACE))
+    if len(counts) > 1 or spans.places.shape[1:] != wanted[1:] or spans.labels.shape != wanted:
         raise scene_damaged(f"{parts.folder.name} has not as many spans as files, or as labels as frames")
-    for offset, size in np.concatenate([spans.places, spans.labels]).tolist():
-        if offset < 0 or size < 0 or offset + size > size_bytes:
-            raise scene_damaged(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the tar")
+    for offset, size, packed, limit, *_ in np.concatenate([spans.places, spans.labels]).tolist():
+        stop = offset + size if packed < 0 else limit
+        if offset < 0 or size < 0 or not offset <= stop <= size_bytes:
+            raise scene_damaged(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the archive")
 
 
 def _joined(words: tuple[str, ...]) -> NDArray[np.uint8]:

@@ -13,10 +13,10 @@ from numpy.typing import NDArray
 from stone.geometry.lattice import BIAS
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
-from stone.labels.grid import GRID_MIN_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.sequence import Association, Frames, Sequence
+from stone_base.label_grid import LabelGrid
 from stone_datasets.build import NS_PER_US, PlacedData
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.index import DatasetChannel, DatasetSequence
@@ -24,19 +24,24 @@ from stone_exports.frames import LIDAR_CHANNEL
 from stone_files.dataset_faults import DatasetFaultError
 
 POSE_SOURCE = "dataset"
-# The poses of frames whose grids are whole within the lattice of voxels.
-FARTHEST_M = (BIAS - 2) * VOXEL_M + 2 * GRID_MIN_M[0]
 Poses = tuple[NDArray[np.int64], NDArray[np.float64]]
 
 
-def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str]) -> Sequence:
+def farthest_m(grid: LabelGrid) -> float:
+    """Return how far frames may be from the origin, so that their grids are whole within the lattice of voxels."""
+    return (BIAS - 2) * VOXEL_M - 2 * max(map(abs, (*grid.min_m, *grid.max_m)))
+
+
+def sequence_of(scene: DatasetSequence, data: Poses, inputs: Mapping[str, str], grid: LabelGrid) -> Sequence:
     """The sequence of a scene; `data` are the stamps (N,) and ego poses (N, 7) of all its data, the LiDAR's first.
 
     Raises `DST-049`.
     """
     reach_m = float(np.abs(scene.map_from_ego.translation_m).max())
-    if reach_m >= FARTHEST_M:
-        what = f"scene {scene.name} reaches {reach_m:.0f} m from its origin, at most {FARTHEST_M:.0f} m are mapped"
+    if reach_m >= farthest_m(grid):
+        what = (
+            f"scene {scene.name} reaches {reach_m:.0f} m from its origin, at most {farthest_m(grid):.0f} m are mapped"
+        )
         raise DatasetFaultError("DST-049", DatasetPlace("ego_pose"), what)
     stamps_ns, first = np.unique(data[0], return_index=True)
     others = {name: channel for name, channel in scene.channels.items() if name != LIDAR_CHANNEL}

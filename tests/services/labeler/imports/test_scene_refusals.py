@@ -45,7 +45,7 @@ def _spans(change: Callable[[np.ndarray, np.ndarray], object]) -> Damage:
         folder = out / "scenes" / "000000"
         parts = read_scene_parts(folder, out / "dataset.tar")
         change(parts.spans.places, parts.spans.labels)
-        write_scene_parts(folder, parts.version, parts.sequence, parts.spans)
+        write_scene_parts(folder, parts.about, parts.sequence, parts.spans)
 
     return damage
 

@@ -1,0 +1,201 @@
+"""Do tables, sweeps and labels fit together? The share of LiDAR returns that lie in occupied voxels of their labels.
+
+**Conventions.** Of frames evenly sampled, every return within the grid and at least `NEAREST_M` from the ego origin in
+plan counts; it is explained if it lies in an occupied voxel, or a quarter of a voxel above or below one. The share is
+measured for the grid as stated and for each way to misread one: other voxel sizes, half a voxel off, the LiDAR's mount
+with its quaternion read x y z w. Poses are judged by returns of a frame in the labels of another one, `APART_M` away. A
+reading that explains many more returns than the stated one refutes it.
+
+The limits are set by what right and wrong datasets measure (docs/formats/datasets.md, "Returns in occupied voxels").
+"""
+
+from collections.abc import Iterable, Iterator, Mapping
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone_base.label_grid import GRIDS, LabelGrid
+from stone_datasets.classes import OWN_CLASSES, ClassMap
+from stone_datasets.faults import DatasetFaultError, DatasetPlace
+from stone_datasets.index import DatasetIndex, DatasetSequence, label_folder
+from stone_datasets.labels import Grid, read_labels
+from stone_exports.files import DamagedExportError
+from stone_exports.frames import LIDAR_CHANNEL
+from stone_exports.sweeps import SweepFile
+
+MOST_FRAMES, MOST_PAIRS = 48, 24
+NEAREST_M = 2.0
+APART_M = (1.0, 8.0)
+NEAR_VOXELS = 0.25
+FEWEST_RETURNS = 2_000  # of fewer nothing is concluded
+# A reading is refuted by another that explains so many more returns, and leaves out less than a sixth as many …
+LEAST_BETTER, LEAST_FEWER = 0.02, 6
+LEAST_SHARE = 0.05  # … and by itself, if it explains fewer than these.
+STATED = "as stated"
+Points = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class GridFit:
+    """Shares of `returns` in occupied voxels by reading: of a frame's own labels, and of those of a frame near by."""
+
+    returns: int
+    own: Mapping[str, float]
+    pair_returns: int
+    pairs: Mapping[str, float]
+
+    def as_record(self) -> dict[str, object]:
+        shares = {"own_frame": self.own, "frame_near_by": self.pairs}
+        rounded = {key: {name: round(one, 4) for name, one in of.items()} for key, of in shares.items()}
+        return {"returns": self.returns, "pair_returns": self.pair_returns, **rounded}
+
+
+def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit | None:
+    """The fit of a dataset whose files are sound; None if it has no labels or no sweeps. Raises `DST-073`."""
+    labelled = [one for one in index.sequences if one.is_labelled and LIDAR_CHANNEL in one.channels and len(one)]
+    if not labelled:
+        return None
+    fit = measured_fit(index, labelled, classes)
+    for what, returns, shares in (("own", fit.returns, fit.own), ("near by", fit.pair_returns, fit.pairs)):
+        if returns >= FEWEST_RETURNS:
+            _refuse(index, what, returns, shares)
+    return fit
+
+
+def measured_fit(index: DatasetIndex, labelled: list[DatasetSequence], classes: ClassMap) -> GridFit:
+    """The shares of these sequences."""
+    grids, own, pairs = dict(readings_of(index.grid)), _Shares(), _Shares()
+    for sequence, frame in _sampled(labelled, MOST_FRAMES):
+        frames = _Frames(index, sequence, classes)
+        if (read := frames.read(frame, frame)) is None:
+            continue
+        for name, grid in grids.items():
+            own.add(name, grid, read[0], read[1])
+        own.add("LiDAR mount read x y z w", index.grid, read[0], read[2])
+    for sequence, frame in _sampled(labelled, MOST_PAIRS):
+        other, poses = _near(sequence, frame), sequence.map_from_ego
+        if other is None or (read := _Frames(index, sequence, classes).read(other, frame)) is None:
+            continue
+        first, second = poses[frame], poses[other]
+        pairs.add(STATED, index.grid, read[0], second.inverse() @ (first @ read[1]))
+        first, second = swapped(first), swapped(second)
+        pairs.add("poses read x y z w", index.grid, read[0], second.inverse() @ (first @ read[1]))
+    return GridFit(own.returns, own.shares(), pairs.returns, pairs.shares())
+
+
+def readings_of(grid: LabelGrid) -> Iterator[tuple[str, LabelGrid]]:
+    """The grid as stated, and grids of its shape for which it may be mistaken, each with its name."""
+    yield STATED, grid
+    for voxel_m in (0.2, 0.4):
+        if voxel_m != grid.voxel_m:
+            scale = voxel_m / grid.voxel_m
+            x, y, z = grid.min_m
+            for low_m in {z, z * scale}:
+                corner = (x * scale, y * scale, low_m)
+                yield f"voxels of {voxel_m:g} m from z = {low_m:g} m", replace(grid, min_m=corner, voxel_m=voxel_m)
+    for axis, name in enumerate("xyz"):
+        for sign, shown in ((0.5, "+"), (-0.5, "−")):
+            moved = [low + sign * grid.voxel_m * (axis == at) for at, low in enumerate(grid.min_m)]
+            yield f"half a voxel to {shown}{name}", replace(grid, min_m=(moved[0], moved[1], moved[2]))
+    for known in GRIDS.values():
+        if known.shape == grid.shape and known.geometry != grid.geometry:
+            yield f"grid {known.name}", known
+
+
+def swapped(pose: SE3) -> SE3:
+    """The pose whose quaternion w x y z is read as x y z w."""
+    x, y, z, w = pose.wxyz.tolist()
+    return SE3.from_parts(np.array([w, x, y, z]), pose.translation_m)
+
+
+def share_in(occupied: Grid, grid: LabelGrid, points: Points) -> tuple[int, int]:
+    """How many points lie in occupied voxels or within `NEAR_VOXELS` above or below, and how many in the grid at all.
+
+    A floor may lie on the border of two layers of voxels, so that noise puts half of its returns into the wrong one.
+    """
+    places = (points - grid.min_m) / grid.voxel_m
+    places = places[((places >= 0) & (places < grid.shape)).all(axis=1)]
+    i, j = places[:, :2].astype(np.int64).T
+    layers = [
+        np.clip(places[:, 2] + off, 0, grid.shape[2] - 0.5).astype(np.int64) for off in (0, NEAR_VOXELS, -NEAR_VOXELS)
+    ]
+    is_hit = np.logical_or.reduce([occupied[i, j, k] != 0 for k in layers])
+    return int(np.count_nonzero(is_hit)), len(places)
+
+
+class _Shares:
+    """Counts by reading; `returns` are those of the stated one."""
+
+    def __init__(self) -> None:
+        self._counts: dict[str, list[int]] = {}
+
+    def add(self, name: str, grid: LabelGrid, occupied: Grid, points: Points) -> None:
+        counts = self._counts.setdefault(name, [0, 0])
+        for at, count in enumerate(share_in(occupied, grid, points)):
+            counts[at] += count
+
+    @property
+    def returns(self) -> int:
+        return self._counts.get(STATED, [0, 0])[1]
+
+    def shares(self) -> dict[str, float]:
+        return {name: hit / count if count else 0.0 for name, (hit, count) in self._counts.items()}
+
+
+@dataclass(frozen=True, eq=False)
+class _Frames:
+    """The labels and sweeps of the frames of a sequence."""
+
+    index: DatasetIndex
+    sequence: DatasetSequence
+    classes: ClassMap
+
+    def read(self, labelled: int, swept: int) -> tuple[Grid, Points, Points] | None:
+        """The classes of a frame, and the returns (N, 3) of another in its ego frame, by the mount as stated and read
+        x y z w. None if a file is missing or damaged, which is refused where every file is checked.
+        """
+        channel = self.sequence.channels[LIDAR_CHANNEL]
+        labels, sweep = self.index.labels(self.sequence, labelled), self.index.file(channel, swept)
+        if labels is None or sweep is None:
+            return None
+        mount = channel.sensor.ego_from_sensor
+        try:
+            classes = read_labels(labels, self.classes, self.index.layout).classes
+            stated, other = (_outside(SweepFile(sweep, one).points_ego()) for one in (mount, swapped(mount)))
+        except (DamagedExportError, DatasetFaultError):
+            return None
+        return classes, stated, other
+
+
+def _outside(points: NDArray[np.float32]) -> Points:
+    """The returns that are not of the robot itself."""
+    return points[np.hypot(points[:, 0], points[:, 1]) >= NEAREST_M].astype(np.float64)
+
+
+def _sampled(sequences: Iterable[DatasetSequence], most: int) -> Iterator[tuple[DatasetSequence, int]]:
+    """At most so many frames, evenly from all."""
+    frames = [(one, frame) for one in sequences for frame in range(len(one))]
+    return (frames[at] for at in np.unique(np.linspace(0, len(frames) - 1, most).round().astype(int)).tolist())
+
+
+def _near(sequence: DatasetSequence, frame: int) -> int | None:
+    """A later frame, else an earlier one, whose distance is within `APART_M`; None if there is none."""
+    places = sequence.map_from_ego.translation_m
+    away_m = np.linalg.norm(places - places[frame], axis=1)
+    near = np.flatnonzero((away_m >= APART_M[0]) & (away_m <= APART_M[1]))
+    return int(near[np.argmin(np.abs(near - frame))]) if len(near) else None
+
+
+def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, float]) -> None:
+    """Raises `DST-073`."""
+    stated = shares[STATED]
+    best = max(shares, key=lambda name: shares[name])
+    is_refuted = shares[best] - stated >= LEAST_BETTER and LEAST_FEWER * (1 - shares[best]) < 1 - stated
+    if not is_refuted and stated >= LEAST_SHARE:
+        return
+    others = f"; {best}: {shares[best]:.2%}" if best != STATED else ""
+    said = f"{stated:.2%} of {returns} returns lie in occupied voxels of {'their' if what == 'own' else 'near'} labels"
+    place = DatasetPlace(label_folder(index.sequences[0].name))
+    raise DatasetFaultError("DST-073", place, f"{said} by the grid {index.grid}{others}")

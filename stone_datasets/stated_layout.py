@@ -1,0 +1,75 @@
+"""What the user states of a dataset's layout and grid, and the layout that it therefore has.
+
+**Conventions.** What is stated goes before what is recognised. A grid file is JSON or YAML, as `LabelGrid.as_record`
+makes it.
+"""
+
+from collections.abc import Sequence
+from dataclasses import dataclass
+from pathlib import Path
+
+from ruamel.yaml import YAML
+from ruamel.yaml.error import YAMLError
+
+from stone_base.errors import Refused
+from stone_base.label_grid import GRIDS, LabelGrid, grid_of, named_grid
+from stone_datasets.faults import DatasetFaultError, DatasetPlace
+from stone_datasets.files import DatasetFiles
+from stone_datasets.index import DatasetSequence
+from stone_datasets.labels import layout_of_labels
+from stone_files.dataset_layouts import DASHED_TOKEN, DatasetLayout, named_layout
+
+MOST_GRID_BYTES = 64 * 1024
+MOST_TRIED = 8
+
+
+@dataclass(frozen=True)
+class StatedLayout:
+    """The name of a layout of `LAYOUTS`, and a grid; None where nothing is stated."""
+
+    layout: str | None = None
+    grid: LabelGrid | None = None
+
+    def of(self, files: DatasetFiles, sequences: Sequence[DatasetSequence]) -> DatasetLayout:
+        """Return the layout of these sequences: as stated, else as their first label file and tokens tell.
+
+        Raises `bad_layout`.
+        """
+        found = _recognised(files, sequences) if self.layout is None else named_layout(self.layout)
+        return found if self.grid is None else found.with_grid(self.grid)
+
+
+UNSTATED = StatedLayout()
+
+
+def read_grid(stated: str) -> LabelGrid:
+    """Return the grid of this name, or the one that the file of this path describes. Raises `bad_grid`."""
+    path = Path(stated)
+    if stated in GRIDS or not path.is_file():
+        return named_grid(stated)
+    with path.open("rb") as file:
+        content = file.read(MOST_GRID_BYTES + 1)
+    if len(content) > MOST_GRID_BYTES:
+        raise Refused("bad_grid", f"{path.name} has more than {MOST_GRID_BYTES} bytes; a grid is a short JSON or YAML")
+    try:
+        return grid_of(YAML(typ="safe", pure=True).load(content.decode("utf-8")))
+    except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
+        raise Refused("bad_grid", f"{path.name} is neither JSON nor YAML of a grid") from error
+
+
+def form_of_tokens(written: Sequence[str], place: DatasetPlace) -> bool:
+    """Return whether these frame tokens are UUIDs with dashes. Raises `DST-043` if some are and others not."""
+    is_dashed = [DASHED_TOKEN.fullmatch(token) is not None for token in written]
+    if len(set(is_dashed)) > 1:
+        first = written[is_dashed.index(not is_dashed[0])]
+        what = f"{sum(is_dashed)} of {len(written)} frame tokens have dashes; {first} differs from {written[0]}"
+        raise DatasetFaultError("DST-043", place, what)
+    return any(is_dashed)
+
+
+def _recognised(files: DatasetFiles, sequences: Sequence[DatasetSequence]) -> DatasetLayout:
+    has_dashes = any(one.has_dashes for one in sequences)
+    labelled = next((one for one in sequences if one.is_labelled), None)
+    names = [] if labelled is None else [labelled.label_name(frame) for frame in range(min(len(labelled), MOST_TRIED))]
+    spans = (span for name in names if (span := files.span(name)) is not None)
+    return layout_of_labels(next(spans, None), has_dashes=has_dashes)

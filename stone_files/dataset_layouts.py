@@ -1,0 +1,113 @@
+"""The layouts of published datasets: what their labels, tokens and sweeps look like, each fact with its source.
+
+**Conventions.** One row per layout. Nothing else knows how a layout differs from another: readers, the recognition of a
+layout, the exporter of its labels and the makers of test datasets read this table.
+
+Sources: the paper; the README of the release at revision 4ba5f700, and a third party that read its archive by byte
+ranges (arrays, tables and bags); Occ3D (arXiv 2304.14365).
+"""
+
+import re
+from collections.abc import Collection, Mapping
+from dataclasses import dataclass, replace
+
+from stone_base.errors import Refused
+from stone_base.label_grid import GRIDS, OCC3D, PAPER, RELEASE, LabelGrid
+
+PLAIN_TOKEN = re.compile(r"[0-9a-f]{32}")
+DASHED_TOKEN = re.compile(r"[0-9a-f]{8}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{4}-[0-9a-f]{12}")
+
+
+@dataclass(frozen=True)
+class DatasetLayout:
+    """How the files of a layout look.
+
+    `label_key` is the array of classes in labels.npz. With `has_masks` its files have `mask_lidar` and `mask_camera`;
+    else voxels of `grid.unknown` are unobserved. With `has_dashes` sample tokens are UUIDs. With `has_no_returns` a
+    sweep has a row for every shot, and rows of NaN are shots without a return. `roots` are names of its root folder.
+    """
+
+    name: str
+    grid: LabelGrid
+    label_key: str
+    has_masks: bool
+    has_dashes: bool
+    has_no_returns: bool
+    tables: str
+    roots: tuple[str, ...]
+    source: str
+
+    def with_grid(self, grid: LabelGrid) -> "DatasetLayout":
+        """Return the layout with labels of another grid."""
+        return replace(self, grid=grid)
+
+
+LAYOUTS: Mapping[str, DatasetLayout] = {
+    one.name: one
+    for one in (
+        DatasetLayout(
+            "paper", PAPER, "semantics", True, False, False, "v1.0-trainval", (), "the paper; docs/formats/exports.md"
+        ),
+        DatasetLayout(
+            "release", RELEASE, "label", False, True, True, "v1.0-trainval", ("STONE_nus_dataset",),
+            "README 4ba5f700; arrays checked against LiDAR by a third party",
+        ),
+        DatasetLayout(
+            "occ3d", OCC3D, "semantics", True, False, False, "v1.0-trainval", ("Occ3D-nuScenes",), "arXiv 2304.14365"
+        ),
+    )
+}  # fmt: skip
+
+
+@dataclass(frozen=True)
+class ReleaseFacts:
+    """Sizes of the released dataset, as its README and whoever read its archive give them."""
+
+    zip_bytes: int = 346_343_831_255
+    zip_entries: int = 458_212
+    scenes: int = 279
+    frames_a_scene: int = 200
+    shots_a_sweep: int = 230_400
+    least_returns: int = 101_407
+    most_returns: int = 206_072
+    least_occupied: int = 1_405
+    most_occupied: int = 10_691
+    frames_of_longest_bag: int = 1_781
+    cameras: int = 6
+    logs: tuple[str, ...] = ("siheung_lake", "siheung_farmland", "siheung_land", "kwangmyeong_land")
+    vehicles: tuple[str, ...] = ("n001", "n002", "n003", "n004")
+
+
+RELEASE_FACTS = ReleaseFacts()
+
+
+def named_layout(name: str) -> DatasetLayout:
+    """Return the layout of this name. Raises `bad_layout`."""
+    if name not in LAYOUTS:
+        raise Refused("bad_layout", f"there is no layout {name[:80]!r}; the platform knows {', '.join(LAYOUTS)}")
+    return LAYOUTS[name]
+
+
+def recognised_layout(keys: Collection[str], shape: tuple[int, ...] | None, *, has_dashes: bool) -> DatasetLayout:
+    """Return the layout that a label file of these keys, whose classes have this shape, and tokens tell.
+
+    Without labels (no keys, no shape) tokens alone tell it. A shape of no known grid leaves the layout its own grid.
+    """
+    of_key = [one for one in LAYOUTS.values() if one.label_key in keys] or [
+        one for one in LAYOUTS.values() if one.has_dashes == has_dashes
+    ]
+    found = next((one for one in of_key if one.grid.shape == shape), of_key[0])
+    grid = next((one for one in (found.grid, *GRIDS.values()) if one.shape == shape), found.grid)
+    return found.with_grid(grid)
+
+
+def plain_token(written: str) -> str | None:
+    """Return the frame token that a dataset writes so: 32 hex digits, or a UUID of them; None if it is neither."""
+    if PLAIN_TOKEN.fullmatch(written):
+        return written
+    return written.replace("-", "") if DASHED_TOKEN.fullmatch(written) else None
+
+
+def dashed_token(token: str) -> str:
+    """Return the UUID that 32 hex digits are written as."""
+    return "-".join((token[:8], token[8:12], token[12:16], token[16:20], token[20:]))
