@@ -39,6 +39,7 @@ REFUSALS = (
     "IngestError",
     "DatasetFaultError",
     "SubmissionError",
+    "ZipFaultError",
     "ApiError",
     "ExhaustedError",
     "__init__",

@@ -15,6 +15,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("bad_credentials_file", "The file of tokens was changed by hand, or by another program."),
     ("bad_ground_truth", "The ground truth folder, or a label file in it, is not as the labeler writes it."),
     ("bad_key", "No object can have such a key."),
+    ("bad_layout", "A layout of datasets is named that the platform does not know."),
     ("bad_manifest", "The list of frames to predict is not as `stone_submissions.manifest` describes."),
     ("bad_region", "A region becomes a key of files and figures, so it must be a plain name."),
     ("bad_row", "The configuration of a row cannot be read, or says something impossible."),
@@ -141,5 +142,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("unresolved_name", "A module uses a name that nothing defines."),
     ("unsorted_stamps", "Stamps go back in time where they must not."),
     ("unwritable_array", "An array cannot be stored in a plain npz: an object array, or one of 4 GiB and more."),
+    ("url_changed", "The file behind an address changed while it was read."),
+    ("url_unreadable", "The file behind an address cannot be read by ranges."),
     ("upload_damaged", "The file that was sent in is not, or not any more, the one that was declared."),
 )

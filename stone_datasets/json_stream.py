@@ -21,11 +21,15 @@ DECODER = json.JSONDecoder()
 
 
 class JsonStream:
-    """The characters of a file, walked once. Every method raises a `DatasetFaultError` of the file."""
+    """The characters of a file, walked once; `written` are those of the last value.
+
+    Every method raises a `DatasetFaultError` of the file.
+    """
 
     def __init__(self, span: ExportFileSpan) -> None:
         self.name = span.name
         self._pieces, self._text, self._at, self._is_whole = _decoded(span), "", 0, False
+        self.written = ""
 
     def peek(self) -> str:
         """The next character that is no space, "" at the end."""
@@ -68,7 +72,7 @@ class JsonStream:
             self._read_on()
         if isinstance(value, ValueError):
             raise self.malformed(str(value)[:80], row) from value
-        self._at = end
+        self.written, self._at = self._text[self._at : end], end
         return value
 
     def items(self) -> Iterator[str]:
@@ -107,9 +111,12 @@ class JsonStream:
         self._text, self._at = self._text[self._at :] + (piece or ""), 0
 
 
-def json_rows(span: ExportFileSpan) -> Iterator[tuple[int, dict[str, Any]]]:
-    """The rows of a table, numbered from 1. Raises a `DatasetFaultError` where it is no list of objects."""
-    stream = JsonStream(span)
+def json_rows(span: ExportFileSpan, stream: JsonStream | None = None) -> Iterator[tuple[int, dict[str, Any]]]:
+    """The rows of a table, numbered from 1, walked with `stream` if the caller needs them as they are `written`.
+
+    Raises a `DatasetFaultError` if it is no list of objects.
+    """
+    stream = stream or JsonStream(span)
     if not stream.peek():
         raise stream.malformed("it is empty")
     if stream.peek() != "[":

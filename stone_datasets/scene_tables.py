@@ -2,11 +2,12 @@
 
     <folder of the scene>/<table>.json   for each table of the schema, and splits.json
 
-**Conventions.** A row is written as it was read: its keys in their order, values as Python's json writes them, one row
-a line as exports have them; rows keep their order. A log is of the scenes that name it, a map of those of its logs, a
-calibrated sensor and an ego pose of those whose data name them, an annotation of its sample's, an instance of its
-annotations'; sensors, categories, attributes and visibilities are of all. What can be told to be of no scene is left
-out, and so are tables that the schema does not have. A table of the schema that the dataset lacks is written empty.
+**Conventions.** A row is written as it was read, byte for byte, unless it has line ends: then as Python's json writes
+it, since exports have a row a line. Rows keep their order. A log is of the scenes that name it, a map of those of its
+logs, a calibrated sensor and an ego pose of those whose data name them, an annotation of its sample's, an instance of
+its annotations'; sensors, categories, attributes and visibilities are of all. What can be told to be of no scene is
+left out, and so are tables that the schema does not have. A table of the schema that the dataset lacks is
+written empty.
 """
 
 import json
@@ -21,7 +22,7 @@ from stone_datasets.build import PlacedData
 from stone_datasets.columns import NumberColumn, places_of
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.files import DatasetFiles
-from stone_datasets.json_stream import json_rows
+from stone_datasets.json_stream import JsonStream, json_rows
 from stone_files.dataset_faults import DatasetFaultError
 
 TABLES = (
@@ -87,9 +88,17 @@ def write_scene_tables(files: DatasetFiles, placed: PlacedData, folder_of: Folde
     out = SceneTableFiles(len(tables.scenes), folder_of, MOST_GROWTH * size_bytes + ALWAYS_BYTES)
     owners = _Owners(placed)
     for table in TABLES:
-        span = spans[table]
-        rows = (row for _, row in json_rows(span)) if span is not None else iter(())
-        out.write(table, ((scenes, encoded(row)) for scenes, row in owners.of(table, rows)))
+        if (span := spans[table]) is None:
+            out.write(table, ())
+            continue
+        stream = JsonStream(span)
+        rows = (row for _, row in json_rows(span, stream))
+        out.write(table, ((scenes, _line(row, stream.written)) for scenes, row in owners.of(table, rows)))
+
+
+def _line(row: Row, written: str) -> str:
+    """The row on one line, as it is `written` if it is."""
+    return encoded(row) if "\n" in written else written
 
 
 def write_splits(folder: Path, scene: str, splits: Iterable[str]) -> None:

@@ -25,8 +25,6 @@ COMPRESSED = {
     b"\x28\xb5\x2f\xfd": "zstd",
 }
 ZIPPED = (b"PK\x03\x04", b"PK\x05\x06")
-# Faults of a zip that have a code of their own among those of datasets; all others are `DST-006`.
-ZIP_FAULTS = {"symlink": "DST-004", "overlapping_files": "DST-007", "encrypted": "DST-008"}
 SHORT = Repr()
 SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
@@ -76,7 +74,12 @@ def is_zip(path: Path) -> bool:
 
 def zip_fault(path: Path, fault: ZipFaultError) -> DatasetFaultError:
     """The refusal of a dataset whose zip has this fault."""
-    return DatasetFaultError(ZIP_FAULTS.get(fault.code, "DST-006"), DatasetPlace(path.name), str(fault))
+    said = (DatasetPlace(path.name), str(fault))
+    if fault.code == "overlapping_files":
+        return DatasetFaultError("DST-007", *said)
+    if fault.code == "encrypted":
+        return DatasetFaultError("DST-008", *said)
+    return DatasetFaultError("DST-004" if fault.code == "symlink" else "DST-006", *said)
 
 
 def refuse_archive(path: Path) -> None:

@@ -223,7 +223,7 @@ def _listed(names: Iterable[str]) -> str:
 
 # A fast check for the common npz file: a zip of one array with no unusual features.
 #
-# **Conventions.** What is recognised here is read just so by `stone_submissions/zip_directory.py` too; whatever is in
+# **Conventions.** What is recognised here is read just so by `stone_files/zip_directory.py` too; whatever is in
 # any way else is left to that, which also says what is wrong. One frame takes a third of a millisecond, of which
 # reading its headers in full would be a tenth.
 #

@@ -159,7 +159,8 @@ def box_centres(pose: SE3) -> Points:
         [np.sin(cells[:, 0] * 12.9 + cells[:, 1] * 78.2), np.cos(cells[:, 0] * 39.3 - cells[:, 1])], axis=1
     )
     centres: Points = (cells + 0.5 + 0.3 * moved) * BOX_CELL_M
-    return centres[np.hypot(*(centres - (x, y)).T) > 4.0]
+    is_away: NDArray[np.bool_] = np.linalg.norm(centres - (x, y), axis=1) > 4.0
+    return centres[is_away]
 
 
 def box_points(centres: Points, around: NDArray[np.float64], up: NDArray[np.float64]) -> Points:

@@ -34,6 +34,7 @@ from testing.worlds.published_datasets import (
     write_published,
     write_published_tar,
 )
+from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 from tests.stone_client.participating import quiet, stone
 
 GOOD = SyntheticDataset(labels=(made_labels(1), made_labels(2)))
@@ -185,6 +186,20 @@ def test_a_folder_and_a_tar_give_the_same_record(dataset: Path, tmp_path: Path) 
     assert in_folder.exit_code == in_tar.exit_code == 0
     assert json.loads(in_folder.stdout) == json.loads(in_tar.stdout)
     assert json.loads(in_folder.stdout)["frames"] == 6
+
+
+def test_a_zip_is_sent_as_it_is_and_checked_where_it_lies_by_the_grid_that_is_stated(tmp_path: Path) -> None:
+    twin = write_released_zip(tmp_path / "STONE.zip", ReleasedDataset(scenes=1, frames=2))
+    assert (whole(hashed_dataset(twin, quiet)), dataset_name(twin)) == (twin.read_bytes(), "STONE")
+    record = json.loads(stone("check", twin, "--json").stdout)
+    assert (record["layout"], record["grid"]["name"], record["frames"]) == ("release", "release", 2)
+    (tmp_path / "grid.json").write_text(json.dumps(record["grid"] | {"name": "card", "min_m": [-39.8, -40, -1]}))
+    for stated, code in (("paper", "DST-063"), ("cubic", "bad_grid"), (tmp_path / "grid.json", "DST-073")):
+        told = stone("check", twin, "--grid", stated)
+        assert told.exit_code == 1
+        assert code in told.stderr
+    twin.write_bytes(twin.read_bytes()[:-100])
+    assert code_of(twin) == "DST-006"
 
 
 def test_every_fault_is_a_line_and_the_exit_code_is_one(dataset: Path) -> None:

@@ -88,7 +88,7 @@ def test_rows_keep_keys_their_order_and_numbers(copied: Path, tmp_path: Path) ->
     assert text.startswith("[\n")
     assert text.endswith("\n]\n")
     lines = text.splitlines()[1:-1]
-    assert lines[0].removesuffix(",") == json.dumps(poses[0], separators=(",", ":"))
+    assert lines[0].removesuffix(",") == json.dumps(poses[0])
     assert len(lines) == len(poses) // 2
 
 

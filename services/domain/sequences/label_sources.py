@@ -1,8 +1,9 @@
 """What the samples of a label set are read from: the recording it was made of, or the source that was imported with it.
 
 **Conventions.** A label set is imported where it has the artefact `source/index.npz`: the index of the files of its
-scene in the release's layout, without labels (`services/runtime/store/packs.py`), which lie in `source/000000.pack` and
-on. Its samples come from there and never from a recording, whatever its sequence has beside.
+scene as they were published (`services/runtime/store/packs.py`), which lie in `source/000000.pack` and on; its labels
+are among them only if their files are of another layout than ours. Its samples come from there and never from a
+recording, whatever its sequence has beside.
 """
 
 from sqlalchemy import select

@@ -53,13 +53,13 @@ from stone_files.archives import check_names
 from stone_files.dataset_layout import ANNOTATIONS
 from stone_files.npz import npz_bytes
 
-# The source of an imported label set: the files of its scene in the release's layout, without labels, in packs.
+# The source of an imported label set: the files of its scene as they were published, in packs.
 #
 #     source/index.npz   source/000000.pack …
 #
 # **Conventions.** A `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`, `v1.0-trainval/splits.json`,
-# `samples/…`, `sweeps/…`, `maps/…`. Bytes are those of the dataset; files of sensors are checked before they are
-# copied.
+# `samples/…`, `sweeps/…`, `maps/…`; and `gts/…` if labels of the dataset's layout have other keys or no masks, so that
+# an export gives them back. Bytes are those of the dataset; files of sensors are checked before they are copied.
 
 
 Told = Callable[[int, int], None]
@@ -69,13 +69,17 @@ def write_source(parts: SceneParts, out: Path, told: Told) -> None:
     """The index and the packs below `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
     tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
     places = {name: number for number, name in enumerate(parts.spans.names)}
-    names = sorted({*tables, *places})
+    is_own = parts.layout.has_masks and parts.layout.label_key == GRIDS[0]
+    labels = {} if is_own else {one.name: one for one in map(parts.label_file, range(len(parts.spans.labels)))}
+    names = sorted({*tables, *places, *labels})
     check_names(names)
     sensors, packed = sensors_of(parts), PackWriter(out / SOURCE)
     for done, name in enumerate(names):
         told(done, len(names))
         if name in tables:
             packed.add(name, pieces_of(tables[name]))
+        elif name in labels:
+            packed.add(name, labels[name].pieces())
         else:
             packed.add(name, _checked(parts, places[name], sensors).pieces())
     (out / SOURCE_INDEX).write_bytes(index_bytes(packed.files()))

@@ -1,6 +1,6 @@
 // The table of contents of a zip, read from its end: every length is checked before anything is read.
 //
-// The same rules as stone_submissions/zip_directory.py, as far as the directory tells; headers beside the data, and the
+// The same rules as stone_files/zip_directory.py, as far as the directory tells; headers beside the data, and the
 // data, are looked at by the platform. Source: PKWARE APPNOTE 6.3.10, §4.3.12.
 
 import { Bytes, Fault, wide } from "./archive.js";

@@ -1,6 +1,6 @@
 // The end record of a zip, narrow or wide (zip64): where its directory is and how many files it announces.
 //
-// Source: PKWARE APPNOTE 6.3.10, §4.3.14-4.3.16. The same checks as stone_submissions/zip_directory.py.
+// Source: PKWARE APPNOTE 6.3.10, §4.3.14-4.3.16. The same checks as stone_files/zip_directory.py.
 
 import { type Bytes, Fault, wide } from "./archive.js";
 
