@@ -20,7 +20,7 @@ from api.schemas.splits import (
     SplitsToJudge,
     VerdictsAnswer,
 )
-from api.views.splits import proposal_answer, rule_items, splits_answer
+from api.views.splits import gap_item, proposal_answer, rule_items, splits_answer
 from api.visible import sequences_of
 from services.domain.datasets.catalogue import entries_of, labelled_sequences
 from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
@@ -66,8 +66,9 @@ def judge_splits(body: SplitsToJudge, _caller: Administrator, platform: Platform
     split = Split(tuple(body.train), tuple(body.val), tuple(body.test))
     with platform.database.reading() as session:
         revision = current_splits(session).revision
-        findings = judged(split, labelled_sequences(session))
-    return VerdictsAnswer(revision=revision, can_be_put=not errors_of(findings), findings=rule_items(findings))
+        labelled = labelled_sequences(session)
+    findings, gap = judged(split, labelled), gap_item(split, entries_of(labelled))
+    return VerdictsAnswer(revision=revision, can_be_put=not errors_of(findings), findings=rule_items(findings), gap=gap)
 
 
 @router.post("/proposal", summary="Propose splits of given sizes", responses=refusals(409))

@@ -70,10 +70,12 @@ class DangerItem(Answer):
 class PairItem(Answer):
     """By what scores were made: ground truth (`ground_truth` counts those of the phase) and metric.
 
-    `signature` is null while there is no score.
+    `signature` is null while there is no score. Of its sequences those that continue each other are one drive.
     """
 
-    model_config = example(ground_truth=1, metric="stone-iou-2", signature=SIGNATURE_EXAMPLE, frames=7012, sequences=5)
+    model_config = example(
+        ground_truth=1, metric="stone-iou-2", signature=SIGNATURE_EXAMPLE, frames=7012, sequences=5, drives=5
+    )
 
     ground_truth: int = Field(validation_alias=AliasChoices("truth_number", "ground_truth"))
     ground_truth_sha256: str = Field(validation_alias=AliasChoices("truth_sha256", "ground_truth_sha256"))
@@ -81,6 +83,7 @@ class PairItem(Answer):
     signature: str | None
     frames: int
     sequences: int
+    drives: int
 
 
 class BoardPairItem(PairItem):

@@ -77,14 +77,43 @@ class RuleItem(Answer):
     sequence_ids: list[str] = Field(validation_alias=AliasChoices("sequences", "sequence_ids"))
 
 
+class GapItem(Answer):
+    """How far train and test are apart: the least distance of their tracks and the least time between them.
+
+    `nearest` and `soonest` name the two sequences; null if no two tracks can be compared, which is in place if they
+    lie in one map. `unknown` sequences have no track.
+    """
+
+    model_config = example(
+        distance_m=412.7,
+        nearest=["lake-2026-05-03", "lake-2026-05-04"],
+        time_s=61200.0,
+        soonest=["lake-2026-05-03", "lake-2026-05-04"],
+        unknown=0,
+        message="train and test are at least 413 m apart in place (lake-2026-05-03 and lake-2026-05-04); at least 17 h "
+        "apart in time (lake-2026-05-03 and lake-2026-05-04)",
+    )
+
+    distance_m: float | None
+    nearest: list[str] | None
+    time_s: float | None
+    soonest: list[str] | None
+    unknown: int
+    message: str
+
+
 class VerdictsAnswer(Answer):
-    """What the rules say of splits; `revision` is that of the splits that stand meanwhile."""
+    """What the rules say of splits; `revision` is that of the splits that stand meanwhile.
+
+    `gap` is null if train or test is empty.
+    """
 
     model_config = example(revision=4, can_be_put=True)
 
     revision: int
     can_be_put: bool
     findings: list[RuleItem]
+    gap: GapItem | None
 
 
 class DrivenItem(QualityFields):
@@ -112,18 +141,19 @@ class DrivenItem(QualityFields):
 
 
 class SplitEntry(DrivenItem):
-    """A labelled sequence as the dataset sees it."""
+    """A labelled sequence as the dataset sees it; `drive` is that of which it is one of several, '' for none."""
 
-    model_config = example()
+    model_config = example(drive="")
 
     sequence_id: str
+    drive: str
     voxels: VoxelsItem | None
 
 
 class SplitsAnswer(Answer):
     """The splits under discussion: all sizes, and of the sequences those the caller may see.
 
-    `findings` are of the whole and null for whoever does not see the whole.
+    `findings` and `gap` are of the whole and null for whoever does not see the whole.
     """
 
     model_config = example(
@@ -133,6 +163,7 @@ class SplitsAnswer(Answer):
         test=[],
         unassigned=[],
         findings=[example_of(RuleItem)],
+        gap=example_of(GapItem),
     )
 
     revision: int
@@ -142,6 +173,7 @@ class SplitsAnswer(Answer):
     test: list[SplitEntry]
     unassigned: list[SplitEntry]
     findings: list[RuleItem] | None
+    gap: GapItem | None
 
 
 class SharesItem(Answer):
@@ -190,4 +222,5 @@ class ProposalAnswer(Answer):
     test: list[SplitEntry]
     conflict: list[RuleItem]
     findings: list[RuleItem]
+    gap: GapItem | None
     shares: Shares

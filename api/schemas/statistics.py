@@ -23,14 +23,15 @@ class VoxelRatios(Answer):
 
 
 class TallyItem(QualityFields):
-    """Sums over some sequences; null is what is not known, or not told, of any of them.
+    """Sums over some sequences; those that continue each other are one of the `drives`.
 
-    The held-out recall is that of all judged metres together; `held_out_known` sequences have one. `gravest` is the
-    gravest finding of any.
+    Null is what is not known, or not told, of any of them. The held-out recall is that of all judged metres together;
+    `held_out_known` sequences have one. `gravest` is the gravest finding of any.
     """
 
     model_config = example(
         sequences=12,
+        drives=12,
         frames=14400,
         duration_s=1440.0,
         distance_m=1820.5,
@@ -41,6 +42,7 @@ class TallyItem(QualityFields):
     )
 
     sequences: int
+    drives: int
     frames: int
     duration_s: float
     distance_m: float | None

@@ -20,7 +20,7 @@ from api.schemas.leaderboard import (
     LeaderboardAnswer,
     PairItem,
 )
-from services.domain.benchmarks.boards.board import Board, sequences_of
+from services.domain.benchmarks.boards.board import Board, drives_of, sequences_of
 from services.domain.benchmarks.boards.comparison import EntryComparison
 from services.domain.benchmarks.boards.entries import TIE_BREAK, Track
 from services.domain.benchmarks.boards.history import history
@@ -93,6 +93,7 @@ def evaluation_version_item(seen: ScoreView) -> PairItem:
         ground_truth_sha256=seen.truth.sha256,
         frames=seen.truth.frames,
         sequences=sequences_of(seen.truth),
+        drives=drives_of(seen.truth),
     )
 
 

@@ -16,7 +16,7 @@ from services.domain.datasets.files import files_of
 from services.domain.datasets.queries import dataset_entries, open_parts
 from services.domain.datasets.splits import current_splits
 from services.domain.datasets.statistics import Record
-from services.domain.datasets.versions import grid_of_members, members_now, refuse_low, told_statistics
+from services.domain.datasets.versions import grid_of_members, members_now, refuse_low, told_gap, told_statistics
 from services.runtime.orm import Dataset, DatasetMember
 from stone.errors import StoneError
 from stone.splits.composition import CatalogueEntry
@@ -27,7 +27,8 @@ from stone.splits.splits import PARTS, RuleFinding
 class DatasetPreview:
     """A version as it would be published now; `obstacle` says why it cannot be, '' where it can.
 
-    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same. `members`
+    `files` and `size_bytes` are those of train and val together, `warnings` what the rules say all the same, `gap` how
+    far train and test are apart. `members`
     are all sequences by split, with the quality of their labels, which is for administrators alone to read.
     """
 
@@ -37,6 +38,7 @@ class DatasetPreview:
     files: int = 0
     size_bytes: int = 0
     warnings: tuple[RuleFinding, ...] = ()
+    gap: Record | None = None
     members: Mapping[str, tuple[CatalogueEntry, ...]] = field(default_factory=dict)
 
 
@@ -52,7 +54,8 @@ def prospect_of(session: Session, least_recall: float) -> DatasetPreview:
         return DatasetPreview(revision, str(error))
     size_bytes = sum(file.size_bytes for file in files)
     entries = {part: entries_of(labelled) for part, labelled in members.items()}
-    return DatasetPreview(current.revision, "", told_statistics(members), len(files), size_bytes, warnings, entries)
+    told = (told_statistics(members), len(files), size_bytes, warnings, told_gap(members))
+    return DatasetPreview(current.revision, "", *told, entries)
 
 
 def dataset_detail(session: Session, row: Dataset) -> DatasetDetail:

@@ -3,8 +3,8 @@
 from collections.abc import Iterable
 from typing import TYPE_CHECKING
 
-from api.schemas.splits import ProposalAnswer, RuleItem, Shares, SharesItem, SplitEntry, SplitsAnswer
-from services.domain.datasets.splits import CurrentSplits
+from api.schemas.splits import GapItem, ProposalAnswer, RuleItem, Shares, SharesItem, SplitEntry, SplitsAnswer
+from services.domain.datasets.splits import CurrentSplits, gap_record
 from services.domain.datasets.statistics import CLASSES
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import PARTS, RuleFinding, Split
@@ -23,6 +23,7 @@ def splits_answer(
         **_assigned(current.split, seen),
         unassigned=[entry_item(entry) for entry in seen if entry.id not in _ids(current.split)],
         findings=None if findings is None else rule_items(findings),
+        gap=None if findings is None else gap_item(current.split, seen),
     )
 
 
@@ -32,12 +33,18 @@ def proposal_answer(proposal: "Proposal", seen: tuple[CatalogueEntry, ...]) -> P
     return ProposalAnswer.of(
         proposal,
         **_assigned(proposal.split, seen),
+        gap=gap_item(proposal.split, seen),
         shares=Shares(whole=_shares(proposal.whole), train=train, val=val, test=test),
     )
 
 
 def rule_items(findings: Iterable[RuleFinding]) -> list[RuleItem]:
     return [RuleItem.of(one) for one in findings]
+
+
+def gap_item(split: Split, seen: tuple[CatalogueEntry, ...]) -> GapItem | None:
+    record = gap_record(split, seen)
+    return None if record is None else GapItem(**record)
 
 
 def entry_item(entry: CatalogueEntry) -> SplitEntry:

@@ -135,7 +135,10 @@ def made_score(
 def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
     """The sequences of a ground truth in the order of its frames."""
     return tuple(
-        SequenceFacts(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None)
+        SequenceFacts(
+            *(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None),
+            *(one.get("drive") or None, one.get("first_stamp_ns")),  # an earlier version knew no drives
+        )
         for one in truth.facts["sequences"]
     )
 

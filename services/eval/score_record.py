@@ -1,6 +1,7 @@
 """The record of a score: every table is read from the counts that are kept by frame and ring.
 
-**Conventions.** Frames are in the order of the ground truth's manifest, sequences contiguous runs of them. Ratios are
+**Conventions.** Frames are in the order of the ground truth's manifest, sequences contiguous runs of them. What an
+interval takes for independent is a drive: sequences that continue each other count as one, joined in time. Ratios are
 in [0, 1] or None where undefined. The record is exact: who may see which part of it is decided by who serves it.
 """
 
@@ -40,12 +41,14 @@ RING_NAMES = tuple(
 
 @dataclass(frozen=True)
 class SequenceFacts:
-    """What is known of a sequence; None where nobody said it."""
+    """What is known of a sequence; None where nobody said it. `drive` is that of which it is one of several."""
 
     name: str
     frames: int
     environment: str | None = None
     illumination: str | None = None
+    drive: str | None = None
+    first_stamp_ns: int | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -66,7 +69,18 @@ class SubmissionCounts:
 
     def spectra(self, metric: str = METRIC_VERSION) -> RatioSpectra:
         """Return the sums that give the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
-        return spectra_of(self.confusions, self.frames_of_sequence, metric_of(metric))
+        runs = list(pairwise(accumulate(self.frames_of_sequence, initial=0)))
+        drives = self._drives()
+        order = np.concatenate([np.arange(*runs[row]) for rows in drives for row in rows])
+        frames_of_drive = tuple(sum(self.sequences[row].frames for row in rows) for rows in drives)
+        return spectra_of(self.confusions[order], frames_of_drive, metric_of(metric))
+
+    def _drives(self) -> list[list[int]]:
+        """The places of the sequences of each drive, in time order."""
+        drives = dict[tuple[bool, str], list[int]]()
+        for row, facts in enumerate(self.sequences):
+            drives.setdefault((bool(facts.drive), facts.drive or facts.name), []).append(row)
+        return [sorted(rows, key=lambda row: self.sequences[row].first_stamp_ns or 0) for rows in drives.values()]
 
     def columns(self) -> NDArray[np.int64] | None:
         """Return the confusion (4, 4) of the columns of all frames."""
@@ -164,8 +178,10 @@ def _breakdowns(
     rings = zip(RING_NAMES, cells.sum(axis=0), strict=True)
     yield "distance", {name: _part(ring, len(counts_of_frames.confusions), metric) for name, ring in rings}
     of_sequence = cells.sum(axis=1)
+    is_chunked = any(facts.drive for facts in counts_of_frames.sequences)
     grouped: tuple[tuple[str, Callable[[SequenceFacts], str | None]], ...] = (
         ("sequence", lambda facts: facts.name),
+        ("drive", lambda facts: facts.drive or (facts.name if is_chunked else None)),
         ("environment", lambda facts: facts.environment),
         ("illumination", lambda facts: facts.illumination),
     )

@@ -93,6 +93,8 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
             "environment": row.environment,
             "illumination": row.illumination,
             "region": row.region,
+            "drive": row.drive,
+            "first_stamp_ns": row.first_stamp_ns,
         }
         for row in session.scalars(members)
     }

@@ -11,11 +11,14 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
+from stone.splits.drives import MOST_PLACES
 from stone_base.codes.catalogue import CATALOGUE
 
 KINDS = frozenset((*STAGES, PUBLISH))
 MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
+LONGEST_WORD = 200
 Count = Annotated[int, Field(ge=0, lt=2**63)]
+Stamp = Annotated[int, Field(ge=-(2**63), lt=2**63)]
 Place = Annotated[int, Field(ge=-(2**31), lt=2**31)]
 SEGMENT = r"[A-Za-z0-9_\-][A-Za-z0-9_.\-]*"  # no dot first: nothing hidden, and nothing above
 Name = Annotated[str, StringConstraints(pattern=rf"\A{SEGMENT}(/{SEGMENT})*/?\z", max_length=300)]
@@ -86,6 +89,20 @@ class WorkAnswer(SandboxAnswer):
         return told
 
 
+class TrackAnswer(SandboxAnswer):
+    """When and where a sequence was driven, as `stone.splits.drives.DrivenTrack`."""
+
+    asked: ClassVar[str] = "a track"
+    log: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]
+    vehicle: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]
+    map: Annotated[str, StringConstraints(max_length=LONGEST_WORD + 20)]
+    first_ns: Stamp
+    last_ns: Stamp
+    period_ns: Count
+    speed_m_s: Annotated[float, Field(ge=0.0)]
+    places: Annotated[tuple[tuple[float, float, float, float], ...], Field(min_length=1, max_length=MOST_PLACES + 2)]
+
+
 class TotalsAnswer(SandboxAnswer):
     """Totals and quality of a label set, by the names of its row's columns."""
 
@@ -100,6 +117,7 @@ class TotalsAnswer(SandboxAnswer):
     held_out_m: Annotated[float, Field(ge=0.0)] | None = None
     gravest_code: str | None = None
     gravest_severity: Literal["info", "warning", "error"] | None = None
+    track: TrackAnswer | None = None
 
     @field_validator("gravest_code")
     @classmethod
@@ -128,7 +146,7 @@ class PublicationAnswer(SandboxAnswer):
 
     asked: ClassVar[str] = "what is to be published"
     tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
-    stamps_ns: list[Annotated[int, Field(ge=-(2**63), lt=2**63)]]
+    stamps_ns: list[Stamp]
     packs: list[PackAnswer]
     totals: TotalsAnswer
 

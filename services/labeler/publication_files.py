@@ -9,7 +9,7 @@ from services.labeler.results import load_pack, pack_path
 from services.labeler.run import LabelRun, Part, parts_of
 from services.labeler.scratch import whole
 from services.labeler.tables import write_frames
-from services.labeler.totals import totals_of
+from services.labeler.totals import recorded_track, totals_of
 from stone_base.label_quality import quality_of
 from stone_files.grid_file import GRID_FILE, grid_text
 
@@ -31,7 +31,7 @@ def publication(run: LabelRun) -> PublicationAnswer:
         tokens=list(frames.tokens),
         stamps_ns=frames.stamps_ns.tolist(),
         packs=[_pack(run, part) for part in parts_of(run)],
-        totals=TotalsAnswer(**totals_of(run), **asdict(quality)),  # type: ignore[arg-type]
+        totals=TotalsAnswer(**totals_of(run), **asdict(quality), track=recorded_track(run.sequence)),  # type: ignore[arg-type]
     )
 
 

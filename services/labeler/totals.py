@@ -1,11 +1,22 @@
-"""Totals of a label set for its database row: duration, distance, voxels by class."""
+"""Totals of a label set for its database row: duration, distance, voxels by class; and the track it was driven on."""
 
+from dataclasses import asdict
+
+import numpy as np
+import pymap3d
+
+from services.labeler.child_answers import LONGEST_WORD, TrackAnswer
 from services.labeler.results import load_pack
 from services.labeler.run import LabelRun, parts_of
 from services.labeler.tables import CLASS_COLUMNS, concatenated
+from stone.geometry.se3 import SE3
+from stone.sensors.sequence import Sequence
 from stone.splits.composition import duration_ns, path_length_m
+from stone.splits.drives import TrackOrigin, driven_track
+from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
 
 Totals = dict[str, int | float]
+EARTH = "earth"  # WGS 84, earth-centred
 
 
 def totals_of(run: LabelRun) -> Totals:
@@ -15,3 +26,23 @@ def totals_of(run: LabelRun) -> Totals:
     frames = run.sequence.frames
     distance_m = path_length_m(frames.map_from_ego.translation_m)
     return {"duration_ns": duration_ns(frames.stamps_ns), "distance_m": distance_m, **voxels}
+
+
+def recorded_track(sequence: Sequence) -> TrackAnswer | None:
+    """Return the track of a recording: on the earth if its poses are, else in a map of its own."""
+    origin, vehicle = sequence.map_origin_deg_m, sequence.calibration.name
+    if origin is None:
+        return track_of(sequence, TrackOrigin(vehicle=vehicle), SE3.identity())
+    latitude_deg, longitude_deg, height_m = origin
+    wxyz = ecef_from_enu_wxyz(np.array(latitude_deg), np.array(longitude_deg))
+    earth_from_map = SE3.from_parts(wxyz, np.array(pymap3d.geodetic2ecef(latitude_deg, longitude_deg, height_m)))
+    return track_of(sequence, TrackOrigin(vehicle=vehicle, map=EARTH), earth_from_map)
+
+
+def track_of(sequence: Sequence, origin: TrackOrigin, common_from_map: SE3) -> TrackAnswer | None:
+    """Return the track of a sequence in the map that `origin` names; None without frames."""
+    frames = sequence.frames
+    words = (word[:LONGEST_WORD] for word in (origin.log, origin.vehicle, origin.map))
+    positions = common_from_map @ frames.map_from_ego.translation_m
+    track = driven_track(frames.stamps_ns, positions, TrackOrigin(*words))
+    return TrackAnswer(**asdict(track)) if track else None

@@ -5,6 +5,9 @@ of frames wanders inside the sequences (`spectra.py`); and *a new place*, from h
 
     V = Σ_s z_s² / (1 − 2 w_s + Σ w²),   z_s the influence of sequence s, w_s its share of what is counted
 
+Sequences that continue each other are one drive, and here one sequence: they share their place, and frames next to a
+joint are as correlated as any two neighbours.
+
 Both with critical values of Student's t. Intervals of a ratio are symmetric in its logit, so they stay inside (0, 1).
 
 **Conventions.** Ratios are columns, `stone.scoring.metric.RATIOS`. What is not known is said to be so
@@ -111,7 +114,7 @@ SILENCES: Mapping[Silence, str] = {
     "no_wander": "it does not vary between frames, so its uncertainty cannot be estimated",
     "few_frames": "too few independent frames (neighbouring frames are correlated)",
     "concentrated": "most of the voxels counted lie in a few frames",
-    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences are needed",
+    "few_sequences": f"at least {FEWEST_SEQUENCES} sequences that do not continue each other are needed",
     "uneven_sequences": "a few sequences hold most of the voxels counted",
     "unknown_order": "the order of the frames in time is not known, and with it how alike neighbouring frames are",
     "withdrawn": "the intervals of this metric version were too narrow and have been withdrawn",

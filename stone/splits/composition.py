@@ -12,6 +12,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.splits.drives import DrivenTrack
 from stone.splits.surroundings import DAYLIGHT, ENVIRONMENTS, HALVES, ILLUMINATIONS, UNSAID
 from stone_base.label_quality import UNKNOWN, LabelQuality, pooled
 
@@ -39,7 +40,8 @@ class CatalogueEntry:
     """A labelled sequence as the dataset sees it; two that share a recording (its sha256) are one sequence twice.
 
     `voxels` is None, and `distance_m` is, where the labels were made before these were kept. `exposure` says why
-    anybody may have its labels, '' where nobody may.
+    anybody may have its labels, '' where nobody may. `drive` names the drive of which the sequence is one of several,
+    '' if it is a drive by itself, and `drive_s` is how long those last together; `track` is None if it is unknown.
     """
 
     id: str
@@ -54,6 +56,9 @@ class CatalogueEntry:
     recordings: tuple[str, ...] = ()
     exposure: str = ""
     quality: LabelQuality = UNKNOWN
+    drive: str = ""
+    drive_s: float = 0.0
+    track: DrivenTrack | None = None
 
     @property
     def half(self) -> str:
@@ -64,14 +69,22 @@ class CatalogueEntry:
     def region_key(self) -> str:
         return re.sub(r"[\s_-]+", "", self.region.casefold())
 
+    @property
+    def drive_key(self) -> tuple[str, str]:
+        """Equal for the sequences of one drive."""
+        return (self.drive, "") if self.drive else ("", self.id)
+
 
 @dataclass(frozen=True)
 class CompositionSums:
-    """Sums over some sequences; `counted` of them have voxels, `measured` a distance, `judged` a held-out track.
+    """Sums over some sequences, which are so many `drives`.
 
-    `quality` is the recall of all judged metres together, and the gravest finding of any."""
+    `counted` of them have voxels, `measured` a distance, `judged` a held-out track. `quality` is the recall of all
+    judged metres together, and the gravest finding of any.
+    """
 
     sequences: int = 0
+    drives: int = 0
     frames: int = 0
     duration_s: float = 0.0
     distance_m: float = 0.0
@@ -94,6 +107,7 @@ def sums_of(entries: Iterable[CatalogueEntry]) -> CompositionSums:
     distances = [entry.distance_m for entry in rows if entry.distance_m is not None]
     return CompositionSums(
         sequences=len(rows),
+        drives=len({entry.drive_key for entry in rows}),
         frames=sum(entry.frames for entry in rows),
         duration_s=sum(entry.duration_s for entry in rows),
         distance_m=sum(distances),

@@ -13,6 +13,7 @@ from scipy.sparse import csr_array
 
 from stone.splits.composition import CatalogueEntry, sums_of
 from stone.splits.splits import (
+    DRIVES,
     LENGTH,
     LIGHT,
     PARTS,
@@ -21,6 +22,7 @@ from stone.splits.splits import (
     SIZES,
     WHOLE,
     conditions_of,
+    drives_in,
     is_long_enough,
     twins_of,
 )
@@ -65,7 +67,7 @@ def rules_of(sought: SplitTask) -> tuple[Rule, ...]:
     """The rules these data allow, those that are dropped first from a clash first."""
     parts = tuple(part for part, size in zip(PARTS, sought.sizes, strict=True) if size)
     conditions = [c for c in conditions_of(sought.entries) if not c.obstacle(parts)]
-    whole = [Rule(code) for code in (WHOLE, LENGTH)]
+    whole = [Rule(code) for code in (WHOLE, DRIVES, LENGTH)]
     return (*whole, *(Rule(c.rule, c.word, c.entries) for c in conditions), Rule(REGIONS), Rule(SIZES))
 
 
@@ -199,6 +201,17 @@ def _add_whole(programme: Programme, sought: SplitTask, _rule: Rule, is_rigid: b
         programme.row(members | {column: -1.0 for column in again}, -float(len(twins)), 1.0)
 
 
+def _add_drives(programme: Programme, sought: SplitTask, _rule: Rule, _is_rigid: bool) -> None:
+    """A drive is in one part at most, whatever else has to give way: no size is worth a torn drive."""
+    number = {entry.id: s for s, entry in enumerate(sought.entries)}
+    for _, members in drives_in(sought.entries):
+        of_drive = [programme.column(1.0) for _ in PARTS]
+        programme.row(dict.fromkeys(of_drive, 1.0), 0.0, 1.0)
+        for entry in members:
+            for p, column in enumerate(of_drive):
+                programme.row({3 * number[entry.id] + p: 1.0, column: -1.0}, -1.0, 0.0)
+
+
 def _add_regions(programme: Programme, sought: SplitTask, _rule: Rule, is_rigid: bool) -> None:
     of_test, shared = dict[str, int](), dict[str, dict[int, float]]()
     for s, entry in enumerate(sought.entries):
@@ -224,6 +237,7 @@ ADDERS = {
     SIZES: _add_sizes,
     LENGTH: _add_length,
     WHOLE: _add_whole,
+    DRIVES: _add_drives,
     REGIONS: _add_regions,
     LIGHT: _add_condition,
     SEPARATED_PLACES: _add_condition,

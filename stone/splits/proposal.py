@@ -17,6 +17,7 @@ from stone.splits.composition import CatalogueEntry, region_names, sums_of
 from stone.splits.model import COSTS, Model, Rule, SolverLimits, SplitTask, rules_of
 from stone.splits.rules import check_split
 from stone.splits.splits import (
+    DRIVES,
     LENGTH,
     MOST_SEQUENCES,
     PARTS,
@@ -25,6 +26,7 @@ from stone.splits.splits import (
     WHOLE,
     RuleFinding,
     Split,
+    drives_in,
     is_long_enough,
     twins_of,
 )
@@ -149,6 +151,12 @@ def _facts(rule: Rule, sought: SplitTask) -> tuple[tuple[CatalogueEntry, ...], s
     if rule.code == WHOLE:
         twins = tuple({entry.id: entry for _, group in twins_of(usable) for entry in group}.values())
         return twins, f"{len(twins)} sequences share a name or a recording, and one of each is taken: {_names(twins)}"
+    if rule.code == DRIVES:
+        drives = tuple(drives_in(entries))
+        chunks = tuple(entry for _, members in drives for entry in members)
+        largest = sorted(drives, key=lambda drive: (-len(drive[1]), drive[0]))[:NAMED]
+        named = ", ".join(f"{name} {len(members)}" for name, members in largest)
+        return chunks, f"a drive is in one split at most; {len(drives)} drives have several sequences: {named}"
     if rule.code == REGIONS:
         counted = _by_region(usable)
         return (), f"test and train share no region, and a region is taken whole; there are {counted}"

@@ -9,6 +9,7 @@ from collections.abc import Iterable, Iterator
 
 from stone.splits.composition import CatalogueEntry
 from stone.splits.splits import (
+    DRIVES,
     EXPOSED,
     LENGTH,
     LIGHT,
@@ -22,6 +23,7 @@ from stone.splits.splits import (
     RuleFinding,
     Split,
     conditions_of,
+    drives_in,
     is_long_enough,
     twins_of,
 )
@@ -48,8 +50,25 @@ def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rule
     return tuple(findings)
 
 
+def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
+    """No drive is in two splits: its sequences show one stretch of ground in one light, and overlap at their joints."""
+    assigned = _assigned(split, catalogue)
+    part_of = {entry.id: part for part, entry in assigned}
+    findings = []
+    for name, members in drives_in(entry for _, entry in assigned):
+        counts = Counter(part_of[entry.id] for entry in members)
+        if len(counts) > 1:
+            found = " and ".join(f"{count} in {part}" for part, count in counts.items())
+            message = (
+                f"drive {name!r} is torn: of its {len(members)} sequences, which continue each other, {found}; "
+                "put all of them into one split, or take those of the others out"
+            )
+            findings.append(_error(DRIVES, message, tuple(entry.id for entry in members)))
+    return tuple(findings)
+
+
 def check_length(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
-    """Every sequence lasts 20 s at least."""
+    """Every sequence lasts 20 s at least, or the drive that it is part of."""
     short = [entry for _, entry in _assigned(split, catalogue) if not is_long_enough(entry)]
     return tuple(
         _error(LENGTH, f"{entry.name} lasts {entry.duration_s:.1f} s; the least is {SHORTEST_S:g} s", (entry.id,))
@@ -122,7 +141,16 @@ def check_split(
 ) -> tuple[RuleFinding, ...]:
     """All rules, in their order; errors and warnings of each. Sizes only where they were asked for."""
     entries = tuple(catalogue)
-    checks = (check_whole, check_length, check_regions, check_light, check_places, check_said, check_exposed)
+    checks = (
+        check_whole,
+        check_drives,
+        check_length,
+        check_regions,
+        check_light,
+        check_places,
+        check_said,
+        check_exposed,
+    )
     findings = [finding for check in checks for finding in check(split, entries)]
     return (*findings, *(check_sizes(split, sizes) if sizes is not None else ()))
 

@@ -3,7 +3,10 @@
 **Conventions.** A rule gives findings: its code, one sentence, the ids of the sequences it is about. `error`: the rule
 is broken. `warning`: the data do not allow what the rule asks for, or do not say what it needs. What "the data allow"
 is judged by the whole catalogue that is handed over, one condition at a time: it can be in every split that is not
-empty if enough sequences (≥ 20 s each) have it, in two regions at least where there are both train and test.
+empty if enough drives (≥ 20 s each) have it, in two regions at least where there are both train and test.
+
+A drive is sequences that continue each other (`stone/splits/drives.py`), or one that continues none: it is the paper's
+sequence, and a dataset that comes in chunks is judged by its drives.
 
 Rules: Park et al., STONE Dataset, ICRA 2026: 43 sequences as 31 train, 7 val, 5 test, by whole sequences; day and night
 and every environment in each split; test regions disjoint from train; each sequence 20 s at least.
@@ -25,6 +28,7 @@ SHORTEST_S = 20.0
 MOST_SEQUENCES = 2000
 
 WHOLE = "whole_sequences"
+DRIVES = "whole_drives"
 LENGTH = "sequence_length"
 REGIONS = "test_regions"
 LIGHT = "day_and_night"
@@ -77,8 +81,10 @@ class Condition:
     def obstacle(self, parts: tuple[Part, ...]) -> str:
         """Why the data do not let it be in all of `parts`; '' where they do."""
         regions = {entry.region_key for entry in self.entries}
-        if len(self.entries) < len(parts):
+        drives = len({entry.drive_key for entry in self.entries})
+        if drives < len(parts):
             found = counted(len(self.entries), "sequence")
+            found += f" of {counted(drives, 'drive')}" if drives < len(self.entries) else ""
             return f"it is in {found} of 20 s or more, {len(parts)} splits ask for one each"
         if {"train", "test"} <= {*parts} and len(regions) < 2:
             return f"its {len(self.entries)} sequences lie in one region, and test and train may not share one"
@@ -86,7 +92,8 @@ class Condition:
 
 
 def is_long_enough(entry: CatalogueEntry) -> bool:
-    return entry.duration_s >= SHORTEST_S
+    """Whether the sequence, or the drive that it is part of, lasts as long as a sequence has to."""
+    return max(entry.duration_s, entry.drive_s) >= SHORTEST_S
 
 
 def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
@@ -97,6 +104,15 @@ def conditions_of(catalogue: Iterable[CatalogueEntry]) -> tuple[Condition, ...]:
         Condition(SEPARATED_PLACES, word, tuple(e for e in usable if e.environment == word)) for word in ENVIRONMENTS
     ]
     return (*light, *places)
+
+
+def drives_in(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[CatalogueEntry, ...]]]:
+    """The drives of several sequences among these, by name."""
+    drives = dict[str, list[CatalogueEntry]]()
+    for entry in entries:
+        if entry.drive:
+            drives.setdefault(entry.drive, []).append(entry)
+    yield from ((name, tuple(members)) for name, members in sorted(drives.items()) if len(members) > 1)
 
 
 def twins_of(entries: Iterable[CatalogueEntry]) -> Iterator[tuple[str, tuple[CatalogueEntry, ...]]]:

@@ -9,6 +9,8 @@ from collections.abc import Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
+import typer
+
 from stone_base.errors import Refused
 from stone_base.findings import Finding
 from stone_base.names import PARTS
@@ -62,6 +64,8 @@ def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:
             _show_part("unassigned", record["unassigned"])
         if record.get("shares"):
             _show_shares(record["shares"])
+        if record.get("gap"):
+            typer.echo(safe_text(record["gap"]["message"]))
     clash, said = record.get("conflict") or [], record["findings"] or []
     echo_findings(Finding(f"conflict of {rule['code']}", "error", "", rule["message"]) for rule in clash)
     echo_findings(Finding(rule["code"], rule["severity"], "", rule["message"]) for rule in said)

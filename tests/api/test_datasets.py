@@ -167,7 +167,8 @@ def test_of_tests_labels_nothing_is_told_to_anybody(api: httpx.Client, platform:
     assert set(manifest["files"]) == {"train", "val"}
     test = manifest["sequences"][2]
     assert set(test) == {
-        "name", "split", "environment", "illumination", "daylight", "region", "frames", "duration_s", "distance_m"
+        "name", "split", "environment", "illumination", "daylight", "region", "drive",
+        "frames", "duration_s", "distance_m",
     }  # fmt: skip
     assert manifest["statistics"]["total"]["voxels"]["traversable"] == 200, "train and val have 100 each, test as many"
 

@@ -45,7 +45,10 @@ def test_a_board_says_by_what_and_how_surely(api: httpx.Client, platform: Platfo
     assert board["ordered_by"] == ["miou", "iou_occ", "iou_n", "submitted_at"]
     assert (board["pair"]["metric"], board["pair"]["signature"]) == ("stone-iou-2", "metric:a|truth:b")
     assert (board["pair"]["ground_truth"], board["pair"]["frames"], board["pair"]["sequences"]) == (1, 1350, 3)
-    assert any("new places: at least 5 sequences are needed, here 3" in note for note in board["notes"])
+    assert any(
+        "new places: at least 5 sequences that do not continue each other are needed, here 3" in note
+        for note in board["notes"]
+    )
     first, second = board["rows"]
     assert (first["submission_id"], second["submission_id"]) == (look.mine, look.theirs)
     assert (first["rank"], first["rank_interval"], first["tie_group"]) == (1, [1, 1], 1)

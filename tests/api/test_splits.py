@@ -140,7 +140,12 @@ def test_verdicts_are_those_of_putting_and_nothing_is_put(
     kept = judged(api, administrator, [a], [b], []).json()
     assert kept["can_be_put"] is True
     assert kept["findings"] == put([a], [b], []).json()["findings"]
-    assert judged(api, administrator, [], [], []).json() == {"revision": 1, "can_be_put": True, "findings": []}
+    assert judged(api, administrator, [], [], []).json() == {
+        "revision": 1,
+        "can_be_put": True,
+        "findings": [],
+        "gap": None,
+    }
 
 
 def proposed(api: httpx.Client, who: Person, train: int, val: int, test: int, **more: Any) -> httpx.Response:
@@ -221,7 +226,7 @@ def test_the_sums_are_those_of_the_rows(api: httpx.Client, lakes_and_farm: tuple
     shown = api.get(STATISTICS, headers=lakes_and_farm[0].headers).json()
     assert shown["dataset"] is None
     assert shown["total"] == {
-        "sequences": 3, "frames": 9, "duration_s": 75.0, "distance_m": 61.0, "distances_known": 2,
+        "sequences": 3, "drives": 3, "frames": 9, "duration_s": 75.0, "distance_m": 61.0, "distances_known": 2,
         "voxels": {"traversable": 200, "potentially_traversable": 400, "non_traversable": 1400},
         "class_ratios": {"traversable": 0.1, "potentially_traversable": 0.2, "non_traversable": 0.7}, "voxels_known": 2,
         "held_out_recall": 0.9731, "held_out_m": 150.8, "held_out_known": 2,
@@ -304,3 +309,61 @@ def test_the_figure_shows_classes_by_their_share() -> None:
 def test_equal_records_give_equal_figures_and_no_word_is_a_formula() -> None:
     entries = (*catalogue(9, 1), entry(90, environment="$\\frac{1}{0}$", illumination="$x", region="_$^"))
     assert figure_of(entries) == figure_of(entries)
+
+
+def drive(platform: Platform, owner: Person, metres: list[float], **said: str) -> list[str]:
+    """Sequences of 25 s at 1 m/s along one line: each begins at so many metres, a tenth of a second a decimetre."""
+    ids = [driven(platform, owner, **said) for _ in metres]
+    for one, begin_m in zip(ids, metres, strict=True):
+        first_ns = 1_755_846_856_000_000_000 + int(begin_m * 1e9)
+        places = [[0.0, begin_m, 0.0, 0.0], [24.9, begin_m + 24.9, 0.0, 0.0]]
+        track = {"log": "", "vehicle": "n1", "map": "dataset:lake", "period_ns": 10**8, "speed_m_s": 1.0}
+        track |= {"first_ns": first_ns, "last_ns": first_ns + 24_900_000_000, "places": places}
+        with platform.database.transaction() as session:
+            session.query(LabelSet).where(LabelSet.sequence_id == one).one().track = track
+    return ids
+
+
+def test_a_drive_is_put_whole_or_refused_by_its_name_and_the_gap_is_told(
+    put: Put, api: httpx.Client, platform: Platform, curator: Person
+) -> None:
+    a, b, c = drive(platform, curator, [0.0, 25.0, 50.0], region="shore")
+    (far,) = drive(platform, curator, [7575.0], region="pier")
+    with platform.database.reading() as session:
+        names = {one: session.get_one(SequenceRow, one).name for one in (a, b, c, far)}
+    torn = put([a, c], [b], [far])
+    assert (torn.status_code, codes(torn)) == (422, ["whole_drives"])
+    (error,) = torn.json()["errors"]
+    assert f"drive {names[a]!r} is torn" in error["expected"]
+    assert "2 in train and 1 in val" in error["expected"]
+    shown = put([a, b], [], [far]).json()
+    assert [one["drive"] for one in (*shown["train"], *shown["unassigned"], *shown["test"])] == [names[a]] * 3 + [""]
+    gap = shown["gap"]
+    assert (gap["distance_m"], gap["time_s"]) == (pytest.approx(7575 - 49.9), pytest.approx(7575 - 49.9))
+    assert gap["nearest"] == gap["soonest"] == [names[b], names[far]]
+    assert "at least 7525 m apart in place" in gap["message"]
+    statistics = api.get(STATISTICS, headers=curator.headers).json()
+    assert (statistics["total"]["sequences"], statistics["total"]["drives"]) == (4, 2)
+    made = api.post(
+        "/api/v1/datasets",
+        json={"name": "of-drives", "reason": "why"},
+        headers=person(platform, "administrator").headers,
+    )
+    assert made.status_code == 201, made.text
+    manifest = api.get("/api/v1/datasets/of-drives/manifest", headers=curator.headers).json()
+    assert {one["name"]: one["drive"] for one in manifest["sequences"]} == {
+        names[a]: names[a], names[b]: names[a], names[far]: ""
+    }  # fmt: skip
+    assert manifest["gap"] == gap
+
+
+def test_a_sequence_of_test_is_exposed_by_a_public_one_of_its_drive_and_leaving_out_what_links_them_does_not_help(
+    put: Put, platform: Platform, curator: Person
+) -> None:
+    a, _, c = drive(platform, curator, [0.0, 25.0, 50.0])
+    with platform.database.transaction() as session:
+        row = session.get_one(SequenceRow, a)
+        row.is_public, name = True, row.name
+    found = {one["code"]: one for one in put([], [], [c]).json()["findings"]}["test_is_public"]
+    assert f"{name!r}, of the same drive, is public" in found["message"]
+    assert "whole_drives" in codes(put([a], [], [c]))

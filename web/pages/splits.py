@@ -15,13 +15,25 @@ from api.views.splits import splits_answer
 from api.visible import sequences_of
 from services.domain.datasets.catalogue import entries_of, labelled_sequences
 from services.domain.datasets.splits import current_splits, judged
-from stone.splits.splits import EXPOSED, LENGTH, LIGHT, PARTS, REGIONS, SEPARATED_PLACES, SHORTEST_S, UNSAID, WHOLE
+from stone.splits.splits import (
+    DRIVES,
+    EXPOSED,
+    LENGTH,
+    LIGHT,
+    PARTS,
+    REGIONS,
+    SEPARATED_PLACES,
+    SHORTEST_S,
+    UNSAID,
+    WHOLE,
+)
 from stone.splits.surroundings import ENVIRONMENTS, HALVES
 from web.rendering import page
 
 router = APIRouter()
 RULES = {
     WHOLE: "Whole sequences",
+    DRIVES: "Whole drives",
     LENGTH: f"{SHORTEST_S:g} s or longer",
     REGIONS: "Test and train regions disjoint",
     LIGHT: "Day and night in each split",

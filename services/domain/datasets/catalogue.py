@@ -1,21 +1,26 @@
 """The catalogue: sequences with labels, which a dataset can be made of.
 
 **Conventions.** Of several label sets of a sequence the one that was asked for last counts. All comes from rows, in a
-fixed number of statements.
+fixed number of statements. Drives are found among the sequences of all owners, and named by the first of their
+sequences that are seen.
 """
 
+from collections import Counter
 from collections.abc import Iterable, Mapping
 from dataclasses import dataclass, replace
 from datetime import UTC, datetime
+from typing import Any
 
 from sqlalchemy import Select, and_, func, or_, select
 from sqlalchemy.orm import Session, aliased
 
 from services.runtime.orm import Dataset, DatasetMember, LabelSet, Phase, Recording, RecordingFile, SequenceRow, Upload
 from stone.splits.composition import CatalogueEntry, Voxels
+from stone.splits.drives import DrivenTrack, drives_of
 from stone.splits.splits import PARTS
 
 REGISTERED = "registered"
+Drives = Mapping[str, tuple[str, ...]]
 
 
 @dataclass(frozen=True)
@@ -37,13 +42,19 @@ def labelled_sequences(session: Session, among: Select[SequenceRow] | None = Non
     sequence = aliased(SequenceRow, sequences)
     found = select(sequence, counting).join(counting, counting.sequence_id == sequence.id).where(newest.c.place == 1)
     rows = session.execute(found.order_by(sequence.name, sequence.id)).all()
-    recordings, exposed = _recordings(session, [row.id for row, _ in rows]), exposures(session)
-    return tuple(
-        CatalogueSequence(
-            row, labels, replace(_entry(row, labels, recordings.get(row.id, ())), exposure=exposed.get(row.id, ""))
+    recordings, tracks = _recordings(session, [row.id for row, _ in rows]), _tracks(session)
+    drives = drives_of({one: track for one, (_, track) in tracks.items()})
+    exposed = _with_drives(exposures(session), drives, {one: name for one, (name, _) in tracks.items()})
+    entries = [
+        replace(
+            _entry(row, labels, recordings.get(row.id, ())),
+            exposure=exposed.get(row.id, ""),
+            track=tracks[row.id][1] if row.id in tracks else None,
         )
         for row, labels in rows
-    )
+    ]
+    named = _in_drives(entries, drives)
+    return tuple(CatalogueSequence(row, labels, named[row.id]) for row, labels in rows)
 
 
 def entries_of(labelled: Iterable[CatalogueSequence]) -> tuple[CatalogueEntry, ...]:
@@ -55,6 +66,35 @@ def voxels_of(t_voxels: int | None, p_voxels: int | None, n_voxels: int | None) 
     if t_voxels is None or p_voxels is None or n_voxels is None:
         return None
     return t_voxels, p_voxels, n_voxels
+
+
+def _tracks(session: Session) -> dict[str, tuple[str, DrivenTrack]]:
+    """Name and track of each sequence whose labels have a track, by id."""
+    place = func.row_number().over(partition_by=LabelSet.sequence_id, order_by=_LAST_FIRST)
+    newest = select(LabelSet.sequence_id, LabelSet.track, place.label("place")).subquery()
+    rows = select(SequenceRow.id, SequenceRow.name, newest.c.track).join(newest, newest.c.sequence_id == SequenceRow.id)
+    found = session.execute(rows.where(newest.c.place == 1).order_by(SequenceRow.id))
+    return {one: (name, track_from(record)) for one, name, record in found if record}
+
+
+def track_from(record: Mapping[str, Any]) -> DrivenTrack:
+    """The track that a label set's row has."""
+    return DrivenTrack(**{**record, "places": tuple(map(tuple, record["places"]))})
+
+
+def _in_drives(entries: Iterable[CatalogueEntry], drives: Drives) -> dict[str, CatalogueEntry]:
+    """The entries with their drives, by id; a drive of which one sequence alone is seen has no name."""
+    found = {entry.id: entry for entry in entries}
+    of_drive = {one: [found[other] for other in drives.get(one, (one,)) if other in found] for one in found}
+    firsts = {members[0].id: members[0].name for members in of_drive.values() if len(members) > 1}
+    times = Counter(firsts.values())
+    names = {one: name if times[name] == 1 else f"{name[:80]} ({one[:12]})" for one, name in firsts.items()}
+    return {
+        one: replace(found[one], drive=names[members[0].id], drive_s=sum(other.duration_s for other in members))
+        if len(members) > 1
+        else found[one]
+        for one, members in of_drive.items()
+    }
 
 
 _LAST_FIRST = (LabelSet.chosen_ns.desc(), LabelSet.id.desc())
@@ -104,6 +144,17 @@ OPEN = tuple(part for part in PARTS if part != HIDDEN)
 def exposures(session: Session) -> Mapping[str, str]:
     """Of every sequence whose labels anybody may have, the plainest reason, by its id."""
     return {**_sharing(session), **_in_versions(session), **_public(session)}
+
+
+def _with_drives(exposed: Mapping[str, str], drives: Drives, names: Mapping[str, str]) -> Mapping[str, str]:
+    """With the sequences whose drive has an exposed one: the labels of its ground tell of theirs."""
+    found = dict(exposed)
+    for drive in set(drives.values()):
+        known = next((one for one in drive if one in exposed), None)
+        if known is not None and len(drive) > 1:
+            why = f"{names[known]!r}, of the same drive, {exposed[known].removeprefix('it ')}"
+            found |= {one: why for one in drive if one not in exposed}
+    return found
 
 
 def hidden_truths() -> Select[str]:

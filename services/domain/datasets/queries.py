@@ -67,4 +67,5 @@ def _entry(row: DatasetMember) -> CatalogueEntry:
         voxels=voxels_of(row.t_voxels, row.p_voxels, row.n_voxels),
         distance_m=row.distance_m,
         quality=row.quality,
+        drive=row.drive,
     )

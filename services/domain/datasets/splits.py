@@ -5,8 +5,9 @@ anew each time, since sequences are labelled, renamed and deleted meanwhile. The
 that the splits name: which ones make up the dataset is the administrator's choice.
 """
 
-from collections.abc import Iterable
+from collections.abc import Iterable, Iterator, Mapping
 from dataclasses import dataclass
+from typing import Any
 
 from sqlalchemy import delete, select
 from sqlalchemy.orm import Session
@@ -15,10 +16,14 @@ from services.domain.datasets.catalogue import CatalogueSequence, entries_of
 from services.runtime.database.inserts import insert_new
 from services.runtime.orm import SplitMember, Splits
 from services.runtime.orm.base import now_ns
+from stone.splits.composition import CatalogueEntry
+from stone.splits.drives import TrackGap, gap_between
 from stone.splits.rules import check_split
 from stone.splits.splits import PARTS, RuleFinding, Split
+from stone_base.counts import counted
 
 NAME = "dataset"
+UNITS = ((86_400.0, "days"), (3600.0, "h"), (60.0, "min"))
 
 
 @dataclass(frozen=True)
@@ -47,6 +52,40 @@ def judged(split: Split, labelled: Iterable[CatalogueSequence]) -> tuple[RuleFin
     """The findings of every rule about the split."""
     named = {one for ids in split.parts.values() for one in ids}
     return check_split(split, (entry for entry in entries_of(labelled) if entry.id in named))
+
+
+def gap_record(split: Split, entries: Iterable[CatalogueEntry]) -> dict[str, Any] | None:
+    """Return how far train and test are apart in place and time, in numbers and a sentence; None if one is empty."""
+    known = {entry.id: entry for entry in entries}
+    train, test = ({one: known[one].track for one in ids if one in known} for ids in (split.train, split.test))
+    return _gap_record(gap_between(train, test), known) if train and test else None
+
+
+def _gap_record(gap: TrackGap, known: Mapping[str, CatalogueEntry]) -> dict[str, Any]:
+    nearest, soonest = ([known[one].name for one in pair] if pair else None for pair in (gap.nearest, gap.soonest))
+    distance_m, time_s = (None if value is None else round(value, 3) for value in (gap.distance_m, gap.time_s))
+    return {
+        "distance_m": distance_m,
+        "nearest": nearest,
+        "time_s": time_s,
+        "soonest": soonest,
+        "unknown": gap.unknown,
+        "message": "; ".join(_gap_words(distance_m, nearest, time_s, soonest, gap.unknown)),
+    }
+
+
+def _gap_words(
+    distance_m: float | None, nearest: list[str] | None, time_s: float | None, soonest: list[str] | None, unknown: int
+) -> Iterator[str]:
+    if distance_m is None or nearest is None:
+        yield "no track of train can be compared with one of test in place"
+    else:
+        yield f"train and test are at least {distance_m:.0f} m apart in place ({' and '.join(nearest)})"
+    if time_s is not None and soonest is not None:
+        unit_s, unit = next(((size, word) for size, word in UNITS if time_s >= 2 * size), (1.0, "s"))
+        yield f"at least {time_s / unit_s:.0f} {unit} apart in time ({' and '.join(soonest)})"
+    if unknown:
+        yield f"the track of {counted(unknown, 'sequence')} is unknown, which an earlier version labelled"
 
 
 def errors_of(findings: Iterable[RuleFinding]) -> tuple[RuleFinding, ...]:

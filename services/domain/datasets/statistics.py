@@ -34,6 +34,7 @@ def counts_record(sums: CompositionSums) -> Record:
     shares = sums.class_shares()
     return {
         "sequences": sums.sequences,
+        "drives": sums.drives,
         "frames": sums.frames,
         "duration_s": round(sums.duration_s, 3),
         "distance_m": round(sums.distance_m, 3) if sums.measured else None,

@@ -16,7 +16,14 @@ from sqlalchemy.orm import Session
 
 from services.domain.datasets.catalogue import HIDDEN, OPEN, CatalogueSequence, entries_of, labelled_sequences
 from services.domain.datasets.files import DatasetFile, files_of, packed, sums_file, sums_of
-from services.domain.datasets.splits import CurrentSplits, current_splits, errors_of, judged, lock_splits
+from services.domain.datasets.splits import (
+    CurrentSplits,
+    current_splits,
+    errors_of,
+    gap_record,
+    judged,
+    lock_splits,
+)
 from services.domain.datasets.statistics import CLASSES, statistics_record
 from services.runtime.access.errors import name_taken
 from services.runtime.code_version import code_version
@@ -28,7 +35,7 @@ from services.runtime.store.pack_reading import StoredFiles, archive_sha256
 from services.runtime.store.packs import PackedFiles, index_bytes
 from stone.errors import Refused
 from stone.splits.composition import CatalogueEntry
-from stone.splits.splits import PARTS, RuleFinding
+from stone.splits.splits import PARTS, RuleFinding, Split
 from stone.splits.surroundings import DAYLIGHT, UNSAID
 from stone_base.counts import counted
 from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper, recorded_grid
@@ -69,6 +76,7 @@ def manifest_bytes(
         "sequences": [_described(one, part) for part, labelled in members.items() for one in labelled],
         "statistics": told_statistics(members),
         "grid": grid_of_members(members).as_record(),
+        "gap": told_gap(members),
         "files": {part: [file.as_record() for file in of_part] for part, of_part in files.items()},
     }
     return (json.dumps(record, sort_keys=True, ensure_ascii=False, allow_nan=False) + "\n").encode()
@@ -77,6 +85,14 @@ def manifest_bytes(
 def told_statistics(members: Members) -> dict[str, Any]:
     """Statistics of all parts, with the voxels of those that are open."""
     return statistics_record({part: open_entries(part, entries_of(labelled)) for part, labelled in members.items()})
+
+
+def told_gap(members: Members) -> dict[str, Any] | None:
+    """How far train and test are apart, as `gap_record`."""
+    entries = {part: entries_of(labelled) for part, labelled in members.items()}
+    every = tuple(entry for of_part in entries.values() for entry in of_part)
+    split = Split(**{part: tuple(entry.id for entry in of_part) for part, of_part in entries.items()})
+    return gap_record(split, every)
 
 
 def open_entries(part: str, entries: Iterable[CatalogueEntry]) -> tuple[CatalogueEntry, ...]:
@@ -94,6 +110,7 @@ def _described(one: CatalogueSequence, part: str) -> dict[str, Any]:
         "illumination": entry.illumination,
         "daylight": DAYLIGHT.get(entry.illumination, UNSAID),
         "region": entry.region,
+        "drive": entry.drive,
         "frames": entry.frames,
         "duration_s": entry.duration_s,
         "distance_m": entry.distance_m,
@@ -272,6 +289,7 @@ def _write_members(session: Session, dataset_id: str, members: Members) -> None:
             row = DatasetMember(dataset_id=dataset_id, sequence_id=entry.id, label_set_id=labels.id, part=part)
             row.name, row.recipe = entry.name, labels.recipe
             row.environment, row.illumination, row.region = entry.environment, entry.illumination, entry.region
+            row.drive, row.first_stamp_ns = entry.drive, entry.track.first_ns if entry.track else None
             row.frames, row.duration_ns, row.distance_m = entry.frames, labels.duration_ns or 0, entry.distance_m
             row.t_voxels, row.p_voxels, row.n_voxels = entry.voxels or (None, None, None)
             row.held_out_recall, row.held_out_m = labels.held_out_recall, labels.held_out_m

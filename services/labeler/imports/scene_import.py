@@ -37,12 +37,15 @@ from services.labeler.imports.scene_parts import (
 )
 from services.labeler.report import CLASS_NAMES
 from services.labeler.tables import CLASS_COLUMNS, write_frames
+from services.labeler.totals import track_of
 from services.runtime.code_version import code_version
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.store.packs import PackWriter, index_bytes, pieces_of
 from stone.findings import Finding
+from stone.geometry.se3 import SE3
 from stone.labels.grid import Grid
 from stone.splits.composition import duration_ns, path_length_m
+from stone.splits.drives import TrackOrigin
 from stone_datasets.classes import MEANINGS, OWN_CLASSES, ClassMap
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.labels import FrameLabels, read_labels
@@ -216,9 +219,18 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
         totals=TotalsAnswer(
             duration_ns=duration_ns(frames.stamps_ns),
             distance_m=path_length_m(frames.map_from_ego.translation_m),
+            track=track_of(parts.sequence, _origin_of(parts), SE3.identity()),
             **voxel_totals(labels.counts()),  # type: ignore[arg-type]
         ),
     )
+
+
+def _origin_of(parts: SceneParts) -> TrackOrigin:
+    """By the scene's log; poses of one location are in one map, as nuScenes has it."""
+    (log, *_) = json.loads((parts.folder / TABLES / "log.json").read_bytes()) or [{}]
+    logfile, vehicle, location = (str(log.get(key, "")) for key in ("logfile", "vehicle", "location"))
+    place = location or logfile or parts.sequence.name
+    return TrackOrigin(logfile, vehicle, f"dataset:{place.casefold()}")
 
 
 def voxel_totals(counts: FrameVoxelCounts) -> Mapping[str, int]:

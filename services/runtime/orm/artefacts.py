@@ -40,7 +40,7 @@ class LabelSet(WithQuality, Base):
 
     Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
     drove, voxels of all frames by class) is null where an earlier version did not write it down. The paper's `grid` is
-    null.
+    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), loaded only where it is asked for.
     """
 
     __tablename__ = "label_sets"
@@ -58,6 +58,7 @@ class LabelSet(WithQuality, Base):
     p_voxels: Mapped[Count | None]
     n_voxels: Mapped[Count | None]
     grid: Mapped[Record | None]
+    track: Mapped[Record | None] = mapped_column(JSON, deferred=True)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     chosen_ns: Mapped[Ns] = mapped_column(default=now_ns)
 

@@ -5,7 +5,7 @@ and its bytes are held by foreign keys to blobs; so it stays as it is when seque
 deleted. The database refuses to change its rows; inputs are added to it.
 """
 
-from sqlalchemy import ForeignKey, String
+from sqlalchemy import ForeignKey, String, text
 from sqlalchemy.orm import Mapped, mapped_column
 
 from services.runtime.orm.base import Base, Bytes, Count, Id, Ns, Record, WithQuality, new_id, now_ns
@@ -47,7 +47,8 @@ class Dataset(Base):
 class DatasetMember(WithQuality, Base):
     """A sequence of a version as it was then; voxels and distance are null where they were not known.
 
-    `label_set_id` and `sequence_id` say where it came from and may name nothing any more.
+    `label_set_id` and `sequence_id` say where it came from and may name nothing any more. `drive` is that of which it
+    is one of several sequences, '' if it is a drive by itself; `first_stamp_ns` orders them, null if it is unknown.
     """
 
     __tablename__ = "dataset_members"
@@ -66,6 +67,8 @@ class DatasetMember(WithQuality, Base):
     t_voxels: Mapped[Count | None]
     p_voxels: Mapped[Count | None]
     n_voxels: Mapped[Count | None]
+    drive: Mapped[str] = mapped_column(String(100), default="", server_default=text("''"))
+    first_stamp_ns: Mapped[Ns | None]
 
 
 class DatasetPart(Base):

@@ -181,3 +181,26 @@ def test_the_file_is_the_spectra_and_always_the_same() -> None:
 def test_lengths_that_do_not_add_up_are_refused() -> None:
     with pytest.raises(ShapeError):
         spectra_of(confusions_of(0, 9), (4, 4), CURRENT)
+
+
+def test_sequences_of_one_drive_count_as_one_in_time_order_and_in_the_exact_test() -> None:
+    """hill and pass are a drive, driven pass first: as if it had come as one sequence."""
+    counts = counts_of_frames()
+    hill, lake, last = SEQUENCES
+    chunked = replace(
+        counts,
+        sequences=(
+            replace(hill, drive="ridge", first_stamp_ns=20),
+            lake,
+            replace(last, drive="ridge", first_stamp_ns=10),
+        ),
+    )
+    order = [*range(6, 9), *range(4), *range(4, 6)]
+    whole = replace(counts, confusions=counts.confusions[order], sequences=(SequenceFacts("ridge", 7), lake))
+    found, wanted = chunked.spectra(), whole.spectra()
+    assert found.layout == wanted.layout
+    np.testing.assert_array_equal(found.coefficients, wanted.coefficients)
+    np.testing.assert_array_equal(found.sequence_weight, wanted.sequence_weight)
+    by = record(chunked)["by"]
+    assert {name: part["frames"] for name, part in by["drive"].items()} == {"ridge": 7, "lake": 2}
+    assert list(by["sequence"]) == ["hill", "lake", "pass"]

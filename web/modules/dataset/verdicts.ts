@@ -19,6 +19,7 @@ interface Answer {
   revision: number;
   can_be_put: boolean;
   findings: Finding[];
+  gap: { message: string } | null;
 }
 
 type Tone = "waiting" | "good" | "warning" | "error";
@@ -71,8 +72,16 @@ export class Verdicts {
     else if (answer.findings.length) this.say("warning", "Satisfied as far as the data allow");
     else this.say("good", "All rules satisfied");
     for (const rule of this.root.querySelectorAll<HTMLElement>("[data-rule]")) this.showRule(rule);
+    this.showGap(answer.gap?.message ?? "");
     this.list();
     this.told(answer.revision);
+  }
+
+  private showGap(message: string): void {
+    const gap = this.root.querySelector<HTMLElement>("[data-gap]");
+    if (!gap) return;
+    gap.hidden = !message;
+    gap.textContent = `${message.charAt(0).toUpperCase()}${message.slice(1)}.`;
   }
 
   private showRule(rule: HTMLElement): void {

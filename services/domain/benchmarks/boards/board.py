@@ -229,7 +229,10 @@ class LeaderboardRow:
 
 @dataclass(frozen=True)
 class BoardEvaluationVersion:
-    """The evaluation version that a board's scores were made by; `signature` is null while there is none."""
+    """The evaluation version that a board's scores were made by; `signature` is null while there is none.
+
+    Of its sequences those that continue each other are one of its `drives`.
+    """
 
     truth_id: str
     truth_number: int
@@ -239,6 +242,7 @@ class BoardEvaluationVersion:
     activated_ns: int
     frames: int
     sequences: int
+    drives: int
 
 
 @dataclass(frozen=True)
@@ -335,6 +339,12 @@ def sequences_of(truth: GroundTruthRow) -> int:
     return len(truth.facts.get("sequences", ()))
 
 
+def drives_of(truth: GroundTruthRow) -> int:
+    """The number of drives in a ground truth."""
+    facts = truth.facts.get("sequences", ())
+    return len({(bool(one.get("drive")), one.get("drive") or one["name"]) for one in facts})
+
+
 def _read(session: Session, phase: Phase, query: BoardQuery, viewer: Viewer, now: int) -> _BoardRecords:
     if query.as_of_ns is not None:
         query = replace(query, as_of_ns=min(query.as_of_ns, now))
@@ -366,8 +376,8 @@ def _board_version(
 ) -> BoardEvaluationVersion:
     every = (*entries.ranked, *entries.baselines, *entries.undefined)
     signature = every[0].signature if every else None
-    of_truth = (truth.id, truth.number, truth.sha256)
-    return BoardEvaluationVersion(*of_truth, metric, signature, activated_ns, truth.frames, sequences_of(truth))
+    of_truth, counts = (truth.id, truth.number, truth.sha256), (truth.frames, sequences_of(truth), drives_of(truth))
+    return BoardEvaluationVersion(*of_truth, metric, signature, activated_ns, *counts)
 
 
 def _details(session: Session, entries: Sequence[BoardEntry]) -> dict[str, _ScoreDetails]:

@@ -54,7 +54,7 @@ class RatioDifference:
 
 @dataclass(frozen=True)
 class EntryComparison:
-    """`sequences` is how many the ground truth has."""
+    """Two entries; `is_withheld` if the viewer may know only the differences of their totals."""
 
     a: ScoreView
     b: ScoreView
@@ -119,8 +119,9 @@ def _totals(a: ScoreView, b: ScoreView, name: str) -> RatioDifference:
 
 
 def _flipped(a: ScoreView, b: ScoreView, name: str) -> SignFlip | None:
-    """Over the sequences in which both have the ratio."""
-    of_a, of_b = (seen.score.record["by"].get("sequence", {}) for seen in (a, b))
+    """Over the drives in which both have the ratio."""
+    by = (seen.score.record["by"] for seen in (a, b))
+    of_a, of_b = (parts.get("drive", parts.get("sequence", {})) for parts in by)
     both = [(of_a[key][name], of_b[key][name]) for key in of_a if key in of_b]
     known = [x - y for x, y in both if x is not None and y is not None]
     return sign_flip(known) if known else None

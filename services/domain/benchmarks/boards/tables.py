@@ -12,10 +12,11 @@ from collections.abc import Callable, Iterator, Mapping
 from datetime import UTC, datetime
 from typing import Any, Literal
 
-from services.domain.benchmarks.boards.board import Board, LeaderboardRow
+from services.domain.benchmarks.boards.board import Board, BoardEvaluationVersion, LeaderboardRow
 from stone.errors import one_line
 from stone.scoring.confusion import DANGERS
 from stone.scoring.intervals import FEWEST_SEQUENCES, SILENCES
+from stone_base.counts import counted
 
 Form = Literal["csv", "parquet", "md", "tex"]
 MEDIA_TYPES: Mapping[Form, str] = {
@@ -136,7 +137,7 @@ def _made_by(board: Board, quote: str = "") -> str:
     signature = f"{quote}{pair.signature}{quote}" if pair.signature else "no score yet"
     return (
         f"Track {board.query.track}, entries {board.query.entries}; metric {pair.metric}, ground truth "
-        f"{pair.truth_number}, {pair.frames} frames of {pair.sequences} sequences; {signature}"
+        f"{pair.truth_number}, {pair.frames} frames of {_amount(pair)}; {signature}"
     )
 
 
@@ -173,19 +174,25 @@ def notes(board: Board) -> Iterator[str]:
     if any(row.danger is not None for row in board.rows):
         yield "Danger: share of non-traversable voxels predicted T or P, and predicted T alone; lower is better."
     yield "Baselines are not ranked; reported rows were published elsewhere and not scored here."
-    sequences = board.pair.sequences if board.pair is not None else FEW_SEQUENCES
-    if sequences < FEWEST_SEQUENCES:
-        yield f"No statement about new places: {SILENCES['few_sequences']}, here {sequences}."
-    elif sequences < FEW_SEQUENCES:
+    drives = board.pair.drives if board.pair is not None else FEW_SEQUENCES
+    here = _amount(board.pair) if board.pair is not None else ""
+    if drives < FEWEST_SEQUENCES:
+        yield f"No statement about new places: {SILENCES['few_sequences']}, here {here}."
+    elif drives < FEW_SEQUENCES:
         yield (
-            f"{sequences} sequences are few: in the exact test over whole sequences no difference, however large, "
-            f"can have a p below {2.0 ** (1 - sequences):g}."
+            f"{here} are few: in the exact test over whole drives no difference, however large, "
+            f"can have a p below {2.0 ** (1 - drives):g}."
         )
     if board.secrecy == "running":
         yield (
             "The ground truth is hidden: until the phase ends, values are rounded to 4 digits and only "
             "administrators see danger."
         )
+
+
+def _amount(pair: BoardEvaluationVersion) -> str:
+    chunks = counted(pair.sequences, "sequence")
+    return chunks if pair.drives == pair.sequences else f"{counted(pair.drives, 'drive')} in {chunks}"
 
 
 def _rank(row: LeaderboardRow) -> str:

@@ -54,7 +54,7 @@ HOSTILE = (
     "Ünï 道路",
 )
 RATIOS = {"iou_occ": 0.5, "iou_t": 0.25, "iou_p": 0.125, "iou_n": None, "miou": 0.43216}
-PAIR = BoardEvaluationVersion("t" * 32, 3, "5" * 64, "stone-iou-2", "metric:stone-iou-2|truth:5", 10**18, 7012, 5)
+PAIR = BoardEvaluationVersion("t" * 32, 3, "5" * 64, "stone-iou-2", "metric:stone-iou-2|truth:5", 10**18, 7012, 5, 5)
 ROW = LeaderboardRow(
     standing="ranked",
     method="Net",

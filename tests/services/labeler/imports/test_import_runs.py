@@ -7,6 +7,7 @@ from pathlib import Path
 import pytest
 from sqlalchemy import select
 
+from services.domain.datasets.catalogue import labelled_sequences
 from services.domain.imports.errors import existing_sequences
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, delete_import, progress_of
 from services.domain.sequences.processing import delete_sequence
@@ -30,7 +31,7 @@ from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.brought_datasets import FIELD, LABELS, BroughtDataset, an_owner, bring_dataset, counts_of, files_of
-from testing.worlds.published_datasets import write_published_tar
+from testing.worlds.published_datasets import LOGFILE, write_published_tar
 from testing.worlds.runs import Interruptions, followed_by, run_all
 
 FRAMES, NOTHING = 4, {"sequences": 0, "label_sets": 0, "artefacts": 0, "labelled_frames": 0, "imported_files": 0}
@@ -280,3 +281,22 @@ def test_a_run_whose_files_are_gone_is_begun_again(brought: BroughtDataset, kind
     run_all(platform, wrap=wrap)
     assert (brought.run().state, brought.run().failure) == ("succeeded", "")
     assert counts_of(platform, brought.owner_id)["labelled_frames"] == FRAMES
+
+
+@pytest.mark.parametrize("is_one", [True, False])
+def test_scenes_that_continue_each_other_are_one_drive_and_the_datasets_own_splits_may_not_tear_it(
+    platform: Platform, tmp_path: Path, is_one: bool
+) -> None:
+    """The import succeeds; the draft splits stay as they are, and the run has the code of the rule."""
+    splits = {"train": ["field-0000", "field-0002"], "test": ["field-0001"]}
+    what = replace(FIELD, scenes=3, drive_scenes=3 if is_one else 1, splits=splits)
+    tar = write_published_tar(tmp_path / "chunks.tar", what)
+    brought = bring_dataset(platform, tar, an_owner(platform, "administrator"), sets_splits=True)
+    run_all(platform)
+    with platform.database.reading() as session:
+        entries = [one.entry for one in labelled_sequences(session)]
+        refused = session.get_one(Job, brought.run().id).result["splits_refused"]
+    assert [one.drive for one in entries] == ["field-0000" if is_one else ""] * 3
+    assert ("whole_drives" in refused) is is_one
+    tracks = [one.track for one in entries if one.track]
+    assert [(one.map, one.vehicle, one.log) for one in tracks] == [("dataset:field", "rover", LOGFILE)] * 3
