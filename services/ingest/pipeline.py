@@ -13,6 +13,7 @@ from pathlib import Path
 from typing import Literal
 
 from stone.findings import Finding
+from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import DEFAULT_MAX_GAP_NS
 from stone.sensors.calibration import Calibration
 from stone.sensors.deskew import SweepMount
@@ -27,6 +28,7 @@ from stone_recordings.poses.extrinsics import cross_check
 from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
 from stone_recordings.poses.quality import quality_findings
+from stone_recordings.poses.recorded_mounts import RecordedRadar, unplaced_finding, with_radars
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
@@ -43,6 +45,7 @@ from stone_recordings.topics.cloud_samples import packet_findings
 from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 Ground = Literal["given", "auto"]
+RADAR, PLACED = "radar", "CAL-439"
 
 
 def silent(_stage: str, _done: int, _total: int) -> None:
@@ -61,7 +64,8 @@ class SynchroniseOptions:
     `time_offsets_ns` are added to the stamps of the parts "lidar" and "pose" instead of what the calibration says.
     `recording_sha256` spares reading the whole recording again where it is known; with `is_hashed` false nobody hashes
     it here, and `inputs` of the sequence lack it. With `is_checked` false its findings lack those of `late_findings`.
-    `recorded` spares reading the messages again where they were read for the same sources.
+    `recorded` spares reading the messages again where they were read for the same sources. `base_from_lidar` is where
+    the poses' base has the LiDAR if the calibration's ego frame is another.
     """
 
     odometry_topic: str | None = None
@@ -76,6 +80,7 @@ class SynchroniseOptions:
     poses: PoseFile | None = None
     poses_frame: str = ""
     recorded: RecordedTopics | None = None
+    base_from_lidar: SE3 | None = None
     progress: Progress = silent
 
     @property
@@ -130,6 +135,7 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
     (sequence, sweeps), applied = _synchronised(bag, calibration, options, name), tuple[Finding, ...]()
     seen, fit = _ground(bag, sequence, sweeps)
     if options.ground == "auto" and fit is not None:
+        options = replace(options, base_from_lidar=calibration.ego_from_lidar)
         settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit)
         turned = _synchronised(bag, settled_on, options, name)
         seen, again = _ground(bag, *turned)
@@ -138,7 +144,8 @@ def _grounded(bag: Bag, calibration: Calibration, options: SynchroniseOptions, n
             settled_on = settled(sequence, SweepsOfOpenBag(sweeps, bag), fit.untilted())
             turned = _synchronised(bag, settled_on, options, name)
             seen, again = _ground(bag, *turned)
-        applied = (applied_finding(fit, settled_on),)
+        placed = tuple(finding for finding in sequence.findings if finding.code == PLACED)
+        applied = (*placed, applied_finding(fit, settled_on))
         (sequence, sweeps), fit = turned, again
     doubts = (*ground_findings(sequence, fit), *direction_findings(sequence, fit))
     findings = (*sequence.findings, *applied, *doubts)
@@ -178,14 +185,17 @@ def unjoined_sequence(
     clocks = ClockOffsets(options.time_offsets_ns)
     late_ns = clocks.of_lidar(calibration, recorded.frame_id(sources.lidar.name))
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
-    rig = replace(recorded_rig(recorded, sources, calibration, clocks), posed_frame=options.poses_frame)
+    rig = recorded_rig(recorded, sources, calibration, clocks)
+    rig = replace(rig, posed_frame=options.poses_frame, base_from_lidar=options.base_from_lidar)
+    channel_of = {topic: channel for channel, topic in options.topics.items()}
+    radars = [RecordedRadar(one.name, recorded.frame_id(one.name)) for one, role in sources.associated if role == RADAR]
+    calibration, placed = with_radars(calibration, rig.tree, radars, channel_of)
     track = ego_track(PoseInputs(bag, recorded, sources, clock, options.poses), rig, options.progress)
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
     posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
-    channel_of = {topic: channel for channel, topic in options.topics.items()}
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
-    mounts = cross_check(rig.tree, calibration, rig.lidar_frame)
+    mounts = (*unplaced_finding(rig.tree), *cross_check(rig.tree, rig.calibration, rig.lidar_frame), *placed)
     timed = shifted_finding(clock.topic, late_ns) + clock.findings
     sequence = Sequence(
         name=name,

@@ -32,6 +32,7 @@ from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
+from stone.sensors.ground_plane import GroundFit
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import CutBagError, IngestError
 from stone_recordings.bags.recovery.recovery import recover
@@ -42,6 +43,8 @@ from stone_recordings.report.quality.page import quality_page
 from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
+from stone_recordings.sync.ground_check import measured_ground
+from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
 # The outlook of a recording: what labelling would refuse or leave out, said by the code that will do so.
@@ -79,22 +82,31 @@ def inspected_in(
         inspection = replace(inspection, findings=told)
     options = replace(asked, recorded=scan.recorded)
     if calibration is None:
-        said = outlook(bag, None, options)
+        said, ground = stood_in(bag, options)
+        inspection = replace(inspection, lidar_ground=ground)
     else:
         rig, noticed = read_calibration(calibration, bag)
         said = (*noticed, *outlook(bag, rig, options))
     return replace(inspection, findings=with_new(inspection.findings, said))
 
 
-def outlook(bag: Bag, calibration: Calibration | None, options: SynchroniseOptions) -> tuple[Finding, ...]:
-    """What synchronisation finds; its refusal as an error, as a warning where a calibration may yet avert it."""
+def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
+    """What synchronisation finds; its refusal as an error."""
     try:
-        if calibration is not None:
-            return synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)[0].findings
-        found = unjoined_sequence(bag, STAND_IN, options, NAME)[0].findings
+        return synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)[0].findings
     except StoneError as refusal:
-        return (Finding(refusal.code, "warning" if calibration is None else "error", "", str(refusal)),)
-    return tuple(finding for finding in found if not finding.code.startswith(OF_MOUNTS))
+        return (Finding(refusal.code, "error", "", str(refusal)),)
+
+
+def stood_in(bag: Bag, options: SynchroniseOptions) -> tuple[tuple[Finding, ...], GroundFit | None]:
+    """As `outlook`, without a calibration, and the ground in the LiDAR's frame, by which a calibration can be judged
+    before anything is processed. A refusal is a warning: a calibration may yet avert it."""
+    try:
+        sequence, sweeps = unjoined_sequence(bag, STAND_IN, options, NAME)
+        ground = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag), None)
+    except StoneError as refusal:
+        return (Finding(refusal.code, "warning", "", str(refusal)),), None
+    return tuple(finding for finding in sequence.findings if not finding.code.startswith(OF_MOUNTS)), ground
 
 
 def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:

@@ -99,6 +99,15 @@ class GroundFit:
     def _is_of_poses(self) -> bool:
         return abs(self.way_slope) > abs(self.slope_x)
 
+    def seen_from(self, ego_from_lidar: SE3) -> "GroundFit":
+        """A fit of the LiDAR's frame in the ego frame, if the LiDAR is mounted so; its tilt in the map is unknown."""
+        normal = ego_from_lidar.rotation() @ np.array([-self.slope_x, -self.slope_y, 1.0])
+        place_m = ego_from_lidar @ np.array([0.0, 0.0, self.height_m])
+        height_m = float(normal @ place_m / normal[2])
+        low_m, high_m = (height_m + edge_m - self.height_m for edge_m in (self.low_m, self.high_m))
+        slope_x, slope_y = (-normal[:2] / normal[2]).tolist()
+        return GroundFit(self.sweeps, height_m, slope_x, slope_y, low_m, high_m)
+
     def untilted(self) -> "GroundFit":
         """Its height alone."""
         return replace(self, slope_x=0.0, slope_y=0.0, map_slope_x=None, map_slope_y=None)

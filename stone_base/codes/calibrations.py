@@ -184,4 +184,16 @@ MEANINGS = (
     CodeMeaning(
         "CAL-437", "none", "The calibration places a sensor that has no topic.", "Nothing, if it was not recorded."
     ),
+    CodeMeaning(
+        "CAL-438",
+        "none",
+        "/tf_static has every sensor in one point: its positions were not entered, and the calibration's are used.",
+        "Enter the mounts in the driver's launch file.",
+    ),
+    CodeMeaning(
+        "CAL-439",
+        "none",
+        "A radar that the calibration does not place is placed by /tf_static.",
+        "Add it to the calibration if its position is known.",
+    ),
 )

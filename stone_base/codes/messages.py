@@ -141,4 +141,10 @@ MEANINGS = (
         "some tenths of a degree.",
         "Nothing; record the driver's points to have the angles of this unit.",
     ),
+    CodeMeaning(
+        "TOP-117",
+        "none",
+        "A radar has its channel of its yaw in /tf_static, or its name contradicts that yaw.",
+        "Check which channel it has; name another with --topic CHANNEL=TOPIC.",
+    ),
 )

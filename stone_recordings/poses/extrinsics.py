@@ -34,17 +34,19 @@ def cross_check(tree: StaticTree, calibration: Calibration, lidar_frame: str) ->
 
     Robots publish several bases (base_link, base_footprint); the ego frame need only agree with one of them.
     """
+    is_placed = not tree.unplaced
     findings = [_ego_difference(tree, calibration, lidar_frame)]
     for mount in calibration.mounts:
         recorded = tree.transform(lidar_frame, plain(mount.frame_id)) if mount.frame_id else None
         if recorded is not None:
-            findings.append(_difference(mount.name, recorded, mount.lidar_from_sensor))
+            findings.append(_difference(mount.name, recorded, mount.lidar_from_sensor, is_placed))
     return tuple(finding for finding in findings if finding is not None)
 
 
 def _ego_difference(tree: StaticTree, calibration: Calibration, lidar_frame: str) -> Finding | None:
     recorded = [tree.transform(base, lidar_frame) for base in BASE_FRAMES]
-    found = [_difference("ego_from_lidar", one, calibration.ego_from_lidar) for one in recorded if one is not None]
+    known, is_placed = calibration.ego_from_lidar, not tree.unplaced
+    found = [_difference("ego_from_lidar", one, known, is_placed) for one in recorded if one is not None]
     return None if None in found or not found else found[0]
 
 
@@ -53,7 +55,10 @@ def turn_deg(transform: SE3) -> float:
     return float(np.rad2deg(2 * np.arctan2(np.linalg.norm(transform.wxyz[1:]), abs(transform.wxyz[0]))))
 
 
-def _difference(name: str, recorded: SE3, calibrated: SE3) -> Finding | None:
+def _difference(name: str, recorded: SE3, calibrated: SE3, is_placed: bool) -> Finding | None:
+    """Of a transform that tells no position, the rotation alone."""
+    if not is_placed:
+        recorded = SE3.from_parts(recorded.wxyz, calibrated.translation_m)
     apart = calibrated.inverse() @ recorded
     if _is_near(apart):
         return None

@@ -54,7 +54,8 @@ class PoseTrack:
 class RigMounts:
     """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed.
 
-    `posed_frame` is that of which poses are told that name none; "" where nobody says.
+    `posed_frame` is that of which poses are told that name none; "" where nobody says. `base_from_lidar` is the mount
+    before ground auto moved the ego origin, None if it is the calibration's.
     """
 
     calibration: Calibration
@@ -63,6 +64,7 @@ class RigMounts:
     clocks: ClockOffsets = field(default_factory=ClockOffsets)
     findings: tuple[Finding, ...] = ()
     posed_frame: str = ""
+    base_from_lidar: SE3 | None = None
 
 
 def track_from_odometry(
@@ -102,9 +104,14 @@ def _with_refused(
 
 
 def child_from_ego(parent: str, child: str, rig: RigMounts) -> tuple[SE3, tuple[Finding, ...]]:
-    """The fixed step from the frame a source speaks of to the ego frame; a warning where it had to be assumed."""
+    """The fixed step from the frame a source speaks of to the ego frame; a warning where it had to be assumed.
+
+    A tree without positions cannot tell where the LiDAR is in the base's frame: the calibration as it was given does.
+    """
     calibration, frame = rig.calibration, plain(child)
     lidar_from_ego = calibration.ego_from_lidar.inverse()
+    if frame in BASE_FRAMES and rig.tree.unplaced:
+        return (rig.base_from_lidar or calibration.ego_from_lidar) @ lidar_from_ego, ()
     if rig.lidar_frame and (child_from_lidar := rig.tree.transform(frame, rig.lidar_frame)) is not None:
         return child_from_lidar @ lidar_from_ego, ()
     for mount in calibration.mounts:

@@ -28,6 +28,13 @@ class StaticTree:
     def is_down(self, parent: str, child: str) -> bool:
         return (parent, child) in self.down
 
+    @property
+    def unplaced(self) -> tuple[str, ...]:
+        """The frames that hang on others, if there are several and no translation was entered for any; else none."""
+        places = [self.edges[pair].translation_m for pair in self.down]
+        is_unplaced = len(places) > 1 and not any(place.any() for place in places)
+        return tuple(sorted(child for _, child in self.down)) if is_unplaced else ()
+
     def transform(self, dst: str, src: str) -> SE3 | None:
         """`dst_from_src` along the shortest path, or None where the frames are not connected."""
         near: dict[str, list[str]] = {}

@@ -7,7 +7,7 @@ not a failure; a container that cannot be read is refused.
 
 from collections.abc import Iterator, Sequence, Set
 from contextlib import suppress
-from dataclasses import dataclass, field, replace
+from dataclasses import asdict, dataclass, field, replace
 from itertools import islice
 from pathlib import Path
 from typing import Any
@@ -16,6 +16,7 @@ import numpy as np
 
 from stone.errors import StoneError
 from stone.findings import Finding
+from stone.sensors.ground_plane import GroundFit
 from stone_recordings.bags.bag import Bag, Topic, open_bag
 from stone_recordings.clocks.findings import clock_findings
 from stone_recordings.clocks.measurement import kept_bytes, measured
@@ -23,8 +24,17 @@ from stone_recordings.clocks.report import ClockReport
 from stone_recordings.clocks.timing import Timing, measure
 from stone_recordings.messages.errors import LidarPacketError
 from stone_recordings.messages.problems import left_out_finding
+from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.messages.types.definition_checks import definition_findings
+from stone_recordings.poses.extrinsics import static_tree
+from stone_recordings.poses.recorded_mounts import (
+    RecordedRadar,
+    direction_findings,
+    radar_channels,
+    unplaced_finding,
+)
+from stone_recordings.poses.static_tree import StaticTree
 from stone_recordings.report import checks
 from stone_recordings.report.head_checks import head_findings, undated_finding
 from stone_recordings.report.scan import Scan, scan_of
@@ -35,6 +45,7 @@ from stone_recordings.topics.roles import Role, TopicFacts, holds_sweeps, role_o
 from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 MOST_FRAMES = 64
+MOST_STATIC = 1000
 NO_STAMPS = np.zeros(0, np.int64)
 
 
@@ -62,7 +73,10 @@ class InspectedTopic:
 
 @dataclass(frozen=True, eq=False)
 class Inspection:
-    """What `stone inspect` prints; `duration_ns` is from the first to the last message in log time."""
+    """What `stone inspect` prints; `duration_ns` is from the first to the last message in log time.
+
+    `lidar_ground` is where the ground lies in the LiDAR's frame, None if that was not measured.
+    """
 
     duration_ns: int
     topics: tuple[InspectedTopic, ...]
@@ -70,6 +84,7 @@ class Inspection:
     clocks: ClockReport = field(default_factory=ClockReport)
     candidates: tuple[Candidate, ...] = ()
     assignment: Assignment = field(default_factory=Assignment)
+    lidar_ground: GroundFit | None = None
 
     def as_record(self) -> dict[str, object]:
         return {
@@ -78,6 +93,7 @@ class Inspection:
             "findings": [finding.as_record() for finding in self.findings],
             "clocks": self.clocks.as_record(),
             "channels": dict(self.assignment.channels),
+            "lidar_ground": asdict(self.lidar_ground) if self.lidar_ground else None,
         }
 
 
@@ -111,13 +127,27 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None 
     topics = tuple(_inspected(bag, topic, scan, findings) for topic in bag.topics)
     by_role = [(topic.topic, topic.role, topic.timing) for topic in topics]
     candidates = _candidates(bag, topics)
-    assignment = resolve(candidates, profile or TopicProfile())
-    findings += assignment.findings
+    tree = _static_tree(bag, topics)
+    radars = [RecordedRadar(one.name, one.frame_id) for one in candidates if one.role == "radar" and one.frame_id]
+    assignment = resolve(candidates, profile or TopicProfile(), radar_channels(tree, radars))
+    chosen = {topic for topic in (profile or TopicProfile()).topics.values()}
+    directions = direction_findings(tree, radars)
+    findings += [*assignment.findings, *(one for one in directions if one.topic not in chosen), *unplaced_finding(tree)]
     clocks = measured(bag, scan, by_role)
     findings += clock_findings(clocks)
     findings += _head_findings(by_role, scan, {finding.topic for finding in findings if finding.code == "TIM-202"})
     duration_ns = bag.end_ns - bag.start_ns
     return Inspection(duration_ns, topics, tuple(findings), clocks.report, candidates, assignment)
+
+
+def _static_tree(bag: Bag, topics: Sequence[InspectedTopic]) -> StaticTree:
+    """What /tf_static publishes; what of it cannot be read is for the outlook to say."""
+    samples = list[TransformSamples]()
+    for topic in topics:
+        if topic.role == "tf_static" and topic.topic.count:
+            with suppress(StoneError):
+                samples += decode_transforms(bag.messages(topic.topic.name, 0, MOST_STATIC))
+    return static_tree(samples)
 
 
 def _head_findings(inspected: Sequence[checks.Inspected], scan: Scan, apart: Set[str]) -> Iterator[Finding]:
@@ -209,6 +239,7 @@ def inspection_record(inspection: Inspection) -> dict[str, Any]:
         "findings_total": len(inspection.findings),
         "clocks": _clocks(inspection),
         "channels": _short(dict(islice(inspection.assignment.channels.items(), MOST_TOPICS))),
+        "lidar_ground": asdict(inspection.lidar_ground) if inspection.lidar_ground else None,
     }
 
 

@@ -269,6 +269,41 @@ def test_an_owner_chooses_profile_parameters_and_topics(site: Site, curator: Per
     }
 
 
+@pytest.mark.parametrize(("height_m", "is_off"), [(-2.157, True), (-1.80, False)])
+def test_a_calibration_whose_ground_is_off_is_offered_its_correction_before_anything_is_processed(
+    site: Site, curator: Person, height_m: float, is_off: bool
+) -> None:
+    """KITTI's LiDAR is 1.757 m above the ego origin by its calibration; the recording shows it 2.157 m above ground."""
+    made_id = new_sequence(site.platform, curator)["id"]
+    calibrated(site, curator, made_id)
+    ground = {
+        "sweeps": 40,
+        "height_m": height_m,
+        "slope_x": 0.0,
+        "slope_y": 0.0,
+        "map_slope_x": None,
+        "map_slope_y": None,
+    }
+    ground |= {"low_m": height_m - 0.02, "high_m": height_m + 0.02}
+    with site.platform.database.transaction() as session:
+        row = Recording(sequence_id=made_id, filename="run.mcap", size_bytes=3, sha256="0" * 64)
+        row.state, row.inspection = "registered", {**INSPECTION, "lidar_ground": ground}
+        session.add(row)
+    with site.visit(curator) as page:
+        page.goto(f"/sequences/{made_id}")
+        form = page.locator("form[data-process]")
+        offer = form.get_by_label("Correct the height of the LiDAR for this run")
+        expect(offer).to_have_count(1 if is_off else 0)
+        if is_off:
+            expect(form).to_contain_text("0.40 m below the ego origin")
+            expect(form).to_contain_text("Corrected, the LiDAR is 2.16 m above the ground")
+            expect(offer).to_be_checked()
+        form.get_by_role("button", name="Start processing").click()
+        expect(form.get_by_role("button", name="Start processing")).to_be_disabled()
+        expect(page.locator("#run-log, .run-dashes").first).to_be_visible()
+    assert newest_run(site.platform, made_id).arguments["ground"] == ("auto" if is_off else "given")
+
+
 def test_an_owner_processes_again_with_profile_field_and_keeps_what_the_run_was_asked_for(
     site: Site, curator: Person, shown: dict[str, Any]
 ) -> None:

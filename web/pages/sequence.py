@@ -22,6 +22,7 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.frame_table import NAME, FrameTable, frame_table
+from web.sequence.ground_offer import ground_offer_of
 from web.sequence.recording import rig_place
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, Visit, choosable, shown_section
@@ -55,6 +56,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         is_setting_up = status.may_change and status.sequence.labels is None
         calibrations = choosable(session, caller, status) if is_setting_up else []
         choices = topic_choices_of(session, at.sequence_id) if is_setting_up else None
+    ground = ground_offer_of(at.platform, at.sequence_id) if is_setting_up else None
     return shown_section(
         at,
         (caller, status),
@@ -65,6 +67,7 @@ def overview(at: AtSequence, caller: Looker) -> HTMLResponse:
         downloads=[(*DOWNLOADS[one.name], one) for one in status.sequence.artefacts if one.name in DOWNLOADS],
         may_set_up=is_setting_up,
         choices=choices,
+        ground=ground,
         calibrations=calibrations,
     )
 

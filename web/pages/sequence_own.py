@@ -17,6 +17,7 @@ from services.domain.sequences.label_choices import LabelProfile
 from services.runtime.orm import LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix
 from web.sequence.again import choices_of
+from web.sequence.ground_offer import ground_offer_of
 from web.sequence.recording import recording_view
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, shown_section
@@ -51,7 +52,8 @@ def processing(at: AtSequence, caller: Reader, profile: LabelProfile | None = No
         status = _own(session, caller, at.sequence_id)
         again = choices_of(session, labels_of(session, at.sequence_id), profile) if profile else None
         choices = topic_choices_of(session, at.sequence_id) if status.may_process else None
-    return shown_section(at, (caller, status), "processing", again=again, choices=choices)
+    ground = ground_offer_of(at.platform, at.sequence_id) if status.may_process else None
+    return shown_section(at, (caller, status), "processing", again=again, choices=choices, ground=ground)
 
 
 @router.get("/label-sets")

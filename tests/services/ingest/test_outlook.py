@@ -8,7 +8,7 @@ from pathlib import Path
 import pytest
 
 from services.ingest.pipeline import SynchroniseOptions, synchronise
-from services.ingest.sandboxed_inspection import inspected_in, outlook, with_new
+from services.ingest.sandboxed_inspection import inspected_in, outlook, stood_in, with_new
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
 from stone.errors import StoneError
@@ -96,7 +96,7 @@ def test_with_a_calibration_the_mounts_are_looked_at_too(simulated: SoundDrive) 
     lower = BY_NAME["LiDAR entered 23 cm low"]
     with open_bag(simulated.bag) as bag:
         assert "CAL-433" in {finding.code for finding in outlook(bag, simulated.rig(lower), SynchroniseOptions())}
-        assert outlook(bag, None, SynchroniseOptions()) == ()
+        assert stood_in(bag, SynchroniseOptions())[0] == ()
         assert inspected_in(bag, calibration=simulated.calibration).findings == ()
 
 
@@ -128,10 +128,11 @@ def test_poses_and_sweeps_of_two_times_are_named_with_what_puts_them_right(
 def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: SoundDrive, tmp_path: Path) -> None:
     bag = faulty(simulated, BY_NAME["every position NaN"], tmp_path / "run.mcap")
     with open_bag(bag) as opened:
-        severities = [
-            [(one.code, one.severity) for one in outlook(opened, rig, SynchroniseOptions())]
-            for rig in (None, simulated.rig())
-        ]
+        said = (
+            stood_in(opened, SynchroniseOptions())[0],
+            outlook(opened, simulated.rig(), SynchroniseOptions()),
+        )
+        severities = [[(one.code, one.severity) for one in found] for found in said]
     assert severities == [[("SYN-503", "warning")], [("SYN-503", "error")]]
 
 

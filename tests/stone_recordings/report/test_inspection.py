@@ -73,6 +73,7 @@ def test_a_sound_recording_has_roles_and_rates_and_no_findings(tmp_path: Path) -
     record = _inspected(tmp_path, messages).as_record()
     del record["clocks"]
     assert record.pop("channels") == {"lidar": "/lidar", "pose": "/odom", "imu": "/imu"}
+    assert record.pop("lidar_ground") is None
     assert record == {
         "duration_ns": 900 * MS,
         "topics": [

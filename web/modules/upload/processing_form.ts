@@ -16,6 +16,7 @@ export function asked(form: HTMLFormElement): Record<string, unknown> {
     ...keptFrom(form),
     ...(profile ? { profile: String(profile) } : {}),
     ...(grid && grid !== "paper" ? { grid } : {}),
+    ...(fields.get("ground") ? { ground: "auto" } : {}),
     parameters: Object.fromEntries(parameters),
     stages: String(fields.get("stages") ?? "synchronise,label").split(","),
     ...Object.fromEntries(topics.filter(([, topic]) => topic)),
