@@ -24,7 +24,7 @@ from baselines.frame_record import STEP_M, FrameRecord, PictureRecord, read_reco
 from baselines.inputs import InputConfig
 from stone.geometry.se3 import SE3
 from stone.scoring.metric import CLASSES
-from stone_base.label_grid import PAPER
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedFrame
 from stone_exports.labels import UNSURE
@@ -37,7 +37,7 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it.
+    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it; their grid.
 
     An occupied voxel below `least_confidence` is not trained on.
     """
@@ -45,6 +45,7 @@ class FrameSource:
     frame: ExportedFrame
     labels: ExportFileSpan | None
     least_confidence: float = 0.0
+    grid: LabelGrid = PAPER
 
 
 @dataclass(frozen=True)
@@ -117,7 +118,7 @@ def data_hash(frames: Iterable[CachedFrame]) -> str:
 def _cached(source: FrameSource, inputs: InputConfig, folder: Path) -> CachedFrame:
     path = folder / f"{source.frame.token}.{_identity(source, inputs)}{SUFFIX}"
     if not path.exists():
-        write_record(path, read_record(source.frame, source.labels, inputs, source.least_confidence))
+        write_record(path, read_record(source.frame, source.labels, inputs, source.least_confidence, source.grid))
     return _described(path, source.frame)
 
 
@@ -189,4 +190,6 @@ def _identity(source: FrameSource, inputs: InputConfig) -> str:
         facts.append(repr(sensor.intrinsics))
     if source.least_confidence > 0:
         facts.append(["least confidence", source.least_confidence])
+    if source.grid != PAPER:
+        facts.append(source.grid.as_record())
     return sha256(json.dumps(facts, separators=(",", ":")).encode()).hexdigest()[:16]

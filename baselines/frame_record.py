@@ -16,6 +16,7 @@ from PIL import Image
 from baselines.inputs import InputConfig
 from stone.errors import Refused
 from stone.geometry.se3 import SE3
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.cameras import undistorted_picture
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedDatum, ExportedFrame
@@ -53,9 +54,13 @@ class FrameRecord:
 
 
 def read_record(
-    frame: ExportedFrame, labels: ExportFileSpan | None, inputs: InputConfig, least_confidence: float = 0.0
+    frame: ExportedFrame,
+    labels: ExportFileSpan | None,
+    inputs: InputConfig,
+    least_confidence: float = 0.0,
+    grid: LabelGrid = PAPER,
 ) -> FrameRecord:
-    """Return the parts of a frame that `inputs` names, and which of its labels are sure.
+    """Return the parts of a frame that `inputs` names, and which of its labels, of the grid, are sure.
 
     Raises `DamagedExportError`, `sensor_missing`, `no_confidence`.
     """
@@ -66,7 +71,7 @@ def read_record(
     if inputs.sees("R"):
         detections = _detections(frame, inputs)
     pictures = tuple(_pictures(frame, inputs)) if inputs.sees("C") else ()
-    classes = None if labels is None else observed_classes(labels, least_confidence)
+    classes = None if labels is None else observed_classes(labels, least_confidence, grid)
     pose = frame.lidar.global_from_ego
     return FrameRecord(frame.token, frame.sequence, frame.stamp_us, pose, returns, detections, pictures, classes)
 

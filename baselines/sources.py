@@ -5,10 +5,12 @@ Labels may come from other files than samples: a version of the dataset has labe
 """
 
 from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import replace
 from pathlib import Path
 
 from baselines.cache import FrameSource
 from stone.errors import Refused
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.files import Files, FolderFiles, TarFiles
 from stone_exports.frames import ExportedFrame, frames_in
 from stone_exports.tables import EXPORTED, NotExportedError, exports_in
@@ -17,8 +19,10 @@ from stone_files.archives import tar_spans_of
 LABELS = "gts"
 
 
-def labelled_frames(paths: Sequence[Path], least_confidence: float = 0.0) -> tuple[FrameSource, ...]:
-    """Every frame with samples, with its labels of at least this confidence where there are some.
+def labelled_frames(
+    paths: Sequence[Path], least_confidence: float = 0.0, grid: LabelGrid = PAPER
+) -> tuple[FrameSource, ...]:
+    """Every frame with samples, with its labels at this grid and of at least this confidence where there are some.
 
     Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, and `nothing_to_train_on` where no frame has
     labels.
@@ -32,7 +36,7 @@ def labelled_frames(paths: Sequence[Path], least_confidence: float = 0.0) -> tup
             if not found:
                 raise
         stores += found
-    sources = tuple(_with_labels(frame, stores, least_confidence) for frame in frames_of(exports))
+    sources = tuple(replace(_with_labels(frame, stores, least_confidence), grid=grid) for frame in frames_of(exports))
     if all(source.labels is None for source in sources):
         raise nothing_to_train_on(paths)
     return sources

@@ -164,7 +164,7 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
 def _frames(
     plan: TrainingPlan, exports: Sequence[Path], progress: Progress, least_confidence: float = 0.0
 ) -> tuple[CachedFrame, ...]:
-    sources = labelled_frames(exports, least_confidence)
+    sources = labelled_frames(exports, least_confidence, plan.row.label_grid)
     return cached_frames(sources, plan.row.inputs, plan.cache or plan.run / "frames", progress)
 
 

@@ -17,7 +17,7 @@ from zipfile import ZIP_STORED, ZipFile
 import numpy as np
 
 from fuzz.exports import mended
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER
 from stone_datasets.classes import OWN_CLASSES, ClassMap, read_class_map
 from stone_datasets.reading import check_dataset
 from stone_files.npz import npz_bytes
@@ -85,7 +85,7 @@ def _good(kind: int) -> Mapping[str, bytes]:
     with TemporaryDirectory() as folder:
         path = write(Path(folder) / "good", WHAT)
         files = {one.relative_to(path).as_posix(): one.read_bytes() for one in path.rglob("*") if one.is_file()}
-    free = np.zeros(GRID_SHAPE, np.uint8)
+    free = np.zeros(PAPER.shape, np.uint8)
     labels = npz_bytes({"semantics": free, "mask_lidar": free})
     return files | dict.fromkeys(LABELS, labels) | {CLASS_FILE: CLASSES}
 

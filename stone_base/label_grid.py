@@ -178,8 +178,3 @@ def _is_multiple(voxel_m: float) -> bool:
 
 def _bad(expected: str, found: object) -> Refused:
     return Refused("bad_grid", f"a grid has {expected}, but here is {str(found)[:120]!r}")
-
-
-# The paper's grid, for what has no other yet.
-GRID_MIN_M, GRID_MAX_M, GRID_SHAPE = PAPER.min_m, PAPER.max_m, PAPER.shape
-VOXELS = PAPER.voxels

@@ -1,6 +1,7 @@
 """Labels of a frame in an export or in a version of the dataset: its classes, and which voxels were observed.
 
-**Conventions.** As docs/formats/labels.md: uint8 (256, 256, 32), axes x y z of the ego frame.
+**Conventions.** As docs/formats/labels.md: uint8 of the grid's shape, axes x y z of the ego frame; or as the released
+dataset has them, in one array whose number for what is unknown stands for the mask.
 """
 
 import re
@@ -14,11 +15,13 @@ from typing import Any
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.labels.grid import GRID_SHAPE
 from stone_base.confidence import least_level, no_confidence
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.files import ExportContent, ExportFileSpan
 from stone_exports.frames import ExportedDatum
+from stone_files.dataset_layouts import LAYOUTS
 
+RELEASED_KEY = LAYOUTS["release"].label_key
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 HIGHEST_CLASS, UNSURE, NOT_OBSERVED = 3, 254, 255
@@ -27,31 +30,39 @@ UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OS
 Classes = NDArray[np.uint8]
 
 
-def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0) -> Classes:
-    """Classes 0–3 (256, 256, 32), `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
+def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: LabelGrid = PAPER) -> Classes:
+    """Classes 0–3 of the grid's shape, `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
 
     An occupied voxel below `least_confidence` that its label is right is `UNSURE`. Raises `DamagedExportError`, and
     `no_confidence` if one is required and the labels have none.
     """
     keys = ("semantics", "mask_lidar", *(("confidence",) if least_confidence > 0 else ()))
-    arrays = _arrays(span, keys)
-    classes, is_observed = arrays["semantics"], arrays["mask_lidar"]
-    if classes.max() > HIGHEST_CLASS:
-        raise span.damaged(f"it has class {classes.max()}, the highest is {HIGHEST_CLASS}")
-    found = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
+    arrays = _arrays(span, keys, grid)
+    classes = arrays[next(iter(arrays))]
+    is_unknown = classes == grid.unknown if RELEASED_KEY in arrays else (arrays["mask_lidar"] == 0) & (classes == 0)
+    found = np.where(is_unknown, np.uint8(NOT_OBSERVED), classes)
+    highest = int(np.where(is_unknown, 0, classes).max())
+    if highest > HIGHEST_CLASS:
+        raise span.damaged(f"it has class {highest}, the highest is {HIGHEST_CLASS}")
     if least_confidence > 0:
         found[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
     return found
 
 
-def _arrays(span: ExportFileSpan, keys: tuple[str, ...]) -> dict[str, Classes]:
-    """Arrays of a labels.npz, bounded while they are inflated: what its directory says of sizes may be a lie."""
+def _arrays(span: ExportFileSpan, keys: tuple[str, ...], grid: LabelGrid) -> dict[str, Classes]:
+    """Arrays of a labels.npz, bounded while they are inflated: what its directory says of sizes may be a lie.
+
+    The first has the classes: the only one of a file as the released dataset has them.
+    """
     content = span.read(MOST_LABEL_BYTES)
     try:
         with zipfile.ZipFile(BytesIO(content)) as members:
-            if "confidence" in keys and "confidence.npy" not in members.namelist():
+            names = members.namelist()
+            if "confidence" in keys and "confidence.npy" not in names:
                 raise no_confidence(span.name)
-            return {key: _array(span, key, _member(span, members, f"{key}.npy")) for key in keys}
+            if grid.unknown is not None and f"{RELEASED_KEY}.npy" in names:
+                keys = (RELEASED_KEY,)
+            return {key: _array(span, key, _member(span, members, f"{key}.npy"), grid.shape) for key in keys}
     except UNREADABLE as error:
         raise span.damaged(f"it is not an npz of {', '.join(keys)}") from error
 
@@ -66,12 +77,12 @@ def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
     return content
 
 
-def _array(span: ExportFileSpan, key: str, npy: bytes) -> Classes:
+def _array(span: ExportFileSpan, key: str, npy: bytes, sides: tuple[int, int, int]) -> Classes:
     """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
     shape, is_fortran, dtype, start = npy_head(npy)
-    if shape != GRID_SHAPE or dtype != np.uint8 or is_fortran:
-        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {GRID_SHAPE}")
-    return np.frombuffer(npy, np.uint8, prod(GRID_SHAPE), start).reshape(GRID_SHAPE)
+    if shape != sides or dtype != np.uint8 or is_fortran:
+        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {sides}")
+    return np.frombuffer(npy, np.uint8, prod(sides), start).reshape(sides)
 
 
 def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

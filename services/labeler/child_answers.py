@@ -11,8 +11,10 @@ from pydantic import Field, StringConstraints, field_validator, model_validator
 from services.labeler.pipeline import PUBLISH, STAGES
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
+from stone.errors import Refused
 from stone.splits.drives import MOST_PLACES
 from stone_base.codes.catalogue import CATALOGUE
+from stone_base.label_grid import record_unless_paper, recorded_grid
 
 KINDS = frozenset((*STAGES, PUBLISH))
 MOST_JOBS, MOST_FRAMES = 100_000, 2_000_000
@@ -142,13 +144,23 @@ class PackAnswer(SandboxAnswer):
 
 
 class PublicationAnswer(SandboxAnswer):
-    """What rows say of a run that is done: its frames in order, its packs, its totals."""
+    """What rows say of a run that is done: its frames in order, its packs, its totals; the record of the grid of
+    imported labels, None if it is the paper's."""
 
     asked: ClassVar[str] = "what is to be published"
     tokens: Annotated[list[Token], Field(max_length=MOST_FRAMES)]
     stamps_ns: list[Stamp]
     packs: list[PackAnswer]
     totals: TotalsAnswer
+    grid: dict[str, Any] | None = None
+
+    @field_validator("grid")
+    @classmethod
+    def _is_a_grid(cls, record: dict[str, Any] | None) -> dict[str, Any] | None:
+        try:
+            return record_unless_paper(recorded_grid(record))
+        except Refused as error:
+            raise ValueError(str(error)) from error
 
     @model_validator(mode="after")
     def _agrees(self) -> Self:

@@ -14,9 +14,6 @@ from stone.geometry.lattice import Keys, indices_of
 from stone.geometry.se3 import SE3
 from stone.labels.observed_voxels import BRICK, Observed
 from stone.labels.voxels import VOXEL_M
-from stone_base.label_grid import GRID_MAX_M as GRID_MAX_M
-from stone_base.label_grid import GRID_MIN_M as GRID_MIN_M
-from stone_base.label_grid import GRID_SHAPE as GRID_SHAPE
 from stone_base.label_grid import PAPER, LabelGrid
 
 LOW, HIGH, OCCUPIED, OBSERVED = 1, 2, 4, 8  # bits of a voxel of a window

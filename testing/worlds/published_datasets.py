@@ -18,8 +18,8 @@ from typing import Any
 
 import numpy as np
 
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import frame_token
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from testing.worlds.small_export import FOCAL_PX, PICTURE_PX, START_US, global_from_ego, picture_of
 
@@ -93,7 +93,7 @@ class SyntheticDataset:
 
 def made_labels(seed: int = 0, highest: int = 3) -> bytes:
     """A frame of flat ground of all classes, observed below a metre."""
-    semantics, seen = np.zeros(GRID_SHAPE, np.uint8), np.zeros(GRID_SHAPE, np.uint8)
+    semantics, seen = np.zeros(PAPER.shape, np.uint8), np.zeros(PAPER.shape, np.uint8)
     semantics[:, :, 9] = np.random.default_rng(seed).integers(0, highest + 1, (8, 8)).repeat(32, 0).repeat(32, 1)
     seen[:, :, :15] = 1
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})

@@ -6,6 +6,7 @@ Sweeps are points of the same surfaces, so that earlier ones fall on what later 
 """
 
 import json
+import math
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
 from io import BytesIO
@@ -18,10 +19,9 @@ from PIL import Image
 
 from services.labeler.exports.nuscenes.samples import lidar_bytes, radar_bytes
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE
-from stone.labels.voxels import VOXEL_M
 from stone.sensors.samples import LidarSample, RadarSample
 from stone.sensors.sequence import frame_token
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.tables import TABLES
 from stone_files.npz import npz_bytes
 
@@ -49,6 +49,7 @@ class SmallExport:
     is_labelled: bool = True
     named: Sequence[str] = ()
     lens: tuple[str, tuple[float, ...]] = ("plumb_bob", (-0.05, 0.01, 0.0, 0.0, 0.0))
+    grid: LabelGrid = PAPER
 
     def stamp_us(self, index: int) -> int:
         return START_US + index * STEP_US
@@ -67,10 +68,10 @@ def global_from_ego(stamp_us: int) -> SE3:
     return SE3.from_parts(wxyz, np.array([800 + 0.3 * steps, 600 + 0.02 * steps**2, 50.0]))
 
 
-def classes_of(points_ego: Points, pose: SE3) -> NDArray[np.uint8]:
+def classes_of(points_ego: Points, pose: SE3, voxel_m: float = PAPER.voxel_m) -> NDArray[np.uint8]:
     """The class (N,) of the voxel around each point of the ego frame."""
     x, y, z = (pose @ points_ego - (800, 600, 50)).T
-    is_ground = np.abs(z - GROUND_M) < VOXEL_M / 2 - 1e-6
+    is_ground = np.abs(z - GROUND_M) < voxel_m / 2 - 1e-6
     classes = np.where(is_ground, np.where(np.abs(y) < 1, 1, 2), 0).astype(np.uint8)
     for at_x, at_y, half, high in BOXES:
         is_in = (np.abs(x - at_x) < half) & (np.abs(y - at_y) < half) & (z > GROUND_M) & (z < GROUND_M + high)
@@ -78,15 +79,17 @@ def classes_of(points_ego: Points, pose: SE3) -> NDArray[np.uint8]:
     return classes
 
 
-def labels_of(pose: SE3) -> bytes:
-    """`labels.npz` of a frame at this pose."""
-    semantics, seen = np.zeros(GRID_SHAPE, np.uint8), np.zeros(GRID_SHAPE, np.uint8)
-    low, high = (round((side * SEEN_M - GRID_MIN_M[0]) / VOXEL_M) for side in (-1, 1))
+def labels_of(pose: SE3, grid: LabelGrid = PAPER) -> bytes:
+    """`labels.npz` of a frame at this pose, as the layout of the grid has it."""
+    semantics, seen = np.zeros(grid.shape, np.uint8), np.zeros(grid.shape, np.uint8)
+    low, high = (round((side * SEEN_M - grid.min_m[0]) / grid.voxel_m) for side in (-1, 1))
     columns = np.arange(low, high)
-    voxels = np.stack(np.meshgrid(columns, columns, np.arange(GRID_SHAPE[2]), indexing="ij"), axis=-1).reshape(-1, 3)
-    places = tuple(voxels.T)
-    semantics[places] = classes_of(((voxels + 0.5) * VOXEL_M + GRID_MIN_M).astype(np.float64), pose)
-    seen[places] = voxels[:, 2] >= 10
+    voxels = np.stack(np.meshgrid(columns, columns, np.arange(grid.shape[2]), indexing="ij"), axis=-1).reshape(-1, 3)
+    places, centres_ego = tuple(voxels.T), (voxels + 0.5) * grid.voxel_m + np.array(grid.min_m)
+    semantics[places] = classes_of(centres_ego, pose, grid.voxel_m)
+    seen[places] = voxels[:, 2] >= math.floor(-grid.min_m[2] / grid.voxel_m)
+    if grid.unknown is not None:
+        return npz_bytes({"label": np.where((seen == 0) & (semantics == 0), np.uint8(grid.unknown), semantics)})
     return npz_bytes({"semantics": semantics, "mask_lidar": seen, "mask_camera": seen})
 
 
@@ -119,7 +122,7 @@ def write_small_export(folder: Path, export: SmallExport) -> Path:
         if export.is_labelled:
             labels = folder / "gts" / export.sequence / token / "labels.npz"
             labels.parent.mkdir(parents=True)
-            labels.write_bytes(labels_of(global_from_ego(stamp_us)))
+            labels.write_bytes(labels_of(global_from_ego(stamp_us), export.grid))
     for name, rows in tables.items():
         write_table(folder, name, rows)
     return folder

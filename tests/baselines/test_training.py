@@ -18,17 +18,25 @@ from baselines.cache import cached_frames
 from baselines.checkpoint import CHECKPOINT, provenance_of
 from baselines.metrics import RateSchedule, take_step
 from baselines.models.occupancy_model import OccupancyModel
-from baselines.row_config import RowConfig, TrainingConfig
+from baselines.predict import PredictionPlan, predict
+from baselines.row_config import RowConfig, TrainingConfig, row_of
 from baselines.run_folder import LOG, TENSORBOARD
 from baselines.sources import labelled_frames
 from baselines.train import TrainingPlan
+from stone_base.label_grid import RELEASE
+from stone_exports.files import ExportFileSpan
+from stone_exports.labels import observed_classes
 from stone_files.npz import npz_bytes
+from stone_submissions.archive import open_submission
+from stone_submissions.manifest import Manifest, write_manifest
+from stone_submissions.validation import frame_grid, validate
 from testing.refusals import refused_as
 from testing.worlds.small_export import SmallExport, write_small_export
 from tests.baselines.small_training import (
     is_same_run,
     logged,
     logged_steps,
+    row_record,
     small_row,
     stopped_after,
     tensors_of,
@@ -289,3 +297,42 @@ def test_a_step_clips_and_clears() -> None:
     assert take_step([weight], optimizer, 1.0, 1.0) == pytest.approx(50)
     assert weight.grad is None
     torch.testing.assert_close(weight.detach(), torch.tensor([-0.3, -0.4]))
+
+
+def test_a_row_of_the_releases_grid_is_trained_on_its_labels_and_predicts_them(tmp_path: Path) -> None:
+    """From an export as the released dataset lays labels out; what is predicted has its shape, and no other is
+    asked."""
+    export = write_small_export(tmp_path / "rig", SmallExport("meadow", 6, grid=RELEASE))
+    lattice = {"min_m": [-6.4, -6.4, -1.0], "voxel_m": [0.4, 0.4, 0.4], "shape": [32, 32, 16]}
+    record = row_record(epochs=4) | {"grid": "release"}
+    row = row_of("small", record | {"model": record["model"] | {"lattice": lattice}})
+    run = tmp_path / "run"
+    told = trained(TrainingPlan(row, (export,), run))
+    assert told.frames == 6
+    tokens = SmallExport("meadow", 6).tokens
+    write_manifest(tmp_path / "m.json", Manifest({"meadow": tokens}, RELEASE))
+    predict(PredictionPlan(run, (export,), tmp_path / "m.json", tmp_path / "sub.zip"), lambda *_: None)
+    assert validate(tmp_path / "sub.zip", tmp_path / "m.json").ok
+    with open_submission(tmp_path / "sub.zip", tokens, RELEASE) as submission:
+        predicted = frame_grid(submission, tokens[3])
+    path = export / "gts" / "meadow" / tokens[3] / "labels.npz"
+    truth = observed_classes(ExportFileSpan(path, "labels.npz", 0, path.stat().st_size), grid=RELEASE)
+    both = ((predicted > 0) & (truth > 0) & (truth < 4)).sum()
+    assert both > 0.5 * ((truth > 0) & (truth < 4)).sum() > 50
+    write_manifest(tmp_path / "paper.json", Manifest({"meadow": tokens}))
+    with refused_as("grids_differ"):
+        predict(PredictionPlan(run, (export,), tmp_path / "paper.json", tmp_path / "no.zip"), lambda *_: None)
+
+
+def test_a_row_whose_lattice_is_no_part_of_its_grid_is_refused() -> None:
+    for wrong in ({"grid": "release"}, {"grid": "mars"}, {"grid": {"name": "own"}}):
+        with refused_as("bad_row"):
+            row_of("small", row_record() | wrong)
+    own = {"name": "ahead", "min_m": [0.0, -12.8, -2.0], "voxel_m": 0.2, "shape": [128, 128, 32]}
+    record = row_record() | {"grid": own}
+    model = {key: value for key, value in record["model"].items() if key != "lattice"}
+    with refused_as("bad_row") as refusal:
+        row_of("small", record | {"model": model})
+    assert "mirror_x_ratio" in str(refusal.value)
+    row = row_of("small", record | {"model": model, "augment": {"mirror_x_ratio": 0.0}})
+    assert row.model.lattice.is_whole(row.label_grid)

@@ -12,7 +12,7 @@ from zipfile import ZIP_DEFLATED, ZIP_LZMA, ZipFile
 
 import numpy as np
 
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER
 from stone_files.npz import npz_bytes
 from testing.worlds.published_datasets import LOGFILE, VERSION
 from tests.stone_datasets.conftest import GOOD, Edit, Rows, reannotated, rewritten
@@ -20,7 +20,7 @@ from tests.stone_datasets.conftest import GOOD, Edit, Rows, reannotated, rewritt
 # (code, what is edited)
 Kind = tuple[str, Edit]
 NAN, INFINITE = float("nan"), float("inf")
-GRID = np.zeros(GRID_SHAPE, np.uint8)
+GRID = np.zeros(PAPER.shape, np.uint8)
 LABELS = f"gts/field-0000/{GOOD.tokens(0)[1]}/labels.npz"
 SWEEP = GOOD.filename("LIDAR_TOP", GOOD.stamp_us(0, 0))
 PICTURE = GOOD.filename("CAM_FRONT", GOOD.datum_us(0, 0, "CAM_FRONT"))
@@ -115,7 +115,7 @@ def blocks(content: bytes, mode: int) -> bytes:
 def bomb() -> bytes:
     """A npy whose data goes on for a gibibyte, in a megabyte: zeros that were deflated once, 64 times."""
     head = BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": GRID_SHAPE})
+    np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": PAPER.shape})
     packed = blocks(head.getvalue(), zlib.Z_FULL_FLUSH) + blocks(bytes(1 << 24), zlib.Z_FULL_FLUSH) * 64
     packed += blocks(b"", zlib.Z_FINISH)
     local = struct.pack("<4s5H3I2H", b"PK\3\4", 20, 0, 8, 0, 33, 0, len(packed), 1 << 21, 13, 0) + b"semantics.npy"

@@ -5,7 +5,7 @@ from pathlib import Path
 import numpy as np
 import pytest
 
-from stone.labels.grid import GRID_SHAPE
+from stone_base.label_grid import PAPER
 from stone_datasets.classes import class_map_of, read_class_map
 from stone_datasets.labels import layout_of_labels, read_labels
 from stone_datasets.reading import check_dataset
@@ -16,7 +16,7 @@ from stone_files.npz import npz_bytes
 from testing.refusals import refused_as
 from tests.stone_datasets.malformed import ANNOTATED, KINDS, Kind
 
-GRID = np.zeros(GRID_SHAPE, np.uint8)
+GRID = np.zeros(PAPER.shape, np.uint8)
 
 
 def labels(folder: Path, **arrays: np.ndarray) -> ExportFileSpan:  # type: ignore[type-arg]
@@ -40,9 +40,9 @@ WRITTEN = {
 def test_numbers_become_the_classes_that_the_file_says(tmp_path: Path, form: str) -> None:
     said = read_class_map(mapped(tmp_path, WRITTEN[form]))
     assert said.name == "lidarseg"
-    numbers = np.resize(np.array([17, 11, 14, 16, 255], np.uint8), GRID_SHAPE)
+    numbers = np.resize(np.array([17, 11, 14, 16, 255], np.uint8), PAPER.shape)
     found = read_labels(labels(tmp_path, semantics=numbers), said)
-    assert np.array_equal(found.classes, np.resize(np.array([0, 1, 2, 3, 0], np.uint8), GRID_SHAPE))
+    assert np.array_equal(found.classes, np.resize(np.array([0, 1, 2, 3, 0], np.uint8), PAPER.shape))
     assert found.mask_lidar is not None
     assert np.array_equal(found.mask_lidar == 0, numbers == 255)
     assert found.mask_camera is None
@@ -63,7 +63,7 @@ def test_what_is_unobserved_takes_itself_out_of_the_mask(tmp_path: Path) -> None
 def test_unnamed_numbers_are_refused_and_arrays_that_nobody_asked_for_are_left(tmp_path: Path) -> None:
     said = read_class_map(mapped(tmp_path, "name: short\nclasses: {0: free, 1: T}\n"))
     with refused_as("DST-066", match="the labels have 2, 3, which 'short' does not name"):
-        read_labels(labels(tmp_path, semantics=np.resize(np.arange(4, dtype=np.uint8), GRID_SHAPE)), said)
+        read_labels(labels(tmp_path, semantics=np.resize(np.arange(4, dtype=np.uint8), PAPER.shape)), said)
     found = read_labels(labels(tmp_path, distance_squared=GRID.astype(np.float16), semantics=GRID))
     assert (found.mask_lidar, found.mask_camera) == (None, None)
 

@@ -69,7 +69,7 @@ def show_benchmark(
         "phases": [ShownPhase(one, shortened(shown_board(platform, one.id, viewer)), _passed(one)) for one in phases],
         "first": first,
         "example": chosen_frame(platform, truth),
-        "grid": PAPER,
+        "grid": first.grid if first else PAPER,
     }
     return page(request, caller, "boards/benchmark.html", **known)
 

@@ -19,7 +19,6 @@ from services.domain.benchmarks.submissions.submissions import largest_bytes
 from services.runtime.orm import Benchmark, Phase, PhaseTeam, SubmissionRow, Team, TeamMember, Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import bytes_here
-from stone_base.label_grid import PAPER
 from web.boards.submission_steps import TEAM, StepsPlace, submission_steps
 from web.rendering import page
 
@@ -47,7 +46,7 @@ def show_form(request: Request, caller: Looker, platform: PlatformDep, at: AtPha
         "drafts": [(draft, bytes_here(platform, upload) if upload else 0) for draft, upload in drafts],
         "most_bytes": largest_bytes(phase.active.frames) if phase.active else 0,
         "at": at,
-        "grid": PAPER,
+        "grid": phase.grid,
         "steps": submission_steps(_steps_of(request, platform, at, teams)),
     }
     return page(request, caller, "submissions/form.html", needs_wasm=True, phase=phase, **values)

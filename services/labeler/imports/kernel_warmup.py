@@ -14,8 +14,8 @@ from services.labeler.imports.fused_labels import FusedLabels
 from services.labeler.imports.label_counts import class_counts
 from services.labeler.imports.map_products import exposed_faces
 from services.labeler.kernel_warmup import warm, warmup_sequence
-from stone.labels.grid import GRID_SHAPE
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 
 HEIGHT, SIDE = 9, slice(120, 136)
 
@@ -27,7 +27,7 @@ def warm_imports() -> None:
     Its classes are those of a file, which nobody may write to, and such as a class map makes.
     """
     warm()
-    classes = np.zeros(GRID_SHAPE, np.uint8)
+    classes = np.zeros(PAPER.shape, np.uint8)
     classes[SIDE, SIDE, HEIGHT] = 1
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         fused = FusedLabels("warmup", Path(folder) / "votes")

@@ -61,7 +61,7 @@ def write_map_products(fused: FusedLabels, sequence: Sequence, folders: tuple[Pa
     """
     out, scratch = folders
     step(0, 4)
-    view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None), out)
+    view, scene = TopView({}), SceneWriter(SceneDescription(sequence, PROFILE, None, fused.bricks.grid), out)
     made = [_tile(one, (view, scene), scratch) for one in fused.tiles()]
     if not made:
         place = DatasetPlace(label_folder(sequence.name))

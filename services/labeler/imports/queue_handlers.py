@@ -120,9 +120,8 @@ def _write_scene(
     if standing is not None:
         return PublishedScene(sequence.id, standing.id, 0)
     parameters = {"profile": PROFILE, "dataset": imported.name, "sha256": imported.sha256, "classes": imported.classes}
-    labels = write_label_set(
-        session, NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports"), scene.told
-    )
+    new = NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports", scene.told.grid)
+    labels = write_label_set(session, new, scene.told)
     for file in scene.files:
         write_artefact(session, labels.id, file, scene.told)
     if context.platform.settings.viewing.makes_playback:

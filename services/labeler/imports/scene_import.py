@@ -46,6 +46,7 @@ from stone.geometry.se3 import SE3
 from stone.labels.grid import Grid
 from stone.splits.composition import duration_ns, path_length_m
 from stone.splits.drives import TrackOrigin
+from stone_base.label_grid import record_unless_paper
 from stone_datasets.classes import MEANINGS, OWN_CLASSES, ClassMap
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.labels import FrameLabels, read_labels
@@ -216,6 +217,7 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
         tokens=list(frames.tokens),
         stamps_ns=frames.stamps_ns.tolist(),
         packs=labels.packs(),
+        grid=record_unless_paper(parts.layout.grid),
         totals=TotalsAnswer(
             duration_ns=duration_ns(frames.stamps_ns),
             distance_m=path_length_m(frames.map_from_ego.translation_m),

@@ -26,9 +26,8 @@ from services.labeler.run import Step
 from stone.errors import Refused
 from stone.labels.voxels import VOXEL_M
 from stone_base.label_quality import quality_of
+from stone_exports.labels import RELEASED_KEY
 from stone_files.npz import npz_bytes
-
-RELEASED_KEY = "label"
 
 
 def write_nuscenes(source: LabelledSequence, out: Path, step: Step) -> None:

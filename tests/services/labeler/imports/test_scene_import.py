@@ -15,8 +15,8 @@ from services.labeler.child_answers import PublicationAnswer
 from services.labeler.exports.meshes import open_mesh
 from services.runtime.store.pack_reading import file_pieces, local_reader
 from services.runtime.store.packs import read_index
-from stone.labels.grid import GRID_SHAPE
 from stone.sensors.sequence import Sequence
+from stone_base.label_grid import PAPER
 from stone_datasets.classes import class_map_of
 from stone_datasets.labels import read_labels
 from stone_exports.files import ExportFileSpan
@@ -141,7 +141,7 @@ def test_the_report_says_what_was_imported_and_what_it_has_not(imported: Path) -
     table = pq.read_table(out / "frames.parquet")
     assert table["frame_token"].to_pylist() == list(GOOD.tokens(0))
     assert np.sum([table[name].to_numpy() for name in ("free_voxels", "t_voxels", "p_voxels", "n_voxels")]) == (
-        3 * np.prod(GRID_SHAPE)
+        3 * np.prod(PAPER.shape)
     )
 
 
@@ -166,7 +166,7 @@ def test_an_import_again_gives_the_same_bytes(imported: Path, tmp_path: Path) ->
 
 
 def test_labels_of_other_classes_are_written_as_ours(tmp_path: Path) -> None:
-    raw, seen = np.full(GRID_SHAPE, 17, np.uint8), np.ones(GRID_SHAPE, np.uint8)
+    raw, seen = np.full(PAPER.shape, 17, np.uint8), np.ones(PAPER.shape, np.uint8)
     raw[:, :, 9], raw[:9, :, 10], raw[0, 0, 0] = 11, 13, 255
     classes = class_map_of("occ3d", {17: "free", 11: "T", 13: "N", 255: "unobserved"})
     labels = [npz_bytes({"semantics": raw, "mask_lidar": seen, "mask_camera": seen})]
@@ -188,15 +188,15 @@ def test_labels_of_other_classes_are_written_as_ours(tmp_path: Path) -> None:
 
 
 FURTHER: dict[str, tuple[dict[str, np.ndarray], bool]] = {
-    "confidence": ({"distance_squared": np.full(GRID_SHAPE, 1.5, np.float16)}, True),
+    "confidence": ({"distance_squared": np.full(PAPER.shape, 1.5, np.float16)}, True),
     "both arrays": (
-        {"distance_squared": np.ones(GRID_SHAPE, np.float16), "confidence": np.ones(GRID_SHAPE, np.uint8)},
+        {"distance_squared": np.ones(PAPER.shape, np.float16), "confidence": np.ones(PAPER.shape, np.uint8)},
         True,
     ),
-    "a probability as float16": ({"confidence": np.ones(GRID_SHAPE, np.float16)}, False),
-    "confidence of another kind": ({"distance_squared": np.zeros(GRID_SHAPE)}, False),
-    "confidence of another shape": ({"distance_squared": np.zeros(GRID_SHAPE[:2], np.float16)}, False),
-    "something else": ({"distance": np.zeros(GRID_SHAPE, np.float16)}, False),
+    "a probability as float16": ({"confidence": np.ones(PAPER.shape, np.float16)}, False),
+    "confidence of another kind": ({"distance_squared": np.zeros(PAPER.shape)}, False),
+    "confidence of another shape": ({"distance_squared": np.zeros(PAPER.shape[:2], np.float16)}, False),
+    "something else": ({"distance": np.zeros(PAPER.shape, np.float16)}, False),
     "text": ({"note": np.array(["x" * 999])}, False),
 }
 
@@ -204,7 +204,7 @@ FURTHER: dict[str, tuple[dict[str, np.ndarray], bool]] = {
 @pytest.mark.parametrize("name", FURTHER)
 def test_labels_with_more_than_ours_have_are_written_anew(tmp_path: Path, name: str) -> None:
     further, is_kept = FURTHER[name]
-    raw, seen = np.zeros(GRID_SHAPE, np.uint8), np.ones(GRID_SHAPE, np.uint8)
+    raw, seen = np.zeros(PAPER.shape, np.uint8), np.ones(PAPER.shape, np.uint8)
     raw[::3, :, 9] = 2
     grids = {"semantics": raw, "mask_lidar": seen, "mask_camera": seen}
     content = npz_bytes(grids | further)
@@ -215,7 +215,7 @@ def test_labels_with_more_than_ours_have_are_written_anew(tmp_path: Path, name: 
 
 
 def test_masks_that_a_dataset_has_not_are_said_to_be_missing(tmp_path: Path) -> None:
-    raw = np.zeros(GRID_SHAPE, np.uint8)
+    raw = np.zeros(PAPER.shape, np.uint8)
     raw[:, :, 9] = 2
     what = SyntheticDataset(scenes=1, frames=2, labels=[npz_bytes({"semantics": raw})])
     (told,) = write_synthetic_import(what, tmp_path)

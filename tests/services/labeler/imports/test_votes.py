@@ -16,8 +16,9 @@ from services.labeler.imports.map_products import CORNERS, coarser, exposed_face
 from services.labeler.run import Tile
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.grid import GRID_MIN_M, GRID_SHAPE, Grid
+from stone.labels.grid import Grid
 from stone.labels.voxels import VOXEL_M
+from stone_base.label_grid import PAPER
 from testing.refusals import refused_as
 
 Votes = dict[tuple[int, int, int], Counter[int]]
@@ -25,8 +26,8 @@ Votes = dict[tuple[int, int, int], Counter[int]]
 
 def grid_of(seed: int, count: int = 400) -> Grid:
     """So many occupied voxels of all classes, some in one place."""
-    random, grid = np.random.default_rng(seed), np.zeros(GRID_SHAPE, np.uint8)
-    places = random.integers(0, GRID_SHAPE, (count, 3))
+    random, grid = np.random.default_rng(seed), np.zeros(PAPER.shape, np.uint8)
+    places = random.integers(0, PAPER.shape, (count, 3))
     places[: count // 2] %= (12, 12, 12)
     grid[tuple(places.T)] = random.integers(1, 4, count)
     return grid
@@ -37,7 +38,7 @@ def counted(grids: list[tuple[Grid, SE3]]) -> Votes:
     votes: Votes = {}
     for grid, pose in grids:
         for place in np.argwhere(grid):
-            centre_ego = (place + 0.5) * VOXEL_M + np.array(GRID_MIN_M)
+            centre_ego = (place + 0.5) * VOXEL_M + np.array(PAPER.min_m)
             centre_map = pose.rotation() @ centre_ego + pose.translation_m
             index = tuple(np.floor(centre_map / VOXEL_M).astype(int).tolist())
             votes.setdefault(index, Counter())[int(grid[tuple(place)])] += 1
@@ -82,7 +83,7 @@ def test_every_voxel_has_the_class_of_most_votes_however_few_bricks_there_are(
 def test_of_equal_votes_the_more_cautious_class_wins() -> None:
     at_rest, grids = SE3(np.array([1.0, 0, 0, 0, 0.1, 0.1, 0.1])), []
     for kinds in ((1, 1, 2, 1), (2, 3, 3, 1)):
-        grid = np.zeros(GRID_SHAPE, np.uint8)
+        grid = np.zeros(PAPER.shape, np.uint8)
         grid[128, 128, 10:14] = kinds
         grids.append((grid, at_rest))
     found = fused(grids, VoteBricks())
@@ -93,12 +94,12 @@ def test_a_frame_in_line_with_the_map_is_the_map() -> None:
     grid = grid_of(3)
     found = fused([(grid, SE3(np.array([1.0, 0, 0, 0, 20.0, -30.0, 4.0])))], VoteBricks())
     places = np.argwhere(grid)
-    low = np.round(np.add(GRID_MIN_M, (20.0, -30.0, 4.0)) / VOXEL_M).astype(int)
+    low = np.round(np.add(PAPER.min_m, (20.0, -30.0, 4.0)) / VOXEL_M).astype(int)
     assert found == dict(zip(map(tuple, (places + low).tolist()), grid[tuple(places.T)].tolist(), strict=True))
 
 
 def test_counts_are_told_apart_where_many_frames_vote_for_one_voxel() -> None:
-    bricks, grid, at_rest = VoteBricks(64), np.zeros(GRID_SHAPE, np.uint8), SE3.identity()
+    bricks, grid, at_rest = VoteBricks(64), np.zeros(PAPER.shape, np.uint8), SE3.identity()
     for kind, times in ((1, 300), (2, 70), (3, 5)):
         grid[128, 128, 10] = kind
         for _ in range(times):
@@ -122,7 +123,7 @@ def test_votes_of_a_tile_are_put_together_before_its_file_grows(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr("services.labeler.imports.fused_labels.LEAST_RECORDS", 100)
-    labels, grid = FusedLabels("meadow", tmp_path / "votes", VoteBricks(64)), np.zeros(GRID_SHAPE, np.uint8)
+    labels, grid = FusedLabels("meadow", tmp_path / "votes", VoteBricks(64)), np.zeros(PAPER.shape, np.uint8)
     grid[130:150, 130:150, 10] = 2
     largest = 0
     for _ in range(40):
@@ -138,8 +139,8 @@ def test_votes_of_a_tile_are_put_together_before_its_file_grows(
 
 def drawn(seed: int, highest: int, share: float) -> Grid:
     random = np.random.default_rng(seed)
-    grid = random.integers(0, highest + 1, GRID_SHAPE, np.uint8)
-    grid[random.random(GRID_SHAPE) > share] = 0
+    grid = random.integers(0, highest + 1, PAPER.shape, np.uint8)
+    grid[random.random(PAPER.shape) > share] = 0
     return grid
 
 
@@ -150,7 +151,7 @@ def test_voxels_are_counted_by_class_wherever_the_grid_lies_in_memory(
 ) -> None:
     grid = drawn(seed, 3, share)
     if is_shifted:
-        grid = np.frombuffer(b"x" + grid.tobytes(), np.uint8, grid.size, 1).reshape(GRID_SHAPE)
+        grid = np.frombuffer(b"x" + grid.tobytes(), np.uint8, grid.size, 1).reshape(PAPER.shape)
     assert class_counts(grid) == np.bincount(grid.reshape(-1), minlength=4).tolist()
 
 
