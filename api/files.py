@@ -22,6 +22,7 @@ from api.answers import Responses, refusals
 from api.errors import ApiError
 from api.etags import etag, is_unchanged
 from services.runtime.store.protocol import Store
+from stone_base.label_grid import PAPER, LabelGrid
 
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
@@ -38,7 +39,7 @@ POLICIES = {"text/html": "default-src 'none'; style-src 'unsafe-inline'; img-src
 
 @dataclass(frozen=True)
 class StoredFile:
-    """The bytes [offset, offset + size) of an object, and how they are called outside."""
+    """The bytes [offset, offset + size) of an object, and how they are called outside; of labels their grid."""
 
     object_key: str
     size_bytes: int
@@ -47,6 +48,7 @@ class StoredFile:
     filename: str
     offset_bytes: int = 0
     is_lasting: bool = False
+    grid: LabelGrid = PAPER
 
 
 @dataclass(frozen=True)

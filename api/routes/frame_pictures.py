@@ -35,6 +35,7 @@ from services.domain.benchmarks.submissions.predicted_frames import pictured_zip
 from services.domain.viewer.frame_picture import difference_picture, picture_bytes, recoloured
 from services.runtime.store.pack_reading import ExportLocation
 from services.runtime.store.protocol import Store
+from stone_base.label_grid import LabelGrid
 
 router = APIRouter(tags=["benchmarks"])
 PNG = "image/png"
@@ -61,7 +62,7 @@ def download_truth_picture(
     with platform.database.reading() as session:
         located = open_truth_of(session, at.find(session))
     frames = _showing(platform.store, located, token)
-    content = _truth_picture(platform.store, frames.located, token)
+    content = _truth_picture(platform.store, (frames.located, frames.grid), token)
     return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-truth.png"))
 
 
@@ -88,9 +89,9 @@ def download_predicted_picture(
         located = locate_open_truth(session, seen.phase, seen.truth)
     frames = _showing(platform.store, located, token)
     if show == "truth":
-        content = _truth_picture(platform.store, frames.located, token)
+        content = _truth_picture(platform.store, (frames.located, frames.grid), token)
     else:
-        content = _predicted_picture(platform.store, (key, frames.located), token, show)
+        content = _predicted_picture(platform.store, (key, frames.located, frames.grid), token, show)
     return answer_made(request, recoloured(content, colours), GeneratedFile(PNG, f"{token}-{show}.png"))
 
 
@@ -103,18 +104,18 @@ def _showing(store: Store, located: OpenTruth | None, token: str) -> OpenFrames:
 
 
 @lru_cache(maxsize=HELD_PICTURES)
-def _truth_picture(store: Store, located: ExportLocation, token: str) -> bytes:
-    return picture_bytes(*_truth(store, located, token))
+def _truth_picture(store: Store, of: tuple[ExportLocation, LabelGrid], token: str) -> bytes:
+    return picture_bytes(*_truth(store, of[0], token), of[1])
 
 
 @lru_cache(maxsize=HELD_PICTURES)
-def _predicted_picture(store: Store, of: tuple[str, ExportLocation], token: str, show: Shown) -> bytes:
+def _predicted_picture(store: Store, of: tuple[str, ExportLocation, LabelGrid], token: str, show: Shown) -> bytes:
     """Raises `NotFoundError` where the zip lacks the frame, which none has that was accepted."""
-    predicted = _predicted(store, of, token)
+    predicted = _predicted(store, of[:2], token)
     if predicted is None:
         raise NotFoundError("frame of this submission", token)
     truth, observed = _truth(store, of[1], token)
-    return picture_bytes(predicted, observed) if show == "prediction" else difference_picture(truth, predicted)
+    return picture_bytes(predicted, observed, of[2]) if show == "prediction" else difference_picture(truth, predicted)
 
 
 @lru_cache(maxsize=HELD_GRIDS)

@@ -30,7 +30,7 @@ from services.runtime.store.pack_reading import stored_files
 from services.runtime.store.protocol import Store
 from stone.errors import Refused
 from stone.labels.class_colours import ColourName
-from stone_base.label_grid import MAP_VOXEL_M, PAPER
+from stone_base.label_grid import MAP_VOXEL_M, PAPER, LabelGrid, recorded_grid
 
 HELD_SCENES, HELD_FRAMES = 16, 128
 NPZ = "application/octet-stream"
@@ -95,12 +95,12 @@ def labels_file(session: Session, caller: Caller, token: str, version: str | Non
     pack = session.get_one(Artefact, frame.pack_id)
     object_key = session.get_one(Blob, pack.blob_sha256).object_key
     place = (object_key, frame.length_bytes, frame.sha256, NPZ, f"{token}-labels.npz", frame.offset_bytes)
-    return StoredFile(*place, is_lasting=version == labels.id)
+    return StoredFile(*place, is_lasting=version == labels.id, grid=recorded_grid(labels.grid))
 
 
 def frame_voxels(store: Store, labels: StoredFile) -> bytes:
     """`STV1` of these labels. Raises `grid_unreadable`."""
-    return _made(store, labels, voxels_bytes)
+    return _made(store, labels, _placed_voxels)
 
 
 def frame_picture(store: Store, labels: StoredFile, colours: ColourName) -> bytes:
@@ -139,9 +139,13 @@ def played_cameras(platform: Platform, asked: tuple[Caller, str, str | None]) ->
 
 
 @lru_cache(maxsize=HELD_FRAMES)
-def _made(store: Store, labels: StoredFile, make: Callable[[Grid, Grid], bytes]) -> bytes:
+def _made(store: Store, labels: StoredFile, make: Callable[[Grid, Grid, LabelGrid], bytes]) -> bytes:
     span = (labels.offset_bytes, labels.offset_bytes + labels.size_bytes)
-    return make(*stored_grids(store, labels.object_key, span))
+    return make(*stored_grids(store, labels.object_key, span), labels.grid)
+
+
+def _placed_voxels(semantics: Grid, observed: Grid, _grid: LabelGrid) -> bytes:
+    return voxels_bytes(semantics, observed)
 
 
 @lru_cache(maxsize=HELD_SCENES)

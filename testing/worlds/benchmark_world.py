@@ -27,6 +27,7 @@ from services.runtime.jobs.execution import run_next
 from services.runtime.orm import Benchmark, Dataset, GroundTruthRow, Phase, SequenceRow, Team, TeamMember, User, new_id
 from services.runtime.platform import Platform
 from stone.sensors.sequence import frame_token
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person, person
 from testing.worlds import made, published
@@ -45,7 +46,7 @@ CANARY_AT = (5, 7, slice(12, 20))
 
 @dataclass(frozen=True, eq=False)
 class World:
-    """`grids` are the labels by part, sequence name and token; `captains` lead `teams`, one each."""
+    """`grids` are the labels by part, sequence name and token, all at `grid`; `captains` lead `teams`, one each."""
 
     platform: Platform
     administrator: Person
@@ -58,6 +59,7 @@ class World:
     val: str
     test: str
     grids: Mapping[str, Mapping[str, Mapping[str, Grid]]]
+    grid: LabelGrid = PAPER
 
     def phase(self, part: str) -> str:
         """The id of the phase over this part."""
@@ -94,15 +96,15 @@ def ground(seed: int, canary: bool = False) -> Grid:
 def mistaken(truth: Grid, errors: float, seed: int = 0) -> Grid:
     """The grid with about this share of its columns shifted by a voxel and some of their classes changed."""
     random = np.random.default_rng(seed)
-    is_wrong = random.random(SHAPE[:2]) < errors
+    is_wrong = random.random(truth.shape[:2]) < errors
     changed = np.where(truth > 0, truth % 3 + 1, 0).astype(np.uint8)
     grid = np.where(is_wrong[..., None], np.roll(truth, 1, axis=2), truth)
-    return np.where((is_wrong & (random.random(SHAPE[:2]) < 0.5))[..., None], changed, grid).astype(np.uint8)
+    return np.where((is_wrong & (random.random(truth.shape[:2]) < 0.5))[..., None], changed, grid).astype(np.uint8)
 
 
 def labels_npz(grid: Grid) -> bytes:
     """The label file of a frame; every voxel within 20 m was observed."""
-    seen = np.zeros(SHAPE, np.uint8)
+    seen = np.zeros(grid.shape, np.uint8)
     seen[28:228, 28:228] = 1
     return npz_bytes({"semantics": grid, "mask_lidar": seen, "mask_camera": seen})
 
@@ -130,10 +132,10 @@ def run_eval(platform: Platform) -> int:
     return ran
 
 
-def benchmark_world(platform: Platform, frames: int = FRAMES) -> World:
-    """The world; about a second."""
+def benchmark_world(platform: Platform, frames: int = FRAMES, grid: LabelGrid = PAPER) -> World:
+    """The world, labelled at a grid that is no wider than the paper's; about a second."""
     administrator, curator = person(platform, "administrator"), person(platform, "curator")
-    grids, ids = _sequences(platform, curator, frames)
+    grids, ids = _sequences(platform, curator, frames, grid)
     dataset = published.dataset(platform, administrator.user_id, ids)
     benchmark, phases = benchmark_over(platform, administrator, dataset)
     captains = (person(platform, "participant"), person(platform, "participant"))
@@ -143,7 +145,7 @@ def benchmark_world(platform: Platform, frames: int = FRAMES) -> World:
         team, captain = session.get_one(Team, teams[0]), session.get_one(User, captains[0].user_id)
         join(session, invite(session, team, captain), session.get_one(User, member.user_id))
     at = (administrator, curator, captains, member, teams)
-    return World(platform, *at, benchmark, dataset, phases["val"], phases["test"], grids)
+    return World(platform, *at, benchmark, dataset, phases["val"], phases["test"], grids, grid)
 
 
 def new_truth(platform: Platform, phase_id: str, user_id: str) -> str:
@@ -162,7 +164,9 @@ def sha256_of(path: Path) -> str:
     return hashlib.sha256(path.read_bytes()).hexdigest()
 
 
-def _sequences(platform: Platform, owner: Person, frames: int) -> tuple[dict[str, Any], dict[str, list[str]]]:
+def _sequences(
+    platform: Platform, owner: Person, frames: int, grid: LabelGrid
+) -> tuple[dict[str, Any], dict[str, list[str]]]:
     grids: dict[str, dict[str, dict[str, Grid]]] = {}
     ids: dict[str, list[str]] = {}
     seed = 0
@@ -170,16 +174,27 @@ def _sequences(platform: Platform, owner: Person, frames: int) -> tuple[dict[str
         grids[part], ids[part] = {}, []
         for environment, illumination in conditions:
             name = f"{part}-{environment}-{new_id()[-6:]}"
-            of_sequence = [ground(seed := seed + 1, canary=part == "test") for _ in range(frames)]
-            ids[part].append(labelled(platform, owner, name, of_sequence, (environment, illumination)))
+            of_sequence = [cut_to(ground(seed := seed + 1, canary=part == "test"), grid) for _ in range(frames)]
+            ids[part].append(labelled(platform, owner, name, of_sequence, (environment, illumination), grid))
             tokens = [frame_token(name, made.stamp_of(index)) for index in range(frames)]
             grids[part][name] = dict(zip(tokens, of_sequence, strict=True))
         grids[part] = dict(sorted(grids[part].items()))
     return grids, ids
 
 
+def cut_to(labels: Grid, grid: LabelGrid) -> Grid:
+    """The corner of labels that has a grid's shape."""
+    x, y, z = grid.shape
+    return np.ascontiguousarray(labels[:x, :y, :z])
+
+
 def labelled(
-    platform: Platform, owner: Person, name: str, grids: Iterable[Grid], said: tuple[str, str] = ("meadow", "day")
+    platform: Platform,
+    owner: Person,
+    name: str,
+    grids: Iterable[Grid],
+    said: tuple[str, str] = ("meadow", "day"),
+    grid: LabelGrid = PAPER,
 ) -> str:
     """The id of a sequence with these label grids."""
     environment, illumination = said
@@ -188,7 +203,7 @@ def labelled(
         session.add(row)
         session.flush()
         facts = {"id": row.id, "name": row.name, "owner_id": owner.user_id}
-    made.labels(platform, facts, seed=row.id.encode(), contents=[labels_npz(grid) for grid in grids])
+    made.labels(platform, facts, seed=row.id.encode(), contents=[labels_npz(one) for one in grids], grid=grid)
     return row.id
 
 

@@ -39,6 +39,7 @@ from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import index_bytes, pack_folder
 from services.runtime.uploads import upload_file
 from stone.sensors.sequence import frame_token
+from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper
 from stone_files.archives import KINDS
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
@@ -90,8 +91,9 @@ def labels(
     frames: int = 3,
     seed: bytes = b"",
     contents: Listing[bytes] = (),
+    grid: LabelGrid = PAPER,
 ) -> Labels:
-    """A label set of the sequence, as the labeler publishes it; the contents are told apart by `seed`.
+    """A label set of the sequence at a grid, as the labeler publishes it; the contents are told apart by `seed`.
 
     With `contents` the frames' label files are these.
     """
@@ -113,7 +115,7 @@ def labels(
         run = enqueue_run(session, "sequence.process", [JobSpec("ingest.synchronise")], _context(made))
         run.state, run.arguments = "succeeded", {"recipe": seed.hex()}
         row = LabelSet(sequence_id=made["id"], job_id=run.id, recipe=new_id() * 2, parameters={"profile": "paper"})
-        row.code_version, row.frames = "1", frames
+        row.code_version, row.frames, row.grid = "1", frames, record_unless_paper(grid)
         row.duration_ns, row.distance_m = 25 * 10**9, 30.5
         row.free_voxels, row.t_voxels, row.p_voxels, row.n_voxels = 9000, 100, 200, 700
         row.held_out_recall, row.held_out_m = 0.9731, 75.4

@@ -20,6 +20,7 @@ from services.domain.benchmarks.phases.evaluation_versions import EvaluationVers
 from services.domain.benchmarks.submissions.submissions import SubmissionDraft, create_draft, finalise
 from services.runtime.orm import Blob, Job, JobLine, Score, ScorePart, ScoringEntry, SubmissionRow, new_id
 from services.runtime.platform import Platform
+from stone_base.label_grid import PAPER, LabelGrid
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds import made
 from testing.worlds.benchmark_world import Grid, World, benchmark_world, labels_npz
@@ -27,9 +28,9 @@ from testing.worlds.submission_files import write_submission
 
 
 @contextmanager
-def standing_world(folder: Path, template: Path, frames: int = 1) -> Iterator[World]:
-    """A world of few frames, copied from one that was made once, upon the migrated `template`."""
-    kept = _made_world(template, frames)
+def standing_world(folder: Path, template: Path, frames: int = 1, grid: LabelGrid = PAPER) -> Iterator[World]:
+    """A world of few frames at a grid, copied from one that was made once, upon the migrated `template`."""
+    kept = _made_world(template, frames, grid)
     settings = make_settings(folder)
     shutil.copytree(kept.platform.settings.root, settings.root)
     platform = opened(settings, [])
@@ -38,13 +39,13 @@ def standing_world(folder: Path, template: Path, frames: int = 1) -> Iterator[Wo
 
 
 @cache
-def _made_world(template: Path, frames: int) -> World:
+def _made_world(template: Path, frames: int, grid: LabelGrid) -> World:
     """The world that is copied; nobody works in it."""
-    settings = make_settings(template.parent / f"world-of-{frames}")
+    settings = make_settings(template.parent / f"world-of-{frames}-{grid.name}")
     settings.root.mkdir(parents=True)
     shutil.copyfile(template, settings.root / "stone.sqlite3")
     platform = opened(settings, [])
-    made = benchmark_world(platform, frames)
+    made = benchmark_world(platform, frames, grid)
     platform.database.close()
     return made
 
@@ -57,7 +58,7 @@ def guess(world: World, part: str = "val", turn: int = 0) -> dict[str, Grid]:
 def zipped(world: World, frames: Mapping[str, Grid]) -> bytes:
     """These frames as a submission."""
     path = Path(world.platform.settings.root) / f"{new_id()}.zip"
-    write_submission(path, frames.items())
+    write_submission(path, frames.items(), world.grid)
     return path.read_bytes()
 
 

@@ -71,8 +71,8 @@ def start_truth(
     phase = lock_phase(session, phase.id)
     refuse_empty(session, dataset, phase.part)
     _refuse_second(session, phase)
-    _refuse_other_frames(session, phase, dataset, compared)
     _refuse_other_grid(session, phase, dataset)
+    _refuse_other_frames(session, phase, dataset, compared)
     last = select(func.coalesce(func.max(GroundTruthRow.number), 0)).where(GroundTruthRow.phase_id == phase.id)
     truth = GroundTruthRow(
         id=new_id(), phase_id=phase.id, number=session.scalars(last).one() + 1, dataset_id=dataset.id

@@ -27,6 +27,7 @@ from services.runtime.orm.base import now_ns
 from services.runtime.store.pack_reading import ExportLocation, file_pieces, stored_files
 from services.runtime.store.packs import PackedFiles
 from services.runtime.store.protocol import Store
+from stone_base.label_grid import PAPER, LabelGrid, recorded_grid
 
 Grid = NDArray[np.uint8]
 LABEL_FILE = re.compile(r"gts/([^/]+)/([^/]+)/labels\.npz")
@@ -35,18 +36,21 @@ HELD = 4
 
 @dataclass(frozen=True)
 class OpenTruth:
-    """Where the labels of an open ground truth lie, and the names of its sequences that nothing hides."""
+    """Where the labels of an open ground truth lie, the names of its sequences that nothing hides, and its grid."""
 
     located: ExportLocation
     sequences: frozenset[str]
+    grid: LabelGrid = PAPER
 
 
 @dataclass(frozen=True, eq=False)
 class OpenFrames:
-    """The frames that may be shown: the sequence of each by its token, in the order of the dataset's files."""
+    """The frames that may be shown: the sequence of each by its token, in the order of the dataset's files; the grid of
+    all."""
 
     located: ExportLocation
     sequences: Mapping[str, str]
+    grid: LabelGrid = PAPER
 
 
 def open_truth_of(session: Session, phase: Phase) -> OpenTruth | None:
@@ -63,14 +67,14 @@ def locate_open_truth(session: Session, phase: Phase, truth: GroundTruthRow) -> 
         return None
     shown = members_of(dataset.id, [truth.part]).where(DatasetMember.sequence_id.not_in(hidden_truths()))
     names = frozenset(session.scalars(shown.with_only_columns(DatasetMember.name).order_by(None)))
-    return OpenTruth(locate_part(session, dataset, truth.part)[1], names)
+    return OpenTruth(locate_part(session, dataset, truth.part)[1], names, recorded_grid(dataset.grid))
 
 
 def open_frames(store: Store, found: OpenTruth) -> OpenFrames:
     """The frames; reads the index of the part, so not within a transaction."""
     places = _places(stored_files(store, found.located).files)
     shown = {token: name for token, (name, _) in places.items() if name in found.sequences}
-    return OpenFrames(found.located, MappingProxyType(shown))
+    return OpenFrames(found.located, MappingProxyType(shown), found.grid)
 
 
 def all_tokens(store: Store, located: ExportLocation) -> tuple[str, ...]:
