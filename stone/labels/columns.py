@@ -61,14 +61,14 @@ def spread_out(ones: Words, twos: Words | None = None, out: Grid | None = None, 
 @njit(cache=True, nogil=True)
 def _spread(ones, twos, height, out):  # type: ignore[no-untyped-def]
     """A column is written 32 bytes at once, the next over what is beyond its end; the last ones byte by byte."""
-    for column in range(ones.size):
-        at = height * column
-        if at + COLUMN <= out.size:
-            spread(ones[column], twos[column], out, at)
-        else:
-            for z in range(height):
-                bit = np.uint32(z)
-                out[at + z] = (ones[column] >> bit & np.uint32(1)) + np.uint32(2) * (twos[column] >> bit & np.uint32(1))
+    whole = min(ones.size, (out.size - COLUMN) // height + 1)
+    for column in range(whole):
+        spread(ones[column], twos[column], out, height * column)
+    for column in range(whole, ones.size):
+        for z in range(height):
+            bit = np.uint32(z)
+            two = np.uint32(2) * (twos[column] >> bit & np.uint32(1))
+            out[height * column + z] = (ones[column] >> bit & np.uint32(1)) + two
 
 
 @dataclass(frozen=True, eq=False)

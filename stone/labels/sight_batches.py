@@ -29,7 +29,7 @@ from stone.labels.visibility import (
 from stone_base.label_grid import PAPER, LabelGrid
 
 LANES = 32
-BESIDE = 16  # columns
+BESIDE = 8  # columns; a row of any grid has a whole number of times as many
 VOXEL_MASK, WAY_MASK = np.uint32((1 << VOXEL_BITS) - 1), np.uint32(31)
 
 
@@ -149,11 +149,11 @@ def _by_voxel(batch, sides, free):  # type: ignore[no-untyped-def]
     near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(sides[0]):
         for b in range(0, sides[1], BESIDE):
-            column, beside = a * sides[1] + b, min(BESIDE, sides[1] - b)
+            column = a * sides[1] + b
             for lane in range(LANES):
-                for n in range(beside):
+                for n in range(BESIDE):
                     near[n, lane] = ~batch[lane, column + n]
-            for n in range(beside):
+            for n in range(BESIDE):
                 transpose(near, n * LANES, free, ((a + 1) * (sides[1] + 2) + b + n + 1) * FRAMED_HEIGHT + 1)
 
 
@@ -163,9 +163,9 @@ def _by_frame(seen, sides, batch):  # type: ignore[no-untyped-def]
     near = np.empty((BESIDE, LANES), np.uint32)
     for a in range(sides[0]):
         for b in range(0, sides[1], BESIDE):
-            column, beside = a * sides[1] + b, min(BESIDE, sides[1] - b)
-            for n in range(beside):
+            column = a * sides[1] + b
+            for n in range(BESIDE):
                 transpose(seen, ((a + 1) * (sides[1] + 2) + b + n + 1) * FRAMED_HEIGHT + 1, near, n * LANES)
             for lane in range(LANES):
-                for n in range(beside):
+                for n in range(BESIDE):
                     batch[lane, column + n] = near[n, lane]

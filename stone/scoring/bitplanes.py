@@ -105,28 +105,38 @@ def _pack(source: Any, runs: NDArray[np.int64], low: Columns, high: Columns, wan
 
 @njit(cache=True, nogil=True)
 def _pack_low(voxels: Grid, height: int, runs: NDArray[np.int64], low: Columns, high: Columns) -> np.uint64:
-    """As `_pack`, of columns of fewer voxels than a word has: several are packed into each, and taken apart."""
-    origin, beyond = runs[0, 1], np.uint64(0)
+    """As `_pack`, of columns of 8 or 16 voxels: 256 bytes are packed into words, which are columns of narrower ones.
+
+    At the end of a run the next columns are packed too, and not kept; there may be none at the end of the grid.
+    """
+    origin, beyond, at_once = runs[0, 1], np.uint64(0), 256 // height
     near_low, near_high = np.empty(8, np.uint32), np.empty(8, np.uint32)
-    share, own = WORD // height, np.uint32((1 << height) - 1)
+    last, last_start = np.zeros(256, np.uint8), voxels.size - 256
     for r in range(runs.shape[0]):
         start, target, columns = runs[r, 0], runs[r, 1] - origin, runs[r, 2]
-        many = columns - columns % (8 * share)
-        for i in range(0, many, 8 * share):
-            beyond |= pack8(voxels, height * (start + i), near_low, near_high, 0)
-            for word in range(8):
-                for part in range(share):
-                    at, shift = target + i + word * share + part, np.uint32(part * height)
-                    low[at], high[at] = near_low[word] >> shift & own, near_high[word] >> shift & own
-        for i in range(many, columns):
-            one = two = np.uint32(0)
-            for z in range(height):
-                voxel = np.uint32(voxels[height * (start + i) + z])
-                one |= (voxel & np.uint32(1)) << np.uint32(z)
-                two |= (voxel >> np.uint32(1) & np.uint32(1)) << np.uint32(z)
-                beyond |= np.uint64(voxel >> np.uint32(2))
-            low[target + i], high[target + i] = one, two
+        for i in range(0, columns, at_once):
+            begin, kept = height * (start + i), min(at_once, columns - i)
+            if begin <= last_start:
+                beyond |= pack8(voxels, begin, near_low, near_high, 0)
+            else:
+                last[: voxels.size - begin] = voxels[begin:]
+                beyond |= pack8(last, 0, near_low, near_high, 0)
+            if height == 16 and kept == 16:  # a count that is known is followed in vectors
+                _widen(near_low.view(np.uint16), low, target + i, 16)
+                _widen(near_high.view(np.uint16), high, target + i, 16)
+            elif height == 16:
+                _widen(near_low.view(np.uint16), low, target + i, kept)
+                _widen(near_high.view(np.uint16), high, target + i, kept)
+            else:
+                _widen(near_low.view(np.uint8), low, target + i, kept)
+                _widen(near_high.view(np.uint8), high, target + i, kept)
     return beyond
+
+
+@njit(inline="always")
+def _widen(narrow: Any, out: Columns, at: int, kept: int) -> None:
+    for n in range(kept):
+        out[at + n] = np.uint32(narrow[n])
 
 
 @njit(cache=True, nogil=True)
