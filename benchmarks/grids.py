@@ -79,5 +79,6 @@ def frames(count: int, seed: int = 1) -> Iterator[tuple[Grid, Grid]]:
 def seen_by_lidar(truth: Grid) -> Grid:
     """Where a ray could have come: from the lowest surface of a column up, and nowhere in columns without any."""
     is_occupied = truth > 0
-    lowest = np.where(is_occupied.any(axis=2), is_occupied.argmax(axis=2), Z)
-    return (np.arange(Z) >= lowest[..., None]).astype(np.uint8)
+    height = truth.shape[2]
+    lowest = np.where(is_occupied.any(axis=2), is_occupied.argmax(axis=2), height)
+    return (np.arange(height) >= lowest[..., None]).astype(np.uint8)

@@ -28,6 +28,7 @@ from services.eval.score_record import interval_record, spectra_of
 from services.eval.truth_pack import TruthPack
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import METRIC_VERSION, METRICS
+from stone_base.label_grid import GRIDS
 from stone_submissions.archive import SubmissionZip, open_submission
 
 TURNS, LOOPED = 10, 4
@@ -113,14 +114,14 @@ def measure(data: Material, clocks: dict[str, ScoreTimes]) -> float:
     looped = [str(part[k]) for part in np.array_split(np.array(data.tokens), TURNS) for k in range(LOOPED)]
     with (
         TruthPack(data.pack_path) as pack,
-        open_submission(data.zip_path, data.tokens) as submission,
+        open_submission(data.zip_path, data.tokens, data.grid) as submission,
         zipfile.ZipFile(data.zip_path) as archive,
     ):
-        opened = ScoreInputs(data, submission, archive, pack, Plain(data, looped), ByteMoving())
+        opened = ScoreInputs(data, submission, archive, pack, Plain(data, looped), ByteMoving(data.grid))
         opened.count(data.tokens[:64], pack.planes_of, 2)  # compiled, and memory at hand, before anything is timed
         opened.moving(data, data.tokens[:64])
         started_s = time.process_time()
-        with open_submission(data.zip_path, data.tokens):
+        with open_submission(data.zip_path, data.tokens, data.grid):
             open_s = time.process_time() - started_s
         confusions = take_turns(opened, clocks)
     lengths = [len(rows) for rows in np.array_split(confusions, 5)]
@@ -167,17 +168,19 @@ def verdicts(clocks: dict[str, ScoreTimes], peak: int) -> Table:
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
     parser.add_argument("--frames", type=int, default=7000)
-    frame_count = max(parser.parse_args().frames, TURNS * LOOPED)
+    parser.add_argument("--grid", choices=GRIDS, default="paper")
+    options = parser.parse_args()
+    frame_count = max(options.frames, TURNS * LOOPED)
     clocks = {name: ScoreTimes() for name in NAMES}
     with TemporaryDirectory() as folder:
-        data = material(Path(folder), frame_count)
+        data = material(Path(folder), frame_count, GRIDS[options.grid])
         open_s = measure(data, clocks)
         peak = peak_bytes(data)
         sizes = [path.stat().st_size / 1e6 for path in (data.zip_path, data.pack_path)]
     console = Console()
     console.print(table_of(clocks))
     console.print(verdicts(clocks, peak))
-    facts = f"{frame_count} frames, zip of {sizes[0]:.0f} MB, pack of {sizes[1]:.0f} MB"
+    facts = f"{frame_count} frames at {data.grid}, zip of {sizes[0]:.0f} MB, pack of {sizes[1]:.0f} MB"
     console.print(f"{facts}; the zip's directory is checked in {1e3 * open_s:.0f} ms")
     console.print(f"{os.cpu_count()} cores, load {os.getloadavg()[0]:.1f}: wall means little where the load is above 1")
 

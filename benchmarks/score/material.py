@@ -1,6 +1,7 @@
 """Inputs of the scoring benchmark: `DISTINCT` frames over and over, their ground truth in files and a pack.
 
-**Conventions.** Frame k of the submission is frame k modulo `DISTINCT` of the drive. The mask is the LiDAR's.
+**Conventions.** Frame k of the submission is frame k modulo `DISTINCT` of the drive. The mask is the LiDAR's. At
+another grid than the paper's a frame is the corner of it that has the grid's shape.
 """
 
 import io
@@ -14,6 +15,7 @@ from benchmarks.grids import frames, seen_by_lidar
 from services.eval.truth_pack import write_truth_pack
 from stone.labels.grid import Grid
 from stone.scoring.bitplanes import TruthPlanes, truth_planes
+from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.npz import npz_bytes
 from stone_submissions.manifest import Manifest
 
@@ -27,6 +29,7 @@ class Material:
     folder: Path
     tokens: tuple[str, ...]
     planes: tuple[TruthPlanes, ...]
+    grid: LabelGrid = PAPER
 
     @property
     def zip_path(self) -> Path:
@@ -57,18 +60,19 @@ def saved_by_numpy(grid: Grid) -> bytes:
     return file.getvalue()
 
 
-def material(folder: Path, frame_count: int) -> Material:
-    """Made in this folder, of `frame_count` frames."""
-    planes, files = [], []
-    for index, (truth, prediction) in enumerate(frames(min(DISTINCT, frame_count))):
+def material(folder: Path, frame_count: int, grid: LabelGrid = PAPER) -> Material:
+    """Made in this folder, of `frame_count` frames of the grid."""
+    planes, files, corner = [], [], tuple(slice(side) for side in grid.shape)
+    for index, pair in enumerate(frames(min(DISTINCT, frame_count))):
+        truth, prediction = (np.ascontiguousarray(one[corner]) for one in pair)
         mask = seen_by_lidar(truth)
         labels = {"semantics": truth, "mask_lidar": mask, "mask_camera": mask}
         (folder / f"{index}.npz").write_bytes(npz_bytes(labels))
-        planes.append(truth_planes(truth, mask != 0))
+        planes.append(truth_planes(truth, mask != 0, grid))
         files.append(saved_by_numpy(prediction))
-    made = Material(folder, tuple(map(token_of, range(frame_count))), tuple(planes))
+    made = Material(folder, tuple(map(token_of, range(frame_count))), tuple(planes), grid)
     with zipfile.ZipFile(made.zip_path, "w") as archive:
         for index, token in enumerate(made.tokens):
             archive.writestr(f"{token}.npz", files[index % len(files)])
-    write_truth_pack(made.pack_path, Manifest({"drive": made.tokens}), made.planes_of)
+    write_truth_pack(made.pack_path, Manifest({"drive": made.tokens}, grid), made.planes_of)
     return made

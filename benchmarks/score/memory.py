@@ -13,7 +13,7 @@ THREADS = 2
 
 def main() -> None:
     zip_path, pack_path = map(Path, sys.argv[1:])
-    with TruthPack(pack_path) as pack, open_submission(zip_path, pack.tokens) as submission:
+    with TruthPack(pack_path) as pack, open_submission(zip_path, pack.tokens, pack.grid) as submission:
         sampled = sampled_tokens(pack.tokens)
         counted = count_range(submission, pack.tokens, pack.planes_of, sampled=sampled, threads=THREADS)
     if submission.problems or counted.problems:

@@ -14,7 +14,7 @@ from numba import njit
 from numpy.typing import NDArray
 
 from benchmarks.score.material import Material
-from stone_base.label_grid import PAPER
+from stone_base.label_grid import LabelGrid
 
 CLASSES = 4
 Counts = NDArray[np.int64]
@@ -61,10 +61,10 @@ class Plain:
 
 
 class ByteMoving:
-    """The floor: write a frame's 2 MiB of voxels into memory that is at hand, read them, read its truth planes."""
+    """The floor: write a frame's voxels into memory that is at hand, read them, read its truth planes."""
 
-    def __init__(self) -> None:
-        self._inflated = np.random.default_rng(0).integers(0, CLASSES, PAPER.voxels, np.uint8)
+    def __init__(self, grid: LabelGrid) -> None:
+        self._inflated = np.random.default_rng(0).integers(0, CLASSES, grid.voxels, np.uint8)
         self._written = np.empty_like(self._inflated)
 
     def __call__(self, data: Material, tokens: Sequence[str]) -> int:
