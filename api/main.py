@@ -92,6 +92,7 @@ ROUTERS: tuple[APIRouter, ...] = (
     sequences.router,
     calibrations.router,
     recordings.router,
+    recordings.roots_router,
     profiles.router,
     processing.router,
     frames.router,

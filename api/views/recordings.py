@@ -2,20 +2,26 @@
 
 from sqlalchemy.orm import Session
 
-from api.schemas.sequences.recordings import RecordingDetail, RecordingFileItem, RecordingItem
+from api.schemas.sequences.recordings import PlaceItem, RecordingDetail, RecordingFileItem, RecordingItem
 from api.views.preview_files import previews_of_recording
 from services.runtime.orm import Recording
 
 
 def recording_item(row: Recording) -> RecordingItem:
     """A recording as a list shows it."""
-    return RecordingItem.of(row, files=_file_items(row))
+    return RecordingItem.of(row, files=_file_items(row), place=_place_item(row))
 
 
 def recording_detail(session: Session, row: Recording) -> RecordingDetail:
     """A recording with what its inspection said."""
-    return RecordingDetail.of(row, files=_file_items(row), previews=previews_of_recording(session, row))
+    return RecordingDetail.of(
+        row, files=_file_items(row), place=_place_item(row), previews=previews_of_recording(session, row)
+    )
 
 
 def _file_items(row: Recording) -> list[RecordingFileItem]:
     return [RecordingFileItem.of(one, is_recovered=one.recovered_blob_sha256 is not None) for one in row.files]
+
+
+def _place_item(row: Recording) -> PlaceItem | None:
+    return None if row.place is None else PlaceItem(root=row.place["root"], path=row.place["path"])

@@ -17,7 +17,7 @@ from services.domain.imports.requests import INDEX, KEEP_DATASET, import_of_atte
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.processing import CHECK, LABEL, REGISTER, SYNCHRONISE
-from services.domain.sequences.recordings import kept_recording, locate, locate_file, locate_run
+from services.domain.sequences.recordings import kept_recording, locate, locate_file, locate_run, unchanged
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWEEPS_FILE, require_left
 from services.domain.sequences.stage_checks import require_sequence
@@ -90,7 +90,7 @@ def synchronise_recording(platform: Platform, attempt: Attempt) -> Outcome:
     bags = StoredBags(paths, inputs.recordings, inputs.sha256s, offsets_ns)
     asked = SynchronisationRequest(bags, calibration, inputs.name, inputs.valid_ns, options)
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
-    with private_folder_in(workspace.folder) as folder:
+    with private_folder_in(workspace.folder) as folder, unchanged(platform, inputs.recordings):
         reads = (*(one for path in paths for one in bag_paths(path)), calibration)
         made = synchronised(asked, JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True))
         attempt.progress(SYNCHRONISED, 1, 2)
@@ -115,8 +115,12 @@ def check_sequence(platform: Platform, attempt: Attempt) -> Outcome:
     workspace = Workspace(platform.store, platform.settings, attempt.root_id)
     workspace.pull(SEQUENCE_FILE, SWEEPS_FILE, JOINED)
     require_left(workspace.folder, (SEQUENCE_FILE, SWEEPS_FILE))
-    asked = CheckRequest(workspace.folder, locate_run(platform, inputs.recordings, workspace.folder), inputs.valid_ns)
-    with private_folder_in(workspace.folder) as folder:
+    bag, is_in_place = (
+        locate_run(platform, inputs.recordings, workspace.folder),
+        any(one.place for one in inputs.recordings),
+    )
+    asked = CheckRequest(workspace.folder, bag, inputs.valid_ns, is_in_place)
+    with private_folder_in(workspace.folder) as folder, unchanged(platform, inputs.recordings):
         reads = (*bag_paths(asked.bag), *asked.files)
         made = checked(asked, JobSandbox(folder, reads, attempt, platform.settings, warm))
         attempt.progress(CHECKED, 1, 2)

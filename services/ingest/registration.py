@@ -1,6 +1,7 @@
 """The stage that reads a recording once and keeps it: received → registered or refused.
 
     files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
+    files in place → inspection → quality → previews → rows
 
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
 the start and makes the same; the sweeper removes the files afterwards. A sandboxed child does all the reading
@@ -15,11 +16,13 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
+from services.domain.sequences.recordings import recording_place, unchanged
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError
 from services.ingest.kernel_warmup import warm
 from services.ingest.sandboxed_inspection import RECOVERED, STEPS, ReceivedBag, RecordingSurvey, received, seen
 from services.runtime.access import storage_quota
+from services.runtime.in_place.folders import found_place, sha256_in_place
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
@@ -28,9 +31,10 @@ from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, hashed_beside, link_all, prepare, prepare_hashed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads.backends import remove_bytes
-from stone.errors import PlatformFaultError, StoneError
+from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone_recordings.bags.errors import IngestError
+from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecording
 
 
 @dataclass(frozen=True)
@@ -48,8 +52,46 @@ class _StoredBytes:
 def register(platform: Platform, attempt: Attempt) -> Outcome:
     """Inspect the recording and keep it as blobs. Raises the `BAG-*` refusals, `RecordingChangedError`, what `seen`
     raises."""
+    if place := _place_of(platform, str(attempt.arguments["recording_id"])):
+        return _read_in_place(platform, attempt, place)
     with received(platform, str(attempt.arguments["recording_id"])) as brought:
         return _read_and_kept(platform, attempt, brought)
+
+
+def _place_of(platform: Platform, recording_id: str) -> RecordingPlace | None:
+    with platform.database.reading() as session:
+        recording = session.get(Recording, recording_id)
+        return None if recording is None else recording_place(recording)
+
+
+def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) -> Outcome:
+    """Inspect a recording where it lies; of its bytes nothing is kept but previews."""
+    recording_id = str(attempt.arguments["recording_id"])
+    attempt.progress("inspect", 0, STEPS)
+    try:
+        place = found_place(platform.settings.in_place, asked)
+        with (
+            received(platform, recording_id, place) as brought,
+            unchanged(platform, [StoredRecording(place.name, (), place)]),
+        ):
+            work = Workspace(platform.store, platform.settings, attempt.root_id).folder
+            found = _seen(platform, attempt, brought, work)
+    except PlatformFaultError:
+        raise
+    except (IngestError, Refused) as error:
+        _refuse(platform, recording_id, error)
+        raise
+    kept = _StoredBytes({}, {}, prepared_previews(platform, work, found.drawn))
+    attempt.progress("keep", STEPS, STEPS)
+    attempt.log("inspected", topics=found.topics, findings=found.findings, score=found.quality["score"], recovered=0)
+    result = {"recording_id": recording_id, "topics": found.topics, "score": found.quality["score"]}
+
+    def commit(session: Session) -> None:
+        recording = _register(session, brought, found, kept)
+        recording.place, recording.size_bytes = place.as_record(), place.size_bytes
+        recording.sha256 = sha256_in_place(place, found.content_sha256)
+
+    return Outcome(result, commit=commit)
 
 
 def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -> Outcome:
@@ -63,7 +105,7 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
         raise
     except (IngestError, RecordingChangedError) as error:
-        _refuse(platform, brought, error)
+        _refuse(platform, brought.recording_id, error)
         raise
     attempt.progress("keep", 3, STEPS)
     recovered = {
@@ -74,14 +116,17 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     score = found.quality["score"]
     attempt.log("inspected", topics=found.topics, findings=found.findings, score=score, recovered=len(recovered))
     result = {"recording_id": brought.recording_id, "topics": found.topics, "score": score}
-    return Outcome(result, commit=lambda session: _register(session, brought, found, kept))
+
+    def commit(session: Session) -> None:
+        _register(session, brought, found, kept)
+
+    return Outcome(result, commit=commit)
 
 
 def _seen(platform: Platform, attempt: Attempt, brought: ReceivedBag, work: Path) -> RecordingSurvey:
     """What was recovered lies below `work` then, until the run is collected."""
     with private_folder_in(work) as folder:
-        reads = tuple(file.path for file in brought.files)
-        apart = JobSandbox(folder, reads, attempt, platform.settings, warm, makes_links=True)
+        apart = JobSandbox(folder, brought.reads, attempt, platform.settings, warm, makes_links=True)
         found = seen(brought, apart)
         return replace(found, recovered={row_id: _moved(path, work) for row_id, path in found.recovered.items()})
 
@@ -101,7 +146,7 @@ def _originals(platform: Platform, brought: ReceivedBag, hashed: Sequence[Prepar
     return {file.row_id: blob for file, blob in zip(brought.files, stored, strict=True)}
 
 
-def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> None:
+def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> Recording:
     recording = session.get(Recording, brought.recording_id, with_for_update=True)
     if recording is None:
         raise JobCancelledError("its recording was deleted")
@@ -115,16 +160,18 @@ def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, ke
     recording.inspection, recording.quality = inspection, found.quality
     replace_previews(session, PreviewSubject(recording.sequence_id, recording.id), kept.previews)
     tell_unusable(session, recording.sequence_id, recording.findings)
+    return recording
 
 
-def _refuse(platform: Platform, brought: ReceivedBag, error: StoneError) -> None:
+def _refuse(platform: Platform, recording_id: str, error: StoneError) -> None:
     """Write the refusal down, give the owner's bytes back, remove the files."""
     with platform.database.transaction() as session:
-        recording = session.get(Recording, brought.recording_id, with_for_update=True)
+        recording = session.get(Recording, recording_id, with_for_update=True)
         if recording is None or recording.state != "received":
             return
         recording.state = "refused"
         recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
-        for file in brought.files:
-            storage_quota.release(session, file.upload_id, "recording refused")
-    remove_bytes(platform, [file.upload_id for file in brought.files])
+        upload_ids = [file.upload_id for file in recording.files if file.upload_id]
+        for upload_id in upload_ids:
+            storage_quota.release(session, upload_id, "recording refused")
+    remove_bytes(platform, upload_ids)

@@ -19,6 +19,7 @@ from sqlalchemy.orm import Session
 from services.domain.sequences.profiles import topics_of
 from services.ingest.errors import recording_file_missing
 from services.ingest.pipeline import SynchroniseOptions, synchronise_in, unjoined_sequence
+from services.runtime.in_place.folders import located_in_place
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, Recording, RecordingFile, SequenceRow, Upload
 from services.runtime.platform import Platform
@@ -33,7 +34,9 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.ground_plane import GroundFit
+from stone_files.bag_fingerprint import bag_paths
 from stone_recordings.bags.bag import Bag, open_bag
+from stone_recordings.bags.content_hash import content_sha256
 from stone_recordings.bags.errors import CutBagError, IngestError
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.calibrations.file import read_calibration
@@ -44,6 +47,7 @@ from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
 from stone_recordings.sync.ground_check import measured_ground
+from stone_recordings.sync.stored_recording import RecordingPlace
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -134,7 +138,7 @@ class ReceivedFile:
 class ReceivedBag:
     """A recording as it was received; `folder` is where names of files are kept on this machine.
 
-    `profile` is what its owner chose for the robot.
+    `profile` is what its owner chose for the robot. Of a recording in place `here` is the bag, and there are no files.
     """
 
     recording_id: str
@@ -143,12 +147,20 @@ class ReceivedBag:
     files: tuple[ReceivedFile, ...]
     folder: Path
     profile: TopicProfile
+    here: Path | None = None
+
+    @property
+    def reads(self) -> tuple[Path, ...]:
+        """The files that hold its bytes."""
+        return tuple(file.path for file in self.files) if self.here is None else bag_paths(self.here)
 
     def bag(self, instead: Mapping[str, Path] | None = None) -> Path:
         """The bag as its owner named it: a file, or a folder with the files.
 
         `instead` says, by `row_id`, what is read in the place of a file.
         """
+        if self.here is not None:
+            return self.here
         read = [((instead or {}).get(file.row_id, file.path), file.filename) for file in self.files]
         return named(self.folder, *read[0]) if len(read) == 1 else named_folder(self.folder, read, self.name)
 
@@ -163,8 +175,8 @@ class _StoredFile:
 
 
 @contextmanager
-def received(platform: Platform, recording_id: str) -> Iterator[ReceivedBag]:
-    """The recording with its files on this machine; copies that were made for it go with the block.
+def received(platform: Platform, recording_id: str, place: RecordingPlace | None = None) -> Iterator[ReceivedBag]:
+    """The recording with its files on this machine, or in `place`; copies that were made for it go with the block.
 
     Raises `JobCancelledError` (deleted), `recording_refused`, `recording_file_missing`, what the store raises.
     """
@@ -178,7 +190,8 @@ def received(platform: Platform, recording_id: str) -> Iterator[ReceivedBag]:
     folder = platform.settings.root / NAMES_FOLDER
     with ExitStack() as copies:
         files = tuple(_file(recording, file.row, _path(platform, file, copies)) for file in kept)
-        yield ReceivedBag(recording_id, sequence.id, recording.filename, files, folder, profile)
+        here = located_in_place(platform.settings, place) if place else None
+        yield ReceivedBag(recording_id, sequence.id, recording.filename, files, folder, profile, here)
 
 
 def _kept(session: Session, row: RecordingFile) -> _StoredFile:
@@ -257,7 +270,8 @@ STEPS = 4
 class RecordingSurvey:
     """The records of inspection and quality as they are kept in rows; `drawn` are the previews.
 
-    `recovered` are files, by the row of the file that was cut off and in whose place they are read.
+    `recovered` are files, by the row of the file that was cut off and in whose place they are read. `content_sha256` is
+    of a recording in place, else empty.
     """
 
     inspection: dict[str, Any]
@@ -266,6 +280,7 @@ class RecordingSurvey:
     findings: int
     recovered: Mapping[str, Path]
     drawn: tuple[File, ...]
+    content_sha256: str = ""
 
 
 def seen(brought: ReceivedBag, apart: JobSandbox) -> RecordingSurvey:
@@ -282,7 +297,8 @@ def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> byt
         said = tuple(file.finding for file in recovered.values())
         inspection = replace(inspection, findings=(*said, *inspection.findings))
         progress("measure", 1, STEPS)
-        return _measured(ours.name, bag, inspection, list(recovered))
+        content = content_sha256(bag) if ours.here is not None else ""
+        return _measured(ours.name, bag, inspection, {"recovered": list(recovered), "content_sha256": content})
 
 
 def _inspected_in(
@@ -291,6 +307,8 @@ def _inspected_in(
     """The recording, open as long as `files` are, and its inspection; what was cut off of it is recovered first."""
     try:
         bag = files.enter_context(open_bag(ours.bag()))
+        if ours.here is not None:
+            bag.believe()
         return bag, inspected_in(bag, ours.profile), {}
     except CutBagError:
         recovered = recovered_files(ours, folder)
@@ -301,7 +319,7 @@ def _inspected_in(
     return bag, inspected_in(bag, ours.profile), recovered
 
 
-def _measured(name: str, bag: Bag, inspection: Inspection, recovered: list[str]) -> bytes:
+def _measured(name: str, bag: Bag, inspection: Inspection, facts: Mapping[str, Any]) -> bytes:
     sampled = SampledMessages(bag)
     quality = quality_of(bag, inspection, sampled)
     pictures = tuple(previews_of(bag, inspection, sampled))
@@ -312,7 +330,7 @@ def _measured(name: str, bag: Bag, inspection: Inspection, recovered: list[str])
         "quality": quality.as_record(),
         "topics": len(inspection.topics),
         "findings": len(inspection.findings),
-        "recovered": recovered,
+        **facts,
     }
     own = ((QUALITY_RECORD, "application/json", record), (QUALITY_PAGE, "text/html", page))
     return packed(told, (*own, *pictures))
@@ -326,9 +344,10 @@ def _believed(parcel: SandboxResult, brought: ReceivedBag, folder: Path) -> Reco
             "topics": int(topics),
             "findings": int(findings),
             "recovered": list(row_ids),
+            "content_sha256": str(content),
         } if set(map(str, row_ids)) <= {file.row_id for file in brought.files}:
             recovered = {row_id: _plain(folder, f"{RECOVERED}/{row_id}.mcap") for row_id in row_ids}
-            return RecordingSurvey(inspection, quality, topics, findings, recovered, parcel.files)
+            return RecordingSurvey(inspection, quality, topics, findings, recovered, parcel.files, content)
     raise SandboxCrashedError("answered something else than what was seen")
 
 

@@ -18,6 +18,7 @@ from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWE
 from services.ingest.joining.clocks import JoinRequest, join_recordings
 from services.ingest.pipeline import SynchroniseOptions, late_findings
 from services.ingest.sequence import sequence_in
+from services.runtime.in_place.folders import content_changed, sha256_in_place
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked
@@ -25,6 +26,7 @@ from stone.findings import Finding
 from stone_files.bag_fingerprint import whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.bags.content_hash import content_sha256
 from stone_recordings.joining.joined_recording import write_joined
 from stone_recordings.report.overlay import overlays_of
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -54,6 +56,11 @@ class StoredBags:
         """All of their files, as one recording."""
         return StoredRecording(self.kept[0].name, tuple(file for one in self.kept for file in one.files))
 
+    @property
+    def is_in_place(self) -> bool:
+        """Whether one of them stays where it lies: chunks are then not read only to be checked."""
+        return any(one.place for one in self.kept)
+
 
 @dataclass(frozen=True)
 class SynchronisationRequest:
@@ -68,10 +75,12 @@ class SynchronisationRequest:
 
 @dataclass(frozen=True)
 class SynchronisationResult:
-    """`result` is the job's; `files` are to be moved to where their names say."""
+    """`result` is the job's; `files` are to be moved to where their names say. `contents` are the hashes of what was
+    read of recordings in place, by name."""
 
     result: dict[str, Any]
     files: Mapping[str, Path]
+    contents: Mapping[str, str]
 
 
 def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> SynchronisationResult:
@@ -79,6 +88,7 @@ def synchronised(asked: SynchronisationRequest, apart: JobSandbox) -> Synchronis
     `JobCancelledError`."""
     answer = apart.run(partial(synchronise_bags, asked), SYNCHRONISED, 2)
     made = _believed(unpacked(answer), apart.folder)
+    _refuse_other_content(made.contents, asked.bags)
     return with_description(made, apart.folder / JOINT, asked.bags) if len(asked.bags.paths) > 1 else made
 
 
@@ -87,6 +97,8 @@ def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: Prog
     path, sha256 = _one_bag(asked, folder)
     options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)
     with open_bag(path) as bag:
+        if asked.bags.is_in_place:
+            bag.believe()
         sequence, sweeps = sequence_in(bag, asked.calibration, asked.name, options)
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.bags.files))
@@ -97,7 +109,23 @@ def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: Prog
         "findings": short_records((*sequence.findings, *validity_findings(sequence, *asked.valid_ns))),
         "is_checked": False,
     }
-    return packed(result)
+    return packed({"result": result, "contents": _contents_in_place(asked.bags)})
+
+
+def _contents_in_place(bags: StoredBags) -> dict[str, str]:
+    contents = {}
+    for path, kept in zip(bags.paths, bags.kept, strict=True):
+        if kept.place is not None:
+            with open_bag(path) as bag:
+                contents[kept.name] = content_sha256(bag)
+    return contents
+
+
+def _refuse_other_content(contents: Mapping[str, str], bags: StoredBags) -> None:
+    """Raises `recording_changed_in_place` for a recording whose files look as they did and hold something else."""
+    for kept in bags.kept:
+        if kept.place and sha256_in_place(kept.place, str(contents.get(kept.name))) != bags.sha256s[kept.name]:
+            raise content_changed(kept.place)
 
 
 def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
@@ -134,10 +162,17 @@ def with_description(made: SynchronisationResult, joint: Path, bags: StoredBags)
 def _believed(parcel: SandboxResult, folder: Path) -> SynchronisationResult:
     files = {name: folder / name for name in (SEQUENCE_FILE, SWEEPS_FILE)}
     match parcel.record:
-        case {"frames": int(), "excluded": int(), "pose_source": str(), "findings": list(), "is_checked": False} if all(
-            path.is_file() and not path.is_symlink() for path in files.values()
-        ):
-            return SynchronisationResult(parcel.record, files)
+        case {
+            "result": {
+                "frames": int(),
+                "excluded": int(),
+                "pose_source": str(),
+                "findings": list(),
+                "is_checked": False,
+            } as result,
+            "contents": dict(contents),
+        } if all(path.is_file() and not path.is_symlink() for path in files.values()):
+            return SynchronisationResult(result, files, contents)
     raise SandboxCrashedError("answered something else than a sequence")
 
 
@@ -165,6 +200,7 @@ class CheckRequest:
     left: Path
     bag: Path
     valid_ns: tuple[int | None, int | None]
+    is_in_place: bool = False
 
     @property
     def files(self) -> tuple[Path, Path]:
@@ -192,6 +228,8 @@ def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -
     sequence, sweeps = (path.read_bytes() for path in asked.files)
     found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)
     with open_bag(asked.bag) as bag:
+        if asked.is_in_place:
+            bag.believe()
         late = late_findings(bag, found, source)
         overlays = list(overlays_of(bag, found, source))
     findings = (*found.findings, *late, *validity_findings(found, *asked.valid_ns))

@@ -1,10 +1,11 @@
 """The context of a labelling stage: its run's files in the workspace, and the sandbox in which they are opened."""
 
 from dataclasses import dataclass, replace
+from functools import cached_property
 from typing import Any, TypeVar
 
 from services.domain.sequences.chosen_recordings import recording_ids_of
-from services.domain.sequences.recordings import kept_recording, locate_run
+from services.domain.sequences.recordings import kept_recording, locate_run, unchanged
 from services.domain.sequences.restart import arguments_of_run
 from services.domain.sequences.run_files import SEQUENCE_FILE, SWEEPS_FILE, require_left
 from services.labeler.kernel_warmup import warm
@@ -19,6 +20,7 @@ from services.runtime.store.workspace import Workspace
 from stone_base.label_grid import recorded_grid
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED
+from stone_recordings.sync.stored_recording import StoredRecording
 
 A = TypeVar("A", bound=SandboxAnswer)
 
@@ -40,12 +42,17 @@ class LabelStageContext:
 
     def opening_with_sweeps(self) -> RunOpening:
         """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""
+        return replace(self.opening, recording=locate_run(self.platform, self.recordings, self.workspace.folder))
+
+    @cached_property
+    def recordings(self) -> tuple[StoredRecording, ...]:
+        """The recordings of the run. Raises `JobCancelledError` where one was deleted."""
         with self.platform.database.lookups() as session:
             recordings = [session.get(Recording, one) for one in recording_ids_of(self.arguments)]
-            kept = [kept_recording(session, recording) for recording in recordings if recording is not None]
+            kept = tuple(kept_recording(session, recording) for recording in recordings if recording is not None)
         if len(kept) < len(recordings):
             raise JobCancelledError("its recording was deleted")
-        return replace(self.opening, recording=locate_run(self.platform, kept, self.workspace.folder))
+        return kept
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, opening: RunOpening) -> A:
         """What a sandboxed child answers that may open what `opening` leads to.
@@ -55,7 +62,8 @@ class LabelStageContext:
         bag = opening.recording
         reads = () if bag is None else bag_paths(bag)
         settings, folder = self.platform.settings, opening.folder
-        with private_folder_in(folder) as temporary:
+        read = () if bag is None else self.recordings
+        with private_folder_in(folder) as temporary, unchanged(self.platform, read):
             sandbox = JobSandbox(folder, reads, self.attempt, settings, warm, temporary, shares_run=True)
             return answer.believed(sandbox.run(work, shown, 1))
 

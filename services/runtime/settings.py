@@ -27,6 +27,7 @@ from pydantic_settings import (
     SettingsConfigDict,
 )
 
+from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.oidc.settings import OidcSettings
 from services.runtime.settings_checks import RENAMED, refuse_impossible, refuse_unknown
@@ -245,6 +246,7 @@ class Settings(BaseSettings):
     broker: BrokerSettings = BrokerSettings()
     jobs: JobSettings = JobSettings()
     uploads: UploadSettings = UploadSettings()
+    in_place: InPlaceSettings = InPlaceSettings()
     submissions: SubmissionSettings = SubmissionSettings()
     api: ApiSettings = ApiSettings()
     oidc: OidcSettings = OidcSettings()

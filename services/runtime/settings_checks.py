@@ -14,6 +14,7 @@ from operator import attrgetter
 from typing import TYPE_CHECKING
 from urllib.parse import urlsplit
 
+from services.runtime.in_place.settings import in_place_contradictions
 from services.runtime.oidc.settings import provider_contradictions
 from stone.errors import Refused
 
@@ -178,6 +179,7 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
         yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
     yield from _untrustworthy(settings.api.proxies)
     yield from provider_contradictions(settings.oidc, settings.api.passwords)
+    yield from in_place_contradictions(settings.in_place)
     yield from _unsendable(settings)
     if not _is_address(settings.api.url):
         yield "STONE_API__URL must begin with http:// or https:// and name a host: it decides if cookies are Secure"

@@ -61,6 +61,12 @@ MEANINGS = (
         "recording_changed", "refused", "The bytes are not those that were uploaded.", "Upload the recording again."
     ),
     CodeMeaning(
+        "recording_changed_in_place",
+        "refused",
+        "A recording that is read where it lies was changed since it was registered.",
+        "Put the file back, or remove the recording and add it anew.",
+    ),
+    CodeMeaning(
         "recording_file_missing",
         "refused",
         "The worker does not find the uploaded file.",
@@ -70,10 +76,22 @@ MEANINGS = (
         "recording_refused", "refused", "The recording was refused earlier.", "Look at its findings under Recordings."
     ),
     CodeMeaning(
+        "recording_vanished",
+        "refused",
+        "A recording in place is not below its root, or may not be read.",
+        "Put it back, or mount the root on every worker of ingest and labeler.",
+    ),
+    CodeMeaning(
         "restarted_too_often",
         "refused",
         "Workers of two releases keep restarting the run in turns.",
         "Ask an administrator to upgrade all workers.",
+    ),
+    CodeMeaning(
+        "root_away",
+        "refused",
+        "The folder of a root for recordings in place is not on the worker.",
+        "Mount it; the job is tried again.",
     ),
     CodeMeaning(
         "work_gone", "refused", "What earlier stages left was removed a week after the run ended.", "Process again."

@@ -94,7 +94,7 @@ def _opened_once(path: Path, version: tuple[int, int], reader: tuple[int, int]) 
 
 def sweeps_bytes(sweeps: BagSweeps, kept: StoredRecording) -> bytes:
     """The file; `sweeps.path` is not in it."""
-    record: dict[str, Any] = {**asdict(kept), "topic": sweeps.topic}
+    record: dict[str, Any] = {"name": kept.name, "files": [asdict(file) for file in kept.files], "topic": sweeps.topic}
     arrays: dict[str, NDArray[Any]] = {"message_index": sweeps.message_index, "stamps_ns": sweeps.stamps_ns}
     if sweeps.mount is not None:
         record["max_gap_ns"] = sweeps.mount.max_gap_ns

@@ -18,15 +18,17 @@ from api.schemas.sequences.recordings import (
     RecordingAccepted,
     RecordingDetail,
     RecordingItem,
+    RecordingRoots,
 )
 from api.views.jobs import job_items
 from api.views.preview_files import PREVIEW_TYPES, PreviewName, recording_preview
 from api.views.recordings import recording_detail, recording_item
 from api.visible import recording_of, sequence_of
-from services.domain.sequences.recordings import add_recording, remove_recording
+from services.domain.sequences.recordings import add_in_place, add_recording, remove_recording
 from services.runtime.orm import Recording
 
 router = APIRouter(prefix="/sequences/{sequence_id}/recordings", tags=["recordings"])
+roots_router = APIRouter(prefix="/recording-roots", tags=["recordings"])
 
 
 @dataclass(frozen=True)
@@ -38,18 +40,23 @@ class RecordingPreview:
     name: PreviewName
 
 
-@router.post("", status_code=202, responses=refusals(403, 404, 409))
+@router.post("", status_code=202, responses=refusals(403, 404, 409, 422))
 def create_recording(
     sequence_id: IdPath, body: NewRecordingBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> RecordingAccepted:
     """Make a recording of complete uploads of the caller's; the job reads and keeps it. An upload serves once.
 
-    The files of a bag are taken all or none.
+    The files of a bag are taken all or none. A bag `in_place` is read where it lies; the job finds whether it is there.
     """
     with platform.database.transaction() as session:
-        sequence = sequence_of(session, caller, sequence_id)
-        recording, job = add_recording(session, sequence, body.received(), caller.user_id)
-        audit.record(session, caller, "recording.add", recording.id, facts={"sequence_id": sequence_id})
+        sequence, facts = sequence_of(session, caller, sequence_id), {"sequence_id": sequence_id}
+        if body.in_place is not None:
+            root, path = body.in_place.root, body.in_place.path
+            recording, job = add_in_place(session, platform.settings.in_place, sequence, root, path)
+            facts |= {"place": f"{root}:{path}"}
+        else:
+            recording, job = add_recording(session, sequence, body.received(), caller.user_id)
+        audit.record(session, caller, "recording.add", recording.id, facts=facts)
         shown = RecordingAccepted(recording=recording_item(recording), job=job_items(session, [job])[0])
     return set_head(response, shown, location=f"/api/v1/sequences/{sequence_id}/recordings/{recording.id}")
 
@@ -96,3 +103,9 @@ def delete_recording(sequence_id: IdPath, recording_id: IdPath, caller: Curator,
         recording = recording_of(session, caller, sequence_id, recording_id)
         remove_recording(session, recording)
         audit.record(session, caller, "recording.delete", recording_id, facts={"sequence_id": sequence_id})
+
+
+@roots_router.get("", responses=refusals(403))
+def list_recording_roots(caller: Curator, platform: PlatformDep) -> RecordingRoots:
+    """The names below which a curator may name bags in place; an administrator sets them."""
+    return RecordingRoots(roots=platform.settings.in_place.roots)

@@ -25,10 +25,20 @@ def _plain_name(name: str) -> str:
 FolderName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME_BYTES), AfterValidator(_plain_name)]
 
 
+class InPlaceBody(Body):
+    """A bag that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists."""
+
+    model_config = example(root="nas", path="2026/run_0.db3")
+
+    root: str = Field(min_length=1, max_length=32)
+    path: str = Field(min_length=1, max_length=1024)
+
+
 class NewRecordingBody(Body):
     """Complete uploads that are to become a recording; an upload becomes one recording and no more.
 
-    One file by `upload_id`; or the files of one rosbag2 folder by `upload_ids`, and the folder's `name`.
+    One file by `upload_id`; or the files of one rosbag2 folder by `upload_ids`, and the folder's `name`. A bag that is
+    not uploaded by `in_place`.
     """
 
     model_config = ConfigDict(
@@ -36,6 +46,7 @@ class NewRecordingBody(Body):
             "examples": [
                 {"upload_id": ID_EXAMPLE},
                 {"upload_ids": [ID_EXAMPLE, ID_EXAMPLE[::-1]], "name": "run_2026_05_03"},
+                {"in_place": {"root": "nas", "path": "2026/run_0.db3"}},
             ]
         }
     )
@@ -43,11 +54,12 @@ class NewRecordingBody(Body):
     upload_id: IdText | None = None
     upload_ids: list[IdText] | None = Field(default=None, min_length=2, max_length=MOST_FILES)
     name: FolderName | None = None
+    in_place: InPlaceBody | None = None
 
     @model_validator(mode="after")
     def _one_or_several(self) -> Self:
-        if (self.upload_id is None) == (self.upload_ids is None):
-            raise ValueError("say upload_id for one file, or upload_ids for the files of one bag")
+        if sum(given is not None for given in (self.upload_id, self.upload_ids, self.in_place)) != 1:
+            raise ValueError("say upload_id for one file, upload_ids for the files of one bag, or in_place")
         if (self.upload_ids is None) != (self.name is None):
             raise ValueError("a bag of several files has a name, one of one file is called as it was uploaded")
         return self
@@ -71,10 +83,20 @@ class RecordingFileItem(Answer):
     is_recovered: bool
 
 
+class PlaceItem(Answer):
+    """Where a recording lies that was not uploaded: `path` below `root`."""
+
+    model_config = example(root="nas", path="2026/run_0.db3")
+
+    root: str
+    path: str
+
+
 class RecordingItem(Answer):
     """One bag of a sequence. `state`: received, registered (read and kept), refused (see `findings`).
 
-    Of several files, `sha256` is that of the lines `sha256sum` prints for them in order of name.
+    Of several files, `sha256` is that of the lines `sha256sum` prints for them in order of name. With a `place` it is
+    read where it lies, and `sha256` is of sizes, times of change and what was read.
     """
 
     model_config = example(filename="run.mcap", size_bytes=8123456789, state="registered", findings=[])
@@ -85,6 +107,7 @@ class RecordingItem(Answer):
     size_bytes: int
     sha256: str
     files: list[RecordingFileItem]
+    place: PlaceItem | None = None
     state: str
     findings: list[FindingItem]
     created_at: Instant
@@ -98,6 +121,14 @@ class RecordingDetail(RecordingItem):
     inspection: dict[str, Any] | None
     quality: dict[str, Any] | None
     previews: list[PreviewItem]
+
+
+class RecordingRoots(Answer):
+    """Names of the roots below which bags may be read in place; what lies there is not shown."""
+
+    model_config = example(roots=["nas"])
+
+    roots: list[str]
 
 
 class RecordingAccepted(Answer):

@@ -5,9 +5,10 @@
 ids.
 """
 
-from collections.abc import Mapping, Sequence
-from contextlib import suppress
+from collections.abc import Iterator, Mapping, Sequence
+from contextlib import contextmanager, suppress
 from dataclasses import dataclass
+from hashlib import sha256
 from pathlib import Path
 
 from sqlalchemy import delete, select
@@ -17,6 +18,8 @@ from services.domain.exports.requests import EXPORT
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.processing import PROCESS, REGISTER, lock_sequence, register
 from services.runtime.access import storage_quota
+from services.runtime.in_place.folders import located_in_place, refuse_changed, requested_place
+from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL
@@ -25,10 +28,10 @@ from services.runtime.platform import Platform
 from services.runtime.store.named_objects import NAMES_FOLDER, described_folder, named, named_folder
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
-from stone.errors import Refused
+from stone.errors import Refused, StoneError
 from stone_files.bag_fingerprint import bad_bag_files, check_bag_files, whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
-from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
+from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecording, StoredRecordingFile
 
 PURPOSE = "recording"
 
@@ -65,6 +68,24 @@ def add_recording(
     session.add(recording)
     session.flush()
     link_uploads_of(session, recording.id)
+    return recording, register(session, recording)
+
+
+def add_in_place(
+    session: Session, settings: InPlaceSettings, sequence: SequenceRow, root: str, path: str
+) -> tuple[Recording, Job]:
+    """A recording that stays where it lies, and the job that reads it; nothing of it is counted against its owner.
+
+    Whether it is there is found by the job, on a machine that has the root. Raises `unknown_root`, `bad_place`,
+    `SequenceDeletedError`, `QueueDrainingError`.
+    """
+    place = requested_place(settings, root, path)
+    sequence = lock_sequence(session, sequence.id)
+    named = sha256(str(place).encode()).hexdigest()
+    recording = Recording(sequence_id=sequence.id, filename=place.name, size_bytes=0, sha256=named, files=[])
+    recording.place = place.as_record()
+    session.add(recording)
+    session.flush()
     return recording, register(session, recording)
 
 
@@ -110,12 +131,12 @@ def _recording_of(sequence: SequenceRow, uploads: list[Upload], name: str) -> Re
         )
         for ordinal, upload in enumerate(uploads)
     ]
-    filename, sha256 = uploads[0].filename, uploads[0].sha256
+    filename, digest = uploads[0].filename, uploads[0].sha256
     if len(uploads) > 1:
         check_bag_files([file.filename for file in files])
-        filename, sha256 = name, whole_sha256((file.filename, file.sha256) for file in files)
+        filename, digest = name, whole_sha256((file.filename, file.sha256) for file in files)
     size_bytes = sum(file.size_bytes for file in files)
-    return Recording(sequence_id=sequence.id, filename=filename, size_bytes=size_bytes, sha256=sha256, files=files)
+    return Recording(sequence_id=sequence.id, filename=filename, size_bytes=size_bytes, sha256=digest, files=files)
 
 
 def _alive(session: Session, sequence_id: str) -> list[Job]:
@@ -123,19 +144,46 @@ def _alive(session: Session, sequence_id: str) -> list[Job]:
     return list(session.scalars(runs.execution_options(populate_existing=True)))
 
 
-# Recordings that the platform keeps, located on this machine under the names of their owner.
+# Recordings located on this machine under the names of their owner: those that the platform keeps, and those in place.
 #
 # **Conventions.** A recording is named by the objects that hold its files; locating it brings its bytes to this
-# machine. Several that are one run are located as the folder of a joined recording, which `joined.json` describes.
+# machine. One in place is located where it lies, if it is as it was registered. Several that are one run are located as
+# the folder of a joined recording, which `joined.json` describes.
 
 
 def kept_recording(session: Session, recording: Recording) -> StoredRecording:
-    """The objects that hold its files."""
-    return StoredRecording(recording.filename, tuple(_kept_file(session, file) for file in recording.files))
+    """The objects that hold its files, or its place."""
+    files = tuple(_kept_file(session, file) for file in recording.files)
+    return StoredRecording(recording.filename, files, recording_place(recording))
+
+
+def recording_place(recording: Recording) -> RecordingPlace | None:
+    """Where a recording lies that is read in place."""
+    return None if recording.place is None else RecordingPlace.of_record(recording.place)
+
+
+@contextmanager
+def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[None]:
+    """A block that reads recordings. Raises, instead of what the block raised, `recording_changed_in_place` or
+    `recording_vanished` if one in place is not as registered any more: what was read of it is not to be used."""
+    places = [recording.place for recording in kept if recording.place is not None]
+    try:
+        yield
+    except (StoneError, OSError):
+        for place in places:
+            refuse_changed(platform.settings.in_place, place)
+        raise
+    for place in places:
+        refuse_changed(platform.settings.in_place, place)
 
 
 def locate(platform: Platform, kept: StoredRecording) -> Path:
-    """The bag on this machine, a file or a folder, called as its owner called it."""
+    """The bag on this machine, a file or a folder, called as its owner called it.
+
+    Raises `recording_changed_in_place`, `recording_vanished`.
+    """
+    if kept.place is not None:
+        return located_in_place(platform.settings, kept.place)
     if len(kept.files) == 1:
         return locate_file(platform, kept.files[0])
     files = [(platform.store.local(file.object_key), file.filename) for file in kept.files]

@@ -151,6 +151,9 @@ class Recording(Base):
 
     `filename`, `size_bytes` and `sha256` are those of the whole (`stone_files/bag_fingerprint.py`). `state`:
     received, registered (read, and every file kept as a blob), refused (see `findings`).
+
+    One with a `place` (`stone_recordings/sync/stored_recording.py`) stays where it lies: its `sha256` is of its files'
+    sizes and versions and of what was read of them.
     """
 
     __tablename__ = "recordings"
@@ -162,6 +165,7 @@ class Recording(Base):
     state: Mapped[str] = mapped_column(String(16), default="received")
     inspection: Mapped[Record | None] = mapped_column(JSON)
     quality: Mapped[Record | None] = mapped_column(JSON)
+    place: Mapped[Record | None] = mapped_column(JSON)
     findings: Mapped[list[Any]] = mapped_column(JSON, default=list)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     files: Mapped[list[RecordingFile]] = relationship(

@@ -3,7 +3,7 @@
 **Conventions.** A file is a symbolic link `<folder>/<name of the object>/<filename>`; several that are one bag are
 links in a folder `<folder>/<hash of names and objects>/<name>/`, and so are several bags that are one run, beside a
 file that describes it. The path is the same for every job on this machine, so a recording once opened is found open;
-links whose object is gone are removed when others are made.
+links whose object is gone are removed when others are made. Files that are read in place are linked by `linked_bag`.
 """
 
 import os
@@ -32,6 +32,21 @@ def named_folder(folder: Path, files: Iterable[tuple[Path, str]], name: str) -> 
     lines = sorted(f"{path.name}  {filename}\n" for filename, path in targets.items())
     made = folder / sha256("".join(lines).encode()).hexdigest() / name
     for filename, path in targets.items():
+        _lead(folder, made / filename, path)
+    return made
+
+
+def linked_bag(folder: Path, key: str, files: Mapping[str, Path], name: str = "") -> Path:
+    """A folder for what `key` names, which holds a link to each of the files (by name), and no other.
+
+    With a `name` it ends in that, for a bag that is a folder. Raises as `named`.
+    """
+    for given in (*files, *([name] if name else [])):
+        _refuse_path(given)
+    made = folder / sha256(key.encode()).hexdigest() / name
+    for gone in {entry.name for entry in made.iterdir() if entry.is_symlink()} - set(files) if made.is_dir() else ():
+        (made / gone).unlink(missing_ok=True)
+    for filename, path in files.items():
         _lead(folder, made / filename, path)
     return made
 

@@ -1,0 +1,1 @@
+"""Recordings that stay where they lie, below roots that the settings allow."""
