@@ -297,8 +297,8 @@ def _look(brought: ReceivedBag, folder: Path, progress: ProgressCallback) -> byt
         said = tuple(file.finding for file in recovered.values())
         inspection = replace(inspection, findings=(*said, *inspection.findings))
         progress("measure", 1, STEPS)
-        content = content_sha256(bag) if ours.here is not None else ""
-        return _measured(ours.name, bag, inspection, {"recovered": list(recovered), "content_sha256": content})
+        facts = {"recovered": list(recovered), "content_sha256": content_sha256(bag) if ours.here else ""}
+        return _measured(ours.name, inspection, SampledMessages(bag, is_sparing=ours.here is not None), facts)
 
 
 def _inspected_in(
@@ -308,7 +308,7 @@ def _inspected_in(
     try:
         bag = files.enter_context(open_bag(ours.bag()))
         if ours.here is not None:
-            bag.believe()
+            bag.read_sparingly()
         return bag, inspected_in(bag, ours.profile), {}
     except CutBagError:
         recovered = recovered_files(ours, folder)
@@ -319,8 +319,8 @@ def _inspected_in(
     return bag, inspected_in(bag, ours.profile), recovered
 
 
-def _measured(name: str, bag: Bag, inspection: Inspection, facts: Mapping[str, Any]) -> bytes:
-    sampled = SampledMessages(bag)
+def _measured(name: str, inspection: Inspection, sampled: SampledMessages, facts: Mapping[str, Any]) -> bytes:
+    bag = sampled.bag
     quality = quality_of(bag, inspection, sampled)
     pictures = tuple(previews_of(bag, inspection, sampled))
     page = quality_page(name, inspection, quality, pictures)

@@ -98,7 +98,7 @@ def synchronise_bags(asked: SynchronisationRequest, folder: Path, progress: Prog
     options = replace(asked.options, progress=progress, recording_sha256=sha256, is_checked=False)
     with open_bag(path) as bag:
         if asked.bags.is_in_place:
-            bag.believe()
+            bag.read_sparingly()
         sequence, sweeps = sequence_in(bag, asked.calibration, asked.name, options)
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     (folder / SWEEPS_FILE).write_bytes(sweeps_bytes(sweeps, asked.bags.files))
@@ -229,7 +229,7 @@ def check_left(asked: CheckRequest, folder: Path, _progress: ProgressCallback) -
     found, source = read_sequence(sequence), read_sweeps(sweeps, lambda _: asked.bag)
     with open_bag(asked.bag) as bag:
         if asked.is_in_place:
-            bag.believe()
+            bag.read_sparingly()
         late = late_findings(bag, found, source)
         overlays = list(overlays_of(bag, found, source))
     findings = (*found.findings, *late, *validity_findings(found, *asked.valid_ns))

@@ -42,7 +42,9 @@ class LabelStageContext:
 
     def opening_with_sweeps(self) -> RunOpening:
         """The run and its recordings, brought to this machine. Raises `JobCancelledError` where one was deleted."""
-        return replace(self.opening, recording=locate_run(self.platform, self.recordings, self.workspace.folder))
+        recording = locate_run(self.platform, self.recordings, self.workspace.folder)
+        is_in_place = any(one.place is not None for one in self.recordings)
+        return replace(self.opening, recording=recording, is_in_place=is_in_place)
 
     @cached_property
     def recordings(self) -> tuple[StoredRecording, ...]:

@@ -8,7 +8,7 @@ run's folder, makes no links, and reads the recording where its stage reads swee
 """
 
 from collections.abc import Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import lru_cache, partial
 from pathlib import Path
 from typing import Any
@@ -31,10 +31,12 @@ from stone_recordings.sync.sweeps import read_sweeps
 
 @dataclass
 class LateSweeps:
-    """Sweeps that are opened when the first is asked for: most stages ask for none. `recording` is the bag."""
+    """Sweeps that are opened when the first is asked for: most stages ask for none. `recording` is the bag, which may
+    be in place."""
 
     description: Path
     recording: Path | None
+    is_in_place: bool = False
     opened: SweepSource | None = None
 
     def sweep(self, index: int) -> Sweep:
@@ -42,7 +44,8 @@ class LateSweeps:
             if self.recording is None:
                 raise ValueError("a stage that says it reads no sweeps reads one")
             recording = self.recording
-            self.opened = read_sweeps(self.description.read_bytes(), lambda _: recording)
+            sweeps = read_sweeps(self.description.read_bytes(), lambda _: recording)
+            self.opened = replace(sweeps, is_in_place=self.is_in_place)
         return self.opened.sweep(index)
 
 
@@ -55,6 +58,7 @@ class RunOpening:
     profile: str
     choices: Mapping[str, float]
     recording: Path | None = None
+    is_in_place: bool = False
     sequence_file: str = SEQUENCE_FILE
     grid: LabelGrid = PAPER
 
@@ -62,7 +66,7 @@ class RunOpening:
         path = self.folder / self.sequence_file
         status = path.stat()
         sequence = _sequence_of(path, (status.st_ino, status.st_mtime_ns, status.st_size))
-        sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording)
+        sweeps = LateSweeps(self.folder / SWEEPS_FILE, self.recording, self.is_in_place)
         return LabelRun(sequence, sweeps, chosen_parameters(self.profile, self.choices, (self.grid,)), self.folder)
 
 

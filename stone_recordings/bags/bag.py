@@ -81,6 +81,13 @@ class Bag:
         at the rest."""
         self.is_believed = True
 
+    def read_sparingly(self) -> None:
+        """Believe the recording, and read of it no more than messages that are asked for: it is far away, and most of
+        its bytes are pictures. The checksum of a chunk that is not compressed is then checked only with a message that
+        is most of it."""
+        self.believe()
+        self._store.read_sparingly()
+
     @property
     def is_indexed(self) -> bool:
         """False where the recording had no usable index and had to be walked."""

@@ -39,6 +39,12 @@ class MappedFile:
         with path.open("rb") as file:
             self.map = mmap.mmap(file.fileno(), 0, access=mmap.ACCESS_READ)
         self.name, self.view = path.name, memoryview(self.map)
+        self.is_read_ahead = True
+
+    def read_ahead(self, is_wanted: bool) -> None:
+        """Whether the kernel may read around what is looked at: up to megabytes, which whoever has an index spares."""
+        self.is_read_ahead = is_wanted
+        self.map.madvise(mmap.MADV_NORMAL if is_wanted else mmap.MADV_RANDOM)
 
     def forget(self, start: int, stop: int) -> None:
         """Give the pages of these bytes back: read again they cost a page fault, kept they count as our memory."""
@@ -80,6 +86,7 @@ class ChunkedStore(ABC):
         self._head = (-1, memoryview(b""))
         self._coming: dict[int, Future[memoryview]] = {}
         self._near_byte = self._dropped_bytes = 0
+        self._is_sparing = False
 
     @abstractmethod
     def _found(self, view: memoryview, topic: str, index: int) -> memoryview:
@@ -97,7 +104,13 @@ class ChunkedStore(ABC):
         if number < 0 and abs(offset - self._near_byte) > FORGET_BYTES:
             self._file.forget_all()
             self._near_byte = offset
-        return self._found(self._records(number, is_checked=True), topic, index)
+        if number < 0 or self._file.is_read_ahead or self._placed.chunks[number].compression:
+            return self._found(self._records(number, is_checked=True), topic, index)
+        payload = self._found(self._records(number, is_checked=not self._is_sparing), topic, index)
+        self._file.expect(self._placed.chunks[number].start + offset, len(payload))
+        if self._is_sparing and len(payload) > MOST_HEAD_RATIO * self._size_of(number):
+            self._records(number, is_checked=True)
+        return payload
 
     def heads(
         self, topics: Sequence[str], whole: Collection[str] = (), *, is_checked: bool = False
@@ -110,8 +123,9 @@ class ChunkedStore(ABC):
         rows = in_storage_order([self._entries[topic] for topic in topics])
         reach = reach_of(rows, np.array([topic in whole for topic in topics]), self.head_bytes)
         coming = iter(dict.fromkeys(rows.chunk.tolist() if is_checked else ()))
-        # Without it the kernel reads ahead around every header: a scan of a cold file takes 85 times as long.
-        self._file.map.madvise(mmap.MADV_RANDOM)
+        # Reading ahead around every header, a scan of a cold file takes 85 times as long.
+        is_read_ahead = self._file.is_read_ahead
+        self._file.read_ahead(False)
         try:
             with ThreadPoolExecutor(1) as beside:
                 for number, index, chunk in zip(
@@ -125,7 +139,7 @@ class ChunkedStore(ABC):
                         is_whole = topics[number] in whole
                         yield topics[number], index, self._head_found(view, topics[number], index, is_whole)
         finally:
-            self._file.map.madvise(mmap.MADV_NORMAL)
+            self._file.read_ahead(is_read_ahead)
             self._head = (-1, memoryview(b""))
             self._coming.clear()
 
@@ -168,6 +182,9 @@ class ChunkedStore(ABC):
                 self._file.expect(chunk.start, chunk.stop - chunk.start)
                 self._coming[number] = beside.submit(inflate, self._file.view, chunk)
 
+    def read_sparingly(self) -> None:
+        self._is_sparing = True
+
     def release(self) -> None:
         self._chunks.clear()
 
@@ -200,7 +217,8 @@ class ChunkedStore(ABC):
         if number < 0:
             return self._file.view
         chunk = self._placed.chunks[number]
-        if not chunk.compression and is_checked and number not in self._checked:
+        if chunk.crc32 and not chunk.compression and is_checked and number not in self._checked:
+            self._expect(chunk)
             check_crc32(self._file.view[chunk.start : chunk.stop], chunk)
             self._checked.add(number)
         if number in self._chunks:
@@ -209,8 +227,15 @@ class ChunkedStore(ABC):
         while len(self._chunks) >= KEPT_CHUNKS:
             self._drop_oldest()
         coming = self._coming.pop(number, None)
+        if coming is None and chunk.compression:
+            self._expect(chunk)
         self._chunks[number] = inflate(self._file.view, chunk) if coming is None else coming.result()
         return self._chunks[number]
+
+    def _expect(self, chunk: Chunk) -> None:
+        """Have a chunk read in one go where the kernel reads nothing ahead."""
+        if not self._file.is_read_ahead:
+            self._file.expect(chunk.start, chunk.stop - chunk.start)
 
     def _head_of(self, number: int, reach: int) -> memoryview:
         """The records up to `reach`, or all of them where that is most of them; they are read in one go."""

@@ -72,6 +72,10 @@ class MessageStore(Protocol):
         """
         ...
 
+    def read_sparingly(self) -> None:
+        """From now on read no bytes of other messages, not even to check those that are asked for."""
+        ...
+
     def release(self) -> None:
         """Give back what can be had again: inflated chunks, open files."""
         ...

@@ -60,6 +60,10 @@ class SplitStore:
                 found.setdefault(topic, {}).update({int(rows[index]): reason for index, reason in reasons.items()})
         return found
 
+    def read_sparingly(self) -> None:
+        for part in self._parts:
+            part.read_sparingly()
+
     def release(self) -> None:
         for part in self._parts:
             part.release()

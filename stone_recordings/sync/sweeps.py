@@ -32,7 +32,8 @@ from stone_recordings.sync.stored_recording import StoredRecording, StoredRecord
 class BagSweeps:
     """A SweepSource over one LiDAR topic; `message_index` and `stamps_ns` (N,) say which message each frame is.
 
-    Picklable: it carries the path, never the open file. `mount` is None where sweeps are taken as they are.
+    Picklable: it carries the path, never the open file. `mount` is None where sweeps are taken as they are. A recording
+    that `is_in_place` is read sparingly.
     """
 
     path: Path
@@ -40,6 +41,7 @@ class BagSweeps:
     message_index: NDArray[np.int64]
     stamps_ns: NDArray[np.int64]
     mount: SweepMount | None
+    is_in_place: bool = False
 
     def __len__(self) -> int:
         return len(self.message_index)
@@ -49,7 +51,7 @@ class BagSweeps:
 
         Raises IndexError; what opening and decoding raise (BAG-*, MSG-*); `point_offset` of `stone.sensors.deskew`.
         """
-        return self.sweep_in(opened(self.path), index)
+        return self.sweep_in(opened(self.path, is_in_place=self.is_in_place), index)
 
     def sweep_in(self, bag: Bag, index: int) -> Sweep:
         """As `sweep`, from the recording that the caller has open. Raises as it does, but for opening."""
@@ -74,10 +76,13 @@ class SweepsOfOpenBag:
         return self.sweeps.sweep_in(self.bag, index)
 
 
-def opened(path: Path) -> Bag:
+def opened(path: Path, *, is_in_place: bool = False) -> Bag:
     """The recording, open in this process and thread; it stays so."""
     status = path.stat()
-    return _opened_once(path, (status.st_mtime_ns, status.st_size), (os.getpid(), threading.get_ident()))
+    bag = _opened_once(path, (status.st_mtime_ns, status.st_size), (os.getpid(), threading.get_ident()))
+    if is_in_place:
+        bag.read_sparingly()
+    return bag
 
 
 @lru_cache(maxsize=4)

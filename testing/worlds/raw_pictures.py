@@ -1,7 +1,7 @@
 """A recording written anew as a robot writes it that compresses no pictures: most of its bytes are raw images.
 
 **Conventions.** As an MCAP (chunks of 4 MiB, which a picture ends), or as a rosbag2 database whose rows lie topic after
-topic. Pictures are grey noise of the asked size: nobody labels by them. Everything else is as in the source.
+topic. Pictures are the source's, or noise of the asked size. Everything else is as in the source.
 """
 
 import sqlite3
@@ -12,7 +12,9 @@ from pathlib import Path
 import numpy as np
 from mcap.reader import make_reader
 from mcap.writer import CompressionType, Writer
+from numpy.typing import NDArray
 
+from stone_recordings.messages.camera import picture_of
 from stone_recordings.messages.types.registry import message_definition
 
 Recorded = tuple[str, str, int, bytes]  # topic, type, log time (ns), payload
@@ -24,32 +26,36 @@ CREATE TABLE messages(id INTEGER PRIMARY KEY, topic_id INTEGER NOT NULL, timesta
 CREATE INDEX timestamp_idx ON messages (timestamp ASC);"""
 
 
-def with_raw_pictures(source: Path, target: Path, size_px: tuple[int, int]) -> Path:
-    """The recording at `target`, an .mcap or .db3, with raw pictures of `size_px` (width, height), three bytes each."""
+def with_raw_pictures(source: Path, target: Path, size_px: tuple[int, int] | None = None) -> Path:
+    """The recording at `target`, an .mcap or .db3, with raw pictures: decoded ones, or noise of `size_px`."""
     writing = _written_database if target.suffix == ".db3" else _written_mcap
     writing(target, source, size_px)
     return target
 
 
-def _messages(source: Path, size_px: tuple[int, int]) -> Iterator[Recorded]:
-    noise = np.random.default_rng(1).integers(0, 256, 3 * size_px[0] * size_px[1], np.uint8).tobytes()
+def _messages(source: Path, size_px: tuple[int, int] | None) -> Iterator[Recorded]:
+    noise = np.zeros((0, 0, 3), np.uint8)
+    if size_px is not None:
+        noise = np.random.default_rng(1).integers(0, 256, (size_px[1], size_px[0], 3), np.uint8)
     with source.open("rb") as stream:
         for schema, channel, message in make_reader(stream).iter_messages():
             name = schema.name if schema else ""
-            data = _raw(message.data, size_px, noise) if name == PICTURE else message.data
+            data = message.data
+            if name == PICTURE:
+                data = _raw(data, noise if size_px else picture_of(PICTURE, memoryview(data)))
             yield channel.topic, RAW if name == PICTURE else name, message.log_time, data
 
 
-def _raw(payload: bytes, size_px: tuple[int, int], noise: bytes) -> bytes:
-    """The image with the header of a compressed one."""
+def _raw(payload: bytes, pixels: NDArray[np.uint8]) -> bytes:
+    """The image (H, W, 3) with the header of a compressed one."""
     (length,) = struct.unpack_from("<I", payload, 12)
     head = payload[: 16 + length]
-    head += bytes(-(len(head) - 4) % 4) + struct.pack("<III", size_px[1], size_px[0], 5) + b"rgb8\0" + b"\0"
-    head += bytes(-(len(head) - 4) % 4) + struct.pack("<II", 3 * size_px[0], len(noise))
-    return head + noise
+    head += bytes(-(len(head) - 4) % 4) + struct.pack("<III", pixels.shape[0], pixels.shape[1], 5) + b"rgb8\0" + b"\0"
+    head += bytes(-(len(head) - 4) % 4) + struct.pack("<II", 3 * pixels.shape[1], pixels.size)
+    return head + pixels.tobytes()
 
 
-def _written_mcap(target: Path, source: Path, size_px: tuple[int, int]) -> None:
+def _written_mcap(target: Path, source: Path, size_px: tuple[int, int] | None) -> None:
     with target.open("wb") as stream:
         writer = Writer(stream, chunk_size=4 << 20, compression=CompressionType.NONE)
         writer.start("ros2", library="raw")
@@ -62,7 +68,7 @@ def _written_mcap(target: Path, source: Path, size_px: tuple[int, int]) -> None:
         writer.finish()  # type: ignore[no-untyped-call]
 
 
-def _written_database(target: Path, source: Path, size_px: tuple[int, int]) -> None:
+def _written_database(target: Path, source: Path, size_px: tuple[int, int] | None) -> None:
     topics = dict.fromkeys((topic, kind) for topic, kind, _time_ns, _data in _messages(source, (1, 1)))
     connection = sqlite3.connect(target, isolation_level=None)
     connection.executescript(TABLES)

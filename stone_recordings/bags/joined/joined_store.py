@@ -47,6 +47,8 @@ class OpenedBag(Protocol):
 
     def size_bytes(self, topic: str, index: int) -> int: ...
 
+    def read_sparingly(self) -> None: ...
+
     def release(self) -> None: ...
 
     def close(self) -> None: ...
@@ -90,6 +92,9 @@ class MovedBag:
             left = self._places_left(topic)
             found[topic] = {int(left[index]): why for index, why in reasons.items() if left[index] >= 0}
         return {topic: reasons for topic, reasons in found.items() if reasons}
+
+    def read_sparingly(self) -> None:
+        self._bag.read_sparingly()
 
     def release(self) -> None:
         self._bag.release()

@@ -7,6 +7,7 @@ anything missing or contradictory falls back to the walk, which believes nothing
 
 import os
 import zlib
+from collections.abc import Callable
 from dataclasses import dataclass, field
 from struct import Struct
 from typing import BinaryIO, TypeVar
@@ -69,8 +70,8 @@ class _Draft:
         return Catalogue(self.schemas, self.channels, tuple(self.chunks), entries, is_indexed)
 
 
-def read_catalogue(view: memoryview, name: str) -> Catalogue:
-    """Index of a sealed file that starts with the MCAP magic.
+def read_catalogue(view: memoryview, name: str, before_walk: Callable[[], None] = lambda: None) -> Catalogue:
+    """Index of a sealed file that starts with the MCAP magic; `before_walk` is called if all of it must be read.
 
     Raises: CutBagError (no closing magic), MalformedBagError, ChecksumError and the refusals of `inflate`.
     """
@@ -86,6 +87,7 @@ def read_catalogue(view: memoryview, name: str) -> Catalogue:
     draft = _from_summary(view, data, footer_offset, name) if summary_offset < footer_offset else None
     if draft is not None:
         return draft.finished(name, is_indexed=True)
+    before_walk()
     return _from_walk(view, data, name).finished(name, is_indexed=False)
 
 

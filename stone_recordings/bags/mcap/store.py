@@ -30,7 +30,8 @@ class McapStore(ChunkedStore):
         self.findings = _damaged_start(file.view, path.name)
         if zeros := len(file.map) - len(file.view):
             self.findings += (behind_end(zeros, is_zero=True),)
-        catalogue = read_catalogue(file.view, path.name)
+        file.read_ahead(False)  # an index lies all over the file
+        catalogue = read_catalogue(file.view, path.name, lambda: file.read_ahead(True))
         super().__init__(file, PlacedMessages(catalogue.chunks, _merged_by_topic(catalogue, path.name)))
         self._topic_of = {number: channel.topic for number, channel in catalogue.channels.items()}
         self.topics = _topics(catalogue, self._entries)

@@ -7,7 +7,7 @@ hundred of the small ones. A message that lies is left out and counted, and its 
 
 from collections import Counter
 from collections.abc import Callable, Iterator, Sequence
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 
 import numpy as np
 
@@ -34,6 +34,8 @@ class Effort:
 
 
 HEAVY, LIGHT, TINY = Effort(16, 32), Effort(128, 128), Effort(INSTANTS, INSTANTS)
+# Of a recording in place its share alone is read, be it short: raw pictures have megabytes each.
+SPARING = Effort(1, 16)
 
 
 @dataclass(frozen=True)
@@ -50,9 +52,13 @@ class TopicSampling:
 
 @dataclass(frozen=True, eq=False)
 class SampledMessages:
-    """Reads messages of a recording and keeps copies of small ones: who samples a topic again inflates no chunk."""
+    """Reads messages of a recording and keeps copies of small ones: who samples a topic again inflates no chunk.
+
+    With `is_sparing`, as few messages that take milliseconds each are sampled as a share of the recording allows.
+    """
 
     bag: Bag
+    is_sparing: bool = False
     _kept: dict[tuple[str, int], RawMessage] = field(default_factory=dict)
 
     def message(self, topic: str, index: int) -> RawMessage:
@@ -101,6 +107,7 @@ def sample(bag: Bag, looks: Sequence[TopicSampling], sampled: SampledMessages | 
     `sampled` spares reading again what was sampled of the same recording before.
     """
     span, messages = span_of(bag), sampled or SampledMessages(bag)
+    looks = [replace(look, effort=SPARING) if messages.is_sparing and look.effort == HEAVY else look for look in looks]
     wanted = [_indices(bag, look, span) for look in looks]
     refusals = [_Refusals() for _ in looks]
     for instant in range(INSTANTS):
