@@ -167,6 +167,7 @@ PROBLEM_TYPES = {
     "reader_crashed": ProblemType(
         422, "Reading the input broke its process or its limits; the same bytes would do so again"
     ),
+    "not_by_ranges": ProblemType(422, "Only an MCAP file can be read by ranges from a bucket"),
     "reason_missing": ProblemType(422, "An administrative action needs a reason"),
     "reported_twice": ProblemType(422, "A method stands twice with one modality"),
     "same_label_set": ProblemType(422, "A label set is not compared with itself"),

@@ -1,7 +1,7 @@
 """The stage that reads a recording once and keeps it: received → registered or refused.
 
     files → (what was cut off is recovered) → inspection → quality → previews → blobs → rows
-    files in place → inspection → quality → previews → rows
+    files in place, or an excerpt of an object → inspection → quality → previews → rows
 
 **Conventions.** The uploads' files stay until blobs hold their bytes, so an attempt killed anywhere is repeated from
 the start and makes the same; the sweeper removes the files afterwards. A sandboxed child does all the reading
@@ -9,6 +9,7 @@ the start and makes the same; the sweeper removes the files afterwards. A sandbo
 as it was received. A refusal is written before the job fails by it, in the same words.
 """
 
+import shutil
 from collections.abc import Mapping, Sequence
 from dataclasses import dataclass, replace
 from pathlib import Path
@@ -16,25 +17,29 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
-from services.domain.sequences.recordings import recording_place, unchanged
+from services.domain.sequences.recordings import keep_excerpt, recording_place, unchanged
 from services.domain.sequences.unusable_labels import tell_unusable
 from services.ingest.errors import RecordingChangedError
+from services.ingest.excerpt import ExcerptMaker
 from services.ingest.kernel_warmup import warm
 from services.ingest.sandboxed_inspection import RECOVERED, STEPS, ReceivedBag, RecordingSurvey, received, seen
 from services.runtime.access import storage_quota
-from services.runtime.in_place.folders import found_place, sha256_in_place
+from services.runtime.in_place.folders import located_in_place
+from services.runtime.in_place.places import found_place, is_by_ranges, sha256_in_place
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
-from services.runtime.store.blobs import PreparedBlob, hashed_beside, link_all, prepare, prepare_hashed
+from services.runtime.store.blobs import PreparedBlob, hashed_beside, link_all, prepare, prepare_all, prepare_hashed
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads.backends import remove_bytes
 from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecording
+
+EXCERPT = "excerpt"
 
 
 @dataclass(frozen=True)
@@ -65,23 +70,24 @@ def _place_of(platform: Platform, recording_id: str) -> RecordingPlace | None:
 
 
 def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) -> Outcome:
-    """Inspect a recording where it lies; of its bytes nothing is kept but previews."""
+    """Inspect a recording where it lies. Of its bytes nothing is kept but previews; of an object an excerpt."""
     recording_id = str(attempt.arguments["recording_id"])
+    work = Workspace(platform.store, platform.settings, attempt.root_id).folder
     attempt.progress("inspect", 0, STEPS)
     try:
         place = found_place(platform.settings.in_place, asked)
-        with (
-            received(platform, recording_id, place) as brought,
-            unchanged(platform, [StoredRecording(place.name, (), place)]),
-        ):
-            work = Workspace(platform.store, platform.settings, attempt.root_id).folder
-            found = _seen(platform, attempt, brought, work)
+        with unchanged(platform, [StoredRecording(place.name, (), place)]):
+            bag, parts = _at_hand(platform, attempt, place, work)
+            with received(platform, recording_id, bag) as brought:
+                found = _seen(platform, attempt, brought, work)
     except PlatformFaultError:
         raise
     except (IngestError, Refused) as error:
         _refuse(platform, recording_id, error)
         raise
-    kept = _StoredBytes({}, {}, prepared_previews(platform, work, found.drawn))
+    excerpt = list(prepare_all(platform.store, platform.database, parts, adopt=True))
+    originals = {blob.sha256: blob for blob in excerpt}
+    kept = _StoredBytes(originals, {}, prepared_previews(platform, work, found.drawn))
     attempt.progress("keep", STEPS, STEPS)
     attempt.log("inspected", topics=found.topics, findings=found.findings, score=found.quality["score"], recovered=0)
     result = {"recording_id": recording_id, "topics": found.topics, "score": found.quality["score"]}
@@ -90,8 +96,25 @@ def _read_in_place(platform: Platform, attempt: Attempt, asked: RecordingPlace) 
         recording = _register(session, brought, found, kept)
         recording.place, recording.size_bytes = place.as_record(), place.size_bytes
         recording.sha256 = sha256_in_place(place, found.content_sha256)
+        keep_excerpt(session, platform.settings, recording, excerpt)
 
     return Outcome(result, commit=commit)
+
+
+def _at_hand(platform: Platform, attempt: Attempt, place: RecordingPlace, work: Path) -> tuple[Path, tuple[Path, ...]]:
+    """The bag on this machine: where it lies, or an excerpt and its files."""
+    if not is_by_ranges(platform.settings.in_place, place):
+        return located_in_place(platform.settings, place), ()
+    folder = work / EXCERPT / place.name
+    shutil.rmtree(folder, ignore_errors=True)  # of an attempt that was cut off
+    folder.mkdir(parents=True)
+    parts, read_bytes = ExcerptMaker(platform, attempt, place, folder).made()
+    attempt.log("fetched", read_bytes=read_bytes, size_bytes=place.size_bytes, files=len(parts))
+    if len(parts) == 1:
+        named = folder / place.name
+        parts[0].replace(named)
+        return named, (named,)
+    return folder, parts
 
 
 def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -> Outcome:

@@ -19,7 +19,6 @@ from sqlalchemy.orm import Session
 from services.domain.sequences.profiles import topics_of
 from services.ingest.errors import recording_file_missing
 from services.ingest.pipeline import SynchroniseOptions, synchronise_in, unjoined_sequence
-from services.runtime.in_place.folders import located_in_place
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, Recording, RecordingFile, SequenceRow, Upload
 from services.runtime.platform import Platform
@@ -47,7 +46,6 @@ from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
 from stone_recordings.sync.ground_check import measured_ground
-from stone_recordings.sync.stored_recording import RecordingPlace
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -175,8 +173,8 @@ class _StoredFile:
 
 
 @contextmanager
-def received(platform: Platform, recording_id: str, place: RecordingPlace | None = None) -> Iterator[ReceivedBag]:
-    """The recording with its files on this machine, or in `place`; copies that were made for it go with the block.
+def received(platform: Platform, recording_id: str, here: Path | None = None) -> Iterator[ReceivedBag]:
+    """The recording with its files on this machine, or `here`; copies that were made for it go with the block.
 
     Raises `JobCancelledError` (deleted), `recording_refused`, `recording_file_missing`, what the store raises.
     """
@@ -190,7 +188,6 @@ def received(platform: Platform, recording_id: str, place: RecordingPlace | None
     folder = platform.settings.root / NAMES_FOLDER
     with ExitStack() as copies:
         files = tuple(_file(recording, file.row, _path(platform, file, copies)) for file in kept)
-        here = located_in_place(platform.settings, place) if place else None
         yield ReceivedBag(recording_id, sequence.id, recording.filename, files, folder, profile, here)
 
 

@@ -18,7 +18,8 @@ from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE, SWE
 from services.ingest.joining.clocks import JoinRequest, join_recordings
 from services.ingest.pipeline import SynchroniseOptions, late_findings
 from services.ingest.sequence import sequence_in
-from services.runtime.in_place.folders import content_changed, sha256_in_place
+from services.runtime.in_place.errors import content_changed
+from services.runtime.in_place.places import sha256_in_place
 from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
 from services.runtime.sandbox.result_files import File, SandboxResult, packed, unpacked

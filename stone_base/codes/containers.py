@@ -149,4 +149,10 @@ MEANINGS = (
         "A topic has two types in the recordings that are to be joined.",
         "Leave out the recording that the sentence names, or rename the topic when recording.",
     ),
+    CodeMeaning(
+        "BAG-042",
+        "refused",
+        "The file has no index, so it cannot be read by ranges where it lies.",
+        "Write it anew by stone recover, or upload it.",
+    ),
 )

@@ -24,11 +24,15 @@ class PlacedFile:
 
 @dataclass(frozen=True)
 class RecordingPlace:
-    """A recording that stays where it lies: `path` below `root`, a name in the settings. `files` once it was read."""
+    """A recording that stays where it lies: `path` below `root`, a name in the settings. `files` once it was read.
+
+    From a bucket, pictures are read only `with_pictures`.
+    """
 
     root: str
     path: str
     files: tuple[PlacedFile, ...] = ()
+    with_pictures: bool = False
 
     @property
     def name(self) -> str:
@@ -50,7 +54,7 @@ class RecordingPlace:
     def of_record(cls, record: Mapping[str, Any]) -> Self:
         """The value that `as_record` wrote."""
         files = tuple(PlacedFile(**file) for file in record["files"])
-        return cls(record["root"], record["path"], files)
+        return cls(record["root"], record["path"], files, record["with_pictures"])
 
 
 @dataclass(frozen=True)

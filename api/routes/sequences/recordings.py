@@ -51,9 +51,9 @@ def create_recording(
     with platform.database.transaction() as session:
         sequence, facts = sequence_of(session, caller, sequence_id), {"sequence_id": sequence_id}
         if body.in_place is not None:
-            root, path = body.in_place.root, body.in_place.path
-            recording, job = add_in_place(session, platform.settings.in_place, sequence, root, path)
-            facts |= {"place": f"{root}:{path}"}
+            place = body.in_place.place()
+            recording, job = add_in_place(session, platform.settings.in_place, sequence, place)
+            facts |= {"place": str(place)}
         else:
             recording, job = add_recording(session, sequence, body.received(), caller.user_id)
         audit.record(session, caller, "recording.add", recording.id, facts=facts)

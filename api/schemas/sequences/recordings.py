@@ -12,6 +12,7 @@ from services.domain.sequences.recordings import NewRecording
 from services.runtime.uploads.creation import LONGEST_NAME_BYTES, check_filename
 from services.runtime.uploads.errors import BadMetadataError
 from stone_files.bag_fingerprint import MOST_FILES
+from stone_recordings.sync.stored_recording import RecordingPlace
 
 
 def _plain_name(name: str) -> str:
@@ -26,12 +27,20 @@ FolderName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME_BYTES), 
 
 
 class InPlaceBody(Body):
-    """A bag that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists."""
+    """A bag that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists.
+
+    Of an object in a bucket, pictures are read only `with_pictures`: labels need none, exports of pictures do.
+    """
 
     model_config = example(root="nas", path="2026/run_0.db3")
 
     root: str = Field(min_length=1, max_length=32)
     path: str = Field(min_length=1, max_length=1024)
+    with_pictures: bool = False
+
+    def place(self) -> RecordingPlace:
+        """The place as the domain understands it."""
+        return RecordingPlace(self.root, self.path, with_pictures=self.with_pictures)
 
 
 class NewRecordingBody(Body):

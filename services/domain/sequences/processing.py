@@ -120,7 +120,8 @@ def delete_sequence(session: Session, sequence: SequenceRow) -> None:
     session.execute(delete(Preview).where(Preview.sequence_id == sequence.id))
     held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
     exports = select(Export.id).where(Export.sequence_id == sequence.id)
-    subjects = [*session.scalars(held), *session.scalars(exports)]
+    recordings = select(Recording.id).where(Recording.sequence_id == sequence.id)
+    subjects = [*session.scalars(held), *session.scalars(recordings), *session.scalars(exports)]
     session.execute(delete(Export).where(Export.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
     storage_quota.lock_owner(session, sequence.owner_id)  # recordings before their owner's quota, as everywhere

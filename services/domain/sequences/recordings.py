@@ -18,13 +18,16 @@ from services.domain.exports.requests import EXPORT
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.processing import PROCESS, REGISTER, lock_sequence, register
 from services.runtime.access import storage_quota
-from services.runtime.in_place.folders import located_in_place, refuse_changed, requested_place
+from services.runtime.in_place.folders import located_in_place
+from services.runtime.in_place.places import is_by_ranges, refuse_changed, requested_place
 from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Blob, Job, Recording, RecordingFile, SequenceRow, Upload
 from services.runtime.platform import Platform
+from services.runtime.settings import Settings
+from services.runtime.store.blobs import PreparedBlob
 from services.runtime.store.named_objects import NAMES_FOLDER, described_folder, named, named_folder
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
@@ -72,14 +75,14 @@ def add_recording(
 
 
 def add_in_place(
-    session: Session, settings: InPlaceSettings, sequence: SequenceRow, root: str, path: str
+    session: Session, settings: InPlaceSettings, sequence: SequenceRow, asked: RecordingPlace
 ) -> tuple[Recording, Job]:
-    """A recording that stays where it lies, and the job that reads it; nothing of it is counted against its owner.
+    """A recording that stays where it lies, and the job that reads it.
 
     Whether it is there is found by the job, on a machine that has the root. Raises `unknown_root`, `bad_place`,
-    `SequenceDeletedError`, `QueueDrainingError`.
+    `not_by_ranges`, `SequenceDeletedError`, `QueueDrainingError`.
     """
-    place = requested_place(settings, root, path)
+    place = requested_place(settings, asked)
     sequence = lock_sequence(session, sequence.id)
     named = sha256(str(place).encode()).hexdigest()
     recording = Recording(sequence_id=sequence.id, filename=place.name, size_bytes=0, sha256=named, files=[])
@@ -87,6 +90,28 @@ def add_in_place(
     session.add(recording)
     session.flush()
     return recording, register(session, recording)
+
+
+def keep_excerpt(session: Session, settings: Settings, recording: Recording, excerpt: Sequence[PreparedBlob]) -> None:
+    """The files that are kept of a recording in place, linked by the caller; they count against its owner.
+
+    Raises `quota_exceeded`.
+    """
+    if recording.files or not excerpt:
+        return
+    recording.files = [
+        RecordingFile(
+            ordinal=ordinal,
+            filename=kept.path.name,
+            size_bytes=kept.size_bytes,
+            sha256=kept.sha256,
+            blob_sha256=kept.sha256,
+        )
+        for ordinal, kept in enumerate(excerpt)
+    ]
+    owner_id = session.get_one(SequenceRow, recording.sequence_id).owner_id
+    size_bytes, limit_bytes = sum(kept.size_bytes for kept in excerpt), settings.uploads.owner_bytes
+    storage_quota.reserve(session, owner_id, size_bytes, recording.id, "recording in place", limit_bytes)
 
 
 def remove_recording(session: Session, recording: Recording) -> None:
@@ -103,10 +128,10 @@ def remove_recording(session: Session, recording: Recording) -> None:
         if run.kind == REGISTER and run.arguments["recording_id"] == recording.id:
             with suppress(JobStateError):  # it ended while we waited for its row
                 cancel(session, run.id, "its recording was deleted")
-    upload_ids = [file.upload_id for file in recording.files if file.upload_id is not None]
+    subject_ids = [recording.id, *(file.upload_id for file in recording.files if file.upload_id is not None)]
     session.execute(delete(Recording).where(Recording.id == recording.id))
-    for upload_id in upload_ids:
-        storage_quota.release(session, upload_id, "recording deleted")
+    for subject_id in subject_ids:
+        storage_quota.release(session, subject_id, "recording deleted")
 
 
 def _consumed(session: Session, upload_id: str, uploader_id: str, sequence_id: str) -> Upload:
@@ -183,7 +208,9 @@ def locate(platform: Platform, kept: StoredRecording) -> Path:
     Raises `recording_changed_in_place`, `recording_vanished`.
     """
     if kept.place is not None:
-        return located_in_place(platform.settings, kept.place)
+        refuse_changed(platform.settings.in_place, kept.place)
+        if not is_by_ranges(platform.settings.in_place, kept.place):
+            return located_in_place(platform.settings, kept.place)
     if len(kept.files) == 1:
         return locate_file(platform, kept.files[0])
     files = [(platform.store.local(file.object_key), file.filename) for file in kept.files]

@@ -75,13 +75,8 @@ def read_catalogue(view: memoryview, name: str, before_walk: Callable[[], None] 
 
     Raises: CutBagError (no closing magic), MalformedBagError, ChecksumError and the refusals of `inflate`.
     """
-    size = len(view)
-    if size < 2 * len(wire.MAGIC) + FOOTER_BYTES or bytes(view[-len(wire.MAGIC) :]) != wire.MAGIC:
-        raise CutBagError(name, size)
-    footer_offset = size - len(wire.MAGIC) - FOOTER_BYTES
-    footer = wire.record_at(view, footer_offset, size - len(wire.MAGIC), name)
-    if footer.opcode != wire.FOOTER or footer.stop - footer.start != FOOTER_BYTES - wire.PREFIX_BYTES:
-        raise MalformedBagError(name, f"there is no footer before the closing magic (opcode {footer.opcode})")
+    footer = _footer(view, name)
+    footer_offset = footer.start - wire.PREFIX_BYTES
     summary_offset = _summary_offset(view, footer, name)
     data = Record(0, len(wire.MAGIC), summary_offset)
     draft = _from_summary(view, data, footer_offset, name) if summary_offset < footer_offset else None
@@ -89,6 +84,17 @@ def read_catalogue(view: memoryview, name: str, before_walk: Callable[[], None] 
         return draft.finished(name, is_indexed=True)
     before_walk()
     return _from_walk(view, data, name).finished(name, is_indexed=False)
+
+
+def _footer(view: memoryview, name: str) -> Record:
+    size = len(view)
+    if size < 2 * len(wire.MAGIC) + FOOTER_BYTES or bytes(view[-len(wire.MAGIC) :]) != wire.MAGIC:
+        raise CutBagError(name, size)
+    footer_offset = size - len(wire.MAGIC) - FOOTER_BYTES
+    footer = wire.record_at(view, footer_offset, size - len(wire.MAGIC), name)
+    if footer.opcode != wire.FOOTER or footer.stop - footer.start != FOOTER_BYTES - wire.PREFIX_BYTES:
+        raise MalformedBagError(name, f"there is no footer before the closing magic (opcode {footer.opcode})")
+    return footer
 
 
 def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
@@ -105,16 +111,44 @@ def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
     return start
 
 
-def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str) -> _Draft | None:
-    """None where the summary does not tell everything."""
-    draft, indexes, statistics = _Draft(), [], None
-    for record in wire.walk(view, data.stop, footer_offset, name):
+def summary_range(view: memoryview, name: str) -> tuple[int, int] | None:
+    """Where the summary lies, footer included; None without one. Looks at the footer alone. Raises as
+    `read_catalogue`."""
+    footer = _footer(view, name)
+    start = Fields(view, footer, name).u64()
+    if start and not len(wire.MAGIC) <= start <= footer.start:
+        raise MalformedBagError(name, f"the footer puts the summary at byte {start}, the footer is at {footer.start}")
+    return (start, len(view)) if start else None
+
+
+def chunk_indexes_of(view: memoryview, name: str) -> list[wire.ChunkIndex]:
+    """The chunks that the summary lists, in order of the file; it alone is looked at. Raises as `read_catalogue`."""
+    footer = _footer(view, name)
+    start, stop = _summary_offset(view, footer, name), footer.start - wire.PREFIX_BYTES
+    indexes = _read_summary(view, (start, stop), name)[1]
+    for index in indexes:
+        if not len(wire.MAGIC) <= index.chunk_offset < index.stop <= start:
+            raise MalformedBagError(name, f"the chunk index at byte {index.chunk_offset} ends past the data")
+    return sorted(indexes, key=lambda index: index.chunk_offset)
+
+
+def _read_summary(
+    view: memoryview, at: tuple[int, int], name: str
+) -> tuple[_Draft, list[wire.ChunkIndex], wire.Statistics | None]:
+    draft, indexes, statistics = _Draft(), list[wire.ChunkIndex](), None
+    for record in wire.walk(view, *at, name):
         fields = Fields(view, record, name)
         draft.define(record, fields)
         if record.opcode == wire.CHUNK_INDEX:
             indexes.append(wire.read_chunk_index(fields))
         elif record.opcode == wire.STATISTICS:
             statistics = wire.read_statistics(fields)
+    return draft, indexes, statistics
+
+
+def _from_summary(view: memoryview, data: Record, footer_offset: int, name: str) -> _Draft | None:
+    """None where the summary does not tell everything."""
+    draft, indexes, statistics = _read_summary(view, (data.stop, footer_offset), name)
     if statistics is None or not indexes or statistics.chunk_count != len(indexes):
         return None
     reached = data.start

@@ -51,6 +51,12 @@ class ChunkIndex:
     chunk_offset: int
     message_index_offsets: tuple[tuple[int, int], ...]
     message_index_bytes: int
+    chunk_bytes: int
+
+    @property
+    def stop(self) -> int:
+        """Where the message indexes of the chunk end."""
+        return self.chunk_offset + self.chunk_bytes + self.message_index_bytes
 
 
 @dataclass(frozen=True)
@@ -134,13 +140,13 @@ def read_chunk(fields: Fields) -> Chunk:
 
 def read_chunk_index(fields: Fields) -> ChunkIndex:
     fields.span(16)
-    chunk_offset, _chunk_bytes = fields.u64(), fields.u64()
+    chunk_offset, chunk_bytes = fields.u64(), fields.u64()
     _start, stop = fields.span(fields.u32())
     fields.at = _start
     offsets = []
     while fields.at < stop:
         offsets.append((fields.u16(), fields.u64()))
-    return ChunkIndex(chunk_offset, tuple(offsets), fields.u64())
+    return ChunkIndex(chunk_offset, tuple(offsets), fields.u64(), chunk_bytes)
 
 
 def read_statistics(fields: Fields) -> Statistics:

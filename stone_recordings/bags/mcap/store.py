@@ -7,8 +7,12 @@ from collections.abc import Mapping
 from pathlib import Path
 from struct import Struct
 
+import numpy as np
+from numpy.typing import NDArray
+
 from stone.findings import Finding
 from stone_recordings.bags.chunked_store import ChunkedStore, MappedFile, PlacedMessages, behind_end
+from stone_recordings.bags.chunks import Chunk
 from stone_recordings.bags.errors import MalformedBagError, encoding_refused
 from stone_recordings.bags.mcap import records as wire
 from stone_recordings.bags.mcap.catalogue import Catalogue, message_head, read_catalogue, sealed_bytes
@@ -37,6 +41,17 @@ class McapStore(ChunkedStore):
         self.topics = _topics(catalogue, self._entries)
         self.is_indexed = catalogue.is_indexed
         self._refuse_other_encodings()
+
+    def chunk_of_messages(self, topic: str) -> NDArray[np.int64]:
+        """The number of each message's chunk, in log-time order; −1 outside of chunks."""
+        return self._entries[topic].chunk.astype(np.int64)
+
+    def offset_of_messages(self, topic: str) -> NDArray[np.int64]:
+        """Where each message's record begins in its chunk."""
+        return self._entries[topic].offset
+
+    def chunk(self, number: int) -> Chunk:
+        return self._placed.chunks[number]
 
     def size_bytes(self, topic: str, index: int) -> int:
         """By the record's own length: what `heads` inflated last tells it without more."""

@@ -5,25 +5,33 @@ import shutil
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import pytest
+from sqlalchemy import func, select
 
-from services.domain.sequences.recordings import add_in_place
+from services.domain.sequences.recordings import add_in_place, remove_recording
 from services.runtime.database.migrate import upgrade
-from services.runtime.in_place.folders import found_place, located_in_place, requested_place
+from services.runtime.in_place.bucket import PlacedObject
+from services.runtime.in_place.folders import located_in_place
+from services.runtime.in_place.places import found_place, requested_place
 from services.runtime.in_place.settings import InPlaceSettings
+from services.runtime.orm import JobLine, QuotaEntry, Recording
 from services.runtime.platform import Platform
-from services.runtime.settings import Settings
+from services.runtime.settings import Settings, StoreSettings
+from services.runtime.store.s3 import client_of
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path
+from stone_recordings.sync.stored_recording import RecordingPlace
 from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
+from testing.servers.s3 import S3Server
 from testing.worlds.drives import drive
 from testing.worlds.raw_pictures import with_raw_pictures
 from testing.worlds.runs import Brought, bring, run_all
 
 OPTIONS = SimulateOptions(seconds=2.0, seed=3, channels=32, columns=360, camera_width_px=96, world_width_m=30.0)
-PICTURE_PX = (320, 240)
+PICTURE_PX = (640, 480)
 
 
 @pytest.fixture(scope="module")
@@ -49,7 +57,7 @@ def add(brought: Brought, path: str, root: str = "nas") -> str:
     """The id of the job that reads the recording."""
     with brought.platform.database.transaction() as session:
         settings = brought.platform.settings.in_place
-        recording, job = add_in_place(session, settings, brought.sequence(), root, path)
+        recording, job = add_in_place(session, settings, brought.sequence(), RecordingPlace(root, path))
         brought.recording_ids.append(recording.id)
         return job.id
 
@@ -80,6 +88,38 @@ def failure_of_run(brought: Brought, **request: str) -> tuple[str | None, str]:
 def stored_bytes(platform: Platform) -> int:
     files = (path for path in (platform.settings.root / "store").rglob("*") if path.is_file())
     return sum(path.stat().st_size for path in files)
+
+
+def on_bucket(platform: Platform, server: S3Server) -> Platform:
+    """The platform with the root `field`, a prefix of a fresh bucket; its own store is a folder."""
+    store = server.settings()
+    in_place = InPlaceSettings(
+        buckets=f"field={store.s3_bucket}/2026",
+        s3_endpoint=store.s3_endpoint,
+        s3_key_id=store.s3_key_id,
+        s3_secret=store.s3_secret,
+    )
+    return replace(platform, settings=platform.settings.model_copy(update={"in_place": in_place}))
+
+
+def bucket(platform: Platform) -> str:
+    return platform.settings.in_place.bucket_of["field"][0]
+
+
+def client(platform: Platform) -> Any:
+    settings = platform.settings.in_place
+    return client_of(
+        StoreSettings(s3_endpoint=settings.s3_endpoint, s3_key_id=settings.s3_key_id, s3_secret=settings.s3_secret)
+    )
+
+
+def put(platform: Platform, path: Path, key: str) -> None:
+    client(platform).put_object(Bucket=bucket(platform), Key=key, Body=path.read_bytes())
+
+
+def lines_of(brought: Brought, job_id: str) -> list[JobLine]:
+    with brought.platform.database.reading() as session:
+        return list(session.scalars(select(JobLine).where(JobLine.job_id == job_id)))
 
 
 @pytest.fixture(scope="module")
@@ -118,9 +158,80 @@ def test_a_bag_in_place_is_labelled_as_an_uploaded_one_and_not_copied(
 def test_a_registered_bag_in_place_takes_a_tenth_of_its_size_at_most(
     placed: Platform, root: Path, source: Path
 ) -> None:
-    brought, bag = bring(placed), with_raw_pictures(source, root / "run.mcap", (640, 480))
+    brought, bag = bring(placed), with_raw_pictures(source, root / "run.mcap", PICTURE_PX)
     registered(brought, "run.mcap")
     assert 0 < stored_bytes(placed) < bag.stat().st_size / 10
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("part_bytes", [2**30, 2**19])
+def test_an_object_is_labelled_as_an_uploaded_bag_by_the_ranges_that_labels_need(
+    platform: Platform,
+    s3_server: S3Server,
+    source: Path,
+    labels: dict[str, bytes],
+    monkeypatch: pytest.MonkeyPatch,
+    part_bytes: int,
+) -> None:
+    monkeypatch.setattr("services.ingest.excerpt.BATCH_BYTES", part_bytes)
+    brought, bag = bring(on_bucket(platform, s3_server)), source.with_name("raw.mcap")
+    if not bag.exists():
+        with_raw_pictures(source, bag, PICTURE_PX)
+    put(brought.platform, bag, "2026/run.mcap")
+    brought.calibrate(calibration_path(source))
+    job_id = add(brought, "run.mcap", "field")
+    run_all(brought.platform)
+    assert brought.job(job_id).failure == ""
+    (fetched,) = [line.facts for line in lines_of(brought, job_id) if line.event == "fetched"]
+    assert fetched["read_bytes"] < bag.stat().st_size / 5
+    assert (fetched["files"] > 1) == (part_bytes < 2**20)
+    recording = brought.recording()
+    assert recording.size_bytes == bag.stat().st_size
+    assert sum(file.size_bytes for file in recording.files) < bag.stat().st_size / 10
+    assert labelled(brought) == labels
+    with brought.platform.database.transaction() as session:
+        assert session.scalar(select(func.sum(QuotaEntry.amount))) > 0
+        remove_recording(session, session.get_one(Recording, recording.id))
+
+
+@pytest.mark.whole
+def test_an_object_that_changed_or_went_in_between_is_named(
+    platform: Platform, s3_server: S3Server, source: Path
+) -> None:
+    brought = bring(on_bucket(platform, s3_server))
+    put(brought.platform, source, "2026/run.mcap")
+    brought.calibrate(calibration_path(source))
+    add(brought, "run.mcap", "field")
+    run_all(brought.platform)
+    changed = source.read_bytes()
+    client(brought.platform).put_object(Bucket=bucket(brought.platform), Key="2026/run.mcap", Body=changed + b"\0")
+    code, sentence = failure_of_run(brought)
+    assert (code, "run.mcap of field:run.mcap" in sentence) == ("recording_changed_in_place", True)
+    client(brought.platform).delete_object(Bucket=bucket(brought.platform), Key="2026/run.mcap")
+    assert failure_of_run(brought)[0] == "recording_vanished"
+
+
+def test_an_object_that_changes_while_it_is_read_is_named(
+    platform: Platform, s3_server: S3Server, tmp_path: Path
+) -> None:
+    settings = on_bucket(platform, s3_server)
+    for content in (b"one", b"two"):
+        (tmp_path / "run").write_bytes(content)
+        put(settings, tmp_path / "run", "2026/run.mcap")
+        if content == b"one":
+            place = found_place(settings.settings.in_place, RecordingPlace("field", "run.mcap"))
+    with refused_as("recording_changed_in_place"):
+        PlacedObject(settings.settings.in_place, place).fetch([(0, 3)], tmp_path / "run")
+
+
+def test_of_a_bucket_only_an_mcap_below_its_prefix_can_be_named(platform: Platform, s3_server: S3Server) -> None:
+    settings = on_bucket(platform, s3_server).settings.in_place
+    with refused_as("not_by_ranges"):
+        requested_place(settings, RecordingPlace("field", "run_0.db3"))
+    with refused_as("bad_place"):
+        requested_place(settings, RecordingPlace("field", "../other/run.mcap"))
+    with refused_as("recording_vanished"):
+        found_place(settings, RecordingPlace("field", "nothing.mcap"))
 
 
 @pytest.mark.whole
@@ -150,12 +261,12 @@ def test_a_file_that_changed_in_between_is_named_and_labels_of_it_stay(
 @pytest.mark.parametrize("path", ["", "/run.db3", "../run.db3", "a/../run.db3", "a//run.db3", "./run.db3", "a\n.db3"])
 def test_a_path_that_is_more_than_names_below_the_root_is_refused(placed: Platform, path: str) -> None:
     with refused_as("bad_place"):
-        requested_place(placed.settings.in_place, "nas", path)
+        requested_place(placed.settings.in_place, RecordingPlace("nas", path))
 
 
 def test_a_root_that_is_not_set_is_refused_and_its_folder_is_not_named(placed: Platform, root: Path) -> None:
     with refused_as("unknown_root", match="there is nas") as refusal:
-        requested_place(placed.settings.in_place, "disk", "run.db3")
+        requested_place(placed.settings.in_place, RecordingPlace("disk", "run.db3"))
     assert str(root) not in str(refusal.value)
 
 
@@ -175,7 +286,9 @@ def test_nothing_can_be_learnt_of_what_else_the_machine_has(
     said = set[str]()
     for path in ("out.mcap", "folder", "linked", "circle.mcap", "notes.txt", "pipe.mcap", "nothing.mcap"):
         with refused_as("recording_vanished") as refusal:
-            found_place(placed.settings.in_place, requested_place(placed.settings.in_place, "nas", path))
+            found_place(
+                placed.settings.in_place, requested_place(placed.settings.in_place, RecordingPlace("nas", path))
+            )
         said.add(str(refusal.value).replace(path, "PATH").replace("run_0.mcap", "PATH"))
     assert len(said) == 1
     assert str(root) not in said.pop()
@@ -184,7 +297,7 @@ def test_nothing_can_be_learnt_of_what_else_the_machine_has(
 def test_a_link_within_the_root_is_followed(placed: Platform, root: Path, source: Path) -> None:
     shutil.copy(source, root / "run.mcap")
     (root / "latest.mcap").symlink_to("run.mcap")
-    place = found_place(placed.settings.in_place, requested_place(placed.settings.in_place, "nas", "latest.mcap"))
+    place = found_place(placed.settings.in_place, RecordingPlace("nas", "latest.mcap"))
     assert [file.name for file in place.files] == ["latest.mcap"]
     assert located_in_place(placed.settings, place).read_bytes() == source.read_bytes()
 

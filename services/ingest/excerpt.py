@@ -1,0 +1,136 @@
+"""The excerpt of a recording in a bucket: what labels need of it, as MCAP files that are kept.
+
+    ranges → a file with holes → a sandboxed child says what lacks, or writes messages that came → holes again
+
+**Conventions.** The parent fetches bytes and understands none; the child, which has no network, reads the file and
+answers with ranges of it. Bytes are here for some chunks at a time, so that little more than the excerpt is stored.
+"""
+
+import json
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass
+from functools import partial
+from pathlib import Path
+from typing import Any
+
+from services.ingest.kernel_warmup import warm
+from services.runtime.in_place.bucket import PlacedObject, Range, punch, sparse_file
+from services.runtime.jobs.specs import Attempt
+from services.runtime.platform import Platform
+from services.runtime.sandbox import ProgressCallback, SandboxCrashedError
+from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
+from stone_recordings.bags.mcap.excerpt import first_ranges, planned_excerpt, write_excerpt
+from stone_recordings.sync.stored_recording import RecordingPlace
+
+BATCH_BYTES = 64 * 2**20
+MOST_PARTS = 400
+ROUNDS = 3  # its ends, its summary, its message indexes
+
+
+@dataclass(frozen=True)
+class _Chunks:
+    """Chunks by number, half-open, and where their messages lie."""
+
+    numbers: Range
+    ranges: tuple[Range, ...]
+
+
+@dataclass(frozen=True, eq=False)
+class ExcerptMaker:
+    """Makes the files in `folder`. `fetched_bytes` were read of the object."""
+
+    platform: Platform
+    attempt: Attempt
+    place: RecordingPlace
+    folder: Path
+
+    def made(self) -> tuple[tuple[Path, ...], int]:
+        """The files, in the order of the recording, and how many bytes were read for them.
+
+        Raises what reading the object and the bag raise, `SandboxCrashedError`, `JobCancelledError`.
+        """
+        source = PlacedObject(self.platform.settings.in_place, self.place)
+        with private_folder_in(self.folder) as work:
+            whole, parts = work / self.place.name, list[Path]()
+            sparse_file(whole, self.place.size_bytes)
+            batches = _batches(self._planned(source, whole))
+            for number, batch in enumerate(batches):
+                self.attempt.progress("fetch", number, len(batches))
+                source.fetch(batch.ranges, whole)
+                part = work / f"{whole.stem}_{number}.part"
+                self._ask(work, partial(_write, whole.name, batch.numbers, part.name, self.place.with_pictures))
+                _refuse_link(part)
+                parts.append(part.replace(self.folder / f"{whole.stem}_{number}{whole.suffix}"))
+                punch(whole, batch.ranges)
+        return tuple(parts), source.read_bytes
+
+    def _planned(self, source: PlacedObject, whole: Path) -> list[_Chunks]:
+        here = lacks = first_ranges(self.place.size_bytes)
+        for _round in range(ROUNDS):
+            source.fetch(lacks, whole)
+            asked = partial(_plan, whole.name, tuple(here), self.place.with_pictures)
+            plan = json.loads(self._ask(whole.parent, asked))
+            lacks, chunks = self._believed(plan)
+            if not lacks:
+                return chunks
+            here = [*here, *lacks]
+        raise SandboxCrashedError("asked for more of a file than its index")
+
+    def _ask(self, work: Path, task: Any) -> bytes:
+        sandbox = JobSandbox(work, (work / self.place.name,), self.attempt, self.platform.settings, warm)
+        return sandbox.run(task, "fetch", 1)
+
+    def _believed(self, plan: Any) -> tuple[list[Range], list[_Chunks]]:
+        """Ranges of the object, and nothing else."""
+        match plan:
+            case {"lacks": list(lacks), "chunks": list(chunks)}:
+                found = [_Chunks((int(number), int(number) + 1), self._ranges(ranges)) for number, ranges in chunks]
+                return list(self._ranges(lacks)), found
+        raise SandboxCrashedError("answered something else than ranges")
+
+    def _ranges(self, told: Any) -> tuple[Range, ...]:
+        ranges = tuple((int(start), int(stop)) for start, stop in told)
+        if any(not 0 <= start < stop <= self.place.size_bytes for start, stop in ranges):
+            raise SandboxCrashedError("asked for bytes that the object does not have")
+        return ranges
+
+
+def _batches(chunks: Sequence[_Chunks]) -> list[_Chunks]:
+    """Runs of chunks, each of `BATCH_BYTES` or as many as make `MOST_PARTS` of them."""
+    total_bytes = sum(stop - start for one in chunks for start, stop in one.ranges)
+    return list(_grouped(chunks, max(BATCH_BYTES, total_bytes // MOST_PARTS)))
+
+
+def _grouped(chunks: Sequence[_Chunks], most_bytes: int) -> Iterator[_Chunks]:
+    group, size_bytes = list[_Chunks](), 0
+    for one in chunks:
+        group.append(one)
+        size_bytes += sum(stop - start for start, stop in one.ranges)
+        if size_bytes >= most_bytes:
+            yield _as_one(group)
+            group, size_bytes = [], 0
+    if group:
+        yield _as_one(group)
+
+
+def _as_one(group: Sequence[_Chunks]) -> _Chunks:
+    numbers = (group[0].numbers[0], group[-1].numbers[1])
+    return _Chunks(numbers, tuple(one for chunks in group for one in chunks.ranges))
+
+
+def _plan(name: str, here: Sequence[Range], with_pictures: bool, folder: Path, _progress: ProgressCallback) -> bytes:
+    """The child's part."""
+    plan = planned_excerpt(folder / name, here, with_pictures=with_pictures)
+    return json.dumps({"lacks": plan.lacks, "chunks": plan.chunks}).encode()
+
+
+def _write(
+    name: str, chunks: Range, target: str, with_pictures: bool, folder: Path, _progress: ProgressCallback
+) -> bytes:
+    """The child's part."""
+    return str(write_excerpt(folder / name, chunks, folder / target, with_pictures=with_pictures)).encode()
+
+
+def _refuse_link(path: Path) -> None:
+    if path.is_symlink() or not path.is_file():
+        raise SandboxCrashedError("wrote no excerpt where it was to")

@@ -1,0 +1,29 @@
+"""Refusals of recordings in place."""
+
+from stone.errors import Refused
+from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
+
+ANEW = "remove the recording and add it anew: labels that were made of it stay"
+
+
+def changed_in_place(place: RecordingPlace, found: PlacedFile, known: PlacedFile | None) -> Refused:
+    was = f"was registered with {known.size_bytes} bytes in version {known.version}" if known else "came since"
+    return Refused(
+        "recording_changed_in_place",
+        f"{found.name} of {place} has {found.size_bytes} bytes in version {found.version}, and {was}; put the file "
+        f"back, or {ANEW}",
+    )
+
+
+def content_changed(place: RecordingPlace) -> Refused:
+    return Refused(
+        "recording_changed_in_place",
+        f"{place} has the sizes and versions that it was registered with, and holds other messages; {ANEW}",
+    )
+
+
+def vanished(place: RecordingPlace, name: str) -> Refused:
+    return Refused(
+        "recording_vanished",
+        f"there is no bag {name} at {place} that may be read; put it back, mount the root on every worker, or {ANEW}",
+    )

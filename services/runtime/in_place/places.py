@@ -1,0 +1,76 @@
+"""Recordings in place, whatever their root is: named, found, and held against what was registered.
+
+**Conventions.** A file is known by its size and version: the time of its last change, or an object's ETag. What was
+read of it has a hash besides (`stone_recordings/bags/content_hash.py`).
+"""
+
+from collections.abc import Mapping
+from dataclasses import replace
+from hashlib import sha256
+
+from services.runtime.in_place.errors import changed_in_place, vanished
+from services.runtime.in_place.folders import files_in_folder
+from services.runtime.in_place.settings import InPlaceSettings
+from stone.errors import Refused
+from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
+
+LONGEST_PATH = 1024
+BY_RANGES = ".mcap"
+
+
+def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
+    """The place, checked as far as words go: nobody looks whether it is there.
+
+    Raises `unknown_root`, `bad_place`, `not_by_ranges`.
+    """
+    if place.root not in settings.roots:
+        known = ", ".join(settings.roots) or "none: an administrator sets STONE_IN_PLACE__FOLDERS"
+        raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for recordings in place; there is {known}")
+    is_plain = len(place.path) <= LONGEST_PATH and place.path.isprintable()
+    if not is_plain or {"", ".", ".."} & set(place.path.split("/")):
+        raise Refused(
+            "bad_place",
+            f"{place.path[:200]!r} is no path below a root; name a bag as 2026/run.mcap, without a leading slash and "
+            f".., in at most {LONGEST_PATH} characters",
+        )
+    if is_by_ranges(settings, place) and not place.path.endswith(BY_RANGES):
+        raise Refused(
+            "not_by_ranges",
+            f"{place.name[:200]!r} is in a bucket, where an {BY_RANGES} alone can be read by ranges; mount the bucket "
+            "below a folder that is a root, convert the bag to MCAP, or upload it",
+        )
+    return place
+
+
+def is_by_ranges(settings: InPlaceSettings, place: RecordingPlace) -> bool:
+    """Whether the recording is an object of a bucket."""
+    return place.root in settings.bucket_of
+
+
+def found_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPlace:
+    """The place with its files as they are.
+
+    Raises `recording_vanished`, `root_away`, `bad_recording_files`, `unknown_root`, `store_away`.
+    """
+    if is_by_ranges(settings, place):
+        from services.runtime.in_place.bucket import PlacedObject  # boto3 takes most of a second to import
+
+        return replace(place, files=(PlacedObject(settings, place).file(),))
+    return replace(place, files=files_in_folder(settings, place))
+
+
+def refuse_changed(settings: InPlaceSettings, place: RecordingPlace) -> None:
+    """Raises `recording_changed_in_place` for the first file that is not as registered, and as `found_place`."""
+    now: Mapping[str, PlacedFile] = {file.name: file for file in found_place(settings, place).files}
+    known = {file.name: file for file in place.files}
+    for name in (*known, *(name for name in now if name not in known)):
+        if name not in now:
+            raise vanished(place, name)
+        if now[name] != known.get(name):
+            raise changed_in_place(place, now[name], known.get(name))
+
+
+def sha256_in_place(place: RecordingPlace, content_sha256: str) -> str:
+    """The hash that stands for the recording: of its files as they are listed, and of what was read of them."""
+    lines = (f"{file.version} {file.size_bytes} {file.name}\n" for file in place.files)
+    return sha256("".join((*lines, content_sha256)).encode()).hexdigest()
