@@ -22,7 +22,7 @@ PANELS = ("On this machine", "With a server", "The dataset", "Models", "A benchm
 IMPORT = CommandPlace("import", "With a server", f"{PACKAGE}.server.dataset_import", "import_dataset")
 OWN_COMMANDS = (
     *places("On this machine", PACKAGE, "benchmark.validate", "explain"),
-    *places("With a server", PACKAGE, "server.login", "server.upload"),
+    *places("With a server", PACKAGE, "server.login", "server.upload", "server.register"),
     IMPORT,
     *places("With a server", PACKAGE, "server.process", "server.watch", "server.status", "server.exports"),
     *places("With a server", PACKAGE, "server.download"),

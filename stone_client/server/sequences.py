@@ -97,7 +97,7 @@ def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -
         accepted = api.create(f"/sequences/{sequence['id']}/recordings", body)
         follow(api, accepted["job"]["id"], progress)
         recording = accepted["recording"]
-    return _registered(api, sequence, recording)
+    return registered(api, sequence, recording)
 
 
 def has_other_recording(api: Api, sequence: Item, local: LocalBag) -> bool:
@@ -133,7 +133,7 @@ def _recorded(api: Api, sequence: Item, local: LocalBag) -> Item | None:
     return None
 
 
-def _registered(api: Api, sequence: Item, recording: Item) -> Item:
+def registered(api: Api, sequence: Item, recording: Item) -> Item:
     """The recording once it has been read. Raises the code of its first finding."""
     path = f"/sequences/{sequence['id']}/recordings/{recording['id']}"
     read = _until(lambda: api.read(path), lambda item: item["state"] != "received")

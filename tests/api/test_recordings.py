@@ -2,6 +2,7 @@
 
 from collections.abc import Mapping
 from hashlib import sha256
+from pathlib import Path
 from typing import Any
 
 import httpx
@@ -16,7 +17,8 @@ from services.runtime.platform import Platform
 from services.runtime.store import blobs
 from services.runtime.store.blobs import keep
 from stone_files.bag_fingerprint import MOST_FILES
-from testing.api.serving import Person, at_once, person
+from testing.api.serving import Person, at_once, client_of, person
+from testing.servers.fixtures import having
 from testing.worlds.made import NOBODY, row_of, sequence, upload
 from testing.worlds.rows import recording_of
 
@@ -385,3 +387,27 @@ def test_a_recording_that_was_not_read_has_no_roles_yet(
     for recording_id, status in ((pending, 409), (NOBODY, 404)):
         path = f"/api/v1/sequences/{sequence_id}/recordings/{recording_id}/roles"
         assert api.get(path, headers=curator.headers).status_code == status
+
+
+def test_a_bag_in_place_is_taken_by_the_words_of_its_place_alone(
+    platform: Platform, curator: Person, tmp_path: Path
+) -> None:
+    placed = having(platform, in_place={"folders": f"nas={tmp_path}"})
+    with client_of(placed) as api:
+        forest = sequence(api, curator)
+        url = f"{URL}/{forest['id']}/recordings"
+        roots = api.get("/api/v1/recording-roots", headers=curator.headers)
+        assert (roots.json(), str(tmp_path) in roots.text) == ({"roots": ["nas"]}, False)
+        for place, code in (
+            ({"root": "disk", "path": "run.mcap"}, "unknown_root"),
+            ({"root": "nas", "path": "../run.mcap"}, "bad_place"),
+            ({"root": "nas", "path": "/etc/passwd"}, "bad_place"),
+        ):
+            answer = api.post(url, json={"in_place": place}, headers=curator.headers)
+            assert (answer.status_code, answer.json()["code"]) == (422, code)
+        both = {"in_place": {"root": "nas", "path": "run.mcap"}, "upload_id": NOBODY}
+        assert api.post(url, json=both, headers=curator.headers).status_code == 422
+        answer = api.post(url, json={"in_place": both["in_place"]}, headers=curator.headers)
+        assert answer.status_code == 202
+        made = answer.json()["recording"]
+        assert (made["state"], made["filename"], made["place"]) == ("received", "run.mcap", both["in_place"])

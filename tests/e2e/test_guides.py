@@ -24,6 +24,7 @@ from services.labeler import queue_handlers as labeler
 from services.runtime.access.passwords import hash_password
 from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.first_start import ensure_keys
+from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.orm import LabelSet, SequenceRow, User
 from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
@@ -68,8 +69,9 @@ def driven(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 @pytest.fixture
 def field(driven: Path, tmp_path: Path) -> Iterator[Platform]:
-    """A platform of the test's own with those sequences; its folder is also where a guide expects it."""
-    settings = make_settings(tmp_path)
+    """A platform of the test's own with those sequences; its folder is also where a guide expects it, and the root
+    `here` is where lines are pasted."""
+    settings = make_settings(tmp_path, in_place=InPlaceSettings(folders=f"here={tmp_path}"))
     shutil.copytree(driven, settings.root)
     (tmp_path / "stone-data").symlink_to(settings.root)
     platform = opened(settings, [])

@@ -26,8 +26,9 @@ from stone_client.files.tus import Purpose, hashed, upload_file
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
 from stone_files.bag_fingerprint import recording_sha256
 from testing.api.process import ApiProcess, running_api
-from testing.api.serving import Person
+from testing.api.serving import Person, serving
 from testing.refusals import refused_as
+from testing.servers.fixtures import having
 from testing.stone_serve import until
 from testing.worlds.recording_parts import RecordingPart, split_into
 from tests.stone_client.participating import ingesting, quiet, refused, stone
@@ -286,3 +287,22 @@ def test_a_file_that_is_still_being_written_is_refused(url: str, owner: Person, 
         recorder.write(b"more")
     with Api(Server(url, owner.secret)) as api, refused_as("file_changed"):
         upload_file(api, local, RECORDING, quiet)
+
+
+def test_a_recording_in_place_is_registered_once_and_nothing_is_sent(
+    platform: Platform, owner: Person, bag: Path, calibration: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    placed = having(platform, in_place={"folders": f"nas={bag.parent.parent}"})
+    place = f"nas:{bag.parent.name}/{bag.name}"
+    with serving(placed) as url, ingesting(placed):
+        monkeypatch.setenv("STONE_URL", url)
+        monkeypatch.setenv("STONE_TOKEN", owner.secret)
+        first = stone("register", place, "--calibration", calibration, "--name", "forest", "--json")
+        again = stone("register", place, "--calibration", calibration, "--name", "forest", "--json")
+        gone = stone("register", "nas:nothing.mcap", "--calibration", calibration, "--name", "gone")
+        other = stone("register", "disk:run.mcap", "--calibration", calibration, "--name", "gone")
+        unnamed = stone("register", "run.mcap", "--calibration", calibration, "--name", "gone")
+    assert (first.exit_code, again.exit_code) == (0, 0), first.stderr + again.stderr
+    assert json.loads(first.stdout)["recordings"] == json.loads(again.stdout)["recordings"]
+    assert [refused(one) for one in (gone, other, unnamed)] == ["recording_vanished", "unknown_root", "bad_place"]
+    assert uploads(platform) == []

@@ -6,23 +6,26 @@ from pathlib import Path
 from typing import Any
 
 import httpx
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 from sqlalchemy import select
 
 from services.ingest.queue_handlers import handlers
 from services.runtime.orm import CalibrationRow, SequenceRow
+from services.runtime.platform import Platform
 from simulator.pipeline import calibration_path
 from stone.errors import StoneError
 from stone_files.bag_fingerprint import check_bag_files, is_bag_part
 from stone_recordings.bags.errors import CutBagError, NotABagError
 from stone_recordings.bags.magic import container_of
-from testing.api.serving import Person
+from testing.api.serving import Person, serving
+from testing.servers.fixtures import having
 from testing.web.browsing import Site
 from testing.worlds.made import sequence
 from testing.worlds.ros1_bags import as_ros1
 from tests.stone_recordings.splitting import split_into
 from tests.web.bringing import bag, choose, moved, recordings, row_of, uploads
 from tests.working import working
+from web.main import make_site
 
 
 def test_bags_of_several_kinds_become_sequences_of_their_own_or_one_of_a_name_given_to_two(
@@ -294,3 +297,24 @@ def refusals(folder: Path, has_wal: bool) -> dict[str, str]:
             path.with_name(f"{number}.db3-wal").write_bytes(b"x")
         said[name] = refusal(path)
     return said
+
+
+def test_a_bag_that_the_server_sees_is_named_instead_of_sent(
+    platform: Platform, browser: Browser, curator: Person, tmp_path: Path
+) -> None:
+    placed = having(platform, in_place={"folders": f"nas={tmp_path}"})
+    shutil.copy(bag(), tmp_path / "run.mcap")
+    with serving(placed, make_site(placed)) as url, working(placed, "ingest", handlers):
+        with httpx.Client(base_url=url) as api:
+            made = sequence(api, curator, "hill")
+        with Site(url, placed, browser).visit(curator, expected=["422"]) as page:
+            page.goto(f"/sequences/{made['id']}/recordings")
+            panel = page.locator("#in-place")
+            panel.get_by_label("Path below it").fill("../run.mcap")
+            panel.get_by_role("button", name="Add").click()
+            expect(panel.locator(".said")).to_contain_text("no path below a root")
+            panel.get_by_label("Path below it").fill("run.mcap")
+            panel.get_by_role("button", name="Add").click()
+            expect(page.get_by_text("nas:run.mcap")).to_be_visible()
+    assert [row.place and row.place["path"] for row in recordings(placed)] == ["run.mcap"]
+    assert uploads(placed) == []

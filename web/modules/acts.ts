@@ -65,17 +65,19 @@ export function filled(path: string, values: Record<string, unknown>): { where: 
   return { where, rest };
 }
 
-/** The form's fields by name, as JSON values. */
+/** The form's fields by name, as JSON values; `a.b` is the member `b` of an object `a`. */
 export function valuesOf(form: HTMLFormElement): Record<string, unknown> {
-  const values: Record<string, unknown> = {};
+  const all: Record<string, unknown> = {};
   for (const field of form.elements) {
     if (!isField(field) || !field.name || field.disabled) continue;
     const value = valueOf(field);
     if (value === undefined) continue;
-    const known = values[field.name];
-    values[field.name] = field.dataset["kind"] === "many" ? [...(Array.isArray(known) ? known : []), value] : value;
+    const [name = "", member = ""] = field.name.split(".").reverse();
+    const values = member ? ((all[member] ??= {}) as Record<string, unknown>) : all;
+    const known = values[name];
+    values[name] = field.dataset["kind"] === "many" ? [...(Array.isArray(known) ? known : []), value] : value;
   }
-  return values;
+  return all;
 }
 
 function isField(element: Element): element is Field {

@@ -52,6 +52,7 @@ def shown_section(
         "steps": steps_of(standing.run) if standing.run else (),
         "title_of": title_of,
         "environments": ENVIRONMENTS,
+        "roots": at.platform.settings.in_place.roots,
         "illuminations": ILLUMINATIONS,
     }
     return page(at.request, caller, f"sequence/{name}.html", needs_wasm=needs_wasm, **head | values)

@@ -1,0 +1,66 @@
+"""`stone register`: recordings that a server reads where they lie."""
+
+from typing import Annotated, Any
+
+import typer
+
+from stone_base.findings import Finding
+from stone_client.options import CalibrationOption, ServerOption
+from stone_client.progress import transferred
+from stone_client.streams import JsonOption, echo_findings, echo_json
+
+PlacesArgument = Annotated[
+    list[str],
+    typer.Argument(
+        metavar="ROOT:PATH...",
+        help="The recording, as the server sees it: nas:2026/run.mcap, .db3, or a folder of a split one; several of one"
+        " run.",
+    ),
+]
+NameOption = Annotated[str | None, typer.Option(metavar="NAME", help="The sequence (default: the bag's own name).")]
+PicturesOption = Annotated[
+    bool, typer.Option("--with-pictures", help="Read the pictures of an object in a bucket, too (for exports).")
+]
+ProcessOption = Annotated[bool, typer.Option("--process", help="Process it immediately and follow the run.")]
+
+
+def register(
+    places: PlacesArgument,
+    calibration: CalibrationOption,
+    name: NameOption = None,
+    with_pictures: PicturesOption = False,
+    process: ProcessOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
+) -> None:
+    """Have a server read the recordings of a run where they lie; nothing is sent but their calibration.
+
+    ROOT is a name that the server's administrator gave to a folder or a bucket. Do not change the files afterwards: the
+    server refuses a recording that is not as it was registered.
+    """
+    from stone_client.connection import connected
+    from stone_client.server.places import add_in_place, place_named
+    from stone_client.server.run_watch import watch_run
+    from stone_client.server.sequences import ensure_sequence, pin_calibration, start_run
+
+    found = [place_named(text, with_pictures=with_pictures) for text in places]
+    with connected(server) as api:
+        sequence = ensure_sequence(api, name or found[0].called)
+        kept = pin_calibration(api, sequence, calibration)
+        recordings = []
+        for place in found:
+            with transferred() as progress:
+                recordings.append(add_in_place(api, sequence, place, progress))
+        record: dict[str, Any] = {"sequence": sequence["id"], "name": sequence["name"], "calibration": kept["id"]}
+        record |= {"recordings": [{key: one[key] for key in ("id", "filename", "sha256")} for one in recordings]}
+        if process:
+            record["job"] = watch_run(api, start_run(api, sequence, {}))
+    if as_json:
+        echo_json(record)
+    else:
+        for place in found:
+            typer.echo(f"{sequence['name']}: {api.url} reads {place} where it lies")
+        following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --watch"
+        typer.echo(f"Next: stone {following}")
+    noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
+    echo_findings(Finding(**finding) for finding in noticed)
