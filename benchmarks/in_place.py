@@ -55,6 +55,10 @@ def main() -> None:
                 _forget(bag)
                 brought, stored_bytes = _labelled(platform, RecordingPlace("bags", name), drive)
                 table.add_row(f"folder, {bag.suffix}", *_row(bag, _cached_bytes(bag), stored_bytes, brought))
+        bag = root / "bags" / "run.mcap"
+        with _platform(root, InPlaceSettings()) as platform:
+            brought, stored_bytes = _labelled(platform, bag, drive)
+            table.add_row("uploaded, .mcap", *_row(bag, bag.stat().st_size, stored_bytes, brought))
         with running_s3() as server:
             store = server.settings("recordings")
             os.link(root / "bags" / "run.mcap", server.buckets / "recordings" / "run.mcap")
@@ -67,7 +71,6 @@ def main() -> None:
             )
             with _platform(root, settings) as platform:
                 brought, stored_bytes = _labelled(platform, RecordingPlace("field", "run.mcap"), drive)
-                bag = root / "bags" / "run.mcap"
                 table.add_row("bucket, .mcap", *_row(bag, _fetched_bytes(platform), stored_bytes, brought))
     Console().print(table)
 
@@ -81,8 +84,8 @@ def _platform(root: Path, in_place: InPlaceSettings) -> Iterator[Platform]:
         platform.database.close()
 
 
-def _labelled(platform: Platform, place: RecordingPlace, drive: Path) -> tuple[Brought, int]:
-    """The labelled sequence, and the most that was stored after a job."""
+def _labelled(platform: Platform, recording: RecordingPlace | Path, drive: Path) -> tuple[Brought, int]:
+    """The sequence labelled from a recording in place, or one to upload; and the most that was stored after a job."""
     most_bytes = [0]
 
     def measured(_kind: str, handler: Handler) -> Handler:
@@ -95,9 +98,12 @@ def _labelled(platform: Platform, place: RecordingPlace, drive: Path) -> tuple[B
 
     brought = bring(platform)
     brought.calibrate(calibration_path(drive))
-    with platform.database.transaction() as session:
-        recording, _job = add_in_place(session, platform.settings.in_place, brought.sequence(), place)
-        brought.recording_ids.append(recording.id)
+    if isinstance(recording, Path):
+        brought.add(recording)
+    else:
+        with platform.database.transaction() as session:
+            row, _job = add_in_place(session, platform.settings.in_place, brought.sequence(), recording)
+            brought.recording_ids.append(row.id)
     run_all(platform, wrap=measured)
     brought.process()
     run_all(platform, wrap=measured)

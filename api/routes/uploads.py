@@ -72,12 +72,16 @@ async def create_upload(
     caller: Uploader,
     _upload_length: Annotated[str, Header(alias="Upload-Length", description="bytes")] = "",
     _upload_metadata: Annotated[str, Header(alias="Upload-Metadata", description="key base64, …")] = "",
+    _upload_concat: Annotated[str, Header(alias="Upload-Concat", description="partial, or final;URL URL …")] = "",
 ) -> Response:
     """Create an upload; bytes in the body are taken at once (creation-with-upload).
 
     Metadata: `filename`, `purpose` (recording, calibration, submission, ground_truth, dataset: a tar), `target_id`,
     `sha256`; of a submission they are what its draft announces. Where you have the declared bytes here already, the
     answer's `Upload-Offset` is the length and nothing is to be sent.
+
+    A large file may come in up to 15 parts at once: create each with `Upload-Concat: partial`, then the whole, with its
+    metadata, by `final;` and the URLs of the complete parts in order. Ask for its offset until it is complete.
     """
     upload = await accept_creation(request, platform, caller)
     offset_bytes = await in_thread(bytes_here, platform, upload)

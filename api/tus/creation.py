@@ -21,6 +21,7 @@ from services.runtime.platform import Platform
 from services.runtime.uploads.completion import end, settle_if_whole
 from services.runtime.uploads.creation import SUBMISSION, UploadDeclaration, create
 from services.runtime.uploads.errors import DiskFullError, upload_too_large
+from services.runtime.uploads.joining import create_joined
 from services.runtime.uploads.reception import UploadChunk, receive
 from services.runtime.uploads.rows import UploadOwner, find, find_alive
 from stone.errors import StoneError
@@ -30,11 +31,12 @@ async def accept_creation(request: Request, platform: Platform, caller: Caller) 
     """The upload that the request's headers declare, with what its body holds."""
     if "upload-defer-length" in request.headers:
         raise ApiError("length_deferred", "Upload-Defer-Length is not supported: send Upload-Length with the creation")
-    if "upload-concat" in request.headers:
-        raise ApiError(
-            "tus_extension", "Upload-Concat belongs to an extension that this server does not have; see OPTIONS"
-        )
-    declared = declared_by(request, count_of(request, "Upload-Length"))
+    kind, _, named = request.headers.get("upload-concat", "").partition(";")
+    if kind == "final":
+        return await _joined(request, platform, caller, named)
+    if kind not in ("", "partial"):
+        raise ApiError("bad_tus_header", f"Upload-Concat is {kind[:80]!r}; expected partial, or final;URL URL …")
+    declared = declared_by(request, count_of(request, "Upload-Length"), is_part=kind == "partial")
     first = piece_of(request, 0) if _brings_bytes(request) else None
     refuse_unscoped(caller, declared)
     upload = await in_thread(create, platform, owner_of(caller), declared)
@@ -63,6 +65,15 @@ def refuse_unscoped(caller: Caller, declared: UploadDeclaration) -> None:
     scope = "submit" if declared.purpose == SUBMISSION else "upload"
     if scope not in caller.scopes:
         raise ForbiddenError(f"a {declared.purpose} needs the scope {scope!r}; yours are {sorted(caller.scopes)}")
+
+
+async def _joined(request: Request, platform: Platform, caller: Caller, named: str) -> Upload:
+    """The upload that is made of the parts with these URLs."""
+    declared = declared_by(request, 0)
+    refuse_unscoped(caller, declared)
+    part_ids = [url.rpartition("/")[2] for url in named.split()]
+    upload = await in_thread(create_joined, platform, owner_of(caller), declared, part_ids)
+    return await in_thread(settle_if_whole, platform, upload)
 
 
 async def _receive_first(request: Request, platform: Platform, upload: Upload, first: UploadChunk) -> Upload:

@@ -1,8 +1,8 @@
 """Strict parsers of the tus 1.0 headers: numbers, checksums, metadata.
 
-**Conventions.** Protocol: tus.io, resumable upload 1.0.0 with creation, creation-with-upload, checksum, expiration and
-termination. Metadata keys: `filename` and `purpose`, and where known `target_id` and `sha256`; others are read and
-ignored, since clients add their own.
+**Conventions.** Protocol: tus.io, resumable upload 1.0.0 with creation, creation-with-upload, checksum, concatenation,
+expiration and termination. Metadata keys: `filename` and `purpose`, and where known `target_id` and `sha256`; others
+are read and ignored, since clients add their own.
 """
 
 import re
@@ -23,8 +23,9 @@ from services.runtime.orm import Upload
 from services.runtime.uploads.creation import PURPOSES, UploadDeclaration
 from services.runtime.uploads.errors import BadMetadataError
 from services.runtime.uploads.reception import ALGORITHMS, Checksum, UploadChunk
+from services.runtime.uploads.rows import PART
 
-EXTENSIONS = "creation,creation-with-upload,checksum,expiration,termination"
+EXTENSIONS = "creation,creation-with-upload,checksum,concatenation,expiration,termination"
 CHUNK_TYPE = "application/offset+octet-stream"
 LONGEST_METADATA = 8192
 MOST_PAIRS = 32
@@ -61,9 +62,14 @@ def piece_of(request: Request, offset_bytes: int) -> UploadChunk:
     return UploadChunk(offset_bytes, count_of(request, "Content-Length") if is_sized else None, _checksum(request))
 
 
-def declared_by(request: Request, length_bytes: int) -> UploadDeclaration:
-    """The file that a creation declares. Raises `bad_tus_header`, `BadMetadataError`."""
+def declared_by(request: Request, length_bytes: int, *, is_part: bool = False) -> UploadDeclaration:
+    """The file that a creation declares, or a part of one, which needs no metadata.
+
+    Raises `bad_tus_header`, `BadMetadataError`.
+    """
     known = _metadata(request.headers.get("upload-metadata", ""))
+    if is_part:
+        known = {"filename": PART, **known, "purpose": PART, "target_id": ""}
     for name in ("filename", "purpose"):
         if name not in known:
             raise BadMetadataError(name, "", "it among the pairs of Upload-Metadata")

@@ -6,10 +6,11 @@ so a client that was killed, or another one, goes on where the bytes on the serv
 
 import base64
 import os
+from collections.abc import Mapping
 from dataclasses import dataclass
 from hashlib import sha256
 from pathlib import Path
-from typing import BinaryIO, Protocol
+from typing import Any, BinaryIO, Protocol
 
 from stone_client.api import Api, Patience
 from stone_client.errors import ServerRefusedError, ServerUnreachableError, file_changed
@@ -78,8 +79,8 @@ def upload_file(api: Api, local: LocalContent, purpose: Purpose, progress: Repor
 
     Raises what `Api.send` raises, and `file_changed`.
     """
-    upload_id, offset = _begun(api, local, purpose) or _create(api, local, purpose)
-    _send_rest(api, f"/uploads/{upload_id}", _Rest(local, offset), progress)
+    upload_id, offset = begun(api, local, purpose) or created(api, local, purpose)
+    send_rest(api, f"/uploads/{upload_id}", Rest(local, offset), progress)
     return upload_id
 
 
@@ -98,14 +99,14 @@ def hashed(path: Path, progress: Report) -> LocalFile:
 
 
 @dataclass
-class _Rest:
+class Rest:
     """The bytes still to be sent; `offset` is where the bytes on the server end."""
 
     local: LocalContent
     offset: int
 
 
-def _send_rest(api: Api, address: str, rest: _Rest, progress: Report) -> None:
+def send_rest(api: Api, address: str, rest: Rest, progress: Report) -> None:
     size_bytes = rest.local.size_bytes
     patience = Patience(PATIENCE_S)
     progress("upload", rest.offset, size_bytes)
@@ -117,7 +118,7 @@ def _send_rest(api: Api, address: str, rest: _Rest, progress: Report) -> None:
         except (ServerRefusedError, ServerUnreachableError) as error:
             if not _may_pass(error) or not patience.wait(None):
                 raise
-            rest.offset = _offset(api, address)
+            rest.offset = offset_on(api, address)
         if rest.offset > before:
             patience = Patience(PATIENCE_S)
         progress("upload", rest.offset, size_bytes)
@@ -140,31 +141,43 @@ def _may_pass(error: ServerRefusedError | ServerUnreachableError) -> bool:
     return isinstance(error, ServerUnreachableError) or error.status in TRY_AGAIN
 
 
-def _begun(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int] | None:
+def begun(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int] | None:
     """The upload of these bytes to this target that is under way or complete, with its offset.
 
     Asked of the upload itself: a server killed after the last byte then verifies what it has.
     """
-    asked = (purpose.name, purpose.target_id or None, local.name, local.size_bytes, local.sha256)
+    item = upload_like(api, local, purpose)
+    return None if item is None else (str(item["id"]), offset_on(api, f"/uploads/{item['id']}"))
+
+
+def upload_like(api: Api, local: LocalContent, purpose: Purpose) -> Mapping[str, Any] | None:
+    """The upload as the server lists it."""
+    asked = (purpose.name, purpose.target_id or None, local.name, local.size_bytes, local.sha256 or None)
     for state in ("open", "complete"):
         for item in api.pages("/uploads", state=state):
             keys = ("purpose", "target_id", "filename", "length_bytes", "declared_sha256")
             if tuple(item[key] for key in keys) == asked:
-                return str(item["id"]), _offset(api, f"/uploads/{item['id']}")
+                found: Mapping[str, Any] = item
+                return found
     return None
 
 
-def _create(api: Api, local: LocalContent, purpose: Purpose) -> tuple[str, int]:
+def upload_metadata(local: LocalContent, purpose: Purpose) -> str:
+    """The header that says what the bytes are."""
+    said = {"filename": local.name, "purpose": purpose.name, "sha256": local.sha256, "target_id": purpose.target_id}
+    pairs = ((key, base64.b64encode(value.encode()).decode("ascii")) for key, value in said.items() if value)
+    return ",".join(f"{key} {value}" for key, value in pairs)
+
+
+def created(api: Api, local: LocalContent, purpose: Purpose, concat: str = "") -> tuple[str, int]:
     """Announce the file; its id, and how much of it the server has already."""
-    said = {"filename": local.name, "purpose": purpose.name, "sha256": local.sha256}
-    if purpose.target_id:
-        said["target_id"] = purpose.target_id
-    metadata = ",".join(f"{key} {base64.b64encode(value.encode()).decode('ascii')}" for key, value in said.items())
-    headers = {**TUS, "Upload-Length": str(local.size_bytes), "Upload-Metadata": metadata}
-    created = api.send("POST", "/uploads", headers=headers).headers
-    return created["Location"].rpartition("/")[2], int(created["Upload-Offset"])
+    headers = {**TUS, "Upload-Length": str(local.size_bytes), "Upload-Metadata": upload_metadata(local, purpose)}
+    if concat:
+        headers["Upload-Concat"] = concat
+    made = api.send("POST", "/uploads", headers=headers).headers
+    return made["Location"].rpartition("/")[2], int(made["Upload-Offset"])
 
 
-def _offset(api: Api, address: str) -> int:
+def offset_on(api: Api, address: str) -> int:
     """The offset of the server's bytes."""
     return int(api.send("HEAD", address, headers=TUS).headers["Upload-Offset"])

@@ -13,7 +13,8 @@ from stone_base.errors import Refused
 from stone_client.api import Api, Patience
 from stone_client.errors import ServerRefusedError, unknown_subject
 from stone_client.files.bags import LocalBag, part_of
-from stone_client.files.tus import Purpose, upload_file
+from stone_client.files.parallel import upload_in_parts
+from stone_client.files.tus import Purpose
 from stone_client.progress import Report
 from stone_client.server.job_following import AWAY_S, POLL_S, follow
 from stone_files.calibration_bundle import read_bundle, zipped
@@ -83,7 +84,7 @@ def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
 def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -> Item:
     """Send the files of the bag and have it read; a bag that the sequence has already is not sent again.
 
-    Raises the code of a refused recording's first finding, `JobFailedError`, and what `upload_file` raises.
+    Raises the code of a refused recording's first finding, `JobFailedError`, and what `upload_in_parts` raises.
     """
     recording = _recorded(api, sequence, local)
     if recording is None:
@@ -91,7 +92,7 @@ def add_recording(api: Api, sequence: Item, local: LocalBag, progress: Report) -
         upload_ids = []
         for number, file in enumerate(local.files):
             before = sum(earlier.size_bytes for earlier in local.files[:number])
-            upload_ids.append(upload_file(api, file, purpose, part_of(progress, before, local.size_bytes)))
+            upload_ids.append(upload_in_parts(api, file, purpose, part_of(progress, before, local.size_bytes)))
         several = {"upload_ids": upload_ids, "name": local.name}
         body = several if len(upload_ids) > 1 else {"upload_id": upload_ids[0]}
         accepted = api.create(f"/sequences/{sequence['id']}/recordings", body)

@@ -57,10 +57,26 @@ def test_what_is_no_count_is_refused_as_a_length_and_as_an_offset(api: httpx.Cli
         assert code_of(patch(api, curator, where, 0, b"a", Upload_Offset=offset)) == (400, "bad_tus_header")
 
 
-def test_a_deferred_length_and_a_concatenation_are_refused_by_name(api: httpx.Client, curator: Person) -> None:
+def test_a_deferred_length_and_an_unknown_concatenation_are_refused_by_name(api: httpx.Client, curator: Person) -> None:
     headers = {**TUS, **curator.headers}
     assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Defer-Length": "1"})) == (400, "length_deferred")
-    assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Concat": "partial"})) == (400, "tus_extension")
+    assert code_of(api.post(UPLOADS, headers={**headers, "Upload-Concat": "both"})) == (400, "bad_tus_header")
+
+
+def test_parts_are_joined_as_tus_says(api: httpx.Client, curator: Person) -> None:
+    assert "concatenation" in api.options(UPLOADS).headers["Tus-Extension"].split(",")
+    headers, where = {**TUS, **curator.headers}, []
+    for content in (CONTENT[:4000], CONTENT[4000:]):
+        part = {**headers, "Upload-Length": str(len(content)), "Upload-Concat": "partial"}
+        where.append(api.post(UPLOADS, headers=part).headers["Location"])
+        assert patch(api, curator, where[-1], 0, content).status_code == 204
+    said = metadata(filename="run.mcap", purpose="recording", sha256=sha256_of(CONTENT))
+    final = {**headers, "Upload-Concat": f"final;{' '.join(where)}", "Upload-Metadata": said}
+    made = api.post(UPLOADS, headers=final)
+    assert (made.status_code, made.headers["Upload-Offset"]) == (201, str(len(CONTENT)))
+    whole = shown(api, curator, made.headers["Location"])
+    assert (whole["state"], whole["sha256"], whole["purpose"]) == ("complete", sha256_of(CONTENT), "recording")
+    assert code_of(api.post(UPLOADS, headers=final)) == (409, "wrong_upload_state")
 
 
 def test_metadata_is_read_strictly(api: httpx.Client, curator: Person) -> None:
@@ -127,7 +143,7 @@ def test_what_is_spoken_is_said_to_anybody(api: httpx.Client, platform: Platform
     assert reply.headers["Tus-Version"] == "1.0.0"
     assert reply.headers["Tus-Max-Size"] == str(platform.settings.uploads.max_bytes)
     assert reply.headers["Tus-Checksum-Algorithm"] == "sha1,sha256"
-    spoken = {"creation", "creation-with-upload", "checksum", "expiration", "termination"}
+    spoken = {"creation", "creation-with-upload", "checksum", "concatenation", "expiration", "termination"}
     assert set(reply.headers["Tus-Extension"].split(",")) == spoken
 
 

@@ -21,6 +21,7 @@ from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate
 from stone_client.api import Api
 from stone_client.credentials import Server
+from stone_client.files import parallel, tus
 from stone_client.files.bags import bags_among, called, hashed_bag
 from stone_client.files.tus import Purpose, hashed, upload_file
 from stone_client.server.sequences import add_recording, ensure_sequence, has_other_recording
@@ -306,3 +307,41 @@ def test_a_recording_in_place_is_registered_once_and_nothing_is_sent(
     assert json.loads(first.stdout)["recordings"] == json.loads(again.stdout)["recordings"]
     assert [refused(one) for one in (gone, other, unnamed)] == ["recording_vanished", "unknown_root", "bad_place"]
     assert uploads(platform) == []
+
+
+def test_a_large_file_comes_in_parts_side_by_side_and_goes_on_where_they_ended(
+    platform: Platform, url: str, owner: Person, bag: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    size_bytes = bag.stat().st_size
+    monkeypatch.setattr(parallel, "LEAST_PART_BYTES", size_bytes // 5)
+    monkeypatch.setattr(tus, "PIECE_BYTES", size_bytes // 25)
+    local, purpose = hashed(bag, quiet), Purpose("recording")
+    told = list[int]()
+
+    def interrupt(stage: str, done: int, total: int) -> None:
+        assert (stage, total) == ("upload", size_bytes)
+        if done > size_bytes // 2:
+            raise KeyboardInterrupt
+        told.append(done)
+
+    with Api(Server(url, owner.secret)) as api:
+        with pytest.raises(KeyboardInterrupt):
+            parallel.upload_in_parts(api, local, purpose, interrupt)
+        before = [upload for upload in rows(platform) if upload.purpose == "part"]
+        assert 2 <= len(before) <= 5
+        again = list[int]()
+        upload_id = parallel.upload_in_parts(api, local, purpose, lambda _stage, done, _total: again.append(done))
+        assert parallel.upload_in_parts(api, local, purpose, quiet) == upload_id
+        other = parallel.upload_in_parts(api, hashed(bag, quiet), Purpose("recording", ""), quiet)
+    assert other == upload_id
+    assert max(again) == size_bytes
+    parts = [upload for upload in rows(platform) if upload.purpose == "part"]
+    assert {upload.id for upload in before} <= {upload.id for upload in parts}
+    assert (len(parts), {upload.state for upload in parts}) == (5, {"consumed"})
+    assert stored_file(platform.settings, upload_id).read_bytes() == bag.read_bytes()
+    assert sum(path.stat().st_size for path in platform.settings.uploads_folder.iterdir()) == size_bytes
+
+
+def rows(platform: Platform) -> list[Upload]:
+    with platform.database.reading() as session:
+        return list(session.scalars(select(Upload)))

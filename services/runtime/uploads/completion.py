@@ -9,6 +9,8 @@ from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.backends import LockedUpload, backend_of
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError, upload_state
+from services.runtime.uploads.joining import join_parts, part_ids_of
+from services.runtime.uploads.part_rows import STORE
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find, leave, move
 
 
@@ -23,7 +25,7 @@ def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str =
         end(platform, upload, "failed", str(mismatch))
         raise mismatch
     with platform.database.transaction() as session:
-        moved = move(session, upload, "complete", sha256=found, expires_ns=expiry_ns(platform))
+        moved = move(session, upload, "complete", sha256=found, detail="", expires_ns=expiry_ns(platform))
     current = find(platform.database, upload.id, upload.owner_id)
     if not moved and current.state not in WHOLE:  # another process may have settled it: then it is complete as well
         raise upload_state(upload.id, current.state, "completed", "open")
@@ -56,8 +58,8 @@ def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
 
     Raises `FileMismatchError`, `FileNotFoundError`.
     """
-    backend = backend_of(platform, upload)
-    if upload.state != "open" or backend.offset_of(upload.id) < upload.length_bytes:
+    backend, is_joined = backend_of(platform, upload), bool(part_ids_of(upload))
+    if upload.state != "open" or (not is_joined and backend.offset_of(upload.id) < upload.length_bytes):
         return upload
     try:
         held = backend.hold(upload)
@@ -65,8 +67,9 @@ def settle_if_whole(platform: Platform, upload: Upload) -> Upload:
         return upload
     try:
         current = find(platform.database, upload.id, upload.owner_id)
+        seen = join_parts(platform, current, held) if is_joined and current.backend != STORE else ""
         is_whole = current.state == "open" and held.kept_bytes == current.length_bytes
-        return settle(platform, current, held) if is_whole else current
+        return settle(platform, current, held, seen) if is_whole else current
     finally:
         held.close()
 

@@ -19,7 +19,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.errors import BadMetadataError, upload_too_large
-from services.runtime.uploads.rows import UploadOwner, expiry_ns, is_waiting
+from services.runtime.uploads.rows import PART, UploadOwner, expiry_ns, is_waiting
 from stone.errors import Refused
 
 # The client's declaration of a file to upload, validated.
@@ -47,7 +47,7 @@ class UploadDeclaration:
 
     def __post_init__(self) -> None:
         check_filename(self.filename)
-        if self.purpose not in PURPOSES:
+        if self.purpose not in (*PURPOSES, PART):
             raise BadMetadataError("purpose", self.purpose, f"one of {', '.join(PURPOSES)}")
         if not TARGET.fullmatch(self.target_id):
             raise BadMetadataError("target_id", self.target_id, "an id of at most 64 letters, digits, _ and -")
@@ -77,7 +77,7 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
     if declared.length_bytes > limit_bytes:
         raise upload_too_large(declared.length_bytes, limit_bytes)
     refuse_foreign_target(platform, owner, declared)
-    upload = _row(platform, owner, declared)
+    upload = new_upload(platform, owner, declared, declared.length_bytes)
     backend = backend_of(platform, upload)
     is_here = backend.begin(upload)
     try:
@@ -102,7 +102,8 @@ def owner_limit_bytes(platform: Platform, owner: UploadOwner) -> int:
     return settings.submissions.participant_bytes if owner.is_participant else settings.uploads.owner_bytes
 
 
-def _row(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) -> Upload:
+def new_upload(platform: Platform, owner: UploadOwner, declared: UploadDeclaration, length_bytes: int) -> Upload:
+    """An open upload, not added to a session yet."""
     return Upload(
         id=new_id(),
         owner_id=owner.user_id,
@@ -110,7 +111,7 @@ def _row(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) ->
         target_id=declared.target_id,
         backend=platform.settings.uploads.backend,
         filename=declared.filename,
-        length_bytes=declared.length_bytes,
+        length_bytes=length_bytes,
         declared_sha256=declared.sha256,
         state="open",
         sha256="",

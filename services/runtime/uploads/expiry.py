@@ -12,6 +12,7 @@ from itertools import islice
 
 import structlog
 from sqlalchemy import ColumnElement, and_, exists, or_, select, tuple_
+from sqlalchemy.orm import aliased
 
 from services.runtime.database.transactions import Database
 from services.runtime.orm import DatasetImport, RecordingFile, SubmissionRow, Upload
@@ -21,7 +22,7 @@ from services.runtime.store.gc_holds import ListingWalk
 from services.runtime.uploads.backends import UploadBackend, backend_of, backends
 from services.runtime.uploads.completion import settle_if_whole
 from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
-from services.runtime.uploads.rows import GONE, is_waiting, leave
+from services.runtime.uploads.rows import GONE, PART, is_waiting, leave
 
 # The cursor of the uploads' sweep, which looks at some of very many uploads each time.
 #
@@ -161,7 +162,10 @@ def _is_needed_no_more() -> ColumnElement[bool]:
     submitted = exists().where(SubmissionRow.upload_id == Upload.id, SubmissionRow.blob_sha256.is_(None))
     unread = (DatasetImport.blob_sha256.is_(None), DatasetImport.finished_ns.is_(None))
     imported = exists().where(DatasetImport.upload_id == Upload.id, *unread)
+    whole = aliased(Upload)
+    joining = exists().where(whole.id == Upload.target_id, whole.state == "open")
     used = or_(
+        and_(Upload.purpose == PART, ~joining),
         and_(Upload.purpose == "recording", ~recorded),
         and_(Upload.purpose == "submission", ~submitted),
         and_(Upload.purpose == "dataset", ~imported),

@@ -103,6 +103,18 @@ def forget(platform: Platform, upload_id: str) -> None:
             )
 
 
+def join(session: Session, whole_id: str, lengths: Sequence[tuple[str, int]]) -> None:
+    """Give an upload the bytes of others, in this order; what is asked for is each one's id and length."""
+    start = 0
+    for part_id, length_bytes in lengths:
+        moved = update(UploadPartRow).where(UploadPartRow.upload_id == part_id)
+        place = UploadPartRow.offset_bytes + start
+        session.execute(
+            moved.values(upload_id=whole_id, offset_bytes=place), execution_options={"synchronize_session": False}
+        )
+        start += length_bytes
+
+
 def share(session: Session, upload: Upload) -> bool:
     """Give a new upload the bytes that its owner has here already; false when there are none.
 

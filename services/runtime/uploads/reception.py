@@ -18,6 +18,7 @@ from services.runtime.uploads.backends import LockedUpload, backend_of
 from services.runtime.uploads.completion import settle
 from services.runtime.uploads.errors import DiskFullError, upload_gone
 from services.runtime.uploads.files import ROLLING
+from services.runtime.uploads.joining import part_ids_of
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find_alive, move, refuse_gone
 from stone.errors import Refused
 
@@ -161,6 +162,8 @@ def receive(platform: Platform, upload_id: str, owner_id: str, piece: UploadChun
     if upload.state in WHOLE:
         _refuse_misplaced(upload, upload.length_bytes, piece)
         return None
+    if part_ids_of(upload):
+        raise Refused("joined_upload", f"the bytes of upload {upload.id} are those of its parts; send none to it")
     held = _held(platform, upload)
     try:
         upload = find_alive(platform.database, upload_id, owner_id)

@@ -25,6 +25,8 @@ from services.runtime.uploads.errors import upload_gone, upload_state
 from services.runtime.uploads.files import upload_file
 from stone.errors import Refused
 
+PART = "part"
+"""The purpose of an upload that is to be joined with others (`joining.py`)."""
 WHOLE = ("complete", "consumed")
 GONE = ("failed", "expired", "terminated")
 
