@@ -26,7 +26,6 @@ PROBLEM_TYPES = {
     "expired_token": ProblemType(400, "The device code is unknown, has expired or was used"),
     "length_deferred": ProblemType(400, "Upload-Defer-Length is not supported; the length must be known at creation"),
     "sign_in_state": ProblemType(400, "The answer of a provider does not belong to a sign-in that this browser began"),
-    "tus_extension": ProblemType(400, "The client asks for a part of tus that this server does not have"),
     "unauthenticated": ProblemType(401, "Not signed in, or the token or session is no longer valid"),
     "wrong_password": ProblemType(401, "The name or the password is wrong"),
     "access_denied": ProblemType(403, "The program was denied, or the approving account was deactivated"),
