@@ -81,4 +81,4 @@ def seen_by_lidar(truth: Grid) -> Grid:
     is_occupied = truth > 0
     height = truth.shape[2]
     lowest = np.where(is_occupied.any(axis=2), is_occupied.argmax(axis=2), height)
-    return (np.arange(height) >= lowest[..., None]).astype(np.uint8)
+    return np.asarray(np.arange(height) >= lowest[..., None], dtype=np.uint8)
