@@ -9,7 +9,7 @@ import re
 from pathlib import Path
 
 from stone_base.errors import Refused, StoneError
-from stone_base.label_grid import LabelGrid, grid_of_shape
+from stone_base.label_grid import LabelGrid
 
 SHAPE = re.compile(r"\((\d{1,4}), (\d{1,4}), (\d{1,4})\)")
 
@@ -58,9 +58,7 @@ def shape_hint(expected: str, found: str) -> str:
     }.get(found)
     if step is not None:
         return f"axes are x, y, z: {step}"
-    grid = grid_of_shape((x, y, z))
-    size = f" of {grid.voxel_m:g} m" if grid else ""
-    return f"axes are x, y, z, with {x} × {y} × {z} voxels{size}, in C order"
+    return f"axes are x, y, z, with {x} × {y} × {z} voxels, in C order"
 
 
 class SubmissionError(StoneError):

@@ -270,3 +270,26 @@ def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets
+
+
+GRID_HOMES = {
+    "stone_base/label_grid.py",
+    "api/schemas/grids.py",  # examples of the API
+    "simulator/verdict.py",  # an oracle, which is made without the platform
+    "stone_local/demo/benchmark.py",  # how far a corridor reaches
+}
+
+
+def test_a_grid_has_one_home() -> None:
+    """No extent or shape of the paper's grid stands elsewhere: a program that knows one grid knows it by its value."""
+    found = set[str]()
+    for path in SOURCES:
+        name = path.relative_to(ROOT).as_posix()
+        if name.startswith(("chaos/", "fuzz/", "testing/")) or name in GRID_HOMES:
+            continue
+        for node in nodes_of(path):
+            is_extent = isinstance(node, ast.Constant) and node.value in (25.6, 51.2)
+            sides = [getattr(one, "value", None) for one in node.elts] if isinstance(node, ast.Tuple | ast.List) else []
+            if is_extent or sides in ([256, 256, 32], [200, 200, 16]):
+                found.add(f"{name}:{getattr(node, 'lineno', 0)}")
+    assert found == set()

@@ -10,19 +10,19 @@ import pytest
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
-from services.domain.viewer.formats import TileVoxels, voxels_bytes
+from services.domain.viewer.formats import TileVoxels
 from services.domain.viewer.frame_picture import DIFFERENCE_RGB
 from services.runtime.orm import Artefact, SequenceRow
 from stone.geometry.se3 import SE3
 from stone.labels.class_colours import CLASS_RGB, PALETTES
 from stone.scoring.agreement import DIFFERENCES, SAME, differences
-from stone_base.label_grid import MAP_VOXEL_M, PAPER, RELEASE
+from stone_base.label_grid import MAP_VOXEL_M, RELEASE
 from testing.api.serving import Person
 from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import Grid, Run, observed_of, viewed
+from testing.worlds.viewer_world import Grid, Run, viewed
 from tests.web.looking import keep
 from tests.web.test_viewer_data import IMPORTS
 
@@ -74,13 +74,6 @@ def readout(page: Page) -> dict[str, str]:
     shown = page.locator(".viewer-readout")
     names, values = shown.locator("dt").all_text_contents(), shown.locator("dd").all_text_contents()
     return dict(zip(names, values, strict=True)) | {"class": shown.locator("h3").inner_text()}
-
-
-def send_voxels(page: Page, facts: dict[str, Any], run: Run) -> None:
-    """Answer for the platform, which reads no frame of this grid."""
-    for token, grid in zip(facts["tokens"], run.grids if run.grid != PAPER else [], strict=False):
-        body = voxels_bytes(grid, observed_of(grid))
-        page.route(f"**/frames/{token}/voxels?*", lambda route, _, body=body: route.fulfill(body=body))  # type: ignore[misc]
 
 
 def row_at(tile: TileVoxels, place: str, voxel_m: float = MAP_VOXEL_M) -> int:
@@ -249,7 +242,6 @@ def test_a_frame_of_the_released_datasets_grid_is_picked_in_and_so_is_its_map(
 ) -> None:
     seen = viewed(site.platform, curator, run, has_clouds=True)
     with site.visit(curator) as page:
-        send_voxels(page, seen, run)
         page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
         expect(host(page)).to_have_attribute("data-state", "ready")
         canvas(page).focus()

@@ -17,7 +17,7 @@ from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds.viewer_cameras import CHANNELS, camera_files, lens_of, played, shutter_pose
 from testing.worlds.viewer_world import BLOCK_M, Run, viewed
-from tests.web.test_viewer import VIEWER, canvas, host, readout, send_voxels
+from tests.web.test_viewer import VIEWER, canvas, host, readout
 from tests.web.test_viewer_data import IMPORTS
 
 RUN, RELEASED = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=6.0, grid=RELEASE)
@@ -42,7 +42,6 @@ def seen(site: Site, curator: Person, request: pytest.FixtureRequest) -> dict[st
 @pytest.fixture
 def at_viewer(site: Site, curator: Person, seen: dict[str, Any]) -> Iterator[Page]:
     with site.visit(curator) as page:
-        send_voxels(page, seen, seen["run"])
         page.goto(f"/sequences/{seen['id']}/view?frame={seen['tokens'][1]}")
         expect(strip(page)).to_have_attribute("data-frame", "1")
         yield page

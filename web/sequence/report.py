@@ -11,6 +11,7 @@ from typing import Any
 from api.files import StoredFile
 from services.runtime.store.protocol import Store
 from stone_base.codes.catalogue import PROFILE_CODES
+from stone_base.label_grid import PAPER
 
 MOST_BYTES = 4_000_000
 CLASS_KEYS = ("traversable", "potentially_traversable", "non_traversable")
@@ -46,6 +47,7 @@ class Report:
     """
 
     profile: str
+    grid: str
     pose_source: str
     excluded: int
     shares: tuple[float, float, float] | None
@@ -75,6 +77,7 @@ def report_of(record: Mapping[str, Any]) -> Report:
     mapped, observed = record.get("map") or {}, record.get("observed_ratio") or {}
     return Report(
         profile=str(parameters.get("profile") or ""),
+        grid=str((record.get("grid") or {}).get("name") or PAPER.name),
         pose_source=str(record.get("pose_source") or ""),
         excluded=len(record.get("excluded") or ()),
         shares=None if shares is None else tuple(float(shares[key]) for key in CLASS_KEYS),  # type: ignore[arg-type]

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 
 from stone.errors import ShapeError
 from stone.labels.baseline import DEFAULTS, N, P, T, column_centres_m, ground_heights, predict_from_sweep
-from stone_base.label_grid import PAPER
+from stone_base.label_grid import PAPER, RELEASE
 
 Points = NDArray[np.float32]
 FLAT_LAYER = 10  # z = 0.05 m lies in [0, 0.2)
@@ -101,3 +101,20 @@ def test_only_the_robots_own_footprint_is_known_without_a_point() -> None:
     assert np.abs(x_m[known_x]).max() == pytest.approx(0.9)
     assert np.abs(y_m[0, known_y]).max() == pytest.approx(0.3)
     assert len(known_x) == 10 * 4
+
+
+def test_at_the_releases_grid_the_same_sweep_gives_the_same_ground():
+    """Flat ground with a wall: each column's class is that of the paper's grid around the same place."""
+    x, y = np.meshgrid(np.arange(-24, 24, 0.1), np.arange(-24, 24, 0.1))
+    ground = np.stack([x.ravel(), y.ravel(), np.full(x.size, 0.02)], axis=1)
+    wall = np.stack(np.meshgrid(np.arange(6, 6.4, 0.1), np.arange(-3, 3, 0.1), np.arange(0, 1.5, 0.1)), axis=-1)
+    sweep = np.concatenate([ground, wall.reshape(-1, 3)]).astype(np.float32)
+    fine, coarse = predict_from_sweep(sweep), predict_from_sweep(sweep, DEFAULTS, RELEASE)
+    assert (fine.shape, coarse.shape) == (PAPER.shape, RELEASE.shape)
+    for place in ((3.1, 0.1, 0.02), (-5.0, 4.9, 0.02), (10.1, -8.1, 0.02), (6.2, 0.2, 1.1)):
+        found = []
+        for grid, classes in ((PAPER, fine), (RELEASE, coarse)):
+            i, j, k = np.floor((np.array(place) - grid.min_m) / grid.voxel_m).astype(int)
+            found.append(int(classes[i, j, k]))
+        assert found[0] == found[1] > 0
+    assert (coarse > 0).sum() * 4 == pytest.approx((fine > 0).sum(), rel=0.1)
