@@ -1,111 +1,133 @@
-"""The released dataset is imported from its ZIP where it lies, at its own grid, and exported again as published."""
+"""The released dataset goes its whole way on a platform at its own grid: ZIP, labels, version, phase, score, export."""
 
+import io
 import json
-from dataclasses import replace
-from io import BytesIO
+import zipfile
+from collections.abc import Iterator
+from dataclasses import dataclass
 from pathlib import Path
 
 import numpy as np
 import pytest
+from sqlalchemy import select
 
-from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
-from services.labeler.exports.dataset_source import DatasetSource
-from services.labeler.exports.source import REPORT
-from services.labeler.imports.fused_labels import FusedLabels, VoteBricks
-from stone.geometry.lattice import indices_of
-from stone.geometry.se3 import SE3
-from stone_base.label_grid import RELEASE
-from stone_exports.files import FolderFiles
-from stone_exports.frames import frames_in
-from testing.refusals import refused_as
-from testing.worlds.imported import artefacts_of, write_import, write_index
-from testing.worlds.released_datasets import (
-    ReleasedDataset,
-    released_files,
-    with_quaternions_last,
-    write_released_zip,
-)
+from services.domain.exports.requests import start_export
+from services.domain.viewer.frame_grids import read_grids
+from services.runtime.database.migrate import upgrade
+from services.runtime.orm import Artefact, Blob, Dataset, Job, LabelSet, Phase, SequenceRow
+from services.runtime.platform import Platform
+from stone_base.label_grid import RELEASE, recorded_grid
+from testing.api.serving import Person, person
+from testing.servers.fixtures import make_settings, opened
+from testing.worlds.benchmark_world import World, benchmark_over, run_eval, team_led_by
+from testing.worlds.brought_datasets import bring_dataset, files_of
+from testing.worlds.drives import exported_files
+from testing.worlds.published import dataset
+from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
+from testing.worlds.runs import run_all
+from testing.worlds.sending import scores_of, send
+from testing.worlds.submission_files import write_submission
 
-TWIN = ReleasedDataset(scenes=2, frames=3)
+pytestmark = pytest.mark.whole
+
+WHAT = ReleasedDataset(scenes=6, frames=3)
+Labels = np.ndarray[tuple[int, ...], np.dtype[np.uint8]]
+
+
+@dataclass(frozen=True)
+class Released:
+    """A platform with the twin, the sequences' ids by name, and the ZIP it came from."""
+
+    platform: Platform
+    owner: Person
+    sequences: dict[str, str]
+    zip_path: Path
+
+    def published(self) -> dict[str, dict[str, Labels]]:
+        """The arrays `label` of the ZIP by scene and token, as zipfile and NumPy read them."""
+        found: dict[str, dict[str, Labels]] = {}
+        with zipfile.ZipFile(self.zip_path) as archive:
+            for name in archive.namelist():
+                if name.endswith("/labels.npz"):
+                    scene, token = name.split("/")[-3:-1]
+                    with np.load(io.BytesIO(archive.read(name))) as arrays:
+                        found.setdefault(scene, {})[token.replace("-", "")] = arrays["label"]
+        return found
 
 
 @pytest.fixture(scope="module")
-def imported(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder = tmp_path_factory.mktemp("imported")
-    write_import(write_released_zip(folder / "STONE.zip", TWIN), folder)
-    return folder
+def released(tmp_path_factory: pytest.TempPathFactory) -> Iterator[Released]:
+    platform = opened(make_settings(tmp_path_factory.mktemp("released")), [])
+    upgrade(platform.settings)
+    path = write_released_zip(tmp_path_factory.mktemp("published") / "STONE.zip", WHAT)
+    owner = person(platform, "curator")
+    brought = bring_dataset(platform, path, owner.user_id)
+    run_all(platform)
+    assert brought.run().state == "succeeded", brought.run().failure
+    with platform.database.reading() as session:
+        sequences = {row.name: row.id for row in session.scalars(select(SequenceRow).order_by(SequenceRow.name))}
+    yield Released(platform, owner, sequences, path)
+    platform.database.close()
 
 
-def source_of(folder: Path, scene: int, out: Path) -> Path:
-    """The files of a scene as its export writes them."""
-    artefacts = artefacts_of(folder, scene)
-    packs = tuple(sorted((artefacts / SOURCE).glob("*.pack")))
-    DatasetSource(artefacts / SOURCE_INDEX, packs).opened().write(out)
-    return out
+def test_label_sets_have_the_releases_grid_and_its_labels(released: Released) -> None:
+    with released.platform.database.reading() as session:
+        grids = {recorded_grid(one.grid) for one in session.scalars(select(LabelSet))}
+        scenes = select(Blob.object_key).join(Artefact, Artefact.blob_sha256 == Blob.sha256)
+        key = session.scalars(scenes.where(Artefact.name == "scene/scene.json").limit(1)).one()
+    assert grids == {RELEASE}
+    scene = json.loads(b"".join(released.platform.store.read(key)))
+    assert scene["grid"] == {"name": "release", "shape": [200, 200, 16], "min_m": [-40.0, -40.0, -1.0], "voxel_m": 0.4}
+    files = files_of(released.platform, released.owner.user_id)
+    for name, frames in released.published().items():
+        for token, label in frames.items():
+            semantics, observed = read_grids(files[f"{name}/{token}/labels.npz"], ("semantics", "mask_lidar"))
+            np.testing.assert_array_equal(semantics, np.where(label == 255, 0, label))
+            np.testing.assert_array_equal(observed, label != 255)
 
 
-def test_every_label_sensor_file_and_row_comes_back_byte_for_byte(imported: Path, tmp_path: Path) -> None:
-    found, rows = dict[str, bytes](), dict[str, set[bytes]]()
-    for scene in range(TWIN.scenes):
-        out = source_of(imported, scene, tmp_path / str(scene))
-        for path in (one for one in out.rglob("*") if one.is_file()):
-            name, content = path.relative_to(out).as_posix(), path.read_bytes()
-            found[name] = content
-            rows.setdefault(name, set()).update(content.split(b"\n"))
-    for name, content in released_files(TWIN):
-        if name.endswith(".pkl"):
-            continue
-        if name.endswith(".json"):
-            assert {line.rstrip(b",") for line in rows[name]} == {line.rstrip(b",") for line in content.split(b"\n")}
-        else:
-            assert found[name] == content, name
+def test_a_board_over_it_scores_at_its_grid(released: Released, tmp_path: Path) -> None:
+    platform, published = released.platform, released.published()
+    administrator, captain = person(platform, "administrator"), person(platform, "participant")
+    names = list(released.sequences)
+    parts = dict(zip(("train", "val", "test"), (names[:2], names[2:4], names[4:]), strict=True))
+    ids = {part: [released.sequences[name] for name in of_part] for part, of_part in parts.items()}
+    version = dataset(platform, administrator.user_id, ids)
+    benchmark, phases = benchmark_over(platform, administrator, version)
+    with platform.database.reading() as session:
+        phase = session.get_one(Phase, phases["test"])
+        assert recorded_grid(session.get_one(Dataset, phase.dataset_id).grid) == RELEASE
+    truth = {part: {name: published[name] for name in of_part} for part, of_part in parts.items()}
+    team = team_led_by(platform, captain)
+    at = (administrator, released.owner, (captain,), captain, (team,))
+    world = World(platform, *at, benchmark, version, phases["val"], phases["test"], truth, RELEASE)
+    perfect = {token: np.where(one == 255, 0, one).astype(np.uint8) for token, one in world.truth("test").items()}
+    shifted = {token: np.roll(one, 1, axis=0) for token, one in perfect.items()}
+    found = []
+    for number, frames in enumerate((perfect, shifted)):
+        write_submission(tmp_path / f"{number}.zip", frames.items(), RELEASE)
+        submission_id = send(world, (tmp_path / f"{number}.zip").read_bytes(), part="test")
+        run_eval(platform)
+        (score,) = scores_of(platform, submission_id)
+        found.append(score.iou_occ)
+    assert found[0] == 1.0
+    hit = sum(((perfect[token] > 0) & (shifted[token] > 0)).sum() for token in perfect)
+    either = sum(((perfect[token] > 0) | (shifted[token] > 0)).sum() for token in perfect)
+    assert found[1] == pytest.approx(hit / either, rel=1e-12)
 
 
-def test_labels_have_the_tokens_of_the_platform_and_unknown_voxels_become_the_mask(imported: Path) -> None:
-    for scene in range(TWIN.scenes):
-        report = json.loads((artefacts_of(imported, scene) / REPORT).read_text())
-        assert (report["grid"], report["layout"], report["rewritten_frames"]) == (RELEASE.as_record(), "release", 3)
-    given = {name: np.load(BytesIO(one))["label"] for name, one in released_files(TWIN) if name.endswith(".npz")}
-    tokens, pack = TWIN.tables.tokens(1), (artefacts_of(imported, 1) / "labels" / "000000.pack").read_bytes()
-    begins = [
-        at for at in range(len(pack)) if pack.startswith(b"PK\3\4", at) and b"semantics.npy" in pack[at : at + 60]
-    ]
-    assert len(begins) == len(tokens)
-    for token, begin, end in zip(tokens, begins, [*begins[1:], len(pack)], strict=True):
-        label = given[f"gts/{TWIN.tables.names[1]}/{TWIN.written(token)}/labels.npz"]
-        arrays = np.load(BytesIO(pack[begin:end]))
-        assert np.array_equal(arrays["semantics"], np.where(label == 255, 0, label))
-        assert np.array_equal(arrays["mask_lidar"] == 0, label == 255)
-
-
-def test_models_find_frames_of_both_forms_of_tokens(imported: Path, tmp_path: Path) -> None:
-    frames = frames_in(FolderFiles(source_of(imported, 0, tmp_path)))
-    assert tuple(frame.token for frame in frames) == TWIN.tables.tokens(0)
-    assert all(frame.labels is not None for frame in frames)
-
-
-def test_a_dataset_whose_sweeps_refute_its_labels_is_not_imported(tmp_path: Path) -> None:
-    turned = replace(TWIN, changed=with_quaternions_last)
-    with refused_as("DST-073", match="LiDAR mount read x y z w"):
-        write_index(write_released_zip(tmp_path / "turned.zip", turned), tmp_path / "out")
-
-
-def test_a_voxel_of_0_4_m_votes_for_the_eight_map_voxels_that_it_covers(tmp_path: Path) -> None:
-    grid = np.zeros(RELEASE.shape, np.uint8)
-    places = np.array([[0, 0, 0], [100, 101, 3], [199, 199, 15]])
-    grid[tuple(places.T)] = [1, 2, 3]
-    labels = FusedLabels("meadow", tmp_path / "votes", VoteBricks(256, RELEASE))
-    labels.add(grid, SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.2, -0.4, 0.6])))
-    found = {
-        tuple(index): kind
-        for _, keys, kinds in labels.tiles()
-        for index, kind in zip(indices_of(keys).tolist(), kinds.tolist(), strict=True)
-    }
-    cubes = np.stack(np.meshgrid(*[[0, 1]] * 3, indexing="ij"), axis=-1).reshape(-1, 3)
-    low = np.array([-199, -202, -2])  # [-200, -200, -5] + [1, -2, 3], map voxels of 0.2 m
-    wanted = {
-        tuple(index): kind
-        for place, kind in zip(places, (1, 2, 3), strict=True)
-        for index in (low + 2 * place + cubes).tolist()
-    }
-    assert found == wanted
+def test_an_export_gives_every_label_back_byte_for_byte(released: Released) -> None:
+    name = next(iter(released.sequences))
+    with released.platform.database.transaction() as session:
+        export, job = start_export(session, session.get_one(SequenceRow, released.sequences[name]), "nuscenes")
+        export_id, job_id = export.id, job.id
+    run_all(released.platform)
+    with released.platform.database.reading() as session:
+        assert session.get_one(Job, job_id).state == "succeeded", session.get_one(Job, job_id).failure
+    files, compared = exported_files(released.platform, export_id), 0
+    with zipfile.ZipFile(released.zip_path) as archive:
+        for entry in archive.namelist():
+            if f"/gts/{name}/" in entry and entry.endswith("labels.npz"):
+                assert files[entry[entry.index("gts/") :]] == archive.read(entry)
+                compared += 1
+    assert compared == WHAT.frames
