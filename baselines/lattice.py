@@ -72,7 +72,7 @@ class VoxelLattice:
 
 
 def grid_part(lattice: VoxelLattice, grid: LabelGrid) -> tuple[slice, slice, slice]:
-    """Where in a label grid the lattice lies. Raises `ValueError` where it is no part of it."""
+    """Return the part of a label grid that the lattice covers. Raises `ValueError` if it is no part of it."""
     corner = [round((low - of_grid) / grid.voxel_m) for low, of_grid in zip(lattice.min_m, grid.min_m, strict=True)]
     ends = [begin + count for begin, count in zip(corner, lattice.shape, strict=True)]
     fits = all(begin >= 0 and end <= side for begin, end, side in zip(corner, ends, grid.shape, strict=True))

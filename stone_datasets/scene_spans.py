@@ -1,4 +1,4 @@
-"""Where the files of each scene lie in the archive of a dataset, under the names that they have in exports.
+"""The places of the files of each scene in the archive of a dataset, under the names that they have in exports.
 
 **Conventions.** Key-frame data and labels are all there, or their first is refused. A file of a sweep between frames,
 or of a map, that is missing is left out, since nothing is made of it. Of a datum the row of its table is kept (from

@@ -1,4 +1,4 @@
-"""What the user states of a dataset's layout and grid, and the layout that it therefore has.
+"""The layout and grid that the user states of a dataset, and the layout that it therefore has.
 
 **Conventions.** What is stated goes before what is recognised. A grid file is JSON or YAML, as `LabelGrid.as_record`
 makes it.

@@ -213,7 +213,7 @@ LONGEST_PROBLEMS_BYTES = 2**20
 
 @dataclass(frozen=True)
 class Examination:
-    """What is to be looked at, frames of a grid; without a `pack_path` they are checked and nothing is counted."""
+    """The frames of a grid to look at; without a `pack_path` they are checked and nothing is counted."""
 
     zip_path: Path
     tokens: tuple[str, ...]

@@ -93,7 +93,7 @@ def inspected_in(
 
 
 def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
-    """What synchronisation finds; its refusal as an error."""
+    """Return the findings of synchronisation; its refusal is an error."""
     try:
         return synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)[0].findings
     except StoneError as refusal:

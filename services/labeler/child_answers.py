@@ -92,7 +92,7 @@ class WorkAnswer(SandboxAnswer):
 
 
 class TrackAnswer(SandboxAnswer):
-    """When and where a sequence was driven, as `stone.splits.drives.DrivenTrack`."""
+    """The time and place that a sequence was driven at, as `stone.splits.drives.DrivenTrack`."""
 
     asked: ClassVar[str] = "a track"
     log: Annotated[str, StringConstraints(max_length=LONGEST_WORD)]

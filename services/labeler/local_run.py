@@ -143,7 +143,7 @@ def _at_grid(run: LabelRun, grid: LabelGrid) -> LabelRun:
 
 
 def _publish_grid(run: LabelRun, refinement: Any, options: LabelOptions) -> None:
-    """What a folder of labels needs to be scored and exported; pictures and map are those of the first grid."""
+    """Write the files that scores and exports need; pictures and map are those of the first grid."""
     report, out = (
         replace(report_of(run), refinement=refinement),
         run.scratch.parents[2] / FURTHER / run.parameters.grid.name,

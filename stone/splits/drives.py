@@ -29,7 +29,8 @@ Places = tuple[tuple[float, float, float, float], ...]
 
 @dataclass(frozen=True)
 class DrivenTrack:
-    """When and where a sequence was driven: `period_ns` is the median of its frames, `speed_m_s` rarely exceeded.
+    """The times and places that a sequence was driven at: `period_ns` is the median of its frames, `speed_m_s` rarely
+    exceeded.
 
     `places` has one place or more, the first and the last frame's among them. `log` and `vehicle` are '' if unstated.
     """
@@ -46,7 +47,7 @@ class DrivenTrack:
 
 @dataclass(frozen=True)
 class TrackOrigin:
-    """Where the poses of a sequence come from: its log and its vehicle, and the map they lie in, '' if unstated."""
+    """The origin of the poses of a sequence: its log and its vehicle, and the map they lie in, '' if unstated."""
 
     log: str = ""
     vehicle: str = ""
@@ -127,7 +128,7 @@ def _apart_m(one: DrivenTrack, other: DrivenTrack, at_ns: int) -> float:
 
 
 def _place_at(track: DrivenTrack, at_ns: int) -> NDArray[np.float64]:
-    """Of a time outside the track, its nearer end."""
+    """Return the pose at a time; outside the track that of its nearer end."""
     rows = np.array(track.places)
     return np.array([np.interp((at_ns - track.first_ns) / 1e9, rows[:, 0], rows[:, axis]) for axis in (1, 2, 3)])
 
@@ -159,7 +160,7 @@ def gap_between(first: Mapping[str, DrivenTrack | None], second: Mapping[str, Dr
 def _distances(
     first: Mapping[str, DrivenTrack], second: Mapping[str, DrivenTrack]
 ) -> Iterator[tuple[float, tuple[str, str]]]:
-    """Of each map in which both were driven: the least distance, and the sequences it is between."""
+    """Return for each map in which both were driven the least distance, and the sequences it is between."""
     maps = {track.map for track in first.values()} & {track.map for track in second.values()} - {""}
     if not maps:
         return

@@ -56,7 +56,7 @@ def turn_deg(transform: SE3) -> float:
 
 
 def _difference(name: str, recorded: SE3, calibrated: SE3, is_placed: bool) -> Finding | None:
-    """Of a transform that tells no position, the rotation alone."""
+    """Return the rotation of a transform that has no position."""
     if not is_placed:
         recorded = SE3.from_parts(recorded.wxyz, calibrated.translation_m)
     apart = calibrated.inverse() @ recorded

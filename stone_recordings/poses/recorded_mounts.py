@@ -1,4 +1,4 @@
-"""What /tf_static tells of a rig: which way radars look, and what of it cannot be so.
+"""The rig by /tf_static: which way radars look, and which of its transforms cannot be right.
 
 **Conventions.** A radar looks along the x axis of its frame; its yaw is in the frame of the robot's base, positive to
 the left. Its channel is that of the nearest of eight directions. Names go before yaws, except for a number in a frame's

@@ -141,7 +141,7 @@ def inspect_in(bag: Bag, profile: TopicProfile | None = None, scan: Scan | None 
 
 
 def _static_tree(bag: Bag, topics: Sequence[InspectedTopic]) -> StaticTree:
-    """What /tf_static publishes; what of it cannot be read is for the outlook to say."""
+    """Return the transforms of /tf_static; the outlook names those that cannot be read."""
     samples = list[TransformSamples]()
     for topic in topics:
         if topic.role == "tf_static" and topic.topic.count:

@@ -43,7 +43,7 @@ class ReleasedRadar:
 
 @dataclass(frozen=True)
 class ReleasedBag:
-    """What a bag of the release is like; `mounts_m` are the translations of its `/tf_static` by frame, else 0."""
+    """A bag of the release; `mounts_m` are the translations of its `/tf_static` by frame, else 0."""
 
     lidar_topic: str = "/lidar_points"
     pose_topic: str = "/pva/odom"
@@ -84,7 +84,7 @@ def write_release_bag(folder: Path, options: SimulateOptions, facts: ReleasedBag
 
 
 def release_calibration(folder: Path) -> Path:
-    """Where the calibration of a bag is written."""
+    """Return the path of the calibration of a bag."""
     return folder.with_name(f"{folder.name}.calibration.yaml")
 
 

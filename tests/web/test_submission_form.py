@@ -149,7 +149,7 @@ def by_the_platform(folder: Path, archives: list[bytes]) -> list[Found]:
 
 
 def modules_of(page: Page) -> str:
-    """Where the page's modules are."""
+    """Return the folder of the page's modules."""
     sheet = page.locator("link[rel=stylesheet]").get_attribute("href") or ""
     return f"{sheet.rpartition('/')[0]}/modules"
 

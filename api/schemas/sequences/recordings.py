@@ -93,7 +93,7 @@ class RecordingFileItem(Answer):
 
 
 class PlaceItem(Answer):
-    """Where a recording lies that was not uploaded: `path` below `root`."""
+    """The place of a recording that was not uploaded: `path` below `root`."""
 
     model_config = example(root="nas", path="2026/run_0.db3")
 

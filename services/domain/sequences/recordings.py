@@ -183,7 +183,7 @@ def kept_recording(session: Session, recording: Recording) -> StoredRecording:
 
 
 def recording_place(recording: Recording) -> RecordingPlace | None:
-    """Where a recording lies that is read in place."""
+    """The place of a recording that is read where it lies."""
     return None if recording.place is None else RecordingPlace.of_record(recording.place)
 
 

@@ -144,7 +144,7 @@ def picture_bytes(semantics: Grid, observed: Grid, place: LabelGrid | None = Non
 
 
 def _robot_px(grid: LabelGrid) -> tuple[float, float]:
-    """Where the ego origin is in a picture of this grid, from its left and from its top."""
+    """Return the place of the ego origin in a picture of this grid, from its left and from its top."""
     px_per_m = px_per_column(grid.shape) / grid.voxel_m
     ahead_m, left_m, _ = grid.max_m
     return left_m * px_per_m, ahead_m * px_per_m

@@ -152,7 +152,7 @@ ALONE = Surroundings()
 
 
 def surroundings_of(sequence: Sequence, index: int, grid: LabelGrid = GRID) -> Surroundings:
-    """Of frame `index`, labelled at this grid."""
+    """Return the surroundings of frame `index`, labelled at this grid."""
     poses = sequence.frames.map_from_ego
     ego_from_map: SE3 = poses[index].inverse()
     return Surroundings(ego_from_map @ poses.translation_m, sequence.calibration.footprint, grid)
@@ -222,7 +222,7 @@ class _PlanFrame:
         return y, x
 
     def pixels(self, points_ego: NDArray[np.float64]) -> list[tuple[float, float]]:
-        """Where points (P, 2 or 3) are in the picture."""
+        """Return the places of points (P, 2 or 3) in the picture."""
         high_x, high_y = self.grid.max_m[:2]
         across, down = (high_y - points_ego[:, 1]) * self.px_per_m, (high_x - points_ego[:, 0]) * self.px_per_m
         return list(zip(across.tolist(), down.tolist(), strict=True))

@@ -112,7 +112,7 @@ def _summary_offset(view: memoryview, footer: Record, name: str) -> int:
 
 
 def summary_range(view: memoryview, name: str) -> tuple[int, int] | None:
-    """Where the summary lies, footer included; None without one. Looks at the footer alone. Raises as
+    """Return the place of the summary, footer included; None without one. Looks at the footer alone. Raises as
     `read_catalogue`."""
     footer = _footer(view, name)
     start = Fields(view, footer, name).u64()

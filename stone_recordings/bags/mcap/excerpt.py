@@ -54,7 +54,7 @@ def joined_ranges(ranges: Iterable[Range]) -> list[Range]:
 
 
 def planned_excerpt(path: Path, here: Sequence[Range], *, with_pictures: bool) -> ExcerptPlan:
-    """What is to be read next. Raises `BAG-042` for a file without an index, and what opening raises."""
+    """Return the ranges to read next. Raises `BAG-042` for a file without an index, and what opening raises."""
     file = MappedFile(path)
     file.read_ahead(False)
     summary = summary_range(file.view, path.name)

@@ -55,7 +55,7 @@ class ChunkIndex:
 
     @property
     def stop(self) -> int:
-        """Where the message indexes of the chunk end."""
+        """Return the end of the message indexes of the chunk."""
         return self.chunk_offset + self.chunk_bytes + self.message_index_bytes
 
 

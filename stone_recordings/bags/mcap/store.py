@@ -47,7 +47,7 @@ class McapStore(ChunkedStore):
         return self._entries[topic].chunk.astype(np.int64)
 
     def offset_of_messages(self, topic: str) -> NDArray[np.int64]:
-        """Where each message's record begins in its chunk."""
+        """Return the begin of each message's record in its chunk."""
         return self._entries[topic].offset
 
     def chunk(self, number: int) -> Chunk:

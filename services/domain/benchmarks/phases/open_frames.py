@@ -36,7 +36,7 @@ HELD = 4
 
 @dataclass(frozen=True)
 class OpenTruth:
-    """Where the labels of an open ground truth lie, the names of its sequences that nothing hides, and its grid."""
+    """The place of the labels of an open ground truth, the names of its sequences that nothing hides, and its grid."""
 
     located: ExportLocation
     sequences: frozenset[str]

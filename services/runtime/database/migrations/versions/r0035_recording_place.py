@@ -1,4 +1,4 @@
-"""Where a recording lies that is read in place."""
+"""The place of a recording that is read where it lies."""
 
 import sqlalchemy as sa
 from alembic import op
