@@ -1,6 +1,6 @@
-# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-outside | bench-confidence | bench-movers | bench-mounts | bench-real | bench-faults | bench-decisions | bench-models | season | wheels | images
+# make install | develop | platform | baselines | demo | serve | test | test-all | test-kernels | test-baselines | stress | static | check | audit | docs | chaos | fuzz | bench | bench-eval | bench-label | bench-read | bench-datasets | bench-platform | bench-time-left | bench-pages | bench-truth | bench-outside | bench-confidence | bench-movers | bench-mounts | bench-real | bench-release | bench-faults | bench-decisions | bench-models | season | wheels | images
 # Each installs first, which costs nothing when nothing changed.
-.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress style static check check-tests check-beside audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-outside bench-confidence bench-movers bench-mounts bench-real bench-faults bench-decisions bench-models season wheels images
+.PHONY: install develop platform baselines test-baselines test-clients demo serve test test-all test-kernels stress style static check check-tests check-beside audit docs chaos fuzz bench bench-eval bench-label bench-read bench-datasets bench-platform bench-time-left bench-pages bench-truth bench-outside bench-confidence bench-movers bench-mounts bench-real bench-release bench-faults bench-decisions bench-models season wheels images
 .DELETE_ON_ERROR:
 # Hundreds of processes are started: what one has compiled serves the others.
 unexport PYTHONDONTWRITEBYTECODE
@@ -193,6 +193,10 @@ bench-movers: develop
 # make bench-real FOLDER=... reads another folder than the tests' own.
 bench-real: develop
 	$(BIN)/python -m benchmarks.real $(FOLDER)
+
+# make bench-release FOLDER=... compares our labels with the released ones in it, without FOLDER with a twin's.
+bench-release: develop
+	$(BIN)/python -m benchmarks.release $(FOLDER)
 
 bench-faults: develop
 	$(BIN)/python -m benchmarks.faults

@@ -1,0 +1,107 @@
+"""What `benchmarks.release` found, as tables that can be put into a page."""
+
+from collections import Counter
+from collections.abc import Iterable, Mapping, Sequence
+
+import numpy as np
+from numpy.typing import NDArray
+from rich import box
+from rich.console import Console
+from rich.table import Table
+
+from benchmarks.release.pairs import ReleasedPair
+from benchmarks.release.search import Agreement, Setting
+from stone.findings import Finding
+from stone.labels.profiles import RULES
+from stone.scoring.agreement import BOTH_FREE, DIFFERENCES, differences
+from stone.scoring.confusion import ratios
+from stone.scoring.metric import CLASS_NAMES, CLASSES
+
+RINGS_M = ("0 to 10 m", "10 to 20 m", "from 20 m")
+RATIOS = ("IoU_occ", "IoU_T", "IoU_P", "IoU_N", "mIoU")
+
+
+def ordered(found: Mapping[Setting, Agreement]) -> list[tuple[Setting, Agreement]]:
+    """Return the settings, the closest first."""
+    return sorted(found.items(), key=lambda one: one[1].rank)
+
+
+def show_pair(pair: ReleasedPair) -> None:
+    """Print how the frames of a bag and of the dataset were matched, and which sweeps are no frames, by code."""
+    off_us, apart_m = np.abs(pair.off_ns) // 1000, np.median(pair.apart_m)
+    print(
+        f"\n{pair.name}: {len(pair.rows)} of {len(pair.sequence.frames)} frames have released labels "
+        f"({np.count_nonzero(off_us == 0)} by equal stamps, the others at most {off_us.max() / 1000:.3f} ms off); the "
+        f"median distance of the LiDAR by the bag and by the tables is {apart_m:.3f} m. "
+        f"The released ego origin is {pair.ours_from_theirs.translation_m[2]:.2f} m above the ground."
+    )
+    codes = Counter(one.code for one in pair.sequence.excluded)
+    for code, frames in codes.items():
+        print(f"  {code}: {frames} sweeps of the bag are no frames")
+
+
+def show_findings(findings: Iterable[Finding]) -> None:
+    """Print a line for each code, with the message of its first finding."""
+    by_code = dict[str, list[Finding]]()
+    for finding in findings:
+        by_code.setdefault(finding.code, []).append(finding)
+    for code, ones in sorted(by_code.items()):
+        times = f" ({len(ones)} times)" if len(ones) > 1 else ""
+        print(f"  {ones[0].severity} {code}{times}: {ones[0].message}")
+
+
+def show_settings(title: str, found: Mapping[Setting, Agreement]) -> None:
+    """Print a row for each setting, the closest first."""
+    table = _table("profile", "height", "k", "α", "kept of ours", *RATIOS, "ours unknown to them")
+    for setting, agreement in ordered(found):
+        height = "above local ground" if RULES[setting.profile].is_local else "absolute"
+        shown = (setting.profile, height, str(setting.neighbours), f"{setting.alpha:g}", str(setting.kept))
+        table.add_row(*shown, *map(_share, agreement.ratios), _share(agreement.beyond / max(agreement.labelled, 1)))
+    _print(title, table)
+
+
+def show_closest(setting: Setting, agreement: Agreement) -> None:
+    """Print the confusion of one setting, its ratios by distance, and in what ways voxels differ."""
+    whole = agreement.confusion.sum(axis=0)
+    table = _table("released", *(f"ours {name}" for name in CLASS_NAMES))
+    for name, row in zip(CLASS_NAMES, whole.tolist(), strict=True):
+        table.add_row(name, *(f"{count:,}" for count in row))
+    _print(f"voxels of {setting.profile}, k {setting.neighbours}, α {setting.alpha:g}, kept: {setting.kept}", table)
+    by_ring = _table("distance", *RATIOS, "released T", "P", "N")
+    for name, of_ring in zip(RINGS_M, agreement.confusion, strict=True):
+        by_ring.add_row(name, *map(_share, ratios(of_ring).tolist()), *map(_share, _classes(of_ring)))
+    _print("by distance", by_ring)
+    print("\nof the voxels that either labels, A ours and B theirs:")
+    for name, share in ways_to_differ(whole).items():
+        print(f"  {name}: {_share(share)}")
+
+
+def ways_to_differ(confusion: NDArray[np.int64]) -> dict[str, float]:
+    """Return the shares of a confusion [theirs, ours] by `DIFFERENCES`, A ours; free in both is left out."""
+    theirs, ours = np.indices((CLASSES, CLASSES)).astype(np.uint8)
+    counts = np.bincount(differences(ours, theirs).ravel(), confusion.ravel(), len(DIFFERENCES))
+    counts[BOTH_FREE] = 0
+    shares = counts / max(counts.sum(), 1)
+    return {name: float(shares[code]) for code, name in enumerate(DIFFERENCES) if code != BOTH_FREE}
+
+
+def _classes(confusion: NDArray[np.int64]) -> Sequence[float]:
+    """The shares of T, P and N of what is occupied in the released labels."""
+    occupied = confusion.sum(axis=1)[1:]
+    return [float(one) for one in occupied / max(int(occupied.sum()), 1)]
+
+
+def _share(value: float) -> str:
+    return "" if np.isnan(value) else f"{100 * value:.2f} %"
+
+
+def _table(*columns: str) -> Table:
+    table = Table(box=box.MARKDOWN)
+    for column in columns:
+        table.add_column(column, no_wrap=True)
+    return table
+
+
+def _print(title: str, table: Table) -> None:
+    print(f"\n{title}\n")
+    Console(width=max(Console().width, 200)).print(table)
