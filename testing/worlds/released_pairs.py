@@ -33,7 +33,8 @@ from testing.worlds.published_datasets import FIRST_US, STEP_US, VERSION, Row
 from testing.worlds.release_bags import RELEASED, release_calibration, write_release_bag
 from testing.worlds.released_datasets import ReleasedDataset, released_tables
 
-SCENES = 2
+SCENES, FIRST = 2, 1
+"""The dataset has so many scenes, and the frames of the bag from this one on."""
 HALF_TURN = SE3.from_parts(np.array([0.0, 0.0, 0.0, 1.0]), np.zeros(3))
 Grid = NDArray[np.uint8]
 Change = Callable[[Grid, NDArray[np.float64]], Grid]
@@ -42,7 +43,7 @@ Change = Callable[[Grid, NDArray[np.float64]], Grid]
 
 @dataclass(frozen=True, eq=False)
 class MadePair:
-    """A bag without calibration, and the labels (F, X, Y, Z) of its frames as the release writes them."""
+    """A bag without calibration, and the labels (F, X, Y, Z) of its frames from `FIRST` on, as the release has them."""
 
     bag: Path
     options: SimulateOptions
@@ -68,17 +69,17 @@ class MadePair:
         return path
 
     def _written(self, change: Change | None) -> Iterator[bytes]:
-        for frame, labels in enumerate(self.labels):
+        for frame, labels in enumerate(self.labels, FIRST):
             returns_ego = self.ego_from_lidar @ self.sweeps.sweep(frame).points_lidar.astype(np.float64)
             yield npz_bytes({"label": labels if change is None else change(labels, returns_ego)})
 
     @cached_property
     def _poses(self) -> SE3:
         raised = SE3.from_parts(np.array([1.0, 0, 0, 0]), np.array([0.0, 0.0, RELEASED.ego_height_m]))
-        return build_world(self.options).trajectory.at(self.sequence.frames.stamps_ns) @ raised
+        return build_world(self.options).trajectory.at(self.sequence.frames.stamps_ns[FIRST:]) @ raised
 
     def _changed(self, late_us: int, mounts: Iterator[SE3]) -> Callable[[str, Row], Row]:
-        stamps_us = (self.sequence.frames.stamps_ns // 1000).tolist()
+        stamps_us = (self.sequence.frames.stamps_ns[FIRST:] // 1000).tolist()
 
         def changed(table: str, row: Row) -> Row:
             if table == "calibrated_sensor":
@@ -106,8 +107,9 @@ def make_pair(bag: Path, options: SimulateOptions, parameters: LabelParameters) 
     raised = replace(RELEASE, name="raised", min_m=(x, y, z + lowered_m), unknown=None)
     out = bag.with_name(f"{bag.name}.labels")
     label(sequence, sweeps, out, LabelOptions(replace(parameters, grids=(raised,))))
-    count = len(sequence.frames) // SCENES * SCENES
-    labels = np.stack([_as_released(out / "gts" / "made" / token) for token in sequence.frames.tokens[:count]])
+    count = (len(sequence.frames) - FIRST) // SCENES * SCENES
+    tokens = sequence.frames.tokens[FIRST : FIRST + count]
+    labels = np.stack([_as_released(out / "gts" / "made" / token) for token in tokens])
     shutil.rmtree(out)
     return MadePair(bag, options, given.ego_from_lidar, sequence, sweeps, labels)
 
