@@ -18,7 +18,7 @@ from typing import Any
 import numpy as np
 
 from stone.geometry.se3 import SE3
-from stone.sensors.sequence import NAME
+from stone_base.names import NAME
 from stone_datasets.build import NS_PER_US, channel_and_stamp
 from stone_datasets.columns import NameColumn
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted

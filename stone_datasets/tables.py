@@ -10,7 +10,7 @@ from typing import TypeVar
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
-from stone.sensors.sequence import NAME
+from stone_base.names import NAME
 from stone_datasets.columns import NameColumn, NumberColumn, repeated
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.files import DatasetFiles

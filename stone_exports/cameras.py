@@ -47,18 +47,28 @@ def undistorted_picture(span: ExportContent, lens: CameraIntrinsics, size_px: tu
 
     Raises `DamagedExportError` where it is no JPEG of the size that the tables say.
     """
-    try:
-        with Image.open(BytesIO(span.read(MOST_PICTURE_BYTES)), formats=("JPEG", "PNG")) as image:
-            if image.size != (lens.width_px, lens.height_px) or image.width * image.height > MOST_PIXELS:
-                raise span.damaged(f"it has {image.width} × {image.height} pixels, the tables say otherwise")
-            if _is_straight(lens):
-                image.draft("RGB", size_px)  # the decoder halves it while it decodes
-            picture = image.convert("RGB")
-    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
-        raise span.damaged("it is not an image") from error
+    picture = _decoded(span, (lens.width_px, lens.height_px), size_px if _is_straight(lens) else None)
     if not _is_straight(lens):
         picture = Image.fromarray(_remapped(np.asarray(picture), *_sources(lens)))
     return np.asarray(picture.resize(size_px, Image.Resampling.BILINEAR, reducing_gap=2.0))
+
+
+def recorded_picture(span: ExportContent, lens: CameraIntrinsics | None) -> Pixels:
+    """Return a picture (height, width, 3) uint8 as the camera took it. Raises `DamagedExportError` as above."""
+    return np.asarray(_decoded(span, None if lens is None else (lens.width_px, lens.height_px), None))
+
+
+def _decoded(span: ExportContent, size_px: tuple[int, int] | None, wanted_px: tuple[int, int] | None) -> Image.Image:
+    """Return the picture, which is of this size; the decoder may halve it down to the `wanted_px`."""
+    try:
+        with Image.open(BytesIO(span.read(MOST_PICTURE_BYTES)), formats=("JPEG", "PNG")) as image:
+            if image.size != (size_px or image.size) or image.width * image.height > MOST_PIXELS:
+                raise span.damaged(f"it has {image.width} × {image.height} pixels, the tables say otherwise")
+            if wanted_px is not None:
+                image.draft("RGB", wanted_px)
+            return image.convert("RGB")
+    except (OSError, UnidentifiedImageError, Image.DecompressionBombError, SyntaxError, ValueError) as error:
+        raise span.damaged("it is not an image") from error
 
 
 def _is_straight(lens: CameraIntrinsics) -> bool:

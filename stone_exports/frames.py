@@ -12,7 +12,7 @@ from typing import Any
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
-from stone.sensors.sequence import NAME
+from stone_base.names import NAME
 from stone_exports.cameras import intrinsics_of
 from stone_exports.files import ExportContent, ExportFileSpan, Files
 from stone_exports.tables import row_pose, table_rows, table_span

@@ -1,14 +1,13 @@
 """Labels of a frame in an export or in a version of the dataset: its classes, and which voxels were observed.
 
-**Conventions.** As docs/formats/labels.md: uint8 of the grid's shape, axes x y z of the ego frame; or as the released
-dataset has them, in one array whose number for what is unknown stands for the mask.
+**Conventions.** As docs/formats/labels.md: uint8 of the shape of their grid, axes x y z of the ego frame. A file of the
+released layout has one array, in which voxels of `grid.unknown` are unobserved.
 """
 
 import re
 import zipfile
 import zlib
 from io import BytesIO
-from math import prod
 from tokenize import TokenError
 from typing import Any
 
@@ -25,44 +24,48 @@ RELEASED_KEY = LAYOUTS["release"].label_key
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 HIGHEST_CLASS, UNSURE, NOT_OBSERVED = 3, 254, 255
+RELEASED_KEY = LAYOUTS["release"].label_key
 # What zipfile and numpy raise for bytes that are no archive or no array; `RuntimeError` for one that is encrypted.
 UNREADABLE = (zipfile.BadZipFile, zlib.error, KeyError, ValueError, EOFError, OSError, RuntimeError)
 Classes = NDArray[np.uint8]
 
 
 def observed_classes(span: ExportFileSpan, least_confidence: float = 0.0, grid: LabelGrid = PAPER) -> Classes:
-    """Classes 0–3 of the grid's shape, `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
+    """Return classes 0–3 of the grid's shape, `NOT_OBSERVED` where neither a surface is nor a ray of the run passed.
 
     An occupied voxel below `least_confidence` that its label is right is `UNSURE`. Raises `DamagedExportError`, and
     `no_confidence` if one is required and the labels have none.
     """
-    keys = ("semantics", "mask_lidar", *(("confidence",) if least_confidence > 0 else ()))
-    arrays = _arrays(span, keys, grid)
-    classes = arrays[next(iter(arrays))]
-    is_unknown = classes == grid.unknown if RELEASED_KEY in arrays else (arrays["mask_lidar"] == 0) & (classes == 0)
-    found = np.where(is_unknown, np.uint8(NOT_OBSERVED), classes)
-    highest = int(np.where(is_unknown, 0, classes).max())
-    if highest > HIGHEST_CLASS:
-        raise span.damaged(f"it has class {highest}, the highest is {HIGHEST_CLASS}")
+    arrays = _arrays(span, ("confidence",) if least_confidence > 0 else (), grid)
+    if RELEASED_KEY in arrays:
+        classes = arrays[RELEASED_KEY]
+        is_unknown = classes == (NOT_OBSERVED if grid.unknown is None else grid.unknown)
+        found = np.where(is_unknown, np.uint8(NOT_OBSERVED), classes)
+        classes = np.where(is_unknown, np.uint8(0), classes)
+    else:
+        classes, is_observed = arrays["semantics"], arrays["mask_lidar"]
+        found = np.where((is_observed == 0) & (classes == 0), np.uint8(NOT_OBSERVED), classes)
+    if classes.max() > HIGHEST_CLASS:
+        raise span.damaged(f"it has class {classes.max()}, the highest is {HIGHEST_CLASS}")
     if least_confidence > 0:
         found[(classes != 0) & (arrays["confidence"] < least_level(least_confidence))] = UNSURE
     return found
 
 
-def _arrays(span: ExportFileSpan, keys: tuple[str, ...], grid: LabelGrid) -> dict[str, Classes]:
-    """Arrays of a labels.npz, bounded while they are inflated: what its directory says of sizes may be a lie.
+def _arrays(span: ExportFileSpan, further: tuple[str, ...], grid: LabelGrid) -> dict[str, Classes]:
+    """Return the arrays of a labels.npz, its classes and mask and `further` ones.
 
-    The first has the classes: the only one of a file as the released dataset has them.
+    They are bounded while they are inflated: what its directory says of sizes may be a lie.
     """
-    content = span.read(MOST_LABEL_BYTES)
+    content, keys = span.read(MOST_LABEL_BYTES), ("semantics", "mask_lidar", *further)
     try:
         with zipfile.ZipFile(BytesIO(content)) as members:
             names = members.namelist()
+            if f"{RELEASED_KEY}.npy" in names:
+                keys = (RELEASED_KEY, *further)
             if "confidence" in keys and "confidence.npy" not in names:
                 raise no_confidence(span.name)
-            if grid.unknown is not None and f"{RELEASED_KEY}.npy" in names:
-                keys = (RELEASED_KEY,)
-            return {key: _array(span, key, _member(span, members, f"{key}.npy"), grid.shape) for key in keys}
+            return {key: _array((span, key), _member(span, members, f"{key}.npy"), grid) for key in keys}
     except UNREADABLE as error:
         raise span.damaged(f"it is not an npz of {', '.join(keys)}") from error
 
@@ -77,12 +80,12 @@ def _member(span: ExportFileSpan, members: zipfile.ZipFile, name: str) -> bytes:
     return content
 
 
-def _array(span: ExportFileSpan, key: str, npy: bytes, sides: tuple[int, int, int]) -> Classes:
+def _array(of: tuple[ExportFileSpan, str], npy: bytes, grid: LabelGrid) -> Classes:
     """The grid that a npy file holds; what its header says is compared before anything of that size is made."""
-    shape, is_fortran, dtype, start = npy_head(npy)
-    if shape != sides or dtype != np.uint8 or is_fortran:
-        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {sides}")
-    return np.frombuffer(npy, np.uint8, prod(sides), start).reshape(sides)
+    (span, key), (shape, is_fortran, dtype, start) = of, npy_head(npy)
+    if shape != grid.shape or dtype != np.uint8 or is_fortran:
+        raise span.damaged(f"{key} is {dtype} {str(shape)[:80]}, expected is uint8 {grid.shape}")
+    return np.frombuffer(npy, np.uint8, grid.voxels, start).reshape(grid.shape)
 
 
 def npy_head(npy: bytes) -> tuple[tuple[int, ...], bool, np.dtype[Any], int]:

@@ -1,6 +1,7 @@
 """Build hook: takes the client's packages from where they lie, at the root of the project.
 
-The packages that the client stands on go into its folder `_vendor`, which `stone_client/__init__.py` puts on the path.
+The packages that the client stands on go into its folder `_vendor`, which `stone_client/__init__.py` puts on the path;
+of the science those modules that `stone_datasets` loads, which need numpy alone.
 A checkout that is installed in place needs none of them: `dev-mode-dirs` of `pyproject.toml` names that root.
 """
 
@@ -9,7 +10,11 @@ from typing import Any
 
 from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 
-VENDORED = ("stone_base", "stone_files", "stone_submissions")
+VENDORED = ("stone_base", "stone_files", "stone_submissions", "stone_exports", "stone_datasets")
+SCIENCE = (
+    "__init__.py", "errors.py", "geometry/__init__.py", "geometry/se3.py", "sensors/__init__.py",
+    "sensors/calibration.py", "sensors/projection.py", "splits/__init__.py", "splits/drives.py",
+)  # fmt: skip
 
 
 class PackagesHook(BuildHookInterface):
@@ -20,5 +25,6 @@ class PackagesHook(BuildHookInterface):
             return
         root, included = Path(self.root).parents[1], build_data["force_include"]
         included.update({str(root / package): f"stone_client/_vendor/{package}" for package in VENDORED})
+        included.update({str(root / "stone" / module): f"stone_client/_vendor/stone/{module}" for module in SCIENCE})
         included[str(root / "stone_client")] = "stone_client"
         included[str(root / "LICENSE")] = "stone_client/LICENSE"

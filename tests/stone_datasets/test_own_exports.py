@@ -12,6 +12,7 @@ import pytest
 
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
+from stone_client.devkit import open_dataset
 from stone_datasets.index import DatasetIndex
 from stone_datasets.labels import read_labels
 from stone_datasets.reading import check_dataset, read_dataset
@@ -141,3 +142,19 @@ def test_pictures_and_scans_can_be_read(frames: tuple[ExportedFrame, ...]) -> No
     scans = [detections_ego(datum) for datum in frame.of_modality("radar")]
     assert sum(map(len, scans)) > 3
     assert all(np.isfinite(rows).all() for rows in scans)
+
+
+def test_the_devkit_opens_the_label_set_and_its_export_as_the_same_frames(exported: Path, drive: Labelled) -> None:
+    labels, export_of = open_dataset(drive.folder), open_dataset(exported)
+    global_from_map_m = json.loads((exported / "v1.0-trainval" / "log.json").read_text())[0]["global_from_map_m"]
+    assert len(labels) == drive.report["frames"]
+    for labelled, frame in zip(labels, export_of, strict=True):
+        assert (labelled.token, labelled.stamp_ns // 1000) == (frame.token, frame.stamp_ns // 1000)
+        assert np.array_equal(labelled.semantics, frame.semantics)
+        assert np.array_equal(labelled.observed, frame.observed)
+        assert labelled.map_from_ego is not None
+        moved = labelled.map_from_ego.copy()
+        moved[:3, 3] += global_from_map_m
+        assert frame.map_from_ego == pytest.approx(moved, abs=1e-4)
+        assert len(frame.scan("RADAR_LEFT")) >= 0
+        assert frame.image("CAM_BACK").shape[2] == 3

@@ -1,6 +1,10 @@
 """The client's distribution: of the platform's release, of its own packages, and with few requirements."""
 
+import ast
 import re
+import shutil
+import subprocess
+import sys
 import tomllib
 from pathlib import Path
 from typing import Any
@@ -8,6 +12,7 @@ from typing import Any
 from packaging.requirements import Requirement
 
 from api.client_wheel import FILENAME, ClientWheel, install_line
+from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 
 ROOT = Path(__file__).resolve().parents[3]
 
@@ -16,11 +21,11 @@ def project(folder: Path) -> dict[str, Any]:
     return tomllib.loads((folder / "pyproject.toml").read_text("utf-8"))
 
 
-def vendored() -> tuple[str, ...]:
+def vendored(name: str = "VENDORED") -> tuple[str, ...]:
     """What the hook of the client's build says, without hatchling, which is not installed here."""
-    text = (ROOT / "deploy" / "client" / "packages_hook.py").read_text("utf-8")
-    line = next(line for line in text.splitlines() if line.startswith("VENDORED = "))
-    found: tuple[str, ...] = eval(line.removeprefix("VENDORED = "))
+    hook = ast.parse((ROOT / "deploy" / "client" / "packages_hook.py").read_text("utf-8"))
+    said = (node for node in hook.body if isinstance(node, ast.Assign) and ast.unparse(node.targets[0]) == name)
+    found: tuple[str, ...] = ast.literal_eval(next(said).value)
     return found
 
 
@@ -54,3 +59,33 @@ def test_versions_that_the_client_takes_are_those_of_the_platform() -> None:
     ours = {Requirement(line).name: line for line in project(ROOT)["project"]["dependencies"]}
     for line in project(ROOT / "deploy" / "client")["project"]["dependencies"]:
         assert ours[Requirement(line).name] == line
+
+
+OPENED = """
+import sys
+for barred in ("numba", "scipy", "torch", "pyarrow", "pydantic", "stone_local", "services"):
+    sys.modules[barred] = None
+from stone_client.devkit import open_dataset
+dataset = open_dataset("STONE.zip")
+frame = dataset[0]
+print(len(dataset), len(dataset.drives), frame.semantics.shape, frame.sweep.shape[1], frame.image("CAM_FRONT").shape)
+ours = [one.__file__ for name, one in sys.modules.items() if name.startswith("stone") and one]
+print(all(path.startswith(sys.argv[1]) for path in ours))
+"""
+
+
+def test_the_devkit_opens_the_release_with_what_the_wheel_holds_alone(tmp_path: Path) -> None:
+    """Catches alone a module that the devkit loads and the wheel lacks."""
+    write_released_zip(tmp_path / "STONE.zip", ReleasedDataset(cameras=("CAM_FRONT",)))
+    wheel = tmp_path / "wheel"
+    shutil.copytree(ROOT / "stone_client", wheel / "stone_client")
+    below = wheel / "stone_client" / "_vendor"
+    for package in vendored():
+        shutil.copytree(ROOT / package, below / package)
+    for module in vendored("SCIENCE"):
+        (below / "stone" / module).parent.mkdir(parents=True, exist_ok=True)
+        shutil.copy(ROOT / "stone" / module, below / "stone" / module)
+    known = {"PYTHONPATH": f"{wheel}:{below}", "PYTHONSAFEPATH": "1"}
+    command = [sys.executable, "-c", OPENED, str(wheel)]
+    outcome = subprocess.run(command, check=False, capture_output=True, text=True, cwd=tmp_path, env=known)
+    assert outcome.stdout.splitlines() == ["8 1 (200, 200, 16) 4 (48, 64, 3)", "True"], outcome.stderr

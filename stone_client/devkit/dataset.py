@@ -1,0 +1,132 @@
+"""A dataset as a sequence of frames, from whatever layout it lies in.
+
+**Conventions.** Opening reads the list of files, the tables and the first label file, which tells the layout; every
+other file is read when a frame is asked for it. Nothing is kept of a frame that nobody holds. A dataset can be sent to
+other processes, and read in them.
+"""
+
+from collections.abc import Callable, Iterable, Mapping, Sequence
+from pathlib import Path
+from typing import TYPE_CHECKING, Any, Protocol, overload
+
+import numpy as np
+
+from stone_base.errors import Refused
+from stone_base.label_grid import LabelGrid
+from stone_client.devkit.frame import Frame, LabelFormat
+from stone_client.devkit.label_set import is_label_set, read_label_set
+from stone_client.devkit.published import read_published
+from stone_datasets.classes import OWN_CLASSES, read_class_map
+from stone_datasets.stated_layout import StatedLayout
+from stone_files.grid_file import chosen_grid
+
+if TYPE_CHECKING:
+    from stone_client.devkit.tensors import FrameTensors
+
+Arrays = Mapping[str, Any]
+
+
+class FrameSource(Protocol):
+    """The frames of a layout, by sequence and place."""
+
+    @property
+    def format(self) -> LabelFormat: ...
+
+    @property
+    def lengths(self) -> Mapping[str, int]: ...
+
+    @property
+    def splits(self) -> Mapping[str, tuple[str, ...]]: ...
+
+    @property
+    def drives(self) -> tuple[tuple[str, ...], ...]: ...
+
+    def frame(self, sequence: str, at: int) -> Frame: ...
+
+
+def labels_of(frame: Frame) -> Arrays:
+    """Return the arrays of a frame that every frame has of one shape."""
+    return {"token": frame.token, "semantics": frame.semantics, "observed": frame.observed}
+
+
+class Dataset(Sequence[Frame]):
+    """Frames by sequence and stamp; `sequences` are the names of those that are in it."""
+
+    def __init__(self, source: FrameSource, sequences: Iterable[str]) -> None:
+        self._source = source
+        self.sequences = tuple(sequences)
+        self._ends = np.cumsum([source.lengths[name] for name in self.sequences])
+
+    @property
+    def grid(self) -> LabelGrid:
+        """The grid of the labels."""
+        return self._source.format.layout.grid
+
+    @property
+    def layout(self) -> str:
+        """The name of the layout: paper, release or occ3d."""
+        return self._source.format.layout.name
+
+    @property
+    def splits(self) -> Mapping[str, tuple[str, ...]]:
+        """The names of the sequences of each split, as the dataset states them."""
+        return {split: tuple(filter(self.sequences.__contains__, of)) for split, of in self._source.splits.items()}
+
+    @property
+    def drives(self) -> tuple[tuple[str, ...], ...]:
+        """The names of the sequences of each drive: sequences that continue each other, which no split may tear."""
+        own = (tuple(filter(self.sequences.__contains__, names)) for names in self._source.drives)
+        return tuple(filter(None, own))
+
+    def select(self, sequences: Iterable[str]) -> "Dataset":
+        """Return the frames of these sequences. Raises `unknown_sequence`."""
+        names = tuple(sequences)
+        if unknown := [name for name in names if name not in self.sequences]:
+            raise Refused("unknown_sequence", f"the dataset has no sequence {unknown[0][:100]!r}")
+        return Dataset(self._source, names)
+
+    def as_torch(self, read: Callable[[Frame], Arrays] = labels_of) -> "FrameTensors":
+        """Return a torch `Dataset` of what `read` returns of each frame, its arrays as tensors. Needs torch."""
+        from stone_client.devkit.tensors import FrameTensors
+
+        return FrameTensors(self, read)
+
+    def __len__(self) -> int:
+        return int(self._ends[-1]) if len(self._ends) else 0
+
+    @overload
+    def __getitem__(self, index: int) -> Frame: ...
+    @overload
+    def __getitem__(self, index: slice) -> Sequence[Frame]: ...
+    def __getitem__(self, index: int | slice) -> Frame | Sequence[Frame]:
+        if isinstance(index, slice):
+            return [self[at] for at in range(*index.indices(len(self)))]
+        at = index + len(self) if index < 0 else index
+        if not 0 <= at < len(self):
+            raise IndexError(f"frame {index} of a dataset of {len(self)}")
+        number = int(np.searchsorted(self._ends, at, "right"))
+        before = int(self._ends[number - 1]) if number else 0
+        return self._source.frame(self.sequences[number], at - before)
+
+    def __repr__(self) -> str:
+        of = f"{len(self)} frames in {len(self.sequences)} sequences"
+        return f"<Dataset of {of}, {self.layout} layout, grid {self.grid}>"
+
+
+def open_dataset(
+    path: str | Path, *, layout: str | None = None, grid: str | None = None, classes: str | Path | None = None
+) -> Dataset:
+    """Open a published dataset, an export (folder, tar or ZIP) or a folder of labels.
+
+    `layout` and `grid` (a name or a file) are recognised if they are not stated; of a label set with several grids,
+    `grid` chooses one. `classes` is a class map for numbers of others.
+
+    Raises a `DatasetFaultError` that names table, row and file, `bad_tar`, `bad_layout`, `bad_grid`, `not_labels`.
+    """
+    where, chosen = Path(path), None if grid is None else chosen_grid(grid)
+    if is_label_set(where):
+        source: FrameSource = read_label_set(where, chosen)
+    else:
+        said = OWN_CLASSES if classes is None else read_class_map(Path(classes))
+        source = read_published(where, StatedLayout(layout, chosen), said)
+    return Dataset(source, source.lengths)

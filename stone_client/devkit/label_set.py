@@ -1,0 +1,110 @@
+"""The label set in a folder of `stone label`, or in an unpacked tar of a dataset version: labels without sensor data.
+
+**Conventions.** Stamps and poses are those of `scene/scene.json`, to 0.1 mm. Without it frames are in the order of
+their tokens, and have no poses. Labels of a further grid lie in `grids/<name>/`.
+"""
+
+import json
+from collections.abc import Mapping
+from dataclasses import dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+
+from stone.geometry.se3 import SE3
+from stone_base.errors import Refused
+from stone_base.label_grid import LabelGrid
+from stone_client.devkit.frame import Frame, LabelFormat
+from stone_datasets.classes import OWN_CLASSES
+from stone_datasets.labels import layout_of_labels
+from stone_exports.files import ExportFileSpan
+from stone_exports.frames import ExportedFrame
+from stone_files.dataset_layouts import LAYOUTS, plain_token
+from stone_files.grid_file import GRID_FILE, read_grid_file
+
+LABELS, GRIDS, SCENE = "gts", "grids", "scene/scene.json"
+
+
+@dataclass(frozen=True, eq=False)
+class LabelSet:
+    """Tokens of each sequence; `stamps_ns` and `poses` by token, if they are known."""
+
+    folder: Path
+    format: LabelFormat
+    tokens: Mapping[str, tuple[str, ...]]
+    stamps_ns: Mapping[str, int] = field(default_factory=dict, repr=False)
+    poses: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
+    splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """The number of frames of each sequence."""
+        return {name: len(tokens) for name, tokens in self.tokens.items()}
+
+    @property
+    def drives(self) -> tuple[tuple[str, ...], ...]:
+        """Nothing says which sequences continue each other."""
+        return tuple((name,) for name in self.tokens)
+
+    def frame(self, sequence: str, at: int) -> Frame:
+        """Return the frame at this place of a sequence."""
+        token = self.tokens[sequence][at]
+        name = f"{LABELS}/{sequence}/{token}/labels.npz"
+        span = ExportFileSpan(self.folder / name, name, 0, (self.folder / name).stat().st_size)
+        stamp_ns, pose = self.stamps_ns.get(token, 0), self.poses.get(token)
+        matrix = None if pose is None else SE3(np.array([*pose[3:], *pose[:3]])).as_matrix()
+        return Frame(ExportedFrame(token, sequence, stamp_ns // 1000, {}, span), stamp_ns, matrix, self.format)
+
+
+def is_label_set(path: Path) -> bool:
+    """Return whether a folder has labels, and no tables beside them."""
+    return (path / LABELS).is_dir() and not any(path.glob("v1.0-*/")) and not (path / "annotations.json").exists()
+
+
+def read_label_set(path: Path, grid: LabelGrid | None = None) -> LabelSet:
+    """Return the label set in a folder, cut at `grid` if it is of several. Raises `not_labels`, `bad_grid`."""
+    folder = _folder_of(path, grid)
+    tokens = dict[str, tuple[str, ...]]()
+    for sequence in sorted(one for one in (folder / LABELS).iterdir() if one.is_dir()):
+        found = tuple(sorted(one.name for one in sequence.iterdir() if plain_token(one.name) == one.name))
+        tokens |= {sequence.name: found} if found else {}
+    if not tokens:
+        raise Refused("not_labels", f"{folder} has no {LABELS}/<sequence>/<frame_token>/labels.npz")
+    layout = LAYOUTS["paper"].with_grid(grid or _grid_at(folder, tokens))
+    found_set = LabelSet(folder, LabelFormat(layout, OWN_CLASSES), tokens)
+    scene = next((one / SCENE for one in (folder, path) if (one / SCENE).is_file()), None)
+    return found_set if scene is None else _placed(found_set, json.loads(scene.read_text("utf-8")))
+
+
+def _folder_of(path: Path, grid: LabelGrid | None) -> Path:
+    if grid is None or _stated(path) in (None, grid):
+        return path
+    found = [one for one in sorted(path.glob(f"{GRIDS}/*/")) if _stated(one) == grid]
+    if not found:
+        raise Refused("not_labels", f"{path} has no labels at the grid {grid}; label again with --grid {grid.name}")
+    return found[0]
+
+
+def _stated(path: Path) -> LabelGrid | None:
+    return read_grid_file(path / GRID_FILE) if (path / GRID_FILE).is_file() else None
+
+
+def _grid_at(folder: Path, tokens: Mapping[str, tuple[str, ...]]) -> LabelGrid:
+    """Return the grid that `grid.json` names, else the known one of the shape of the first label file."""
+    sequence, (first, *_) = next(iter(tokens.items()))
+    path = folder / LABELS / sequence / first / "labels.npz"
+    span = ExportFileSpan(path, path.name, 0, path.stat().st_size)
+    return _stated(folder) or layout_of_labels(span, has_dashes=False).grid
+
+
+def _placed(found: LabelSet, scene: Mapping[str, Any]) -> LabelSet:
+    """Return the label set with its frames in the order of their stamps, and their poses."""
+    frames = scene["frames"]
+    stamps_ns = dict(zip(frames["tokens"], map(int, frames["stamps_ns"]), strict=True))
+    poses = dict(zip(frames["tokens"], map(tuple, frames["map_from_ego"]), strict=True))
+    tokens = {
+        name: tuple(sorted(own, key=lambda token: (stamps_ns.get(token, 0), token)))
+        for name, own in found.tokens.items()
+    }
+    return replace(found, tokens=tokens, stamps_ns=stamps_ns, poses=poses)

@@ -1,0 +1,66 @@
+"""A published dataset or an export, in a folder, tar or ZIP, as frames; its drives by log, stamps and poses."""
+
+from collections.abc import Mapping
+from dataclasses import dataclass, field
+from functools import cached_property
+from pathlib import Path
+
+from stone.splits.drives import TrackOrigin, driven_track, drives_of
+from stone_client.devkit.frame import Frame, LabelFormat
+from stone_datasets.classes import ClassMap
+from stone_datasets.index import DatasetSequence
+from stone_datasets.placed_frames import PlacedFrames, placed_frames
+from stone_datasets.reading import read_dataset
+from stone_datasets.stated_layout import StatedLayout
+
+
+@dataclass(frozen=True, eq=False)
+class PublishedDataset:
+    """The frames of a dataset; `numbers` are the places of its sequences by name."""
+
+    placed: PlacedFrames
+    format: LabelFormat
+    numbers: Mapping[str, int] = field(repr=False)
+
+    @property
+    def lengths(self) -> Mapping[str, int]:
+        """The number of frames of each sequence."""
+        return {one.name: len(one) for one in self.placed.sequences}
+
+    @property
+    def splits(self) -> Mapping[str, tuple[str, ...]]:
+        """The names of the sequences of each split that the dataset states."""
+        return self.placed.splits
+
+    @cached_property
+    def drives(self) -> tuple[tuple[str, ...], ...]:
+        """The names of the sequences of each drive: those that continue each other."""
+        tracks = {
+            one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, _origin(one))
+            for one in self.placed.sequences
+        }
+        found = drives_of({name: track for name, track in tracks.items() if track is not None})
+        return tuple(dict.fromkeys(found[name] for name in tracks if name in found))
+
+    def frame(self, sequence: str, at: int) -> Frame:
+        """Return the frame at this place of a sequence."""
+        number = self.numbers[sequence]
+        of = self.placed.sequences[number]
+        pose = of.map_from_ego[at].as_matrix()
+        return Frame(self.placed.frame(number, at), int(of.stamps_ns[at]), pose, self.format)
+
+
+def read_published(path: Path, stated: StatedLayout, classes: ClassMap) -> PublishedDataset:
+    """Read the tables of a dataset and, if no layout is stated, its first label file.
+
+    Raises a `DatasetFaultError`, `bad_tar`, `bad_layout`.
+    """
+    placed = placed_frames(read_dataset(path, stated))
+    numbers = {one.name: number for number, one in enumerate(placed.sequences)}
+    return PublishedDataset(placed, LabelFormat(placed.layout, classes), numbers)
+
+
+def _origin(sequence: DatasetSequence) -> TrackOrigin:
+    """Poses of one location are in one map, as nuScenes has it."""
+    place = sequence.location or sequence.logfile or sequence.name
+    return TrackOrigin(sequence.logfile, sequence.vehicle, place.casefold())

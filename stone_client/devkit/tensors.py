@@ -1,0 +1,24 @@
+"""Frames as tensors, for torch's `DataLoader`; the one module here that loads torch."""
+
+from collections.abc import Callable, Mapping, Sequence
+from typing import Any
+
+import numpy as np
+import torch
+from torch.utils.data import Dataset
+
+from stone_client.devkit.frame import Frame
+
+
+class FrameTensors(Dataset[dict[str, Any]]):  # type: ignore[misc]
+    """What `read` returns of each frame, arrays as tensors; other values stay as they are."""
+
+    def __init__(self, frames: Sequence[Frame], read: Callable[[Frame], Mapping[str, Any]]) -> None:
+        self.frames, self.read = frames, read
+
+    def __len__(self) -> int:
+        return len(self.frames)
+
+    def __getitem__(self, index: int) -> dict[str, Any]:
+        arrays = self.read(self.frames[index])
+        return {key: torch.tensor(one) if isinstance(one, np.ndarray) else one for key, one in arrays.items()}

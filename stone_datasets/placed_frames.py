@@ -1,0 +1,73 @@
+"""Frames of a published dataset as exports have them: where the file of each sensor and of the labels lies.
+
+**Conventions.** In an archive all files are found when the frames are placed, since its index of names is of one
+process (`stone_datasets/files.py`): placed frames can be sent to another one. Nothing is opened before it is read.
+"""
+
+from collections.abc import Iterator, Mapping
+from dataclasses import dataclass, field
+
+import numpy as np
+
+from stone_datasets.build import NS_PER_US
+from stone_datasets.files import DatasetFiles, DatasetTar
+from stone_datasets.index import DatasetIndex, DatasetSequence
+from stone_datasets.zip_files import DatasetZip, Places, placed_span
+from stone_exports.files import ExportFileSpan
+from stone_exports.frames import ExportedDatum, ExportedFrame
+from stone_files.byte_ranges import ByteRanges, LocalRanges
+from stone_files.dataset_layouts import DatasetLayout
+
+LABELS = ""  # among the channels of a sequence
+
+
+@dataclass(frozen=True, eq=False)
+class PlacedFrames:
+    """The frames of all sequences. `places` are those of each channel's files, by sequence; None for a folder."""
+
+    sequences: tuple[DatasetSequence, ...]
+    layout: DatasetLayout
+    splits: Mapping[str, tuple[str, ...]]
+    folder: DatasetFiles | None
+    archive: tuple[ByteRanges, str] | None
+    places: tuple[Mapping[str, Places], ...] = field(repr=False)
+
+    def __iter__(self) -> Iterator[ExportedFrame]:
+        return (self.frame(number, at) for number, one in enumerate(self.sequences) for at in range(len(one)))
+
+    def frame(self, number: int, at: int) -> ExportedFrame:
+        """Return the frame at this place of a sequence; sensors and labels whose files are missing are left out."""
+        sequence, data = self.sequences[number], dict[str, ExportedDatum]()
+        for name, channel in sequence.channels.items():
+            place = int(np.searchsorted(channel.frames, at))
+            if place == len(channel.frames) or channel.frames[place] != at:
+                continue
+            span = self._span((number, name, place), channel.filename(place))
+            if span is not None:
+                stamp_us = int(channel.stamps_ns[place]) // NS_PER_US
+                data[name] = ExportedDatum(channel.sensor, stamp_us, channel.map_from_ego[place], span)
+        labels = self._span((number, LABELS, at), sequence.label_name(at)) if sequence.is_labelled else None
+        stamp_us = int(sequence.stamps_ns[at]) // NS_PER_US
+        return ExportedFrame(sequence.tokens[at], sequence.name, stamp_us, data, labels)
+
+    def _span(self, of: tuple[int, str, int], name: str) -> ExportFileSpan | None:
+        if self.archive is None:
+            return None if self.folder is None else self.folder.span(name)
+        (ranges, root), (number, channel, at) = self.archive, of
+        place = self.places[number][channel][at]
+        return None if place[0] < 0 else placed_span(ranges, (name, root + name), place)
+
+
+def placed_frames(index: DatasetIndex) -> PlacedFrames:
+    """Find the files of all frames of a dataset."""
+    files, said = index.files, (index.sequences, index.layout, index.splits)
+    if not isinstance(files, DatasetTar | DatasetZip):
+        return PlacedFrames(*said, files, None, ())
+    ranges = files.ranges if isinstance(files, DatasetZip) else LocalRanges(files.path)
+    places = []
+    for sequence in index.sequences:
+        found = {LABELS: files.spans(map(sequence.label_name, range(len(sequence))))}
+        for name, channel in sequence.channels.items():
+            found[name] = files.spans(map(channel.filename, range(len(channel.frames))))
+        places.append(found)
+    return PlacedFrames(*said, None, (ranges, files.root), tuple(places))
