@@ -20,11 +20,11 @@ from numpy.typing import NDArray
 from safetensors import safe_open
 from safetensors.numpy import load_file, save_file
 
-from baselines.frame_record import STEP_M, FrameRecord, PictureRecord, read_record
+from baselines.frame_record import ALL_LABELS, STEP_M, FrameRecord, PictureRecord, WantedLabels, read_record
 from baselines.inputs import InputConfig
 from stone.geometry.se3 import SE3
 from stone.scoring.metric import CLASSES
-from stone_base.label_grid import PAPER, LabelGrid
+from stone_base.label_grid import PAPER
 from stone_exports.files import ExportFileSpan
 from stone_exports.frames import ExportedFrame
 from stone_exports.labels import UNSURE
@@ -37,15 +37,12 @@ Progress = Callable[[str, int, int], None]
 
 @dataclass(frozen=True)
 class FrameSource:
-    """A frame of an export, and where its labels are: there, or in a version of the dataset beside it; their grid.
-
-    An occupied voxel below `least_confidence` is not trained on.
-    """
+    """A frame of an export, where its labels are (there, or in a version of the dataset beside it), and which of them
+    are wanted."""
 
     frame: ExportedFrame
     labels: ExportFileSpan | None
-    least_confidence: float = 0.0
-    grid: LabelGrid = PAPER
+    wanted: WantedLabels = ALL_LABELS
 
 
 @dataclass(frozen=True)
@@ -118,7 +115,7 @@ def data_hash(frames: Iterable[CachedFrame]) -> str:
 def _cached(source: FrameSource, inputs: InputConfig, folder: Path) -> CachedFrame:
     path = folder / f"{source.frame.token}.{_identity(source, inputs)}{SUFFIX}"
     if not path.exists():
-        write_record(path, read_record(source.frame, source.labels, inputs, source.least_confidence, source.grid))
+        write_record(path, read_record(source.frame, source.labels, inputs, source.wanted))
     return _described(path, source.frame)
 
 
@@ -188,8 +185,8 @@ def _identity(source: FrameSource, inputs: InputConfig) -> str:
             [datum.stamp_us, datum.global_from_ego.wxyz_xyz.tolist(), sensor.ego_from_sensor.wxyz_xyz.tolist()]
         )
         facts.append(repr(sensor.intrinsics))
-    if source.least_confidence > 0:
-        facts.append(["least confidence", source.least_confidence])
-    if source.grid != PAPER:
-        facts.append(source.grid.as_record())
+    if source.wanted.least_confidence > 0:
+        facts.append(["least confidence", source.wanted.least_confidence])
+    if source.wanted.grid != PAPER:
+        facts.append(source.wanted.grid.as_record())
     return sha256(json.dumps(facts, separators=(",", ":")).encode()).hexdigest()[:16]

@@ -27,6 +27,17 @@ STEP_M, REACH_M = 0.004, 131.0
 JPEG_QUALITY = 95
 
 
+@dataclass(frozen=True)
+class WantedLabels:
+    """The grid of labels, and how sure an occupied voxel of theirs must be."""
+
+    least_confidence: float = 0.0
+    grid: LabelGrid = PAPER
+
+
+ALL_LABELS = WantedLabels()
+
+
 @dataclass(frozen=True, eq=False)
 class PictureRecord:
     """One picture: JPEG of the network's size, its matrix (3, 3) at that size, `ego_from_camera` (4, 4)."""
@@ -57,8 +68,7 @@ def read_record(
     frame: ExportedFrame,
     labels: ExportFileSpan | None,
     inputs: InputConfig,
-    least_confidence: float = 0.0,
-    grid: LabelGrid = PAPER,
+    wanted: WantedLabels = ALL_LABELS,
 ) -> FrameRecord:
     """Return the parts of a frame that `inputs` names, and which of its labels, of the grid, are sure.
 
@@ -71,7 +81,7 @@ def read_record(
     if inputs.sees("R"):
         detections = _detections(frame, inputs)
     pictures = tuple(_pictures(frame, inputs)) if inputs.sees("C") else ()
-    classes = None if labels is None else observed_classes(labels, least_confidence, grid)
+    classes = None if labels is None else observed_classes(labels, wanted.least_confidence, wanted.grid)
     pose = frame.lidar.global_from_ego
     return FrameRecord(frame.token, frame.sequence, frame.stamp_us, pose, returns, detections, pictures, classes)
 

@@ -24,12 +24,11 @@ from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import usable_device
 from baselines.row_config import RowConfig
 from baselines.run_folder import read_run_row
-from baselines.sources import frames_of
+from baselines.sources import frames_at
 from stone.errors import Refused
 from stone_base.label_grid import PAPER, LabelGrid
 from stone_exports.files import refuse_missing
 from stone_exports.frames import ExportedFrame
-from stone_exports.tables import exports_in
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
 
@@ -84,7 +83,7 @@ def predict(plan: PredictionPlan, progress: Progress) -> WrittenPrediction:
     loaded = loaded_run(plan.run, plan.device)
     manifest = read_manifest(plan.manifest)
     loaded.require_grid(manifest.grid)
-    frames = frames_of([files for path in plan.exports for files in exports_in(path)])
+    frames = frames_at(plan.exports)
     places = {frame.token: index for index, frame in enumerate(frames)}
     refuse_missing(manifest.sequences, places)
     in_order = sorted(places[token] for token in manifest.tokens)

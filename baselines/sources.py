@@ -2,60 +2,73 @@
 
 **Conventions.** Sources are as `stone baseline` takes them. Of several that have a frame, the first named gives it.
 Labels may come from other files than samples: a version of the dataset has labels and no samples, `inputs` the reverse.
+A published ZIP is read where it lies. Manifests among the sources name the frames that are meant.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
-from dataclasses import replace
+from collections.abc import Iterator, Sequence
 from pathlib import Path
 
 from baselines.cache import FrameSource
+from baselines.frame_record import ALL_LABELS, WantedLabels
 from stone.errors import Refused
-from stone_base.label_grid import PAPER, LabelGrid
+from stone_datasets.placed_frames import swept_frames
 from stone_exports.files import Files, FolderFiles, TarFiles
 from stone_exports.frames import ExportedFrame, frames_in
 from stone_exports.tables import EXPORTED, NotExportedError, exports_in
 from stone_files.archives import tar_spans_of
+from stone_files.dataset_layout import is_zip
+from stone_submissions.manifest import read_manifest
 
-LABELS = "gts"
+LABELS, MANIFEST = "gts", ".json"
 
 
-def labelled_frames(
-    paths: Sequence[Path], least_confidence: float = 0.0, grid: LabelGrid = PAPER
-) -> tuple[FrameSource, ...]:
-    """Every frame with samples, with its labels at this grid and of at least this confidence where there are some.
+def labelled_frames(paths: Sequence[Path], wanted: WantedLabels = ALL_LABELS) -> tuple[FrameSource, ...]:
+    """Every frame with samples, with those of its labels that are wanted where there are some.
 
-    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, and `nothing_to_train_on` where no frame has
-    labels.
+    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `bad_manifest`, a `DatasetFaultError`, and
+    `nothing_to_train_on` where no frame has labels.
     """
-    exports, stores = list[Files](), list[Files]()
-    for path in paths:
-        found = tuple(_label_stores(path))
-        try:
-            exports += exports_in(path)
-        except NotExportedError:
-            if not found:
-                raise
-        stores += found
-    sources = tuple(replace(_with_labels(frame, stores, least_confidence), grid=grid) for frame in frames_of(exports))
+    stores = [store for path in paths for store in _label_stores(path)]
+    sources = tuple(_with_labels(frame, stores, wanted) for frame in frames_at(paths))
     if all(source.labels is None for source in sources):
         raise nothing_to_train_on(paths)
     return sources
 
 
-def frames_of(exports: Iterable[Files]) -> tuple[ExportedFrame, ...]:
-    """Frames of several exports, each once, by sequence and stamp. Raises `DamagedExportError`."""
-    found = dict[str, ExportedFrame]()
-    for files in exports:
-        for frame in frames_in(files):
-            found.setdefault(frame.token, frame)
+def frames_at(paths: Sequence[Path]) -> tuple[ExportedFrame, ...]:
+    """Frames of several exports and published ZIPs, each once, by sequence and stamp; of manifests, if some are given,
+    no others.
+
+    Raises `NotExportedError`, `bad_tar`, `DamagedExportError`, `bad_manifest`, a `DatasetFaultError`.
+    """
+    found, named = dict[str, ExportedFrame](), [path for path in paths if path.suffix == MANIFEST]
+    asked = {token for path in named for token in read_manifest(path).tokens}
+    for path in paths:
+        for frame in () if path in named else _frames_of(path):
+            if not named or frame.token in asked:
+                found.setdefault(frame.token, frame)
     return tuple(sorted(found.values(), key=lambda frame: (frame.sequence, frame.stamp_us)))
 
 
-def _with_labels(frame: ExportedFrame, stores: Sequence[Files], least_confidence: float) -> FrameSource:
+def _frames_of(path: Path) -> Iterator[ExportedFrame]:
+    if is_zip(path):
+        yield from swept_frames(path)
+        return
+    try:
+        exports = exports_in(path)
+    except NotExportedError:
+        if not any(_label_stores(path)):
+            raise
+        return
+    for files in exports:
+        yield from frames_in(files)
+
+
+def _with_labels(frame: ExportedFrame, stores: Sequence[Files], wanted: WantedLabels) -> FrameSource:
     name = f"{LABELS}/{frame.sequence}/{frame.token}/labels.npz"
     spans = (store.span(name) for store in stores)
     labels = frame.labels or next((span for span in spans if span is not None), None)
-    return FrameSource(frame, labels, least_confidence)
+    return FrameSource(frame, labels, wanted)
 
 
 def _label_stores(path: Path) -> Iterator[Files]:

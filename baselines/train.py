@@ -25,6 +25,7 @@ from baselines.batch import Batch, CameraViews, Points, moved
 from baselines.cache import CachedFrame, CachedStore, cached_frames
 from baselines.checkpoint import load_backbone, write_weights
 from baselines.data import EpochSampler, FrameDataset, FrameRequest
+from baselines.frame_record import WantedLabels
 from baselines.metrics import RateSchedule, confusion_of, scores_of, take_step
 from baselines.models.occupancy_model import OccupancyModel
 from baselines.processes import ProcessShare, joined_processes
@@ -140,8 +141,8 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
         share.wait()  # each has looked before one writes, or others would find a run that exists
         if share.is_first:
             say_row(plan.run, row)
-        frames = _frames(plan, plan.exports, progress, row.training.least_confidence)
-        watched = _frames(plan, plan.watch, progress) if plan.watch else ()
+        frames = _frames(plan, plan.exports, progress, WantedLabels(row.training.least_confidence, row.label_grid))
+        watched = _frames(plan, plan.watch, progress, WantedLabels(grid=row.label_grid)) if plan.watch else ()
         state = begun_state(row, frames, share)
         if goes_on:
             state = resumed_state(plan.run, state)
@@ -162,9 +163,9 @@ def train(plan: TrainingPlan, progress: Progress, reports: Reports) -> TrainedRu
 
 
 def _frames(
-    plan: TrainingPlan, exports: Sequence[Path], progress: Progress, least_confidence: float = 0.0
+    plan: TrainingPlan, exports: Sequence[Path], progress: Progress, wanted: WantedLabels
 ) -> tuple[CachedFrame, ...]:
-    sources = labelled_frames(exports, least_confidence, plan.row.label_grid)
+    sources = labelled_frames(exports, wanted)
     return cached_frames(sources, plan.row.inputs, plan.cache or plan.run / "frames", progress)
 
 

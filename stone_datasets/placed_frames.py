@@ -6,15 +6,17 @@ process (`stone_datasets/files.py`): placed frames can be sent to another one. N
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass, field
+from pathlib import Path
 
 import numpy as np
 
 from stone_datasets.build import NS_PER_US
 from stone_datasets.files import DatasetFiles, DatasetTar
 from stone_datasets.index import DatasetIndex, DatasetSequence
+from stone_datasets.reading import read_dataset
 from stone_datasets.zip_files import DatasetZip, Places, placed_span
 from stone_exports.files import ExportFileSpan
-from stone_exports.frames import ExportedDatum, ExportedFrame
+from stone_exports.frames import LIDAR_CHANNEL, ExportedDatum, ExportedFrame
 from stone_files.byte_ranges import ByteRanges, LocalRanges
 from stone_files.dataset_layouts import DatasetLayout
 
@@ -71,3 +73,8 @@ def placed_frames(index: DatasetIndex) -> PlacedFrames:
             found[name] = files.spans(map(channel.filename, range(len(channel.frames))))
         places.append(found)
     return PlacedFrames(*said, None, (ranges, files.root), tuple(places))
+
+
+def swept_frames(path: Path) -> tuple[ExportedFrame, ...]:
+    """Return every frame with a sweep of a published dataset. Raises a `DatasetFaultError`."""
+    return tuple(frame for frame in placed_frames(read_dataset(path)) if LIDAR_CHANNEL in frame.data)

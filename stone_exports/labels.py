@@ -20,7 +20,6 @@ from stone_exports.files import ExportContent, ExportFileSpan
 from stone_exports.frames import ExportedDatum
 from stone_files.dataset_layouts import LAYOUTS
 
-RELEASED_KEY = LAYOUTS["release"].label_key
 MOST_LABEL_BYTES, MOST_ARRAY_BYTES = 64 * 2**20, 16 * 2**20
 HEADS = {(1, 0): np.lib.format.read_array_header_1_0, (2, 0): np.lib.format.read_array_header_2_0}
 HIGHEST_CLASS, UNSURE, NOT_OBSERVED = 3, 254, 255

@@ -17,9 +17,11 @@ from typing import Any, TypeVar
 from stone.labels.baseline import DEFAULTS, BaselineParameters, predict_from_sweep
 from stone_base.label_grid import PAPER, LabelGrid
 from stone_client.progress import Report
+from stone_datasets.placed_frames import swept_frames
 from stone_exports.files import refuse_missing
 from stone_exports.sweeps import SweepFile, sweeps_in
 from stone_exports.tables import exports_in
+from stone_files.dataset_layout import is_zip
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import Manifest, read_manifest
 
@@ -75,10 +77,18 @@ def find_sweeps(sources: Sequence[Path], manifest: Manifest) -> Mapping[str, Swe
     """
     found, tokens = dict[str, SweepFile](), frozenset(manifest.tokens)
     for source in sources:
-        for files in exports_in(source):
-            found = {**sweeps_in(files, tokens), **found}
+        for sweeps in _sweeps_at(source, tokens):
+            found = {**sweeps, **found}
     refuse_missing(manifest.sequences, found)
     return found
+
+
+def _sweeps_at(source: Path, tokens: frozenset[str]) -> Iterator[Mapping[str, SweepFile]]:
+    if not is_zip(source):
+        yield from (sweeps_in(files, tokens) for files in exports_in(source))
+        return
+    frames = (frame for frame in swept_frames(source) if frame.token in tokens)
+    yield {frame.token: SweepFile(frame.lidar.span, frame.lidar.sensor.ego_from_sensor) for frame in frames}
 
 
 def predicted(

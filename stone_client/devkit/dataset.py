@@ -14,11 +14,14 @@ import numpy as np
 from stone_base.errors import Refused
 from stone_base.label_grid import LabelGrid
 from stone_client.devkit.frame import Frame, LabelFormat
-from stone_client.devkit.label_set import is_label_set, read_label_set
+from stone_client.devkit.label_set import LABELS, is_label_set, read_label_set
 from stone_client.devkit.published import read_published
 from stone_datasets.classes import OWN_CLASSES, read_class_map
 from stone_datasets.stated_layout import StatedLayout
-from stone_files.grid_file import chosen_grid
+from stone_files.atomic import atomic_directory
+from stone_files.grid_file import GRID_FILE, chosen_grid, grid_text
+from stone_files.npz import npz_bytes
+from stone_submissions.manifest import Manifest, write_manifest
 
 if TYPE_CHECKING:
     from stone_client.devkit.tensors import FrameTensors
@@ -32,8 +35,10 @@ class FrameSource(Protocol):
     @property
     def format(self) -> LabelFormat: ...
 
+    def tokens(self, sequence: str) -> tuple[str, ...]: ...
+
     @property
-    def lengths(self) -> Mapping[str, int]: ...
+    def sequences(self) -> tuple[str, ...]: ...
 
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]: ...
@@ -55,7 +60,7 @@ class Dataset(Sequence[Frame]):
     def __init__(self, source: FrameSource, sequences: Iterable[str]) -> None:
         self._source = source
         self.sequences = tuple(sequences)
-        self._ends = np.cumsum([source.lengths[name] for name in self.sequences])
+        self._ends = np.cumsum([len(source.tokens(name)) for name in self.sequences])
 
     @property
     def grid(self) -> LabelGrid:
@@ -85,11 +90,28 @@ class Dataset(Sequence[Frame]):
             raise Refused("unknown_sequence", f"the dataset has no sequence {unknown[0][:100]!r}")
         return Dataset(self._source, names)
 
+    def write_manifest(self, path: str | Path) -> None:
+        """Write the list of its frames, which `stone baseline`, `train`, `predict` and `validate` read."""
+        write_manifest(Path(path), Manifest(self._tokens(), self.grid))
+
+    def write_labels(self, folder: str | Path) -> None:
+        """Write its labels into a new folder as `stone score` reads them, frame by frame. Raises `frame_unlabelled`."""
+        with atomic_directory(Path(folder)) as staging:
+            (staging / GRID_FILE).write_text(grid_text(self.grid), "utf-8")
+            for frame in self:
+                path = staging / LABELS / frame.sequence / frame.token / "labels.npz"
+                path.parent.mkdir(parents=True)
+                observed = frame.observed.astype(np.uint8)
+                path.write_bytes(npz_bytes({"semantics": frame.semantics, "mask_lidar": observed}))
+
     def as_torch(self, read: Callable[[Frame], Arrays] = labels_of) -> "FrameTensors":
         """Return a torch `Dataset` of what `read` returns of each frame, its arrays as tensors. Needs torch."""
         from stone_client.devkit.tensors import FrameTensors
 
         return FrameTensors(self, read)
+
+    def _tokens(self) -> dict[str, tuple[str, ...]]:
+        return {name: self._source.tokens(name) for name in self.sequences}
 
     def __len__(self) -> int:
         return int(self._ends[-1]) if len(self._ends) else 0
@@ -129,4 +151,4 @@ def open_dataset(
     else:
         said = OWN_CLASSES if classes is None else read_class_map(Path(classes))
         source = read_published(where, StatedLayout(layout, chosen), said)
-    return Dataset(source, source.lengths)
+    return Dataset(source, source.sequences)

@@ -28,28 +28,32 @@ LABELS, GRIDS, SCENE = "gts", "grids", "scene/scene.json"
 
 @dataclass(frozen=True, eq=False)
 class LabelSet:
-    """Tokens of each sequence; `stamps_ns` and `poses` by token, if they are known."""
+    """Frame tokens by sequence; `stamps_ns` and `poses` by token, if they are known."""
 
     folder: Path
     format: LabelFormat
-    tokens: Mapping[str, tuple[str, ...]]
+    frames: Mapping[str, tuple[str, ...]]
     stamps_ns: Mapping[str, int] = field(default_factory=dict, repr=False)
     poses: Mapping[str, tuple[float, ...]] = field(default_factory=dict, repr=False)
     splits: Mapping[str, tuple[str, ...]] = field(default_factory=dict)
 
     @property
-    def lengths(self) -> Mapping[str, int]:
-        """The number of frames of each sequence."""
-        return {name: len(tokens) for name, tokens in self.tokens.items()}
+    def sequences(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self.frames)
+
+    def tokens(self, sequence: str) -> tuple[str, ...]:
+        """Return the frame tokens of a sequence."""
+        return self.frames[sequence]
 
     @property
     def drives(self) -> tuple[tuple[str, ...], ...]:
         """Nothing says which sequences continue each other."""
-        return tuple((name,) for name in self.tokens)
+        return tuple((name,) for name in self.frames)
 
     def frame(self, sequence: str, at: int) -> Frame:
         """Return the frame at this place of a sequence."""
-        token = self.tokens[sequence][at]
+        token = self.frames[sequence][at]
         name = f"{LABELS}/{sequence}/{token}/labels.npz"
         span = ExportFileSpan(self.folder / name, name, 0, (self.folder / name).stat().st_size)
         stamp_ns, pose = self.stamps_ns.get(token, 0), self.poses.get(token)
@@ -105,6 +109,6 @@ def _placed(found: LabelSet, scene: Mapping[str, Any]) -> LabelSet:
     poses = dict(zip(frames["tokens"], map(tuple, frames["map_from_ego"]), strict=True))
     tokens = {
         name: tuple(sorted(own, key=lambda token: (stamps_ns.get(token, 0), token)))
-        for name, own in found.tokens.items()
+        for name, own in found.frames.items()
     }
-    return replace(found, tokens=tokens, stamps_ns=stamps_ns, poses=poses)
+    return replace(found, frames=tokens, stamps_ns=stamps_ns, poses=poses)

@@ -23,9 +23,13 @@ class PublishedDataset:
     numbers: Mapping[str, int] = field(repr=False)
 
     @property
-    def lengths(self) -> Mapping[str, int]:
-        """The number of frames of each sequence."""
-        return {one.name: len(one) for one in self.placed.sequences}
+    def sequences(self) -> tuple[str, ...]:
+        """Their names."""
+        return tuple(self.numbers)
+
+    def tokens(self, sequence: str) -> tuple[str, ...]:
+        """Return the frame tokens of a sequence."""
+        return self.placed.sequences[self.numbers[sequence]].tokens
 
     @property
     def splits(self) -> Mapping[str, tuple[str, ...]]:

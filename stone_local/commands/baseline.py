@@ -14,7 +14,8 @@ SourceArgument = Annotated[
     typer.Argument(
         metavar="SOURCE...",
         exists=True,
-        help="Folders of `stone export --format nuscenes` or `inputs`, downloaded tars, or a folder of these.",
+        help="Folders of `stone export --format nuscenes` or `inputs`, downloaded tars, a folder of these, or a "
+        "published ZIP.",
     ),
 ]
 OutputOption = Annotated[

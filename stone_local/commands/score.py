@@ -1,6 +1,7 @@
 """`stone score`: a submission against ground truth."""
 
 from collections.abc import Mapping
+from enum import StrEnum
 from pathlib import Path
 from typing import Annotated, Any
 
@@ -30,11 +31,26 @@ LeastConfidenceOption = Annotated[
 ]
 
 
+class Mask(StrEnum):
+    """Which voxels are scored."""
+
+    ALL = "all"
+    LIDAR = "lidar"
+    CAMERA = "camera"
+
+
+MaskOption = Annotated[
+    Mask,
+    typer.Option("--mask", help="Voxels to score: all, or those that the LiDAR, or also a camera, observed."),
+]
+
+
 def score(
     submission: SubmissionArgument,
     ground_truth: GroundTruthOption,
     least_confidence: LeastConfidenceOption = 0.0,
     grid: GridOption = None,
+    mask: MaskOption = Mask.ALL,
     as_json: JsonOption = False,
 ) -> None:
     """Score a submission against labels: IoU of occupancy and of each class, over all voxels and within occupied."""
@@ -48,6 +64,7 @@ def score(
             scores = score_submission(
                 submission,
                 ground_truth,
+                mask=mask.value,
                 least_confidence=least_confidence,
                 progress=progress,
                 order=in_time_order,

@@ -15,7 +15,7 @@ import pytest
 from baselines import cache
 from baselines.cache import CachedFrame, CachedStore, cached_frames, data_hash, write_record
 from baselines.data import FrameDataset, FrameRequest
-from baselines.frame_record import FrameRecord, read_record
+from baselines.frame_record import FrameRecord, WantedLabels, read_record
 from baselines.inputs import InputConfig
 from baselines.lattice import VoxelLattice
 from baselines.row_config import known_rows, read_row, row_of
@@ -61,7 +61,7 @@ def cached(
     exports: Path | Sequence[Path], folder: Path, inputs: InputConfig = INPUTS, least_confidence: float = 0.0
 ) -> tuple[CachedFrame, ...]:
     paths = (exports,) if isinstance(exports, Path) else tuple(exports)
-    return cached_frames(labelled_frames(paths, least_confidence), inputs, folder, lambda *_: None)
+    return cached_frames(labelled_frames(paths, WantedLabels(least_confidence)), inputs, folder, lambda *_: None)
 
 
 def test_a_record_is_read_as_it_was_written(rig: Path, tmp_path: Path) -> None:

@@ -62,7 +62,7 @@ class Shell:
         typed = 0
         for kind, block in blocks(page):
             if kind:
-                Path(block.split()[1].rstrip(":")).write_text(block)
+                Path(block.split()[1].rstrip(":")).write_text(self._here(block))
                 continue
             for line in statements(block):
                 if line not in elsewhere:
@@ -71,8 +71,7 @@ class Shell:
         return typed
 
     def type(self, line: str) -> None:
-        for there, here in self.said.items():
-            line = line.replace(there, here)
+        line = self._here(line)
         is_plain = not OF_A_SHELL.search(re.split(r"\s#", line)[0])
         words = shlex.split(line, comments=True) if is_plain else [""]
         if words[0] == ".venv/bin/stone":
@@ -85,6 +84,11 @@ class Shell:
             sys.argv = before
         else:
             self.printed.append(self._typed_in_bash(line))
+
+    def _here(self, text: str) -> str:
+        for there, here in self.said.items():
+            text = text.replace(there, here)
+        return text
 
     def _typed_in_bash(self, line: str) -> str:
         assert self.bash.stdin is not None

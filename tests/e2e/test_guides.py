@@ -1,4 +1,4 @@
-"""The three guides, line by line: what is printed there is typed here, against a platform with real data.
+"""The guides, line by line: what is printed there is typed here, against a platform with real data.
 
 Catches alone a line of a guide that does not do what is printed below it.
 """
@@ -35,6 +35,7 @@ from testing.api.serving import person, serving
 from testing.servers.fixtures import make_settings, opened
 from testing.worlds.benchmark_world import run_eval
 from testing.worlds.published import dataset
+from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 from testing.worlds.runs import bring_ready, run_all
 from tests.e2e.pasting import ADDRESS, PASSWORD, Shell, blocks, shell_in, statements
 from tests.stone_client.participating import answered
@@ -114,6 +115,20 @@ def test_the_participants_guide_works_line_by_line(
     with _pasted(field, tmp_path, monkeypatch) as shell:
         assert shell.paste("participant.md", elsewhere=_elsewhere("participant.md")) > 20
         check_what_was_printed(shell)
+
+
+def test_the_release_is_imported_as_its_page_says(
+    field: Platform, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """The lines before: tests/baselines/test_release_guide.py."""
+    twin = ReleasedDataset(frames=2)
+    write_released_zip(tmp_path / "STONE.zip", twin)
+    page = "use-the-release.md"
+    typed = {line for kind, block in blocks(page) if not kind for line in statements(block)}
+    with _pasted(field, tmp_path, monkeypatch) as shell:
+        assert shell.paste(page, {line for line in typed if " import " not in line}) == 2
+    with field.database.reading() as session:
+        assert {row.name for row in session.query(SequenceRow)} >= set(twin.tables.names)
 
 
 def check_what_was_printed(shell: Shell) -> None:

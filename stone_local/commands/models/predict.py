@@ -31,7 +31,9 @@ RunArgument = Annotated[
 ]
 InputsArgument = Annotated[
     list[Path] | None,
-    typer.Argument(metavar="[INPUTS...]", exists=True, help="Exports of format inputs or nuscenes; folders or tars."),
+    typer.Argument(
+        metavar="[INPUTS...]", exists=True, help="Exports of format inputs or nuscenes (folders or tars), or a ZIP."
+    ),
 ]
 SomeManifestOption = Annotated[
     Path | None,

@@ -36,7 +36,8 @@ ExportsArgument = Annotated[
     typer.Argument(
         metavar="EXPORTS...",
         exists=True,
-        help="Exports of format nuscenes, or inputs beside the tars of a dataset version; folders or tars.",
+        help="Exports of format nuscenes, or inputs beside the tars of a dataset version (folders or tars), or a "
+        "published ZIP; with manifests among them only their frames.",
     ),
 ]
 RunOption = Annotated[
@@ -45,7 +46,10 @@ RunOption = Annotated[
 WatchOption = Annotated[
     list[Path] | None,
     typer.Option(
-        "--watch", metavar="EXPORTS", exists=True, help="Validation data, scored after each epoch; repeatable."
+        "--watch",
+        metavar="EXPORTS",
+        exists=True,
+        help="Validation data as EXPORTS, scored after each epoch; repeatable.",
     ),
 ]
 ResumeOption = Annotated[bool, typer.Option("--resume", help="Resume from the run's checkpoint.")]
