@@ -22,9 +22,13 @@ from scipy.spatial.transform import Rotation
 
 from stone_base.label_grid import PAPER, RELEASE, LabelGrid
 from stone_client.devkit import Dataset, Frame, open_dataset
+from stone_datasets.placed_frames import swept_frames
+from stone_exports.files import FolderFiles
+from stone_exports.frames import frames_in
 from stone_files.byte_ranges import LocalRanges
 from stone_files.dataset_layouts import LAYOUTS
 from stone_files.grid_file import grid_text
+from stone_submissions.manifest import read_manifest
 from testing.refusals import refused_as
 from testing.worlds.released_datasets import ReleasedDataset, write_released, write_released_zip
 
@@ -242,3 +246,33 @@ def test_a_label_set_has_its_frames_in_time_and_each_of_its_grids(tmp_path: Path
         _ = open_dataset(tmp_path)[0].sweep
     with refused_as("not_labels", match="no labels at the grid occ3d"):
         open_dataset(tmp_path, grid="occ3d")
+
+
+def test_written_labels_are_a_label_set_of_the_frames_that_the_manifest_names(tmp_path: Path, dataset: Dataset) -> None:
+    part = dataset.select(dataset.drives[0])
+    part.write_labels(tmp_path / "val")
+    part.write_manifest(tmp_path / "val.json")
+    manifest, written = read_manifest(tmp_path / "val.json"), open_dataset(tmp_path / "val")
+    assert (manifest.grid, manifest.tokens) == (RELEASE, tuple(frame.token for frame in part))
+    found = {frame.token: frame for frame in written}
+    assert (written.grid, found.keys()) == (RELEASE, set(manifest.tokens))
+    for frame in part:
+        assert np.array_equal(found[frame.token].semantics, frame.semantics)
+        assert np.array_equal(found[frame.token].observed, frame.observed)
+    with refused_as("output_exists"):
+        part.write_labels(tmp_path / "val")
+
+
+def test_frames_of_a_zip_are_those_of_its_folder(tmp_path: Path, twin: Path) -> None:
+    """The folder is read by the reader of exports, which has code of its own for tables."""
+    swept = sorted(swept_frames(twin), key=lambda one: (one.sequence, one.stamp_us))
+    for frame, same in zip(swept, frames_in(FolderFiles(write_released(tmp_path, TWIN))), strict=True):
+        assert (frame.token, frame.sequence, frame.stamp_us) == (same.token, same.sequence, same.stamp_us)
+        assert frame.labels is not None
+        assert same.labels is not None
+        assert frame.labels.read(2**22) == same.labels.read(2**22)
+        for channel, datum in same.data.items():
+            found = frame.data[channel]
+            assert found.stamp_us == datum.stamp_us
+            assert found.span.read(2**22) == datum.span.read(2**22)
+            assert np.array_equal(found.global_from_ego.wxyz_xyz, datum.global_from_ego.wxyz_xyz)

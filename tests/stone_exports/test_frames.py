@@ -5,6 +5,7 @@ import json
 import tracemalloc
 import zipfile
 from collections.abc import Callable
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -12,10 +13,12 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from stone_base.label_grid import RELEASE
 from stone_exports.files import DamagedExportError, ExportFileSpan, FolderFiles
 from stone_exports.frames import ExportedFrame, frames_in
 from stone_exports.labels import observed_classes
 from stone_files.npz import npz_bytes
+from testing.refusals import refused_as
 from testing.worlds import small_export
 from tests.stone_exports.conftest import RIG
 
@@ -270,3 +273,14 @@ def test_labels_that_are_encrypted_or_a_gigabyte_are_refused(tmp_path: Path) -> 
         observed_classes(span_of(tmp_path / "labels.npz", bytes(content)))
     with pytest.raises(DamagedExportError):
         observed_classes(ExportFileSpan(tmp_path / "labels.npz", "labels.npz", 0, 1 << 30))
+
+
+def test_labels_of_the_releases_key_are_of_its_grid_and_unobserved_where_they_are_unknown(tmp_path: Path) -> None:
+    label = np.random.default_rng(5).choice(np.array([0, 1, 2, 3, 255], np.uint8), RELEASE.shape)
+    span = span_of(tmp_path / "labels.npz", npz_bytes({"label": label}))
+    assert np.array_equal(observed_classes(span, grid=RELEASE), label)
+    own = replace(RELEASE, name="own", unknown=17)
+    with refused_as("damaged_export", match="it has class 255"):
+        observed_classes(span, grid=own)
+    with refused_as("damaged_export", match="expected is uint8"):
+        observed_classes(span)

@@ -17,7 +17,9 @@ MOST_NAMED = 20
 
 DatasetArgument = Annotated[
     Path | None,
-    typer.Argument(metavar="DATASET", exists=True, readable=True, help="A folder or tar: v1.0-*/ tables, or Occ3D's."),
+    typer.Argument(
+        metavar="DATASET", exists=True, readable=True, help="A folder, tar or ZIP: v1.0-*/ tables, or Occ3D's."
+    ),
 ]
 NameOption = Annotated[
     str | None, typer.Option("--name", metavar="NAME", help="Name of the import; else that of the folder or tar.")
