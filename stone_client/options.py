@@ -109,7 +109,7 @@ GridsOption = Annotated[
     typer.Option(
         "--grid",
         metavar="NAME|FILE",
-        help="Grid of the labels: paper, release, occ3d, or a JSON or YAML file with its name, min_m, voxel_m and "
+        help="Grid of the labels: paper, release, occ3d, or a JSON file with its name, min_m, voxel_m and "
         "shape (default: paper). Repeat it to cut several from one map.",
         show_default=False,
     ),
@@ -119,7 +119,7 @@ GridOption = Annotated[
     typer.Option(
         "--grid",
         metavar="NAME|FILE",
-        help="Grid of the labels: paper, release, occ3d, or a JSON or YAML file with its name, min_m, voxel_m and "
+        help="Grid of the labels: paper, release, occ3d, or a JSON file with its name, min_m, voxel_m and "
         "shape (default: what the files say).",
         show_default=False,
     ),

@@ -1,25 +1,18 @@
 """The layout and grid that the user states of a dataset, and the layout that it therefore has.
 
-**Conventions.** What is stated goes before what is recognised. A grid file is JSON or YAML, as `LabelGrid.as_record`
-makes it.
+**Conventions.** What is stated goes before what is recognised.
 """
 
 from collections.abc import Sequence
 from dataclasses import dataclass
-from pathlib import Path
 
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
-
-from stone_base.errors import Refused
-from stone_base.label_grid import GRIDS, LabelGrid, grid_of, named_grid
+from stone_base.label_grid import LabelGrid
 from stone_datasets.faults import DatasetFaultError, DatasetPlace
 from stone_datasets.files import DatasetFiles
 from stone_datasets.index import DatasetSequence
 from stone_datasets.labels import layout_of_labels
 from stone_files.dataset_layouts import DASHED_TOKEN, DatasetLayout, named_layout
 
-MOST_GRID_BYTES = 64 * 1024
 MOST_TRIED = 8
 
 
@@ -40,21 +33,6 @@ class StatedLayout:
 
 
 UNSTATED = StatedLayout()
-
-
-def read_grid(stated: str) -> LabelGrid:
-    """Return the grid of this name, or the one that the file of this path describes. Raises `bad_grid`."""
-    path = Path(stated)
-    if stated in GRIDS or not path.is_file():
-        return named_grid(stated)
-    with path.open("rb") as file:
-        content = file.read(MOST_GRID_BYTES + 1)
-    if len(content) > MOST_GRID_BYTES:
-        raise Refused("bad_grid", f"{path.name} has more than {MOST_GRID_BYTES} bytes; a grid is a short JSON or YAML")
-    try:
-        return grid_of(YAML(typ="safe", pure=True).load(content.decode("utf-8")))
-    except (YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
-        raise Refused("bad_grid", f"{path.name} is neither JSON nor YAML of a grid") from error
 
 
 def form_of_tokens(written: Sequence[str], place: DatasetPlace) -> bool:

@@ -1,11 +1,11 @@
-"""Files that describe a label grid: `grid.json` of a label set, and what `--grid` names."""
+"""Files that describe a label grid: `grid.json` of a label set, and what `--grid` names.
+
+**Conventions.** JSON, as `LabelGrid.as_record` makes it.
+"""
 
 import json
 from collections.abc import Sequence
 from pathlib import Path
-
-from ruamel.yaml import YAML
-from ruamel.yaml.error import YAMLError
 
 from stone_base.errors import Refused
 from stone_base.label_grid import GRIDS, PAPER, LabelGrid, grid_of, named_grid
@@ -15,7 +15,7 @@ MOST_BYTES = 64 * 1024
 
 
 def chosen_grid(text: str) -> LabelGrid:
-    """Return the grid of this name, or the one that a file of this name describes. Raises `bad_grid`."""
+    """Return the grid of this name, or the one that the file at this path describes. Raises `bad_grid`."""
     return named_grid(text) if text in GRIDS or not Path(text).is_file() else read_grid_file(Path(text))
 
 
@@ -29,15 +29,15 @@ def chosen_grids(texts: Sequence[str]) -> tuple[LabelGrid, ...]:
 
 
 def read_grid_file(path: Path) -> LabelGrid:
-    """Return the grid that a JSON or YAML file describes. Raises `bad_grid`."""
+    """Return the grid that a file describes. Raises `bad_grid`."""
     try:
         with path.open("rb") as file:
             content = file.read(MOST_BYTES + 1)
         if len(content) > MOST_BYTES:
             raise Refused("bad_grid", f"{path} has more than {MOST_BYTES} bytes; a grid has a name and a few numbers")
-        return grid_of(YAML(typ="safe", pure=True).load(content.decode("utf-8")))
-    except (OSError, YAMLError, ValueError, RecursionError, TypeError, AttributeError) as error:
-        raise Refused("bad_grid", f"{path} is no JSON or YAML that describes a grid ({error})"[:300]) from error
+        return grid_of(json.loads(content))
+    except (OSError, ValueError, RecursionError) as error:
+        raise Refused("bad_grid", f"{path} is no JSON that describes a grid ({error})"[:300]) from error
 
 
 def grid_text(grid: LabelGrid) -> str:

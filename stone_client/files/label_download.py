@@ -22,6 +22,7 @@ FILES = {
     "features.png": "previews/features.png",
     "mesh.ply": "mesh",
     "frames.parquet": "frames.parquet",
+    "grid.json": "grid.json",
     "sequence.npz": "sequence.npz",
 }
 

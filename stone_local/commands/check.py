@@ -59,9 +59,10 @@ def check(
     """
     from stone_datasets.classes import OWN_CLASSES, read_class_map
     from stone_datasets.reading import check_dataset
-    from stone_datasets.stated_layout import StatedLayout, read_grid
+    from stone_datasets.stated_layout import StatedLayout
+    from stone_files.grid_file import chosen_grid
 
-    where, stated = _opened(dataset), StatedLayout(layout, None if grid is None else read_grid(grid))
+    where, stated = _opened(dataset), StatedLayout(layout, None if grid is None else chosen_grid(grid))
     said = OWN_CLASSES if classes is None else read_class_map(classes)
     with reported() as progress:
         found = check_dataset(where, said, faults, lambda done, of: progress("frames", done, of), stated)

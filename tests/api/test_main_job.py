@@ -141,7 +141,8 @@ def test_files_are_those_the_sequence_names(done: Done) -> None:
     paths = {"report.json": "/report", "mesh.ply": "/mesh", "bev.png": "/previews/bev.png",
              "map.png": "/previews/map.png", "features.png": "/previews/features.png",
              "thumbnail.png": "/previews/thumbnail.png",
-             "frames.parquet": "/frames.parquet", "sequence.npz": "/sequence.npz"}  # fmt: skip
+             "frames.parquet": "/frames.parquet", "sequence.npz": "/sequence.npz",
+             "grid.json": "/grid.json"}  # fmt: skip
     assert {file["name"] for file in shown["artefacts"]} == set(paths)
     for file in shown["artefacts"]:
         answer = done.read(done.path(paths[file["name"]]))

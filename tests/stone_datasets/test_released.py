@@ -18,8 +18,9 @@ from stone_datasets.classes import OWN_CLASSES, class_map_of
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.labels import read_labels
 from stone_datasets.reading import DatasetCheck, check_dataset, read_dataset
-from stone_datasets.stated_layout import StatedLayout, form_of_tokens, read_grid
+from stone_datasets.stated_layout import StatedLayout, form_of_tokens
 from stone_files.dataset_layouts import LAYOUTS
+from stone_files.grid_file import chosen_grid
 from stone_files.npz import npz_bytes
 from testing.refusals import refused_as
 from testing.worlds.published_datasets import Row
@@ -151,15 +152,13 @@ def test_what_is_stated_goes_before_what_is_recognised_and_must_be_what_the_file
     assert check_dataset(twin, stated=StatedLayout("release")).contents is not None
     with refused_as("bad_layout"):
         check_dataset(twin, stated=StatedLayout("nuscenes"))
-    for text in (json.dumps(RELEASE.as_record()), "name: release\nmin_m: [-40, -40, -1]\nvoxel_m: 0.4\nunknown: 255\n"
-                 "shape: [200, 200, 16]\n"):  # fmt: skip
-        (tmp_path / "grid.yaml").write_text(text)
-        assert read_grid(str(tmp_path / "grid.yaml")) == RELEASE
-    assert read_grid("paper") == PAPER
-    (tmp_path / "grid.yaml").write_text("[1")
-    for name in ("cubic", str(tmp_path / "grid.yaml")):
+    (tmp_path / "grid.json").write_text(json.dumps(RELEASE.as_record()))
+    assert chosen_grid(str(tmp_path / "grid.json")) == RELEASE
+    assert chosen_grid("paper") == PAPER
+    (tmp_path / "grid.json").write_text("[1")
+    for name in ("cubic", str(tmp_path / "grid.json")):
         with refused_as("bad_grid"):
-            read_grid(name)
+            chosen_grid(name)
 
 
 def test_tokens_of_two_forms_are_refused(tmp_path: Path) -> None:

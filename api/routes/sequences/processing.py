@@ -63,6 +63,12 @@ def download_frame_table(sequence_id: IdPath, caller: Looker, platform: Platform
     return _artefact(request, platform, caller, sequence_id, "frames.parquet")
 
 
+@router.get("/grid.json", response_class=Response, responses=file_responses("application/json"))
+def download_grid(sequence_id: IdPath, caller: Looker, platform: PlatformDep, request: Request) -> Response:
+    """The grid that the labels were cut at, as `stone score --grid` reads it; earlier labels have no such file."""
+    return _artefact(request, platform, caller, sequence_id, "grid.json")
+
+
 @router.get(
     "/sequence.npz",
     summary="The synchronised sequence (npz)",

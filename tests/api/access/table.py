@@ -106,6 +106,7 @@ POST   /api/v1/sequences/{sequence_id}/process                401  403  202   40
 GET    /api/v1/sequences/{sequence_id}/frames                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/report                 401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/frames.parquet         401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/sequences/{sequence_id}/grid.json              401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/mesh                   401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/previews/{name}        401  404  200   404   200  404 403  401  401  200 200
 GET    /api/v1/sequences/{sequence_id}/events                 401  404  200   404   200  404 403  401  401  200 200
