@@ -41,6 +41,7 @@ from services.runtime.uploads import upload_file
 from stone.sensors.sequence import frame_token
 from stone_base.label_grid import PAPER, LabelGrid, record_unless_paper
 from stone_files.archives import KINDS
+from stone_files.grid_file import grid_text
 from stone_files.npz import npz_bytes
 from testing.api.serving import Person
 from testing.worlds.frame_tables import FRAME_NS, frame_table_bytes
@@ -106,6 +107,7 @@ def labels(
         "frames.parquet": frame_table_bytes(list(of_frames), START_NS, seed),
         "bev.png": b"\x89PNG\r\n" + seed,
         "sequence.npz": b"PK" + seed,
+        "grid.json": grid_text(grid).encode(),
         "labels/000000.pack": b"".join(of_frames.values()),
         "scene/scene.json": scene_json(made["name"], list(of_frames)),
         "scene/tile_0_-1.bin": b"STT1" + seed,

@@ -173,9 +173,9 @@ def test_every_chunk_is_inflated_once_but_those_of_clouds_that_are_looked_at(
     monkeypatch.setattr(chunked_store, "inflate", counted)
     with open_bag(bag) as opened:
         inspected_in(opened)
-    again = sum(count > 1 for count in times.values())
+    again = times.total() - len(times)  # sweeps are looked at for the scan, and 40 of a run for the ground under it
     assert len(times) > 15
-    assert again <= len(times) / 3, times
+    assert again <= 1.5 * len(times), times
 
 
 def test_topics_that_synchronisation_would_refuse_are_scanned_without_it(simulated: SoundDrive) -> None:

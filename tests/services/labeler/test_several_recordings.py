@@ -192,7 +192,7 @@ def test_a_description_of_other_recordings_opens_nothing(brought: Brought, tmp_p
 
 def test_a_child_that_describes_another_run_is_not_believed(brought: Brought, tmp_path: Path) -> None:
     folder = described(brought, tmp_path / "described")
-    made, sha256s = SynchronisationResult({}, {}), {member.name: member.sha256 for member in read_joined(folder)}
+    made, sha256s = SynchronisationResult({}, {}, {}), {member.name: member.sha256 for member in read_joined(folder)}
     believed = with_description(made, folder, StoredBags((), (), sha256s, {}))
     assert believed.files == {JOINED: folder / JOINED}
     with pytest.raises(SandboxCrashedError):

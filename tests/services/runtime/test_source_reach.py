@@ -222,6 +222,6 @@ def test_all_that_scores_and_compares_is_reached(tmp_path: Path) -> None:
     assert unreached("scores", entered) == set()
     folders = open_folders(tmp_path, tmp_path)
     with traced() as entered:
-        comparison_record(folders.frames, counted_pairs(folders.pairs(), len(labels), silent))
+        comparison_record(folders.frames, counted_pairs(folders.pairs(), len(labels), folders.grid, silent))
     read_from_folders = ("services.eval.comparison.folders:", "stone_submissions.manifest:")
     assert {one for one in unreached("comparisons", entered) if not one.startswith(read_from_folders)} == set()
