@@ -90,7 +90,7 @@ def cut(*_arguments: Any, **_named: Any) -> Any:
 
 CUTS = {
     "before the first byte": (submitting, "upload_file"),
-    "between pieces": (tus, "_send_rest"),
+    "between pieces": (tus, "send_rest"),
     "before it is finalised": (submitting, "Purpose"),
 }
 
