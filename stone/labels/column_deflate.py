@@ -43,7 +43,7 @@ def tokens_of(ones: Words, twos: Words, height: int) -> tuple[NDArray[np.uint16]
     columns = np.empty(ones.size + 1, np.int64)
     places, codes = np.empty(size + EIGHT, np.int32), np.empty(size + EIGHT, np.uint8)
     found = columns[: _find_columns(one, two, columns)]
-    literals = _find_literals((one, two), found, height, places, codes)
+    literals = _find_literals((one, two), found, (0,) * (height // EIGHT), places, codes)
     tokens, counts = np.empty(size + 2, np.uint16), np.zeros(TOKENS, np.int64)
     last = one[-1] >> np.uint32(height - BEFORE), two[-1] >> np.uint32(height - BEFORE)
     filled = _say((places[:literals], codes), (size, *last), tokens)
@@ -89,9 +89,12 @@ def _find_columns(ones, twos, columns):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _find_literals(words, columns, height, places, codes):  # type: ignore[no-untyped-def]
-    """The places of the bytes that differ, all of the first column; with each, `BEFORE` bytes before it and itself."""
-    (ones, twos), found = words, np.int64(0)
+def _find_literals(words, columns, eights, places, codes):  # type: ignore[no-untyped-def]
+    """The places of the bytes that differ, all of the first column; with each, `BEFORE` bytes before it and itself.
+
+    `eights` is a tuple as long as a column has eights of bytes: so its height is known when this is compiled.
+    """
+    (ones, twos), found, height = words, np.int64(0), EIGHT * len(eights)
     last, whole = np.uint32(height - BEFORE), np.uint32((np.uint64(1) << np.uint64(height)) - np.uint64(1))
     for n in range(columns.size):
         column = columns[n]
@@ -100,7 +103,7 @@ def _find_literals(words, columns, height, places, codes):  # type: ignore[no-un
         differs = np.uint64((one ^ one_before) | (two ^ two_before))
         near_one = np.uint64(one) << np.uint64(BEFORE) | np.uint64(one_before >> last)
         near_two = np.uint64(two) << np.uint64(BEFORE) | np.uint64(two_before >> last)
-        for byte in range(height // EIGHT):
+        for byte in range(len(eights)):
             shift = np.uint64(EIGHT * byte)
             at = found + np.int64(popcount(differs & ((np.uint64(1) << shift) - np.uint64(1))))
             near = np.uint32(near_one >> shift), np.uint32(near_two >> shift)
