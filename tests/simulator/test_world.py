@@ -17,7 +17,7 @@ from simulator.scenery.terrain import Terrain
 from simulator.scenery.world import build_world, drivability
 from simulator.sensors.navigation import take_inertia
 from simulator.truth import DRIVABLE, NOT_DRIVABLE, NOT_JUDGED, SimulationTruth, TruthGround, read_truth, truth_over
-from simulator.verdict import VOXEL_M, LabelVerdict, judge_semantics
+from simulator.verdict import LabelVerdict, judge_semantics
 from stone.geometry.se3 import SE3
 from stone_base.label_grid import PAPER
 from testing.refusals import refused_as
@@ -153,9 +153,9 @@ def test_a_folder_without_truth_or_with_uneven_poses_is_refused(tmp_path: Path, 
 def exact_semantics(recording: Recording, stamp_ns: int) -> np.ndarray:
     """A voxel is occupied where the ground passes; 2 where drivable, 3 where not."""
     truth = recording.truth
-    centres = (np.argwhere(np.ones((*PAPER.shape[:2], 8), bool)) + np.array([0.5, 0.5, 6.5])) * VOXEL_M + np.array(
-        PAPER.min_m
-    )
+    centres = (
+        np.argwhere(np.ones((*PAPER.shape[:2], 8), bool)) + np.array([0.5, 0.5, 6.5])
+    ) * PAPER.voxel_m + np.array(PAPER.min_m)
     verdict = truth.judge(truth.map_from_ego(stamp_ns) @ centres)
     label = np.choose(verdict, [0, 2, 3]).astype(np.uint8)
     semantics = np.zeros(PAPER.shape, np.uint8)
