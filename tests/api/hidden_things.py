@@ -85,6 +85,7 @@ def secrets_of(session: Session, world: World) -> Secrets:
     frames = list(session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id.in_(ids))))
     scores = list(session.scalars(select(Score).join(SubmissionRow).where(SubmissionRow.phase_id == world.test)))
     kept = set(session.scalars(select(Artefact.blob_sha256).where(Artefact.label_set_id.in_(ids))))
+    kept -= set(session.scalars(select(Artefact.blob_sha256).where(Artefact.name == "grid.json")))  # a public fact
     kept |= {sha for score in scores for sha in (score.confusions_sha256, score.spectra_sha256)}
     kept |= set(session.scalars(select(GroundTruthRow.pack_sha256).where(GroundTruthRow.phase_id == world.test)))
     kept |= set(session.scalars(select(DatasetPack.blob_sha256).where(DatasetPack.part == "test")))
