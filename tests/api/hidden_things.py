@@ -85,10 +85,10 @@ def secrets_of(session: Session, world: World) -> Secrets:
     frames = list(session.scalars(select(LabelledFrameRow).where(LabelledFrameRow.label_set_id.in_(ids))))
     scores = list(session.scalars(select(Score).join(SubmissionRow).where(SubmissionRow.phase_id == world.test)))
     kept = set(session.scalars(select(Artefact.blob_sha256).where(Artefact.label_set_id.in_(ids))))
-    kept -= set(session.scalars(select(Artefact.blob_sha256).where(Artefact.name == "grid.json")))  # a public fact
     kept |= {sha for score in scores for sha in (score.confusions_sha256, score.spectra_sha256)}
     kept |= set(session.scalars(select(GroundTruthRow.pack_sha256).where(GroundTruthRow.phase_id == world.test)))
     kept |= set(session.scalars(select(DatasetPack.blob_sha256).where(DatasetPack.part == "test")))
+    kept -= set(session.scalars(select(Artefact.blob_sha256).where(Artefact.name == "grid.json")))  # a public fact
     keys = session.scalars(select(Blob.object_key).where(Blob.sha256.in_(kept)))
     digests = kept | {frame.sha256 for frame in frames} | {score.content_sha256 for score in scores}
     columns = ("free_voxels", "t_voxels", "p_voxels", "n_voxels", "held_out_m")
