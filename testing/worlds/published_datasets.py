@@ -11,7 +11,7 @@ import os
 import tarfile
 from collections.abc import Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from functools import cached_property
+from functools import cached_property, lru_cache
 from hashlib import sha256
 from pathlib import Path
 from typing import Any
@@ -41,8 +41,9 @@ Row = dict[str, Any]
 class SyntheticDataset:
     """What to write: scenes of `frames`, the first `longer` of one more.
 
-    `labels` are taken in turn; none: a test set. After `turns_after` frames the robot drives back and forth again; 0:
-    on and on. So many scenes, `drive_scenes`, are chunks of one drive: of one log, their stamps and poses join.
+    `labels` are taken in turn; none: a test set. After `turns_after` frames the robot drives back and forth again, each
+    drive from another place on; 0: on and on. `locations` lie `apart_m` apart. So many scenes, `drive_scenes`, are
+    chunks of one drive: of one log, their stamps and poses join.
     """
 
     scenes: int = 2
@@ -55,8 +56,9 @@ class SyntheticDataset:
     locations: Sequence[str] = ("field",)
     turns_after: int = 0
     drive_scenes: int = 1
+    apart_m: float = 0.0
 
-    @property
+    @cached_property
     def names(self) -> tuple[str, ...]:
         return tuple(f"field-{scene:04}" for scene in range(self.scenes))
 
@@ -70,7 +72,8 @@ class SyntheticDataset:
         return self.frames + (scene < self.longer)
 
     def stamp_us(self, scene: int, frame: int) -> int:
-        before = sum(self.length(one) for one in range(self.first_of_drive(scene), scene))
+        first = self.first_of_drive(scene)
+        before = (scene - first) * self.frames + min(max(self.longer - first, 0), scene - first)
         return FIRST_US + scene // self.drive_scenes * SCENE_US + (before + frame) * STEP_US
 
     def first_of_drive(self, scene: int) -> int:
@@ -222,11 +225,20 @@ def _poses(what: SyntheticDataset, scene: int) -> Iterator[Row]:
 
 def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
     """`rotation` and `translation` of the robot at a stamp."""
-    moved_us, turn_us = stamp_us - what.stamp_us(what.first_of_drive(scene), 0), what.turns_after * STEP_US
+    first, turn_us = what.first_of_drive(scene), what.turns_after * STEP_US
+    moved_us = stamp_us - what.stamp_us(first, 0)
     if turn_us:
-        moved_us = turn_us - abs(moved_us % (2 * turn_us) - turn_us)
+        moved_us = turn_us - abs((moved_us + first * STEP_US) % (2 * turn_us) - turn_us)
+    rotation, (x, y, z) = _track(moved_us)
+    x += what.apart_m * what.locations.index(what.location(first))
+    return {"rotation": list(rotation), "translation": [x, y, z]}
+
+
+@lru_cache(10_000)
+def _track(moved_us: int) -> tuple[tuple[float, ...], tuple[float, ...]]:
+    """The rotation and the translation so long after the beginning of a drive."""
     pose = global_from_ego(START_US + moved_us)
-    return {"rotation": pose.wxyz.tolist(), "translation": pose.translation_m.tolist()}
+    return tuple(pose.wxyz.tolist()), tuple(pose.translation_m.tolist())
 
 
 def _data(what: SyntheticDataset, scene: int) -> Iterator[Row]:

@@ -8,11 +8,11 @@ schema does not have, and a pickle that nobody may open.
 """
 
 import json
-import zipfile
 from collections.abc import Callable, Iterator, Mapping
 from dataclasses import dataclass, field
-from functools import partial
+from functools import cached_property, lru_cache, partial
 from pathlib import Path
+from zlib import crc32
 
 import numpy as np
 from numpy.typing import NDArray
@@ -30,9 +30,11 @@ from testing.worlds.published_datasets import (
     tables_of,
 )
 from testing.worlds.small_export import picture_of
+from testing.worlds.zip_stream import ZipStream
 
 SWEEP_SHOTS, NO_RETURN_SHARE, REACH_M = 6_000, 0.25, 38.0
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.69, 0.06, 0.04, -0.72]), np.array([0.16, 0.12, 0.54]))
+MOST_POSES = 1_000  # whose sweeps and labels are kept, to be written again
 BOX_CELL_M, BOX_HALF_M, BOX_HIGH_M = 9.0, 0.8, 1.9
 PICKLE = b"\x80\x04cposix\nsystem\n\x94."
 CAMERAS = ("CAM_FRONT_LEFT", "CAM_FRONT", "CAM_FRONT_RIGHT", "CAM_BACK_LEFT", "CAM_BACK", "CAM_BACK_RIGHT")
@@ -48,9 +50,10 @@ RowChange = Callable[[str, Row], Row]
 
 @dataclass(frozen=True)
 class ReleasedDataset:
-    """What to write: `scenes` of `frames`, two of each drive, in the layout of this name.
+    """What to write: `scenes` of `frames`, so many of each drive, in the layout of this name.
 
-    `labels_in` is another grid than that of the layout to cut labels in. `changed` alters rows of tables at the end.
+    Drives share the places of the release evenly, in their order, and those lie `apart_m` apart. After `turns_after`
+    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. `labels_in` is another grid than that of the layout to cut labels in. `changed` alters rows of tables at the end.
     """
 
     scenes: int = 2
@@ -60,13 +63,19 @@ class ReleasedDataset:
     labels_in: LabelGrid | None = None
     changed: RowChange = field(default=lambda _table, row: row)
     is_deflated: bool = True
+    drive_scenes: int = 2
+    turns_after: int = 0
+    apart_m: float = 0.0
 
-    @property
+    @cached_property
     def tables(self) -> SyntheticDataset:
         """Its scenes, frames and sensors."""
+        logs, drives = RELEASE_FACTS.logs, -(-self.scenes // self.drive_scenes)
+        locations = [logs[scene // self.drive_scenes * len(logs) // drives] for scene in range(self.scenes)]
         return SyntheticDataset(
-            self.scenes, self.frames, cameras=self.cameras, radars=(), locations=RELEASE_FACTS.logs, drive_scenes=2
-        )
+            self.scenes, self.frames, cameras=self.cameras, radars=(), locations=locations,
+            drive_scenes=self.drive_scenes, turns_after=self.turns_after, apart_m=self.apart_m,
+        )  # fmt: skip
 
     @property
     def root(self) -> str:
@@ -78,11 +87,12 @@ class ReleasedDataset:
 
 
 def write_released_zip(path: Path, what: ReleasedDataset) -> Path:
-    """The dataset as one ZIP."""
-    method = zipfile.ZIP_DEFLATED if what.is_deflated else zipfile.ZIP_STORED
-    with zipfile.ZipFile(path, "w", method, compresslevel=1) as archive:
-        for name, content in released_files(what):
-            archive.writestr(f"{what.root}{name}", content)
+    """The dataset as one ZIP; what is held does not grow with its frames if the robot drives back and forth."""
+    with ZipStream(path, is_deflated=what.is_deflated) as archive:
+        for name, pieces in _table_files(what):
+            archive.add_pieces(f"{what.root}{name}", pieces)
+        for name, content in _other_files(what):
+            archive.add(f"{what.root}{name}", content)
     return path
 
 
@@ -96,20 +106,42 @@ def write_released(folder: Path, what: ReleasedDataset) -> Path:
 
 def released_files(what: ReleasedDataset) -> Iterator[tuple[str, bytes]]:
     """Every file by its name below the root."""
+    yield from ((name, b"".join(pieces)) for name, pieces in _table_files(what))
+    yield from _other_files(what)
+
+
+def _table_files(what: ReleasedDataset) -> Iterator[tuple[str, Iterator[bytes]]]:
     for table, rows in released_tables(what).items():
-        text = ",\n".join(json.dumps(what.changed(table, row)) for row in rows)
-        yield f"{VERSION}/{table}.json", f"[\n{text}\n]\n".encode()
+        yield f"{VERSION}/{table}.json", _table_text(map(partial(what.changed, table), rows))
+
+
+def _table_text(rows: Iterator[Row]) -> Iterator[bytes]:
+    begin = "[\n"
+    for row in rows:
+        yield f"{begin}{json.dumps(row)}".encode()
+        begin = ",\n"
+    yield b"\n]\n"
+
+
+def _other_files(what: ReleasedDataset) -> Iterator[tuple[str, bytes]]:
     yield "nuscenes_infos_val.pkl", PICKLE
-    tables, picture = what.tables, picture_of(FIRST_US, "CAM")
+    tables, picture, seen_at = what.tables, picture_of(FIRST_US, "CAM"), lru_cache(MOST_POSES)(partial(_seen_at, what))
     for scene, name in enumerate(tables.names):
         for frame, token in enumerate(tables.tokens(scene)):
             stamp_us = tables.stamp_us(scene, frame)
-            pose = _pose(pose_of(tables, scene, stamp_us))
-            yield tables.filename("LIDAR_TOP", stamp_us), sweep_of(pose, seed=stamp_us % 2**31, layout=what.layout)
+            pose = pose_of(tables, scene, stamp_us)
+            sweep, labels = seen_at((*pose["rotation"], *pose["translation"]))
+            yield tables.filename("LIDAR_TOP", stamp_us), sweep
             for camera in what.cameras:
                 yield tables.filename(camera, tables.datum_us(scene, frame, camera)), picture
-            labels = labels_of(pose, what.labels_in or what.layout.grid, what.layout)
             yield f"gts/{name}/{what.written(token)}/labels.npz", labels
+
+
+def _seen_at(what: ReleasedDataset, numbers: tuple[float, ...]) -> tuple[bytes, bytes]:
+    """The sweep and the labels at a pose."""
+    pose = SE3.from_parts(np.array(numbers[:4]), np.array(numbers[4:]))
+    sweep = sweep_of(pose, seed=crc32(repr(numbers).encode()), layout=what.layout)
+    return sweep, labels_of(pose, what.labels_in or what.layout.grid, what.layout)
 
 
 def released_tables(what: ReleasedDataset) -> Mapping[str, Iterator[Row]]:
@@ -136,10 +168,6 @@ def _written(what: ReleasedDataset, table: str, row: Row) -> Row:
     if table == "calibrated_sensor" and not row["camera_intrinsic"]:
         row |= {"rotation": EGO_FROM_LIDAR.wxyz.tolist(), "translation": EGO_FROM_LIDAR.translation_m.tolist()}
     return row
-
-
-def _pose(row: Row) -> SE3:
-    return SE3.from_parts(np.array(row["rotation"]), np.array(row["translation"]))
 
 
 # The world: heights above the ego origins' plane, which is at a global z of 50 m.

@@ -1,0 +1,104 @@
+"""A ZIP as large as one likes, written in one pass: what is held does not grow with its members.
+
+**Conventions.** Contents that are one object are packed once. The directory waits in a file beside; a member has less
+than 4 GiB, the ZIP may have more.
+
+Source: PKWARE APPNOTE 6.3.10 §4.3, §4.5.3.
+"""
+
+import shutil
+import struct
+import tempfile
+import zlib
+from collections.abc import Iterable
+from contextlib import ExitStack
+from functools import lru_cache
+from pathlib import Path
+from typing import NamedTuple
+
+from stone_files.archives import (
+    CENTRAL,
+    DEFLATED,
+    DOS_1980_01_01,
+    FULL32,
+    LOCAL,
+    REGULAR_0644,
+    STORED,
+    UNIX,
+    WITH_64,
+    zip_end,
+)
+
+MOST_KEPT = 4096
+
+
+class PackedMember(NamedTuple):
+    """The bytes of a member as they lie in the ZIP, and what its headers have of it."""
+
+    payload: bytes
+    crc32: int
+    size_bytes: int
+
+
+class ZipStream:
+    """A ZIP that is being written; `close` ends it."""
+
+    def __init__(self, path: Path, *, is_deflated: bool) -> None:
+        self._open = ExitStack()
+        self._file = self._open.enter_context(path.open("wb"))
+        self._directory = self._open.enter_context(tempfile.TemporaryFile(dir=path.parent))
+        self._method, self._count, self._at = DEFLATED if is_deflated else STORED, 0, 0
+        self._packed = lru_cache(MOST_KEPT)(self._pack)
+
+    def __enter__(self) -> "ZipStream":
+        return self
+
+    def __exit__(self, *_: object) -> None:
+        self.close()
+
+    def add(self, name: str, content: bytes) -> None:
+        """A member of bytes; many of the same bytes cost one packing."""
+        packed = self._packed(content)
+        self._file.write(self._headers(name, packed.crc32, (len(packed.payload), packed.size_bytes)))
+        self._file.write(packed.payload)
+        self._at = self._file.tell()
+
+    def add_pieces(self, name: str, pieces: Iterable[bytes]) -> None:
+        """A member of pieces, none of which is kept."""
+        begin, crc32, size_bytes, packer = self._at, 0, 0, self._packer()
+        self._file.seek(begin + LOCAL.size + len(name))
+        for piece in pieces:
+            crc32, size_bytes = zlib.crc32(piece, crc32), size_bytes + len(piece)
+            self._file.write(packer.compress(piece) if packer else piece)
+        self._file.write(packer.flush() if packer else b"")
+        end = self._file.tell()
+        self._file.seek(begin)
+        self._file.write(self._headers(name, crc32, (end - begin - LOCAL.size - len(name), size_bytes)))
+        self._at = self._file.seek(end)
+
+    def close(self) -> None:
+        """Write the directory behind the members."""
+        length = self._directory.tell()
+        self._directory.seek(0)
+        with self._open:
+            shutil.copyfileobj(self._directory, self._file)
+            self._file.write(zip_end(self._count, self._at, length))
+
+    def _pack(self, content: bytes) -> PackedMember:
+        packer = self._packer()
+        payload = packer.compress(content) + packer.flush() if packer else content
+        return PackedMember(payload, zlib.crc32(content), len(content))
+
+    def _packer(self) -> "zlib._Compress | None":
+        return zlib.compressobj(1, wbits=-15) if self._method == DEFLATED else None
+
+    def _headers(self, name: str, crc32: int, sizes: tuple[int, int]) -> bytes:
+        """The local header of a member that begins here; its entry of the directory is written."""
+        named = name.encode("ascii")
+        extra = struct.pack("<2HQ", 1, 8, self._at) if self._at >= FULL32 else b""
+        shared = (WITH_64, 0, self._method, 0, DOS_1980_01_01, crc32, *sizes, len(named))
+        place = (0, 0, 0, REGULAR_0644, min(self._at, FULL32))
+        entry = CENTRAL.pack(b"PK\1\2", UNIX | WITH_64, *shared, len(extra), *place)
+        self._directory.write(entry + named + extra)
+        self._count += 1
+        return LOCAL.pack(b"PK\3\4", *shared, 0) + named
