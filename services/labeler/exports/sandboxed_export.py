@@ -39,6 +39,7 @@ from stone_exports.frames import LIDAR_CHANNEL
 from stone_exports.labels import FARTHEST_DETECTION_M, WANTED, scan_records
 from stone_exports.sweeps import COLUMNS, FARTHEST_RETURN_M, MOST_SWEEP_BYTES
 from stone_exports.tables import table_rows, table_span
+from stone_files.dataset_layouts import plain_token
 from stone_recordings.sync.samples import BagSamples, jpeg_of
 from stone_recordings.sync.sequence_file import read_sequence
 
@@ -252,7 +253,10 @@ class DatasetSamples:
 
 
 def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
-    """The file of each key-frame datum by the token of its frame and its channel. Raises `DamagedExportError`."""
+    """The file of each key-frame datum by the token of its frame, without dashes, and its channel.
+
+    Raises `DamagedExportError`.
+    """
     channels = {str(row.get("token")): str(row.get("channel")) for row in table_rows(files, "sensor")}
     mounts = table_rows(files, "calibrated_sensor")
     mounted = {str(row.get("token")): channels.get(str(row.get("sensor_token"))) for row in mounts}
@@ -260,7 +264,8 @@ def key_frame_files(files: DatasetSourceFiles) -> dict[tuple[str, str], str]:
     for row in table_rows(files, "sample_data"):
         channel = mounted.get(str(row.get("calibrated_sensor_token")))
         if channel is not None and row.get("is_key_frame") is True:
-            found[str(row.get("sample_token")), channel] = str(row.get("filename"))
+            written = str(row.get("sample_token"))
+            found[plain_token(written) or written, channel] = str(row.get("filename"))
     return found
 
 

@@ -11,7 +11,7 @@ import numpy as np
 import pytest
 from sqlalchemy import select
 
-from services.domain.exports.requests import start_export
+from services.domain.exports.requests import FORMATS, start_export
 from services.domain.viewer.frame_grids import read_grids
 from services.runtime.database.migrate import upgrade
 from services.runtime.orm import Artefact, Blob, Dataset, Job, LabelSet, Phase, SequenceRow
@@ -116,18 +116,35 @@ def test_a_board_over_it_scores_at_its_grid(released: Released, tmp_path: Path) 
     assert found[1] == pytest.approx(hit / either, rel=1e-12)
 
 
-def test_an_export_gives_every_label_back_byte_for_byte(released: Released) -> None:
-    name = next(iter(released.sequences))
+def export_of(released: Released, name: str, form: str) -> dict[str, bytes]:
+    """The files of an export of this sequence, which succeeds."""
     with released.platform.database.transaction() as session:
-        export, job = start_export(session, session.get_one(SequenceRow, released.sequences[name]), "nuscenes")
+        export, job = start_export(session, session.get_one(SequenceRow, released.sequences[name]), form)
         export_id, job_id = export.id, job.id
     run_all(released.platform)
     with released.platform.database.reading() as session:
         assert session.get_one(Job, job_id).state == "succeeded", session.get_one(Job, job_id).failure
-    files, compared = exported_files(released.platform, export_id), 0
+    return exported_files(released.platform, export_id)
+
+
+def test_an_export_gives_every_label_back_byte_for_byte(released: Released) -> None:
+    name, compared = next(iter(released.sequences)), 0
+    files = export_of(released, name, "nuscenes")
     with zipfile.ZipFile(released.zip_path) as archive:
         for entry in archive.namelist():
             if f"/gts/{name}/" in entry and entry.endswith("labels.npz"):
                 assert files[entry[entry.index("gts/") :]] == archive.read(entry)
                 compared += 1
     assert compared == WHAT.frames
+
+
+@pytest.mark.parametrize("form", [form for form in FORMATS if form != "nuscenes"])
+def test_every_format_finds_the_sweeps_of_frames_whose_tokens_have_dashes(released: Released, form: str) -> None:
+    files = export_of(released, next(iter(released.sequences)), form)
+    assert files
+    if form == "kitti":
+        scans = [content for name, content in files.items() if "/velodyne/" in name]
+        with zipfile.ZipFile(released.zip_path) as archive:
+            sweeps = [archive.read(name) for name in sorted(archive.namelist()) if "LIDAR_TOP" in name]
+        returns = [np.isfinite(np.frombuffer(one, "<f4").reshape(-1, 5)[:, 0]).sum() for one in sweeps[: WHAT.frames]]
+        assert [len(one) // 16 for one in scans] == returns
