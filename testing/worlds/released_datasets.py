@@ -30,7 +30,7 @@ from testing.worlds.published_datasets import (
     tables_of,
 )
 from testing.worlds.small_export import picture_of
-from testing.worlds.zip_stream import ZipStream
+from testing.worlds.zip_stream import zip_stream
 
 SWEEP_SHOTS, NO_RETURN_SHARE, REACH_M = 6_000, 0.25, 38.0
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.69, 0.06, 0.04, -0.72]), np.array([0.16, 0.12, 0.54]))
@@ -53,7 +53,8 @@ class ReleasedDataset:
     """What to write: `scenes` of `frames`, so many of each drive, in the layout of this name.
 
     Drives share the places of the release evenly, in their order, and those lie `apart_m` apart. After `turns_after`
-    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. `labels_in` is another grid than that of the layout to cut labels in. `changed` alters rows of tables at the end.
+    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. `labels_in` is another
+    grid than that of the layout to cut labels in. `changed` alters rows of tables at the end.
     """
 
     scenes: int = 2
@@ -88,7 +89,7 @@ class ReleasedDataset:
 
 def write_released_zip(path: Path, what: ReleasedDataset) -> Path:
     """The dataset as one ZIP; what is held does not grow with its frames if the robot drives back and forth."""
-    with ZipStream(path, is_deflated=what.is_deflated) as archive:
+    with zip_stream(path, is_deflated=what.is_deflated) as archive:
         for name, pieces in _table_files(what):
             archive.add_pieces(f"{what.root}{name}", pieces)
         for name, content in _other_files(what):

@@ -8,13 +8,13 @@ Source: PKWARE APPNOTE 6.3.10 §4.3, §4.5.3.
 
 import shutil
 import struct
-import tempfile
 import zlib
-from collections.abc import Iterable
-from contextlib import ExitStack
+from collections.abc import Iterable, Iterator
+from contextlib import contextmanager
 from functools import lru_cache
 from pathlib import Path
-from typing import NamedTuple
+from tempfile import NamedTemporaryFile
+from typing import IO, NamedTuple
 
 from stone_files.archives import (
     CENTRAL,
@@ -40,21 +40,22 @@ class PackedMember(NamedTuple):
     size_bytes: int
 
 
-class ZipStream:
-    """A ZIP that is being written; `close` ends it."""
+@contextmanager
+def zip_stream(path: Path, *, is_deflated: bool) -> Iterator["ZipStream"]:
+    """Yield the ZIP to add members to; it is complete after that."""
+    with path.open("wb") as file, NamedTemporaryFile(dir=path.parent) as directory:
+        stream = ZipStream(file, directory, is_deflated=is_deflated)
+        yield stream
+        stream.end()
 
-    def __init__(self, path: Path, *, is_deflated: bool) -> None:
-        self._open = ExitStack()
-        self._file = self._open.enter_context(path.open("wb"))
-        self._directory = self._open.enter_context(tempfile.TemporaryFile(dir=path.parent))
+
+class ZipStream:
+    """A ZIP that is being written."""
+
+    def __init__(self, file: IO[bytes], directory: IO[bytes], *, is_deflated: bool) -> None:
+        self._file, self._directory = file, directory
         self._method, self._count, self._at = DEFLATED if is_deflated else STORED, 0, 0
         self._packed = lru_cache(MOST_KEPT)(self._pack)
-
-    def __enter__(self) -> "ZipStream":
-        return self
-
-    def __exit__(self, *_: object) -> None:
-        self.close()
 
     def add(self, name: str, content: bytes) -> None:
         """A member of bytes; many of the same bytes cost one packing."""
@@ -76,13 +77,12 @@ class ZipStream:
         self._file.write(self._headers(name, crc32, (end - begin - LOCAL.size - len(name), size_bytes)))
         self._at = self._file.seek(end)
 
-    def close(self) -> None:
+    def end(self) -> None:
         """Write the directory behind the members."""
         length = self._directory.tell()
         self._directory.seek(0)
-        with self._open:
-            shutil.copyfileobj(self._directory, self._file)
-            self._file.write(zip_end(self._count, self._at, length))
+        shutil.copyfileobj(self._directory, self._file)
+        self._file.write(zip_end(self._count, self._at, length))
 
     def _pack(self, content: bytes) -> PackedMember:
         packer = self._packer()
