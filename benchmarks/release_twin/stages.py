@@ -65,11 +65,17 @@ def _look(most_mib: dict[str, float], ended: Event) -> None:
     while True:
         for one in psutil.Process().children(recursive=True):
             with suppress(*GONE):
-                words = " ".join(one.cmdline()[1:3])
-                role = next((role for role in ROLES if role in " ".join(one.cmdline())), words.rpartition("/")[2][:18])
+                role = _role(one.cmdline())
                 most_mib[role] = max(most_mib.get(role, 0.0), one.memory_info().rss / MIB)
         if ended.wait(LOOK_S):
             return
+
+
+def _role(words: list[str]) -> str:
+    """What a process is for: one of the platform's, a worker of a pool, or its first words."""
+    said = " ".join(words)
+    first = " ".join(words[1:3]).rpartition("/")[2]
+    return next((role for role in ROLES if role in said), "a pool's worker" if "multiprocessing" in said else first)
 
 
 def _tree_cpu_s() -> float:
