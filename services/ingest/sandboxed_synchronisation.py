@@ -135,7 +135,8 @@ def _one_bag(asked: SynchronisationRequest, folder: Path) -> tuple[Path, str]:
     if len(bags.paths) == 1:
         return bags.paths[0], bags.sha256s[bags.kept[0].name]
     joint = folder / JOINT
-    joined = join_recordings(JoinRequest(bags.paths, asked.calibration, bags.offsets_ns, asked.options))
+    request = JoinRequest(bags.paths, asked.calibration, bags.offsets_ns, asked.options, bags.is_in_place)
+    joined = join_recordings(request)
     joint.mkdir()
     write_joined(joined, joint, bags.sha256s)
     parts = [(member.name, member.sha256) for member in read_joined(joint)]

@@ -209,9 +209,13 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
 
 
 def frame_id_of(bag: Bag, topic: Topic) -> str:
-    """The frame of a topic's first message; "" where it cannot be read, which the scan has named already."""
+    """Return the frame of a topic's first message, of which only the head is read: a raw picture has megabytes.
+
+    It is "" if the head cannot be read, which the scan has named already.
+    """
     try:
-        cursor = Cursor(bag.message(topic.name, 0).payload, topic.type)
+        head = next((payload for _topic, index, payload in bag.heads([topic.name]) if not index), memoryview(b""))
+        cursor = Cursor(head, topic.type)
         cursor.stamp_ns()
         return cursor.text()
     except StoneError:

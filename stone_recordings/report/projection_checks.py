@@ -12,7 +12,7 @@ import numpy as np
 
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
-from stone.sensors.calibration import Calibration
+from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.calibration_checks import check_image_size, require_mounts
 from stone.sensors.calibration_errors import ImageSizeError, MissingSensorError
 from stone.sensors.camera_views import CameraView, least_seen_ratio, view_of
@@ -20,7 +20,7 @@ from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.camera import CAMERA_TYPES, decode_image
-from stone_recordings.sync.camera_sweeps import CameraSweepPair, pairs
+from stone_recordings.sync.camera_sweeps import CameraSweepPair, pairs, shown_message
 from stone_recordings.sync.sweeps import BagSweeps
 
 SAMPLED_FRAMES = 3
@@ -34,7 +34,7 @@ def projection_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tupl
     CAL-404 for each camera that fails it, or one for `ego_from_lidar` where that explains them all; () without cameras.
     Raises what reading the bag raises (BAG-*) and what `sweeps.sweep_in` raises.
     """
-    return picture_findings(bag, sequence) + view_findings(bag, sequence, sweeps)
+    return picture_findings(bag, sequence, sweeps) + view_findings(bag, sequence, sweeps)
 
 
 def view_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
@@ -111,18 +111,21 @@ def _ego_finding(count: int) -> Finding:
 
 # The check that recorded images match the sizes the cameras were calibrated for.
 #
-# **Conventions.** One picture of each topic is looked at, its header only. What does not fit is a finding, not a
-# refusal: labels need no camera. CAL-403: another size; CAL-412: a camera the calibration does not know.
+# **Conventions.** One picture of each topic is looked at, its header only: the one that the overlay shows. What does
+# not fit is a finding, not a refusal: labels need no camera. CAL-403: another size; CAL-412: a camera the calibration
+# does not know.
 
 
-def picture_findings(bag: Bag, sequence: Sequence) -> tuple[Finding, ...]:
+def picture_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
     """What is wrong with the cameras' pictures, topic by topic; () without cameras."""
     types = {topic.name: topic.type for topic in bag.topics}
     associations = sequence.frames.associations
     topics = {name: found.topic for name, found in associations.items() if types.get(found.topic) in CAMERA_TYPES}
     findings = _unknown(sequence.calibration, tuple(topics))
     for name, topic in topics.items():
-        findings += tuple(_misfits(bag, sequence, (name, topic, types[topic])))
+        index = shown_message(sequence, sweeps, name)
+        if index is not None:
+            findings += tuple(_misfits(bag, sequence.calibration.mount(name), (topic, types[topic], index)))
     return findings
 
 
@@ -134,15 +137,12 @@ def _unknown(calibration: Calibration, names: tuple[str, ...]) -> tuple[Finding,
     return ()
 
 
-def _misfits(bag: Bag, sequence: Sequence, camera: tuple[str, str, str]) -> Iterator[Finding]:
-    name, topic, type_name = camera
-    mount = sequence.calibration.mount(name)
-    taken = sequence.frames.associations[name].message_index
-    index = next((int(index) for index in taken if index >= 0), None)
-    if mount is None or index is None:
+def _misfits(bag: Bag, mount: Mount | None, shown: tuple[str, str, int]) -> Iterator[Finding]:
+    topic, type_name, index = shown
+    if mount is None:
         return
     try:
         picture = decode_image(bag.message(topic, index).payload, type_name)
         check_image_size(mount, picture.width_px, picture.height_px)
     except (IngestError, ImageSizeError) as error:
-        yield Finding(error.code, "error", name if isinstance(error, ImageSizeError) else topic, str(error))
+        yield Finding(error.code, "error", mount.name if isinstance(error, ImageSizeError) else topic, str(error))

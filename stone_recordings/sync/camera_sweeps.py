@@ -49,7 +49,7 @@ def camera_mounts(sequence: Sequence) -> tuple[Mount, ...]:
 def pairs(bag: Bag, sequence: Sequence, sweeps: BagSweeps, count: int) -> Iterator[CameraSweepPair]:
     """Up to `count` pairs of every camera, at frames spread over the sequence; raises what `sweeps.sweep_in` raises."""
     mounts = camera_mounts(sequence)
-    chosen = {mount.name: set(_spread(_usable(sequence, sweeps, mount), count)) for mount in mounts}
+    chosen = {mount.name: set(_spread(usable_frames(sequence, sweeps, mount.name), count)) for mount in mounts}
     for frame in sorted(set[int]().union(*chosen.values())):
         points_lidar = sweeps.sweep_in(bag, frame).points_lidar.astype(np.float64)
         for mount in mounts:
@@ -73,9 +73,17 @@ def _pair(
     )
 
 
-def _usable(sequence: Sequence, sweeps: BagSweeps, mount: Mount) -> NDArray[np.int64]:
-    """Frames that have a picture of this camera and a pose at its time."""
-    association: Association = sequence.frames.associations[mount.name]
+def shown_message(sequence: Sequence, sweeps: BagSweeps, channel: str) -> int | None:
+    """Return the index of the message whose picture one pair of this camera has, else of any; None if it has none."""
+    taken = sequence.frames.associations[channel].message_index
+    usable = usable_frames(sequence, sweeps, channel)
+    frames = usable if len(usable) else np.flatnonzero(taken >= 0)
+    return int(taken[_spread(frames, 1)[0]]) if len(frames) else None
+
+
+def usable_frames(sequence: Sequence, sweeps: BagSweeps, channel: str) -> NDArray[np.int64]:
+    """Return the frames that have a picture of this camera and a pose at its time."""
+    association: Association = sequence.frames.associations[channel]
     trajectory, max_gap_ns = _motion(sequence, sweeps)
     has_pose = trajectory.at(sequence.frames.stamps_ns + association.dt_ns, max_gap_ns).is_ok
     return np.flatnonzero((association.message_index >= 0) & has_pose)

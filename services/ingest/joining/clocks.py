@@ -226,13 +226,22 @@ class JoinRequest:
     """The recordings of one run: files, or folders of split bags, each of another name.
 
     `given_ns` are offsets by name of recording that are taken as they are. Without a calibration, file or folder, only
-    what needs no mounts is measured. `options` choose topics as for synchronising.
+    what needs no mounts is measured. `options` choose topics as for synchronising. With `is_in_place` the recordings
+    are read sparingly.
     """
 
     paths: tuple[Path, ...]
     calibration: Path | None = None
     given_ns: Mapping[str, int] = field(default_factory=dict)
     options: SynchroniseOptions = field(default_factory=SynchroniseOptions)
+    is_in_place: bool = False
+
+    def opened(self, path: Path) -> Bag:
+        """One of the recordings, or some of them joined. Raises as `open_bag`."""
+        bag = open_bag(path)
+        if self.is_in_place:
+            bag.read_sparingly()
+        return bag
 
     @property
     def path_of(self) -> Mapping[str, Path]:
@@ -358,14 +367,14 @@ def _on_one_clock(asked: JoinRequest, held: Held, offsets: Mapping[int, ClockOff
     """Some of the recordings, open as one."""
     numbers = sorted(offsets)
     if len(numbers) == 1:
-        with open_bag(asked.path_of[held[numbers[0]].name]) as bag:
+        with asked.opened(asked.path_of[held[numbers[0]].name]) as bag:
             yield bag
         return
     members = members_of_run([held[number] for number in numbers], [offsets[number] for number in numbers])
     folder = PrivateFolder()
     try:
         write_joined(JoinedRecording(tuple(asked.path_of[member.name] for member in members), members), folder.path)
-        with open_bag(folder.path) as bag:
+        with asked.opened(folder.path) as bag:
             yield bag
     finally:
         folder.close()
@@ -398,7 +407,7 @@ def join_recordings(asked: JoinRequest) -> JoinedRecording:
     `SYN-524`, `SYN-525`, and what opening and decoding raise."""
     asked = replace(asked, paths=checked_paths(asked))
     with ExitStack() as opened:
-        held = held_by({path.name: opened.enter_context(open_bag(path)) for path in asked.paths})
+        held = held_by({path.name: opened.enter_context(asked.opened(path)) for path in asked.paths})
     check_types((topic.name, topic.type) for one in held for topic in one.topics)
     held = reference_first(held, asked.options.lidar_topic or asked.options.topics.get("lidar"))
     check_given(asked, held)

@@ -1,8 +1,12 @@
 """Recordings that stay where they lie are labelled as uploaded ones are, and nothing else is read or shown."""
 
+import mmap
 import os
 import shutil
 import sqlite3
+from collections import Counter
+from collections.abc import Sequence
+from contextlib import closing
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,6 +26,7 @@ from services.runtime.settings import Settings, StoreSettings
 from services.runtime.store.s3 import client_of
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path
+from stone_recordings.bags.db3.sql import SqlRows
 from stone_recordings.sync.stored_recording import RecordingPlace
 from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
@@ -152,6 +157,38 @@ def test_a_bag_in_place_is_labelled_as_an_uploaded_one_and_not_copied(
     recording = brought.recording()
     assert (recording.state, recording.size_bytes, recording.files) == ("registered", bag.stat().st_size, [])
     assert labelled(brought) == labels
+
+
+@pytest.mark.whole
+def test_a_fifth_of_a_database_in_place_is_read_at_most_and_two_pictures_of_a_camera(
+    placed: Platform, root: Path, source: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    bag = with_raw_pictures(source, root / "run.db3", PICTURE_PX)
+    with closing(sqlite3.connect(bag)) as connection:
+        query = "SELECT m.id, t.type, t.name, length(m.data) FROM messages m JOIN topics t ON t.id = m.topic_id"
+        rows = connection.execute(query).fetchall()
+    read = mmap.mmap(-1, len(rows) + 1)  # children are forked from this process and share it
+    whole, several = SqlRows.data, SqlRows.several
+
+    def data(self: SqlRows, rowid: int) -> bytes:
+        read[rowid] = 1
+        return whole(self, rowid)
+
+    def many(self: SqlRows, rowids: Sequence[int]) -> dict[int, bytes]:
+        for rowid in rowids:
+            read[rowid] = 1
+        return several(self, rowids)
+
+    monkeypatch.setattr(SqlRows, "data", data)
+    monkeypatch.setattr(SqlRows, "several", many)
+    brought = bring(placed)
+    brought.calibrate(calibration_path(source))
+    registered(brought, "run.db3")
+    labelled(brought)
+    pictures = Counter(name for rowid, kind, name, _ in rows if read[rowid] and kind == "sensor_msgs/msg/Image")
+    assert len(pictures) == 6
+    assert max(pictures.values()) <= 2
+    assert sum(size for rowid, _, _, size in rows if read[rowid]) < bag.stat().st_size / 5
 
 
 @pytest.mark.whole
