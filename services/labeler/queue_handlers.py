@@ -21,6 +21,7 @@ from services.labeler.pipeline import PUBLISH, STAGES
 from services.labeler.publication import publish
 from services.labeler.run_workspace import LabelStageContext, stage_context_of
 from services.labeler.sandboxed_run import StageTask, files_near, planned, worked
+from services.labeler.spent_files import FREEING, delete_spent
 from services.labeler.stage import Stage
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.platform import Platform
@@ -55,7 +56,12 @@ def _spec(job: JobAnswer) -> JobSpec:
 
 
 def run_stage(kind: str, stage: Stage, context: LabelStageContext) -> Outcome:
-    """Pull what the job reads, do its work, push what it wrote. Raises what the work raises, and `work_gone`."""
+    """Delete what is spent, pull what the job reads, do its work, push what it wrote.
+
+    Raises what the work raises, and `work_gone`.
+    """
+    if kind in FREEING:
+        delete_spent(context)
     opening = context.opening_with_sweeps() if stage.reads_sweeps else context.opening
     task = StageTask(opening, kind, context.attempt.arguments)
     near: tuple[str, ...] = ()

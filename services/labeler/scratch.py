@@ -2,7 +2,7 @@
 
 **Conventions.** A file is written beside its place and renamed in, so a killed worker leaves nothing half-written and
 a stage that runs twice writes the same bytes. What a stage left is what `whole` recorded. All of it is deleted when the
-run ends.
+run ends; in the queue, what no tile reads any more before (`services/labeler/spent_files.py`).
 """
 
 from bisect import bisect_right
@@ -24,6 +24,7 @@ from stone.surface.range_image import RangeImage, view_of
 from stone_files.npz import mapped_npz, write_stored_npz
 
 Arrays = dict[str, NDArray[np.generic]]
+FUSED, IMAGES = "fused", "images"
 _WRITTEN: ContextVar[list[Path] | None] = ContextVar("the files that a stage wrote", default=None)
 
 
@@ -64,11 +65,16 @@ def load(path: Path) -> Arrays:
 
 
 def fused_path(run: LabelRun, tile: Tile, part: Part) -> Path:
-    return run.scratch / "fused" / tile_name(tile) / f"{part[0]:06d}.npz"
+    return run.scratch / FUSED / tile_name(tile) / part_file(part)
 
 
 def images_path(run: LabelRun, part: Part) -> Path:
-    return run.scratch / "images" / f"{part[0]:06d}.npz"
+    return run.scratch / IMAGES / part_file(part)
+
+
+def part_file(part: Part) -> str:
+    """Return the name of what a part leaves in a folder."""
+    return f"{part[0]:06d}.npz"
 
 
 def surface_path(run: LabelRun, tile: Tile) -> Path:
@@ -140,4 +146,4 @@ def _by_part(run: LabelRun, indices: list[int]) -> Iterator[tuple[Part, list[int
 
 
 def _fused_parts(run: LabelRun, tile: Tile) -> list[Path]:
-    return sorted((run.scratch / "fused" / tile_name(tile)).glob("[0-9]*.npz"))
+    return sorted((run.scratch / FUSED / tile_name(tile)).glob("[0-9]*.npz"))

@@ -71,6 +71,13 @@ class Workspace:
             if key in new:  # it equals its object now: no later pull or push moves it again
                 os.utime(files[key], ns=(found.modified_ns, found.modified_ns))
 
+    def delete(self, prefix: str, is_spent: Callable[[str], bool]) -> None:
+        """Delete the files with this prefix whose names are spent, here and in the store."""
+        for stored in self._stored((checked_prefix(prefix),)).values():
+            if is_spent(stored.key.removeprefix(self._prefix)):
+                self._store.delete(stored.key)
+                self._path(stored.key).unlink(missing_ok=True)
+
     def remove(self) -> None:
         """Delete the files, here and in the store."""
         for stored in list(self._store.listed(self._prefix)):

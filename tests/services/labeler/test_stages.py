@@ -24,7 +24,9 @@ from services.labeler import queue_handlers
 from services.labeler.child_answers import FilesAnswer, WorkAnswer
 from services.labeler.pipeline import STAGES, label_graph
 from services.labeler.run import LabelRun
+from services.labeler.run_workspace import stage_context_of
 from services.labeler.sandboxed_run import RunOpening, StageTask, files_near, worked
+from services.labeler.spent_files import delete_spent
 from services.runtime.database.migrate import upgrade
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.execution import run_next
@@ -308,7 +310,11 @@ def test_zombies_beside_a_finished_run_change_no_byte(finished: tuple[Brought, s
         list(pool.map(lambda job: table[job.kind](Said(job)), again * 2))
     after = hashes(store)
     assert {name: after[name] for name in before} == before
-    assert {name.split("/")[0] for name in after.keys() - before.keys()} <= {"blobs"}
+    made = {
+        "blobs",
+        *(f"work/{root_id}/{folder}" for folder in ("fused", "images")),
+    }  # again by a part; nobody reads it
+    assert {name for name in after.keys() - before.keys() if not name.startswith(tuple(made))} == set()
 
 
 def hashes(folder: Path) -> dict[str, str]:
@@ -357,10 +363,39 @@ def test_a_stage_of_a_cancelled_run_stops_at_its_next_word(finished: tuple[Broug
     assert len(words) < 60
 
 
+def test_what_every_tile_has_read_is_deleted_and_nothing_that_one_still_reads(finished: tuple[Brought, str]) -> None:
+    """Catches alone a tile that is begun again and finds no points of a neighbour, or no range images of a part."""
+    brought, root_id = finished
+    work = brought.platform.settings.root / "store" / "work" / root_id
+    assert not (work / "fused").exists()
+    assert not (work / "images").exists()
+    jobs = brought.jobs(root_id)
+    tiles = [job for job in jobs if job.kind == "labeler.surface"]
+    parts = {job.id: job.arguments["part"][0] for job in jobs if job.kind == "labeler.fuse"}
+    first, last = tiles[0], tiles[-1]
+    with brought.platform.database.transaction() as session:
+        session.execute(update(Job).where(Job.id == last.id).values(state="queued"))
+        needed = session.scalars(select(JobNeed.needed_id).where(JobNeed.job_id == last.id)).all()
+    left = [f"images/{start:06d}.npz" for start in parts.values()]
+    left += [f"fused/{job.arguments['tile'][0]}_{job.arguments['tile'][1]}/000000.npz" for job in tiles]
+    for name in left:
+        (work / name).parent.mkdir(parents=True, exist_ok=True)
+        (work / name).write_bytes(b"left")
+    i, j, _ = last.arguments["tile"]
+    near = {f"fused/{i + x}_{j + y}/000000.npz" for x in (-1, 0, 1) for y in (-1, 0, 1)}
+    attempt = Said(next(job for job in jobs if job.kind == "labeler.fuse"))
+    delete_spent(stage_context_of(brought.platform, attempt))
+    found = {
+        path.relative_to(work).as_posix() for folder in ("fused", "images") for path in (work / folder).rglob("*.npz")
+    }
+    assert found == {f"images/{parts[one]:06d}.npz" for one in needed} | (near & set(left))
+    assert found < set(left), f"tile {first.arguments['tile']} was far enough to be deleted"
+
+
 def test_a_run_in_which_no_point_fell_anywhere_is_refused(finished: tuple[Brought, str]) -> None:
     brought, root_id = finished
     work = brought.platform.settings.root / "store" / "work" / root_id
-    for folder in ("fused", "surface", "sums"):
+    for folder in ("surface", "sums"):
         shutil.rmtree(work / folder)
     jobs = {job.kind: job for job in brought.jobs(root_id)}
     table = queue_handlers.handlers(brought.platform)

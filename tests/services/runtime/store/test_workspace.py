@@ -139,6 +139,15 @@ def test_hidden_files_are_nobody_s(here: Workspace, there: Workspace) -> None:
     assert contents_of(there) == {"a": b"1"}
 
 
+def test_what_is_spent_is_gone_here_and_in_the_store(here: Workspace, there: Workspace) -> None:
+    fill(here, tiles__a=b"1", tiles__b=b"2", other=b"3")
+    here.push("")
+    here.delete("tiles/", lambda name: name == "tiles/a")
+    assert set(contents_of(here)) == {"tiles/b", "other"}
+    there.pull("")
+    assert set(contents_of(there)) == {"tiles/b", "other"}
+
+
 def test_a_removed_workspace_is_gone_here_and_in_the_store(
     machines: tuple[Settings, Settings], here: Workspace
 ) -> None:

@@ -1,0 +1,39 @@
+"""Files of a run that no job will read any more: they are deleted while the run goes on.
+
+**Conventions.** Tiles alone read what parts leave: range images, and points of a tile and its neighbours. A tile's job
+that has succeeded never runs again, and rows say which have. So a job that is begun again finds what it reads.
+"""
+
+from sqlalchemy import select
+from sqlalchemy.orm import aliased
+
+from services.labeler.pipeline import FUSE, REFERENCE, SURFACE
+from services.labeler.run import Tile, neighbourhood
+from services.labeler.run_workspace import LabelStageContext
+from services.labeler.scratch import FUSED, IMAGES, part_file, tile_name
+from services.runtime.orm import Job, JobNeed
+
+FREEING = (FUSE, REFERENCE)
+"""The kinds of jobs that delete first: once for each part, and when every tile is done."""
+
+
+def delete_spent(context: LabelStageContext) -> None:
+    """Delete what all tiles that read it have read; after the last tile all of it."""
+    tile, part = aliased(Job), aliased(Job)
+    reads = (
+        select(tile.state, tile.arguments, part.arguments)
+        .join(JobNeed, JobNeed.job_id == tile.id)
+        .join(part, part.id == JobNeed.needed_id)
+        .where(tile.root_id == context.attempt.root_id, tile.kind == SURFACE)
+    )
+    with context.platform.database.reading() as session:
+        rows = [
+            (state == "succeeded", Tile(*one["tile"]), tuple(two["part"])) for state, one, two in session.execute(reads)
+        ]
+    waiting = {near for is_done, tile, _ in rows if not is_done for near in neighbourhood(tile)}
+    images = {part_file(part) for _, _, part in rows} - {part_file(part) for is_done, _, part in rows if not is_done}
+    folders = {tile_name(tile) for _, tile, _ in rows} - {tile_name(tile) for tile in waiting}
+    if images:
+        context.workspace.delete(f"{IMAGES}/", lambda name: not waiting or name.split("/")[1] in images)
+    if folders:
+        context.workspace.delete(f"{FUSED}/", lambda name: not waiting or name.split("/")[1] in folders)
