@@ -35,7 +35,7 @@ class JobAnswer(SandboxAnswer):
 
     asked: ClassVar[str] = "a job"
     kind: str
-    arguments: dict[Literal["part", "tile", "camera"], Place | tuple[Place, Place] | tuple[Place, Place, Place]]
+    arguments: dict[Literal["part", "tile"], Place | tuple[Place, Place] | tuple[Place, Place, Place]]
     key: Annotated[str, StringConstraints(max_length=100)]
     needs: tuple[str, ...]
 

@@ -15,7 +15,6 @@ from collections import Counter
 from collections.abc import Callable, Collection, Mapping
 from collections.abc import Sequence as Listing
 from dataclasses import dataclass, field, replace
-from itertools import product
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +24,7 @@ from services.labeler.exports.source import MESH, SOURCE
 from services.labeler.map.map_files import map_folder
 from services.labeler.map.refinement import refined
 from services.labeler.parameters import LabelParameters
-from services.labeler.pipeline import FRAMES, SIGHT, STAGES, label_graph
+from services.labeler.pipeline import FRAMES, STAGES, label_graph
 from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
@@ -118,8 +117,8 @@ def label(
         run = LabelRun(sequence, sweeps, options.parameters, staging / ".scratch", staging / "gts" / sequence.name)
         stages.run(tasks_of(run))
         further = [_at_grid(run, grid) for grid in options.parameters.grids[1:]]
-        for other, kind in product(further, (SIGHT, FRAMES)):
-            stages.run(tasks_of(other, {kind}))
+        for other in further:
+            stages.run(tasks_of(other, {FRAMES}))
         run = _completed(run, options, own)
         for other in further:
             _publish_grid(replace(other, sequence=run.sequence), refinement, options)
@@ -134,7 +133,7 @@ def _at_grid(run: LabelRun, grid: LabelGrid) -> LabelRun:
     scratch = run.scratch / FURTHER / grid.name
     scratch.mkdir(parents=True)
     for made in run.scratch.iterdir():
-        if made.name not in (FURTHER, "packs", "sight"):
+        if made.name not in (FURTHER, "packs"):
             (scratch / made.name).symlink_to(made)
     out = run.scratch.parent / FURTHER / grid.name
     grids = (grid, *(one for one in run.parameters.grids if one != grid))

@@ -1,6 +1,6 @@
 """From a synchronised sequence to its labels: the page to read first.
 
-    fuse (each part) → surface (each tile), sight (each camera) → reference → frames (each part), map, pictures
+    fuse (each part) → surface (each tile) → reference → frames (each part), map, pictures
         → publish
 
 `label_graph` says which jobs there are and what each waits for, `STAGES` what the jobs of a kind do: a function of a
@@ -19,7 +19,7 @@ bytes. It finds what it needs in scratch and leaves there what others need, so a
 from collections.abc import Mapping
 from pathlib import Path
 
-from services.labeler.frames import compute_sight_lines, labelled_frames
+from services.labeler.frames import labelled_frames
 from services.labeler.map.fuse import fuse
 from services.labeler.map.map_files import draw_map, draw_pictures
 from services.labeler.map.surface import TileSummary, surface
@@ -70,13 +70,6 @@ def list_fused_around(run: LabelRun, arguments: Arguments) -> tuple[str, ...]:
     return (*images, *(f"fused/{tile_name(near)}/" for near in neighbourhood(tile)))
 
 
-def lay_sight(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """What one camera can see."""
-    step(0, 1)
-    compute_sight_lines(run, int(arguments["camera"]))
-    return StageResult()
-
-
 def refer(run: LabelRun, _arguments: Arguments, _step: Step) -> StageResult:
     """Sums of all tiles → what driven ground is like. Raises `no_reference`."""
     reference = reference_from(run, load_summaries(run))
@@ -101,19 +94,17 @@ def _name(run: LabelRun, path: Path) -> str:
     return path.relative_to(run.scratch).as_posix()
 
 
-FUSE, SURFACE, SIGHT = "labeler.fuse", "labeler.surface", "labeler.sight"
-REFERENCE, FRAMES, PUBLISH = "labeler.reference", "labeler.frames", "labeler.publish"
-MAP, PICTURES = "labeler.map", "labeler.pictures"
+FUSE, SURFACE, REFERENCE = "labeler.fuse", "labeler.surface", "labeler.reference"
+FRAMES, MAP, PICTURES, PUBLISH = "labeler.frames", "labeler.map", "labeler.pictures", "labeler.publish"
 CUT_FROM = (REFERENCE_FILE, "surface")
 DRAWN_FROM = (*CUT_FROM, "sums")
 STAGES: Mapping[str, Stage] = {
     FUSE: Stage(fuse_part, "fuse", shown="fuse", event="fused", reads_sweeps=True),
     SURFACE: Stage(surface_tile, "surface", list_fused_around, shown="surface", event="reconstructed"),
-    SIGHT: Stage(lay_sight, "sight", shown="sight lines"),
     REFERENCE: Stage(refer, "reference", reads=("sums/",), event="reference"),
     FRAMES: Stage(
         *(label_part, "frames", list_surfaces_around),
-        reads=(REFERENCE_FILE, "sight/"),
+        reads=(REFERENCE_FILE,),
         requires=CUT_FROM,
         shown="frames",
         event="labelled",
@@ -126,20 +117,18 @@ STAGES: Mapping[str, Stage] = {
 def label_graph(run: LabelRun) -> tuple[JobSpec, ...]:
     """All jobs of a run that has frames, in the order in which they may begin; publishing is the last."""
     plan = plan_of(run)
-    cameras = range(len(run.sequence.calibration.of_kind("camera")))
-    sights = [JobSpec(SIGHT, {"camera": camera}, f"sight {camera}") for camera in cameras]
     mapped = list[JobSpec]()
     for part in plan.parts:
         mapped.append(JobSpec(FUSE, {"part": part}, _fused(part)))
         for tile in (tile for tile, parts in plan.needs.items() if parts[-1] == part):
             waits = tuple(_fused(one) for one in plan.needs[tile])
             mapped.append(JobSpec(SURFACE, {"tile": tile}, f"surface {tile_name(tile)}", waits))
-    before = tuple(job.key for job in (*mapped, *sights) if job.kind != FUSE)
+    before = tuple(job.key for job in mapped if job.kind != FUSE)
     reference = JobSpec(REFERENCE, {}, "reference", before)
     drawn = [JobSpec(kind, {}, key, (reference.key,)) for kind, key in ((MAP, "map"), (PICTURES, "pictures"))]
     cut = [JobSpec(FRAMES, {"part": part}, f"frames {part[0]}", (reference.key,)) for part in plan.parts]
     published = JobSpec(PUBLISH, {}, "", tuple(job.key for job in (*drawn, *cut)))
-    return (*mapped, *sights, reference, *drawn, *cut, published)
+    return (*mapped, reference, *drawn, *cut, published)
 
 
 def _fused(part: Part) -> str:

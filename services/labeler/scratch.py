@@ -6,9 +6,10 @@ run ends; in the queue, what no tile reads any more before (`services/labeler/sp
 """
 
 from bisect import bisect_right
-from collections.abc import Iterator
+from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from contextvars import ContextVar
+from io import BytesIO
 from itertools import groupby
 from pathlib import Path
 from secrets import token_hex
@@ -21,10 +22,10 @@ from services.labeler.run import LabelRun, Part, Tile, parts_of
 from stone.labels.observed_voxels import Observed, union
 from stone.surface.pointmap import PointMap
 from stone.surface.range_image import RangeImage, view_of
-from stone_files.npz import mapped_npz, write_stored_npz
+from stone_files.npz import mapped_npz, npz_bytes, write_stored_npz
 
 Arrays = dict[str, NDArray[np.generic]]
-FUSED, IMAGES = "fused", "images"
+FUSED, IMAGES, FIRST_ROW = "fused", "images", "first_row"
 _WRITTEN: ContextVar[list[Path] | None] = ContextVar("the files that a stage wrote", default=None)
 
 
@@ -64,6 +65,17 @@ def load(path: Path) -> Arrays:
     return mapped_npz(path)
 
 
+def packed(arrays: Arrays) -> NDArray[np.uint8]:
+    """Return the arrays deflated, as one to `save` among others: they are read once, and many of their bytes repeat."""
+    return np.frombuffer(npz_bytes(arrays), np.uint8)
+
+
+def unpacked(content: NDArray[np.generic]) -> Arrays:
+    """Return the arrays that `packed` was given."""
+    with np.load(BytesIO(content.data), allow_pickle=False) as arrays:
+        return dict(arrays)
+
+
 def fused_path(run: LabelRun, tile: Tile, part: Part) -> Path:
     return run.scratch / FUSED / tile_name(tile) / part_file(part)
 
@@ -79,11 +91,6 @@ def part_file(part: Part) -> str:
 
 def surface_path(run: LabelRun, tile: Tile) -> Path:
     return run.scratch / "surface" / f"{tile_name(tile)}.npz"
-
-
-def sight_path(run: LabelRun, camera: int) -> Path:
-    """What the camera at this place among the calibration's cameras can see."""
-    return run.scratch / "sight" / f"{camera:02d}.npz"
 
 
 def tile_name(tile: Tile) -> str:
@@ -109,6 +116,14 @@ def load_observed(run: LabelRun, tile: Tile) -> Observed:
     return union([nothing, *(fused_observed(load(path)) for path in _fused_parts(run, tile))])
 
 
+def save_images(run: LabelRun, part: Part, images: Mapping[int, NDArray[np.float32]]) -> None:
+    """Write the range images (rows, columns) of the part's frames, without rows at the edges that no ray went to."""
+    seen = np.flatnonzero(np.any([image.any(axis=1) for image in images.values()], axis=0))
+    first, last = (int(seen[0]), int(seen[-1]) + 1) if len(seen) else (0, 0)
+    cut: Arrays = {image_name(index): image[first:last] for index, image in images.items()}
+    save(images_path(run, part), {FIRST_ROW: np.array(first), **cut})
+
+
 def images_near(
     run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]
 ) -> Iterator[list[RangeImage]]:
@@ -119,7 +134,12 @@ def images_near(
     poses = run.sequence.frames.map_from_ego
     for part, indices in _by_part(run, imaged_near(run, number, low, high)):
         images, views = load(images_path(run, part)), view_of(poses[np.array(indices)], run.sensor_ego)
-        yield [RangeImage(views[at], images[image_name(index)]) for at, index in enumerate(indices)]  # type: ignore[arg-type]
+        first = int(images[FIRST_ROW].item())
+        whole = [np.zeros(run.parameters.dynamic.shape, np.float32) for _ in indices]
+        for image, index in zip(whole, indices, strict=True):
+            cut = images[image_name(index)]
+            image[first : first + len(cut)] = cut
+        yield [RangeImage(views[at], image) for at, image in enumerate(whole)]
 
 
 def imaged_near(run: LabelRun, number: int, low: NDArray[np.float64], high: NDArray[np.float64]) -> list[int]:

@@ -45,7 +45,7 @@ from services.runtime.database.clock import database_ns
 from services.runtime.database.rows import KeptSelect, numbered, numbered_parameters, parameter, places_for
 from services.runtime.jobs.claims import QUEUED, RUNNING, owners_waiting
 from services.runtime.jobs.specs import queue_of
-from services.runtime.orm import CalibrationRow, Job, LabelSet, Queue, Recording, SubmissionRow, Worker
+from services.runtime.orm import Job, LabelSet, Queue, Recording, SubmissionRow, Worker
 from services.runtime.orm.base import now_ns
 
 # How the queues stand in which runs wait: who works there, who else waits, and which of them are paused.
@@ -146,7 +146,6 @@ class RunInputs(NamedTuple):
     """What a labelling is of: its recordings, its calibration, and whether it ends with labels."""
 
     recording_ids: tuple[str, ...]
-    calibration_id: str | None
     makes_labels: bool
 
 
@@ -201,7 +200,7 @@ def _alive_row(row: Row[*tuple[Any, ...]]) -> AliveRow:
 @lru_cache(MOST_READ)
 def _inputs(arguments: str) -> RunInputs:
     read = json.loads(arguments)
-    return RunInputs(recording_ids_of(read), read.get("calibration_id"), "label" in read.get("stages", ["label"]))
+    return RunInputs(recording_ids_of(read), "label" in read.get("stages", ["label"]))
 
 
 # What alive runs have to do, and how many workers they can have: read for many at once.
@@ -300,16 +299,14 @@ def _workloads(
     """What each has to do."""
     inputs = [run.inputs for run in runs if run.inputs]
     lengths = _recorded_s(session, sorted({one for made_of in inputs for one in made_of.recording_ids}))
-    cameras = _cameras(session, sorted({one.calibration_id for one in inputs if one.calibration_id}))
 
     def workload(run: AliveRow) -> RunWorkload:
         stages, frames = found.get(run.id, NOT_BEGUN)
         if run.inputs is None:
             return RunWorkload(run.kind, stages, workers=workers[run.id])
-        recording_ids, calibration_id, makes_labels = run.inputs
+        recording_ids, makes_labels = run.inputs
         recorded_s = sum(lengths.get(one, 0.0) for one in recording_ids) or None
-        seen_by = cameras.get(calibration_id or "", 0)
-        return RunWorkload(run.kind, stages, recorded_s, frames, seen_by, makes_labels, workers[run.id])
+        return RunWorkload(run.kind, stages, recorded_s, frames, makes_labels, workers[run.id])
 
     return [workload(run) for run in runs]
 
@@ -323,19 +320,6 @@ def _recorded_s(session: Session, recording_ids: Sequence[str]) -> dict[str, flo
 def _lengths(places: int) -> KeptSelect:
     told = select(Recording.id, Recording.inspection["duration_ns"].as_string())
     return KeptSelect(told.where(Recording.id.in_(numbered_parameters(places))))
-
-
-def _cameras(session: Session, calibration_ids: Sequence[str]) -> dict[str, int]:
-    rows = (
-        _sensors(places_for(len(calibration_ids))).rows(session, numbered(calibration_ids)) if calibration_ids else ()
-    )
-    return {one: sum(sensor.get("kind") == "camera" for sensor in json.loads(sensors)) for one, sensors in rows}
-
-
-@cache
-def _sensors(places: int) -> KeptSelect:
-    told = select(CalibrationRow.id, cast(CalibrationRow.sensors, String))
-    return KeptSelect(told.where(CalibrationRow.id.in_(numbered_parameters(places))))
 
 
 def _queue_of(run: AliveRow, stages: Sequence[StageWork]) -> str:

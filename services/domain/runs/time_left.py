@@ -20,10 +20,9 @@ from typing import NamedTuple
 
 LABELLING = "sequence.process"
 SYNCHRONISE, CHECK, PARTS = "ingest.synchronise", "ingest.check", "labeler.parts"
-FUSE, SURFACE = "labeler.fuse", "labeler.surface"
-SIGHT, REFERENCE, FRAMES = "labeler.sight", "labeler.reference", "labeler.frames"
+FUSE, SURFACE, REFERENCE, FRAMES = "labeler.fuse", "labeler.surface", "labeler.reference", "labeler.frames"
 MAP, PICTURES, PUBLISH = "labeler.map", "labeler.pictures", "labeler.publish"
-LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE, SIGHT), (REFERENCE,), (FRAMES, MAP, PICTURES), (PUBLISH,))
+LAYERS = ((SYNCHRONISE,), (PARTS,), (CHECK, FUSE, SURFACE), (REFERENCE,), (FRAMES, MAP, PICTURES), (PUBLISH,))
 """Of a labelling. Any other run has the kinds of its own jobs, one after the other."""
 OF_LABELLING = frozenset(kind for layer in LAYERS for kind in layer)
 SHARES = (FUSE, FRAMES, "labeler.export")
@@ -47,7 +46,6 @@ TYPICAL: Mapping[str, float] = {
     PARTS: 0.1,
     FUSE: 1.0,
     SURFACE: 1.0,
-    SIGHT: 0.2,
     REFERENCE: 0.1,
     FRAMES: 1.5,
     MAP: 1.1,
@@ -93,7 +91,6 @@ class RunWorkload(NamedTuple):
     stages: tuple[StageWork, ...]
     recorded_s: float | None = None
     frames: int | None = None
-    cameras: int = 0
     makes_labels: bool = True
     workers: float = 1.0
 
@@ -172,13 +169,13 @@ def _to_come(work: RunWorkload, pace: Pace) -> Iterable[StageWork]:
     frames = work.frames if work.frames is not None else FRAMES_HZ * work.length_s
     parts = max(1, ceil(frames / FRAMES_PER_PART))
     tiles = max(1, round(parts * pace.tiles))
-    return [stage for stage in _of_labelling(parts, tiles, work.cameras) if stage.kind not in known]
+    return [stage for stage in _of_labelling(parts, tiles) if stage.kind not in known]
 
 
 @lru_cache(MOST_PLANS)
-def _of_labelling(parts: int, tiles: int, cameras: int) -> tuple[StageWork, ...]:
+def _of_labelling(parts: int, tiles: int) -> tuple[StageWork, ...]:
     """The stages after synchronisation, of which nothing has begun."""
-    counts = {CHECK: 1, PARTS: 1, FUSE: parts, SURFACE: tiles, SIGHT: cameras, REFERENCE: 1, FRAMES: parts}
+    counts = {CHECK: 1, PARTS: 1, FUSE: parts, SURFACE: tiles, REFERENCE: 1, FRAMES: parts}
     counts |= {MAP: 1, PICTURES: 1, PUBLISH: 1}
     return tuple(StageWork(kind, queued=count) for kind, count in counts.items() if count)
 

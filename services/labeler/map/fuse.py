@@ -11,7 +11,7 @@ from numpy.typing import NDArray
 from services.labeler.map.far_points import FarPoints, far_points_of, save_far_points
 from services.labeler.map.fused_files import fused_columns
 from services.labeler.run import LabelRun, Part, Step, Tile, core_cells, silent, tiles_of
-from services.labeler.scratch import fused_path, image_name, images_path, save
+from services.labeler.scratch import fused_path, save, save_images
 from stone.labels.observed_voxels import BRICK, Carver, Observed
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box
@@ -27,7 +27,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
     calibration = run.sequence.calibration
     builder = PointMapBuilder(parameters.surface.point_voxel_m)
     carver = Carver(parameters.carve)
-    images, far = dict[str, NDArray[np.generic]](), FarPoints()
+    images, far = dict[int, NDArray[np.float32]](), FarPoints()
     imaged = run.every(parameters.dynamic.every_frame)
     reach = labelled_box(parameters.selection.margin_m, parameters.grids)
     for index in range(*part):
@@ -41,12 +41,12 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
             carver.carve(points.world_ego, pose, run.sensor_ego)
         if index % imaged == 0:
             image = range_image(points.points_ego, pose, run.sensor_ego, parameters.dynamic)
-            images[image_name(index)] = image.ranges_m
+            images[index] = image.ranges_m
         step(index + 1 - part[0], part[1] - part[0])
     _leave(run, part, builder.finish(), carver.finish())
     save_far_points(run, part, far)
     if images:
-        save(images_path(run, part), images)
+        save_images(run, part, images)
     return int(builder.points)
 
 

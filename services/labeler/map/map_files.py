@@ -76,9 +76,10 @@ def write_map(run: LabelRun, tiles: list[TileSummary], reference: Reference, out
 
 def _piece(run: LabelRun, tile: Tile, reference: Reference) -> Piece:
     found = labelled_tile(run, tile, reference)
-    vertices: NDArray[np.float32] = found.arrays["vertices"]  # type: ignore[assignment]
+    mesh = found.mesh
+    vertices: NDArray[np.float32] = mesh["vertices"]  # type: ignore[assignment]
     kinds = class_at(vertices, found.terrain.keys, found.classes)
-    return vertices, found.arrays["vertex_features"], found.arrays["triangles"], kinds  # type: ignore[return-value]
+    return vertices, mesh["vertex_features"], mesh["triangles"], kinds  # type: ignore[return-value]
 
 
 def _map_piece(run: LabelRun, tile: Tile, reference: Reference) -> MapPiece:

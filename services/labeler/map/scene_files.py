@@ -44,13 +44,14 @@ class SceneFiles:
     def add(self, tile: Tile, found: LabelledTile) -> None:
         """One tile."""
         indices = indices_of(found.terrain.keys)
-        if not len(indices) and not len(found.arrays["vertices"]):
+        surface = found.mesh
+        if not len(indices) and not len(surface["vertices"]):
             return
         features = np.round(found.terrain.features(self._run.parameters.rule) / STEPS) * STEPS
         confidence = np.zeros(len(indices), np.uint8) if found.confidence is None else found.confidence
         voxels = TileVoxels(indices, found.classes, features, found.squared, confidence)
         corner_m = np.array([tile.i, tile.j, 0.0]) * self._run.parameters.core_m
-        mesh = thinned(_surface(found.arrays, found.classes), MOST_TRIANGLES)
+        mesh = thinned(_surface(surface, found), MOST_TRIANGLES)
         self._writer.add(tile_name(tile), voxels, mesh, corner_m)
 
     def finish(self) -> None:
@@ -67,12 +68,13 @@ def _reference_record(run: LabelRun, reference: Reference) -> dict[str, Any]:
     }
 
 
-def _surface(arrays: Arrays, classes: NDArray[np.uint8]) -> TileMesh:
+def _surface(arrays: Arrays, found: LabelledTile) -> TileMesh:
     """Return the triangles of a tile, without vertices that are in none."""
     used = np.zeros(len(arrays["vertices"]), np.bool_)
     used[arrays["triangles"]] = True
     mesh = Mesh(arrays["vertices"], arrays["triangles"]).where(used)  # type: ignore[arg-type]
-    return TileMesh(mesh.vertices_map, class_at(mesh.vertices_map, arrays["keys"], classes), mesh.triangles)  # type: ignore[arg-type]
+    classes = class_at(mesh.vertices_map, found.terrain.keys, found.classes)
+    return TileMesh(mesh.vertices_map, classes, mesh.triangles)  # type: ignore[arg-type]
 
 
 # Writes a scene for the viewer: its voxels and surface tile by tile, and `scene.json`, which says what there is.

@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from services.labeler.map.octree import octree_surface
 from services.labeler.parameters import LabelParameters
 from services.labeler.run import LabelRun, Step, Tile, in_core, neighbourhood, silent
-from services.labeler.scratch import Arrays, images_near, load_observed, load_points, save, surface_path
+from services.labeler.scratch import Arrays, images_near, load_observed, load_points, packed, save, surface_path
 from stone.geometry.corners import corners_of
 from stone.geometry.lattice import centres_of
 from stone.geometry.se3 import SE3
@@ -154,13 +154,16 @@ def _leave(
     rest: tuple[Mesh, NDArray[np.float64], Observed],
 ) -> None:
     (terrain, is_driven), (mesh, of_vertices, observed) = voxels, rest
+    mesh_arrays: Arrays = {
+        "vertices": mesh.vertices_map.astype(np.float32),
+        "vertex_features": of_vertices.astype(np.float32),
+        "triangles": mesh.triangles,
+    }
     arrays: Arrays = {
         "keys": terrain.keys,
         "terrain": terrain.columns,
         "is_driven": is_driven,
-        "vertices": mesh.vertices_map.astype(np.float32),
-        "vertex_features": of_vertices.astype(np.float32),
-        "triangles": mesh.triangles,
+        "mesh": packed(mesh_arrays),
         "bricks": observed.keys,
         "words": observed.words,
     }

@@ -85,7 +85,6 @@ TITLES: Mapping[str, str] = {
     "labeler.parts": "Plan the map",
     "labeler.fuse": "Fuse sweeps",
     "labeler.surface": "Reconstruct the surface",
-    "labeler.sight": "Free-space carving",
     "labeler.reference": "Reference terrain model",
     "labeler.frames": "Label frames",
     "labeler.map": "Render the map",

@@ -15,7 +15,7 @@ from services.labeler.map.fused_files import fused_columns, fused_observed, fuse
 from services.labeler.parameters import LabelParameters, TilingParameters, parameters_for
 from services.labeler.process_pool import Task, Workers
 from services.labeler.run import LabelRun, Part, Tile, neighbourhood, parts_of
-from services.labeler.scratch import images_near, images_path, load_observed, load_points, tile_named
+from services.labeler.scratch import images_near, images_path, load_observed, load_points, save_images, tile_named
 from services.labeler.tile_plan import plan_of, reach_m, tiles_around
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
@@ -113,6 +113,18 @@ def test_a_tile_looks_at_every_image_taken_within_reach_of_it(tmp_path, every_fr
     images = list(chain.from_iterable(images_near(run, 0, low, high)))
     np.testing.assert_array_equal([image.map_from_view.translation_m for image in images], near)
     assert all((image.ranges_m > 0).any() for image in images)
+
+
+def test_an_image_is_read_as_it_was_taken_though_rows_that_saw_nothing_are_not_kept(tmp_path):
+    run = looking_run(tmp_path, 1)
+    taken = {index: np.zeros(run.parameters.dynamic.shape, np.float32) for index in (0, 1)}
+    taken[0][20:40, 7], taken[1][30:50] = 5.0, 6.0
+    save_images(run, (0, 4), {**taken, 2: taken[0], 3: taken[1]})
+    place = run.sequence.frames.map_from_ego[0] @ run.sensor_ego
+    near = list(chain.from_iterable(images_near(run, 0, place, place)))
+    for image, index in zip(near, (0, 1), strict=False):
+        assert image.ranges_m.tobytes() == taken[index].tobytes()
+    assert images_path(run, (0, 4)).stat().st_size < 4 * 30 * taken[0][0].nbytes + 2000
 
 
 def test_a_tile_looks_at_no_part_that_is_out_of_its_reach(tmp_path):

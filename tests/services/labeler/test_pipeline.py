@@ -182,7 +182,7 @@ def test_the_report_tells_what_was_made_from_what_and_how(made):
     assert np.shape(report["reference"]["mean"]) == (3,)
     assert np.shape(report["reference"]["covariance"]) == (3, 3)
     assert report["reference"]["voxels"] > 4
-    assert set(report["stages_busy_s"]) == {"fuse", "surface", "sight lines", "frames", "pictures"}
+    assert set(report["stages_busy_s"]) == {"fuse", "surface", "frames", "pictures"}
     assert min(report["stages_busy_s"].values()) > 0
     assert report["peak_bytes"]["all_processes"] >= report["peak_bytes"]["largest_process"] > 2**26
     assert report["cpu_s"] > 0
@@ -250,7 +250,7 @@ def test_an_earlier_label_set_is_replaced_with_progress_told_and_a_foreign_folde
     options = LabelOptions(parameters_for("local"))
     label(sequence_of(world), RayCast(world), tmp_path / "earlier", options, lambda *step: seen.append(step))
     stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages == ["fuse", "surface", "sight lines", "pictures", "frames"]
+    assert stages == ["fuse", "surface", "pictures", "frames"]
     for stage in stages:
         steps = [(done, total) for name, done, total in seen if name == stage]
         assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]

@@ -16,7 +16,7 @@ import pytest
 
 from services.domain.sequences.run_files import CHECKED_FILE, SEQUENCE_FILE
 from services.labeler.errors import no_usable_frames
-from services.labeler.frames import _sight_of, compute_sight_lines
+from services.labeler.frames import _sight_of
 from services.labeler.kernel_warmup import warmup_sequence
 from services.labeler.parameters import LabelParameters
 from services.labeler.process_pool import Task, Workers
@@ -173,11 +173,8 @@ BACKWARD = SE3.from_parts(np.array([0.0, 0, 0, 1.0]), np.zeros(3))
 
 
 def run_in(scratch: Path, calibration: Calibration = CALIBRATION) -> LabelRun:
-    """Its camera's lines laid out in `scratch`."""
     sequence = replace(sequence_of(WORLD), calibration=calibration)
-    run = LabelRun(sequence, RayCast(WORLD), LabelParameters(), scratch)
-    compute_sight_lines(run, 0)
-    return run
+    return LabelRun(sequence, RayCast(WORLD), LabelParameters(), scratch)
 
 
 def test_parts_of_a_run_share_it(tmp_path: Path) -> None:

@@ -54,7 +54,6 @@ WORKLOADS = st.builds(
     st.just(LABELLING),
     stages(),
     recorded_s=st.one_of(st.none(), SECONDS),
-    cameras=st.integers(0, 6),
     workers=st.floats(0.25, 16.0),
 )
 PACES = st.builds(Pace, st.dictionaries(st.sampled_from(KINDS), SECONDS), st.one_of(st.none(), st.floats(0.1, 3.0)))
@@ -130,7 +129,7 @@ def test_frames_that_are_done_tell_more_than_history() -> None:
 
 def test_stages_that_are_not_queued_yet_are_counted_by_the_length_of_the_recording() -> None:
     first = (StageWork("ingest.synchronise", queued=1),)
-    short, long = (RunWorkload(LABELLING, first, recorded_s=seconds, cameras=6) for seconds in (20.0, 600.0))
+    short, long = (RunWorkload(LABELLING, first, recorded_s=seconds) for seconds in (20.0, 600.0))
     assert told(long, Pace()) > 10 * told(short, Pace())
     alone = short._replace(makes_labels=False)
     assert told(alone, Pace()) == pytest.approx(20.0 * TYPICAL["ingest.synchronise"] + TYPICAL["ingest.check"])

@@ -7,7 +7,7 @@ from sqlalchemy.orm import Session
 
 from services.domain.runs.estimates import alive_rows, alive_runs, older_of_the_same, pace_of, queue_facts
 from services.domain.runs.time_left import LABELLING, Pace, RunningJob, RunWorkload, StageWork
-from services.runtime.orm import Blob, CalibrationRow, Job, LabelSet, Recording, SequenceRow, new_id
+from services.runtime.orm import Job, LabelSet, Recording, SequenceRow, new_id
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
 
@@ -49,23 +49,12 @@ def recording_of(session: Session, sequence: SequenceRow, inspection: dict[str, 
     return row.id
 
 
-def calibration_of(session: Session, owner: Person) -> str:
-    sensors = [{"kind": "lidar"}, {"kind": "camera"}, {"kind": "camera"}]
-    session.add(Blob(sha256="1" * 64, object_key="blobs/1", size_bytes=1))
-    session.flush()
-    told = {"name": "rig", "version": 1, "filename": "rig.yaml", "sha256": "1" * 64, "blob_sha256": "1" * 64}
-    row = CalibrationRow(id=new_id(), owner_id=owner.user_id, sensors=sensors, findings=[], **told)
-    session.add(row)
-    session.flush()
-    return row.id
-
-
-def test_a_labelling_is_read_with_its_recordings_cameras_frames_and_jobs(platform_on: Platform, ada: Person) -> None:
+def test_a_labelling_is_read_with_its_recordings_frames_and_jobs(platform_on: Platform, ada: Person) -> None:
     with platform_on.database.transaction() as session:
         sequence = sequence_of(session, ada)
         told = [{"duration_ns": 7 * SECOND}, {"duration_ns": 5 * SECOND}, {}, None]
         made_of = [recording_of(session, sequence, inspection) for inspection in told]
-        arguments = {"recording_ids": made_of, "calibration_id": calibration_of(session, ada)}
+        arguments = {"recording_ids": made_of}
         run = run_of(session, sequence, "running", arguments=arguments)
         lasted = {"started_ns": NOW - 9 * SECOND, "finished_ns": NOW - 6 * SECOND}
         job_of(session, run, "ingest.synchronise", "succeeded", result={"frames": 120}, **lasted)
@@ -74,7 +63,7 @@ def test_a_labelling_is_read_with_its_recordings_cameras_frames_and_jobs(platfor
         (alive,) = alive_runs(session, alive_rows(session, [run.id]), NOW)
     fuse = StageWork("labeler.fuse", queued=1, running=(RunningJob(2.0, 0.25),))
     stages = (StageWork("ingest.synchronise", done=1, busy_s=3.0), fuse)
-    assert alive.work == RunWorkload(LABELLING, stages, recorded_s=12.0, frames=120, cameras=2)
+    assert alive.work == RunWorkload(LABELLING, stages, recorded_s=12.0, frames=120)
     assert (alive.queue, alive.is_paused) == ("labeler", False)
 
 
