@@ -17,17 +17,6 @@ def no_usable_frames(sequence: Sequence) -> Refused:
     )
 
 
-def footprint_off_ground(height_m: float, tilt_rad: float, band_m: float) -> Refused:
-    where = "above" if height_m > 0 else "below"
-    return Refused(
-        "footprint_off_ground",
-        f"the ground lies {abs(height_m):.2f} m {where} the ego origin and tilts by {math.degrees(tilt_rad):.1f}°, "
-        f"and the footprint is swept within ±{band_m:g} m of it: is the LiDAR's mount in the calibration right, "
-        "and the ego frame on the ground? "
-        "CAL-433 says what to enter; ground auto corrects it for this run",
-    )
-
-
 def mount_tilted(ground: GroundFit) -> Refused:
     return Refused(
         "footprint_off_ground",

@@ -27,7 +27,7 @@ from services.labeler.parameters import LabelParameters
 from services.labeler.pipeline import FRAMES, STAGES, label_graph
 from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
-from services.labeler.run import LabelRun, silent
+from services.labeler.run import LabelRun, ground_refusal, silent
 from services.labeler.tables import write_frames
 from stone.findings import Finding
 from stone.sensors.sequence import Sequence, SweepSource
@@ -102,12 +102,14 @@ def label(
 ) -> LabelReport:
     """Label every frame of `sequence` into `directory`, replacing an earlier label set there.
 
-    Raises `no_frames` for a sequence without usable frames, `no_reference` when the track touches
-    no surface.
+    Raises `no_frames` for a sequence without usable frames, `footprint_off_ground` and `poses_tilted` before anything
+    is computed, `no_reference` when the track touches no surface.
     """
     options = options or LabelOptions()
     if len(sequence.frames) == 0:
         raise no_usable_frames(sequence)
+    if (refusal := ground_refusal(sequence, options.parameters.footprint_band_m)) is not None:
+        raise refusal
     with atomic_directory(directory, replaces=REPORT) as staging, Workers(options.workers) as workers:
         stages, refinement, own = _Stages(workers, progress, CostMeter()), None, len(sequence.findings)
         if options.parameters.refinement is not None:

@@ -5,10 +5,10 @@ from dataclasses import dataclass, field, replace
 from typing import Any, Literal, cast
 
 from services.domain.sequences.label_choices import DEFAULT_PROFILE, check_choices
-from stone.labels.footprint import BAND_M
 from stone.labels.observed_voxels import CarveParameters
 from stone.labels.profiles import RULES, Profile, ProfileRule
 from stone.labels.traversability import ReferenceParameters
+from stone.sensors.ground_plane import BAND_M
 from stone.sensors.selection import SelectionParameters
 from stone.surface.range_image import DynamicParameters
 from stone.surface.screened_poisson import PoissonParameters

@@ -32,7 +32,7 @@ from services.labeler.results import (
     save_summary,
     write_labels,
 )
-from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, require_ground, silent
+from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, silent
 from services.labeler.scratch import images_path, surface_path, tile_name
 from services.labeler.stage import Arguments, Stage, StageResult, part_of, tile_of
 from services.labeler.tile_plan import plan_of, tiles_around
@@ -40,8 +40,7 @@ from services.runtime.jobs.specs import JobSpec
 
 
 def fuse_part(run: LabelRun, arguments: Arguments, step: Step) -> StageResult:
-    """Sweeps → point map, observed bricks and range images, per tile. Raises as `require_ground`."""
-    require_ground(run)
+    """Sweeps → point map, observed bricks and range images, per tile."""
     part = part_of(arguments)
     points = fuse(run, part, step)
     tiles = sum(1 for _ in run.scratch.glob(f"fused/*_*/{part[0]:06d}.npz"))

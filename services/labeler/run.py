@@ -16,7 +16,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.errors import footprint_off_ground, mount_tilted, poses_tilted
+from services.labeler.errors import mount_tilted, poses_tilted
 from services.labeler.parameters import LabelParameters
 from stone.errors import Refused
 from stone.geometry.lattice import Keys, indices_of
@@ -24,6 +24,7 @@ from stone.geometry.se3 import steps_of
 from stone.labels.grid import Bounds
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.ego_path import ego_path, maps_of_frames
+from stone.sensors.ground_plane import footprint_off_ground, is_off_ground
 from stone.sensors.sequence import Sequence, SweepSource
 
 USUAL_PERIOD_S = 0.1
@@ -103,9 +104,8 @@ def ground_refusal(sequence: Sequence, band_m: float) -> Refused | None:
         return None
     # From the middle of the footprint to the middle of its half.
     lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
-    is_off = abs(ground.height_m) > band_m and ground.is_off_in_all
-    if is_off or lean_m > band_m:
-        return footprint_off_ground(ground.height_m, ground.tilt_rad, band_m)
+    if is_off_ground(ground, band_m) or lean_m > band_m:
+        return footprint_off_ground(ground, sequence.calibration.ego_from_lidar, band_m)
     if ground.is_mount_tilted:
         return mount_tilted(ground)
     return poses_tilted(ground, sequence.calibration) if ground.is_way_tilted else None

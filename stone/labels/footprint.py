@@ -18,8 +18,8 @@ from stone.geometry.lattice import Keys, centres_of, find, pack, table_of
 from stone.geometry.se3 import SE3, interpolate, steps_of
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Footprint
+from stone.sensors.ground_plane import BAND_M
 
-BAND_M = 0.15
 STEP_M = 0.1
 STEP_RAD = 0.1
 

@@ -17,10 +17,13 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from stone.errors import Refused
 from stone.geometry.se3 import SE3, shortest_turn_to_z
+from stone.sensors.calibration import entry_of
 
 FEWEST_SWEEPS = 5
 UPRIGHT = 0.3
+BAND_M = 0.15  # about the footprint, in which driven ground is looked for
 TOLERATED_M, TOLERATED_RAD = 0.07, float(np.deg2rad(1.5))
 # Labels lose 2 to 3 % of drivable ground with a LiDAR pitched by 0.5°, 6 to 24 % with 1°; rolled by 1°, 2 to 5 %. Poses
 # that drift in z by 1 % look like tilted ones, and are followed.
@@ -129,6 +132,33 @@ class GroundFit:
         above_m = float(normal @ (place_m - np.array([0.0, 0.0, self.height_m])))
         wxyz = (SE3.from_parts(back, np.zeros(3)) @ turned).wxyz
         return SE3.from_parts(wxyz, np.array([place_m[0], place_m[1], above_m]))
+
+
+def surely_off_ground(ground: GroundFit, ego_from_lidar: SE3, band_m: float) -> Refused | None:
+    """Return the refusal of a ground that a few sweeps show twice as far off as the band allows: nothing else that is
+    measured later brings it back."""
+    return footprint_off_ground(ground, ego_from_lidar, band_m) if is_off_ground(ground, 2 * band_m) else None
+
+
+def is_off_ground(ground: GroundFit, band_m: float = BAND_M) -> bool:
+    """Whether the footprint is farther from the ground than the band, in nine sweeps of ten on the same side."""
+    return abs(ground.height_m) > band_m and ground.is_off_in_all
+
+
+def footprint_off_ground(ground: GroundFit, ego_from_lidar: SE3, band_m: float) -> Refused:
+    """Return the refusal that names how far off it is, and what corrects it."""
+    right = ground.beyond_terrain().corrected(ego_from_lidar)
+    return Refused(
+        "footprint_off_ground",
+        f"the ground lies {above(ground)} and tilts by {np.rad2deg(ground.tilt_rad):.1f}°, and the footprint is swept "
+        f"within ±{band_m:g} m of it: is the LiDAR's mount in the calibration right, and the ego frame on the ground? "
+        f"{entry_of(right)} would correct it, and ground auto corrects it for this run",
+    )
+
+
+def above(ground: GroundFit) -> str:
+    """Return how far it lies above or below the ego origin, in words."""
+    return f"{abs(ground.height_m):.2f} m {'above' if ground.height_m > 0 else 'below'} the ego origin"
 
 
 def _is_most(part: float, slope: float) -> bool:

@@ -196,4 +196,10 @@ MEANINGS = (
         "A radar that the calibration does not place is placed by /tf_static.",
         "Add it to the calibration if its position is known.",
     ),
+    CodeMeaning(
+        "CAL-440",
+        "none",
+        "By the sweeps, the base on which /tf_static has the LiDAR is not on the ground.",
+        "Enter the mount that is named, or process with ground auto (on the page it is chosen already).",
+    ),
 )

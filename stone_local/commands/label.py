@@ -112,6 +112,7 @@ def label(
     """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import OpenedSequence, with_sequence
+    from services.labeler.early_ground import require_early_ground
     from services.labeler.local_run import FURTHER, JOINED_RUN, LabelOptions
     from services.labeler.local_run import label as label_sequence
     from services.labeler.parameters import RefinementParameters
@@ -134,6 +135,8 @@ def label(
         with run_of(recordings) as run:
             kept = output / JOINED_RUN if run.joined else run.bag
             source = {"recording": str(kept.resolve()), "calibration": str(calibration.resolve())}
+            if ground is Ground.GIVEN:
+                require_early_ground(run.bag, calibration, sources.asked_topics, parameters)
 
             def labelled_of(opened: OpenedSequence) -> LabelReport:
                 late = (opened.recording_inputs, opened.late_findings)
@@ -151,9 +154,6 @@ def label(
         typer.echo(f"Labels: {output}\nPicture: {output / 'bev.png'}")
         for other in record["further_grids"]:
             typer.echo(f"Labels at grid {other}: {output / FURTHER / other}")
-        recall, judged_m = record["held_out"]["recall"], record["held_out"]["judged_m"]
-        if recall is not None:
-            typer.echo(f"Held-out track: {recall:.1%} of {judged_m:g} m is T or P in labels made from its other half")
     findings = [Finding(**finding) for finding in record["findings"]]
     echo_findings(findings)
     if not as_json:

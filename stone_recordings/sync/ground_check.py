@@ -15,13 +15,17 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, entry_of
 from stone.sensors.driving_direction import DrivingDirection, driving_direction
 from stone.sensors.ego_path import track_of
-from stone.sensors.ground_plane import GroundFit, ground_fit
+from stone.sensors.ground_plane import GroundFit, above, ground_fit, is_off_ground
 from stone.sensors.ground_points import plane_around
 from stone.sensors.sequence import Sequence, SweepSource
 from stone.sensors.sweep_tilt import SweepTilt
-from stone_recordings.sync.ground_looks import SeenWay, seen_ahead, seen_along
+from stone_recordings.bags.bag import Bag
+from stone_recordings.poses.extrinsics import BASE_FRAMES
+from stone_recordings.poses.static_tree import StaticTree
+from stone_recordings.sync.ground_looks import SeenWay, points_around, seen_ahead, seen_along
+from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 
-SWEEPS = 40
+SWEEPS, EARLY_SWEEPS = 40, 12
 OF_MOTION = ("ins", "imu")
 MOST_ERROR_ALONG, MOST_ERROR_ACROSS = np.tan(np.deg2rad([0.3, 0.7])).tolist()
 ROUNDS, SETTLED_M, SETTLED_RAD = 8, 0.0001, 0.00001
@@ -35,6 +39,32 @@ def measured_ground(sequence: Sequence, sweeps: SweepSource, seen: SeenWay | Non
     if fit is None or seen is None or seen.tilt is None:
         return fit
     return _linked(fit, seen.tilt, driving_direction(track_of(sequence)))
+
+
+def early_ground(bag: Bag, lidar_topic: str, calibration: Calibration) -> GroundFit | None:
+    """As `measured_ground`, by a few sweeps as they were recorded: before there is a pose, a frame or a map."""
+    times_ns = bag.log_times_ns(lidar_topic)
+    sweeps = SweepsOfOpenBag(BagSweeps(bag.path, lidar_topic, np.arange(len(times_ns)), times_ns, None), bag)
+    picked = np.unique(np.linspace(0, len(times_ns) - 1, EARLY_SWEEPS).round().astype(np.int64)).tolist()
+    planes = (plane_around(points_around(calibration, sweeps, index)) for index in picked)
+    return ground_fit([plane for plane in planes if plane is not None])
+
+
+def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: str) -> tuple[Finding, ...]:
+    """CAL-440 where /tf_static has the LiDAR, whose `ground` is in its own frame, on a base that is not on it."""
+    placed = [(base, tree.transform(base, lidar_frame)) for base in BASE_FRAMES]
+    bases = {base: base_from_lidar for base, base_from_lidar in placed if base_from_lidar is not None}
+    off = {base: seen for base, mount in bases.items() if is_off_ground(seen := ground.seen_from(mount))}
+    if len(off) < len(bases) or not off:  # the ego frame is any of them
+        return ()
+    base, seen = next(iter(off.items()))
+    right = seen.untilted().corrected(bases[base])
+    sentence = (
+        f"by {seen.sweeps} sweeps the ground lies {above(seen)} if that is {base!r}, where /tf_static has the LiDAR: "
+        f"with such a calibration nothing is labelled. {entry_of(right)} would correct it, and ground auto "
+        f"(--ground auto) takes the LiDAR to be {right.translation_m[2]:.2f} m above the ground"
+    )
+    return (Finding("CAL-440", "warning", "", sentence),)
 
 
 def _linked(fit: GroundFit, tilt: SweepTilt, direction: DrivingDirection | None) -> GroundFit:
@@ -96,7 +126,7 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
     right = corrected(sequence.calibration, fit.beyond_terrain())
     entries = f"{entry_of(right.ego_from_lidar)}{_moved_mounts(sequence.calibration, right)}"
     sentence = (
-        f"the ground lies {_above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
+        f"the ground lies {above(fit)} and tilts by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame ({fit.sweeps} "
         f"sweeps, 5 to 95 %: {fit.low_m:+.2f} to {fit.high_m:+.2f} m): is the LiDAR mounted as the calibration says, "
         f"and the ego origin on the ground? {entries} would "
         "correct it, and ground auto corrects it for this run"
@@ -108,14 +138,10 @@ def ground_findings(sequence: Sequence, fit: GroundFit | None) -> tuple[Finding,
 def applied_finding(fit: GroundFit, calibration: Calibration) -> Finding:
     """CAL-434: what ground auto did, by the `calibration` it settled on."""
     sentence = (
-        f"the ground lay {_above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
+        f"the ground lay {above(fit)} and tilted by {np.rad2deg(fit.tilt_rad):.1f}° in the ego frame; the LiDAR is "
         f"taken to be mounted so that it does not: {entry_of(calibration.ego_from_lidar)}"
     )
     return Finding("CAL-434", "info", "", sentence)
-
-
-def _above(fit: GroundFit) -> str:
-    return f"{abs(fit.height_m):.2f} m {'above' if fit.height_m > 0 else 'below'} the ego origin"
 
 
 def _moved_mounts(before: Calibration, after: Calibration) -> str:

@@ -11,6 +11,7 @@ from numpy.typing import NDArray
 from stone.errors import StoneError
 from stone.geometry.placed_points import placed
 from stone.geometry.se3 import SE3
+from stone.sensors.calibration import Calibration
 from stone.sensors.ego_path import maps_of_frames
 from stone.sensors.ground_links import Links, Way, driven, links_between, look, looks_along
 from stone.sensors.ground_points import around_robot
@@ -60,9 +61,13 @@ def seen_ahead(sequence: Sequence, sweeps: SweepSource, rows: Iterable[int]) -> 
 
 
 def seen_around(sequence: Sequence, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
-    """The points (N, 3) of a frame's sweep in its ego frame, without the robot's own; none of a sweep that cannot be
-    read, which is for labelling to say."""
-    calibration = sequence.calibration
+    """As `points_around`, of a frame of the sequence."""
+    return points_around(sequence.calibration, sweeps, index)
+
+
+def points_around(calibration: Calibration, sweeps: SweepSource, index: int) -> NDArray[np.float32]:
+    """The points (N, 3) of a sweep in its ego frame, without the robot's own; none of a sweep that cannot be read,
+    which is for labelling to say."""
     try:
         points_lidar = sweeps.sweep(index).points_lidar
     except StoneError:

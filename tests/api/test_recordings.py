@@ -265,6 +265,33 @@ def test_what_is_none_of_the_sequences_is_refused_by_its_code(
     assert (alike.status_code, alike.json()["code"]) == (409, "recordings_named_alike")
 
 
+@pytest.mark.parametrize(("below_m", "is_refused"), [(2.157, True), (1.95, False)])
+def test_a_ground_far_off_the_ego_origin_is_refused_before_a_run_begins_unless_it_is_to_be_corrected(
+    api: httpx.Client, platform: Platform, curator: Person, driven: dict[str, Any], below_m: float, is_refused: bool
+) -> None:
+    """The LiDAR is 1.757 m above the ego origin by the calibration; what is 0.2 m off is for the run to measure."""
+    kitti = Path(__file__).parents[2] / "examples" / "kitti0005.calibration.yaml"
+    ground = {"sweeps": 40, "height_m": -below_m, "low_m": 0.02 - below_m, "high_m": 0.02 - below_m}
+    ground |= {"slope_x": 0.0, "slope_y": 0.0, "map_slope_x": None, "map_slope_y": None}
+    with platform.database.transaction() as session:
+        blob = keep(session, platform.store, kitti)
+        row = session.get_one(CalibrationRow, session.get_one(SequenceRow, driven["id"]).calibration_id)
+        row.blob_sha256, row.filename = blob.sha256, kitti.name
+        session.get_one(Recording, driven["recording_ids"][0]).inspection = {"lidar_ground": ground}
+    answer = processed(api, curator, driven["id"])
+    if is_refused:
+        assert (answer.status_code, answer.json()["code"]) == (409, "footprint_off_ground")
+        assert "0.40 m below the ego origin" in answer.json()["detail"]
+        assert ", 2.157] m" in answer.json()["detail"]
+        for body in ({"stages": ["synchronise"]}, {"recording_ids": driven["recording_ids"]}, {"ground": "auto"}):
+            answer = processed(api, curator, driven["id"], **body)
+            assert answer.status_code == 202
+            with platform.database.transaction() as session:
+                cancel(session, answer.json()["id"], "")
+    else:
+        assert answer.status_code == 202
+
+
 def test_offsets_are_given_in_seconds_and_kept_in_nanoseconds(
     api: httpx.Client, platform: Platform, curator: Person, driven: dict[str, Any]
 ) -> None:

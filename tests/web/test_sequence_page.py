@@ -20,6 +20,7 @@ from testing.web.browsing import Site
 from testing.web.reading import Reading
 from testing.worlds import made
 from testing.worlds.benchmark_world import run_eval
+from tests.web.looking import look
 from tests.web.sequence_world import ASKED, CAMERAS, FRAMES, playback, whole_sequence
 from tests.web.test_pages import STAGES, fail_at_the_surface, new_sequence
 from web.sequence.topic_choices import ODOMETRY_ROLES, POSITION_TYPES, TopicChoices, choices_in
@@ -289,7 +290,7 @@ def test_a_calibration_whose_ground_is_off_is_offered_its_correction_before_anyt
         row = Recording(sequence_id=made_id, filename="run.mcap", size_bytes=3, sha256="0" * 64)
         row.state, row.inspection = "registered", {**INSPECTION, "lidar_ground": ground}
         session.add(row)
-    with site.visit(curator) as page:
+    with site.visit(curator, expected=["409"] if is_off else []) as page:
         page.goto(f"/sequences/{made_id}")
         form = page.locator("form[data-process]")
         offer = form.get_by_label("Correct the height of the LiDAR for this run")
@@ -298,6 +299,11 @@ def test_a_calibration_whose_ground_is_off_is_offered_its_correction_before_anyt
             expect(form).to_contain_text("0.40 m below the ego origin")
             expect(form).to_contain_text("Corrected, the LiDAR is 2.16 m above the ground")
             expect(offer).to_be_checked()
+            look(page, "ground-offer")
+            offer.uncheck()
+            form.get_by_role("button", name="Start processing").click()
+            expect(page.get_by_text("ground auto corrects it for this run")).to_be_visible()
+            offer.check()
         form.get_by_role("button", name="Start processing").click()
         expect(form.get_by_role("button", name="Start processing")).to_be_disabled()
         expect(page.locator("#run-log, .run-dashes").first).to_be_visible()

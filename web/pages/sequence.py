@@ -14,6 +14,7 @@ from sqlalchemy import select
 from api.deps import Caller, Looker
 from api.schemas.base import ID_PATTERN
 from api.views.exports import export_items
+from api.views.ground_offer import ground_offer_of
 from api.views.jobs import job_items
 from api.views.scenes import artefact_file
 from api.visible import exports_shown_to, labels_of, shown_sequence
@@ -22,7 +23,6 @@ from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.frame_table import NAME, FrameTable, frame_table
-from web.sequence.ground_offer import ground_offer_of
 from web.sequence.recording import rig_place
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, Visit, choosable, shown_section

@@ -9,6 +9,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.deps import Caller, Reader
+from api.views.ground_offer import ground_offer_of
 from api.views.label_sets import comparison_items, label_set_items
 from api.views.recordings import recording_detail
 from api.views.scenes import artefact_file
@@ -17,7 +18,6 @@ from services.domain.sequences.label_choices import LabelProfile
 from services.runtime.orm import LabelComparison, LabelSet, Recording
 from web.boards.results import CLASS_NAMES, matrix
 from web.sequence.again import choices_of
-from web.sequence.ground_offer import ground_offer_of
 from web.sequence.recording import recording_view
 from web.sequence.report import read_report
 from web.sequence.sections import AtSequence, shown_section

@@ -17,6 +17,7 @@ from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.jobs import JobDetail
 from api.schemas.sequences.sequences import FrameItem, ProcessBody
+from api.views.ground_offer import require_ground
 from api.views.jobs import job_detail
 from api.views.preview_files import PICTURE_TYPES, PictureName, picture_in, sequence_preview
 from api.views.scenes import ColoursQuery, artefact_file
@@ -32,10 +33,17 @@ router = APIRouter(prefix="/sequences/{sequence_id}", tags=["processing"])
 def process_sequence(
     sequence_id: IdPath, body: ProcessBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> JobDetail:
-    """Have the sequence labelled; the job at `Location` says how far it is."""
+    """Have the sequence labelled; the job at `Location` says how far it is.
+
+    A ground that its recording shows far off the ego origin of the calibration is refused, unless `ground` is `auto`.
+    """
+    asked = body.chosen()
+    with platform.database.reading() as session:
+        sequence_of(session, caller, sequence_id)
+    require_ground(platform, sequence_id, asked)
     with platform.database.transaction() as session:
         sequence = sequence_of(session, caller, sequence_id)
-        job = start_processing(session, sequence, body.chosen())
+        job = start_processing(session, sequence, asked)
         audit.record(session, caller, "sequence.process", sequence.id, facts={"job_id": job.id})
         return set_head(response, job_detail(session, job), location=f"/api/v1/jobs/{job.id}")
 

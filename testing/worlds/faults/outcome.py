@@ -21,9 +21,9 @@ from services.labeler.parameters import parameters_for
 from services.labeler.report import LabelReport
 from stone.errors import StoneError
 from stone.findings import Finding
-from stone.labels.footprint import BAND_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Calibration
+from stone.sensors.ground_plane import BAND_M
 from stone.sensors.sequence import Sequence
 from stone_base.label_grid import PAPER
 from stone_recordings.bags.bag import open_bag

@@ -1,5 +1,6 @@
 """A simulated run as a bag of the release is inspected, synchronised and labelled right, and its oddities are named."""
 
+import re
 import sqlite3
 from dataclasses import replace
 from pathlib import Path
@@ -8,11 +9,13 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
+from services.domain.sequences.processing import PROCESS
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sandboxed_inspection import inspected_in
 from services.ingest.sequence import open_sequence
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import parameters_for
+from services.runtime.platform import Platform
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path, simulate, sweep_stamps_ns
 from simulator.scenery.world import build_world
@@ -30,6 +33,8 @@ from testing.worlds.release_bags import (
     release_calibration,
     write_release_bag,
 )
+from testing.worlds.runs import bring, run_all
+from tests.stone_client.participating import stone
 
 DRIVE = SimulateOptions(seconds=5.0, seed=3, channels=16, columns=240, camera_width_px=48, world_width_m=30.0)
 TWO_FRAMES = replace(DRIVE, seconds=0.2, channels=4, columns=90, cameras=False)
@@ -116,6 +121,54 @@ def test_a_name_that_agrees_with_its_yaw_is_no_contradiction(
     assert {one.severity for one in found.findings if one.code == "TOP-117"} == severities
     assert "CAL-438" not in {one.code for one in found.findings}, "one position was entered"
     assert len(YAWS_DEG) == sum(channel.startswith("RADAR") for channel in found.assignment.channels)
+
+
+def test_a_mount_on_no_ground_is_named_with_its_correction_before_there_is_a_calibration(
+    inspection: Inspection, tmp_path: Path
+) -> None:
+    height_m = rig.EGO_FROM_LIDAR.translation_m[2]
+    (told,) = [one for one in inspection.findings if one.code == "CAL-440"]
+    assert (told.severity, told.topic) == ("warning", "")
+    seen = re.search(r"the ground lies ([\d.]+) m below the ego origin if that is 'base_link'", told.message)
+    right = re.search(r"ground auto \(--ground auto\) takes the LiDAR to be ([\d.]+) m above", told.message)
+    assert seen is not None
+    assert right is not None
+    assert float(seen[1]) == float(right[1]) == pytest.approx(height_m, abs=0.04)
+    mounts_m = {"hesai_lidar": (0.16, 0.12, height_m)}
+    placed = write_release_bag(tmp_path / "placed", replace(DRIVE, seconds=1.0), ReleasedBag(mounts_m=mounts_m))
+    with open_bag(placed) as opened:
+        found = inspected_in(opened)
+    assert found.lidar_ground is not None
+    assert "CAL-440" not in {one.code for one in found.findings}
+
+
+def test_a_ground_that_is_far_off_stops_the_command_before_the_run_is_synchronised(bag: Path, tmp_path: Path) -> None:
+    poses = tmp_path / "poses.tum"  # of another day: synchronising refuses them
+    poses.write_text("".join(f"{second} {second} 0 0 0 0 0 1\n" for second in range(10)))
+    asked = ("label", bag, "--calibration", release_calibration(bag), "-o", tmp_path / "labels", "--poses", poses)
+    stopped = stone(*asked)
+    assert stopped.exit_code == 1
+    assert stopped.stderr.startswith("footprint_off_ground: the ground lies 0.4")
+    assert "ego_from_lidar at [" in stopped.stderr
+    assert "ground auto corrects it for this run" in stopped.stderr
+    assert not (tmp_path / "labels").exists()
+    corrected = stone(*asked, "--ground", "auto")
+    assert corrected.exit_code == 1
+    assert "footprint_off_ground" not in corrected.stderr
+
+
+def test_a_ground_that_is_far_off_stops_a_run_when_it_is_planned(platform: Platform, bag: Path) -> None:
+    brought = bring(platform)
+    brought.calibrate(release_calibration(bag))
+    brought.add(bag)
+    run_all(platform)
+    codes = {one["code"] for one in brought.recording().findings}
+    assert {"CAL-438", "CAL-440", "TOP-117"} <= codes
+    run = brought.process()
+    run_all(platform)
+    assert brought.job(run).failure_code == "footprint_off_ground"
+    assert {job.kind for job in brought.jobs(run) if job.state == "failed"} == {PROCESS, "labeler.parts"}
+    assert not [job for job in brought.jobs(run) if job.kind == "labeler.fuse"]
 
 
 @pytest.mark.parametrize("ground", ["given", "auto"])

@@ -8,9 +8,9 @@ import pytest
 from services.labeler.local_run import LabelOptions, label
 from services.labeler.parameters import LabelParameters, TilingParameters
 from stone.geometry.se3 import SE3
-from stone.labels.footprint import BAND_M
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.calibration import Box, Footprint
+from stone.sensors.ground_plane import BAND_M
 from stone_base.label_grid import PAPER
 from tests.services.labeler.worlds import RayCast, World, sequence_of
 

@@ -17,7 +17,9 @@ from stone.sensors.calibration import Calibration
 from stone.sensors.ground_plane import TOLERATED_RAD
 from stone.sensors.height_drift import TOLERATED_M
 from stone.sensors.sequence import Sequence, Sweep, SweepSource
+from stone_recordings.bags.bag import open_bag
 from stone_recordings.calibrations.file import read_calibration
+from stone_recordings.sync.ground_check import early_ground
 from stone_recordings.sync.ground_looks import AHEAD, seen_ahead, seen_along, seen_around
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -104,6 +106,19 @@ def test_a_wrong_mount_is_measured_against_the_right_one_and_put_right(drive, ri
     # What stays is what terrain makes of the right mount, too.
     assert off.translation_m[2] == pytest.approx(-right.height_m, abs=0.03)
     assert abs(off.wxyz[2]) < np.deg2rad(1.0)
+
+
+@pytest.mark.parametrize("higher_m", [0.0, -0.5])
+def test_a_few_sweeps_as_they_were_recorded_show_the_ground_that_the_run_shows(
+    drive: tuple[Path, Calibration], right: tuple[Sequence, SweepSource], higher_m: float
+) -> None:
+    bag, rig = drive
+    measured = right[0].ground
+    with open_bag(bag) as opened:
+        early = early_ground(opened, "/lidar_points", mounted(rig, higher_m))
+    assert measured is not None
+    assert early is not None
+    assert early.height_m - measured.height_m == pytest.approx(higher_m, abs=0.03)
 
 
 def ends(bag: Path, entered: list[Calibration]) -> list[SE3]:

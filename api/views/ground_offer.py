@@ -12,22 +12,33 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from api.views.calibration_reading import stored
+from services.domain.sequences.processing import GIVEN_GROUND, ProcessRequest
 from services.runtime.orm import Blob, CalibrationRow, Recording, SequenceRow
 from services.runtime.platform import Platform
 from stone.errors import StoneError
-from stone.sensors.ground_plane import GroundFit
+from stone.geometry.se3 import SE3
+from stone.sensors.ground_plane import BAND_M, GroundFit, is_off_ground, surely_off_ground
 
 MOST_READ = 50
-OFF_M = 0.15  # the band of the footprint: farther off, nothing is labelled
 _FIT = TypeAdapter(GroundFit)
 
 
 @dataclass(frozen=True)
 class GroundOffer:
-    """How far the ground lies above the ego origin (m), and the height at which the LiDAR is mounted by it (m)."""
+    """The ground in the ego frame, by the calibration's mount of the LiDAR."""
 
-    height_m: float
-    lidar_height_m: float
+    ground: GroundFit
+    ego_from_lidar: SE3
+
+    @property
+    def height_m(self) -> float:
+        """How far the ground lies above the ego origin."""
+        return self.ground.height_m
+
+    @property
+    def lidar_height_m(self) -> float:
+        """The height at which the LiDAR is mounted by it."""
+        return float(self.ground.untilted().corrected(self.ego_from_lidar).translation_m[2])
 
 
 def ground_offer_of(platform: Platform, sequence_id: str) -> GroundOffer | None:
@@ -41,9 +52,24 @@ def ground_offer_of(platform: Platform, sequence_id: str) -> GroundOffer | None:
         ground = _FIT.validate_python(found.ground).seen_from(ego_from_lidar)
     except (StoneError, ValidationError):
         return None
-    if abs(ground.height_m) <= OFF_M or not ground.is_off_in_all:
-        return None
-    return GroundOffer(ground.height_m, float(ground.untilted().corrected(ego_from_lidar).translation_m[2]))
+    return GroundOffer(ground, ego_from_lidar) if is_off_ground(ground) else None
+
+
+def require_ground(platform: Platform, sequence_id: str, asked: ProcessRequest) -> None:
+    """Raises `footprint_off_ground` for labels without the correction that is offered, if the ground is surely off.
+
+    A ground that is nearer, and that of recordings or of a LiDAR which are chosen by name, is for the run to measure.
+    """
+    is_chosen = asked.lidar_topic is not None or asked.recording_ids
+    if asked.ground != GIVEN_GROUND or "label" not in asked.stages or is_chosen:
+        return
+    offer = ground_offer_of(platform, sequence_id)
+    if offer is None:
+        return
+    band_m = asked.parameters.get("footprint_band_m", BAND_M)
+    refusal = surely_off_ground(offer.ground, offer.ego_from_lidar, band_m)
+    if refusal is not None:
+        raise refusal
 
 
 @dataclass(frozen=True)
