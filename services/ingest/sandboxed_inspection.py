@@ -40,7 +40,6 @@ from stone_recordings.bags.errors import CutBagError, IngestError
 from stone_recordings.bags.recovery.recovery import recover
 from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.poses.ego_track import recorded_rig
-from stone_recordings.poses.static_tree import StaticTree
 from stone_recordings.report.inspection import Inspection, inspect_in, inspection_record, scanned
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.page import quality_page
@@ -49,7 +48,6 @@ from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
 from stone_recordings.sync.clock_offsets import ClockOffsets
 from stone_recordings.sync.ground_check import measured_ground, recorded_ground_finding
-from stone_recordings.sync.recorded_messages import RecordedTopics
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -90,8 +88,9 @@ def inspected_in(
     if calibration is None:
         said, ground = stood_in(bag, options)
         inspection = replace(inspection, lidar_ground=ground)
-        if ground is not None and scan.recorded is not None:
-            said += recorded_ground_finding(ground, *_recorded_mounts(scan.recorded))
+        if ground is not None and scan.recorded is not None and scan.recorded.sources is not None:
+            mounts = recorded_rig(scan.recorded, scan.recorded.sources, STAND_IN, ClockOffsets())
+            said += recorded_ground_finding(ground, mounts.tree, mounts.lidar_frame)
     else:
         rig, noticed = read_calibration(calibration, bag)
         said = (*noticed, *outlook(bag, rig, options))
@@ -115,12 +114,6 @@ def stood_in(bag: Bag, options: SynchroniseOptions) -> tuple[tuple[Finding, ...]
     except StoneError as refusal:
         return (Finding(refusal.code, "warning", "", str(refusal)),), None
     return tuple(finding for finding in sequence.findings if not finding.code.startswith(OF_MOUNTS)), ground
-
-
-def _recorded_mounts(recorded: RecordedTopics) -> tuple[StaticTree, str]:
-    """Return the transforms that the recording publishes, and the frame of its LiDAR."""
-    rig = recorded_rig(recorded, recorded.sources, STAND_IN, ClockOffsets())
-    return rig.tree, rig.lidar_frame
 
 
 def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:

@@ -233,6 +233,7 @@ def test_a_parameter_reaches_the_labels_and_the_held_out_track_is_told(tmp_path:
     held_out = report["held_out"]
     share = f"{100 * held_out['recall']:.1f} % of {held_out['judged_m']:.0f} m that the robot drove over"
     assert f"Held-out track: {share} is T or P in labels made from the other half" in done.stdout
+    assert done.stdout.count("Held-out track") == 1
 
 
 @pytest.mark.parametrize(

@@ -73,8 +73,8 @@ def _surface(arrays: Arrays, found: LabelledTile) -> TileMesh:
     used = np.zeros(len(arrays["vertices"]), np.bool_)
     used[arrays["triangles"]] = True
     mesh = Mesh(arrays["vertices"], arrays["triangles"]).where(used)  # type: ignore[arg-type]
-    classes = class_at(mesh.vertices_map, found.terrain.keys, found.classes)
-    return TileMesh(mesh.vertices_map, classes, mesh.triangles)  # type: ignore[arg-type]
+    classes = class_at(mesh.vertices_map, found.terrain.keys, found.classes)  # type: ignore[arg-type]
+    return TileMesh(mesh.vertices_map, classes, mesh.triangles)
 
 
 # Writes a scene for the viewer: its voxels and surface tile by tile, and `scene.json`, which says what there is.
