@@ -156,7 +156,7 @@ PROBLEM_TYPES = {
     "bad_grid": ProblemType(422, "A grid that is not known, or cannot be one"),
     "bad_phase": ProblemType(422, "The rules of a phase contradict themselves or are out of range"),
     "bad_parts": ProblemType(422, "The uploads cannot be joined to one"),
-    "bad_place": ProblemType(422, "Not a path below a root for recordings in place"),
+    "bad_place": ProblemType(422, "Not a path below a root for files in place"),
     "bad_recording_files": ProblemType(422, "The files cannot be one bag"),
     "bad_split_sizes": ProblemType(422, "The sizes of the parts cannot be those of a split"),
     "bad_stages": ProblemType(422, "Stages build on each other, so what is asked for must begin at the first"),
@@ -171,7 +171,8 @@ PROBLEM_TYPES = {
     "reader_crashed": ProblemType(
         422, "Reading the input broke its process or its limits; the same bytes would do so again"
     ),
-    "not_by_ranges": ProblemType(422, "Only an MCAP file can be read by ranges from a bucket"),
+    "no_archive": ProblemType(422, "A dataset in place is a ZIP or a tar"),
+    "not_by_ranges": ProblemType(422, "Only an MCAP file, and a ZIP of a dataset, can be read by ranges from a bucket"),
     "reason_missing": ProblemType(422, "An administrative action needs a reason"),
     "reported_twice": ProblemType(422, "A method stands twice with one modality"),
     "same_label_set": ProblemType(422, "A label set is not compared with itself"),
@@ -180,7 +181,7 @@ PROBLEM_TYPES = {
     "unknown_format": ProblemType(422, "There is no export of this name"),
     "unknown_label_set": ProblemType(422, "The sequence has no such label set"),
     "unknown_metric": ProblemType(422, "No metric has this version"),
-    "unknown_root": ProblemType(422, "There is no such root for recordings in place"),
+    "unknown_root": ProblemType(422, "There is no such root for files in place"),
     "unknown_role": ProblemType(422, "There is no such role"),
     "weak_password": ProblemType(422, "A password is too short to resist guessing, or too long to be one"),
     "upload_locked": ProblemType(423, "Another request is writing to this upload"),

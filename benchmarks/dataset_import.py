@@ -59,11 +59,11 @@ def index(tar: Path, folder: Path) -> None:
 def scenes(tar: Path, folder: Path) -> None:
     """All that were indexed; kernels are compiled, or fetched, before."""
     ordinals = range(len(list((folder / "scenes").iterdir())))
-    opening = SceneOpening(tar, 0, NAME, "0" * 64, OWN_CLASSES)
+    opening = SceneOpening(tar, 0, OWN_CLASSES)
     import_scene(opening, folder, lambda *_: None)
     begun, shares, frames = time.process_time(), StepShares(), 0
     for ordinal in ordinals:
-        answer = import_scene(SceneOpening(tar, ordinal, NAME, "0" * 64, OWN_CLASSES), folder, shares)
+        answer = import_scene(SceneOpening(tar, ordinal, OWN_CLASSES), folder, shares)
         frames += len(PublicationAnswer.believed(answer).tokens)
     _say(f"import of {len(ordinals)} scenes", frames, (time.process_time() - begun, shares))
 

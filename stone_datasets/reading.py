@@ -180,10 +180,10 @@ def read_dataset(path: Path, stated: StatedLayout = UNSTATED) -> DatasetIndex:
     return read_tables_of(path, stated).index
 
 
-def read_tables_of(path: Path, stated: StatedLayout = UNSTATED) -> DatasetReading:
-    """As `read_dataset`, with the columns of its tables."""
+def read_tables_of(where: Path | ByteRanges, stated: StatedLayout = UNSTATED) -> DatasetReading:
+    """As `read_dataset`, with the columns of its tables; also of a zip that is read by ranges."""
     faults = DatasetFaults()
-    _, reading = _read(open_dataset(path), stated, faults)
+    _, reading = _read(open_dataset(where), stated, faults)
     faults.raise_first()
     if reading is None:
         raise AssertionError("an index is missing and no fault says why")

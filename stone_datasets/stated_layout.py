@@ -3,10 +3,11 @@
 **Conventions.** What is stated goes before what is recognised.
 """
 
-from collections.abc import Sequence
+from collections.abc import Mapping, Sequence
 from dataclasses import dataclass
+from typing import Any, Self
 
-from stone_base.label_grid import LabelGrid
+from stone_base.label_grid import LabelGrid, grid_of
 from stone_datasets.faults import DatasetFaultError, DatasetPlace
 from stone_datasets.files import DatasetFiles
 from stone_datasets.index import DatasetSequence
@@ -30,6 +31,18 @@ class StatedLayout:
         """
         found = _recognised(files, sequences) if self.layout is None else named_layout(self.layout)
         return found if self.grid is None else found.with_grid(self.grid)
+
+    def as_record(self) -> dict[str, Any] | None:
+        """Return what is stated as JSON, None if nothing is."""
+        grid = None if self.grid is None else self.grid.as_record()
+        return None if self == UNSTATED else {"layout": self.layout, "grid": grid}
+
+    @classmethod
+    def of_record(cls, record: Mapping[str, Any] | None) -> Self:
+        """Return what `as_record` wrote. Raises `bad_grid`."""
+        if record is None:
+            return cls()
+        return cls(record["layout"], None if record["grid"] is None else grid_of(record["grid"]))
 
 
 UNSTATED = StatedLayout()

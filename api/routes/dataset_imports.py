@@ -1,8 +1,8 @@
-"""Routes of imports of published datasets: ask for one with a complete upload, watch it scene by scene, forget it.
+"""Routes of imports of published datasets: ask for one with an upload or in place, watch it, forget it.
 
-**Conventions.** The dataset is one tar, sent as an upload whose purpose is `dataset`. An import is whole or absent: its
-sequences appear all at once. What is wrong is the failure of its run: a code (DST-…), and a sentence that begins with
-file, row and token.
+**Conventions.** The dataset is one archive: an upload whose purpose is `dataset`, or a file below a root. An import is
+whole or absent: its sequences appear all at once. What is wrong is the failure of its run: a code (DST-…), and a
+sentence that begins with file, row and token.
 """
 
 from fastapi import APIRouter, Response
@@ -21,23 +21,34 @@ from api.views.imports.class_maps import stated_classes
 from api.views.imports.items import import_detail, import_items
 from api.visible import theirs
 from services.domain.imports.errors import splits_forbidden
-from services.domain.imports.requests import delete_import, start_import
+from services.domain.imports.requests import delete_import, place_of, start_import
 from services.runtime.orm import DatasetImport, User
 
 router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 
 
-@router.post("", summary="Import a dataset from a complete upload", status_code=202, responses=refusals(403, 404, 409))
+@router.post(
+    "",
+    summary="Import a dataset from a complete upload or in place",
+    status_code=202,
+    responses=refusals(403, 404, 409, 422),
+)
 def create_dataset_import(
     body: NewDatasetImportBody, caller: Curator, platform: PlatformDep, response: Response
 ) -> DatasetImportDetail:
-    """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once."""
+    """Have the dataset in a complete upload of yours imported; the job `job_id` does it. An upload serves once.
+
+    An archive `in_place` is read where it lies; the job finds whether it is there.
+    """
     if body.sets_splits and not caller.is_administrator:  # the role is asked for below; here, the token's scope
         raise splits_forbidden()
     classes = None if body.classes is None else stated_classes(body.classes)
     with platform.database.transaction() as session:
-        imported, run = start_import(session, session.get_one(User, caller.user_id), body.wished(classes))
+        owner, roots = session.get_one(User, caller.user_id), platform.settings.in_place
+        imported, run = start_import(session, owner, body.wished(classes), roots)
         facts = {"upload_id": body.upload_id, "job_id": run.id, "sets_splits": body.sets_splits}
+        if (place := place_of(imported)) is not None:
+            facts["place"] = str(place)
         audit.record(session, caller, "dataset_import.create", imported.id, facts=facts)
         shown = import_detail(session, imported)
     return set_head(response, shown, location=f"/api/v1/dataset-imports/{shown.id}")

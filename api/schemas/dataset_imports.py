@@ -1,13 +1,16 @@
 """Imports of published datasets over the wire."""
 
-from typing import Annotated
+from typing import Annotated, Self
 
-from pydantic import Field, StringConstraints
+from pydantic import Field, StringConstraints, model_validator
 
 from api.schemas.base import ID_EXAMPLE, PLAIN, PROSE, Answer, Body, IdText, Instant, Line, example
+from api.schemas.grids import GridBody, GridName, chosen_grid
 from api.schemas.jobs import FailureItem
+from api.schemas.sequences.recordings import PlaceBody, PlaceItem
 from api.schemas.sequences.sequences import Environment, Illumination, Region
 from services.domain.imports.requests import LONGEST_NAME, Existing, ImportedFacts, NewImport, StatedClasses
+from stone_datasets.stated_layout import StatedLayout
 
 LONGEST_CLASSES = 64 * 1024
 DatasetLabel = Annotated[
@@ -17,8 +20,10 @@ ClassesText = Annotated[str, StringConstraints(pattern=PROSE, min_length=1, max_
 
 
 class NewDatasetImportBody(Body):
-    """The import of the dataset in a complete upload, whose purpose is `dataset`; `name` is its file's unless said.
+    """The import of the dataset in a complete upload, whose purpose is `dataset`, or of a .zip or .tar `in_place`,
+    which is read where it lies; `name` is its file's unless said.
 
+    `layout` and `grid` are those of its label files; they are recognised unless stated.
     `classes` is the text of a class map (YAML or JSON: `name`, and `classes` from number to free, T, P, N or
     unobserved); without one labels are numbered as here. `existing`: a scene that is called as a sequence of yours is
     refused, or (`add`) its labels become another label set of that sequence. `sets_splits`: administrators only. The
@@ -38,8 +43,11 @@ class NewDatasetImportBody(Body):
         is_public=False,
     )
 
-    upload_id: IdText
+    upload_id: IdText | None = None
+    in_place: PlaceBody | None = None
     name: DatasetLabel | None = None
+    layout: GridName | None = None
+    grid: GridName | GridBody | None = None
     classes: ClassesText | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
@@ -49,16 +57,27 @@ class NewDatasetImportBody(Body):
     platform: Line = ""
     is_public: bool = False
 
+    @model_validator(mode="after")
+    def _one_source(self) -> Self:
+        if (self.upload_id is None) == (self.in_place is None):
+            raise ValueError("say upload_id for an uploaded archive, or in_place")
+        return self
+
     def wished(self, classes: StatedClasses | None) -> NewImport:
-        """The import as the domain knows it."""
+        """The import as the domain knows it. Raises `bad_grid`."""
         facts = ImportedFacts(self.environment, self.illumination, self.region, self.platform, self.is_public)
-        return NewImport(self.upload_id, self.name or "", classes, self.existing, self.sets_splits, facts)
+        stated = StatedLayout(self.layout, None if self.grid is None else chosen_grid(self.grid))
+        place = None if self.in_place is None else self.in_place.place()
+        return NewImport(
+            self.upload_id or "", self.name or "", classes, self.existing, self.sets_splits, facts, place, stated
+        )
 
 
 class DatasetImportItem(Answer):
     """An import as a list shows it; `state` is that of its run, `job_id`, and `classes` the name of its class map.
 
-    Scenes and frames are null before the dataset's tables were read.
+    Scenes and frames are null before the dataset's tables were read. `place` is where the archive lies that was not
+    uploaded; its `sha256` is of place, size and time of change. `layout` and `grid` are the names that were stated.
     """
 
     model_config = example(
@@ -80,7 +99,10 @@ class DatasetImportItem(Answer):
     name: str
     sha256: str
     size_bytes: int
+    place: PlaceItem | None = None
     classes: str | None
+    layout: str | None = None
+    grid: str | None = None
     existing: Existing
     sets_splits: bool
     state: str

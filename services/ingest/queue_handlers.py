@@ -1,5 +1,5 @@
 """What ingest does in the queue: `register` reads a recording, `synchronise` makes a sequence of it, `check` looks for
-what only pictures and registered sweeps tell of it; `keep_dataset` keeps the tar of a published dataset.
+what only pictures and registered sweeps tell of it; `keep_dataset` keeps the archive of a published dataset.
 
 **Conventions.** A stage is a function of the platform and an attempt; it may run twice, at once or after being killed
 anywhere, and leaves the same bytes. Files for the labeler lie in the workspace of the run.
@@ -13,7 +13,7 @@ from typing import Any
 
 from sqlalchemy.orm import Session
 
-from services.domain.imports.requests import INDEX, KEEP_DATASET, import_of_attempt, kept_import
+from services.domain.imports.requests import INDEX, KEEP_DATASET, import_of_attempt, kept_import, place_of
 from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.previews import PreparedPreview, PreviewSubject, prepared_previews, replace_previews
 from services.domain.sequences.processing import CHECK, LABEL, REGISTER, SYNCHRONISE
@@ -35,6 +35,8 @@ from services.ingest.sandboxed_synchronisation import (
     checked,
     synchronised,
 )
+from services.runtime.in_place.datasets import found_dataset, refuse_changed_dataset
+from services.runtime.in_place.places import sha256_in_place
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt, Handlers, JobSpec, Outcome
 from services.runtime.orm import Blob, CalibrationRow, DatasetImport, Recording, Upload
@@ -46,7 +48,7 @@ from services.runtime.uploads.backends import backend_of, remove_bytes
 from stone_files.atomic import flush
 from stone_files.bag_fingerprint import bag_paths
 from stone_files.joined_file import JOINED
-from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
+from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecording, StoredRecordingFile
 
 
 @dataclass(frozen=True)
@@ -162,21 +164,40 @@ def _inputs(platform: Platform, attempt: Attempt, arguments: Mapping[str, Any]) 
     return _Inputs(sequence.name, kept, sha256s, StoredRecordingFile(rig.object_key, calibration.filename), valid_ns)
 
 
-# The stage that keeps the uploaded tar of a dataset as a blob, where workers of the labeler find it.
+# The stage that keeps the uploaded archive of a dataset as a blob, where workers of the labeler find it. Of an archive
+# in place it notes size and version, which every later stage compares.
 #
 # **Conventions.** The upload's file stays until the blob's row is written, so an attempt killed anywhere is repeated;
-# the sweeper removes the file where this could not. Nobody opens the tar here: its bytes are hashed and stored.
+# the sweeper removes the file where this could not. Nobody opens the archive here: its bytes are hashed and stored.
 
 
 def keep_dataset(platform: Platform, attempt: Attempt) -> Outcome:
-    """Keep the tar. Raises `JobCancelledError`, `recording_file_missing`, `RecordingChangedError`, what the store
-    raises."""
+    """Keep the archive. Raises `JobCancelledError`, `recording_file_missing`, `RecordingChangedError`, what the store
+    raises; of an archive in place what `refuse_changed_dataset` raises."""
     imported = import_of_attempt(platform, attempt)
+    if place := place_of(imported):
+        size_bytes = _noted(platform, attempt, place)
+        return Outcome({"size_bytes": size_bytes}, then=(JobSpec(INDEX),))
     if imported.blob_sha256 is None:
         attempt.progress("keep", 0, 1)
         _keep(platform, attempt, imported)
         attempt.log("kept", filename=imported.name, size_bytes=imported.size_bytes)
     return Outcome({"size_bytes": imported.size_bytes}, then=(JobSpec(INDEX),))
+
+
+def _noted(platform: Platform, attempt: Attempt, place: RecordingPlace) -> int:
+    """The size of the archive at the place, which is as it was noted, or is noted now."""
+    settings = platform.settings.in_place
+    if place.files:
+        refuse_changed_dataset(settings, place)
+        return place.size_bytes
+    found = found_dataset(settings, place)
+    with platform.database.transaction() as session:
+        row = kept_import(session, attempt)
+        row.place, row.size_bytes = found.as_record(), found.size_bytes
+        row.sha256 = sha256_in_place(found, str(found))
+    attempt.log("noted", place=str(found), size_bytes=found.size_bytes)
+    return found.size_bytes
 
 
 def _keep(platform: Platform, attempt: Attempt, imported: DatasetImport) -> None:

@@ -5,8 +5,8 @@ go from the folder into packs one by one, so the export lies on the disk once. B
 the job's success are one transaction, in which an export that was deleted meanwhile gets none.
 """
 
-from collections.abc import Collection, Iterable, Mapping
-from contextlib import AbstractContextManager
+from collections.abc import Collection, Iterable, Iterator, Mapping
+from contextlib import AbstractContextManager, contextmanager, nullcontext
 from dataclasses import dataclass, replace
 from functools import partial
 from pathlib import Path
@@ -27,7 +27,7 @@ from services.domain.sequences.label_sources import located_source
 from services.domain.sequences.recordings import kept_recording, locate, locate_joined
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.domain.sequences.stage_checks import require_sequence
-from services.labeler.exports.dataset_source import DatasetSource
+from services.labeler.exports.dataset_source import DatasetSource, PlacedSource
 from services.labeler.exports.registry import Exporter, exporter_of
 from services.labeler.exports.sandboxed_export import (
     FILES,
@@ -41,6 +41,7 @@ from services.labeler.exports.sandboxed_export import (
 )
 from services.labeler.exports.source import MESH, REPORT, TABLE
 from services.labeler.kernel_warmup import warm
+from services.runtime.in_place.datasets import opened_dataset
 from services.runtime.jobs.specs import Attempt, Outcome
 from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, Recording
 from services.runtime.platform import Platform
@@ -109,6 +110,10 @@ class ExportSandbox:
             sandbox = JobSandbox(self.folder, reads, self.attempt, self.platform.settings, warm, temporary)
             return sandbox.run(work, "export", 1)
 
+    def fetched(self, read_bytes: int) -> None:
+        """Log the bytes that were read of an object in place."""
+        self.attempt.log("fetched", read_bytes=read_bytes)
+
 
 @dataclass(frozen=True)
 class ExportedLabels:
@@ -118,22 +123,36 @@ class ExportedLabels:
     sequence_id: str
 
 
-def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> ExportInputs:
+@contextmanager
+def with_samples(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> Iterator[ExportInputs]:
     """The inputs and what was measured: the source of labels that were imported, else the bag that they were made of;
     of several, joined as `joined.json` beside it says.
 
-    Raises `recording_deleted`, `JoinedFileError`.
+    Raises `recording_deleted`, `JoinedFileError`; if the source is in place what `opened_dataset` raises.
     """
     platform = sandbox.platform
     with platform.database.reading() as session:
         located = located_source(session, of.label_set_id)
-    if located is not None:
-        index, *packs = (platform.store.local(key) for key in (located.index_key, *located.pack_keys))
-        return replace(inputs, source=DatasetSource(index, tuple(packs)))
+    if located is None:
+        yield replace(inputs, recording=_recording(sandbox, inputs, of))
+        return
+    index, *packs = (platform.store.local(key) for key in (located.index_key, *located.pack_keys))
+    source = DatasetSource(index, tuple(packs))
+    if located.placed is None:
+        yield replace(inputs, source=source)
+        return
+    placed_key, place = located.placed
+    with opened_dataset(platform.settings.in_place, place, sandbox.folder, sandbox.fetched) as archive:
+        placed = PlacedSource(platform.store.local(placed_key), archive)
+        yield replace(inputs, source=replace(source, placed=placed))
+
+
+def _recording(sandbox: ExportSandbox, inputs: ExportInputs, of: ExportedLabels) -> Path:
+    """Raises `recording_deleted`, `JoinedFileError`."""
     if (inputs.folder / JOINED).exists():
-        return replace(inputs, recording=located_members(platform, of.sequence_id, inputs.folder))
+        return located_members(sandbox.platform, of.sequence_id, inputs.folder)
     made_of = SourceAnswer.believed(sandbox.run(partial(source_of, inputs), inputs))
-    return replace(inputs, recording=located_recording(platform, of.sequence_id, made_of.sha256s))
+    return located_recording(sandbox.platform, of.sequence_id, made_of.sha256s)
 
 
 def _ranges(session: Session, label_set_id: str) -> tuple[LabelRange, ...]:
@@ -179,10 +198,10 @@ def _packed(platform: Platform, attempt: Attempt, row: Export, folder: Path) -> 
     """Have the files written, then move them into packs."""
     exporter, sandbox = exporter_of(row.format), ExportSandbox(platform, attempt, folder)
     inputs = located_inputs(platform, row.label_set_id, folder / INPUTS, exporter)
-    if exporter.reads_samples:
-        inputs = with_samples(sandbox, inputs, ExportedLabels(row.label_set_id, row.sequence_id))
+    labels = ExportedLabels(row.label_set_id, row.sequence_id)
     (folder / FILES).mkdir()
-    sandbox.run(partial(write_format, row.format, inputs), inputs)
+    with with_samples(sandbox, inputs, labels) if exporter.reads_samples else nullcontext(inputs) as measured:
+        sandbox.run(partial(write_format, row.format, measured), measured)
     return pack_files(attempt, folder)
 
 
@@ -276,9 +295,9 @@ def _made_input(platform: Platform, attempt: Attempt, keys: Mapping[str, str | N
             (folder / INPUTS / called).symlink_to(platform.store.local(key))
     sandbox, inputs = ExportSandbox(platform, attempt, folder), ExportInputs(folder / INPUTS, PackedLabels({}, ()))
     labels = ExportedLabels(str(attempt.arguments["label_set_id"]), str(attempt.arguments["sequence_id"]))
-    inputs = with_samples(sandbox, inputs, labels)
     (folder / FILES).mkdir()
-    sandbox.run(partial(write_phase_input, inputs), inputs)
+    with with_samples(sandbox, inputs, labels) as measured:
+        sandbox.run(partial(write_phase_input, measured), measured)
     files = pack_files(attempt, folder)
     tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
     index, *packs = stored_packs(platform, attempt, folder, files)

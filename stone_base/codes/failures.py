@@ -63,8 +63,8 @@ MEANINGS = (
     CodeMeaning(
         "recording_changed_in_place",
         "refused",
-        "A recording that is read where it lies was changed since it was registered.",
-        "Put the file back, or remove the recording and add it anew.",
+        "A recording or dataset that is read where it lies was changed since it was registered.",
+        "Put the file back, or remove the recording or import and name the file anew.",
     ),
     CodeMeaning(
         "recording_file_missing",
@@ -78,7 +78,7 @@ MEANINGS = (
     CodeMeaning(
         "recording_vanished",
         "refused",
-        "A recording in place is not below its root, or may not be read.",
+        "A recording or dataset in place is not below its root, or may not be read.",
         "Put it back, or mount the root on every worker of ingest and labeler.",
     ),
     CodeMeaning(
@@ -90,7 +90,7 @@ MEANINGS = (
     CodeMeaning(
         "root_away",
         "refused",
-        "The folder of a root for recordings in place is not on the worker.",
+        "The folder of a root for files in place is not on the worker.",
         "Mount it; the job is tried again.",
     ),
     CodeMeaning(

@@ -22,6 +22,7 @@ from services.runtime.orm import (
     new_id,
 )
 from services.runtime.platform import Platform
+from stone_recordings.sync.stored_recording import RecordingPlace
 from testing.worlds.published_datasets import SyntheticDataset, made_labels
 from testing.worlds.runs import uploaded
 
@@ -74,6 +75,14 @@ def bring_dataset(platform: Platform, tar: Path, owner_id: str, **asked: Any) ->
     with platform.database.transaction() as session:
         owner = session.get_one(User, owner_id)
         imported, _ = start_import(session, owner, NewImport(upload_id=upload_id, **asked))
+        return BroughtDataset(platform, owner_id, imported.id)
+
+
+def place_dataset(platform: Platform, place: RecordingPlace, owner_id: str, **asked: Any) -> BroughtDataset:
+    """The import of an archive in place, begun; `asked` as in `NewImport`."""
+    with platform.database.transaction() as session:
+        owner, new = session.get_one(User, owner_id), NewImport(place=place, **asked)
+        imported, _ = start_import(session, owner, new, platform.settings.in_place)
         return BroughtDataset(platform, owner_id, imported.id)
 
 

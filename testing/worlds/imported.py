@@ -38,7 +38,7 @@ def write_index(dataset: Path, out: Path, classes: ClassMap = OWN_CLASSES) -> Da
 
 def write_scene(dataset: Path, out: Path, ordinal: int, classes: ClassMap = OWN_CLASSES) -> PublicationAnswer:
     """Import a scene of the tar that was indexed into `out`; its artefacts are in `artefacts_of(out, ordinal)`."""
-    opening = SceneOpening(dataset, ordinal, NAME, "0" * 64, classes)
+    opening = SceneOpening(dataset, ordinal, classes)
     return PublicationAnswer.believed(import_scene(opening, out, silent))
 
 

@@ -1,5 +1,6 @@
 """Recordings over the wire."""
 
+from collections.abc import Mapping
 from typing import Annotated, Any, Self
 
 from pydantic import AfterValidator, ConfigDict, Field, model_validator
@@ -26,7 +27,20 @@ def _plain_name(name: str) -> str:
 FolderName = Annotated[str, Field(min_length=1, max_length=LONGEST_NAME_BYTES), AfterValidator(_plain_name)]
 
 
-class InPlaceBody(Body):
+class PlaceBody(Body):
+    """A file that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists."""
+
+    model_config = example(root="nas", path="released/STONE.zip")
+
+    root: str = Field(min_length=1, max_length=32)
+    path: str = Field(min_length=1, max_length=1024)
+
+    def place(self) -> RecordingPlace:
+        """The place as the domain understands it."""
+        return RecordingPlace(self.root, self.path)
+
+
+class InPlaceBody(PlaceBody):
     """A bag that stays where it lies: `path` below `root`, one of the names that `GET /recording-roots` lists.
 
     Of an object in a bucket, pictures are read only `with_pictures`: labels need none, exports of pictures do.
@@ -34,8 +48,6 @@ class InPlaceBody(Body):
 
     model_config = example(root="nas", path="2026/run_0.db3")
 
-    root: str = Field(min_length=1, max_length=32)
-    path: str = Field(min_length=1, max_length=1024)
     with_pictures: bool = False
 
     def place(self) -> RecordingPlace:
@@ -93,12 +105,17 @@ class RecordingFileItem(Answer):
 
 
 class PlaceItem(Answer):
-    """The place of a recording that was not uploaded: `path` below `root`."""
+    """The place of a recording or a dataset that was not uploaded: `path` below `root`."""
 
     model_config = example(root="nas", path="2026/run_0.db3")
 
     root: str
     path: str
+
+    @classmethod
+    def recorded(cls, record: Mapping[str, Any] | None) -> Self | None:
+        """Return the place that a row records."""
+        return None if record is None else cls(root=record["root"], path=record["path"])
 
 
 class RecordingItem(Answer):

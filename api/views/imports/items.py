@@ -7,9 +7,11 @@ from sqlalchemy.orm import Session
 
 from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem
 from api.schemas.jobs import JobItem
+from api.schemas.sequences.recordings import PlaceItem
 from api.views.jobs import job_items
 from services.domain.imports.requests import SCENE, progress_of
 from services.runtime.orm import DatasetImport, Job
+from stone_datasets.stated_layout import StatedLayout
 
 
 def import_items(session: Session, rows: Sequence[DatasetImport]) -> list[DatasetImportItem]:
@@ -31,9 +33,13 @@ def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
 
 
 def _item(row: DatasetImport, run: JobItem, done: int) -> DatasetImportItem:
+    stated = StatedLayout.of_record(row.stated)
     return DatasetImportItem.of(
         row,
+        place=PlaceItem.recorded(row.place),
         classes=row.classes["name"] if row.classes else None,
+        layout=stated.layout,
+        grid=stated.grid.name if stated.grid else None,
         state=run.state,
         failure=run.failure,
         scenes_total=None if row.scenes is None else len(row.scenes),

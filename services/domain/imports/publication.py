@@ -69,11 +69,12 @@ def _new_sequence(imported: DatasetImport, scene: Mapping[str, Any]) -> Sequence
 
 
 def end_import(session: Session, imported: DatasetImport, made: Sequence[PublishedScene], limit_bytes: int) -> None:
-    """Give the tar back, count what was made of it, and note which sequences that is.
+    """Give an uploaded archive back, count what was made of it, and note which sequences that is.
 
     Raises `quota_exceeded`.
     """
-    storage_quota.release(session, imported.upload_id, "dataset imported")
+    if imported.upload_id is not None:
+        storage_quota.release(session, imported.upload_id, "dataset imported")
     for scene in made:
         if scene.size_bytes:
             taken = (scene.size_bytes, scene.label_set_id, "import", limit_bytes)

@@ -1,13 +1,15 @@
-"""Imports of published datasets: asked for with a complete upload, begun again, deleted; cancelled as any run is.
+"""Imports of published datasets: of a complete upload or in place, begun again, deleted; cancelled as any run is.
 
 **Conventions.** Each function is part of the caller's transaction. The run's row is locked first, then the import's,
 then what belongs to the owner. The tar's bytes are counted against the owner under its upload's id until the import has
-ended well or was deleted; what was made of it stays then, and is deleted sequence by sequence.
+ended well or was deleted; what was made of it stays then, and is deleted sequence by sequence. Bytes in place are not
+counted.
 """
 
 from collections.abc import Mapping
 from contextlib import suppress
 from dataclasses import asdict, dataclass
+from hashlib import sha256
 from typing import Any, Literal
 
 from sqlalchemy import Select, delete, select
@@ -18,6 +20,8 @@ from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, Restarted
 from services.runtime.access import storage_quota
 from services.runtime.access.roles import allows
 from services.runtime.code_version import code_version
+from services.runtime.in_place.datasets import requested_dataset
+from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.jobs.changes import lock_run
 from services.runtime.jobs.control import cancel, terminate
 from services.runtime.jobs.enqueue import enqueue_run
@@ -27,6 +31,8 @@ from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow, 
 from services.runtime.platform import Platform
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
+from stone_datasets.stated_layout import UNSTATED, StatedLayout
+from stone_recordings.sync.stored_recording import RecordingPlace
 
 IMPORT = "dataset.import"
 KEEP_DATASET = "ingest.keep_dataset"
@@ -35,6 +41,7 @@ SCENE = "labeler.import_scene"
 PUBLISH_IMPORT = "labeler.import_publish"
 PURPOSE = "dataset"
 LONGEST_NAME = 100
+NOWHERE = InPlaceSettings()
 Existing = Literal["refuse", "add"]
 Meaning = Literal["free", "T", "P", "N", "unobserved"]
 
@@ -63,38 +70,45 @@ class ImportedFacts:
 
 @dataclass(frozen=True)
 class NewImport:
-    """The import of the dataset in a complete upload of a tar or zip, called `name`, or else as its file is.
+    """The import of the dataset in a complete upload of a tar or zip, or at a `place`, called `name`, or else as its
+    file is.
 
-    Without `classes` its labels are numbered as ours. A scene that is called as a sequence of the owner's is refused,
-    or (`existing` "add") its labels become another label set of that sequence. With `sets_splits` the draft splits
-    follow those of the dataset.
+    Without `classes` its labels are numbered as ours; `stated` are layout and grid if they are not to be recognised. A
+    scene that is called as a sequence of the owner's is refused, or (`existing` "add") its labels become another label
+    set of that sequence. With `sets_splits` the draft splits follow those of the dataset.
     """
 
-    upload_id: str
+    upload_id: str = ""
     name: str = ""
     classes: StatedClasses | None = None
     existing: Existing = "refuse"
     sets_splits: bool = False
     facts: ImportedFacts = ImportedFacts()
+    place: RecordingPlace | None = None
+    stated: StatedLayout = UNSTATED
 
 
-def start_import(session: Session, owner: User, new: NewImport) -> tuple[DatasetImport, Job]:
-    """Use up the owner's upload: its import, and the run that does it.
+def start_import(
+    session: Session, owner: User, new: NewImport, in_place: InPlaceSettings = NOWHERE
+) -> tuple[DatasetImport, Job]:
+    """Use up the owner's upload, or name the place: its import, and the run that does it.
 
-    Raises `splits_forbidden`, what `uploads.consume` raises, `QueueDrainingError`.
+    Whether there is a file at the place is found by the run, on a machine that has the root. Raises `splits_forbidden`,
+    what `uploads.consume` and `requested_dataset` raise, `QueueDrainingError`.
     """
     if new.sets_splits and not allows(owner.role, ("administrator",)):
         raise splits_forbidden()
-    upload = consume(session, new.upload_id, owner.id, PURPOSE)
-    link_to(upload.traceparent)
+    archive = _uploaded(session, new, owner) if new.place is None else _placed(in_place, new.place)
     imported = DatasetImport(
         id=new_id(),
         owner_id=owner.id,
-        upload_id=upload.id,
-        name=(new.name or upload.filename.removesuffix(".tar").removesuffix(".zip"))[:LONGEST_NAME],
-        sha256=upload.sha256,
-        size_bytes=upload.length_bytes,
+        name=(new.name or archive.filename.removesuffix(".tar").removesuffix(".zip"))[:LONGEST_NAME],
+        upload_id=archive.upload_id,
+        place=archive.place,
+        sha256=archive.sha256,
+        size_bytes=archive.size_bytes,
         classes=new.classes.as_record() if new.classes else None,
+        stated=new.stated.as_record(),
         existing=new.existing,
         sets_splits=new.sets_splits,
         facts=asdict(new.facts),
@@ -103,6 +117,29 @@ def start_import(session: Session, owner: User, new: NewImport) -> tuple[Dataset
     session.add(imported)
     session.flush()
     return imported, run
+
+
+@dataclass(frozen=True)
+class _Archive:
+    """What the row of an import keeps of its archive."""
+
+    filename: str
+    sha256: str
+    size_bytes: int
+    upload_id: str | None = None
+    place: dict[str, Any] | None = None
+
+
+def _uploaded(session: Session, new: NewImport, owner: User) -> _Archive:
+    upload = consume(session, new.upload_id, owner.id, PURPOSE)
+    link_to(upload.traceparent)
+    return _Archive(upload.filename, upload.sha256, upload.length_bytes, upload.id)
+
+
+def _placed(in_place: InPlaceSettings, asked: RecordingPlace) -> _Archive:
+    """Nothing is known of the file yet: the hash is that of its place."""
+    place = requested_dataset(in_place, asked)
+    return _Archive(place.name, sha256(str(place).encode()).hexdigest(), 0, place=place.as_record())
 
 
 def begin_import_again(session: Session, imported: DatasetImport, reason: str, restarts: int = 0) -> Job:
@@ -127,7 +164,8 @@ def delete_import(session: Session, imported: DatasetImport) -> None:
     with suppress(JobStateError):  # it has ended
         cancel(session, imported.job_id, "its import was deleted")
     session.execute(delete(DatasetImport).where(DatasetImport.id == imported.id))
-    storage_quota.release(session, imported.upload_id, "import deleted")
+    if imported.upload_id is not None:
+        storage_quota.release(session, imported.upload_id, "import deleted")
 
 
 def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:
@@ -169,6 +207,11 @@ class ImportProgress:
     def done(self) -> int:
         """The number of scenes that are done."""
         return sum(scene.state == "succeeded" for scene in self.scenes)
+
+
+def place_of(imported: DatasetImport) -> RecordingPlace | None:
+    """The place of an archive that is read where it lies."""
+    return None if imported.place is None else RecordingPlace.of_record(imported.place)
 
 
 def progress_of(session: Session, imported: DatasetImport) -> ImportProgress:

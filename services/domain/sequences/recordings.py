@@ -19,7 +19,7 @@ from services.domain.sequences.chosen_recordings import recording_ids_of
 from services.domain.sequences.processing import PROCESS, REGISTER, lock_sequence, register
 from services.runtime.access import storage_quota
 from services.runtime.in_place.folders import located_in_place
-from services.runtime.in_place.places import is_by_ranges, refuse_changed, requested_place
+from services.runtime.in_place.places import checked_after, is_by_ranges, refuse_changed, requested_place
 from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.jobs.control import cancel
 from services.runtime.jobs.errors import JobStateError
@@ -31,7 +31,7 @@ from services.runtime.store.blobs import PreparedBlob
 from services.runtime.store.named_objects import NAMES_FOLDER, described_folder, named, named_folder
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
-from stone.errors import Refused, StoneError
+from stone.errors import Refused
 from stone_files.bag_fingerprint import bad_bag_files, check_bag_files, whole_sha256
 from stone_files.joined_file import JOINED, JoinedFileError, read_joined
 from stone_recordings.sync.stored_recording import RecordingPlace, StoredRecording, StoredRecordingFile
@@ -191,15 +191,13 @@ def recording_place(recording: Recording) -> RecordingPlace | None:
 def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[None]:
     """A block that reads recordings. Raises, instead of what the block raised, `recording_changed_in_place` or
     `recording_vanished` if one in place is not as registered any more: what was read of it is not to be used."""
-    places = [recording.place for recording in kept if recording.place is not None]
-    try:
-        yield
-    except (StoneError, OSError):
-        for place in places:
+
+    def check() -> None:
+        for place in (recording.place for recording in kept if recording.place is not None):
             refuse_changed(platform.settings.in_place, place)
-        raise
-    for place in places:
-        refuse_changed(platform.settings.in_place, place)
+
+    with checked_after(check):
+        yield
 
 
 def locate(platform: Platform, kept: StoredRecording) -> Path:

@@ -1,19 +1,20 @@
-"""The context of a stage of an import: the dataset's tar on this machine, the run's files, and the sandbox.
+"""The context of a stage of an import: the dataset's archive, the run's files, and the sandbox.
 
 **Conventions.** An attempt works in a hidden folder of its own in the run's workspace; what it leaves goes from there
-into the workspace whole, or into the store. The child may read the tar, and writes in that folder alone.
+into the workspace whole, or into the store. The child may read the archive, and writes in that folder alone.
 """
 
-from collections.abc import Sequence
-from contextlib import AbstractContextManager
+from collections.abc import Iterator, Sequence
+from contextlib import AbstractContextManager, contextmanager
 from dataclasses import dataclass
 from pathlib import Path
 from typing import TypeVar
 
 from sqlalchemy import select
 
-from services.domain.imports.requests import import_of_attempt
+from services.domain.imports.requests import import_of_attempt, place_of
 from services.labeler.imports.kernel_warmup import warm_imports
+from services.runtime.in_place.datasets import DatasetArchivePath, opened_dataset
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Attempt
 from services.runtime.orm import Blob, DatasetImport, Job
@@ -22,6 +23,8 @@ from services.runtime.sandbox.answers import SandboxAnswer
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.workspace import Workspace, fresh_folder
 from stone_datasets.classes import OWN_CLASSES, ClassMap, class_map_of
+from stone_datasets.stated_layout import StatedLayout
+from stone_recordings.sync.stored_recording import RecordingPlace
 
 APART = ".import-"
 A = TypeVar("A", bound=SandboxAnswer)
@@ -44,9 +47,32 @@ class ImportStageContext:
             return OWN_CLASSES
         return class_map_of(stated["name"], {int(number): meaning for number, meaning in stated["classes"].items()})
 
-    def tar(self) -> Path:
-        """The tar on this machine. Raises `JobCancelledError` where the import was deleted meanwhile, what the store
-        raises."""
+    @property
+    def stated(self) -> StatedLayout:
+        """The layout and grid that its owner states."""
+        return StatedLayout.of_record(self.imported.stated)
+
+    @property
+    def place(self) -> RecordingPlace | None:
+        """The place of an archive that is read where it lies."""
+        return place_of(self.imported)
+
+    @contextmanager
+    def archive(self, folder: Path) -> Iterator[DatasetArchivePath]:
+        """The archive for a child that may write in the folder: its path here, or its ranges.
+
+        Raises `JobCancelledError` where the import was deleted meanwhile, what the store and `opened_dataset` raise.
+        """
+        if self.place is None:
+            yield self._kept()
+            return
+        with opened_dataset(self.platform.settings.in_place, self.place, folder, self._fetched) as archive:
+            yield archive
+
+    def _fetched(self, read_bytes: int) -> None:
+        self.attempt.log("fetched", read_bytes=read_bytes, size_bytes=self.imported.size_bytes)
+
+    def _kept(self) -> Path:
         with self.platform.database.reading() as session:
             kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
             key = session.scalar(kept.where(DatasetImport.id == self.imported.id))
@@ -59,14 +85,15 @@ class ImportStageContext:
         ended = [f"{APART}{job_id}" for job_id in self._ended_jobs()]
         return fresh_folder(self.workspace.folder, f"{APART}{self.attempt.job_id}", ended)
 
-    def ask(self, answer: type[A], work: SandboxedWork, shown: str, place: tuple[Path, Path]) -> A:
-        """What a sandboxed child answers that may read the tar and write in the folder: (tar, folder).
+    def ask(self, answer: type[A], work: SandboxedWork, shown: str, opened: tuple[DatasetArchivePath, Path]) -> A:
+        """What a sandboxed child answers that may read the archive and write in the folder: (archive, folder).
 
         Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
         """
-        tar, folder = place
+        archive, folder = opened
+        reads = (archive,) if isinstance(archive, Path) else ()
         with private_folder_in(folder) as temporary:
-            sandbox = JobSandbox(folder, (tar,), self.attempt, self.platform.settings, warm_imports, temporary)
+            sandbox = JobSandbox(folder, reads, self.attempt, self.platform.settings, warm_imports, temporary)
             return answer.believed(sandbox.run(work, shown, 1))
 
     def _ended_jobs(self) -> Sequence[str]:

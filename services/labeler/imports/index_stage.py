@@ -1,8 +1,8 @@
 """The stage that indexes a dataset: its tables are checked, parted by scene, and a job is made of each scene.
 
-    the tar → (child: tables of each scene, spans of its files) → `scenes/<ordinal>/` in the workspace → jobs
+    the archive → (child: tables of each scene, spans of its files) → `scenes/<ordinal>/` in the workspace → jobs
 
-**Conventions.** Folders of scenes are renamed into place; equal tars give equal ones. What can be known to be
+**Conventions.** Folders of scenes are renamed into place; equal archives give equal ones. What can be known to be
 refused is refused here, before any scene is copied: scenes without labels, sequences that are there already.
 """
 
@@ -29,10 +29,11 @@ def index_tar(context: ImportStageContext) -> Outcome:
     Raises the `DST-*` faults, `scenes_unlabelled`, `sequences_exist`, and what `ImportStageContext.ask`
     raises.
     """
-    tar, imported = context.tar(), context.imported
-    opening = DatasetOpening(tar, imported.name, imported.sha256, context.classes)
+    imported = context.imported
     with context.folder() as folder:
-        told = context.ask(DatasetIndexAnswer, partial(index_dataset, opening), "index", (tar, folder))
+        with context.archive(folder) as archive:
+            opening = DatasetOpening(archive, imported.name, imported.sha256, context.classes, context.stated)
+            told = context.ask(DatasetIndexAnswer, partial(index_dataset, opening), "index", (archive, folder))
         _refuse(context, told)
         for scene in told.scenes:
             _keep(folder, context.workspace.folder, scene.ordinal)

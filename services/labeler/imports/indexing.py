@@ -37,12 +37,12 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     Raises the first `DatasetFaultError` that is found, `bad_tar`.
     """
     progress("check", 0, 1)
-    reading = read_tables_of(opening.dataset)
+    reading = read_tables_of(opening.dataset, opening.stated)
     progress("check", 1, 1)
     index, tar = reading.index, reading.index.files
     if not isinstance(tar, DatasetArchive):
         raise DatasetFaultError(
-            "DST-001", DatasetPlace(opening.dataset.name), "it is a folder, where a tar or zip is imported"
+            "DST-001", DatasetPlace(index.files.path.name), "it is a folder, where a tar or zip is imported"
         )
     check_fit(index, opening.classes)
     inputs = {opening.name: opening.sha256}

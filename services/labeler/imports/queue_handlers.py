@@ -1,6 +1,6 @@
 """What the labeler does for an import of a dataset: three stages, as handlers by kind.
 
-    ingest keeps the tar → index → import (each scene) → publish (all of them at once)
+    ingest keeps the archive → index → import (each scene) → publish (all of them at once)
 
 **Conventions.** As of `services/labeler/queue_handlers.py`: a stage may run twice, at once or after being killed
 anywhere. A dataset comes from a stranger, so it is opened in a sandboxed child alone, and a scene that is done is
@@ -115,13 +115,16 @@ def _write_scene(
     context: ImportStageContext, session: Session, sequence: SequenceRow, scene: _SceneRows
 ) -> PublishedScene:
     imported = context.imported
-    recipe = recipe_of("imports", {"dataset": imported.sha256, "scene": sequence.name, "classes": imported.classes})
+    made_of = {"dataset": imported.sha256, "scene": sequence.name, "classes": imported.classes}
+    made_of |= {"stated": imported.stated} if imported.stated else {}
+    recipe = recipe_of("imports", made_of)
     standing = standing_label_set(session, sequence.id, recipe)
     if standing is not None:
         return PublishedScene(sequence.id, standing.id, 0)
     parameters = {"profile": PROFILE, "dataset": imported.name, "sha256": imported.sha256, "classes": imported.classes}
     new = NewLabelSet(sequence.id, context.attempt.root_id, recipe, parameters, "imports", scene.told.grid)
     labels = write_label_set(session, new, scene.told)
+    labels.source_place = imported.place
     for file in scene.files:
         write_artefact(session, labels.id, file, scene.told)
     if context.platform.settings.viewing.makes_playback:

@@ -1,6 +1,7 @@
 """What a sandboxed child does to import one scene of a dataset that was indexed.
 
-    spans in the tar → files checked and copied → labels checked and copied, their map fused → products, report, totals
+    spans in the archive → files checked and copied → labels checked and copied, their map fused → products, report,
+    totals
 
 **Conventions.** Everything goes to the folder `out` of the scene by the names of artefacts; what is needed on the way
 lies in a folder beside, which is removed.
@@ -17,9 +18,10 @@ from typing import Any
 
 import numpy as np
 
-from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX
+from services.domain.sequences.label_sources import SOURCE, SOURCE_INDEX, SOURCE_PLACED
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.child_answers import PackAnswer, PublicationAnswer, Range, TotalsAnswer
+from services.labeler.exports.dataset_source import PlacedFiles, placed_bytes
 from services.labeler.exports.nuscenes.tables import VERSION
 from services.labeler.exports.source import REPORT, TABLE
 from services.labeler.frames import GRIDS, FrameVoxelCounts
@@ -59,18 +61,20 @@ from stone_files.npz import npz_bytes
 
 # The source of an imported label set: the files of its scene as they were published, in packs.
 #
-#     source/index.npz   source/000000.pack …
+#     source/index.npz   source/000000.pack …   source/placed.npz
 #
 # **Conventions.** A `PackedFiles` in the order of names: `v1.0-trainval/<table>.json`, `v1.0-trainval/splits.json`,
 # `samples/…`, `sweeps/…`, `maps/…`; and `gts/…` if labels of the dataset's layout have other keys or no masks, so that
-# an export gives them back. Bytes are those of the dataset; files of sensors are checked before they are copied.
+# an export gives them back. Bytes are those of the dataset; files of sensors are checked before they are copied. Of an
+# archive in place tables alone are copied: `placed.npz` says where the other files lie in it, and who reads one checks
+# it.
 
 
 Told = Callable[[int, int], None]
 
 
-def write_source(parts: SceneParts, out: Path, told: Told) -> None:
-    """The index and the packs below `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
+def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool) -> None:
+    """The indexes and the packs below `out`. Raises a `DatasetFaultError`, `bad_member`, `StoreFullError`."""
     tables = {f"{VERSION}/{path.name}": path for path in (parts.folder / TABLES).iterdir()}
     places = {name: number for number, name in enumerate(parts.spans.names)}
     is_own = parts.layout.has_masks and parts.layout.label_key == GRIDS[0]
@@ -78,6 +82,9 @@ def write_source(parts: SceneParts, out: Path, told: Told) -> None:
     names = sorted({*tables, *places, *labels})
     check_names(names)
     sensors, packed = sensors_of(parts), PackWriter(out / SOURCE)
+    if is_in_place:
+        (out / SOURCE_PLACED).write_bytes(placed_bytes(_placed(parts, [*labels])))
+        names = sorted(tables)
     for done, name in enumerate(names):
         told(done, len(names))
         if name in tables:
@@ -87,6 +94,13 @@ def write_source(parts: SceneParts, out: Path, told: Told) -> None:
         else:
             packed.add(name, _checked(parts, places[name], sensors).pieces())
     (out / SOURCE_INDEX).write_bytes(index_bytes(packed.files()))
+
+
+def _placed(parts: SceneParts, labels: list[str]) -> PlacedFiles:
+    """Where the scene's files, and label files of these names, lie in the archive."""
+    spans, held = parts.spans, [f"{parts.about.root}{name}" for name in labels]
+    places = np.concatenate([spans.places, spans.labels[: len(labels)]])
+    return PlacedFiles((*spans.names, *labels), (*spans.held, *held), places)
 
 
 def sensors_of(parts: SceneParts) -> dict[str, ExportedSensor]:
@@ -187,7 +201,7 @@ def import_scene(opening: SceneOpening, folder: Path, progress: ProgressCallback
     for made in (out, scene / SCRATCH):
         shutil.rmtree(made, ignore_errors=True)
         made.mkdir()
-    write_source(parts, out, lambda done, total: progress("copy", done, total))
+    write_source(parts, out, lambda done, total: progress("copy", done, total), is_in_place=opening.is_in_place)
     labels = _labels(parts, opening, progress)
     shutil.copyfile(scene / SEQUENCE_FILE, out / SEQUENCE_FILE)
     write_frames(out / TABLE, parts.sequence, labels.counts())

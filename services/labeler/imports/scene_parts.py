@@ -15,18 +15,19 @@ from dataclasses import asdict, dataclass
 from pathlib import Path, PurePosixPath
 
 import numpy as np
-from numpy.typing import NDArray
 
 from services.domain.sequences.run_files import SEQUENCE_FILE
+from services.labeler.exports.dataset_source import joined_names, parted_names
 from stone.errors import Refused
 from stone.sensors.sequence import Sequence
 from stone_base.label_grid import grid_of
 from stone_datasets.classes import ClassMap
 from stone_datasets.index import label_name
 from stone_datasets.scene_spans import SceneSpans
+from stone_datasets.stated_layout import UNSTATED, StatedLayout
 from stone_datasets.zip_files import PLACE, placed_span
 from stone_exports.files import ExportFileSpan
-from stone_files.byte_ranges import LocalRanges
+from stone_files.byte_ranges import ByteRanges, LocalRanges
 from stone_files.dataset_layouts import DatasetLayout, named_layout
 from stone_files.npz import npz_bytes
 from stone_recordings.sync.sequence_file import read_sequence, sequence_bytes
@@ -55,10 +56,10 @@ class SceneAbout:
 
 @dataclass(frozen=True, eq=False)
 class SceneParts:
-    """The scene in the folder `folder`, whose files lie in the archive `tar`."""
+    """The scene in the folder `folder`, whose files lie in the archive."""
 
     folder: Path
-    tar: Path
+    archive: ByteRanges
     about: SceneAbout
     layout: DatasetLayout
     sequence: Sequence
@@ -67,13 +68,13 @@ class SceneParts:
     def file(self, number: int) -> ExportFileSpan:
         """The file of this place among `spans.names`."""
         names = (self.spans.names[number], self.spans.held[number])
-        return placed_span(LocalRanges(self.tar), names, self.spans.places[number])
+        return placed_span(self.archive, names, self.spans.places[number])
 
     def label_file(self, frame: int) -> ExportFileSpan:
         """The labels of this frame, by the name that the dataset gives them."""
         token, has_dashes = self.sequence.frames.tokens[frame], self.about.has_dashes
         name = label_name(self.sequence.name, token, has_dashes=has_dashes)
-        return placed_span(LocalRanges(self.tar), (name, f"{self.about.root}{name}"), self.spans.labels[frame])
+        return placed_span(self.archive, (name, f"{self.about.root}{name}"), self.spans.labels[frame])
 
 
 def write_scene_parts(folder: Path, about: SceneAbout, sequence: Sequence, spans: SceneSpans) -> None:
@@ -81,11 +82,11 @@ def write_scene_parts(folder: Path, about: SceneAbout, sequence: Sequence, spans
     (folder / SEQUENCE_FILE).write_bytes(sequence_bytes(sequence))
     (folder / ABOUT).write_text(json.dumps(asdict(about)))
     numbers = {"places": spans.places, "rows": spans.rows, "labels": spans.labels}
-    names = {"names": _joined(spans.names), "held": _joined(spans.held), "channels": _joined(spans.channels)}
+    names = {key: joined_names(getattr(spans, key)) for key in ("names", "held", "channels")}
     (folder / FILES).write_bytes(npz_bytes({**numbers, **names}))
 
 
-def read_scene_parts(folder: Path, tar: Path) -> SceneParts:
+def read_scene_parts(folder: Path, archive: Path | ByteRanges) -> SceneParts:
     """Raises `scene_damaged`."""
     try:
         sequence = read_sequence((folder / SEQUENCE_FILE).read_bytes())
@@ -93,18 +94,19 @@ def read_scene_parts(folder: Path, tar: Path) -> SceneParts:
         layout = about.labels_as()
         with np.load(io.BytesIO((folder / FILES).read_bytes()), allow_pickle=False) as arrays:
             numbers = [arrays[key].astype(np.int64) for key in ("places", "rows", "labels")]
-            names, held, channels = (_parted(arrays[key]) for key in ("names", "held", "channels"))
+            names, held, channels = (parted_names(arrays[key]) for key in ("names", "held", "channels"))
     except (Refused, OSError, ValueError, KeyError, TypeError, EOFError, zipfile.BadZipFile) as error:
         raise scene_damaged(f"{folder.name} cannot be read ({error})") from error
     places, rows, labels = numbers
     spans = SceneSpans(names, held, places, channels, rows, labels)
-    parts = SceneParts(folder, tar, about, layout, sequence, spans)
+    ranges = LocalRanges(archive) if isinstance(archive, Path) else archive
+    parts = SceneParts(folder, ranges, about, layout, sequence, spans)
     _check(parts)
     return parts
 
 
 def _check(parts: SceneParts) -> None:
-    spans, size_bytes = parts.spans, parts.tar.stat().st_size
+    spans, size_bytes = parts.spans, parts.archive.size_bytes
     counts = {len(spans.names), len(spans.held), len(spans.channels), len(spans.places), len(spans.rows)}
     wanted = (len(parts.sequence.frames), len(PLACE))
     if len(counts) > 1 or spans.places.shape[1:] != wanted[1:] or spans.labels.shape != wanted:
@@ -115,23 +117,12 @@ def _check(parts: SceneParts) -> None:
             raise scene_damaged(f"a span of {size} bytes from {offset} on leaves the {size_bytes} bytes of the archive")
 
 
-def _joined(words: tuple[str, ...]) -> NDArray[np.uint8]:
-    return np.frombuffer("\n".join((str(len(words)), *words)).encode("ascii"), np.uint8)
-
-
-def _parted(joined: NDArray[np.uint8]) -> tuple[str, ...]:
-    count, *words = joined.tobytes().decode("ascii").split("\n")
-    if int(count) != len(words):
-        raise ValueError("a list of names is cut off")
-    return tuple(words)
-
-
-# What the sandboxed children of an import are given: the tar of a dataset, and what is to be made of it.
+# What the sandboxed children of an import are given: the archive of a dataset, and what is to be made of it.
 #
 # **Conventions.** Values that can be pickled. A child works in the folder `dataset` of the run's workspace: the one
-# that indexes leaves the tables of a scene, and where its files lie in the tar, in `scenes/<ordinal in six digits>/`;
-# the one that imports that scene reads them there and leaves its artefacts, by their names, in the folder `out`
-# beside.
+# that indexes leaves the tables of a scene, and where its files lie in the archive, in `scenes/<ordinal in six
+# digits>/`; the one that imports that scene reads them there and leaves its artefacts, by their names, in the folder
+# `out` beside.
 
 
 SCENES, OUT = "scenes", "out"
@@ -139,23 +130,27 @@ SCENES, OUT = "scenes", "out"
 
 @dataclass(frozen=True)
 class DatasetOpening:
-    """A whole dataset: its tar, what its owner calls it, the tar's sha256, and what the numbers of its labels mean."""
+    """A whole dataset: its archive, what its owner calls it, the archive's sha256, what the numbers of its labels mean,
+    and the stated layout."""
 
-    dataset: Path
+    dataset: Path | ByteRanges
     name: str
     sha256: str
     classes: ClassMap
+    stated: StatedLayout = UNSTATED
 
 
 @dataclass(frozen=True)
 class SceneOpening:
-    """One scene of a dataset that was indexed: as `DatasetOpening`, and the scene's place in the dataset."""
+    """One scene of a dataset that was indexed: as `DatasetOpening`, and the scene's place in the dataset.
 
-    dataset: Path
+    Of an archive `is_in_place` files of sensors are not read, and no file is copied.
+    """
+
+    dataset: Path | ByteRanges
     ordinal: int
-    name: str
-    sha256: str
     classes: ClassMap
+    is_in_place: bool = False
 
 
 def scene_folder(ordinal: int) -> PurePosixPath:

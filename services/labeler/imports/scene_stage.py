@@ -1,6 +1,6 @@
 """The stage that imports one scene: its files are checked and copied, its products made, and all kept as blobs.
 
-    tables of the scene, the tar → (child: artefacts in `out/`) → blobs, held by rows of the import until it ends
+    tables of the scene, the archive → (child: artefacts in `out/`) → blobs, held by rows of the import until it ends
 
 **Conventions.** Bytes first, then the rows and the job's success in one transaction. What the child told of labels lies
 in the workspace as `published/<ordinal>.json`, for the stage that publishes all scenes.
@@ -51,12 +51,12 @@ def import_one_scene(context: ImportStageContext) -> Outcome:
     """
     ordinal = int(context.attempt.arguments["scene"])
     _require_indexed(context, ordinal)
-    tar, imported = context.tar(), context.imported
-    opening = SceneOpening(tar, ordinal, imported.name, imported.sha256, context.classes)
     with context.folder() as folder:
         scene = folder / scene_folder(ordinal)
         shutil.copytree(context.workspace.folder / scene_folder(ordinal), scene)
-        told = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (tar, folder))
+        with context.archive(folder) as archive:
+            opening = SceneOpening(archive, ordinal, context.classes, is_in_place=context.place is not None)
+            told = context.ask(PublicationAnswer, partial(import_scene, opening), "import", (archive, folder))
         kept = _Kept(ordinal, _stored(context, _files(scene / OUT, told)))
     _leave(context, ordinal, told)
     size_bytes = sum(blob.size_bytes for _, blob in kept.files)

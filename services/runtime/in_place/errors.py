@@ -1,9 +1,9 @@
-"""Refusals of recordings in place."""
+"""Refusals of recordings and datasets in place."""
 
 from stone.errors import Refused
 from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
-ANEW = "remove the recording and add it anew: labels that were made of it stay"
+ANEW = "remove the recording or import and name the file anew: labels that were made of it stay"
 
 
 def changed_in_place(place: RecordingPlace, found: PlacedFile, known: PlacedFile | None) -> Refused:
@@ -25,5 +25,5 @@ def content_changed(place: RecordingPlace) -> Refused:
 def vanished(place: RecordingPlace, name: str) -> Refused:
     return Refused(
         "recording_vanished",
-        f"there is no bag {name} at {place} that may be read; put it back, mount the root on every worker, or {ANEW}",
+        f"there is no {name} at {place} that may be read; put it back, mount the root on every worker, or {ANEW}",
     )

@@ -4,6 +4,7 @@
 lies outside of the root is refused in the same words as what is not there, so nothing can be learnt of other files.
 """
 
+import os
 from collections.abc import Iterator
 from contextlib import suppress
 from pathlib import Path
@@ -19,7 +20,7 @@ from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
 def files_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> tuple[PlacedFile, ...]:
     """The files of the bag as they are. Raises `recording_vanished`, `root_away`, `bad_recording_files`."""
-    return tuple(_placed_file(path) for path in _files_of(settings, place))
+    return tuple(placed_file(path, path.name) for path in _files_of(settings, place))
 
 
 def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
@@ -29,6 +30,14 @@ def located_in_place(settings: Settings, place: RecordingPlace) -> Path:
     if _resolved(settings.in_place, place).is_dir():
         return linked_bag(links, str(place), files, place.name)
     return linked_bag(links, str(place), files) / place.name
+
+
+def file_in_folder(settings: InPlaceSettings, place: RecordingPlace) -> Path:
+    """The one file at the place, without links. Raises `recording_vanished`, `root_away`, `unknown_root`."""
+    path = _resolved(settings, place)
+    if not path.is_file() or not os.access(path, os.R_OK):
+        raise vanished(place, place.name)
+    return path
 
 
 def _files_of(settings: InPlaceSettings, place: RecordingPlace) -> list[Path]:
@@ -71,6 +80,7 @@ def _root(settings: InPlaceSettings, place: RecordingPlace) -> Path:
     return root.resolve()
 
 
-def _placed_file(path: Path) -> PlacedFile:
+def placed_file(path: Path, name: str) -> PlacedFile:
+    """The file as it is."""
     status = path.stat()
-    return PlacedFile(path.name, status.st_size, str(status.st_mtime_ns))
+    return PlacedFile(name, status.st_size, str(status.st_mtime_ns))

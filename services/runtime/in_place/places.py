@@ -4,14 +4,15 @@
 read of it has a hash besides (`stone_recordings/bags/content_hash.py`).
 """
 
-from collections.abc import Mapping
+from collections.abc import Callable, Iterator, Mapping
+from contextlib import contextmanager
 from dataclasses import replace
 from hashlib import sha256
 
 from services.runtime.in_place.errors import changed_in_place, vanished
 from services.runtime.in_place.folders import files_in_folder
 from services.runtime.in_place.settings import InPlaceSettings
-from stone.errors import Refused
+from stone.errors import Refused, StoneError
 from stone_recordings.sync.stored_recording import PlacedFile, RecordingPlace
 
 LONGEST_PATH = 1024
@@ -23,16 +24,7 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
 
     Raises `unknown_root`, `bad_place`, `not_by_ranges`.
     """
-    if place.root not in settings.roots:
-        known = ", ".join(settings.roots) or "none: an administrator sets STONE_IN_PLACE__FOLDERS"
-        raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for recordings in place; there is {known}")
-    is_plain = len(place.path) <= LONGEST_PATH and place.path.isprintable()
-    if not is_plain or {"", ".", ".."} & set(place.path.split("/")):
-        raise Refused(
-            "bad_place",
-            f"{place.path[:200]!r} is no path below a root; name a bag as 2026/run.mcap, without a leading slash and "
-            f".., in at most {LONGEST_PATH} characters",
-        )
+    refuse_words(settings, place, "a bag as 2026/run.mcap")
     if is_by_ranges(settings, place) and not place.path.endswith(BY_RANGES):
         raise Refused(
             "not_by_ranges",
@@ -42,8 +34,22 @@ def requested_place(settings: InPlaceSettings, place: RecordingPlace) -> Recordi
     return place
 
 
+def refuse_words(settings: InPlaceSettings, place: RecordingPlace, written: str) -> None:
+    """Refuse a place that can be none; `written` names one that can. Raises `unknown_root`, `bad_place`."""
+    if place.root not in settings.roots:
+        known = ", ".join(settings.roots) or "none: an administrator sets STONE_IN_PLACE__FOLDERS"
+        raise Refused("unknown_root", f"there is no root {place.root[:80]!r} for files in place; there is {known}")
+    is_plain = len(place.path) <= LONGEST_PATH and place.path.isprintable()
+    if not is_plain or {"", ".", ".."} & set(place.path.split("/")):
+        raise Refused(
+            "bad_place",
+            f"{place.path[:200]!r} is no path below a root; name {written}, without a leading slash and .., in at most "
+            f"{LONGEST_PATH} characters",
+        )
+
+
 def is_by_ranges(settings: InPlaceSettings, place: RecordingPlace) -> bool:
-    """Whether the recording is an object of a bucket."""
+    """Whether the place is an object of a bucket."""
     return place.root in settings.bucket_of
 
 
@@ -61,13 +67,30 @@ def found_place(settings: InPlaceSettings, place: RecordingPlace) -> RecordingPl
 
 def refuse_changed(settings: InPlaceSettings, place: RecordingPlace) -> None:
     """Raises `recording_changed_in_place` for the first file that is not as registered, and as `found_place`."""
-    now: Mapping[str, PlacedFile] = {file.name: file for file in found_place(settings, place).files}
+    refuse_other(place, found_place(settings, place))
+
+
+def refuse_other(place: RecordingPlace, found: RecordingPlace) -> None:
+    """As `refuse_changed`, for files that were found."""
+    now: Mapping[str, PlacedFile] = {file.name: file for file in found.files}
     known = {file.name: file for file in place.files}
     for name in (*known, *(name for name in now if name not in known)):
         if name not in now:
             raise vanished(place, name)
         if now[name] != known.get(name):
             raise changed_in_place(place, now[name], known.get(name))
+
+
+@contextmanager
+def checked_after(check: Callable[[], None]) -> Iterator[None]:
+    """A block that reads files in place. Raises what `check` raises instead of what the block raised: of a file that is
+    not as registered nothing is to be used."""
+    try:
+        yield
+    except (StoneError, OSError):
+        check()
+        raise
+    check()
 
 
 def sha256_in_place(place: RecordingPlace, content_sha256: str) -> str:

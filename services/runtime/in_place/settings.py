@@ -12,15 +12,17 @@ BUCKET = re.compile(r"[a-z0-9][a-z0-9.-]{1,61}[a-z0-9](/[^/]+)*/?")
 
 @dataclass(frozen=True)
 class InPlaceSettings:
-    """Roots of recordings that are read where they lie instead of being uploaded; none by default.
+    """Roots of recordings and datasets that are read where they lie instead of being uploaded; none by default.
 
     `folders` is a list as `nas=/mnt/nas/bags, disk=/data/bags`: a curator may name any bag below such a folder, for
-    instance `nas:2026/run.db3`. If not every curator may label every bag, set a narrower root. The workers of `ingest`
-    and `labeler` need each folder at this path, read-only; the API does not.
+    instance `nas:2026/run.db3`, or a `.zip` or `.tar` of a published dataset. If not every curator may see every file,
+    set a narrower root. The workers of `ingest` and `labeler` need each folder at this path, read-only; the API does
+    not.
 
     `buckets` is a list as `field=recordings/2026`: a curator may name any `.mcap` object of the bucket `recordings`
-    below `2026/`. It is read by ranges. `s3_endpoint` and the keys are of these buckets alone; no user gives an
-    address. The workers of `ingest` and `labeler` need them; give the key reading rights only.
+    below `2026/`, or a `.zip` of a published dataset. It is read by ranges. `s3_endpoint` and the keys are of these
+    buckets alone; no user gives an address. The workers of `ingest` and `labeler` need them; give the key reading
+    rights only.
     """
 
     folders: str = ""

@@ -40,7 +40,8 @@ class LabelSet(WithQuality, Base):
 
     Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
     drove, voxels of all frames by class) is null where an earlier version did not write it down. The paper's `grid` is
-    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), loaded only where it is asked for.
+    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), loaded only where it is asked for. `source_place` is
+    that of the dataset that the labels were imported from, if it was imported in place.
     """
 
     __tablename__ = "label_sets"
@@ -58,6 +59,7 @@ class LabelSet(WithQuality, Base):
     p_voxels: Mapped[Count | None]
     n_voxels: Mapped[Count | None]
     grid: Mapped[Record | None]
+    source_place: Mapped[Record | None]
     track: Mapped[Record | None] = mapped_column(JSON, deferred=True)
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     chosen_ns: Mapped[Ns] = mapped_column(default=now_ns)
@@ -162,25 +164,28 @@ class LabelComparison(Base):
 
 
 class DatasetImport(Base):
-    """A dataset that came as one tar, since its import was asked for; `job_id` is the run that imports it, or has.
+    """A dataset that came as one archive, since its import was asked for; `job_id` is the run that imports it, or has.
 
-    `blob_sha256` is the tar while it is needed, from when it was kept until the import has ended well. `classes` is
-    the stated class map, null where labels are numbered as ours; `scenes` (name, frames, splits, region; at the end
-    the sequence and the label set of each) is what the index found, null before. `existing` says what becomes of a
-    scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is new.
-    `finished_ns` is set in the transaction that writes all its sequences.
+    `blob_sha256` is the archive while it is needed, from when it was kept until the import has ended well. An archive
+    in `place` has no upload and no blob. `classes` is the stated class map, null where labels are numbered as ours;
+    `stated` are the layout and the grid that the owner states, null if none; `scenes` (name, frames, splits, region; at
+    the end the sequence and the label set of each) is what the index found, null before. `existing` says what becomes
+    of a scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is
+    new. `finished_ns` is set in the transaction that writes all its sequences.
     """
 
     __tablename__ = "dataset_imports"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
     owner_id: Mapped[Id] = mapped_column(ForeignKey("users.id"))
     job_id: Mapped[Id] = mapped_column(ForeignKey("jobs.id"), index=True)
-    upload_id: Mapped[Id] = mapped_column(ForeignKey("uploads.id"), unique=True)
+    upload_id: Mapped[Id | None] = mapped_column(ForeignKey("uploads.id"), unique=True)
+    place: Mapped[Record | None]
     name: Mapped[str] = mapped_column(String(100))
     sha256: Mapped[str] = mapped_column(String(64))
     size_bytes: Mapped[Bytes]
     blob_sha256: Mapped[str | None] = mapped_column(ForeignKey("blobs.sha256"), index=True)
     classes: Mapped[dict[str, Any] | None] = mapped_column(JSON)
+    stated: Mapped[Record | None]
     existing: Mapped[str] = mapped_column(String(8))
     sets_splits: Mapped[bool] = mapped_column(default=False, server_default=false())
     facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)

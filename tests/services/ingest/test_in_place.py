@@ -7,9 +7,7 @@ import sqlite3
 from collections import Counter
 from collections.abc import Sequence
 from contextlib import closing
-from dataclasses import replace
 from pathlib import Path
-from typing import Any
 
 import pytest
 from sqlalchemy import func, select
@@ -22,8 +20,7 @@ from services.runtime.in_place.places import found_place, requested_place
 from services.runtime.in_place.settings import InPlaceSettings
 from services.runtime.orm import JobLine, QuotaEntry, Recording
 from services.runtime.platform import Platform
-from services.runtime.settings import Settings, StoreSettings
-from services.runtime.store.s3 import client_of
+from services.runtime.settings import Settings
 from simulator.options import SimulateOptions
 from simulator.pipeline import calibration_path
 from stone_recordings.bags.db3.sql import SqlRows
@@ -32,6 +29,7 @@ from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings, opened
 from testing.servers.s3 import S3Server
 from testing.worlds.drives import drive
+from testing.worlds.placed import bucket_client, bucket_of, in_folder, on_bucket, put, stored_bytes
 from testing.worlds.raw_pictures import with_raw_pictures
 from testing.worlds.runs import Brought, bring, run_all
 
@@ -54,8 +52,7 @@ def root(tmp_path: Path) -> Path:
 @pytest.fixture
 def placed(platform: Platform, root: Path) -> Platform:
     """A platform with the root `nas`."""
-    settings = platform.settings.model_copy(update={"in_place": InPlaceSettings(f"nas={root}")})
-    return replace(platform, settings=settings)
+    return in_folder(platform, root)
 
 
 def add(brought: Brought, path: str, root: str = "nas") -> str:
@@ -88,38 +85,6 @@ def failure_of_run(brought: Brought, **request: str) -> tuple[str | None, str]:
     run_all(brought.platform)
     job = brought.job(run)
     return job.failure_code, job.failure or ""
-
-
-def stored_bytes(platform: Platform) -> int:
-    files = (path for path in (platform.settings.root / "store").rglob("*") if path.is_file())
-    return sum(path.stat().st_size for path in files)
-
-
-def on_bucket(platform: Platform, server: S3Server) -> Platform:
-    """The platform with the root `field`, a prefix of a fresh bucket; its own store is a folder."""
-    store = server.settings()
-    in_place = InPlaceSettings(
-        buckets=f"field={store.s3_bucket}/2026",
-        s3_endpoint=store.s3_endpoint,
-        s3_key_id=store.s3_key_id,
-        s3_secret=store.s3_secret,
-    )
-    return replace(platform, settings=platform.settings.model_copy(update={"in_place": in_place}))
-
-
-def bucket(platform: Platform) -> str:
-    return platform.settings.in_place.bucket_of["field"][0]
-
-
-def client(platform: Platform) -> Any:
-    settings = platform.settings.in_place
-    return client_of(
-        StoreSettings(s3_endpoint=settings.s3_endpoint, s3_key_id=settings.s3_key_id, s3_secret=settings.s3_secret)
-    )
-
-
-def put(platform: Platform, path: Path, key: str) -> None:
-    client(platform).put_object(Bucket=bucket(platform), Key=key, Body=path.read_bytes())
 
 
 def lines_of(brought: Brought, job_id: str) -> list[JobLine]:
@@ -240,11 +205,11 @@ def test_an_object_that_changed_or_went_in_between_is_named(
     brought.calibrate(calibration_path(source))
     add(brought, "run.mcap", "field")
     run_all(brought.platform)
-    changed = source.read_bytes()
-    client(brought.platform).put_object(Bucket=bucket(brought.platform), Key="2026/run.mcap", Body=changed + b"\0")
+    at = {"Bucket": bucket_of(brought.platform), "Key": "2026/run.mcap"}
+    bucket_client(brought.platform).put_object(**at, Body=source.read_bytes() + b"\0")
     code, sentence = failure_of_run(brought)
     assert (code, "run.mcap of field:run.mcap" in sentence) == ("recording_changed_in_place", True)
-    client(brought.platform).delete_object(Bucket=bucket(brought.platform), Key="2026/run.mcap")
+    bucket_client(brought.platform).delete_object(Bucket=bucket_of(brought.platform), Key="2026/run.mcap")
     assert failure_of_run(brought)[0] == "recording_vanished"
 
 

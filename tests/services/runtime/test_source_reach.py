@@ -203,7 +203,7 @@ def test_all_that_imports_a_dataset_is_reached(tmp_path: Path) -> None:
     folder.mkdir()
     with traced() as entered:
         index_dataset(DatasetOpening(tar, "field", "0" * 64, OWN_CLASSES), folder, silent)
-        import_scene(SceneOpening(tar, 0, "field", "0" * 64, OWN_CLASSES), folder, silent)
+        import_scene(SceneOpening(tar, 0, OWN_CLASSES), folder, silent)
     assert unreached("imports", entered) == set()
 
 
