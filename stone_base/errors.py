@@ -41,6 +41,14 @@ class Refused(StoneError):  # noqa: N818
         self.code = code
 
 
+def splits_forbidden() -> Refused:
+    return Refused(
+        "splits_forbidden",
+        "the draft splits are set by administrators alone; import without --set-splits (sets_splits), or sign in by "
+        "`stone login URL --name ADMINISTRATOR --admin`",
+    )
+
+
 class ShapeError(StoneError):
     """An array has another shape than the function is defined for."""
 

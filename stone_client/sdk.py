@@ -27,7 +27,9 @@ from stone_client.server import dataset_imports as imports
 from stone_client.server import submission as submitting
 from stone_client.server.job_following import follow
 from stone_client.server.label_sets import label_sets_of
+from stone_client.server.places import place_named
 from stone_client.server.sequences import Item, find_sequence
+from stone_files.grid_file import chosen_grid
 
 StrPath = str | Path
 
@@ -122,20 +124,30 @@ class Stone:
         self,
         path: StrPath,
         *,
+        in_place: bool = False,
         name: str = "",
         classes: StrPath | None = None,
+        layout: str | None = None,
+        grid: str | None = None,
         adds_to_existing: bool = False,
         sets_splits: bool = False,
         is_public: bool = False,
     ) -> Item:
-        """Send a published dataset in a folder or tar; its import, once a sequence stands for every scene.
+        """Send a published dataset in a folder, tar or ZIP; its import, once a sequence stands for every scene.
 
+        With `in_place` the server reads the archive at `path`, a ROOT:PATH, where it lies. `grid` is a name or a file.
         Raises a `DatasetFaultError` for what its layout tells, `JobFailedError` with the code of what the server found.
         """
         said = None if classes is None else Path(classes).read_text("utf-8")
         existing = "add" if adds_to_existing else "refuse"
-        wishes = imports.DatasetWishes(name or dataset_name(Path(path)), said, existing, sets_splits, is_public)
-        begun = imports.send_dataset(self.api, Path(path), wishes, self._progress)
+        stated = chosen_grid(grid).as_record() if grid else None
+        place = place_named(str(path), with_pictures=False) if in_place else None
+        called = name or dataset_name(Path(place.path if place else path))
+        wishes = imports.DatasetWishes(called, said, existing, sets_splits, is_public, layout, stated)
+        if place is not None:
+            begun = imports.import_in_place(self.api, place, wishes)
+        else:
+            begun = imports.send_dataset(self.api, Path(path), wishes, self._progress)
         follow(self.api, begun["job_id"], self._progress)
         return imports.read_import(self.api, begun["id"])
 

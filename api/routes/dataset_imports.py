@@ -20,9 +20,9 @@ from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, 
 from api.views.imports.class_maps import stated_classes
 from api.views.imports.items import import_detail, import_items
 from api.visible import theirs
-from services.domain.imports.errors import splits_forbidden
 from services.domain.imports.requests import delete_import, place_of, start_import
 from services.runtime.orm import DatasetImport, User
+from stone_base.errors import splits_forbidden
 
 router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 

@@ -131,7 +131,7 @@ class DatasetImportDetail(DatasetImportItem):
     """An import with its scenes, in the order of the dataset's table.
 
     `splits_refused` are the codes of the rules that the dataset's splits break, for which the draft splits stayed as
-    they were; null where they were not to be set, or are not yet.
+    they were, or `no_splits` if the dataset states none; null if they were not to be set, or are not yet.
     """
 
     model_config = example()

@@ -5,7 +5,7 @@ from typing import Annotated, Literal, Self
 from pydantic import Field
 
 from api.schemas.base import Answer, Body, example
-from stone_base.label_grid import MOST_AWAY_M, LabelGrid, grid_of, named_grid, recorded_grid
+from stone_base.label_grid import MOST_AWAY_M, PAPER, LabelGrid, grid_of, named_grid, recorded_grid
 
 GridName = Literal["paper", "release", "occ3d"]
 Metres = Annotated[float, Field(ge=-MOST_AWAY_M, le=MOST_AWAY_M, allow_inf_nan=False)]
@@ -29,7 +29,7 @@ class GridItem(Answer):
 
 
 class GridBody(Body):
-    """A grid of one's own. `unknown` is the number that exports have for what nobody knows, null if masks tell that."""
+    """A grid of one's own, as a file of `--grid` describes it. `unknown` is the number that exports have for what nobody knows, null if masks tell that."""
 
     model_config = example(name="ahead", min_m=[0.0, -25.6, -2.0], voxel_m=0.2, shape=[256, 256, 32], unknown=None)
 
@@ -37,6 +37,7 @@ class GridBody(Body):
     min_m: tuple[Metres, Metres, Metres]
     voxel_m: Annotated[float, Field(gt=0, le=10, allow_inf_nan=False)]
     shape: tuple[int, int, int]
+    classes: tuple[int, int, int, int] = PAPER.classes
     unknown: int | None = None
 
 

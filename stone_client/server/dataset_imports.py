@@ -1,8 +1,8 @@
 """Imports of published datasets on a server: sent, asked for, followed, listed.
 
 **Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: the server
-is asked for one's own import of the same bytes that was asked for in the same way. Of class maps it tells the name
-alone, so with one only an import that has not ended is gone on with.
+is asked for one's own import of the same bytes, or of the same place, that was asked for in the same way. Of class maps
+it tells the name alone, so with one only an import that has not ended is gone on with.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -12,10 +12,12 @@ from typing import Any
 
 from rich.table import Table
 
+from stone_base.errors import splits_forbidden
 from stone_client.api import Api
 from stone_client.files.datasets import hashed_dataset
-from stone_client.files.tus import LocalContent, Purpose, upload_file
+from stone_client.files.tus import Purpose, upload_file
 from stone_client.progress import Report
+from stone_client.server.places import Place
 from stone_client.server.sequences import Item
 from stone_client.tables import DASH, plain_table, safe_text
 
@@ -25,22 +27,45 @@ ALIVE = ("queued", "running")
 
 @dataclass(frozen=True)
 class DatasetWishes:
-    """What an import is to make of a dataset; `classes` is the content of a file that states a class map."""
+    """What an import is to make of a dataset; `classes` is the content of a file that states a class map.
+
+    `layout` is a name and `grid` a record of what is stated.
+    """
 
     name: str
     classes: str | None = None
     existing: str = "refuse"
     sets_splits: bool = False
     is_public: bool = False
+    layout: str | None = None
+    grid: dict[str, object] | None = None
+
+    def are_of(self, one: Item) -> bool:
+        """Whether an import was asked for in this way; of grids the names are compared, of class maps in `_goes_on`."""
+        grid = None if self.grid is None else self.grid["name"]
+        asked = (self.name, self.existing, self.sets_splits, self.layout, grid)
+        return tuple(one[key] for key in ("name", "existing", "sets_splits", "layout", "grid")) == asked
+
+
+def import_in_place(api: Api, place: Place, wishes: DatasetWishes) -> Item:
+    """The import of the archive at the place; one that is under way, or has ended well, is not asked for again.
+
+    Raises `splits_forbidden`, what `Api.create` raises.
+    """
+    _refuse_splits(api, wishes)
+    wanted = {"root": place.root, "path": place.path}
+    standing = _standing(api, {"place": wanted}, wishes)
+    return standing or api.create(PATH, {"in_place": wanted, **asdict(wishes)})
 
 
 def send_dataset(api: Api, path: Path, wishes: DatasetWishes, progress: Report) -> Item:
     """The import of the dataset in a folder or a tar, asked for once all of it is on the server.
 
-    Raises a `DatasetFaultError`, `bad_tar`, `file_changed`, and what `Api.send` raises.
+    Raises `splits_forbidden`, a `DatasetFaultError`, `bad_tar`, `file_changed`, and what `Api.send` raises.
     """
+    _refuse_splits(api, wishes)
     local = hashed_dataset(path, progress)
-    standing = _standing(api, local, wishes)
+    standing = _standing(api, {"place": None, "sha256": local.sha256}, wishes)
     if standing is not None:
         return standing
     upload_id = upload_file(api, local, Purpose("dataset"), progress)
@@ -74,11 +99,18 @@ def _counts(one: Mapping[str, Any]) -> tuple[str, str]:
     return f"{one['scenes_done']:,} of {one['scenes_total']:,}", f"{one['frames']:,}"
 
 
-def _standing(api: Api, local: LocalContent, wishes: DatasetWishes) -> Item | None:
-    """The import of these bytes by these wishes that is under way, or has ended well."""
-    asked = (local.sha256, wishes.name, wishes.existing, wishes.sets_splits)
+def _refuse_splits(api: Api, wishes: DatasetWishes) -> None:
+    """Refuse, before anything is hashed or sent, to set the draft splits for who may not."""
+    if wishes.sets_splits:
+        me = api.read("/me")
+        if me["role"] != "administrator" or "admin" not in me["scopes"]:
+            raise splits_forbidden()
+
+
+def _standing(api: Api, archive: Mapping[str, Any], wishes: DatasetWishes) -> Item | None:
+    """The import of this archive by these wishes that is under way, or has ended well."""
     for one in imports_of(api):
-        is_same = (one["sha256"], one["name"], one["existing"], one["sets_splits"]) == asked
+        is_same = all(one[key] == known for key, known in archive.items()) and wishes.are_of(one)
         if is_same and _goes_on(one, wishes.classes):
             return read_import(api, one["id"])
     return None

@@ -1,4 +1,4 @@
-"""Recordings that a server reads where they lie."""
+"""Recordings and datasets that a server reads where they lie."""
 
 from dataclasses import dataclass
 from pathlib import PurePosixPath
@@ -12,7 +12,7 @@ from stone_client.server.sequences import Item, registered
 
 @dataclass(frozen=True)
 class Place:
-    """A bag below a root of the server's."""
+    """A bag or an archive below a root of the server's."""
 
     root: str
     path: str
@@ -31,7 +31,7 @@ def place_named(text: str, *, with_pictures: bool) -> Place:
     """The place `root:path`. Raises `bad_place`."""
     root, colon, path = text.partition(":")
     if not (root and colon and path):
-        raise Refused("bad_place", f"{text[:200]!r} names no recording in place; write it as nas:2026/run.mcap")
+        raise Refused("bad_place", f"{text[:200]!r} names no place; write it as nas:2026/run.mcap")
     return Place(root, path, with_pictures)
 
 

@@ -17,8 +17,10 @@ from services.labeler import queue_handlers as labeler
 from services.runtime.platform import Platform
 from stone_client.errors import JobFailedError
 from stone_client.sdk import Stone
-from testing.api.serving import Person, client_of, person
+from testing.api.serving import Person, client_of, person, serving
+from testing.servers.fixtures import having
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published, write_published_tar
+from testing.worlds.released_datasets import ReleasedDataset, write_released_zip
 from tests.stone_client.participating import refused, stone
 from tests.stone_datasets.conftest import GOOD
 from tests.stone_datasets.malformed import row
@@ -155,7 +157,6 @@ def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
     (tmp_path / "classes.yaml").write_text("name: theirs\nclasses: {0: grass}\n")
     assert refused(stone("import", dataset, "--classes", tmp_path / "classes.yaml")) == "DST-070"
     assert uploads(api) == ["complete"]
-    assert refused(stone("import", dataset, "--set-splits")) == "splits_forbidden"
     result: Result = stone("import", dataset, "--no-wait")
     assert (result.exit_code, uploads(api)) == (0, ["consumed"])
     assert "Next: stone watch" in result.stdout
@@ -174,6 +175,49 @@ def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(
     assert json.loads(stone("import", "--list", "--json").stdout) == {"imports": []}
     assert json.loads(stone("import", dataset, "--no-wait", "--json").stdout)["id"] not in begun
     assert len(api.get("/api/v1/dataset-imports").json()["items"]) == len(lines)
+
+
+def test_who_may_not_set_the_draft_splits_is_refused_before_anything_is_sent(
+    platform: Platform, api: httpx.Client, dataset: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    result = stone("import", dataset, "--set-splits")
+    assert (refused(result), uploads(api)) == ("splits_forbidden", [])
+    assert "stone login" in result.stderr.replace("\n", " ")
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
+    assert stone("import", dataset, "--set-splits", "--no-wait").exit_code == 0
+
+
+@pytest.mark.whole
+def test_a_zip_in_place_is_imported_once_with_the_layout_that_is_stated_and_nothing_is_sent(
+    platform: Platform, owner: Person, api: httpx.Client, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches alone a command that sends what lies in place, or does not pass on what is stated."""
+    what = ReleasedDataset(scenes=1, frames=2)
+    write_released_zip(tmp_path / "STONE.zip", what)
+    monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
+    placed = having(platform, in_place={"folders": f"nas={tmp_path}"})
+    with serving(placed) as url, importing(placed):
+        monkeypatch.setenv("STONE_URL", url)
+        line = ("import", "nas:STONE.zip", "--in-place", "--layout", "release", "--grid", "release", "--set-splits")
+        first, again = stone(*line, "--json"), stone(*line)
+        other = stone(*line[:3], "--name", "other", "--layout", "occ3d", "--add-to-existing")
+        refusals = [
+            stone("import", "nas:nothing.zip", "--in-place"),
+            stone("import", "disk:STONE.zip", "--in-place"),
+            stone("import", "nas:STONE", "--in-place"),
+            stone("import", "STONE.zip", "--in-place"),
+        ]
+    assert (first.exit_code, again.exit_code) == (0, 0), first.stderr + again.stderr
+    made = json.loads(first.stdout)
+    facts = {"name": "STONE", "layout": "release", "grid": "release", "place": {"root": "nas", "path": "STONE.zip"}}
+    assert {key: made[key] for key in facts} == facts
+    assert (made["frames"], made["splits_refused"]) == (what.scenes * what.frames, ["no_splits"])
+    assert made["id"] in again.stdout
+    assert "states no split" in again.stdout
+    assert refused(other) == "DST-062", "labels of the release are not in the array of Occ3D's"
+    codes = [refused(one) for one in refusals]
+    assert codes == ["recording_vanished", "unknown_root", "no_archive", "bad_place"]
+    assert uploads(api) == []
 
 
 @pytest.mark.whole

@@ -7,17 +7,12 @@ from stone.errors import Refused
 SHOWN = 5
 
 
-def splits_forbidden() -> Refused:
-    return Refused(
-        "splits_forbidden", "the draft splits are set by administrators alone; import without setting splits"
-    )
-
-
 def existing_sequences(names: Sequence[str]) -> Refused:
     return Refused(
         "sequences_exist",
         f"{len(names)} scenes are called as sequences that are there: {_shown(names)}; delete or rename those, or "
-        "import with existing: add, and each gets the labels of its scene beside its own",
+        "import with existing: add (`stone import --add-to-existing`), and each gets the labels of its scene beside "
+        "its own",
     )
 
 

@@ -20,6 +20,7 @@ from services.runtime.orm.base import now_ns
 from stone.splits.splits import PARTS, Split
 
 AT_A_TIME = 1000
+NO_SPLITS = "no_splits"
 
 
 @dataclass(frozen=True)
@@ -91,14 +92,16 @@ def end_import(session: Session, imported: DatasetImport, made: Sequence[Publish
 def follow_splits(session: Session, imported: DatasetImport) -> tuple[str, ...]:
     """Put the sequences of an import that has ended into those of the draft splits that the dataset puts them in.
 
-    Where the rules forbid the result the splits stay as they are; the codes of what is forbidden, none where they were
-    set. Names of splits other than train, val and test mean nothing here.
+    If the rules forbid the result the splits stay as they are; the codes of what is forbidden, none if they were set.
+    Names of splits other than train, val and test mean nothing here; a dataset without these is `no_splits`.
     """
     row = lock_splits(session)
     current = current_splits(session).split.parts
     parts = {
         record["sequence_id"]: part for record in imported.scenes or [] for part in PARTS if part in record["splits"]
     }
+    if not parts:
+        return (NO_SPLITS,)
     split = Split(
         *(
             (*(one for one in current[part] if one not in parts), *(one for one, of in parts.items() if of == part))
@@ -106,6 +109,6 @@ def follow_splits(session: Session, imported: DatasetImport) -> tuple[str, ...]:
         )
     )
     refused = errors_of(judged(split, labelled_sequences(session)))
-    if not refused and parts:
+    if not refused:
         replace_splits(session, row, split)
     return tuple(sorted({finding.code for finding in refused}))

@@ -15,7 +15,6 @@ from typing import Any, Literal
 from sqlalchemy import Select, delete, select
 from sqlalchemy.orm import Session
 
-from services.domain.imports.errors import splits_forbidden
 from services.domain.sequences.restart import MOST_RESTARTS, RESTARTS, RestartedTooOftenError, code_changed
 from services.runtime.access import storage_quota
 from services.runtime.access.roles import allows
@@ -31,6 +30,7 @@ from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow, 
 from services.runtime.platform import Platform
 from services.runtime.telemetry.origins import link_to
 from services.runtime.uploads import consume
+from stone_base.errors import splits_forbidden
 from stone_datasets.stated_layout import UNSTATED, StatedLayout
 from stone_recordings.sync.stored_recording import RecordingPlace
 

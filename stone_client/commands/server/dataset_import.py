@@ -1,7 +1,7 @@
 """`stone import`: a published dataset with its labels to a server."""
 
 from pathlib import Path
-from typing import Annotated, Any
+from typing import TYPE_CHECKING, Annotated, Any
 
 import typer
 
@@ -11,14 +11,35 @@ from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import show
 
+if TYPE_CHECKING:
+    from stone_client.server.places import Place
+
 MOST_CLASSES_BYTES = 64 * 1024
 MOST_NAMED = 20
 
 
 DatasetArgument = Annotated[
-    Path | None,
+    str | None,
     typer.Argument(
-        metavar="DATASET", exists=True, readable=True, help="A folder, tar or ZIP: v1.0-*/ tables, or Occ3D's."
+        metavar="DATASET",
+        help="A folder, tar or ZIP: v1.0-*/ tables, or Occ3D's; with --in-place ROOT:PATH, as the server sees it.",
+    ),
+]
+InPlaceOption = Annotated[
+    bool, typer.Option("--in-place", help="Have the server read a .zip or .tar where it lies; nothing is sent.")
+]
+LayoutOption = Annotated[
+    str | None,
+    typer.Option(
+        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
+    ),
+]
+GridOption = Annotated[
+    str | None,
+    typer.Option(
+        "--grid",
+        metavar="NAME|FILE",
+        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
     ),
 ]
 NameOption = Annotated[
@@ -41,8 +62,11 @@ ListOption = Annotated[bool, typer.Option("--list", help="List your imports inst
 
 def import_dataset(
     dataset: DatasetArgument = None,
+    in_place: InPlaceOption = False,
     name: NameOption = None,
     classes: ClassesOption = None,
+    layout: LayoutOption = None,
+    grid: GridOption = None,
     add_to_existing: AddOption = False,
     set_splits: SplitsOption = False,
     public: PublicOption = False,
@@ -54,38 +78,56 @@ def import_dataset(
     """Import a published dataset with its labels: a sequence for every scene, all of them or none.
 
     Begun again after anything, it goes on where it was. `stone check` tells beforehand what is wrong with a dataset.
+    ROOT is a name that the server's administrator gave to a folder or a bucket.
     """
     from stone_client.connection import connected
     from stone_client.files.datasets import dataset_name
     from stone_client.server.dataset_imports import DatasetWishes
+    from stone_client.server.places import place_named
+    from stone_files.dataset_layouts import named_layout
+    from stone_files.grid_file import chosen_grid
 
     if list_them:
         _list(server, as_json=as_json)
         return
     if dataset is None:
         raise typer.BadParameter("name the DATASET, or ask for --list")
+    where = place_named(dataset, with_pictures=False) if in_place else _path(dataset)
     wishes = DatasetWishes(
-        name or dataset_name(dataset),
+        name or dataset_name(where if isinstance(where, Path) else Path(where.path)),
         None if classes is None else _text(classes),
         "add" if add_to_existing else "refuse",
         set_splits,
         public,
+        named_layout(layout).name if layout else None,
+        chosen_grid(grid).as_record() if grid else None,
     )
     with connected(server) as api:
-        record = _imported(api, dataset, wishes, waits=not no_wait)
+        record = _imported(api, where, wishes, waits=not no_wait)
     if as_json:
         echo_json(record)
     else:
         _say(record)
 
 
-def _imported(api: Any, dataset: Path, wishes: Any, *, waits: bool) -> dict[str, Any]:
-    """The import as it ended well, or as it is. Raises `JobFailedError`."""
-    from stone_client.server.dataset_imports import read_import, send_dataset
+def _path(dataset: str) -> Path:
+    path = Path(dataset)
+    if not path.exists():
+        hint = "; with --in-place it is read where the server sees it" if ":" in dataset else ""
+        raise typer.BadParameter(f"{dataset!r} does not exist{hint}", param_hint="DATASET")
+    return path
+
+
+def _imported(api: Any, where: "Path | Place", wishes: Any, *, waits: bool) -> dict[str, Any]:
+    """The import as it ended well, or as it is. Raises `JobFailedError`, `splits_forbidden`."""
+    from stone_client.server.dataset_imports import import_in_place, read_import, send_dataset
     from stone_client.server.run_watch import watch_run
 
-    with transferred() as progress:
-        begun = send_dataset(api, dataset, wishes, progress)
+    if isinstance(where, Path):
+        with transferred() as progress:
+            begun = send_dataset(api, where, wishes, progress)
+    else:
+        begun = import_in_place(api, where, wishes)
     if waits:
         watch_run(api, {"id": begun["job_id"]})
         begun = read_import(api, begun["id"])
@@ -113,7 +155,10 @@ def _say(record: dict[str, Any]) -> None:
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
     told = f"{counted(len(names), 'sequence')}, {counted(record['frames'], 'frame')}"
     typer.echo(f"{told}: {', '.join(names[:MOST_NAMED])}{more}")
-    if refused := record["splits_refused"]:
+    refused = record["splits_refused"]
+    if refused == ["no_splits"]:
+        typer.echo("The draft splits were not changed: the dataset states no split train, val or test")
+    elif refused:
         typer.echo(f"The draft splits were not changed: the dataset's splits violate the rules ({', '.join(refused)})")
     typer.echo(f"Next: stone download {names[0]} -o DIR")
 

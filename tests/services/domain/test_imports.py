@@ -260,6 +260,14 @@ def test_the_draft_splits_follow_the_dataset_and_keep_what_it_does_not_name(plat
         assert current_splits(session).split.parts == {"train": tuple(ids[:2]), "val": (ids[2],), "test": ()}
 
 
+def test_a_dataset_without_splits_leaves_those_that_are_there_and_says_so(platform: Platform, tar: Path) -> None:
+    brought = bring_dataset(platform, tar, an_owner(platform, "administrator"), sets_splits=True)
+    ended(brought.indexed("a", splits=("all",)))
+    with platform.database.transaction() as session:
+        assert follow_splits(session, session.get_one(DatasetImport, brought.import_id)) == ("no_splits",)
+        assert current_splits(session).revision == 0
+
+
 def test_splits_that_the_rules_forbid_stay_as_they_are(platform: Platform, tar: Path) -> None:
     brought = bring_dataset(platform, tar, an_owner(platform, "administrator"), sets_splits=True)
     brought.indexed("a", splits=("test",))
