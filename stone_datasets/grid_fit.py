@@ -4,7 +4,8 @@
 plan counts; it is explained if it lies in an occupied voxel, or a quarter of a voxel above or below one. The share is
 measured for the grid as stated and for each way to misread one: other voxel sizes, half a voxel off, the LiDAR's mount
 with its quaternion read x y z w. Poses are judged by returns of a frame in the labels of another one, `APART_M` away. A
-reading that explains many more returns than the stated one refutes it.
+reading that explains many more returns than the stated one refutes it. So do the labels of another frame: of its
+neighbours, and of the same frame of `OTHER_SCENES`.
 
 The limits are set by what right and wrong datasets measure (docs/formats/datasets.md, "Returns in occupied voxels").
 """
@@ -25,7 +26,8 @@ from stone_exports.files import DamagedExportError
 from stone_exports.frames import LIDAR_CHANNEL
 from stone_exports.sweeps import SweepFile
 
-MOST_FRAMES, MOST_PAIRS = 48, 24
+MOST_FRAMES, MOST_PAIRS, MOST_SCENES = 48, 24, 300
+OTHER_SCENES = 8  # the nearest in their table
 NEAREST_M = 2.0
 APART_M = (1.0, 8.0)
 NEAR_VOXELS = 0.25
@@ -53,7 +55,10 @@ class GridFit:
 
 
 def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit | None:
-    """The fit of a dataset whose files are sound; None if it has no labels or no sweeps. Raises `DST-073`."""
+    """The fit of a dataset whose files are sound; None if it has no labels or no sweeps.
+
+    Raises `DST-073`, or `DST-074` if the labels of one frame are those of another.
+    """
     labelled = [one for one in index.sequences if one.is_labelled and LIDAR_CHANNEL in one.channels and len(one)]
     if not labelled:
         return None
@@ -61,6 +66,7 @@ def check_fit(index: DatasetIndex, classes: ClassMap = OWN_CLASSES) -> GridFit |
     for what, returns, shares in (("own", fit.returns, fit.own), ("near by", fit.pair_returns, fit.pairs)):
         if returns >= FEWEST_RETURNS:
             _refuse(index, what, returns, shares)
+    _refuse_mixed_up(index, labelled, classes)
     return fit
 
 
@@ -82,6 +88,10 @@ def measured_fit(index: DatasetIndex, labelled: list[DatasetSequence], classes: 
         pairs.add(STATED, index.grid, read[0], second.inverse() @ (first @ read[1]))
         first, second = swapped(first), swapped(second)
         pairs.add("poses read x y z w", index.grid, read[0], second.inverse() @ (first @ read[1]))
+        for name, step in (("poses of the frame before", -1), ("poses of the frame after", 1)):
+            if min(frame, other) + step >= 0 and max(frame, other) + step < len(sequence):
+                first, second = poses[frame + step], poses[other + step]
+                pairs.add(name, index.grid, read[0], second.inverse() @ (first @ read[1]))
     return GridFit(own.returns, own.shares(), pairs.returns, pairs.shares())
 
 
@@ -157,16 +167,23 @@ class _Frames:
         x y z w. None if a file is missing or damaged, which is refused where every file is checked.
         """
         channel = self.sequence.channels[LIDAR_CHANNEL]
-        labels, sweep = self.index.labels(self.sequence, labelled), self.index.file(channel, swept)
-        if labels is None or sweep is None:
+        classes, sweep = self.labels(labelled), self.index.file(channel, swept)
+        if classes is None or sweep is None:
             return None
         mount = channel.sensor.ego_from_sensor
         try:
-            classes = read_labels(labels, self.classes, self.index.layout).classes
             stated, other = (_outside(SweepFile(sweep, one).points_ego()) for one in (mount, swapped(mount)))
-        except (DamagedExportError, DatasetFaultError):
+        except DamagedExportError:
             return None
         return classes, stated, other
+
+    def labels(self, frame: int) -> Grid | None:
+        """The classes of a frame; None if its file is missing or damaged."""
+        span = self.index.labels(self.sequence, frame)
+        try:
+            return None if span is None else read_labels(span, self.classes, self.index.layout).classes
+        except (DamagedExportError, DatasetFaultError):
+            return None
 
 
 def _outside(points: NDArray[np.float32]) -> Points:
@@ -192,10 +209,44 @@ def _refuse(index: DatasetIndex, what: str, returns: int, shares: Mapping[str, f
     """Raises `DST-073`."""
     stated = shares[STATED]
     best = max(shares, key=lambda name: shares[name])
-    is_refuted = shares[best] - stated >= LEAST_BETTER and LEAST_FEWER * (1 - shares[best]) < 1 - stated
-    if not is_refuted and stated >= LEAST_SHARE:
+    if not _is_refuted(stated, shares[best]) and stated >= LEAST_SHARE:
         return
     others = f"; {best}: {shares[best]:.2%}" if best != STATED else ""
     said = f"{stated:.2%} of {returns} returns lie in occupied voxels of {'their' if what == 'own' else 'near'} labels"
     place = DatasetPlace(label_folder(index.sequences[0].name))
     raise DatasetFaultError("DST-073", place, f"{said} by the grid {index.grid}{others}")
+
+
+def _is_refuted(stated: float, other: float) -> bool:
+    """Return whether a reading that explains the share `other` refutes the stated one."""
+    return other - stated >= LEAST_BETTER and LEAST_FEWER * (1 - other) < 1 - stated
+
+
+def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], classes: ClassMap) -> None:
+    """Raises `DST-074`."""
+    for sequence, frame in _sampled(labelled, max(MOST_FRAMES, min(len(labelled), MOST_SCENES))):
+        if (read := _Frames(index, sequence, classes).read(frame, frame)) is None:
+            continue
+        hit, returns = share_in(read[0], index.grid, read[1])
+        if returns < FEWEST_RETURNS or returns - hit < LEAST_BETTER * returns:
+            continue
+        for of, other in _others(labelled, sequence, frame):
+            if (grid := _Frames(index, of, classes).labels(other)) is None:
+                continue
+            found, _ = share_in(grid, index.grid, read[1])
+            if _is_refuted(hit / returns, found / returns):
+                what = (
+                    f"{hit / returns:.2%} of the {returns} returns of its sweep lie in occupied voxels of these labels"
+                )
+                better = f"{found / returns:.2%} in those of {of.label_name(other)}"
+                raise DatasetFaultError("DST-074", DatasetPlace(sequence.label_name(frame)), f"{what}, {better}")
+
+
+def _others(
+    labelled: list[DatasetSequence], sequence: DatasetSequence, frame: int
+) -> Iterator[tuple[DatasetSequence, int]]:
+    """The frames whose labels may have been taken for those of a frame."""
+    yield from ((sequence, other) for other in (frame - 1, frame + 1) if 0 <= other < len(sequence))
+    number = labelled.index(sequence)
+    nearest = sorted(range(len(labelled)), key=lambda at: abs(at - number))
+    yield from ((labelled[at], frame) for at in nearest[1 : OTHER_SCENES + 1] if frame < len(labelled[at]))

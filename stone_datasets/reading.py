@@ -1,8 +1,8 @@
 """Reads a published dataset: the index of all that its tables say, and the check of all that its files hold.
 
 **Conventions.** Four stages: `rows` (every row by itself), `links` (how tables fit together), `files` (every file),
-`sweeps` (returns against labels). A stage begins where those before found nothing wrong, since one fault would be told
-again by each that builds on it.
+`sweeps` (returns against labels, and splits against drives). A stage begins where those before found nothing wrong,
+since one fault would be told again by each that builds on it.
 """
 
 from collections import Counter
@@ -16,6 +16,7 @@ import numpy as np
 from stone_datasets.annotations import compare_annotations, read_annotations
 from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
+from stone_datasets.drives import torn_drives
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
 from stone_datasets.files import DatasetFiles, open_dataset
 from stone_datasets.grid_fit import GridFit, check_fit
@@ -215,6 +216,8 @@ def check_dataset(
         contents.fit = check_fit(reading.index, classes)
     except DatasetFaultError as fault:
         faults.add(fault)
+    for torn in torn_drives(reading.index):
+        faults.add(torn)
     return DatasetCheck(faults, "sweeps", None if len(faults) else contents)
 
 

@@ -7,6 +7,7 @@ one whose members would inflate to implausibly many bytes.
 
 from collections.abc import Iterable
 from dataclasses import dataclass, field
+from itertools import islice
 from pathlib import Path
 
 import numpy as np
@@ -18,7 +19,7 @@ from stone_exports.zipped_files import ZippedFileSpan
 from stone_files.archives import NAME
 from stone_files.byte_ranges import ByteRanges, LocalRanges
 from stone_files.dataset_faults import DatasetFaultError, DatasetPlace
-from stone_files.dataset_layout import head_of, refuse_outside, root_in_archive, zip_fault
+from stone_files.dataset_layout import head_of, quoted, refuse_outside, root_in_archive, zip_fault
 from stone_files.zip_directory import ZipFaultError, ZipMember, checked_end, directory_members, limits_of
 
 MOST_FILES = 1 << 22
@@ -101,8 +102,9 @@ def _opened(ranges: ByteRanges) -> DatasetZip:
     order = np.argsort(keys, kind="stable")
     order = order[is_file[order]]
     held, sorted_places = keys[order], places[order].astype(np.int64)
-    if (np.diff(held) == 0).any():
-        raise DatasetFaultError("DST-006", DatasetPlace(ranges.path.name), "two of its files have one name")
+    if len(again := np.flatnonzero(np.diff(held) == 0)):
+        name = next(islice(directory_members(ranges.read_at, end), int(order[again[0]]), None)).name
+        raise DatasetFaultError("DST-006", DatasetPlace(ranges.path.name), f"two of its files are named {quoted(name)}")
     return DatasetZip(ranges, version, root, held, sorted_places, frozenset(folders))
 
 

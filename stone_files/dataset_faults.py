@@ -136,6 +136,10 @@ DATASET_FAULTS = {
         "Some frame tokens are UUIDs with dashes, others 32 hex digits without.",
         "were two datasets joined? all tokens of one have one form",
     ),
+    "DST-044": DatasetFault(
+        "Splits of the dataset tear a drive: scenes that continue each other are in two.",
+        "put whole drives into a split; an import of it leaves the draft splits as they are",
+    ),
     "DST-045": DatasetFault(
         "The splits are not an object of lists of scene names.",
         'expected is {"train": ["scene", …], …}, and one such file',
@@ -208,6 +212,10 @@ DATASET_FAULTS = {
     "DST-073": DatasetFault(
         "Sweeps, labels and tables do not fit together: the returns of frames lie in no occupied voxels.",
         "state the grid with --grid; quaternions are w x y z",
+    ),
+    "DST-074": DatasetFault(
+        "The returns of a frame lie in the labels of another frame.",
+        "were frames or scenes mixed up, or numbered from another start, when labels or sweeps were written?",
     ),
 }
 

@@ -5,10 +5,9 @@ from dataclasses import dataclass, field
 from functools import cached_property
 from pathlib import Path
 
-from stone.splits.drives import TrackOrigin, driven_track, drives_of
 from stone_client.devkit.frame import Frame, LabelFormat
 from stone_datasets.classes import ClassMap
-from stone_datasets.index import DatasetSequence
+from stone_datasets.drives import drives_among
 from stone_datasets.placed_frames import PlacedFrames, placed_frames
 from stone_datasets.reading import read_dataset
 from stone_datasets.stated_layout import StatedLayout
@@ -39,12 +38,7 @@ class PublishedDataset:
     @cached_property
     def drives(self) -> tuple[tuple[str, ...], ...]:
         """The names of the sequences of each drive: those that continue each other."""
-        tracks = {
-            one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, _origin(one))
-            for one in self.placed.sequences
-        }
-        found = drives_of({name: track for name, track in tracks.items() if track is not None})
-        return tuple(dict.fromkeys(found[name] for name in tracks if name in found))
+        return drives_among(self.placed.sequences)
 
     def frame(self, sequence: str, at: int) -> Frame:
         """Return the frame at this place of a sequence."""
@@ -62,9 +56,3 @@ def read_published(path: Path, stated: StatedLayout, classes: ClassMap) -> Publi
     placed = placed_frames(read_dataset(path, stated))
     numbers = {one.name: number for number, one in enumerate(placed.sequences)}
     return PublishedDataset(placed, LabelFormat(placed.layout, classes), numbers)
-
-
-def _origin(sequence: DatasetSequence) -> TrackOrigin:
-    """Poses of one location are in one map, as nuScenes has it."""
-    place = sequence.location or sequence.logfile or sequence.name
-    return TrackOrigin(sequence.logfile, sequence.vehicle, place.casefold())

@@ -1,0 +1,33 @@
+"""The drives of a published dataset by log, vehicle, stamps and poses, and the splits that tear one."""
+
+from collections import Counter
+from collections.abc import Iterator, Sequence
+
+from stone.splits.drives import TrackOrigin, driven_track, drives_of
+from stone_datasets.faults import DatasetFaultError, DatasetPlace, quoted
+from stone_datasets.index import DatasetIndex, DatasetSequence
+from stone_datasets.splits import ALL
+
+
+def drives_among(sequences: Sequence[DatasetSequence]) -> tuple[tuple[str, ...], ...]:
+    """Return the names of the sequences of each drive: those that continue each other."""
+    tracks = {one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, _origin(one)) for one in sequences}
+    found = drives_of({name: track for name, track in tracks.items() if track is not None})
+    return tuple(dict.fromkeys(found[name] for name in tracks if name in found))
+
+
+def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
+    """Yield `DST-044` for each drive that is in two splits."""
+    split_of = {name: split for split, names in index.splits.items() if split != ALL for name in names}
+    for drive in drives_among(index.sequences) if split_of else ():
+        counts = Counter(split_of[name] for name in drive if name in split_of)
+        if len(counts) > 1:
+            found = " and ".join(f"{count} in {quoted(split)}" for split, count in counts.items())
+            what = f"of the {len(drive)} scenes of the drive that begins with {quoted(drive[0])}, {found}"
+            yield DatasetFaultError("DST-044", DatasetPlace("splits"), what)
+
+
+def _origin(sequence: DatasetSequence) -> TrackOrigin:
+    """Poses of one location are in one map, as nuScenes has it."""
+    place = sequence.location or sequence.logfile or sequence.name
+    return TrackOrigin(sequence.logfile, sequence.vehicle, place.casefold())
