@@ -25,7 +25,7 @@ from testing.worlds.released_datasets import ReleasedDataset, of_tables, release
 
 TWIN = ReleasedDataset(frames=8)
 TABLES = TWIN.tables
-Files = Mapping[str, bytes]
+Files = dict[str, bytes]
 Written = Iterable[tuple[str, bytes]]
 Grid = np.ndarray[Any, Any]
 
