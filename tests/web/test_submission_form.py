@@ -19,8 +19,11 @@ import pytest
 from numpy.typing import NDArray
 from playwright.sync_api import Page
 
+from stone_base.label_grid import GRIDS, LabelGrid
 from stone_submissions.archive import open_submission
 from testing.web.browsing import Site
+from tests.services.eval.grid_attacks import GRID_ATTACKS, OWN, honest, submission
+from tests.services.eval.grid_attacks import TOKENS as ATTACKED_TOKENS
 
 TOKENS = tuple(f"{number:032x}" for number in (11, 22, 33, 44))
 PAPER = np.zeros((256, 256, 32), np.uint8)
@@ -204,6 +207,40 @@ def test_the_first_frame_is_held_against_the_grid_of_the_manifest(site: Site, sh
         else:
             made = eval(HINTED.match(hint)[1], {"grid": array, "numpy": np})  # type: ignore[index]
             assert made.shape == shape
+
+
+ATTACKED = """async ({at, grid, tokens, zips}) => {
+  const { examined, manifestOf } = await import(at + "frames.js");
+  const { faultIn } = await import(at + "first_frame.js");
+  const manifest = manifestOf({ sequences: { run: tokens }, grid });
+  const said = [];
+  for (const zip of zips) {
+    const file = new File([Uint8Array.from(atob(zip), (one) => one.charCodeAt(0))], "run.zip");
+    const { frames, problems } = await examined(file, manifest);
+    const first = frames.get(tokens[0]);
+    const fault = first ? await faultIn(file, first, manifest.shape) : null;
+    said.push([...problems.map(({ code }) => code), ...(fault ? [fault.code] : [])]);
+  }
+  return said;
+}"""
+
+
+@pytest.mark.parametrize("grid", [*GRIDS.values(), OWN], ids=lambda grid: grid.name)
+def test_a_hostile_submission_has_the_platforms_code_on_the_page_at_every_grid(site: Site, grid: LabelGrid) -> None:
+    """Values of voxels, and what follows a whole array, only the platform reads."""
+    archives = [submission(grid, honest(grid)), *(attack.made(grid) for attack in GRID_ATTACKS.values())]
+    given = {
+        "grid": grid.as_record(),
+        "tokens": list(ATTACKED_TOKENS),
+        "zips": [b64encode(archive).decode() for archive in archives],
+    }
+    with site.visit() as page:
+        page.goto("/sign-in")
+        sound, *said = page.evaluate(ATTACKED, given | {"at": f"{modules_of(page)}/submission/"})
+    assert sound == []
+    for (name, attack), codes in zip(GRID_ATTACKS.items(), said, strict=True):
+        is_seen = attack.code != "label_out_of_range" and "bomb" not in name
+        assert set(codes) == ({attack.code} if is_seen else set()), name
 
 
 @pytest.mark.filterwarnings("ignore:Duplicate name")

@@ -1,32 +1,34 @@
-"""Scores, validation and manifests at every grid, held against the slow metric; attacks at the release's grid."""
+"""Scores, validation and manifests at every grid, held against the slow metric; attacks at every grid."""
 
-import io
-import zipfile
-from collections.abc import Callable
-from dataclasses import replace
+import json
+from dataclasses import dataclass, replace
 from pathlib import Path
 
 import numpy as np
 import pytest
 from numpy.typing import NDArray
+from typer.main import get_command
 
+from services.eval.examination import Examination, examine
 from services.eval.ground_truth import find_ground_truth, read_truth
 from services.eval.pipeline import score
 from services.eval.truth_pack import TruthPack, write_truth_pack
+from services.runtime.sandbox import SandboxWatch
 from stone.scoring.metric import RATIOS
 from stone_base.label_grid import GRIDS, PAPER, RELEASE, LabelGrid
+from stone_client.main import app
 from stone_files.grid_file import GRID_FILE, grid_text
 from stone_files.npz import npz_bytes
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest, write_manifest
 from stone_submissions.validation import validate
-from stone_submissions.verdict import SubmissionRefusedError
 from testing.refusals import refused_as
+from tests.services.eval.grid_attacks import GRID_ATTACKS, OWN, TOKENS
 from tests.slow_metric import added, slow_counts, slow_ratios
 
 Grid = NDArray[np.uint8]
-OWN = LabelGrid("own", (0.0, -12.8, -1.6), 0.4, (64, 64, 16))
-TOKENS = ("0" * 31 + "1", "0" * 31 + "2")
+EVERY_GRID = (*GRIDS.values(), OWN)
+STONE = get_command(app)
 
 
 def speckled(seed: int, grid: LabelGrid) -> Grid:
@@ -46,7 +48,7 @@ def laid(folder: Path, grid: LabelGrid) -> dict[str, Grid]:
     return labels
 
 
-@pytest.mark.parametrize("grid", [*GRIDS.values(), OWN], ids=lambda grid: grid.name)
+@pytest.mark.parametrize("grid", EVERY_GRID, ids=lambda grid: grid.name)
 def test_a_submission_scores_as_the_slow_metric_says(grid: LabelGrid, tmp_path: Path) -> None:
     truth = laid(tmp_path / "truth", grid)
     guesses = {token: speckled(10 + seed, grid) for seed, token in enumerate(TOKENS)}
@@ -110,54 +112,60 @@ def test_labels_of_a_shape_that_no_grid_has_are_refused_until_one_is_named(tmp_p
     assert find_ground_truth(tmp_path / "truth", grid=OWN).manifest.grid == OWN
 
 
-def saved(**arrays: NDArray[np.generic]) -> bytes:
-    file = io.BytesIO()
-    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
-    return file.getvalue()
+@dataclass(frozen=True)
+class Standing:
+    """Ground truth at a grid: as a folder with its manifest, as the server's pack."""
+
+    grid: LabelGrid
+    folder: Path
+    manifest: Path
+    pack: Path
 
 
-def bomb() -> bytes:
-    """A npy that its directory says is of the grid's size, and goes on for 64 MiB."""
-    head = io.BytesIO()
-    np.lib.format.write_array_header_1_0(head, {"descr": "|u1", "fortran_order": False, "shape": RELEASE.shape})
-    file = io.BytesIO()
-    with zipfile.ZipFile(file, "w", zipfile.ZIP_DEFLATED) as archive:
-        archive.writestr("semantics.npy", head.getvalue() + bytes(64 * 2**20))
-    content, size = bytearray(file.getvalue()), len(head.getvalue())
-    declared = (size + RELEASE.voxels).to_bytes(4, "little")
-    true = (size + 64 * 2**20).to_bytes(4, "little")
-    return bytes(content.replace(true, declared))
+@pytest.fixture(scope="module", params=EVERY_GRID, ids=lambda grid: grid.name)
+def standing(request: pytest.FixtureRequest, tmp_path_factory: pytest.TempPathFactory) -> Standing:
+    grid, folder = request.param, tmp_path_factory.mktemp("standing")
+    laid(folder, grid)
+    truth = find_ground_truth(folder, grid=grid)
+    paths = truth.paths()
+    write_manifest(folder / "manifest.json", truth.manifest)
+    write_truth_pack(folder / "pack", truth.manifest, lambda token: read_truth(paths[token], "all", grid))
+    return Standing(grid, folder, folder / "manifest.json", folder / "pack")
 
 
-GOOD = np.zeros(RELEASE.shape, np.uint8)
-BEYOND = GOOD.copy()
-BEYOND[3, 4, 5] = 255
-ATTACKS: dict[str, tuple[str, Callable[[], bytes], str]] = {
-    "the paper's grid": ("bad_shape", lambda: saved(semantics=np.zeros(PAPER.shape, np.uint8)), "(200, 200, 16)"),
-    "z first": ("bad_shape", lambda: saved(semantics=np.zeros((16, 200, 200), np.uint8)), "(16, 200, 200)"),
-    "scores": ("bad_shape", lambda: saved(semantics=np.zeros((4, *RELEASE.shape), np.uint8)), "(4, 200, 200, 16)"),
-    "Fortran order": ("bad_shape", lambda: saved(semantics=np.asfortranarray(GOOD)), "C order"),
-    "int64": ("bad_dtype", lambda: saved(semantics=GOOD.astype(np.int64)), "'<i8'"),
-    "unknown in a prediction": ("label_out_of_range", lambda: saved(semantics=BEYOND), "255"),
-    "the release's own key": ("missing_array", lambda: saved(label=GOOD), "label"),
-    "a bomb": ("too_large", bomb, "continues"),
-    "cut": ("truncated", lambda: saved(semantics=GOOD)[:200], ""),
-}
+def told(capsys: pytest.CaptureFixture[str], *arguments: str | Path) -> tuple[object, dict[str, object]]:
+    """The exit code and the JSON of a command."""
+    with pytest.raises(SystemExit) as ended:
+        STONE([*map(str, arguments), "--json"])
+    return ended.value.code, json.loads(capsys.readouterr().out)
 
 
-@pytest.mark.parametrize("attack", ATTACKS)
-def test_what_is_no_frame_of_the_releases_grid_is_refused(attack: str, tmp_path: Path) -> None:
-    code, make, words = ATTACKS[attack]
-    laid(tmp_path / "truth", RELEASE)
-    manifest = tmp_path / "m.json"
-    write_manifest(manifest, find_ground_truth(tmp_path / "truth").manifest)
-    write_files(tmp_path / "sub.zip", [(TOKENS[0], make()), (TOKENS[1], frame_file(GOOD, RELEASE))])
-    verdict = validate(tmp_path / "sub.zip", manifest)
-    (error,) = verdict.errors
-    assert error.code == code
-    assert words in f"{error.expected} {error.actual}"
-    with pytest.raises(SubmissionRefusedError):
-        score(tmp_path / "sub.zip", tmp_path / "truth")
+@pytest.mark.parametrize("attack", GRID_ATTACKS)
+def test_a_hostile_submission_has_one_code_everywhere_at_every_grid(
+    attack: str, standing: Standing, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    """`stone validate`, `stone score` and the server's stage, which counts in a confined process."""
+    case, path = GRID_ATTACKS[attack], tmp_path / "sub.zip"
+    path.write_bytes(case.made(standing.grid))
+    verdict = validate(path, standing.manifest)
+    assert {error.code for error in verdict.errors} == {case.code}
+    assert case.words(standing.grid) in " ".join(f"{error.expected} {error.actual}" for error in verdict.errors)
+    assert told(capsys, "validate", path, "--manifest", standing.manifest) == (1, verdict.as_record())
+    assert told(capsys, "score", path, "--ground-truth", standing.folder) == (1, verdict.as_record())
+    counted = examine(Examination(path, TOKENS, (0, 2), standing.pack, standing.grid), SandboxWatch())
+    assert (counted.validation, counted.counts) == (verdict, None)
+
+
+def test_an_honest_submission_scores_alike_by_command_and_server_as_the_slow_metric_says(
+    standing: Standing, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+) -> None:
+    guesses = {token: speckled(10 + seed, standing.grid) for seed, token in enumerate(TOKENS)}
+    write_files(tmp_path / "s.zip", ((token, frame_file(one, standing.grid)) for token, one in guesses.items()))
+    code, record = told(capsys, "score", tmp_path / "s.zip", "--ground-truth", standing.folder)
+    counted = examine(Examination(tmp_path / "s.zip", TOKENS, (0, 2), standing.pack, standing.grid), SandboxWatch())
+    assert code == 0
+    assert counted.counts is not None
+    assert counted.counts.confusions.sum(axis=(0, 1)).tolist() == record["confusion"]
 
 
 def test_the_hint_of_a_shape_is_by_the_grid_that_is_expected() -> None:
