@@ -69,9 +69,7 @@ PROBLEM_TYPES = {
     "empty_catalogue": ProblemType(409, "There is nothing to divide"),
     "empty_part": ProblemType(409, "The dataset version has no sequence in the part that was asked for"),
     "export_unfinished": ProblemType(409, "The files of an export are there once its job has succeeded"),
-    "footprint_off_ground": ProblemType(
-        409, "The ground lies far off the ego origin of the calibration"
-    ),
+    "footprint_off_ground": ProblemType(409, "The ground lies far off the ego origin of the calibration"),
     "hash_mismatch": ProblemType(409, "The uploaded file is not the one that was declared"),
     "held_out_low": ProblemType(409, "A label set has a lower held-out recall than a published version may have"),
     "hidden_truth": ProblemType(409, "Labels that serve as hidden ground truth cannot be made public"),
