@@ -30,6 +30,8 @@ from stone.splits.splits import (
 from stone.splits.surroundings import ENVIRONMENTS
 from stone_base.counts import counted
 
+NAMED = 3
+
 
 def check_whole(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[RuleFinding, ...]:
     """Whole sequences only: each is known, in one part, once, and under one name."""
@@ -56,9 +58,11 @@ def check_drives(split: Split, catalogue: Iterable[CatalogueEntry]) -> tuple[Rul
     part_of = {entry.id: part for part, entry in assigned}
     findings = []
     for name, members in drives_in(entry for _, entry in assigned):
-        counts = Counter(part_of[entry.id] for entry in members)
-        if len(counts) > 1:
-            found = " and ".join(f"{count} in {part}" for part, count in counts.items())
+        names = dict[str, list[str]]()
+        for entry in members:
+            names.setdefault(part_of[entry.id], []).append(entry.name)
+        if len(names) > 1:
+            found = " and ".join(f"{len(ones)} in {part} ({_some(ones)})" for part, ones in names.items())
             message = (
                 f"drive {name!r} is torn: of its {len(members)} sequences, which continue each other, {found}; "
                 "put all of them into one split, or take those of the others out"
@@ -179,6 +183,12 @@ def _assigned(split: Split, catalogue: Iterable[CatalogueEntry]) -> list[tuple[P
 
 def _many(ids: tuple[str, ...]) -> str:
     return f"{ids[0]!r} is" if len(ids) == 1 else f"{len(ids)} sequences are"
+
+
+def _some(names: list[str]) -> str:
+    """Return the first names, and how many more there are."""
+    more = len(names) - NAMED
+    return ", ".join(names[:NAMED]) + (f" and {more} more" if more > 0 else "")
 
 
 def _error(code: str, message: str, sequences: tuple[str, ...] = ()) -> RuleFinding:

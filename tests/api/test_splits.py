@@ -335,7 +335,7 @@ def test_a_drive_is_put_whole_or_refused_by_its_name_and_the_gap_is_told(
     assert (torn.status_code, codes(torn)) == (422, ["whole_drives"])
     (error,) = torn.json()["errors"]
     assert f"drive {names[a]!r} is torn" in error["expected"]
-    assert "2 in train and 1 in val" in error["expected"]
+    assert f"2 in train ({names[a]}, {names[c]}) and 1 in val ({names[b]})" in error["expected"]
     shown = put([a, b], [], [far]).json()
     assert [one["drive"] for one in (*shown["train"], *shown["unassigned"], *shown["test"])] == [names[a]] * 3 + [""]
     gap = shown["gap"]

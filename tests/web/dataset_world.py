@@ -38,10 +38,12 @@ def campaign(platform: Platform, owner: Person) -> tuple[Driven, ...]:
     return tuple(driven(platform, owner, number) for number in range(len(CAMPAIGN)))
 
 
-def driven(platform: Platform, owner: Person, number: int) -> Driven:
+def driven(platform: Platform, owner: Person, number: int, name: str = "") -> Driven:
+    """The sequence of a line of `CAMPAIGN`."""
     environment, illumination, region = CAMPAIGN[number]
+    name = name or f"{environment}-{number + 3:02d}"
     with platform.database.transaction() as session:
-        row = SequenceRow(owner_id=owner.user_id, name=f"{environment}-{number + 3:02d}", environment=environment)
+        row = SequenceRow(owner_id=owner.user_id, name=name, environment=environment)
         row.illumination, row.region = illumination, region
         session.add(row)
         session.flush()
@@ -53,6 +55,26 @@ def driven(platform: Platform, owner: Person, number: int) -> Driven:
         labels.frames, labels.duration_ns, labels.distance_m = 10 * seconds, seconds * 10**9, 1.1 * seconds
         labels.t_voxels, labels.p_voxels, labels.n_voxels = 90_000 + 9000 * number, 150_000, 400_000 - 20_000 * number
     return Driven(facts["id"], facts["name"], region)
+
+
+def chunks(platform: Platform, owner: Person, drives: int, each: int) -> tuple[tuple[str, ...], ...]:
+    """The ids of the sequences of drives: so many each of 20 s, one after the other at 1 m/s, drives an hour apart."""
+    found = tuple(
+        tuple(driven(platform, owner, drive % len(CAMPAIGN), f"run-{drive:02d}-{at}").id for at in range(each))
+        for drive in range(drives)
+    )
+    with platform.database.transaction() as session:
+        for drive, ids in enumerate(found):
+            for number, one in enumerate(ids):
+                labels = session.query(LabelSet).where(LabelSet.sequence_id == one).one()
+                labels.frames, labels.duration_ns = 200, 20 * 10**9
+                first_ns, begin_m = 10**18 + (drive * 3600 + number * 20) * 10**9, 20.0 * number
+                labels.track = {
+                    "log": f"log-{drive}", "vehicle": "n1", "map": "dataset:lake", "period_ns": 10**8, "speed_m_s": 1.0,
+                    "first_ns": first_ns, "last_ns": first_ns + 19_900_000_000,
+                    "places": [[0.0, begin_m, 0.0, 0.0], [19.9, begin_m + 19.9, 0.0, 0.0]],
+                }  # fmt: skip
+    return found
 
 
 def put_apart(platform: Platform, sequences: tuple[Driven, ...]) -> Split:

@@ -10,8 +10,8 @@ from services.runtime.platform import Platform
 from stone.splits.splits import Split
 from testing.api.serving import Person
 from testing.web.browsing import Site
-from tests.web.dataset_world import CAMPAIGN, Driven, campaign, put_apart
-from tests.web.looking import serious_findings
+from tests.web.dataset_world import CAMPAIGN, Driven, campaign, chunks, put, put_apart
+from tests.web.looking import look, serious_findings
 from web.pages.dataset import LARGEST_PX, figure_of
 
 URL = "/dataset/splits"
@@ -25,6 +25,10 @@ def sequences(platform: Platform, curator: Person) -> tuple[Driven, ...]:
 def column(page: Page, name: str) -> Locator:
     """The names of the sequences in a column."""
     return page.get_by_role("region", name=name, exact=True).locator(".split-name")
+
+
+def column_of(page: Page, name: str) -> Locator:
+    return page.get_by_role("region", name=name, exact=True)
 
 
 def standing(platform: Platform) -> Split:
@@ -105,6 +109,56 @@ def test_cards_are_moved_by_arrows_by_mouse_and_by_select_and_leaving_asks_first
         page.on("dialog", leave)
         page.goto("/sign-in")
         assert asked == ["beforeunload"]
+
+
+def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
+    site: Site, administrator: Person, curator: Person
+) -> None:
+    drives = chunks(site.platform, curator, drives=31, each=9)
+    torn = Split(train=(*drives[0][:6], *drives[1]), test=drives[0][6:])
+    put(site.platform, torn)
+    with site.visit(administrator) as page:
+        page.goto(URL)
+        expect(page.locator("[data-count]")).to_have_text(["15", "0", "3", "261"])
+        expect(page.locator(".split-card:visible")).to_have_count(32)
+        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-00-0' is torn")
+        amounts = column_of(page, "Train").locator("[data-drive-amount]")
+        expect(amounts).to_have_text(["6 of 9 sequences · 1,200 frames · 120 s", "9 sequences · 1,800 frames · 180 s"])
+        for width_px, limit_px in ((1280, 5000), (390, 7000)):
+            page.set_viewport_size({"width": width_px, "height": 900})
+            assert page.evaluate("document.documentElement.scrollHeight") < limit_px
+        page.set_viewport_size({"width": 1280, "height": 900})
+        look(page, "splits-of-drives")
+        column_of(page, "Train").get_by_role("button", name="Drive run-00-0", exact=True).press("3")
+        expect(page.get_by_role("status").first).to_have_text("Drive run-00-0, 9 sequences, is in test now.")
+        expect(page.locator("[data-count]")).to_have_text(["9", "0", "9", "261"])
+        expect(column_of(page, "Test").locator("[data-from]").first).to_have_text("from train, test")
+        expect(page.locator("[data-findings]")).not_to_contain_text("torn")
+        expect(page.get_by_role("button", name="Drive run-01-0", exact=True)).to_be_focused()
+        page.keyboard.press("Tab")
+        page.keyboard.press("Enter")
+        expect(page.locator(".split-card:visible")).to_have_count(31 + 9)
+        page.get_by_role("button", name="run-01-4", exact=True).press("2")
+        expect(column_of(page, "Val").locator("[data-drive-amount]")).to_have_text(
+            "1 of 9 sequences · 200 frames · 20 s"
+        )
+        expect(page.locator("[data-findings]")).to_contain_text("drive 'run-01-0' is torn")
+        page.get_by_label("Split of drive run-01-0").first.select_option("val")
+        expect(page.locator("[data-count]")).to_have_text(["0", "9", "9", "261"])
+        for _ in range(3):
+            page.keyboard.press("Control+z")
+        expect(page.locator("[data-count]")).to_have_text(["15", "0", "3", "261"])
+        expect(amounts).to_have_text(["6 of 9 sequences · 1,200 frames · 120 s", "9 sequences · 1,800 frames · 180 s"])
+        page.get_by_role("searchbox").fill("run-07")
+        expect(page.locator(".split-drive:visible")).to_have_count(1)
+        page.get_by_role("searchbox").fill("")
+        page.set_viewport_size({"width": 390, "height": 844})
+        page.get_by_label("Split of drive run-00-0").first.select_option("test")
+        expect(page.locator("[data-count]")).to_have_text(["9", "0", "9", "261"])
+    with site.visit(curator) as page:
+        page.goto(URL)
+        page.get_by_role("button", name="Sequences of drive run-05-0").click()
+        expect(page.get_by_role("link", name="run-05-3", exact=True)).to_be_visible()
 
 
 def test_a_proposal_is_shown_and_adopted_before_anything_is_saved(

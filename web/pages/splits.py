@@ -52,6 +52,14 @@ class Column:
     key: int
     entries: list[SplitEntry]
 
+    @property
+    def drives(self) -> list[tuple[str, list[SplitEntry]]]:
+        """The drives of several sequences by name, and the other sequences each with '', in the order of names."""
+        groups: dict[tuple[str, str], list[SplitEntry]] = {}
+        for entry in self.entries:
+            groups.setdefault((entry.drive or entry.name, entry.drive), []).append(entry)
+        return [(drive, entries) for (_, drive), entries in sorted(groups.items())]
+
 
 @router.get("/dataset/splits")
 def splits(request: Request, caller: Curator, platform: PlatformDep) -> HTMLResponse:

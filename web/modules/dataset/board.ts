@@ -1,10 +1,12 @@
 // The board: cards in columns, moved by keys, by dragging, and by the select on each card.
 //
 // One card is the board's tab stop (a roving tabindex); arrows walk, Space picks several, 1 2 3 0 move what is picked,
-// or else the card that has the focus. Everything moves through the state, and the cards follow what it says.
+// or else the card that has the focus: a sequence, or a drive with all of its sequences. Everything moves through the
+// state, and the cards follow what it says.
 
 import { type Part, PARTS, called, partOf } from "./arrangement.js";
 import { headColumns } from "./columns.js";
+import { Drives, seatByName } from "./drives.js";
 import type { EditorState } from "./editor_state.js";
 
 const KEYS: Readonly<Record<string, Part>> = { "1": "train", "2": "val", "3": "test", "0": "" };
@@ -12,13 +14,15 @@ const KEYS: Readonly<Record<string, Part>> = { "1": "train", "2": "val", "3": "t
 export class Board {
   private readonly cards = new Map<string, HTMLElement>();
   private readonly picked = new Set<string>();
+  private readonly drives: Drives;
 
   constructor(
     private readonly root: HTMLElement,
     private readonly state: EditorState,
     private readonly tell: (sentence: string) => void,
   ) {
-    for (const card of root.querySelectorAll<HTMLElement>(".split-card")) this.cards.set(card.dataset["id"] ?? "", card);
+    for (const card of root.querySelectorAll<HTMLElement>(".split-card[data-id]")) this.cards.set(card.dataset["id"] ?? "", card);
+    this.drives = new Drives(root, this.cards);
     state.onChange(() => this.show());
     this.show();
   }
@@ -36,7 +40,8 @@ export class Board {
   /** Draw the eye to these sequences, and to no others. */
   mark(ids: ReadonlySet<string>): void {
     for (const [id, card] of this.cards) card.toggleAttribute("data-marked", ids.has(id));
-    const first = this.shownCards().find((card) => ids.has(card.dataset["id"] ?? ""));
+    this.drives.reflect();
+    const first = this.shownCards().find((card) => card.hasAttribute("data-marked"));
     first?.scrollIntoView({ block: "nearest" });
   }
 
@@ -49,24 +54,26 @@ export class Board {
       card.hidden = !words.every((word) => said.includes(word));
       shown += card.hidden ? 0 : 1;
     }
+    this.drives.reflect();
     if (!this.root.querySelector('.split-card:not([hidden]) .split-name[tabindex="0"]')) this.rove(this.shownCards()[0] ?? null);
     return shown;
   }
 
   private show(): void {
     const focused = document.activeElement instanceof HTMLElement ? document.activeElement : null;
+    const listOf = (part: Part): Element | null => this.listOf(part);
+    this.drives.place(this.state, listOf);
     for (const [id, card] of this.cards) this.seat(card, this.state.current.get(id) ?? "");
+    this.drives.describe(this.state, listOf);
+    this.drives.reflect();
     headColumns(this.root, this.state);
     if (focused && document.activeElement !== focused && this.root.contains(focused)) focused.focus({ preventScroll: true });
   }
 
   private seat(card: HTMLElement, part: Part): void {
-    const list = this.listOf(part);
-    if (list && card.parentElement !== list) {
-      const name = card.dataset["name"] ?? "";
-      const next = [...list.children].find((other) => ((other as HTMLElement).dataset["name"] ?? "").localeCompare(name) > 0);
-      list.insertBefore(card, next ?? null);
-    }
+    const column = this.listOf(part);
+    const list = column && this.drives.listFor(card, column);
+    if (list && card.parentElement !== list) seatByName(list, card);
     const select = card.querySelector("select");
     if (select) select.value = part;
     const before = this.state.savedPart(card.dataset["id"] ?? "");
@@ -79,7 +86,9 @@ export class Board {
     const moves = this.state.move(ids, part);
     const names = moves.map((move) => this.state.entries.get(move.id)?.name ?? move.id);
     const [first = ""] = names;
-    const who = names.length === 1 ? `${first} is` : `${names.length} sequences are`;
+    const drive = this.drives.nameOf(ids);
+    const several = drive ? `Drive ${drive}, ${ids.length} sequences, is` : `${names.length} sequences are`;
+    const who = names.length === 1 ? `${first} is` : several;
     if (moves.length) this.tell(`${who} in ${called(part)} now.`);
     this.pick([]);
   }
@@ -91,12 +100,13 @@ export class Board {
       card.toggleAttribute("data-picked", this.picked.has(id));
       card.querySelector(".split-name")?.setAttribute("aria-pressed", String(this.picked.has(id)));
     }
+    this.drives.reflect();
   }
 
   /** What a move of this card takes along. */
   private takenWith(card: HTMLElement): string[] {
-    const id = card.dataset["id"] ?? "";
-    return this.picked.has(id) ? [...this.picked] : [id];
+    const ids = this.drives.idsOf(card);
+    return ids.some((id) => this.picked.has(id)) ? [...new Set([...this.picked, ...ids])] : [...ids];
   }
 
   private key(event: KeyboardEvent): void {
@@ -115,23 +125,23 @@ export class Board {
   /** Move the card away and go on with the one after it, so that a column is sorted key by key. */
   private sort(card: HTMLElement, part: Part): void {
     const taken = new Set(this.takenWith(card));
-    const here = shownIn(card.parentElement);
+    const here = shownIn(listAt(card));
     const at = here.indexOf(card);
-    const left = [...here.slice(at + 1), ...here.slice(0, at).reverse()].find((other) => !taken.has(other.dataset["id"] ?? ""));
+    const left = [...here.slice(at + 1), ...here.slice(0, at).reverse()].find((other) => !this.drives.idsOf(other).some((id) => taken.has(id)));
     this.move([...taken], part);
-    focusOn(left ?? card);
+    focusOn(left ?? this.drives.standing(card));
   }
 
   private walk(card: HTMLElement, key: string): void {
     if (isSideways(key)) {
-      const place = shownIn(card.parentElement).indexOf(card);
+      const place = shownIn(listAt(card)).indexOf(card);
       let part = beside(partOfCard(card), key);
       while (part !== partOfCard(card) && !shownIn(this.listOf(part)).length && beside(part, key) !== part) part = beside(part, key);
       const there = shownIn(this.listOf(part));
       focusOn(there[Math.min(place, there.length - 1)]);
       return;
     }
-    const here = shownIn(card.parentElement);
+    const here = shownIn(listAt(card));
     const at = here.indexOf(card);
     const places: Readonly<Record<string, number>> = { ArrowDown: at + 1, ArrowUp: at - 1, Home: 0, End: here.length - 1 };
     focusOn(here[places[key] ?? at]);
@@ -140,8 +150,9 @@ export class Board {
   private click(event: MouseEvent): void {
     const card = cardAt(event.target);
     if (!card || !(event.target instanceof Element) || !event.target.closest(".split-name")) return;
-    const id = card.dataset["id"] ?? "";
-    this.pick(this.picked.has(id) ? [...this.picked].filter((one) => one !== id) : [...this.picked, id]);
+    const ids = this.drives.idsOf(card);
+    const isPicked = ids.every((id) => this.picked.has(id));
+    this.pick(isPicked ? [...this.picked].filter((one) => !ids.includes(one)) : [...this.picked, ...ids]);
     this.tell(this.picked.size === 1 ? "1 sequence picked." : `${this.picked.size} sequences picked.`);
   }
 
@@ -153,7 +164,7 @@ export class Board {
   /** Make this card the one that Tab comes to. */
   private rove(card: HTMLElement | null): void {
     if (!card) return;
-    for (const other of this.cards.values()) setStops(other, other === card);
+    for (const other of [...this.cards.values(), ...this.drives.heads()]) setStops(other, other === card);
   }
 
   private installDragging(): void {
@@ -164,7 +175,7 @@ export class Board {
       taken = this.takenWith(card);
       event.dataTransfer.effectAllowed = "move";
       event.dataTransfer.setData("text/plain", taken.map((id) => this.state.entries.get(id)?.name ?? id).join("\n"));
-      for (const id of taken) this.cards.get(id)?.setAttribute("data-dragged", "");
+      for (const one of [card, ...taken.map((id) => this.cards.get(id))]) one?.setAttribute("data-dragged", "");
     });
     this.root.addEventListener("dragover", (event) => {
       const column = columnAt(event.target);
@@ -178,7 +189,7 @@ export class Board {
       this.move(taken, partOf(column.dataset["part"]));
     });
     this.root.addEventListener("dragend", () => {
-      for (const id of taken) this.cards.get(id)?.removeAttribute("data-dragged");
+      for (const one of this.root.querySelectorAll("[data-dragged]")) one.removeAttribute("data-dragged");
       taken = [];
       this.aim(null);
     });
@@ -218,8 +229,13 @@ function beside(part: Part, key: string): Part {
   return PARTS[PARTS.indexOf(part) + (key === "ArrowLeft" ? -1 : 1)] ?? part;
 }
 
+function listAt(card: HTMLElement): Element | null {
+  return card.closest("[data-cards]");
+}
+
+/** The cards that can be seen: not those of folded drives. */
 function shownIn(list: Element | null): HTMLElement[] {
-  return [...(list?.children ?? [])].filter((card): card is HTMLElement => card instanceof HTMLElement && !card.hidden);
+  return [...(list?.querySelectorAll<HTMLElement>(".split-card") ?? [])].filter((card) => !card.closest("[hidden]"));
 }
 
 function focusOn(card: HTMLElement | undefined): void {
@@ -227,5 +243,5 @@ function focusOn(card: HTMLElement | undefined): void {
 }
 
 function setStops(card: HTMLElement, isStop: boolean): void {
-  for (const stop of card.querySelectorAll<HTMLElement>(".split-name, select, a")) stop.tabIndex = isStop ? 0 : -1;
+  for (const stop of card.querySelectorAll<HTMLElement>(".split-name, select, a, [data-unfolds]")) stop.tabIndex = isStop ? 0 : -1;
 }

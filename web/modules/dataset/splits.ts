@@ -60,7 +60,7 @@ function edit(root: HTMLElement, state: EditorState, board: Board, tell: (senten
 function stateOf(root: HTMLElement): EditorState {
   const entries = new Map<string, Entry>();
   const saved = new Map<string, Part>();
-  for (const card of root.querySelectorAll<HTMLElement>(".split-card")) {
+  for (const card of root.querySelectorAll<HTMLElement>(".split-card[data-id]")) {
     const entry = entryOf(card.dataset);
     entries.set(entry.id, entry);
     saved.set(entry.id, partOf(card.dataset["saved"]));
