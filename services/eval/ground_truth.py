@@ -30,8 +30,19 @@ from stone_submissions.npz_frame import array_shape, npz_members, read_grid
 from stone_submissions.zip_directory import ZipMember
 
 Mask = Literal["all", "lidar", "camera"]
-# In time order, the tokens of each sequence of a folder of sequences; None where that is not known.
-FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, tuple[str, ...]] | None]
+
+
+@dataclass(frozen=True)
+class TimedSequence:
+    """The `tokens` of a sequence in time order, its first stamp, and the drive of which it is one of several."""
+
+    tokens: tuple[str, ...]
+    first_stamp_ns: int
+    drive: str | None = None
+
+
+# The sequences of a folder of sequences in time; None where that is not known.
+FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, TimedSequence] | None]
 CONFIDENCE = "confidence"
 KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared", CONFIDENCE})
 MAX_LABELS_BYTES = 8 * 2**20
@@ -41,13 +52,13 @@ MAX_LABELS_BYTES = 8 * 2**20
 class GroundTruth:
     """The label files of a folder: `paths` by frame token, and the manifest they make.
 
-    Frames are in time order inside each sequence where `is_in_time_order`, in that of their tokens where it is unknown.
+    Frames are in time order inside each sequence if its `timed` is known, else (None) in that of their tokens.
     """
 
     folder: Path
     manifest: Manifest
     mask: Mask
-    is_in_time_order: bool
+    timed: Mapping[str, TimedSequence] | None
 
     def path(self, sequence: str, token: str) -> Path:
         return self.folder / sequence / token / "labels.npz"
@@ -82,7 +93,8 @@ def find_ground_truth(
     if len(set(manifest.tokens)) < len(manifest.tokens):
         raise GroundTruthError(root, "two sequences share a frame token")
     ordered = None if order is None else order(root, manifest.sequences)
-    found = GroundTruth(root, manifest if ordered is None else Manifest(ordered), mask, ordered is not None)
+    in_time = manifest if ordered is None else Manifest({name: one.tokens for name, one in ordered.items()})
+    found = GroundTruth(root, in_time, mask, ordered)
     return replace(found, manifest=replace(found.manifest, grid=grid or _grid_at(found)))
 
 

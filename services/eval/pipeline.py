@@ -19,6 +19,7 @@ from services.domain.benchmarks.submissions.scoring_ranges import ranges_of
 from services.eval.examination import Counts, ExaminedRange, TruthOf, examined, joined, sampled_tokens
 from services.eval.ground_truth import (
     FrameOrder,
+    GroundTruth,
     Mask,
     find_ground_truth,
     read_sure_truth,
@@ -67,11 +68,23 @@ def score(
 
     with open_submission(zip_path, truth.manifest.tokens, found) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
-    sequences = tuple(SequenceFacts(name, len(tokens)) for name, tokens in truth.manifest.sequences.items())
-    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, sequences, counted.column_counts)
+    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, _facts(truth), counted.column_counts)
     limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
     evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
-    return Scores(counts_of_frames, Signature(whole_hash(hashes), evaluated, grid=found), truth.is_in_time_order, limit)
+    return Scores(
+        counts_of_frames, Signature(whole_hash(hashes), evaluated, grid=found), truth.timed is not None, limit
+    )
+
+
+def _facts(truth: GroundTruth) -> tuple[SequenceFacts, ...]:
+    return tuple(
+        SequenceFacts(name, len(tokens))
+        if truth.timed is None
+        else SequenceFacts(
+            name, len(tokens), drive=truth.timed[name].drive, first_stamp_ns=truth.timed[name].first_stamp_ns
+        )
+        for name, tokens in truth.manifest.sequences.items()
+    )
 
 
 def count(

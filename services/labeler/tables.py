@@ -7,8 +7,8 @@ up_stdev_m (null where the source says none); per sensor, the LiDAR's as `LIDAR`
 (message of it in the order of recording, −1 none) and `<channel>_dt_ns` (signed); per IMU `<channel>_start` and
 `<channel>_stop`, its samples until the next frame, counted in the order of their stamps.
 
-**Metadata.** Under `stone`, JSON: sequence, recordings and calibration (name → sha256), pose_source, map_origin_deg_m
-and the learnt trigger phase of each camera, ns.
+**Metadata.** Under `stone`, JSON: sequence, vehicle (the calibration's name), recordings and calibration (name →
+sha256), pose_source, map_origin_deg_m and the learnt trigger phase of each camera, ns.
 """
 
 import json
@@ -73,6 +73,7 @@ def _about(sequence: Sequence) -> dict[str, object]:
     taken = sequence.frames.associations.items()
     return {
         "sequence": sequence.name,
+        "vehicle": sequence.calibration.name,
         "inputs": dict(sequence.inputs),
         "pose_source": sequence.pose_source,
         "map_origin_deg_m": sequence.map_origin_deg_m,

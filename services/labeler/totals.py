@@ -30,13 +30,17 @@ def totals_of(run: LabelRun) -> Totals:
 
 def recorded_track(sequence: Sequence) -> TrackAnswer | None:
     """Return the track of a recording: on the earth if its poses are, else in a map of its own."""
-    origin, vehicle = sequence.map_origin_deg_m, sequence.calibration.name
-    if origin is None:
-        return track_of(sequence, TrackOrigin(vehicle=vehicle), SE3.identity())
-    latitude_deg, longitude_deg, height_m = origin
+    return track_of(sequence, *common_map(sequence.map_origin_deg_m, sequence.calibration.name))
+
+
+def common_map(origin_deg_m: tuple[float, float, float] | None, vehicle: str) -> tuple[TrackOrigin, SE3]:
+    """Return the map that tracks of a vehicle are compared in, and the pose of its own map with this origin there."""
+    if origin_deg_m is None:
+        return TrackOrigin(vehicle=vehicle), SE3.identity()
+    latitude_deg, longitude_deg, height_m = origin_deg_m
     wxyz = ecef_from_enu_wxyz(np.array(latitude_deg), np.array(longitude_deg))
     earth_from_map = SE3.from_parts(wxyz, np.array(pymap3d.geodetic2ecef(latitude_deg, longitude_deg, height_m)))
-    return track_of(sequence, TrackOrigin(vehicle=vehicle, map=EARTH), earth_from_map)
+    return TrackOrigin(vehicle=vehicle, map=EARTH), earth_from_map
 
 
 def track_of(sequence: Sequence, origin: TrackOrigin, common_from_map: SE3) -> TrackAnswer | None:

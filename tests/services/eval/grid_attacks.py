@@ -33,7 +33,7 @@ class GridAttack:
 
 def saved(**arrays: NDArray[Any]) -> bytes:
     file = io.BytesIO()
-    np.savez_compressed(file, **arrays)
+    np.savez_compressed(file, **arrays)  # type: ignore[arg-type]
     return file.getvalue()
 
 

@@ -5,6 +5,7 @@ import secrets
 import shutil
 import zipfile
 from collections.abc import Mapping
+from dataclasses import replace
 from pathlib import Path
 
 import numpy as np
@@ -14,12 +15,13 @@ import pytest
 
 from services.domain.benchmarks.submissions import scoring_ranges
 from services.eval.examination import count_range
-from services.eval.ground_truth import Mask, find_ground_truth, read_truth
+from services.eval.ground_truth import Mask, TimedSequence, find_ground_truth, read_truth
 from services.eval.pipeline import score
 from stone.scoring.bitplanes import TruthPlanes
 from stone.scoring.confusion import named_ratios
 from stone.scoring.metric import RATIOS
 from stone_base.label_grid import PAPER
+from stone_files.dataset_layouts import LAYOUTS
 from stone_files.npz import npz_bytes
 from stone_local.frame_order import TABLE, in_time_order
 from stone_submissions.archive import open_submission
@@ -27,6 +29,7 @@ from stone_submissions.errors import GroundTruthError, UnreadableInputError
 from stone_submissions.validation import check_range, validate
 from stone_submissions.verdict import SubmissionRefusedError
 from testing.refusals import refused_as
+from testing.worlds.released_datasets import ReleasedDataset, write_released
 from testing.worlds.submission_files import write_submission
 from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import Grid, World, speckled
@@ -232,6 +235,11 @@ TOKENS = tuple(secrets.token_hex(16) for _ in range(40))
 SEQUENCES = {"north": TOKENS[:25], "south": TOKENS[25:]}
 
 
+def tokens_of(timed: Mapping[str, TimedSequence] | None) -> dict[str, tuple[str, ...]]:
+    assert timed is not None
+    return {name: one.tokens for name, one in timed.items()}
+
+
 def write_table(folder: Path, tokens: tuple[str, ...], first_ns: int = 0) -> None:
     """A frame and then one that was excluded, which has a stamp and no token."""
     folder.mkdir(parents=True, exist_ok=True)
@@ -242,14 +250,64 @@ def write_table(folder: Path, tokens: tuple[str, ...], first_ns: int = 0) -> Non
 def test_one_table_beside_the_frames_orders_them(tmp_path: Path) -> None:
     write_table(tmp_path, TOKENS)
     by_name = {name: sorted(tokens) for name, tokens in SEQUENCES.items()}
-    assert in_time_order(tmp_path / "gts", by_name) == SEQUENCES
+    assert tokens_of(in_time_order(tmp_path / "gts", by_name)) == SEQUENCES
 
 
 def test_each_sequence_may_bring_its_own_table(tmp_path: Path) -> None:
     for name, tokens in SEQUENCES.items():
         write_table(tmp_path / "gts" / name, tokens, first_ns=1_700_000_000_000_000_000)
     by_name = {name: sorted(tokens) for name, tokens in SEQUENCES.items()}
-    assert in_time_order(tmp_path / "gts", by_name) == SEQUENCES
+    assert tokens_of(in_time_order(tmp_path / "gts", by_name)) == SEQUENCES
+
+
+def write_track(folder: Path, tokens: tuple[str, ...], begin_m: float, **about: object) -> None:
+    """A table of frames a tenth of a second and a decimetre apart, as the labeler writes it: 1 m/s from a place on."""
+    folder.mkdir(parents=True)
+    places_m = [begin_m + 0.1 * at for at in range(len(tokens))]
+    rows = {
+        "frame_token": list(tokens),
+        "stamp_ns": [10**18 + round(place_m * 1e9) for place_m in places_m],
+        **{"x_m": places_m, "y_m": [0.0] * len(tokens), "z_m": [0.0] * len(tokens)},
+    }
+    told = json.dumps({"vehicle": "n1", "map_origin_deg_m": [37.0, 127.0, 50.0]} | about)
+    pq.write_table(pa.table(rows).replace_schema_metadata({"stone": told}), folder / TABLE)
+
+
+def test_label_sets_that_continue_each_other_are_one_drive_of_a_local_score(tmp_path: Path) -> None:
+    """Three of one run, by their places; two of another vehicle, whose odometry is not on the earth; one alone."""
+    names = ("a", "b", "c", "d", "e", "f")
+    tokens = {name: tuple(f"{ord(name) * 1000 + at:032x}" for at in range(3)) for name in names}
+    begin_m = {"a": 0.6, "b": 0.0, "c": 0.3, "d": 5000.3, "e": 5000.0, "f": 9000.0}
+    for name, listed in tokens.items():
+        other = {"vehicle": "n2", "map_origin_deg_m": None} if name in "de" else {}
+        write_track(tmp_path / "gts" / name, listed, begin_m[name], **other)
+        for token in listed:
+            (tmp_path / "gts" / name / token).mkdir()
+            (tmp_path / "gts" / name / token / "labels.npz").write_bytes(npz_bytes({"semantics": speckled(ord(name))}))
+    timed = in_time_order(tmp_path / "gts", tokens)
+    assert timed is not None
+    assert {name: one.drive for name, one in timed.items()} == dict(zip("abcdef", (*"bbbee", None), strict=True))
+    write_submission(tmp_path / "sub.zip", ((token, speckled(1)) for listed in tokens.values() for token in listed))
+    record = score(tmp_path / "sub.zip", tmp_path, order=in_time_order).as_record()
+    assert {name: part["frames"] for name, part in record["by"]["drive"].items()} == {"b": 9, "e": 6, "f": 3}
+    assert set(record["silences"]["new_place"].values()) == {"few_sequences"}, "three drives are too few"
+    alone = {name: replace(one, drive=None) for name, one in timed.items()}
+    apart = score(tmp_path / "sub.zip", tmp_path, order=lambda *_: alone)
+    assert "few_sequences" not in apart.as_record()["silences"]["new_place"].values(), "six sequences would be enough"
+
+
+def test_a_published_dataset_is_ordered_and_its_drives_are_known_by_its_tables(tmp_path: Path) -> None:
+    what = ReleasedDataset(scenes=4, frames=3, layout=LAYOUTS["paper"])
+    write_released(tmp_path, what)
+    names = what.tables.names
+    by_name = {name: sorted(what.tables.tokens(scene)) for scene, name in enumerate(names)}
+    timed = in_time_order(tmp_path / "gts", by_name)
+    assert tokens_of(timed) == {name: what.tables.tokens(scene) for scene, name in enumerate(names)}
+    assert timed is not None
+    assert [one.drive for one in timed.values()] == [names[0], names[0], names[2], names[2]]
+    assert [one.first_stamp_ns for one in timed.values()] == [
+        1000 * what.tables.stamp_us(scene, 0) for scene in range(4)
+    ]
 
 
 def test_a_frame_in_no_table_leaves_the_order_unknown(tmp_path: Path) -> None:
@@ -261,7 +319,9 @@ def test_a_frame_in_no_table_leaves_the_order_unknown(tmp_path: Path) -> None:
 
 def test_a_table_that_cannot_be_read_or_has_no_stamps_is_named(tmp_path: Path) -> None:
     pq.write_table(pa.table({"frame_token": list(TOKENS)}), tmp_path / "without_stamps")
-    for content in (b"", b"PAR1" + bytes(40) + b"PAR1", (tmp_path / "without_stamps").read_bytes()):
+    write_track(tmp_path / "badly_placed", TOKENS, 0.0, map_origin_deg_m=[1, "x"])
+    bad = [tmp_path / "without_stamps", tmp_path / "badly_placed" / TABLE]
+    for content in (b"", b"PAR1" + bytes(40) + b"PAR1", *(path.read_bytes() for path in bad)):
         (tmp_path / TABLE).write_bytes(content)
         with pytest.raises(GroundTruthError, match=TABLE):
             in_time_order(tmp_path / "gts", SEQUENCES)

@@ -77,6 +77,7 @@ def test_the_table_says_what_it_was_made_of(table):
     about = json.loads(pq.read_schema(table).metadata[b"stone"])
     assert about == {
         "sequence": "run",
+        "vehicle": SEQUENCE.calibration.name,
         "inputs": {"run.mcap": "ab"},
         "pose_source": "/ins (INSPVAX)",
         "map_origin_deg_m": [48.0, 11.0, 500.0],
