@@ -10,8 +10,9 @@ from numpy.typing import NDArray
 from typer.main import get_command
 
 from services.eval.examination import Examination, examine
-from services.eval.ground_truth import find_ground_truth, read_truth
+from services.eval.ground_truth import Mask, find_ground_truth, read_truth
 from services.eval.pipeline import score
+from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of
 from services.eval.truth_pack import TruthPack, write_truth_pack
 from services.runtime.sandbox import SandboxWatch
 from stone.scoring.metric import RATIOS
@@ -156,16 +157,73 @@ def test_a_hostile_submission_has_one_code_everywhere_at_every_grid(
     assert (counted.validation, counted.counts) == (verdict, None)
 
 
-def test_an_honest_submission_scores_alike_by_command_and_server_as_the_slow_metric_says(
-    standing: Standing, tmp_path: Path, capsys: pytest.CaptureFixture[str]
+def plain_ious(truth: Grid, guess: Grid, is_counted: NDArray[np.bool_]) -> dict[str, float]:
+    """The paper's ratios of arrays of any shape, as its text defines them: numpy alone."""
+    t, p = truth[is_counted], guess[is_counted]
+    found = {"iou_occ": np.sum((t > 0) & (p > 0)) / np.sum((t > 0) | (p > 0))}
+    for name, number in (("iou_t", 1), ("iou_p", 2), ("iou_n", 3)):
+        found[name] = np.sum((t == number) & (p == number)) / np.sum((t == number) | (p == number))
+    return {name: float(share) for name, share in found.items()} | {"miou": float(np.mean(list(found.values())[1:]))}
+
+
+def ring_numbers(grid: LabelGrid) -> NDArray[np.int64]:
+    """0, 1 or 2 of each column within 10 m, within 20 m, beyond; by its centre, in whole millimetres."""
+    x, y = (
+        round(1000 * low_m) + round(500 * grid.voxel_m) * (2 * np.arange(size) + 1)
+        for low_m, size in zip(grid.min_m[:2], grid.shape[:2], strict=True)
+    )
+    squared = x[:, None] ** 2 + y[None, :] ** 2
+    return np.asarray((squared >= 10_000**2).astype(int) + (squared >= 20_000**2))
+
+
+NEAR = LabelGrid("near", (0.0, -40.0, -1.0), 0.4, RELEASE.shape)  # the release's shape, elsewhere
+FINE = LabelGrid("fine", (-20.0, -20.0, -1.0), 0.2, RELEASE.shape)  # the release's shape, other voxels
+
+
+@pytest.mark.parametrize("mask", ["all", "lidar", "camera"])
+@pytest.mark.parametrize("grid", [*EVERY_GRID, NEAR, FINE], ids=lambda grid: grid.name)
+def test_command_and_server_score_as_a_few_lines_of_numpy_at_every_grid_and_mask(
+    grid: LabelGrid, mask: Mask, tmp_path: Path, capsys: pytest.CaptureFixture[str]
 ) -> None:
-    guesses = {token: speckled(10 + seed, standing.grid) for seed, token in enumerate(TOKENS)}
-    write_files(tmp_path / "s.zip", ((token, frame_file(one, standing.grid)) for token, one in guesses.items()))
-    code, record = told(capsys, "score", tmp_path / "s.zip", "--ground-truth", standing.folder)
-    counted = examine(Examination(tmp_path / "s.zip", TOKENS, (0, 2), standing.pack, standing.grid), SandboxWatch())
+    """Two grids of one shape have one total and other rings: a shape alone tells no place."""
+    arrays, guesses = dict[str, dict[str, Grid]](), dict[str, Grid]()
+    for seed, token in enumerate(TOKENS):
+        semantics, random = speckled(seed, grid), np.random.default_rng(90 + seed)
+        lidar, camera = (random.integers(0, 2, grid.shape).astype(np.uint8) for _ in range(2))
+        arrays[token] = {"semantics": semantics, "mask_lidar": lidar, "mask_camera": camera}
+        guesses[token] = np.where(random.random(grid.shape) < 0.7, semantics, speckled(10 + seed, grid)).astype(
+            np.uint8
+        )
+        path = tmp_path / "gts" / "s" / token / "labels.npz"
+        path.parent.mkdir(parents=True)
+        path.write_bytes(npz_bytes(arrays[token]))
+    if grid.name not in GRIDS:
+        (tmp_path / GRID_FILE).write_text(grid_text(grid))
+    classes = {token: one["semantics"] for token, one in arrays.items()}
+    write_files(tmp_path / "s.zip", ((token, frame_file(one, grid)) for token, one in guesses.items()))
+    truth, guess = (np.stack([of[token] for token in TOKENS]) for of in (classes, guesses))
+    seen = {one: np.stack([arrays[token][f"mask_{one}"] for token in TOKENS]) > 0 for one in ("lidar", "camera")}
+    is_counted = {"all": np.ones_like(truth, np.bool_), **seen}[mask]
+    expected = plain_ious(truth, guess, is_counted)
+
+    code, record = told(capsys, "score", tmp_path / "s.zip", "--ground-truth", tmp_path, "--mask", mask)
     assert code == 0
-    assert counted.counts is not None
-    assert counted.counts.confusions.sum(axis=(0, 1)).tolist() == record["confusion"]
+    assert record["total"] == pytest.approx(expected, rel=1e-12)
+    for ring, part in enumerate(record["by"]["distance"].values()):  # type: ignore[index]
+        is_here = is_counted & (ring_numbers(grid) == ring)[None, :, :, None]
+        if is_here.any():
+            assert {name: part[name] for name in RATIOS} == pytest.approx(plain_ious(truth, guess, is_here), rel=1e-12)
+
+    found = find_ground_truth(tmp_path)
+    paths = found.paths()
+    assert found.manifest.grid.geometry == grid.geometry
+    write_truth_pack(tmp_path / "pack", found.manifest, lambda token: read_truth(paths[token], mask, grid))
+    counted = examine(Examination(tmp_path / "s.zip", TOKENS, (0, 2), tmp_path / "pack", grid), SandboxWatch()).counts
+    assert counted is not None
+    counts = SubmissionCounts(counted.confusions, counted.bev, (SequenceFacts("s", 2),), counted.column_counts)
+    of_server = record_of(counts, counts.spectra())
+    assert of_server["total"] == record["total"]
+    assert of_server["by"]["distance"] == record["by"]["distance"]  # type: ignore[index]
 
 
 def test_the_hint_of_a_shape_is_by_the_grid_that_is_expected() -> None:
