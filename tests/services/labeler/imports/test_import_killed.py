@@ -1,7 +1,8 @@
-"""A worker is killed with −9 at six moments of an import: nothing is lost, nothing is there twice, no byte differs.
+"""A worker is killed with −9 at moments of an import: nothing is lost, nothing is there twice, no byte differs.
 
-Catches alone an import whose stages leave half a scene, or rows of one that was done before, when their process ends at
-any statement or while a child works; for that, seven imports, some 15 s of processor time.
+Six moments of an uploaded tar, twenty of a ZIP in place. Catches alone an import whose stages leave half a scene, or
+rows of one that was done before, when their process ends at any statement or while a child works; for that, 28 imports,
+56 s of processor time.
 """
 
 import os
@@ -25,24 +26,40 @@ from services.runtime.orm import JobAttempt
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.factory import open_store
+from stone_recordings.sync.stored_recording import RecordingPlace
 from testing.process_states import children_of, is_running
 from testing.servers.fixtures import make_settings, opened
-from testing.worlds.brought_datasets import BroughtDataset, an_owner, bring_dataset, counts_of, files_of
-from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
+from testing.worlds.brought_datasets import (
+    BroughtDataset,
+    an_owner,
+    bring_dataset,
+    counts_of,
+    files_of,
+    place_dataset,
+)
+from testing.worlds.placed import in_folder
+from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published, write_published_tar
 from testing.worlds.runs import run_all
 
 pytestmark = pytest.mark.whole
 
 PATIENCE_S = 300.0
 SMALL = SyntheticDataset(scenes=2, frames=2, cameras=("CAM_FRONT",), radars=(), labels=(made_labels(0), made_labels(1)))
-STATEMENTS, CHILDREN = 4, 2
+CHILDREN = 2
+STATEMENTS = {"tar": 4, "zip": 18}
+KINDS = list(STATEMENTS)
+MOMENTS = [(kind, moment) for kind, moments in STATEMENTS.items() for moment in range(moments)]
 
 
 @dataclass(frozen=True, eq=False)
 class Undisturbed:
-    """A platform on which a dataset waits to be imported, and what an import that nobody disturbs makes of it."""
+    """A platform on which a dataset waits to be imported, and what an import that nobody disturbs makes of it.
+
+    `root` is the folder of a dataset in place.
+    """
 
     folder: Path
+    root: Path | None
     import_id: str
     owner_id: str
     statements: int
@@ -53,28 +70,46 @@ class Undisturbed:
         """A copy of the platform, to be disturbed."""
         settings = make_settings(folder)
         shutil.copytree(self.folder, settings.root)
-        return BroughtDataset(opened(settings, []), self.owner_id, self.import_id)
+        return BroughtDataset(with_root(opened(settings, []), self.root), self.owner_id, self.import_id)
+
+
+def with_root(platform: Platform, root: Path | None) -> Platform:
+    return platform if root is None else in_folder(platform, root)
 
 
 @pytest.fixture(scope="module")
-def undisturbed(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> Undisturbed:
-    folder = tmp_path_factory.mktemp("import")
+def all_undisturbed(tmp_path_factory: pytest.TempPathFactory, _sqlite_template: Path) -> dict[str, Undisturbed]:
+    """Of each kind; tests of both come in any order."""
+    return {kind: made_undisturbed(tmp_path_factory.mktemp(kind), kind, _sqlite_template) for kind in KINDS}
+
+
+@pytest.fixture(params=KINDS)
+def undisturbed(request: pytest.FixtureRequest, all_undisturbed: dict[str, Undisturbed]) -> Undisturbed:
+    return all_undisturbed[request.param]
+
+
+def made_undisturbed(folder: Path, kind: str, template: Path) -> Undisturbed:
+    root = folder / "nas" if kind == "zip" else None
     settings = make_settings(folder)
     settings.root.mkdir(parents=True)
-    shutil.copyfile(_sqlite_template, settings.root / "stone.sqlite3")
-    platform = opened(settings, [])
+    shutil.copyfile(template, settings.root / "stone.sqlite3")
+    platform = with_root(opened(settings, []), root)
     owner_id = an_owner(platform)
-    brought = bring_dataset(platform, write_published_tar(folder / "field.tar", SMALL), owner_id)
+    if root is None:
+        brought = bring_dataset(platform, write_published_tar(folder / "field.tar", SMALL), owner_id)
+    else:
+        shutil.make_archive(str(root / "STONE"), "zip", write_published(folder / "published", SMALL))
+        brought = place_dataset(platform, RecordingPlace("nas", "STONE.zip"), owner_id)
     platform.database.close()
     waiting = shutil.copytree(settings.root, folder / "waiting")
     counted = _Counter(None)
-    platform = opened(settings, [])
+    platform = with_root(opened(settings, []), root)
     event.listen(platform.database.engine, "before_cursor_execute", counted)
     run_all(platform)
     assert (brought.run().state, brought.run().failure) == ("succeeded", "")
     made = (files_of(platform, owner_id), counts_of(platform, owner_id))
     platform.database.close()
-    return Undisturbed(waiting, brought.import_id, owner_id, counted.statements, *made)
+    return Undisturbed(waiting, root, brought.import_id, owner_id, counted.statements, *made)
 
 
 @dataclass
@@ -129,12 +164,13 @@ def ends_as_undisturbed(brought: BroughtDataset, undisturbed: Undisturbed) -> No
     platform.database.close()
 
 
-@pytest.mark.parametrize("moment", range(STATEMENTS))
+@pytest.mark.parametrize(("undisturbed", "moment"), MOMENTS, indirect=["undisturbed"])
 def test_killed_at_a_statement_it_ends_as_if_nothing_had_been(
     undisturbed: Undisturbed, tmp_path: Path, moment: int
 ) -> None:
     brought = undisturbed.waiting(tmp_path)
-    last = 1 + (undisturbed.statements - 1) * moment // STATEMENTS
+    moments = STATEMENTS["tar" if undisturbed.root is None else "zip"]
+    last = 1 + (undisturbed.statements - 1) * moment // moments
     _, status = os.waitpid(started(brought.platform.settings, last), 0)
     assert os.WTERMSIG(status) == signal.SIGKILL
     ends_as_undisturbed(brought, undisturbed)
