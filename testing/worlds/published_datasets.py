@@ -63,6 +63,11 @@ class SyntheticDataset:
         return tuple(f"field-{scene:04}" for scene in range(self.scenes))
 
     @cached_property
+    def places(self) -> tuple[str, ...]:
+        """Its locations, each once."""
+        return tuple(dict.fromkeys(self.locations))
+
+    @cached_property
     def sensors(self) -> Mapping[str, str]:
         """Modality by channel."""
         return {"LIDAR_TOP": "lidar"} | dict.fromkeys(self.cameras, "camera") | dict.fromkeys(self.radars, "radar")
@@ -230,7 +235,7 @@ def pose_of(what: SyntheticDataset, scene: int, stamp_us: int) -> Row:
     if turn_us:
         moved_us = turn_us - abs((moved_us + first * STEP_US) % (2 * turn_us) - turn_us)
     rotation, (x, y, z) = _track(moved_us)
-    x += what.apart_m * what.locations.index(what.location(first))
+    x += what.apart_m * what.places.index(what.location(first))
     return {"rotation": list(rotation), "translation": [x, y, z]}
 
 

@@ -33,6 +33,7 @@ from testing.worlds.small_export import picture_of
 from testing.worlds.zip_stream import zip_stream
 
 SWEEP_SHOTS, NO_RETURN_SHARE, REACH_M = 6_000, 0.25, 38.0
+FARTHEST_M = 100.0  # away from whatever a grid has
 EGO_FROM_LIDAR = SE3.from_parts(np.array([0.69, 0.06, 0.04, -0.72]), np.array([0.16, 0.12, 0.54]))
 MOST_POSES = 1_000  # whose sweeps and labels are kept, to be written again
 BOX_CELL_M, BOX_HALF_M, BOX_HIGH_M = 9.0, 0.8, 1.9
@@ -53,8 +54,9 @@ class ReleasedDataset:
     """What to write: `scenes` of `frames`, so many of each drive, in the layout of this name.
 
     Drives share the places of the release evenly, in their order, and those lie `apart_m` apart. After `turns_after`
-    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. `labels_in` is another
-    grid than that of the layout to cut labels in. `changed` alters rows of tables at the end.
+    frames the robot drives back and forth again, so that sweeps and labels repeat; 0: on and on. The LiDAR reaches
+    `reach_m`, and nothing is labelled beyond. `labels_in` is another grid than that of the layout to cut labels in.
+    `changed` alters rows of tables at the end.
     """
 
     scenes: int = 2
@@ -67,6 +69,7 @@ class ReleasedDataset:
     drive_scenes: int = 2
     turns_after: int = 0
     apart_m: float = 0.0
+    reach_m: float = FARTHEST_M
 
     @cached_property
     def tables(self) -> SyntheticDataset:
@@ -141,8 +144,8 @@ def _other_files(what: ReleasedDataset) -> Iterator[tuple[str, bytes]]:
 def _seen_at(what: ReleasedDataset, numbers: tuple[float, ...]) -> tuple[bytes, bytes]:
     """The sweep and the labels at a pose."""
     pose = SE3.from_parts(np.array(numbers[:4]), np.array(numbers[4:]))
-    sweep = sweep_of(pose, seed=crc32(repr(numbers).encode()), layout=what.layout)
-    return sweep, labels_of(pose, what.labels_in or what.layout.grid, what.layout)
+    sweep = sweep_of(pose, seed=crc32(repr(numbers).encode()), layout=what.layout, reach_m=what.reach_m)
+    return sweep, labels_of(pose, what.labels_in or what.layout.grid, what.layout, what.reach_m)
 
 
 def released_tables(what: ReleasedDataset) -> Mapping[str, Iterator[Row]]:
@@ -201,7 +204,7 @@ def box_points(centres: Points, around: NDArray[np.float64], up: NDArray[np.floa
     return np.stack([centres[:, 0] + x, centres[:, 1] + y, 50.0 + low + up * BOX_HIGH_M], axis=1)
 
 
-def sweep_of(pose: SE3, *, seed: int, layout: DatasetLayout) -> bytes:
+def sweep_of(pose: SE3, *, seed: int, layout: DatasetLayout, reach_m: float) -> bytes:
     """The file of a sweep at a pose: a row for every shot if the layout has those, else of every return."""
     random = np.random.default_rng(seed)
     low, count = SWEEP_SHOTS * 2 // 3, SWEEP_SHOTS // 3
@@ -214,13 +217,13 @@ def sweep_of(pose: SE3, *, seed: int, layout: DatasetLayout) -> bytes:
     )
     points = EGO_FROM_LIDAR.inverse() @ (pose.inverse() @ np.concatenate([ground, sides]))
     rows = np.concatenate([points, random.uniform(0, 255, (len(points), 1)), np.zeros((len(points), 1))], axis=1)
-    is_lost = random.uniform(size=len(rows)) < NO_RETURN_SHARE
+    is_lost = (random.uniform(size=len(rows)) < NO_RETURN_SHARE) | (np.linalg.norm(points, axis=1) > reach_m)
     if layout.has_no_returns:
         rows[is_lost, :3] = np.nan
     return np.asarray(rows if layout.has_no_returns else rows[~is_lost], "<f4").tobytes()
 
 
-def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout) -> bytes:
+def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout, reach_m: float) -> bytes:
     """labels.npz at a pose, which is turned about z alone, with the keys and values of the layout."""
     classes = np.zeros(grid.shape, np.uint8)
     x, y = (grid.min_m[at] + np.arange(0.01, grid.shape[at] * grid.voxel_m, grid.voxel_m / 5) for at in (0, 1))
@@ -233,6 +236,8 @@ def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout) -> bytes:
     for centre in centres:
         sides = pose.inverse() @ box_points(np.broadcast_to(centre, (len(around), 2)), around, up)
         _mark(classes, grid, sides, np.full(len(sides), 3, np.uint8))
+    x, y = (grid.min_m[at] + grid.voxel_m * (np.arange(grid.shape[at]) + 0.5) for at in (0, 1))
+    classes[np.hypot(*np.meshgrid(x, y, indexing="ij")) > reach_m + 1] = 0
     is_known = np.logical_or.accumulate(classes > 0, axis=2)
     if layout.has_masks:
         seen = is_known.astype(np.uint8)
