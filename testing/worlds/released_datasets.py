@@ -236,8 +236,8 @@ def labels_of(pose: SE3, grid: LabelGrid, layout: DatasetLayout, reach_m: float)
     for centre in centres:
         sides = pose.inverse() @ box_points(np.broadcast_to(centre, (len(around), 2)), around, up)
         _mark(classes, grid, sides, np.full(len(sides), 3, np.uint8))
-    x, y = (grid.min_m[at] + grid.voxel_m * (np.arange(grid.shape[at]) + 0.5) for at in (0, 1))
-    classes[np.hypot(*np.meshgrid(x, y, indexing="ij")) > reach_m + 1] = 0
+    middles = [grid.min_m[at] + grid.voxel_m * (np.arange(grid.shape[at]) + 0.5) for at in (0, 1)]
+    classes[np.hypot(*np.meshgrid(*middles, indexing="ij")) > reach_m + 1] = 0
     is_known = np.logical_or.accumulate(classes > 0, axis=2)
     if layout.has_masks:
         seen = is_known.astype(np.uint8)
