@@ -5,7 +5,9 @@ whole or absent: its sequences appear all at once. What is wrong is the failure 
 sentence that begins with file, row and token.
 """
 
-from fastapi import APIRouter, Response
+from typing import Annotated
+
+from fastapi import APIRouter, Path, Request, Response
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
@@ -14,16 +16,21 @@ from api.answers import refusals
 from api.deps import Caller, Curator, PlatformDep, Reader
 from api.errors import NotFoundError
 from api.etags import set_head
+from api.files import StoredFile, answer_file, file_responses
 from api.paging import Page, PageDep, page
 from api.schemas.base import IdPath
 from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, NewDatasetImportBody
 from api.views.imports.class_maps import stated_classes
 from api.views.imports.items import import_detail, import_items
 from api.visible import theirs
+from services.domain.imports.kept_files import TYPE, kept_file
 from services.domain.imports.requests import delete_import, place_of, start_import
 from services.runtime.orm import DatasetImport, User
 from stone_base.errors import splits_forbidden
+from stone_datasets.extra_files import LONGEST_NAME
+from stone_files.archives import NAME
 
+FilePath = Annotated[str, Path(pattern=f"^{NAME.pattern}$", max_length=LONGEST_NAME, examples=["infos.pkl"])]
 router = APIRouter(prefix="/dataset-imports", tags=["dataset imports"])
 
 
@@ -68,6 +75,29 @@ def show_dataset_import(import_id: IdPath, caller: Reader, platform: PlatformDep
     """One import with its scenes."""
     with platform.database.reading() as session:
         return import_detail(session, import_shown_to(session, caller, import_id))
+
+
+@router.get(
+    "/{import_id}/files/{path:path}",
+    summary="A file of an imported dataset that no table names",
+    response_class=Response,
+    responses=file_responses(TYPE),
+)
+@router.head(
+    "/{import_id}/files/{path:path}",
+    response_class=Response,
+    responses=file_responses(TYPE),
+    name="describe_kept_file",
+    description="Size and checksum of a file.",
+)
+def download_kept_file(
+    import_id: IdPath, path: FilePath, caller: Reader, platform: PlatformDep, request: Request
+) -> Response:
+    """One of `kept_files` of an import, as the dataset has it."""
+    with platform.database.reading() as session:
+        row, blob = kept_file(session, import_shown_to(session, caller, import_id), path)
+        file = StoredFile(blob.object_key, row.size_bytes, blob.sha256, row.media_type, path.rpartition("/")[2])
+    return answer_file(request, platform.store, file)
 
 
 @router.delete(

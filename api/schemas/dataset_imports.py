@@ -127,14 +127,29 @@ class ImportedSceneItem(Answer):
     sequence_id: str | None
 
 
+class ExtraFileItem(Answer):
+    """A file of the dataset that no table names, by its name below the dataset's root."""
+
+    model_config = example(name="nuscenes_infos_val.pkl", size_bytes=40123456)
+
+    name: str
+    size_bytes: int
+
+
 class DatasetImportDetail(DatasetImportItem):
     """An import with its scenes, in the order of the dataset's table.
+
+    `kept_files` are files of the dataset that no table names, as they are; `left_out` are the first of the
+    `left_out_total` that are too large or too many.
 
     `splits_refused` are the codes of the rules that the dataset's splits break, for which the draft splits stayed as
     they were, or `no_splits` if the dataset states none; null if they were not to be set, or are not yet.
     """
 
-    model_config = example()
+    model_config = example(left_out_total=0)
 
     splits_refused: list[str] | None
+    kept_files: list[ExtraFileItem]
+    left_out: list[ExtraFileItem]
+    left_out_total: int
     scenes: list[ImportedSceneItem]

@@ -5,10 +5,11 @@ from collections.abc import Sequence
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem
+from api.schemas.dataset_imports import DatasetImportDetail, DatasetImportItem, ExtraFileItem
 from api.schemas.jobs import JobItem
 from api.schemas.sequences.recordings import PlaceItem
 from api.views.jobs import job_items
+from services.domain.imports.kept_files import kept_files
 from services.domain.imports.requests import SCENE, progress_of
 from services.runtime.orm import DatasetImport, Job
 from stone_datasets.stated_layout import StatedLayout
@@ -29,7 +30,15 @@ def import_detail(session: Session, row: DatasetImport) -> DatasetImportDetail:
     (item,) = import_items(session, [row])
     progress = progress_of(session, row)
     refused = (progress.run.result or {}).get("splits_refused")
-    return DatasetImportDetail.of(item, splits_refused=refused, scenes=progress.scenes)
+    left_out = row.left_out or {"total": 0, "files": []}
+    return DatasetImportDetail.of(
+        item,
+        splits_refused=refused,
+        kept_files=kept_files(session, row),
+        left_out=[ExtraFileItem(**file) for file in left_out["files"]],
+        left_out_total=left_out["total"],
+        scenes=progress.scenes,
+    )
 
 
 def _item(row: DatasetImport, run: JobItem, done: int) -> DatasetImportItem:

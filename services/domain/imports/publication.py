@@ -14,6 +14,7 @@ from sqlalchemy.orm import Session
 from services.domain.datasets.catalogue import labelled_sequences
 from services.domain.datasets.splits import current_splits, errors_of, judged, lock_splits, replace_splits
 from services.domain.imports.errors import existing_sequences
+from services.domain.imports.kept_files import OF_NO_SCENE, count_kept
 from services.runtime.access import storage_quota
 from services.runtime.orm import DatasetImport, ImportedFile, SequenceRow
 from services.runtime.orm.base import now_ns
@@ -80,7 +81,9 @@ def end_import(session: Session, imported: DatasetImport, made: Sequence[Publish
         if scene.size_bytes:
             taken = (scene.size_bytes, scene.label_set_id, "import", limit_bytes)
             storage_quota.reserve(session, imported.owner_id, *taken)
-    session.execute(delete(ImportedFile).where(ImportedFile.import_id == imported.id))
+    count_kept(session, imported, limit_bytes)
+    of_scenes = (ImportedFile.import_id == imported.id, ImportedFile.scene != OF_NO_SCENE)
+    session.execute(delete(ImportedFile).where(*of_scenes))
     imported.scenes = [
         {**record, "sequence_id": scene.sequence_id, "label_set_id": scene.label_set_id}
         for record, scene in zip(imported.scenes or [], made, strict=True)

@@ -153,7 +153,7 @@ def begin_import_again(session: Session, imported: DatasetImport, reason: str, r
     if old.state not in TERMINAL:
         terminate(session, old.id, reason)
     session.execute(delete(ImportedFile).where(ImportedFile.import_id == imported.id))
-    imported.scenes = None
+    imported.scenes = imported.left_out = None
     run = _begun(session, imported, restarts)
     session.flush()
     return run
@@ -166,6 +166,7 @@ def delete_import(session: Session, imported: DatasetImport) -> None:
     session.execute(delete(DatasetImport).where(DatasetImport.id == imported.id))
     if imported.upload_id is not None:
         storage_quota.release(session, imported.upload_id, "import deleted")
+    storage_quota.release(session, imported.id, "import deleted")
 
 
 def _begun(session: Session, imported: DatasetImport, restarts: int = 0) -> Job:

@@ -11,10 +11,13 @@ from services.labeler.child_answers import Count
 from services.runtime.sandbox.answers import SandboxAnswer
 from stone.splits.surroundings import REGION
 from stone_base.names import NAME
+from stone_datasets.extra_files import LONGEST_NAME, MOST_FILES, MOST_SHOWN
+from stone_files.archives import NAME as MEMBER
 
 MOST_SCENES, MOST_SPLITS = 20_000, 1000
 SceneName = Annotated[str, StringConstraints(pattern=f"^{NAME.pattern}$")]
 Region = Annotated[str, StringConstraints(pattern=f"^({REGION.pattern})?$")]
+ExtraName = Annotated[str, StringConstraints(pattern=f"^{MEMBER.pattern}$", max_length=LONGEST_NAME)]
 SplitName = Annotated[str, StringConstraints(min_length=1, max_length=200)]
 
 
@@ -31,11 +34,22 @@ class IndexedSceneAnswer(SandboxAnswer):
     region: Region = ""
 
 
+class ExtraFileAnswer(SandboxAnswer):
+    """A file that no table names, by its name below the dataset's root."""
+
+    asked: ClassVar[str] = "a file that no table names"
+    name: ExtraName
+    size_bytes: Count
+
+
 class DatasetIndexAnswer(SandboxAnswer):
-    """The scenes of a dataset, in their order."""
+    """The scenes of a dataset, in their order, the files that no table names, and those of them that are too large."""
 
     asked: ClassVar[str] = "the scenes of a dataset"
     scenes: Annotated[list[IndexedSceneAnswer], Field(min_length=1, max_length=MOST_SCENES)]
+    extra: Annotated[list[ExtraFileAnswer], Field(max_length=MOST_FILES)] = Field(default_factory=list)
+    left_out: Annotated[list[ExtraFileAnswer], Field(max_length=MOST_SHOWN)] = Field(default_factory=list)
+    left_out_total: Count = 0
 
     @model_validator(mode="after")
     def _are_told_apart(self) -> Self:
@@ -43,4 +57,6 @@ class DatasetIndexAnswer(SandboxAnswer):
             raise ValueError("scenes are not numbered in their order")
         if len({scene.name for scene in self.scenes}) < len(self.scenes):
             raise ValueError("two scenes have one name")
+        if len({file.name for file in self.extra}) < len(self.extra):
+            raise ValueError("two files have one name")
         return self

@@ -12,14 +12,16 @@ from pathlib import Path
 from sqlalchemy.orm import Session
 
 from services.domain.imports.errors import _shown
+from services.domain.imports.kept_files import keep_file
 from services.domain.imports.publication import refuse_existing
 from services.domain.imports.requests import PUBLISH_IMPORT, SCENE, kept_import
 from services.labeler.imports.answers import DatasetIndexAnswer
 from services.labeler.imports.import_workspace import ImportStageContext
 from services.labeler.imports.indexing import index_dataset
-from services.labeler.imports.scene_parts import SCENES, DatasetOpening, scene_folder
+from services.labeler.imports.scene_parts import SCENES, DatasetOpening, extra_path, scene_folder
 from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.store.blobs import PreparedBlob, link, prepare
 from stone.errors import Refused
 
 
@@ -37,11 +39,28 @@ def index_tar(context: ImportStageContext) -> Outcome:
         _refuse(context, told)
         for scene in told.scenes:
             _keep(folder, context.workspace.folder, scene.ordinal)
+        kept = _stored(context, folder, told)
     context.workspace.push(f"{SCENES}/")
     frames = sum(scene.frames for scene in told.scenes)
     context.attempt.log("indexed", scenes=len(told.scenes), frames=frames)
     result = {"scenes": len(told.scenes), "frames": frames}
-    return Outcome(result, then=_jobs(told), commit=partial(_write, context, told))
+    return Outcome(result, then=_jobs(told), commit=partial(_write, context, told, kept))
+
+
+def _stored(context: ImportStageContext, folder: Path, told: DatasetIndexAnswer) -> list[tuple[str, PreparedBlob]]:
+    """The files that no table names, by name. Raises `SandboxCrashedError` if they are not those that were told."""
+    stored = list[tuple[str, PreparedBlob]]()
+    for number, file in enumerate(told.extra):
+        path = extra_path(folder, number)
+        if (
+            path.parent.is_symlink()
+            or path.is_symlink()
+            or not path.is_file()
+            or path.stat().st_size != file.size_bytes
+        ):
+            raise SandboxCrashedError(f"spoke of file {number} and left another")
+        stored.append((file.name, prepare(context.platform.store, context.platform.database, path, adopt=True)))
+    return stored
 
 
 def _refuse(context: ImportStageContext, told: DatasetIndexAnswer) -> None:
@@ -76,9 +95,15 @@ def _jobs(told: DatasetIndexAnswer) -> tuple[JobSpec, ...]:
     return (*scenes, JobSpec(PUBLISH_IMPORT, {}, "publish", tuple(scene.key for scene in scenes)))
 
 
-def _write(context: ImportStageContext, told: DatasetIndexAnswer, session: Session) -> None:
+def _write(
+    context: ImportStageContext, told: DatasetIndexAnswer, kept: list[tuple[str, PreparedBlob]], session: Session
+) -> None:
     """Raises `JobCancelledError`."""
-    kept_import(session, context.attempt).scenes = [
+    imported = kept_import(session, context.attempt)
+    for name, prepared in sorted(kept, key=lambda file: file[1].sha256):  # the order in which all link
+        keep_file(session, imported, name, link(session, prepared))
+    imported.left_out = {"total": told.left_out_total, "files": [one.model_dump() for one in told.left_out]}
+    imported.scenes = [
         {"name": scene.name, "frames": scene.frames, "splits": list(scene.splits), "region": scene.region}
         for scene in told.scenes
     ]

@@ -10,14 +10,23 @@ from pathlib import Path
 
 import numpy as np
 
-from services.labeler.imports.answers import DatasetIndexAnswer, IndexedSceneAnswer
-from services.labeler.imports.scene_parts import TABLES, DatasetOpening, SceneAbout, scene_folder, write_scene_parts
+from services.labeler.imports.answers import DatasetIndexAnswer, ExtraFileAnswer, IndexedSceneAnswer
+from services.labeler.imports.scene_parts import (
+    EXTRA,
+    TABLES,
+    DatasetOpening,
+    SceneAbout,
+    extra_path,
+    scene_folder,
+    write_scene_parts,
+)
 from services.labeler.imports.sequences import annotated_data, placed_data, sequence_of
 from services.runtime.sandbox import ProgressCallback
 from stone.sensors.sequence import Sequence
 from stone.splits.surroundings import REGION, UNSAID
 from stone_datasets.annotations import write_annotated_tables
 from stone_datasets.build import PlacedData
+from stone_datasets.extra_files import ExtraFiles, extra_files
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.files import DatasetArchive
 from stone_datasets.grid_fit import check_fit
@@ -32,7 +41,8 @@ UNKNOWN = "unknown"  # what our own exports say of a place that nobody named
 
 
 def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:
-    """Leave `scenes/<ordinal>/` in the folder; a `DatasetIndexAnswer`.
+    """Leave `scenes/<ordinal>/` in the folder, and `extra/<number>` of each file that no table names; a
+    `DatasetIndexAnswer`.
 
     Raises the first `DatasetFaultError` that is found, `bad_tar`.
     """
@@ -50,7 +60,9 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
         (folder / scene_folder(ordinal) / TABLES).mkdir(parents=True)
     placed = reading.placed
     scenes = _annotated(index, tar, inputs) if placed is None else _tabled(index, tar, (placed, inputs))
+    known = set[int]()
     for ordinal, (sequence, spans) in enumerate(scenes):
+        known.update(np.concatenate([spans.places[:, 0], spans.labels[:, 0]]).tolist())
         about = SceneAbout(
             tar.version, tar.root, index.layout.name, index.grid.as_record(), index.sequences[ordinal].has_dashes
         )
@@ -59,7 +71,17 @@ def index_dataset(opening: DatasetOpening, folder: Path, progress: ProgressCallb
     progress("index", len(index.sequences), len(index.sequences))
     _write_tables(index, placed, folder)
     progress("part", 1, 1)
-    return _answer(index).packed()
+    extra = extra_files(tar, known)
+    _copy_extra(extra, folder)
+    return _answer(index, extra).packed()
+
+
+def _copy_extra(extra: ExtraFiles, folder: Path) -> None:
+    (folder / EXTRA).mkdir()
+    for number, span in enumerate(extra.kept):
+        with extra_path(folder, number).open("wb") as file:
+            for piece in span.pieces():
+                file.write(piece)
 
 
 def _tabled(index: DatasetIndex, tar: DatasetArchive, of: tuple[PlacedData, dict[str, str]]) -> Iterator[Scene]:
@@ -92,8 +114,11 @@ def region_of(location: str) -> str:
     return name if REGION.fullmatch(name) and name.casefold() != UNKNOWN else UNSAID
 
 
-def _answer(index: DatasetIndex) -> DatasetIndexAnswer:
+def _answer(index: DatasetIndex, extra: ExtraFiles) -> DatasetIndexAnswer:
     return DatasetIndexAnswer(
+        extra=[ExtraFileAnswer(name=one.name, size_bytes=one.size_bytes) for one in extra.kept],
+        left_out=[ExtraFileAnswer(name=name, size_bytes=size_bytes) for name, size_bytes in extra.left_out],
+        left_out_total=extra.left_out_total,
         scenes=[
             IndexedSceneAnswer(
                 ordinal=ordinal,
@@ -104,5 +129,5 @@ def _answer(index: DatasetIndex) -> DatasetIndexAnswer:
                 region=region_of(one.location),
             )
             for ordinal, one in enumerate(index.sequences)
-        ]
+        ],
     )

@@ -125,7 +125,7 @@ def _check(parts: SceneParts) -> None:
 # `out` beside.
 
 
-SCENES, OUT = "scenes", "out"
+SCENES, OUT, EXTRA = "scenes", "out", "extra"
 
 
 @dataclass(frozen=True)
@@ -156,6 +156,11 @@ class SceneOpening:
 def scene_folder(ordinal: int) -> PurePosixPath:
     """Where the files of a scene lie below the child's folder."""
     return PurePosixPath(SCENES, f"{ordinal:06d}")
+
+
+def extra_path(folder: Path, number: int) -> Path:
+    """Where a file that no table names lies in the folder of the child that indexed."""
+    return folder / EXTRA / f"{number:06d}"
 
 
 # What is refused of what an index left of a scene.

@@ -171,7 +171,8 @@ class DatasetImport(Base):
     `stated` are the layout and the grid that the owner states, null if none; `scenes` (name, frames, splits, region; at
     the end the sequence and the label set of each) is what the index found, null before. `existing` says what becomes
     of a scene that is called as a sequence of the owner's: refuse or add. `facts` are columns of every sequence that is
-    new. `finished_ns` is set in the transaction that writes all its sequences.
+    new. `left_out` are files that no table names and that are too large to be kept: their total, and the first by name
+    and size. `finished_ns` is set in the transaction that writes all its sequences.
     """
 
     __tablename__ = "dataset_imports"
@@ -190,6 +191,7 @@ class DatasetImport(Base):
     sets_splits: Mapped[bool] = mapped_column(default=False, server_default=false())
     facts: Mapped[dict[str, Any]] = mapped_column(JSON, default=dict)
     scenes: Mapped[list[Any] | None] = mapped_column(JSON)
+    left_out: Mapped[Record | None]
     created_ns: Mapped[Ns] = mapped_column(default=now_ns)
     finished_ns: Mapped[Ns | None]
 
@@ -197,7 +199,10 @@ class DatasetImport(Base):
 
 
 class ImportedFile(Base):
-    """An artefact of a scene that is done, until all are; then it belongs to the label set."""
+    """An artefact of a scene that is done, until all are; then it belongs to the label set.
+
+    Of no scene (−1) are files that no table names: they stay with the import.
+    """
 
     __tablename__ = "imported_files"
     import_id: Mapped[Id] = mapped_column(ForeignKey("dataset_imports.id", ondelete="CASCADE"), primary_key=True)

@@ -98,6 +98,8 @@ GET    /api/v1/recording-roots                                401  403  200   20
 POST   /api/v1/dataset-imports                                401  403  202   404   404  404 403  401  401  202 403
 GET    /api/v1/dataset-imports                                401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/dataset-imports/{import_id}                    401  404  200   404   200  404 403  401  401  200 200
+GET    /api/v1/dataset-imports/{import_id}/files/{path}       401  404  200   404   200  404 403  401  401  200 200
+HEAD   /api/v1/dataset-imports/{import_id}/files/{path}       401  404  200   404   200  404 403  401  401  200 200
 DELETE /api/v1/dataset-imports/{import_id}                    401  403  204   404   204  404 403  401  401  204 403
 GET    /api/v1/profiles                                       401  200  200   200   200  200 403  401  401  200 200
 GET    /api/v1/profiles/{platform_name}                       401  404  200   404   404  404 403  401  401  200 200

@@ -18,6 +18,7 @@ import pytest
 from sqlalchemy import select
 
 from services.domain.exports.requests import start_export
+from services.domain.imports.kept_files import kept_file, kept_files
 from services.domain.imports.requests import INDEX, SCENE, delete_import
 from services.runtime.access.storage_quota import balance
 from services.runtime.database.migrate import upgrade
@@ -132,7 +133,9 @@ def test_an_archive_in_place_becomes_what_an_uploaded_one_does(
         }
         counted = balance(session, brought.owner_id)
     kept = {name: len(content) for name, content in files.items() if "/source/" in name or name.endswith("labels.npz")}
-    assert counted == sum(kept.values())
+    with zipfile.ZipFile(uploaded.path) as archive:
+        extra_bytes = sum(one.file_size for one in archive.infolist() if one.filename.endswith(".pkl"))
+    assert counted == sum(kept.values()) + extra_bytes
     assert exported(brought) == uploaded.exported
     if kind == "bucket":
         assert 0 < read_bytes(platform) < 3 * size_bytes
@@ -265,3 +268,41 @@ def test_nothing_can_be_learnt_of_what_else_the_machine_has(platform: Platform, 
         said.add(str(refusal.value).replace(path, "PATH"))
     assert len(said) == 1
     assert str(root) not in said.pop()
+
+
+@pytest.mark.whole
+@pytest.mark.parametrize("kind", ["upload", "folder", "bucket"])
+def test_files_that_no_table_names_are_kept_with_the_import(
+    platform: Platform,
+    s3_server: S3Server,
+    tmp_path: Path,
+    root: Path,
+    kind: str,
+    monkeypatch: pytest.MonkeyPatch,
+) -> None:
+    """Catches alone an import that drops them, opens them, or keeps what is too large or is a table."""
+    monkeypatch.setattr("stone_datasets.extra_files.MOST_FILE_BYTES", 1000)
+    path = write_released_zip(tmp_path / ZIP, ReleasedDataset(scenes=1, frames=2))
+    extra = {"v1.0-trainval/boxes_2d.json": b"no JSON", "notes/read me.txt": b"", "notes/readme.txt": b"kept"}
+    with zipfile.ZipFile(path, "a") as archive:
+        for name, content in {**extra, "infos.pkl": b"\x80" * 1001}.items():
+            archive.writestr(f"STONE_nus_dataset/{name}", content)
+        archive.writestr("elsewhere.txt", b"not below the root")
+        pickled = archive.read("STONE_nus_dataset/nuscenes_infos_val.pkl")
+    if kind == "upload":
+        brought = bring_dataset(platform, path, an_owner(platform))
+    else:
+        brought = placed(platform, s3_server, kind, path, root)
+    run_all(brought.platform)
+    assert brought.run().state == "succeeded", brought.run().failure
+    wanted = {name: extra[name] for name in ("v1.0-trainval/boxes_2d.json", "notes/readme.txt")}
+    wanted["nuscenes_infos_val.pkl"] = pickled
+    store = brought.platform.store
+    with brought.platform.database.transaction() as session:
+        row = session.get_one(DatasetImport, brought.import_id)
+        found = [kept_file(session, row, one.name) for one in kept_files(session, row)]
+        assert {one.name: b"".join(store.read(blob.object_key)) for one, blob in found} == wanted
+        assert row.left_out == {"total": 1, "files": [{"name": "infos.pkl", "size_bytes": 1001}]}
+        before = balance(session, brought.owner_id)
+        delete_import(session, row)
+        assert before - balance(session, brought.owner_id) == sum(map(len, wanted.values()))

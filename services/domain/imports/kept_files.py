@@ -1,0 +1,47 @@
+"""Files of a dataset that no table names: kept with its import, counted against the owner, and downloaded there.
+
+**Conventions.** They are rows of the import beside those of its scenes, and stay until it is deleted. They belong to
+the dataset and not to a scene: who sees one sequence of an import is not given what may speak of all.
+"""
+
+from collections.abc import Sequence
+
+from sqlalchemy import func, select
+from sqlalchemy.orm import Session
+
+from services.runtime.access import storage_quota
+from services.runtime.orm import Blob, DatasetImport, ImportedFile
+from stone.errors import Refused
+
+OF_NO_SCENE = -1
+TYPE = "application/octet-stream"
+
+
+def keep_file(session: Session, imported: DatasetImport, name: str, blob: Blob) -> None:
+    """Add a file to the import."""
+    row = ImportedFile(import_id=imported.id, scene=OF_NO_SCENE, name=name, media_type=TYPE)
+    row.blob_sha256, row.size_bytes = blob.sha256, blob.size_bytes
+    session.add(row)
+    session.flush()
+
+
+def kept_files(session: Session, imported: DatasetImport) -> Sequence[ImportedFile]:
+    """The files that are kept, by name."""
+    of_import = (ImportedFile.import_id == imported.id, ImportedFile.scene == OF_NO_SCENE)
+    return session.scalars(select(ImportedFile).where(*of_import).order_by(ImportedFile.name)).all()
+
+
+def kept_file(session: Session, imported: DatasetImport, name: str) -> tuple[ImportedFile, Blob]:
+    """The file of this name. Raises `not_found`."""
+    row = session.get(ImportedFile, (imported.id, OF_NO_SCENE, name))
+    if row is None:
+        raise Refused("not_found", f"import {imported.id} keeps no file {name[:200]!r}")
+    return row, session.get_one(Blob, row.blob_sha256)
+
+
+def count_kept(session: Session, imported: DatasetImport, limit_bytes: int) -> None:
+    """Count the files against the owner. Raises `quota_exceeded`."""
+    of_import = (ImportedFile.import_id == imported.id, ImportedFile.scene == OF_NO_SCENE)
+    size_bytes = session.scalar(select(func.sum(ImportedFile.size_bytes)).where(*of_import)) or 0
+    if size_bytes:
+        storage_quota.reserve(session, imported.owner_id, int(size_bytes), imported.id, "kept files", limit_bytes)

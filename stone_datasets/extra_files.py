@@ -1,0 +1,68 @@
+"""Files in the archive of a dataset that no table names and no schema knows: kept as they are, never opened.
+
+**Conventions.** What is known is told by where it lies: a file that begins nowhere among the known ones is extra. Only
+files below the dataset's root with plain names count.
+"""
+
+from collections.abc import Collection, Iterator
+from dataclasses import dataclass
+
+from stone_datasets.files import DatasetArchive, DatasetTar
+from stone_datasets.scene_tables import SPLITS, TABLES
+from stone_datasets.zip_files import MOST_FILES as MOST_ENTRIES
+from stone_exports.files import ExportFileSpan
+from stone_files.archives import NAME, tar_members
+from stone_files.dataset_layout import ANNOTATIONS
+from stone_files.zip_directory import checked_end, directory_members
+
+MOST_FILE_BYTES, MOST_BYTES = 64 * 2**20, 2**30  # of each that is kept, and of all
+MOST_FILES, LONGEST_NAME, MOST_SHOWN = 1000, 120, 100
+
+
+@dataclass(frozen=True)
+class ExtraFiles:
+    """The files that are small enough to be kept, and of those that are not the first names with their sizes."""
+
+    kept: tuple[ExportFileSpan, ...]
+    left_out: tuple[tuple[str, int], ...]
+    left_out_total: int
+
+
+def extra_files(archive: DatasetArchive, known: Collection[int]) -> ExtraFiles:
+    """The extra files of an archive; `known` is where the files of its scenes begin. Raises `bad_tar`."""
+    kept, left_out, total, size_bytes, seen = list[ExportFileSpan](), list[tuple[str, int]](), 0, 0, set[str]()
+    for name, offset, size in _members(archive):
+        if offset in known or name in seen or not NAME.fullmatch(name) or _is_known(archive.version, name):
+            continue
+        seen.add(name)
+        is_small = size <= MOST_FILE_BYTES and size_bytes + size <= MOST_BYTES and len(name) <= LONGEST_NAME
+        span = archive.span(name) if is_small and len(kept) < MOST_FILES else None
+        if span is not None:
+            kept.append(span)
+            size_bytes += size
+            continue
+        total += 1
+        left_out += [(name[:LONGEST_NAME], size)] if total <= MOST_SHOWN else []
+        seen.discard(name)
+    return ExtraFiles(tuple(kept), tuple(left_out), total)
+
+
+def _members(archive: DatasetArchive) -> Iterator[tuple[str, int, int]]:
+    """Name below the root, place and size of every file there."""
+    root = archive.root
+    if isinstance(archive, DatasetTar):
+        found = ((name, *place) for name, place in tar_members(archive.path))
+    else:
+        end = checked_end(archive.ranges.read_at, archive.ranges.size_bytes, MOST_ENTRIES)
+        members = directory_members(archive.ranges.read_at, end)
+        found = ((one.name, one.offset, one.unpacked_bytes) for one in members)
+    return ((name.removeprefix(root), offset, size) for name, offset, size in found if name.startswith(root))
+
+
+def _is_known(version: str, name: str) -> bool:
+    """Whether an import reads the file itself: a table, splits, or, in a layout without tables, annotations."""
+    if not version:
+        return name in (ANNOTATIONS, SPLITS)
+    folder, _, base = name.rpartition("/")
+    is_table = base == SPLITS or base.removesuffix(".json") in TABLES
+    return name == SPLITS or (folder == version and base.endswith(".json") and is_table)
