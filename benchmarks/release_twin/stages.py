@@ -74,8 +74,11 @@ def _look(most_mib: dict[str, float], ended: Event) -> None:
 def _role(words: list[str]) -> str:
     """What a process is for: one of the platform's, a worker of a pool, or its first words."""
     said = " ".join(words)
+    if "multiprocessing" in said:
+        return "a pool's worker"
+    of_module = words[words.index("-m") + 1].rpartition(".")[2] if "-m" in words[:-1] else ""
     first = " ".join(words[1:3]).rpartition("/")[2]
-    return next((role for role in ROLES if role in said), "a pool's worker" if "multiprocessing" in said else first)
+    return next((role for role in ROLES if role in said), of_module or first)
 
 
 def _tree_cpu_s() -> float:
