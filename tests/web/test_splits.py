@@ -138,6 +138,7 @@ def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")
         expect(page.locator(".split-card:visible")).to_have_count(31 + 9)
+        look(page, "splits-of-drives-unfolded")
         page.get_by_role("button", name="run-01-4", exact=True).press("2")
         expect(column_of(page, "Val").locator("[data-drive-amount]")).to_have_text(
             "1 of 9 sequences · 200 frames · 20 s"
