@@ -32,7 +32,7 @@ from services.labeler.results import (
     save_summary,
     write_labels,
 )
-from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, silent
+from services.labeler.run import LabelRun, Part, Step, Tile, neighbourhood, require_ground, silent
 from services.labeler.scratch import images_path, surface_path, tile_name
 from services.labeler.stage import Arguments, Stage, StageResult, part_of, tile_of
 from services.labeler.tile_plan import plan_of, tiles_around
@@ -114,7 +114,11 @@ STAGES: Mapping[str, Stage] = {
 
 
 def label_graph(run: LabelRun) -> tuple[JobSpec, ...]:
-    """All jobs of a run that has frames, in the order in which they may begin; publishing is the last."""
+    """All jobs of a run that has frames, in the order in which they may begin; publishing is the last.
+
+    Raises as `require_ground`: nothing is begun of a run whose labels would be wrong.
+    """
+    require_ground(run)
     plan = plan_of(run)
     mapped = list[JobSpec]()
     for part in plan.parts:

@@ -19,7 +19,7 @@ from services.labeler.errors import no_usable_frames
 from services.labeler.parameters import chosen_parameters
 from services.labeler.pipeline import FUSE, STAGES, SURFACE, label_graph
 from services.labeler.publication_files import publication
-from services.labeler.run import LabelRun, require_ground
+from services.labeler.run import LabelRun
 from services.labeler.scratch import recorded_writes
 from services.runtime.jobs.specs import JobSpec
 from services.runtime.sandbox import ProgressCallback
@@ -86,11 +86,10 @@ class StageTask:
 
 
 def planned(opening: RunOpening, _folder: Path, _progress: ProgressCallback) -> bytes:
-    """All the jobs of the run. Raises `no_frames`, and as `require_ground`."""
+    """All the jobs of the run. Raises `no_frames`, and as `label_graph`."""
     run = opening.run()
     if len(run.sequence.frames) == 0:
         raise no_usable_frames(run.sequence)
-    require_ground(run)
     jobs = label_graph(run)
     parts, tiles = (sum(job.kind == kind for job in jobs) for kind in (FUSE, SURFACE))
     return GraphAnswer(jobs=[_answer_of(job) for job in jobs], parts=parts, tiles=tiles).packed()
