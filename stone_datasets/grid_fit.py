@@ -172,10 +172,10 @@ class _Frames:
             return None
         mount = channel.sensor.ego_from_sensor
         try:
-            stated, other = (_outside(SweepFile(sweep, one).points_ego()) for one in (mount, swapped(mount)))
+            points_lidar = SweepFile(sweep, SE3.identity()).points_ego().astype(np.float64)
         except DamagedExportError:
             return None
-        return classes, stated, other
+        return classes, _outside(mount @ points_lidar), _outside(swapped(mount) @ points_lidar)
 
     def labels(self, frame: int) -> Grid | None:
         """The classes of a frame; None if its file is missing or damaged."""
@@ -186,9 +186,10 @@ class _Frames:
             return None
 
 
-def _outside(points: NDArray[np.float32]) -> Points:
-    """The returns that are not of the robot itself."""
-    return points[np.hypot(points[:, 0], points[:, 1]) >= NEAREST_M].astype(np.float64)
+def _outside(points: Points) -> Points:
+    """The returns that are not of the robot itself, rounded as sweeps are."""
+    rounded = points.astype(np.float32)
+    return rounded[np.hypot(rounded[:, 0], rounded[:, 1]) >= NEAREST_M].astype(np.float64)
 
 
 def _sampled(sequences: Iterable[DatasetSequence], most: int) -> Iterator[tuple[DatasetSequence, int]]:
