@@ -15,7 +15,7 @@ from pathlib import Path
 
 from benchmarks.release_import.run import administrator
 from benchmarks.release_twin.stages import HEAD, stage
-from benchmarks.release_twin.way import Way, stored_by_kind
+from benchmarks.release_twin.way import Way, cpu_by_kind
 from stone_files.dataset_layouts import LAYOUTS, RELEASE_FACTS
 from testing.stone_serve import serving
 from testing.worlds.released_datasets import CAMERAS, ReleasedDataset, write_released_zip
@@ -42,7 +42,7 @@ def main(words: Sequence[str]) -> None:
     given = parser.parse_args(words)
     what = twin_of(given.scenes, given.frames, given.grid)
     with tempfile.TemporaryDirectory(dir=given.folder) as folder:
-        way = Way(what, given.zip or Path(folder) / "twin.zip", Path(folder))
+        way = Way(what, given.zip or Path(folder) / "twin.zip", Path(folder), not given.no_playback)
         print(f"{given.scenes} scenes of {given.frames} frames at the grid {what.layout.grid}\n{HEAD}", flush=True)
         if not way.path.exists():
             with stage("written", way.frames(what.scenes), way.data):
@@ -53,7 +53,7 @@ def main(words: Sequence[str]) -> None:
         extra = {"STONE_VIEWING__MAKES_PLAYBACK": "false"} if given.no_playback else {}
         with serving(way.data, **extra) as running, administrator(running) as api:
             way.go(api)
-        print("\n".join(stored_by_kind(way.data)))
+        print("\n".join(cpu_by_kind(way.data)))
 
 
 if __name__ == "__main__":

@@ -45,6 +45,7 @@ class Way:
     what: ReleasedDataset
     path: Path
     folder: Path
+    has_playback: bool = True
 
     @property
     def data(self) -> Path:
@@ -82,8 +83,9 @@ class Way:
                 state = read_import(api, str(asked["id"]))
         if state["state"] != "succeeded":
             raise ImportFailedError(str(state["failure"]))
-        with stage("playback of every scene", everything, self.data):
-            self._wait_until_idle()
+        if self.has_playback:
+            with stage("playback of every scene", everything, self.data):
+                self._wait_until_idle()
 
     def _publish(self, api: Api, splits: TwinSplits) -> None:
         everything = self.frames(self.what.scenes)
@@ -155,7 +157,7 @@ def splits_of(what: ReleasedDataset) -> TwinSplits:
     return TwinSplits(sum(map(len, elsewhere[1:])), len(elsewhere[0]), len(drives[-1]))
 
 
-def stored_by_kind(data: Path) -> Sequence[str]:
+def cpu_by_kind(data: Path) -> Sequence[str]:
     """Processor seconds of the jobs of each kind, as the platform counted them."""
     asked = (
         "SELECT kind, count(DISTINCT jobs.id), sum(cpu_s) FROM jobs JOIN job_attempts ON job_id = id "
