@@ -1,22 +1,26 @@
 """Datasets and calibrations come in at pages: sent and watched, refused with what is wrong, compared, pinned."""
 
 import gzip
+import zipfile
 from pathlib import Path
 
 import httpx
 import pytest
-from playwright.sync_api import Page, expect
+from playwright.sync_api import Browser, Page, expect
 from sqlalchemy import select
 
 from services.runtime.orm import DatasetImport, Job
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from simulator.pipeline import calibration_path
-from testing.api.serving import Person
+from testing.api.serving import Person, serving
+from testing.servers.fixtures import having
 from testing.web.browsing import Site
 from testing.worlds.made import sequence
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from tests.web.bringing import bag, moved, uploads
+from tests.web.looking import look
+from web.main import make_site
 
 GOOD = SyntheticDataset(labels=(made_labels(1),), splits={"train": ["field-0000"], "val": ["field-0001"]})
 
@@ -43,14 +47,14 @@ def test_a_tar_is_sent_once_and_its_import_watched_and_forgotten(
         page.goto("/sequences")
         page.get_by_role("link", name="Import a dataset").click()
         expect(page.get_by_role("heading", name="No imports yet")).to_be_visible()
-        page.locator('input[name="tar"]').set_input_files(packed)
+        page.locator('input[name="archive"]').set_input_files(packed)
         expect(page.locator("#said")).to_contain_text("compressed by gzip")
         expect(page.get_by_role("button", name="Import", exact=True)).to_be_disabled()
         assert uploads(site.platform) == []
-        page.locator('input[name="tar"]').set_input_files(tar)
+        page.locator('input[name="archive"]').set_input_files(tar)
         expect(page.locator("#said")).to_be_empty()
         page.reload()
-        page.locator('input[name="tar"]').set_input_files(tar)
+        page.locator('input[name="archive"]').set_input_files(tar)
         expect(page.get_by_role("textbox", name="Name")).to_have_value("offroad")
         page.locator('input[name="classes"]').set_input_files(wrong)
         page.get_by_label("Add a second label set").check()
@@ -75,6 +79,35 @@ def test_a_tar_is_sent_once_and_its_import_watched_and_forgotten(
         page.keyboard.press("Enter")
         expect(page.get_by_role("heading", name="No imports yet")).to_be_visible()
     assert imports(site.platform) == []
+
+
+def test_a_zip_that_the_server_sees_is_named_instead_of_sent(
+    platform: Platform, browser: Browser, curator: Person, tmp_path: Path
+) -> None:
+    """What is stated goes with it, and of the chosen file nothing; a path that leads out is refused."""
+    placed = having(platform, in_place={"folders": f"nas={tmp_path}"})
+    with zipfile.ZipFile(tmp_path / "STONE.zip", "w") as archive:
+        archive.writestr("v1.0-trainval/scene.json", "[]")
+    with serving(placed, make_site(placed)) as url:  # noqa: SIM117
+        with Site(url, placed, browser).visit(curator, expected=["422"]) as page:
+            page.goto("/imports")
+            page.locator('input[name="archive"]').set_input_files(tmp_path / "STONE.zip")
+            expect(page.locator("#chosen")).to_have_text("STONE.zip")
+            expect(page.locator("#said")).to_be_empty()
+            page.get_by_label("Path below it").fill("../STONE.zip")
+            page.get_by_text("Layout and grid").click()
+            page.locator('select[name="layout"]').select_option("release")
+            page.locator('select[name="grid"]').select_option("occ3d")
+            look(page, "import-in-place")
+            page.get_by_role("button", name="Import", exact=True).click()
+            expect(page.locator("#said")).to_contain_text("no path below a root")
+            page.get_by_label("Path below it").fill("STONE.zip")
+            page.get_by_role("button", name="Import", exact=True).click()
+            expect(page.get_by_role("heading", name="STONE")).to_be_visible()
+            expect(page.get_by_text("nas:STONE.zip")).to_be_visible()
+    (made,) = imports(placed)
+    assert (made.place["path"], made.name, made.stated["layout"]) == ("STONE.zip", "STONE", "release")
+    assert uploads(placed) == []
 
 
 def _fail(platform: Platform, code: str, sentence: str) -> None:

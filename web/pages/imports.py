@@ -19,6 +19,8 @@ from services.runtime.orm import DatasetImport
 from services.runtime.uploads.creation import owner_limit_bytes
 from services.runtime.uploads.rows import UploadOwner
 from stone.splits.surroundings import ENVIRONMENTS, ILLUMINATIONS
+from stone_base.label_grid import GRIDS
+from stone_files.dataset_layouts import LAYOUTS
 from web.rendering import page
 
 router = APIRouter(prefix="/imports")
@@ -43,6 +45,9 @@ def list_imports(request: Request, caller: Curator, platform: PlatformDep, curso
         cursor=found.next,
         limit_bytes=limit_bytes,
         longest_name=LONGEST_NAME,
+        roots=platform.settings.in_place.roots,
+        layouts=LAYOUTS,
+        grids=GRIDS,
         environments=ENVIRONMENTS,
         illuminations=ILLUMINATIONS,
         is_moving=any(item.state not in TERMINAL for item in items),

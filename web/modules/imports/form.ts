@@ -1,4 +1,5 @@
-// The form that imports a dataset: its tar is looked at, counted, sent and handed over; begun again, it goes on.
+// The form that imports a dataset: its archive is looked at, counted, sent and handed over; begun again, it goes on.
+// An archive that the server can read already is named by root and path instead.
 
 import { call } from "../api.js";
 import { sha256Of } from "../file_hash.js";
@@ -11,8 +12,8 @@ const COMPRESSED: [string, number[]][] = [
   ["bzip2", [0x42, 0x5a, 0x68]],
   ["xz", [0xfd, 0x37, 0x7a, 0x58, 0x5a]],
   ["zstd", [0x28, 0xb5, 0x2f, 0xfd]],
-  ["zip", [0x50, 0x4b, 0x03, 0x04]],
 ];
+const NAMED = ["layout", "grid"];
 const TEXTS = ["name", "environment", "illumination", "region", "platform"];
 const MOST_CLASSES_BYTES = 64 * 1024;
 
@@ -21,8 +22,13 @@ if (form) install(form);
 
 function install(form: HTMLFormElement): void {
   let sending: AbortController | undefined;
-  fileOf(form, "tar").addEventListener("change", () => chosen(form));
-  if (fileOf(form, "tar").files?.length) chosen(form); // a browser that came back to this page kept it
+  fileOf(form, "archive").addEventListener("change", () => chosen(form));
+  form.querySelector("[name=path]")?.addEventListener("input", () => chosen(form));
+  form.querySelector("[name=path]")?.addEventListener("change", () => {
+    const name = form.querySelector<HTMLInputElement>("[name=name]");
+    if (name && !name.value) name.value = nameOf(pathOf(form).split("/").at(-1) ?? "", name);
+  });
+  if (fileOf(form, "archive").files?.length || pathOf(form)) chosen(form); // a browser that came back to this page kept it
   form.querySelector("#stop")?.addEventListener("click", () => sending?.abort());
   form.addEventListener("submit", (event) => {
     event.preventDefault();
@@ -47,34 +53,45 @@ function install(form: HTMLFormElement): void {
   }
 }
 
-/** The tar on the platform, and its import asked for; the id of that. */
+/** Ask for the import of the archive, which is uploaded unless it is in place; the import's id. */
 async function imported(form: HTMLFormElement, values: FormData, signal: AbortSignal): Promise<string> {
-  const tar = fileOf(form, "tar").files?.[0];
-  if (!tar) throw new Error("Choose a tar first.");
   const classes = await classesOf(values);
-  const { act, bytes } = meter(form);
-  act("Computing the checksum");
-  const heard: Heard = {
-    counted: (_file, done_bytes) => bytes(done_bytes, tar.size),
-    sent: (_file, done_bytes) => bytes(done_bytes, tar.size),
-    away: (problem, wait_ms) => act(`${problem.title}. Trying again in ${Math.ceil(wait_ms / 1000)} s`),
-    back: () => act("Uploading"),
-  };
-  const sum = await summed(tar, heard, signal);
-  act("Uploading");
-  const uploadId = await sent(tar, sum, { name: "dataset", target_id: null }, heard, signal);
+  const path = pathOf(form);
+  const source = path
+    ? { in_place: { root: String(values.get("root")), path } }
+    : { upload_id: await uploaded(form, signal) };
   signal.throwIfAborted();
   const body = {
-    upload_id: uploadId,
+    ...source,
     ...Object.fromEntries(TEXTS.map((name) => [name, String(values.get(name) ?? "").trim()])),
+    ...Object.fromEntries(NAMED.map((name) => [name, values.get(name) || null])),
     classes,
     existing: values.has("adds") ? "add" : "refuse",
     sets_splits: values.has("splits"),
     is_public: values.has("public"),
   };
-  const key = `import-${await sha256Of(new Blob([JSON.stringify(body)]))}`; // asked again, it is the same import
+  // Asked again, an upload is the same import. An archive in place may have changed: each click is an import of its own.
+  const asked = JSON.stringify(path ? { ...body, at_ms: Date.now() } : body);
+  const key = `import-${await sha256Of(new Blob([asked]))}`;
   const made = await call<{ id: string }>("POST", "/api/v1/dataset-imports", body, { "Idempotency-Key": key });
   return made.id;
+}
+
+/** The id of the complete upload of the chosen archive. */
+async function uploaded(form: HTMLFormElement, signal: AbortSignal): Promise<string> {
+  const archive = fileOf(form, "archive").files?.[0];
+  if (!archive) throw new Error("Choose a tar or ZIP first.");
+  const { act, bytes } = meter(form);
+  act("Computing the checksum");
+  const heard: Heard = {
+    counted: (_file, done_bytes) => bytes(done_bytes, archive.size),
+    sent: (_file, done_bytes) => bytes(done_bytes, archive.size),
+    away: (problem, wait_ms) => act(`${problem.title}. Trying again in ${Math.ceil(wait_ms / 1000)} s`),
+    back: () => act("Uploading"),
+  };
+  const sum = await summed(archive, heard, signal);
+  act("Uploading");
+  return sent(archive, sum, { name: "dataset", target_id: null }, heard, signal);
 }
 
 /** What the file of classes says; null where none was chosen. */
@@ -85,22 +102,24 @@ async function classesOf(values: FormData): Promise<string | null> {
   return file.text();
 }
 
-/** A tar is there: what it is called is proposed, and what cannot be imported is said at once. */
+/** An archive is there: its name is proposed for the import, and what cannot be imported is shown at once. */
 function chosen(form: HTMLFormElement): void {
-  const file = fileOf(form, "tar").files?.[0];
+  const file = fileOf(form, "archive").files?.[0];
+  const path = pathOf(form);
   const name = form.querySelector<HTMLInputElement>("[name=name]");
-  if (file && name && !name.value) name.value = file.name.replace(/\.tar$/, "").slice(0, name.maxLength);
-  part(form, "#chosen").textContent = file ? file.name : "";
+  if (name && file && !path && !name.value) name.value = nameOf(file.name, name);
+  part(form, "#chosen").textContent = path ? "" : (file?.name ?? "");
+  fileOf(form, "archive").disabled = path !== "";
   part(form, "#said").replaceChildren();
   const begin = form.querySelector<HTMLButtonElement>("[type=submit]");
-  if (begin) begin.disabled = !file;
-  if (file) void looked(form, file);
+  if (begin) begin.disabled = !file && !path;
+  if (file && !path) void looked(form, file);
 }
 
 async function looked(form: HTMLFormElement, file: File): Promise<void> {
   const begin = new Uint8Array(await file.slice(0, 8).arrayBuffer());
   const tool = COMPRESSED.find(([, magic]) => magic.every((byte, at) => begin[at] === byte))?.[0];
-  if (!tool || fileOf(form, "tar").files?.[0] !== file) return;
+  if (!tool || pathOf(form) || fileOf(form, "archive").files?.[0] !== file) return;
   const detail = `${file.name}: it is compressed by ${tool} (unpack it, or \`gunzip\` it first)`;
   sayProblem(part(form, "#said"), { title: "Compressed", status: 422, detail, code: "DST-003", request_id: "" });
   const button = form.querySelector<HTMLButtonElement>("[type=submit]");
@@ -114,6 +133,16 @@ function show(form: HTMLFormElement, isSending: boolean): void {
   }
   part(form, "#sending").toggleAttribute("hidden", !isSending);
   form.querySelector<HTMLElement>("#acts")?.toggleAttribute("hidden", isSending);
+}
+
+/** The name of a file without its ending, as long as the field takes. */
+function nameOf(file: string, field: HTMLInputElement): string {
+  return file.replace(/\.(tar|zip)$/i, "").slice(0, field.maxLength);
+}
+
+/** The path of an archive in place, trimmed; empty if none is named. */
+function pathOf(form: HTMLFormElement): string {
+  return form.querySelector<HTMLInputElement>("input[name=path]")?.value.trim() ?? "";
 }
 
 function fileOf(form: HTMLFormElement, name: string): HTMLInputElement {
