@@ -1,6 +1,7 @@
 """`stone import` against a real server and its workers: a dataset in, its labels out again, what is wrong by code."""
 
 import json
+import os
 import shutil
 import tarfile
 from collections.abc import Iterator
@@ -207,6 +208,8 @@ def test_a_zip_in_place_is_imported_once_with_the_layout_that_is_stated_and_noth
             stone("import", "nas:STONE", "--in-place"),
             stone("import", "STONE.zip", "--in-place"),
         ]
+        os.utime(tmp_path / "STONE.zip", ns=(0, 10**18))
+        changed = stone(*line[:3], "--name", "changed", "--add-to-existing")
     assert (first.exit_code, again.exit_code) == (0, 0), first.stderr + again.stderr
     made = json.loads(first.stdout)
     facts = {"name": "STONE", "layout": "release", "grid": "release", "place": {"root": "nas", "path": "STONE.zip"}}
@@ -214,6 +217,8 @@ def test_a_zip_in_place_is_imported_once_with_the_layout_that_is_stated_and_noth
     assert (made["frames"], made["splits_refused"]) == (what.scenes * what.frames, ["no_splits"])
     assert made["id"] in again.stdout
     assert "states no split" in again.stdout
+    assert "nas:STONE.zip as it was at" in again.stdout
+    assert changed.exit_code == 0, "the way out that the command names"
     assert refused(other) == "DST-062", "labels of the release are not in the array of Occ3D's"
     codes = [refused(one) for one in refusals]
     assert codes == ["recording_vanished", "unknown_root", "no_archive", "bad_place"]

@@ -160,6 +160,10 @@ def _say(record: dict[str, Any]) -> None:
         typer.echo("The draft splits were not changed: the dataset states no split train, val or test")
     elif refused:
         typer.echo(f"The draft splits were not changed: the dataset's splits violate the rules ({', '.join(refused)})")
+    if place := record["place"]:
+        where = f"{place['root']}:{place['path']}"
+        typer.echo(f"Read in place: {where} as it was at {record['created_at'][:19]}")
+        typer.echo("If it has changed since, import it again with --add-to-existing and another --name")
     typer.echo(f"Next: stone download {names[0]} -o DIR")
 
 
