@@ -122,5 +122,5 @@ class _RangeServer:
         """Wait for the pipe; whether the block has not ended meanwhile."""
         poll = select.poll()
         poll.register(number, event)
-        poll.register(self.ending, 0)  # its end is told unasked
+        poll.register(self.ending, 0)  # poll reports a closed pipe in any case
         return all(ready != self.ending for ready, _ in poll.poll())
