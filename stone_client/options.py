@@ -47,6 +47,26 @@ PhaseArgument = Annotated[str, typer.Argument(metavar="PHASE", help="A phase of 
 BenchmarkOption = Annotated[str, typer.Option("--benchmark", metavar="B", help="A benchmark's name.")]
 PhaseOption = Annotated[str, typer.Option("--phase", metavar="P", help="A phase of it, such as val or test.")]
 SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A sequence's name or id.")]
+DatasetLayoutOption = Annotated[
+    str | None,
+    typer.Option(
+        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
+    ),
+]
+DatasetGridOption = Annotated[
+    str | None,
+    typer.Option(
+        "--grid",
+        metavar="NAME|FILE",
+        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
+    ),
+]
+DatasetClassesOption = Annotated[
+    Path | None,
+    typer.Option(
+        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
+    ),
+]
 CalibrationOption = Annotated[
     Path,
     typer.Option("--calibration", metavar="CAL", exists=True, help="Calibration: file, folder or zip."),

@@ -5,6 +5,7 @@ from typing import TYPE_CHECKING, Annotated, NoReturn
 
 import typer
 
+from stone_client.options import DatasetClassesOption, DatasetGridOption, DatasetLayoutOption
 from stone_client.progress import reported
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_json, echo_notice
@@ -21,34 +22,14 @@ DatasetArgument = Annotated[
         help="A folder, tar or ZIP: nuScenes tables, or Occ3D's layout; or the address of a ZIP.",
     ),
 ]
-LayoutOption = Annotated[
-    str | None,
-    typer.Option(
-        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
-    ),
-]
-GridOption = Annotated[
-    str | None,
-    typer.Option(
-        "--grid",
-        metavar="NAME|FILE",
-        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
-    ),
-]
-ClassesOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
-    ),
-]
 FaultsOption = Annotated[int, typer.Option("--faults", min=1, max=100_000, help="List at most this many faults.")]
 
 
 def check(
     dataset: DatasetArgument,
-    classes: ClassesOption = None,
-    layout: LayoutOption = None,
-    grid: GridOption = None,
+    classes: DatasetClassesOption = None,
+    layout: DatasetLayoutOption = None,
+    grid: DatasetGridOption = None,
     faults: FaultsOption = 100,
     as_json: JsonOption = False,
 ) -> None:

@@ -6,7 +6,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stone_base.counts import counted
-from stone_client.options import ServerOption
+from stone_client.options import DatasetClassesOption, DatasetGridOption, DatasetLayoutOption, ServerOption
 from stone_client.progress import transferred
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import show
@@ -28,28 +28,8 @@ DatasetArgument = Annotated[
 InPlaceOption = Annotated[
     bool, typer.Option("--in-place", help="Have the server read a .zip or .tar where it lies; nothing is sent.")
 ]
-LayoutOption = Annotated[
-    str | None,
-    typer.Option(
-        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
-    ),
-]
-GridOption = Annotated[
-    str | None,
-    typer.Option(
-        "--grid",
-        metavar="NAME|FILE",
-        help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
-    ),
-]
 NameOption = Annotated[
     str | None, typer.Option("--name", metavar="NAME", help="Name of the import; else that of the folder or tar.")
-]
-ClassesOption = Annotated[
-    Path | None,
-    typer.Option(
-        "--classes", metavar="FILE", exists=True, dir_okay=False, help="What the labels' numbers mean: T, P, N, free."
-    ),
 ]
 AddOption = Annotated[
     bool, typer.Option("--add-to-existing", help="Add a second label set to your sequences of the same name.")
@@ -64,9 +44,9 @@ def import_dataset(
     dataset: DatasetArgument = None,
     in_place: InPlaceOption = False,
     name: NameOption = None,
-    classes: ClassesOption = None,
-    layout: LayoutOption = None,
-    grid: GridOption = None,
+    classes: DatasetClassesOption = None,
+    layout: DatasetLayoutOption = None,
+    grid: DatasetGridOption = None,
     add_to_existing: AddOption = False,
     set_splits: SplitsOption = False,
     public: PublicOption = False,
