@@ -128,7 +128,6 @@ def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
             page.set_viewport_size({"width": width_px, "height": 900})
             assert page.evaluate("document.documentElement.scrollHeight") < limit_px
         page.set_viewport_size({"width": 1280, "height": 900})
-        look(page, "splits-of-drives")
         column_of(page, "Train").get_by_role("button", name="Drive run-00-0", exact=True).press("3")
         expect(page.get_by_role("status").first).to_have_text("Drive run-00-0, 9 sequences, is in test now.")
         expect(page.locator("[data-count]")).to_have_text(["9", "0", "9", "261"])
@@ -138,7 +137,7 @@ def test_a_drive_is_one_folded_card_that_moves_all_of_its_sequences(
         page.keyboard.press("Tab")
         page.keyboard.press("Enter")
         expect(page.locator(".split-card:visible")).to_have_count(31 + 9)
-        look(page, "splits-of-drives-unfolded")
+        look(page, "splits-of-drives")
         page.get_by_role("button", name="run-01-4", exact=True).press("2")
         expect(column_of(page, "Val").locator("[data-drive-amount]")).to_have_text(
             "1 of 9 sequences · 200 frames · 20 s"
