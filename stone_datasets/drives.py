@@ -11,7 +11,10 @@ from stone_datasets.splits import ALL
 
 def drives_among(sequences: Sequence[DatasetSequence]) -> tuple[tuple[str, ...], ...]:
     """Return the names of the sequences of each drive: those that continue each other."""
-    tracks = {one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, _origin(one)) for one in sequences}
+    origins = {one.name: origin_of((one.logfile, one.vehicle, one.location), one.name) for one in sequences}
+    tracks = {
+        one.name: driven_track(one.stamps_ns, one.map_from_ego.translation_m, origins[one.name]) for one in sequences
+    }
     found = drives_of({name: track for name, track in tracks.items() if track is not None})
     return tuple(dict.fromkeys(found[name] for name in tracks if name in found))
 
@@ -27,7 +30,10 @@ def torn_drives(index: DatasetIndex) -> Iterator[DatasetFaultError]:
             yield DatasetFaultError("DST-044", DatasetPlace("splits"), what)
 
 
-def _origin(sequence: DatasetSequence) -> TrackOrigin:
-    """Poses of one location are in one map, as nuScenes has it."""
-    place = sequence.location or sequence.logfile or sequence.name
-    return TrackOrigin(sequence.logfile, sequence.vehicle, place.casefold())
+def origin_of(log: tuple[str, str, str], name: str) -> TrackOrigin:
+    """Return the origin of a scene's track by the logfile, vehicle and location of its log.
+
+    Poses of one location are in one map, as nuScenes has it.
+    """
+    logfile, vehicle, location = log
+    return TrackOrigin(logfile, vehicle, f"dataset:{(location or logfile or name).casefold()}")

@@ -1,6 +1,6 @@
 """Files in the archive of a dataset that no table names and no schema knows: kept as they are, never opened.
 
-**Conventions.** What is known is told by where it lies: a file that begins nowhere among the known ones is extra. Only
+**Conventions.** A file is extra if it begins at none of the places at which the known files begin. Only
 files below the dataset's root with plain names count.
 """
 

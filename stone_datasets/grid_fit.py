@@ -231,15 +231,13 @@ def _refuse_mixed_up(index: DatasetIndex, labelled: list[DatasetSequence], class
         hit, returns = share_in(read[0], index.grid, read[1])
         if returns < FEWEST_RETURNS or returns - hit < LEAST_BETTER * returns:
             continue
+        stated = hit / returns
         for of, other in _others(labelled, sequence, frame):
-            if (grid := _Frames(index, of, classes).labels(other)) is None:
-                continue
-            found, _ = share_in(grid, index.grid, read[1])
-            if _is_refuted(hit / returns, found / returns):
-                what = (
-                    f"{hit / returns:.2%} of the {returns} returns of its sweep lie in occupied voxels of these labels"
-                )
-                better = f"{found / returns:.2%} in those of {of.label_name(other)}"
+            grid = _Frames(index, of, classes).labels(other)
+            found = 0.0 if grid is None else share_in(grid, index.grid, read[1])[0] / returns
+            if _is_refuted(stated, found):
+                what = f"{stated:.2%} of the {returns} returns of its sweep lie in occupied voxels of these labels"
+                better = f"{found:.2%} in those of {of.label_name(other)}"
                 raise DatasetFaultError("DST-074", DatasetPlace(sequence.label_name(frame)), f"{what}, {better}")
 
 

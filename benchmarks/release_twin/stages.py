@@ -1,4 +1,4 @@
-"""What each stage of a measured way takes, of this process and of all below it.
+"""The cost of each measured stage: of this process and of all below it.
 
 **Conventions.** Processor seconds are those of the whole tree, ended processes included. Memory is the resident memory
 of single processes, looked at by a thread. Stored bytes are those of the data folder, each file once.
@@ -72,7 +72,7 @@ def _look(most_mib: dict[str, float], ended: Event) -> None:
 
 
 def _role(words: list[str]) -> str:
-    """What a process is for: one of the platform's, a worker of a pool, or its first words."""
+    """Return the role of a process: its module, a worker of a pool, or its first words."""
     said = " ".join(words)
     if "multiprocessing" in said:
         return "a pool's worker"

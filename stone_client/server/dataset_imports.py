@@ -1,8 +1,8 @@
 """Imports of published datasets on a server: sent, asked for, followed, listed.
 
-**Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: the server
-is asked for one's own import of the same bytes, or of the same place, that was asked for in the same way. Of class maps
-it tells the name alone, so with one only an import that has not ended is gone on with.
+**Conventions.** Nothing is kept on this side. A dataset that is being imported, or was, is not sent again: one's own
+import of the same bytes or place with the same options is looked up. The server lists class maps by name alone, so with
+a class map only an import that has not ended is continued.
 """
 
 from collections.abc import Iterable, Iterator, Mapping
@@ -27,7 +27,7 @@ ALIVE = ("queued", "running")
 
 @dataclass(frozen=True)
 class DatasetWishes:
-    """What an import is to make of a dataset; `classes` is the content of a file that states a class map.
+    """The options of an import; `classes` is the content of a file that states a class map.
 
     `layout` is a name and `grid` a record of what is stated.
     """

@@ -6,7 +6,7 @@ the dataset and not to a scene: who sees one sequence of an import is not given 
 
 from collections.abc import Sequence
 
-from sqlalchemy import func, select
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.runtime.access import storage_quota
@@ -41,7 +41,6 @@ def kept_file(session: Session, imported: DatasetImport, name: str) -> tuple[Imp
 
 def count_kept(session: Session, imported: DatasetImport, limit_bytes: int) -> None:
     """Count the files against the owner. Raises `quota_exceeded`."""
-    of_import = (ImportedFile.import_id == imported.id, ImportedFile.scene == OF_NO_SCENE)
-    size_bytes = session.scalar(select(func.sum(ImportedFile.size_bytes)).where(*of_import)) or 0
+    size_bytes = sum(file.size_bytes for file in kept_files(session, imported))
     if size_bytes:
-        storage_quota.reserve(session, imported.owner_id, int(size_bytes), imported.id, "kept files", limit_bytes)
+        storage_quota.reserve(session, imported.owner_id, size_bytes, imported.id, "kept files", limit_bytes)

@@ -121,7 +121,7 @@ def start_import(
 
 @dataclass(frozen=True)
 class _Archive:
-    """What the row of an import keeps of its archive."""
+    """The facts of an archive that the row of its import keeps."""
 
     filename: str
     sha256: str

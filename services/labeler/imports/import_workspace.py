@@ -86,7 +86,7 @@ class ImportStageContext:
         return fresh_folder(self.workspace.folder, f"{APART}{self.attempt.job_id}", ended)
 
     def ask(self, answer: type[A], work: SandboxedWork, shown: str, opened: tuple[DatasetArchivePath, Path]) -> A:
-        """What a sandboxed child answers that may read the archive and write in the folder: (archive, folder).
+        """Return the answer of a sandboxed child, which may read the archive and write in the folder of `opened`.
 
         Raises what `work` raises, `SandboxCrashedError`, `SandboxInterruptedError`, `JobCancelledError`.
         """

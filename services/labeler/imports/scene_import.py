@@ -50,6 +50,7 @@ from stone.splits.composition import duration_ns, path_length_m
 from stone.splits.drives import TrackOrigin
 from stone_base.label_grid import record_unless_paper
 from stone_datasets.classes import MEANINGS, OWN_CLASSES, ClassMap
+from stone_datasets.drives import origin_of
 from stone_datasets.faults import DatasetPlace
 from stone_datasets.labels import FrameLabels, read_labels
 from stone_datasets.samples import check_sample
@@ -97,7 +98,7 @@ def write_source(parts: SceneParts, out: Path, told: Told, *, is_in_place: bool)
 
 
 def _placed(parts: SceneParts, labels: list[str]) -> PlacedFiles:
-    """Where the scene's files, and label files of these names, lie in the archive."""
+    """Return the places in the archive of the scene's files and of the label files of these names."""
     spans, held = parts.spans, [f"{parts.about.root}{name}" for name in labels]
     places = np.concatenate([spans.places, spans.labels[: len(labels)]])
     return PlacedFiles((*spans.names, *labels), (*spans.held, *held), places)
@@ -242,11 +243,10 @@ def _answer(parts: SceneParts, labels: ImportedLabels) -> PublicationAnswer:
 
 
 def _origin_of(parts: SceneParts) -> TrackOrigin:
-    """By the scene's log; poses of one location are in one map, as nuScenes has it."""
+    """Return the origin by the scene's log."""
     (log, *_) = json.loads((parts.folder / TABLES / "log.json").read_bytes()) or [{}]
     logfile, vehicle, location = (str(log.get(key, "")) for key in ("logfile", "vehicle", "location"))
-    place = location or logfile or parts.sequence.name
-    return TrackOrigin(logfile, vehicle, f"dataset:{place.casefold()}")
+    return origin_of((logfile, vehicle, location), parts.sequence.name)
 
 
 def voxel_totals(counts: FrameVoxelCounts) -> Mapping[str, int]:

@@ -159,7 +159,7 @@ def scene_folder(ordinal: int) -> PurePosixPath:
 
 
 def extra_path(folder: Path, number: int) -> Path:
-    """Where a file that no table names lies in the folder of the child that indexed."""
+    """Return the path of a file that no table names, in the folder of the child that indexed."""
     return folder / EXTRA / f"{number:06d}"
 
 

@@ -40,7 +40,7 @@ class LabelSet(WithQuality, Base):
 
     Of several, the one that was asked for last counts: `chosen_ns`. What it adds up to (how long and how far the robot
     drove, voxels of all frames by class) is null where an earlier version did not write it down. The paper's `grid` is
-    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), loaded only where it is asked for. `source_place` is
+    null. `track` is a `DrivenTrack` (`stone/splits/drives.py`), which only a query for it loads. `source_place` is
     that of the dataset that the labels were imported from, if it was imported in place.
     """
 
