@@ -112,14 +112,23 @@ def benchmark_on_server(api: Api, members: Members, progress: Report) -> DemoPha
 
 
 def fetch_inputs(api: Api, phase: DemoPhase, folder: Path, progress: Report) -> tuple[Path, list[Path]]:
-    """Have the inputs of the phase made, and download them as a participant does: the manifest and the tars."""
-    made = api.create(f"/admin/phases/{phase.phase_id}/inputs", {"reason": REASON})
-    follow(api, made["id"], progress)
+    """Make the inputs of the phase if it has none, and download them as a participant does: the manifest, the tars."""
+    _make_inputs(api, phase, progress)
     at = (phase.benchmark, DemoPhase.part)
     fetch_manifest(api, at, folder / "manifest.json")
     (folder / "inputs").mkdir()
     tars = download_inputs(api, at, folder / "inputs", progress)
     return folder / "manifest.json", [folder / "inputs" / f"{one['name']}.tar" for one in tars]
+
+
+def _make_inputs(api: Api, phase: DemoPhase, progress: Report) -> None:
+    try:
+        made = api.create(f"/admin/phases/{phase.phase_id}/inputs", {"reason": REASON})
+    except ServerRefusedError as error:
+        if error.code != "inputs_stand":
+            raise
+    else:
+        follow(api, made["id"], progress)
 
 
 def submit_entries(api: Api, phase: DemoPhase, files: Mapping[DemoEntry, Path], progress: Report) -> dict[str, Any]:

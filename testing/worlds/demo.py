@@ -25,10 +25,11 @@ def demo_settings(folder: Path) -> Settings:
 
 def made_demo(factory: pytest.TempPathFactory) -> Path:
     """A folder with `demo`, what the command leaves, and `data`, of the platform that made it; to be copied."""
-    return made_once(factory, "small-demo", _make)
+    return made_once(factory, "small-demo", run_small_demo)
 
 
-def _make(folder: Path) -> None:
+def run_small_demo(folder: Path) -> None:
+    """Write `demo` into the folder, on the platform of its `data`."""
     (folder / "demo").mkdir()
     running_demo = running_platform(demo_settings(folder), is_awaited=False)
     with pytest.MonkeyPatch.context() as patch, running_demo as running:

@@ -5,6 +5,7 @@ Catches alone what breaks between the parts: processes, queue, store and command
 
 import json
 import re
+import shutil
 import subprocess
 import sys
 import tarfile
@@ -18,7 +19,7 @@ from stone_client.api import Api
 from stone_client.credentials import Server
 from testing.signals import hear_signals
 from testing.stone_serve import environment
-from testing.worlds.demo import made_demo
+from testing.worlds.demo import made_demo, run_small_demo
 from testing.worlds.drives import drive
 
 STONE = Path(sys.executable).parent / "stone"
@@ -118,6 +119,17 @@ def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(de
     assert row["ratios"] == record["baseline"]["total"]
     assert row["intervals"]["miou"] == pytest.approx(record["baseline"]["intervals"]["these_places"]["miou"])
     assert sorted(row["standing"] for row in rows.values()) == ["baseline", "baseline", "ranked"]
+
+
+def test_the_demo_runs_again_on_the_platform_of_the_first(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    first = made_demo(tmp_path_factory)
+    shutil.copytree(first / "data", tmp_path / "data")
+    run_small_demo(tmp_path)
+    again, before = (json.loads((folder / "demo" / "demo.json").read_text()) for folder in (tmp_path, first))
+    assert again["baseline"] == before["baseline"]
+    assert again["sequence"] == before["sequence"]
 
 
 def test_a_second_demo_replaces_the_first_but_nothing_else(tmp_path: Path) -> None:
