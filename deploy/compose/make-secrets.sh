@@ -8,7 +8,8 @@ set -eu
 cd "$(dirname "$0")"
 mkdir -p -m 0700 secrets
 for name in stone_api__first_password stone_api__metrics_token stone_broker__password stone_database__password \
-    stone_store__s3_key_id stone_store__s3_secret; do
+    stone_database__api_password stone_database__beat_password stone_database__ingest_password \
+    stone_database__labeler_password stone_database__eval_password stone_store__s3_key_id stone_store__s3_secret; do
     if [ ! -s "secrets/$name" ]; then
         od -An -N24 -tx1 /dev/urandom | tr -d ' \n' >"secrets/$name.partial"
         chmod 0444 "secrets/$name.partial"

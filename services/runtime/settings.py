@@ -42,6 +42,9 @@ class DatabaseSettings:
 
     `password` comes before one in `url`. A role that starts waits `awaited_s` for the schema of its code. `pool_size`
     connections are kept open; how many threads of the API may hold one follows from it (`database/connections.py`).
+
+    With `api_password` to `eval_password`, all five or none, `prepare` creates a PostgreSQL role for each service
+    (`stone_api` to `stone_eval`), which owns no table and has the rights of its work (`database/roles.py`).
     """
 
     url: str = ""
@@ -49,6 +52,11 @@ class DatabaseSettings:
     busy_timeout_s: float = 30.0
     pool_size: int = 20
     awaited_s: float = 120.0
+    api_password: SecretStr = field(default=SecretStr(""))
+    beat_password: SecretStr = field(default=SecretStr(""))
+    ingest_password: SecretStr = field(default=SecretStr(""))
+    labeler_password: SecretStr = field(default=SecretStr(""))
+    eval_password: SecretStr = field(default=SecretStr(""))
 
 
 @dataclass(frozen=True)

@@ -12,7 +12,9 @@ from typing import Any
 
 import pytest
 from ruamel.yaml import YAML
+from sqlalchemy import make_url
 
+from services.runtime.database import roles as database_roles
 from services.runtime.settings import ApiSettings, Settings
 from tests.services.runtime.processes.test_trusted_proxies import client_seen
 
@@ -21,6 +23,12 @@ COMPOSE: dict[str, Any] = YAML(typ="safe").load((ROOT / "docker-compose.yml").re
 SERVICES: dict[str, dict[str, Any]] = COMPOSE["services"]
 ROLES = ("api", "ingest", "labeler", "eval", "beat", "prepare")
 OF_OTHERS = ("proxy", "redis", "postgres", "store")
+
+
+def secrets_of(service: dict[str, Any]) -> dict[str, str]:
+    """Return the file name inside the container of each secret of a service."""
+    short = {one: one for one in service.get("secrets", []) if isinstance(one, str)}
+    return short | {one["source"]: one["target"] for one in service.get("secrets", []) if not isinstance(one, str)}
 
 
 def setting_names() -> set[str]:
@@ -81,7 +89,7 @@ def test_the_proxy_alone_is_reached_from_outside() -> None:
 
 
 def test_no_secret_is_in_the_file_or_in_an_environment() -> None:
-    named = {secret for service in SERVICES.values() for secret in service.get("secrets", [])}
+    named = {source for service in SERVICES.values() for source in secrets_of(service)}
     assert named == set(COMPOSE["secrets"])
     for name, source in COMPOSE["secrets"].items():
         assert source == {"file": f"./deploy/compose/secrets/{name}"}
@@ -89,6 +97,53 @@ def test_no_secret_is_in_the_file_or_in_an_environment() -> None:
     for service in SERVICES.values():
         words = {name for name in service.get("environment", {}) if re.search("PASSWORD|SECRET|TOKEN|KEY", name)}
         assert words <= {"POSTGRES_PASSWORD_FILE"}
+
+
+@pytest.mark.parametrize("service", database_roles.ROLES)
+def test_a_service_connects_by_its_own_role_alone(service: str) -> None:
+    url = make_url(SERVICES[service]["environment"]["STONE_DATABASE__URL"])
+    assert url.username == database_roles.name_of(service)
+    of_database = {source: name for source, name in secrets_of(SERVICES[service]).items() if "database" in source}
+    assert of_database == {f"stone_database__{service}_password": "stone_database__password"}
+    assert ("stone_api__metrics_token" in secrets_of(SERVICES[service])) is (service == "api")
+
+
+def test_the_owner_of_the_database_prepares_it_and_serves_nobody() -> None:
+    holders = [name for name, service in SERVICES.items() if "stone_database__password" in secrets_of(service)]
+    assert holders == ["prepare", "postgres"]
+    assert make_url(SERVICES["prepare"]["environment"]["STONE_DATABASE__URL"]).username == "stone"
+    given = {f"stone_database__{service}_password" for service in database_roles.ROLES}
+    assert given <= set(secrets_of(SERVICES["prepare"]))
+
+
+ENGINE = """#!/bin/sh
+[ "$1" = pull ] && exit 0
+[ "$3" = --format ] && [ "$5" != "${UNPUSHED:-}" ] && echo "${5%%:*}@sha256:$(echo "$5" | sha256sum | cut -c1-64)"
+exit 0
+"""
+
+
+def test_the_images_of_others_are_pinned_by_digest(tmp_path: Path) -> None:
+    """With a stand-in for the engine: no registry is reached here."""
+    script = tmp_path / "deploy" / "compose" / "pin-images.sh"
+    script.parent.mkdir(parents=True)
+    shutil.copy(ROOT / "deploy" / "compose" / "pin-images.sh", script)
+    shutil.copy(ROOT / "docker-compose.yml", tmp_path)
+    engine = tmp_path / "engine"
+    engine.write_text(ENGINE)
+    engine.chmod(0o755)
+    (tmp_path / ".env").write_text("STONE_SITE=here\nSTONE_REDIS_IMAGE=old\n")
+    told = {"PATH": os.environ["PATH"], "ENGINE": str(engine)}
+    for _ in range(2):
+        subprocess.run([script], check=True, capture_output=True, env=told)
+        kept = dict(line.split("=", 1) for line in (tmp_path / ".env").read_text().splitlines())
+        assert kept.pop("STONE_SITE") == "here"
+        assert set(kept) == {f"STONE_{name.upper()}_IMAGE" for name in OF_OTHERS}
+        assert all(re.search("@sha256:[0-9a-f]{64}$", image) for image in kept.values())
+    before = (tmp_path / ".env").read_text()
+    refused = subprocess.run([script], check=False, capture_output=True, env={**told, "UNPUSHED": "redis:7.4"})
+    assert refused.returncode == 1
+    assert (tmp_path / ".env").read_text() == before
 
 
 def test_a_stop_lasts_longer_than_a_drain() -> None:

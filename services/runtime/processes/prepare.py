@@ -1,6 +1,7 @@
 """Deployment setup, run once before the processes start: `python -m services.runtime.processes.prepare`.
 
-The bucket where there is none, the database brought to the newest schema, the first administrator where there is none.
+The bucket if there is none, the database brought to the newest schema, the services' database roles if their passwords
+are set, the first administrator if there is none.
 
 **Conventions.** Run again it changes nothing, and two at once are one. What is not up yet is waited for,
 `database.awaited_s` each.
@@ -16,6 +17,7 @@ import structlog
 
 from services.runtime.access.users import create_user
 from services.runtime.database.migrate import upgrade
+from services.runtime.database.roles import ensure_roles
 from services.runtime.embedded.first_start import ADMINISTRATOR, find_administrator
 from services.runtime.platform import Platform, open_platform
 from services.runtime.processes.startup import insist
@@ -27,7 +29,7 @@ log = structlog.get_logger(__name__)
 
 
 def prepare(settings: Settings) -> None:
-    """All three. Raises what `insist`, `upgrade`, `ensure_bucket` and `create_user` raise."""
+    """Do all of it. Raises what `insist`, `upgrade`, `ensure_roles`, `ensure_bucket` and `create_user` raise."""
     if settings.store.s3_bucket:
         from services.runtime.store.s3 import ensure_bucket
 
@@ -35,6 +37,7 @@ def prepare(settings: Settings) -> None:
         log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)
     insist(lambda: upgrade(settings), settings.database.awaited_s)
     log.info("database is at the schema of this version")
+    log.info("roles of the database stand", are_separate=ensure_roles(settings))
     platform = open_platform(settings)
     try:
         log.info("administrator stands", is_new=ensure_administrator(platform))
