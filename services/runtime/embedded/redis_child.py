@@ -4,7 +4,7 @@
 new at each start and handed over in a file for the owner's eyes: other users of the machine cannot send wake-ups. (A
 unix socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
 append-only file, flushed every second, keeps the wake-ups over a restart. They are no truth, so a damaged file is moved
-aside.
+aside. A Redis that runs and does not answer is ended, so that the supervisor starts it again.
 """
 
 import os
@@ -18,12 +18,18 @@ from pathlib import Path
 from secrets import randbelow, token_urlsafe
 
 from redis import Redis, RedisError
+from redis.exceptions import BusyLoadingError
+from redis.exceptions import ConnectionError as RedisConnectionError
+from redis.exceptions import TimeoutError as RedisTimeoutError
 
 from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of, last_words
 from services.runtime.embedded.errors import StartFailedError
 from stone.errors import Refused
 
 READY_S = 20.0
+LOOK_S = 2.0
+MISSES = 5
+"""So many pings in a row without an answer, each waited for `LOOK_S`, and it is taken to hang."""
 PORTS = range(15_000, 32_000)
 CONFIGURATION = """\
 bind 127.0.0.1
@@ -45,6 +51,36 @@ class Broker:
 
     child: Child
     url: str
+
+
+class Pulse:
+    """Looks whether the broker answers, every `LOOK_S`."""
+
+    def __init__(self, broker: Broker, told: ReportCallback) -> None:
+        self._child = broker.child
+        self._client = Redis.from_url(broker.url, socket_connect_timeout=LOOK_S, socket_timeout=LOOK_S)
+        self._told = told
+        self._misses, self._due_s = 0, 0.0
+
+    def look(self, now_s: float) -> None:
+        """Kill what runs and has missed `MISSES` pings."""
+        if now_s < self._due_s:
+            return
+        self._due_s = now_s + LOOK_S
+        self._misses = 0 if self._child.exit_code is not None or self._is_alive() else self._misses + 1
+        if self._misses == MISSES:
+            self._misses = 0
+            self._told(f"redis runs and did not answer {MISSES} pings in a row; it is killed and started again")
+            self._child.kill()
+
+    def _is_alive(self) -> bool:
+        """Whether it answers anything; "loading" is an answer."""
+        try:
+            return bool(self._client.ping())
+        except (RedisConnectionError, RedisTimeoutError, OSError) as error:
+            return isinstance(error, BusyLoadingError)
+        except RedisError:
+            return True
 
 
 def redis_executable() -> str:

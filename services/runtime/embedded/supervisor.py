@@ -25,7 +25,7 @@ from services.runtime.embedded.child_process import Child, Program, ReportCallba
 from services.runtime.embedded.errors import StartFailedError
 from services.runtime.embedded.first_start import FirstStartKeys, ensure_keys
 from services.runtime.embedded.listen_socket import close, hold_folder, listen, local_host, reached_at
-from services.runtime.embedded.redis_child import start_redis
+from services.runtime.embedded.redis_child import Pulse, start_redis
 from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.lease_sweep import CRASHED, STOPPED, give_back_running
 from services.runtime.jobs.worker_presence import forget_silent
@@ -96,7 +96,7 @@ def running_platform(
             sweeper_program(settings),
         )
         worker, api, sweeper = (Child(program, logs_of(settings), told) for program in programs)
-        watched = _SupervisedChildren((broker.child, worker, api, sweeper), told)
+        watched = _SupervisedChildren((broker.child, worker, api, sweeper), told, Pulse(broker, told))
         stack.callback(watched.kill)
         for child in (worker, api, sweeper):
             child.start()
@@ -172,13 +172,14 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Re
 
 
 class _SupervisedChildren:
-    """Children that a thread starts again when they die.
+    """Children that a thread starts again when they die; Redis also when it runs and does not answer.
 
     What the thread started dies with it, so it stays, idle, until all of them have ended.
     """
 
-    def __init__(self, children: tuple[Child, ...], told: ReportCallback) -> None:
+    def __init__(self, children: tuple[Child, ...], told: ReportCallback, pulse: Pulse) -> None:
         self.children = children
+        self._pulse = pulse
         self._told = told
         self._leaving, self._idle, self._released = Event(), Event(), Event()
         self._thread = Thread(target=self._watch, name="supervisor", daemon=True)
@@ -201,6 +202,7 @@ class _SupervisedChildren:
 
     def _watch(self) -> None:
         while not self._leaving.wait(LOOK_S):
+            self._pulse.look(time.monotonic())
             for child in self.children:
                 self._revive(child)
         self._idle.set()

@@ -2,16 +2,20 @@
 
 **Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database. One wake-up is
 as good as another, so whoever took a job without one takes any of that queue back, or somebody would look in vain.
+Whoever made the commit waits `DEADLINE_S` at most; after a failure nobody tries for as long again, or they would queue.
 """
 
+import time
 from collections.abc import Callable
 
 import structlog
-from kombu.exceptions import OperationalError
+from kombu.exceptions import LimitExceeded, OperationalError
 from redis import Redis, RedisError
 
 from services.runtime.jobs.broker_app import QUEUES, make_app
 from services.runtime.settings import Settings
+
+DEADLINE_S = 2.0
 
 log = structlog.get_logger(__name__)
 
@@ -20,18 +24,23 @@ def wake_up_sender(settings: Settings) -> Callable[[str, int], None]:
     """The function that sends `times` wake-ups to a queue in the broker of `settings`, or takes some back."""
     app = make_app(settings)
     # kombu would try again after 2 s and after 4 s, while whoever made the commit waits.
-    app.conf.broker_transport_options |= {"max_retries": 0}
+    app.conf.broker_transport_options |= {"max_retries": 0, "socket_timeout": DEADLINE_S}
+    resting_until_s = 0.0
 
     def send_wake_ups(queue: str, times: int) -> None:
+        nonlocal resting_until_s
         if queue not in QUEUES:  # of the sweeper itself, which looks by the clock
             return
         try:
-            with app.producer_pool.acquire(block=True) as producer:
+            with app.producer_pool.acquire(block=True, timeout=DEADLINE_S) as producer:
+                if time.monotonic() < resting_until_s:
+                    return
                 for _ in range(-times):
                     producer.channel.basic_get(queue, no_ack=True)
                 for _ in range(times):
                     app.send_task(f"{queue}.work", queue=queue, producer=producer, retry=False, ignore_result=True)
-        except (OperationalError, RedisError, OSError) as error:
+        except (OperationalError, RedisError, OSError, LimitExceeded) as error:
+            resting_until_s = time.monotonic() + DEADLINE_S
             log.warning("wake-up not sent; the sweeper will send it again", queue=queue, times=times, reason=str(error))
 
     return send_wake_ups

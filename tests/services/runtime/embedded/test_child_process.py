@@ -8,6 +8,7 @@ import subprocess
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
+from itertools import count
 from pathlib import Path
 
 import psutil
@@ -17,7 +18,7 @@ from redis import AuthenticationError, Redis
 from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large
 from services.runtime.embedded.errors import PortTakenError
 from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
-from services.runtime.embedded.redis_child import Broker, start_redis
+from services.runtime.embedded.redis_child import LOOK_S, MISSES, Broker, Pulse, start_redis
 from services.runtime.settings import ApiSettings
 from testing.process_states import is_running
 from testing.refusals import refused_as
@@ -144,6 +145,24 @@ def test_a_damaged_file_of_bells_is_moved_aside_and_said(tmp_path: Path) -> None
         assert client.ping()
     assert "moved aside" in told[0]
     assert any(".damaged." in entry.name for entry in (tmp_path / "redis").iterdir())
+
+
+def test_a_redis_that_hangs_is_killed_and_one_that_answers_is_not(tmp_path: Path) -> None:
+    told: list[str] = []
+    with running(tmp_path, []) as broker:
+        pulse, clock_s = Pulse(broker, told.append), count(step=LOOK_S)
+        for _ in range(MISSES + 1):
+            pulse.look(next(clock_s))
+        assert broker.child.exit_code is None
+        os.kill(broker.child.pid, signal.SIGSTOP)
+        for _ in range(MISSES):
+            assert broker.child.exit_code is None
+            pulse.look(next(clock_s))
+        assert broker.child.exit_code == -signal.SIGKILL
+        broker.child.revive()
+        until(lambda: broker.child.revive() or broker.child.exit_code is None)
+    assert len(told) == 1
+    assert "did not answer" in told[0]
 
 
 def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None:

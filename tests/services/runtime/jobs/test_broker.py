@@ -1,5 +1,8 @@
 """The broker: what it may tell a worker, wake-ups sent and taken back, a worker that listens on when Redis ends."""
 
+import os
+import signal
+import socket
 from collections.abc import Iterator
 from pathlib import Path
 from unittest.mock import Mock
@@ -16,6 +19,7 @@ from services.runtime.jobs.celery_app import app
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.settings import BrokerSettings, Settings
 from testing.servers.fixtures import make_settings
+from testing.servers.redis import running_redis
 
 
 def test_nobody_steers_or_watches_workers_by_the_broker() -> None:
@@ -81,3 +85,26 @@ def test_a_broker_that_is_away_is_no_error_and_is_not_waited_for(
     send = wake_up_sender(make_settings(tmp_path, broker=BrokerSettings("redis://127.0.0.1:1/0")))
     send("ingest", 1)
     send("ingest", -1)
+
+
+def test_a_hung_broker_holds_whoever_wakes_a_worker_for_two_seconds_once(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    waits: list[float | None] = []
+
+    class Watched(socket.socket):
+        def settimeout(self, value: float | None) -> None:
+            waits.append(value)
+            super().settimeout(value)
+
+    with running_redis() as server:
+        send = wake_up_sender(make_settings(tmp_path, broker=BrokerSettings(server.url)))
+        os.kill(server.pid, signal.SIGSTOP)
+        monkeypatch.setattr("socket.socket", Watched)
+        send("ingest", 1)
+        assert waits, "it was not even tried"
+        assert max(wait or 999.0 for wait in waits) <= 2.0
+        waits.clear()
+        send("ingest", 1)
+        assert not waits, "the next one waits too"
+        os.kill(server.pid, signal.SIGCONT)
