@@ -203,6 +203,7 @@ PROBLEM_TYPES = {
         460, "The bytes of this request are not those that were sent; they were cut off again"
     ),
     "sha256_mismatch": ProblemType(460, "The whole file is not the declared one; it was removed"),
+    "object_damaged": ProblemType(500, "A stored file is not what was stored any more: the platform's fault"),
     "id_token_refused": ProblemType(502, "The ID token is not one that the provider made for this sign-in"),
     "provider_answer": ProblemType(502, "What the provider answered is not what the standard says"),
     "busy": ProblemType(503, "Too many passwords are being checked at this moment, or too many programs wait"),

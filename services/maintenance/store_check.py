@@ -21,11 +21,10 @@ from sqlalchemy.orm import Session
 import services.runtime.processes.sound_settings  # noqa: F401
 from services.domain.sequences.processing import lock_sequence
 from services.runtime.access import storage_quota
-from services.runtime.orm import Artefact, Base, Blob, Export, ExportPack, LabelSet
+from services.runtime.orm import Artefact, Blob, Export, ExportPack, LabelSet
 from services.runtime.platform import Platform, open_platform
 from services.runtime.settings import Settings
-from services.runtime.store.keys import ObjectMissingError
-from services.runtime.store.protocol import Store
+from services.runtime.store.faults import fault_of, forget, tables_naming
 from stone.errors import StoneError
 
 # Repair of the store: finds damaged or missing objects, restores them from files, or drops what named them.
@@ -63,21 +62,6 @@ def damaged_blobs(platform: Platform, *, is_read: bool = False) -> Iterator[Dama
                     yield from _still_named(platform, blob, fault)
 
 
-def fault_of(store: Store, blob: Blob, *, is_read: bool = False) -> str:
-    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing. Raises `store_away`."""
-    try:
-        if store.size_bytes(blob.object_key) != blob.size_bytes:
-            return "size"
-        if not is_read:
-            return ""
-        found = hashlib.sha256()
-        for piece in store.read(blob.object_key):
-            found.update(piece)
-        return "" if found.hexdigest() == blob.sha256 else "bytes"
-    except ObjectMissingError:
-        return "missing"
-
-
 def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Path) -> list[DamagedBlob]:
     """Store again what a file below `folder` has the content of; what was put back. Raises `StoreFullError`."""
     missing = {one.sha256: one for one in lost}
@@ -88,6 +72,8 @@ def restore_objects(platform: Platform, lost: Sequence[DamagedBlob], folder: Pat
         if one is not None:
             platform.store.write(one.object_key, path)
             back.append(one)
+    with platform.database.transaction() as session:
+        forget(session, [one.sha256 for one in back])
     return back
 
 
@@ -142,16 +128,9 @@ def _still_named(platform: Platform, blob: Blob, fault: str) -> Iterator[Damaged
     with platform.database.reading() as session:
         if session.scalar(select(Blob.object_key).where(Blob.sha256 == blob.sha256)) != blob.object_key:
             return
-        yield DamagedBlob(blob.sha256, blob.object_key, blob.size_bytes, fault, tuple(_named_by(session, blob.sha256)))
-
-
-def _named_by(session: Session, sha256: str) -> Iterator[str]:
-    for table in Base.metadata.sorted_tables:
-        keys = [
-            column for column in table.columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)
-        ]
-        if any(session.scalar(select(exists().where(column == sha256))) for column in keys):
-            yield table.name
+        yield DamagedBlob(
+            blob.sha256, blob.object_key, blob.size_bytes, fault, tuple(tables_naming(session, blob.sha256))
+        )
 
 
 def _files(folder: Path, sizes: set[int]) -> Iterator[Path]:

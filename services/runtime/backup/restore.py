@@ -19,7 +19,7 @@ from services.runtime.backup.tables import checked_tables, dumped_rows, load
 from services.runtime.database.migrate import refuse_unknown, schema_connection
 from services.runtime.jobs.completion import Failure
 from services.runtime.jobs.lease_sweep import give_back_running
-from services.runtime.orm import Blob, GcHoldRow, Upload, Worker
+from services.runtime.orm import Blob, GcHoldRow, StoreFault, Upload, Worker
 from services.runtime.platform import Platform
 from services.runtime.store.protocol import StoredObject
 from services.runtime.uploads.files import make_file, upload_file
@@ -127,7 +127,7 @@ def _place_upload(platform: Platform, folder: BackupFolder, file: BackupFile) ->
 def _settle(platform: Platform, snapshot: BackupSnapshot) -> int:
     """Reset the state of processes that are gone; returns how many jobs were queued again."""
     with platform.database.transaction() as session:
-        for row in (*session.query(GcHoldRow), *session.query(Worker)):
+        for row in (*session.query(GcHoldRow), *session.query(StoreFault), *session.query(Worker)):
             session.delete(row)
         for upload_id in snapshot.given_up:
             upload = session.get(Upload, upload_id)

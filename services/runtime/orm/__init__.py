@@ -43,6 +43,8 @@ from services.runtime.orm.ledgers import (
     GcHoldRow,
     IdempotentReply,
     QuotaEntry,
+    StoreFault,
+    StoreScrub,
 )
 from services.runtime.orm.notifications import (
     EmailAddress,
@@ -135,6 +137,8 @@ __all__ = [
     "SignInAddress",
     "SplitMember",
     "Splits",
+    "StoreFault",
+    "StoreScrub",
     "SubmissionRow",
     "Team",
     "TeamInvitation",

@@ -86,6 +86,36 @@ class GcHoldRow(Base):
     until_ns: Mapped[Ns] = mapped_column(index=True)
 
 
+# ORM models of the store's scrub, and of the faults that it or somebody else found.
+
+
+class StoreScrub(Base):
+    """The pass through all blobs that is under way, one row: `objects` and `size_bytes` up to `after_sha256` are read.
+
+    `passed_ns` is the end of the last full pass, null before the first.
+    """
+
+    __tablename__ = "store_scrub"
+    id: Mapped[int] = mapped_column(Integer, primary_key=True, autoincrement=False)
+    after_sha256: Mapped[str] = mapped_column(String(64), default="")
+    objects: Mapped[int] = mapped_column(BigInteger, default=0)
+    size_bytes: Mapped[int] = mapped_column(BigInteger, default=0)
+    begun_ns: Mapped[Ns] = mapped_column(default=now_ns)
+    passed_ns: Mapped[Ns | None]
+
+
+class StoreFault(Base):
+    """A blob whose object is not what its row says; no foreign key, or the fault would hold the blob.
+
+    `fault` is one of `services/runtime/store/faults.py`.
+    """
+
+    __tablename__ = "store_faults"
+    sha256: Mapped[str] = mapped_column(String(64), primary_key=True)
+    fault: Mapped[str] = mapped_column(String(16))
+    found_ns: Mapped[Ns] = mapped_column(default=now_ns)
+
+
 # ORM models of telemetry: process counters, chore times, measured figures.
 
 

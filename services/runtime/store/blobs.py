@@ -11,7 +11,7 @@ itself always stays: remove it after the commit.
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
 from concurrent.futures import ThreadPoolExecutor
-from contextlib import contextmanager, suppress
+from contextlib import contextmanager
 from dataclasses import dataclass, replace
 from itertools import accumulate
 from pathlib import Path
@@ -26,9 +26,10 @@ from services.runtime.database.inserts import insert_new
 from services.runtime.database.transactions import Database
 from services.runtime.orm import Blob, LooseObject
 from services.runtime.orm.base import now_ns
+from services.runtime.store.faults import fault_of, forget
 from services.runtime.store.garbage_collection import BLOBS, GcResult, collect_garbage
-from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.protocol import Store
+from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
 from stone_files.bag_fingerprint import stream_sha256
 
 __all__ = [
@@ -68,14 +69,16 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
     For large ones `prepare` before the transaction and `link` inside it.
     """
     prepared = _hashed(store, path, adopt)
-    _mend(prepared, _object_keys(session, [prepared]))
+    if _mend(prepared, _object_keys(session, [prepared])):
+        forget(session, [prepared.sha256])
     return link(session, prepared)
 
 
 def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False) -> PreparedBlob:
     """Hash `path` and store its content unless a blob has it; call it outside transactions, then `link`.
 
-    Where a blob has it and its object is gone, which only others than us can have done, the object is put back.
+    If a blob has it, its object is read and compared: one that is gone or differs, which only others than us can have
+    done, is replaced.
 
     What is never linked is collected after the grace. Raises `StoreFullError`, `store_away`.
     """
@@ -119,8 +122,9 @@ def prepare_hashed(database: Database, hashed: Sequence[PreparedBlob]) -> Iterat
     for one in fresh:
         if one.object_key:
             _store(one, one.object_key)
-        else:
-            _mend(one, standing)
+        elif _mend(one, standing):
+            with database.transaction() as session:
+                forget(session, [one.sha256])
         yield one
 
 
@@ -204,18 +208,19 @@ def _store(prepared: PreparedBlob, key: str) -> None:
     place(key, prepared.path)
 
 
-def _mend(prepared: PreparedBlob, standing: Mapping[str, str]) -> None:
-    """Where a blob has the content (`standing`: its object by sha256) and its object is gone, store it again.
+def _mend(prepared: PreparedBlob, standing: Mapping[str, str]) -> bool:
+    """Replace the object of a content that a blob has (`standing`: its object by sha256) if it is not sound.
 
     Should garbage collection take the blob meanwhile, it comes upon the object as one that no row speaks of.
     """
     if (key := standing.get(prepared.sha256)) is None:
-        return
-    with suppress(ObjectMissingError):
-        if prepared.store.size_bytes(key) == prepared.size_bytes:
-            return
-    log.warning("lost object put back", object_key=key)
+        return False
+    if not (fault := fault_of(prepared.store, replace(prepared, object_key=key), is_read=True)):
+        return False
+    log.error("damaged object replaced by the same content", object_key=key, fault=fault)
+    process_counters().add(STORE_FAULTS, ("arrival",))
     prepared.store.write(key, prepared.path)
+    return True
 
 
 def _fresh_key(sha256: str) -> str:

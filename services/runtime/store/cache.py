@@ -40,6 +40,11 @@ class Cache:
                 self._fill(key, path, download)
         return path
 
+    def forget(self, key: str) -> None:
+        """Remove the file of `key`, if there is one; whoever has it open reads on."""
+        with suppress(FileNotFoundError), _lock(self._use, fcntl.LOCK_EX):
+            (self._objects / key).unlink()
+
     @contextmanager
     def borrowed(self, key: str, download: Callable[[str, Path], None]) -> Iterator[Path]:
         """As `file`; gone at the end unless somebody else has borrowed it too, and not evicted before."""

@@ -77,6 +77,9 @@ class FolderStore:
             raise ObjectMissingError(key)
         return path
 
+    def forget_copy(self, key: str) -> None:
+        """Nothing: the file is the object."""
+
     def delete(self, key: str) -> None:
         path = self.root / checked(key)
         path.unlink(missing_ok=True)

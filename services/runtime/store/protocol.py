@@ -47,6 +47,10 @@ class Store(Protocol):
         """A file on this machine with the object's bytes, to be read only; it may be a cached copy."""
         ...
 
+    def forget_copy(self, key: str) -> None:
+        """Have `local` read the object anew: the copy on this machine, if it is one, differs from what it has to be."""
+        ...
+
     def delete(self, key: str) -> None:
         """Remove the object; nothing happens where there is none."""
         ...

@@ -64,6 +64,7 @@ class S3Store:
         size_bytes = source.stat().st_size
         with self._translated(checked(key)), span("store write", attributes={"stone.size_bytes": size_bytes}):
             self._client.upload_file(str(source), self.bucket, key, Config=TRANSFER)
+        self.forget_copy(key)
         process_counters().add(STORE_BYTES, ("in",), size_bytes)
 
     def adopt(self, key: str, source: Path) -> None:
@@ -105,6 +106,9 @@ class S3Store:
     def _fetch(self, key: str, descriptor: int, start: int) -> None:
         for piece in self.read(key, start, start + PART_BYTES):
             start += os.pwrite(descriptor, piece, start)
+
+    def forget_copy(self, key: str) -> None:
+        self.cache.forget(checked(key))
 
     def delete(self, key: str) -> None:
         with self._translated(checked(key)):

@@ -45,6 +45,9 @@ FRAMES = MetricDefinition("stone_frames", "Frames that were labelled, or counted
 STORE_BYTES = MetricDefinition(
     "stone_store_bytes", "Bytes that were written to and read from the store", ("direction",)
 )
+STORE_FAULTS = MetricDefinition(
+    "stone_store_faults", "Objects found that differ from their sha256 or are gone", ("found_by",)
+)
 LEASES_EXPIRED = MetricDefinition("stone_leases_expired", "Attempts given up after silence for a lease", ("kind",))
 WAKE_UPS_RESENT = MetricDefinition(
     "stone_wake_ups_resent", "Wake-ups sent again for ready jobs whose own were lost", ("queue",)
@@ -62,6 +65,7 @@ METERS = (
     JOB_CPU_SECONDS,
     FRAMES,
     STORE_BYTES,
+    STORE_FAULTS,
     LEASES_EXPIRED,
     WAKE_UPS_RESENT,
     CHORE_FAILURES,

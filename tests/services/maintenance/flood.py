@@ -23,6 +23,8 @@ NOT_STRANGERS = {
     "process_counters": "a row for each of our processes",
     "chores": "a row for each chore",
     "figures": "a row for each figure",
+    "store_scrub": "one row",
+    "store_faults": "a row for each object that decayed",
     "queues": "three",
     "gc_holds": "a row for each backup under way",
     "audit_anchors": "a row for each cut of the audit log",

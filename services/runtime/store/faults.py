@@ -1,0 +1,143 @@
+"""Objects that are not what their blob's row says: found, noted, and forgotten once they are sound.
+
+**Conventions.** The row counts: `sha256` and `size_bytes` say what the object has to be. A fault is a row itself, so
+that every process shows the same. `served` is one whose bytes differed while they were read for somebody: the scrub
+(`services/maintenance/scrub.py`) reads it next and says what is wrong, or that nothing is.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from hashlib import sha256
+from typing import Protocol
+
+import structlog
+from sqlalchemy import delete, exists, func, select
+from sqlalchemy.exc import SQLAlchemyError
+from sqlalchemy.orm import Session
+
+from services.runtime.database.inserts import insert_new
+from services.runtime.database.transactions import Database
+from services.runtime.orm import Base, Blob, StoreFault
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.store.protocol import Store
+from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
+from stone.errors import PlatformFaultError
+
+MISSING, SIZE, BYTES, SERVED = "missing", "size", "bytes", "served"
+MOST_SHOWN = 200
+
+log = structlog.get_logger(__name__)
+
+
+class BlobFacts(Protocol):
+    """What a blob's row says of its object."""
+
+    @property
+    def sha256(self) -> str: ...
+    @property
+    def object_key(self) -> str: ...
+    @property
+    def size_bytes(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class NotedFault:
+    """A fault that is noted; `named_by` are the tables whose rows need the object."""
+
+    sha256: str
+    object_key: str
+    size_bytes: int
+    fault: str
+    found_ns: int
+    named_by: tuple[str, ...]
+
+
+def fault_of(store: Store, blob: BlobFacts, *, is_read: bool = False) -> str:
+    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing; `bytes` only if all of it is read.
+
+    Raises `store_away`.
+    """
+    try:
+        if store.size_bytes(blob.object_key) != blob.size_bytes:
+            return SIZE
+        return BYTES if is_read and sha256_of(store.read(blob.object_key)) != blob.sha256 else ""
+    except ObjectMissingError:
+        return MISSING
+
+
+def sha256_of(pieces: Iterable[bytes]) -> str:
+    digest = sha256()
+    for piece in pieces:
+        digest.update(piece)
+    return digest.hexdigest()
+
+
+def whole(store: Store, database: Database, blob: BlobFacts) -> bytes:
+    """All bytes of a small object. Raises `object_damaged` if they differ from its row; the fault is noted then."""
+    content = b"".join(store.read(blob.object_key))
+    if sha256(content).hexdigest() != blob.sha256:
+        note_served(database, [blob.object_key])
+        raise object_damaged(blob.object_key)
+    return content
+
+
+def note(session: Session, found: BlobFacts, fault: str, by: str) -> None:
+    """Note what is wrong with the object; `by` says for the counter who found it."""
+    log.error("object damaged", object_key=found.object_key, sha256=found.sha256, fault=fault, found_by=by)
+    process_counters().add(STORE_FAULTS, (by,))
+    forget(session, [found.sha256])
+    insert_new(session, StoreFault, [{"sha256": found.sha256, "fault": fault}])
+
+
+def note_served(database: Database, object_keys: Sequence[str]) -> None:
+    """Note that bytes of one of these objects differed while somebody read them; a database that is away is logged."""
+    log.error("bytes differ from their sha256", object_keys=list(object_keys)[:MOST_SHOWN])
+    process_counters().add(STORE_FAULTS, (SERVED,))
+    try:
+        with database.transaction() as session:
+            found = session.scalars(select(Blob.sha256).where(Blob.object_key.in_(object_keys))).all()
+            insert_new(session, StoreFault, [{"sha256": sha, "fault": SERVED} for sha in sorted(found)])
+    except SQLAlchemyError as error:
+        log.warning("fault not noted; the scrub will find it", reason=f"{type(error).__name__}: {error}"[:500])
+
+
+def forget(session: Session, sha256s: Iterable[str]) -> None:
+    """These objects are sound."""
+    session.execute(delete(StoreFault).where(StoreFault.sha256.in_(list(sha256s))))
+
+
+def count_of_faults(session: Session) -> int:
+    """The number of faults of blobs that there still are."""
+    standing = select(func.count()).select_from(StoreFault).join(Blob, Blob.sha256 == StoreFault.sha256)
+    return session.scalar(standing) or 0
+
+
+def noted_faults(session: Session, most: int = MOST_SHOWN) -> list[NotedFault]:
+    """Faults of blobs that there still are, the oldest first."""
+    standing = select(Blob, StoreFault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
+    rows = session.execute(standing.order_by(StoreFault.found_ns, StoreFault.sha256).limit(most)).all()
+    return [
+        NotedFault(
+            *(blob.sha256, blob.object_key, blob.size_bytes, row.fault, row.found_ns),
+            tuple(tables_naming(session, blob.sha256)),
+        )
+        for blob, row in rows
+    ]
+
+
+def tables_naming(session: Session, sha256_: str) -> Iterator[str]:
+    """The tables of which a row needs the blob."""
+    for table in Base.metadata.sorted_tables:
+        keys = [
+            column for column in table.columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)
+        ]
+        if any(session.scalar(select(exists().where(column == sha256_))) for column in keys):
+            yield table.name
+
+
+def object_damaged(what: str) -> PlatformFaultError:
+    return PlatformFaultError(
+        "object_damaged",
+        f"{what} is not what was stored any more; this is the platform's fault and its operator sees it: "
+        "try again later, or send the same file again, which mends it",
+    )
