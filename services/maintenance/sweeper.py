@@ -1,10 +1,9 @@
 """The sweeper process: recovers jobs and submissions every second, cleans uploads and blobs every minute.
 
 **Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
-submissions, recordings that are added later, what is cleaned, notifications and what is told of it have theirs
-(`chore_loops`). What a chore does in a
-turn is bounded whatever anybody has sent: what is more is done in the next. SIGTERM ends each thread between two
-chores.
+submissions, recordings that are added later, what is cleaned, the scrub, notifications and what is told of it have
+theirs (`chore_loops`). What a chore does in a turn is bounded whatever anybody has sent: what is more is done in the
+next. SIGTERM ends each thread between two chores.
 """
 
 import services.runtime.processes.seldom_collected
@@ -27,6 +26,7 @@ from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, set
 from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost, tell_phases
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings
 from services.maintenance.notifications.delivery import deliver_queued
+from services.maintenance.scrub import Scrub
 from services.runtime.access.retention import cut_audit, forget_ended
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
@@ -133,6 +133,7 @@ MINUTE_S = 60.0
 FOLLOW_S = 5.0
 HEARTBEAT_S = 5.0
 LEDGER_S = 10.0
+SCRUB_S = 1.0
 SENDERS = ("senderone", "sendertwo")
 """So many deliveries are under way at once: a receiver that is slow holds one of them up, for seconds."""
 
@@ -155,6 +156,7 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
         ChoreLoop("submissions", (Chore("submissions", settings.jobs.sweep_s, lambda: settle_ended(platform)),)),
         ChoreLoop("recordings", (Chore("recordings", FOLLOW_S, lambda: follow_recordings(platform, sequences)),)),
         ChoreLoop("cleaning", cleaning),
+        ChoreLoop("scrub", (Chore("scrub", SCRUB_S, Scrub(platform).turn),)),
         ChoreLoop("notifications", _notifying(platform)),
         *(ChoreLoop(name, (Chore(name, settings.jobs.sweep_s, lambda: deliver_queued(platform)),)) for name in SENDERS),
     )

@@ -61,7 +61,11 @@ class DatabaseSettings:
 
 @dataclass(frozen=True)
 class StoreSettings:
-    """Where blobs live; an empty `s3_bucket` means the folder `store` in the data folder."""
+    """Where blobs live; an empty `s3_bucket` means the folder `store` in the data folder.
+
+    The sweeper reads `scrub_bytes_per_s` and compares them with their sha256 (the default: 1 TB a month; 0: nothing),
+    of a bucket only if `scrubs_bucket`.
+    """
 
     s3_bucket: str = ""
     s3_endpoint: str = ""
@@ -70,6 +74,8 @@ class StoreSettings:
     s3_secret: SecretStr = field(default=SecretStr(""))
     cache_bytes: int = 64 * GIB
     grace_s: float = 3600.0
+    scrub_bytes_per_s: int = 400_000
+    scrubs_bucket: bool = False
 
 
 @dataclass(frozen=True)

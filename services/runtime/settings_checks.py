@@ -86,6 +86,7 @@ BOUNDS = (
     Bound("workers", 0, "no worker starts (0 is one for every core)"),
     Bound("database.pool_size", 1, "connections are not bounded, or there is none"),
     Bound("store.grace_s", 0, "files are deleted before the row that names them is written"),
+    Bound("store.scrub_bytes_per_s", 0, "nothing is read backwards; 0 reads nothing"),
     Bound("broker.visibility_timeout_s", 1, "a message is delivered over and over"),
     Bound("jobs.lease_s", 0, "every attempt is lost as it begins", is_above=True),
     Bound("jobs.heartbeat_s", 0, "workers do nothing but beat", is_above=True),

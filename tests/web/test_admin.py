@@ -2,6 +2,7 @@
 
 import re
 from datetime import UTC, datetime
+from pathlib import Path
 
 import httpx
 import pytest
@@ -13,6 +14,8 @@ from services.domain.benchmarks.phases.reported_results import reported_in
 from services.runtime.orm import Activation, AuditEntry, Benchmark, JobLine, Phase
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.store.blobs import keep
+from services.runtime.store.faults import note
 from testing.api.serving import Person
 from testing.web.browsing import Site
 from testing.web.reading import Reading
@@ -45,6 +48,19 @@ def test_the_work_is_listed_by_state_and_owner_with_its_workers(
     assert "worker_lost" not in reading.html("/admin/jobs?list=dead&owner=nobody", administrator)
     assert "worker-2:4719" in reading.html("/admin/queues", administrator)
     assert "Reconstruct the surface: 1 running" in reading.html(f"/admin/jobs/{busy}", administrator)
+
+
+def test_damaged_objects_are_shown_with_what_needs_them(
+    reading: Reading, platform: Platform, administrator: Person, tmp_path: Path
+) -> None:
+    assert "damaged or lost" not in reading.html("/admin/queues", administrator)
+    (tmp_path / "rig").write_bytes(b"rig")
+    with platform.database.transaction() as session:
+        blob = keep(session, platform.store, tmp_path / "rig")
+        note(session, blob, "bytes", "scrub")
+    shown = reading.html("/admin/queues", administrator)
+    assert "1 damaged or lost" in shown
+    assert blob.object_key in shown
 
 
 def test_many_are_selected_and_steered_with_what_came_of_each(

@@ -5,6 +5,7 @@ that every process shows the same. `served` is one whose bytes differed while th
 (`services/maintenance/scrub.py`) reads it next and says what is wrong, or that nothing is.
 """
 
+import errno
 from collections.abc import Iterable, Iterator, Sequence
 from dataclasses import dataclass
 from hashlib import sha256
@@ -17,12 +18,14 @@ from sqlalchemy.orm import Session
 
 from services.runtime.database.inserts import insert_new
 from services.runtime.database.transactions import Database
-from services.runtime.orm import Base, Blob, StoreFault
+from services.runtime.orm import Base, Blob, StoreFault, StoreScrub
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.protocol import Store
 from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
 from stone.errors import PlatformFaultError
 
+UNREADABLE = {errno.EIO, errno.EBADMSG, errno.EUCLEAN}
+"""What a disk answers that has lost the bytes, and a filesystem whose own checksums differ."""
 MISSING, SIZE, BYTES, SERVED = "missing", "size", "bytes", "served"
 MOST_SHOWN = 200
 
@@ -38,6 +41,17 @@ class BlobFacts(Protocol):
     def object_key(self) -> str: ...
     @property
     def size_bytes(self) -> int: ...
+
+
+@dataclass(frozen=True)
+class ScrubStatus:
+    """How far the scrub is: `objects` and `size_bytes` of the pass that began at `begun_ns`; null before the first."""
+
+    passed_ns: int | None
+    begun_ns: int | None
+    objects: int
+    size_bytes: int
+    faults: int
 
 
 @dataclass(frozen=True)
@@ -63,6 +77,10 @@ def fault_of(store: Store, blob: BlobFacts, *, is_read: bool = False) -> str:
         return BYTES if is_read and sha256_of(store.read(blob.object_key)) != blob.sha256 else ""
     except ObjectMissingError:
         return MISSING
+    except OSError as error:
+        if error.errno not in UNREADABLE:
+            raise
+        return BYTES
 
 
 def sha256_of(pieces: Iterable[bytes]) -> str:
@@ -82,7 +100,10 @@ def whole(store: Store, database: Database, blob: BlobFacts) -> bytes:
 
 
 def note(session: Session, found: BlobFacts, fault: str, by: str) -> None:
-    """Note what is wrong with the object; `by` says for the counter who found it."""
+    """Note what is wrong with the object, unless that is known; `by` says for the counter who found it."""
+    known = session.get(StoreFault, found.sha256, populate_existing=True)
+    if known is not None and known.fault == fault:
+        return
     log.error("object damaged", object_key=found.object_key, sha256=found.sha256, fault=fault, found_by=by)
     process_counters().add(STORE_FAULTS, (by,))
     forget(session, [found.sha256])
@@ -104,6 +125,14 @@ def note_served(database: Database, object_keys: Sequence[str]) -> None:
 def forget(session: Session, sha256s: Iterable[str]) -> None:
     """These objects are sound."""
     session.execute(delete(StoreFault).where(StoreFault.sha256.in_(list(sha256s))))
+
+
+def scrub_status(session: Session) -> ScrubStatus:
+    """The scrub as its row says, and the number of faults."""
+    row, faults = session.get(StoreScrub, 1), count_of_faults(session)
+    if row is None:
+        return ScrubStatus(None, None, 0, 0, faults)
+    return ScrubStatus(row.passed_ns, row.begun_ns, row.objects, row.size_bytes, faults)
 
 
 def count_of_faults(session: Session) -> int:

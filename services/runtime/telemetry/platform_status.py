@@ -17,6 +17,7 @@ from services.runtime.jobs.worker_presence import WorkerPresence, workers_seen
 from services.runtime.orm import ChoreRow, FigureRow, Job, Queue, Upload
 from services.runtime.orm.base import now_ns
 from services.runtime.orm.jobs import IS_READY, IS_RUNNING, IS_WAITING
+from services.runtime.store.faults import ScrubStatus, scrub_status
 from services.runtime.uploads.rows import is_waiting
 
 MOST = 10_000
@@ -36,6 +37,7 @@ class PlatformStatus:
     workers: tuple[WorkerPresence, ...]
     chores_s: Mapping[str, float]
     figures: Mapping[str, int]
+    scrub: ScrubStatus
 
 
 def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
@@ -47,6 +49,7 @@ def platform_status(session: Session, heartbeat_s: float) -> PlatformStatus:
         uploads_open=_uploads_open(session),
         workers=tuple(workers_seen(session, heartbeat_s, MOST_WORKERS)),
         chores_s={name: age / 1e9 for name, age in session.execute(select(ChoreRow.name, _age()))},
+        scrub=scrub_status(session),
         figures=dict(session.execute(select(FigureRow.name, FigureRow.value)).all()),
     )
 

@@ -40,7 +40,7 @@ CHORES = (
         "audit log",
         "workers",
     ),
-    *("phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
+    *("scrub", "phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
 )
 
 

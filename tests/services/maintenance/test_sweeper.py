@@ -24,7 +24,7 @@ from testing.stone_serve import until
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
 PATIENCE_S = 300.0
-PARTS = ("jobs", "submissions", "recordings", "cleaning", "notifications", "senderone", "sendertwo", "records")
+PARTS = ("jobs", "submissions", "recordings", "cleaning", "scrub", "notifications", "senderone", "sendertwo", "records")
 QUICK = JobSettings(lease_s=0.4, heartbeat_s=0.1, progress_s=0.1, sweep_s=0.05, rest_s=0.1)
 OUTAGES = [OperationalError("BEGIN", {}, OSError("gone")), RedisConnectionError("gone"), OSError(28, "No space")]
 
@@ -78,6 +78,7 @@ def test_the_platform_without_a_broker_is_swept_all_the_same(platform: Platform)
         "submissions": ["submissions"],
         "recordings": ["recordings"],
         "cleaning": ["submitted files", "uploads", "blobs", "credentials", "audit log", "workers"],
+        "scrub": ["scrub"],
         "notifications": ["phases", "events", "deliveries", "lost deliveries", "old events"],
         "senderone": ["senderone"],
         "sendertwo": ["sendertwo"],

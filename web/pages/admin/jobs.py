@@ -11,7 +11,7 @@ from api.deps import Administrator, PlatformDep, at_once
 from api.paging import LONGEST_CURSOR, PageQuery
 from api.paging import page as page_of
 from api.routes.admin.admin_jobs import AdminFilters
-from api.schemas.base import PLAIN, IdPath
+from api.schemas.base import PLAIN, IdPath, instant, instant_or_none
 from api.views.admin import (
     admin_job_detail,
     admin_job_items,
@@ -29,6 +29,7 @@ from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
 from services.runtime.orm.base import now_ns
+from services.runtime.store.faults import noted_faults, scrub_status
 from web.boards.slopes import bars
 from web.rendering import page
 from web.stage_picture import stage_picture
@@ -141,10 +142,14 @@ def queues(request: Request, caller: Administrator, platform: PlatformDep) -> HT
     wake_ups = pending_wake_ups_of(platform)
     with platform.database.reading() as session:
         items, workers = queue_items(session, wake_ups), worker_items(session, platform.settings)
+        scrub, faults = scrub_status(session), noted_faults(session)
     return page(
         request,
         caller,
         "admin/queues.html",
+        scrub=scrub,
+        scrubbed_at=instant_or_none(scrub.passed_ns),
+        faults=[(one, instant(one.found_ns)) for one in faults],
         queues=[(queue, bars(queue.per_minute, *FIGURE, gap=3.0)) for queue in items],
         workers=workers,
         is_broker_reachable=all(count is not None for count in wake_ups.values()),

@@ -1,0 +1,223 @@
+"""The scrub: reads the whole store slowly, again and again, and compares every object with its blob's row.
+
+**Conventions.** A turn reads for `TURN_S` at most and pays for it with rest, so that the mean over a few objects is
+`STONE_STORE__SCRUB_BYTES_PER_S`; one object is read at `TURN_BYTES` a turn, or a large one would never be read between
+two restarts. How far the pass is is a row: after kill −9 it goes on at the last turn's end. Two sweepers read the same
+objects, each for itself, and one of them counts. Noted faults are looked at again before anything else.
+
+Of a bucket nothing is read unless `STONE_STORE__SCRUBS_BUCKET` says so: reading costs money, and an object store of
+several disks compares its own bytes.
+"""
+
+import time
+from collections import deque
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
+from dataclasses import dataclass, field
+from hashlib import sha256
+from typing import Any
+
+import structlog
+from sqlalchemy import delete, exists, select, update
+from sqlalchemy.orm import Session
+
+from services.runtime.database.inserts import insert_new
+from services.runtime.jobs.changes import rows_changed
+from services.runtime.orm import Blob, StoreFault, StoreScrub
+from services.runtime.orm.base import now_ns
+from services.runtime.platform import Platform
+from services.runtime.settings import StoreSettings
+from services.runtime.store.faults import BYTES, MISSING, SERVED, SIZE, UNREADABLE, forget, note
+from services.runtime.store.keys import ObjectMissingError
+from services.runtime.store.protocol import Store
+
+TURN_S = 0.5
+TURN_BYTES = 16 * 2**20
+CREDIT_S = 1.0
+LEAST_BYTES = 32 * 2**10
+"""What opening one object counts for, however small it is."""
+AHEAD = 200
+AGAIN_S = 3600.0
+"""A noted fault is looked at again, and a pass begins again, after this time at the earliest."""
+
+log = structlog.get_logger(__name__)
+
+
+@dataclass(frozen=True)
+class _Due:
+    """An object to be read; `is_noted` if it has a fault and is no part of the pass."""
+
+    sha256: str
+    object_key: str
+    size_bytes: int
+    is_noted: bool
+
+
+@dataclass
+class _Reading:
+    """An object that is being read, over several turns if it is large."""
+
+    due: _Due
+    pieces: Iterator[bytes]
+    fault: str = ""
+    digest: Any = field(default_factory=sha256)
+
+    def step(self) -> int | None:
+        """Read one piece; its size, None at the end."""
+        piece = b""
+        with self._noting():
+            piece = b"" if self.fault else next(self.pieces, b"")
+        self.digest.update(piece)
+        if piece:
+            return len(piece)
+        if not self.fault and self.digest.hexdigest() != self.due.sha256:
+            self.fault = BYTES
+        return None
+
+    @contextmanager
+    def _noting(self) -> Iterator[None]:
+        try:
+            yield
+        except ObjectMissingError:
+            self.fault = MISSING
+        except OSError as error:
+            if error.errno not in UNREADABLE:
+                raise
+            self.fault = BYTES
+
+    @classmethod
+    def of(cls, store: Store, due: _Due) -> "_Reading":
+        """The object, opened. Raises `store_away`."""
+        opened = cls(due, iter(()))
+        with opened._noting():
+            if store.size_bytes(due.object_key) != due.size_bytes:
+                opened.fault = SIZE
+            else:
+                opened.pieces = iter(store.read(due.object_key))
+        return opened
+
+
+class Scrub:
+    """`turn()` reads on, if it is time."""
+
+    def __init__(self, platform: Platform, monotonic_s: Callable[[], float] = time.monotonic) -> None:
+        self._platform, self._now_s = platform, monotonic_s
+        self._rate = rate_of(platform.settings.store)
+        self._paid_s = self._pass_s = monotonic_s() - CREDIT_S
+        self._again_s: dict[str, float] = {}
+        self._noted: deque[_Due] = deque()
+        self._ahead: deque[_Due] = deque()
+        self._reading: _Reading | None = None
+
+    def turn(self) -> None:
+        """Read on. Raises `store_away`; what was begun is then begun again."""
+        if not self._rate:
+            return
+        self._paid_s = max(self._paid_s, self._now_s() - CREDIT_S)
+        with self._platform.database.reading() as session:
+            row = session.get(StoreScrub, 1)
+            self._look_at_noted(session)
+        after, done = row.after_sha256 if row else "", list[_Reading]()
+        try:
+            self._read(after, done)
+        except BaseException:
+            self._ahead.clear()
+            raise
+        finally:
+            self._write(after, done)
+
+    def _read(self, after: str, done: list[_Reading]) -> None:
+        until_s, left = self._now_s() + TURN_S, TURN_BYTES
+        while left > 0 and self._now_s() < until_s:
+            reading = self._reading or self._next(after, done)
+            if reading is None:
+                return
+            self._reading = None  # a store that fails has it begun again
+            if (size := reading.step()) is not None:
+                left, self._reading = left - size, reading
+            else:
+                self._paid_s += max(reading.due.size_bytes, LEAST_BYTES) / self._rate
+                done.append(reading)
+
+    def _next(self, after: str, done: list[_Reading]) -> _Reading | None:
+        """The next object, opened; None at the end of the pass, and while what was read is not paid for."""
+        if self._noted:
+            return _Reading.of(self._platform.store, self._noted.popleft())
+        if max(self._paid_s, self._pass_s) > self._now_s():
+            return None
+        if not self._ahead:
+            last = next((one.due.sha256 for one in reversed(done) if not one.due.is_noted), after)
+            with self._platform.database.reading() as session:
+                blobs = session.scalars(select(Blob).where(Blob.sha256 > last).order_by(Blob.sha256).limit(AHEAD))
+                self._ahead.extend(_due(blob, is_noted=False) for blob in blobs)
+        return _Reading.of(self._platform.store, self._ahead.popleft()) if self._ahead else None
+
+    def _look_at_noted(self, session: Session) -> None:
+        """Have noted faults looked at again: those that readers met now, others now and then."""
+        now_s = self._now_s()
+        standing = select(Blob, StoreFault.fault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
+        rows = session.execute(standing.order_by(StoreFault.found_ns).limit(AHEAD)).all()
+        found = [blob for blob, fault in rows if fault == SERVED or self._again_s.get(blob.sha256, 0.0) <= now_s]
+        self._again_s = {blob.sha256: self._again_s.get(blob.sha256, 0.0) for blob, _ in rows}
+        self._again_s |= dict.fromkeys((blob.sha256 for blob in found), now_s + AGAIN_S)
+        waiting = {one.sha256 for one in self._noted} | ({self._reading.due.sha256} if self._reading else set())
+        self._noted.extend(_due(blob, is_noted=True) for blob in found if blob.sha256 not in waiting)
+
+    def _write(self, after: str, done: list[_Reading]) -> None:
+        """Note what was found, and how far the pass is; if another sweeper moved it on, go on where that is."""
+        of_pass = [one.due for one in done if not one.due.is_noted]
+        is_over = self._is_over(of_pass[-1].sha256 if of_pass else after)
+        if not done and not is_over:
+            return
+        with self._platform.database.transaction() as session:
+            insert_new(session, StoreScrub, [{"id": 1}])
+            for one in done:
+                _conclude(session, one)
+            if of_pass and not _move_on(session, after, of_pass):
+                self._ahead.clear()
+                self._reading = None
+            elif is_over:
+                _end_pass(session)
+                self._pass_s = self._now_s() + AGAIN_S
+
+    def _is_over(self, last: str) -> bool:
+        """Whether the pass has read all there is."""
+        if self._ahead or self._reading or self._now_s() < self._pass_s:
+            return False
+        with self._platform.database.reading() as session:
+            return not session.scalar(select(exists().where(Blob.sha256 > last)))
+
+
+def rate_of(store: StoreSettings) -> int:
+    """Bytes a second that are scrubbed; 0 if nothing is."""
+    return 0 if store.s3_bucket and not store.scrubs_bucket else store.scrub_bytes_per_s
+
+
+def _due(blob: Blob, *, is_noted: bool) -> _Due:
+    return _Due(blob.sha256, blob.object_key, blob.size_bytes, is_noted)
+
+
+def _conclude(session: Session, read: _Reading) -> None:
+    """Note the fault, or forget it; nothing of a blob that garbage collection took meanwhile."""
+    if not read.fault:
+        forget(session, [read.due.sha256])
+    elif session.scalar(select(Blob.object_key).where(Blob.sha256 == read.due.sha256)) == read.due.object_key:
+        note(session, read.due, read.fault, "scrub")
+
+
+def _move_on(session: Session, after: str, read: list[_Due]) -> bool:
+    values = {
+        "after_sha256": read[-1].sha256,
+        "objects": StoreScrub.objects + len(read),
+        "size_bytes": StoreScrub.size_bytes + sum(one.size_bytes for one in read),
+    }
+    return bool(rows_changed(session, update(StoreScrub).where(StoreScrub.after_sha256 == after).values(**values)))
+
+
+def _end_pass(session: Session) -> None:
+    row = session.get_one(StoreScrub, 1, populate_existing=True)
+    log.info("store scrubbed", objects=row.objects, size_bytes=row.size_bytes)
+    row.after_sha256, row.objects, row.size_bytes = "", 0, 0
+    row.passed_ns = row.begun_ns = now_ns()
+    gone = ~exists().where(Blob.sha256 == StoreFault.sha256)
+    session.execute(delete(StoreFault).where(gone).execution_options(synchronize_session=False))
