@@ -213,6 +213,7 @@ PROBLEM_TYPES = {
     ),
     "store_away": ProblemType(503, "The store did not answer, or answered that it cannot work now"),
     "disk_full": ProblemType(507, "The disk is full; what was written before is kept"),
+    "storage_full": ProblemType(507, "The disk is full up to its reserve; what is declared or made would not fit"),
     "store_full": ProblemType(507, "The store, or the local cache in front of it, has no room left"),
 }
 TITLES_OF_WRONG_STATE: dict[type[StoneError], str] = {

@@ -65,6 +65,8 @@ class StoreSettings:
 
     The sweeper reads `scrub_bytes_per_s` and compares them with their sha256 (the default: 1 TB a month; 0: nothing),
     of a bucket only if `scrubs_bucket`.
+    Uploads, the files of jobs, the cache and backups leave `reserve_bytes` of the disk free; 0 is the larger of a
+    twentieth of the disk and 2 GiB.
     """
 
     s3_bucket: str = ""
@@ -76,6 +78,7 @@ class StoreSettings:
     grace_s: float = 3600.0
     scrub_bytes_per_s: int = 400_000
     scrubs_bucket: bool = False
+    reserve_bytes: Annotated[int, Field(ge=0)] = 0
 
 
 @dataclass(frozen=True)

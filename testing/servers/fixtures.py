@@ -18,6 +18,7 @@ from services.runtime.database.transactions import Database
 from services.runtime.platform import Platform
 from services.runtime.settings import DatabaseSettings, JobSettings, Settings, StoreSettings, ViewingSettings
 from services.runtime.store.factory import open_store
+from services.runtime.store.free_space import NO_RESERVE
 from testing.servers.oidc import OidcServer, running_oidc
 from testing.servers.postgres import PostgresServer, running_postgres
 from testing.servers.redis import RedisServer, running_redis
@@ -32,7 +33,11 @@ def make_settings(tmp_path: Path, **groups: Any) -> Settings:
 
     Workers do not rest for long, and nothing is made that nobody asked for.
     """
-    usual = {"jobs": JobSettings(rest_s=0.1), "viewing": ViewingSettings(makes_playback=False)}
+    usual = {
+        "jobs": JobSettings(rest_s=0.1),
+        "viewing": ViewingSettings(makes_playback=False),
+        "store": StoreSettings(reserve_bytes=NO_RESERVE),  # how full this machine is decides no test
+    }
     return Settings(data_folder=tmp_path / "data", **{**usual, **groups})
 
 

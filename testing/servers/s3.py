@@ -19,6 +19,7 @@ import boto3
 from pydantic import SecretStr
 
 from services.runtime.settings import StoreSettings
+from services.runtime.store.free_space import NO_RESERVE
 from testing.servers.process import ServerProcess, answers, free_port
 
 if TYPE_CHECKING:
@@ -43,7 +44,8 @@ class S3Server(ServerProcess):
         name, endpoint = bucket or f"bucket-{token_hex(6)}", f"http://{self.address}:{self.port}"
         if not (self.buckets / name).exists():
             self._client(endpoint).create_bucket(Bucket=name)
-        return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=SecretStr(self.secret))
+        secret = SecretStr(self.secret)
+        return StoreSettings(name, endpoint, s3_key_id=self.key_id, s3_secret=secret, reserve_bytes=NO_RESERVE)
 
     def forget(self) -> None:
         """Make it look at the folders anew, after a test wrote into them behind its back."""

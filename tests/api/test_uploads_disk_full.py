@@ -4,6 +4,7 @@ import os
 import subprocess
 from collections.abc import Iterator
 from contextlib import ExitStack
+from dataclasses import replace
 from pathlib import Path
 
 import httpx
@@ -20,7 +21,7 @@ CONTENT = os.urandom(6 << 20)
 
 @pytest.fixture
 def disk(platform: Platform) -> Iterator[Path]:
-    """The uploads folder, on a disk of 8 MiB of its own, with 4 MiB of somebody else's in it."""
+    """The uploads folder, on a disk of 8 MiB of its own."""
     folder = platform.settings.uploads_folder
     folder.mkdir(parents=True)
     command = ["mount", "-t", "tmpfs", "-o", f"size={DISK_BYTES}", "stone-test", str(folder)]
@@ -32,8 +33,12 @@ def disk(platform: Platform) -> Iterator[Path]:
         pytest.skip(f"a tmpfs cannot be mounted by this user: {mounted.stderr.strip()}")
     with ExitStack() as stack:
         stack.callback(subprocess.run, ["umount", "--lazy", str(folder)], check=True)
-        (folder / "of-somebody-else").write_bytes(b"\1" * (4 << 20))
         yield folder
+
+
+def take_space(disk: Path) -> None:
+    """Somebody else writes 4 MiB."""
+    (disk / "of-somebody-else").write_bytes(b"\1" * (4 << 20))
 
 
 def free_space(disk: Path) -> None:
@@ -49,9 +54,10 @@ def test_a_full_disk_is_said_and_what_fitted_counts_once_space_is_freed(
 ) -> None:
     with client_of(platform) as api:
         where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        take_space(disk)
         assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT))
         offset = offset_of(api, curator, where)
-        assert 3 << 20 <= offset < len(CONTENT)
+        assert 1 << 20 <= offset < len(CONTENT)
         assert (disk / where.rpartition("/")[2]).read_bytes() == CONTENT[:offset]
         assert refuses_for_want_of_room(patch(api, curator, where, offset, CONTENT[offset:]))
         free_space(disk)
@@ -65,6 +71,7 @@ def test_bytes_under_a_checksum_that_did_not_all_fit_do_not_count(
 ) -> None:
     with client_of(platform) as api:
         where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        take_space(disk)
         right = checksum(CONTENT, "sha256")
         assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT, Upload_Checksum=right))
         assert offset_of(api, curator, where) == 0
@@ -73,17 +80,38 @@ def test_bytes_under_a_checksum_that_did_not_all_fit_do_not_count(
         assert shown(api, curator, where)["state"] == "complete"
 
 
-def test_a_creation_with_more_than_fits_is_told_how_much_did(disk: Path, platform: Platform, curator: Person) -> None:
+def test_a_creation_of_more_than_fits_is_refused_before_a_byte_comes(
+    disk: Path, platform: Platform, curator: Person
+) -> None:
+    take_space(disk)
     said = metadata(filename="a", purpose="recording")
     headers = {**PIECE, **curator.headers, "Upload-Length": str(len(CONTENT)), "Upload-Metadata": said}
     with client_of(platform) as api:
         reply = api.post(UPLOADS, content=CONTENT, headers=headers)
-        assert reply.status_code == 201
-        offset, where = int(reply.headers["Upload-Offset"]), reply.headers["Location"]
-        assert 3 << 20 <= offset < len(CONTENT)
+        assert (reply.status_code, reply.json()["code"]) == (507, "storage_full")
+        assert f"{len(CONTENT)} bytes are to be written; {4 << 20} bytes are free" in reply.json()["detail"]
+        assert [path.name for path in disk.iterdir()] == ["of-somebody-else"]
         free_space(disk)
-        assert patch(api, curator, where, offset, CONTENT[offset:]).status_code == 204
-        assert shown(api, curator, where)["sha256"] == sha256_of(CONTENT)
+        assert api.post(UPLOADS, content=CONTENT, headers=headers).status_code == 201
+
+
+def test_an_upload_stops_at_the_reserve_and_goes_on_once_there_is_room(
+    disk: Path, platform: Platform, curator: Person
+) -> None:
+    store = replace(platform.settings.store, reserve_bytes=3 << 20)
+    kept = replace(platform, settings=platform.settings.model_copy(update={"store": store}))
+    part = CONTENT[: 4 << 20]
+    with client_of(kept) as api:
+        where = created(api, curator, len(part), sha256=sha256_of(part))
+        (disk / "of-somebody-else").write_bytes(b"\1" * (2 << 20))
+        reply = patch(api, curator, where, 0, part)
+        assert refuses_for_want_of_room(reply)
+        assert f"{3 << 20} of them are its reserve" in reply.json()["detail"]
+        assert os.statvfs(disk).f_bavail * os.statvfs(disk).f_frsize >= 3 << 20
+        free_space(disk)
+        offset = offset_of(api, curator, where)
+        assert patch(api, curator, where, offset, part[offset:]).status_code == 204
+        assert shown(api, curator, where)["sha256"] == sha256_of(part)
 
 
 def test_what_fitted_before_it_could_be_stored_goes_to_the_store(
@@ -91,6 +119,7 @@ def test_what_fitted_before_it_could_be_stored_goes_to_the_store(
 ) -> None:
     with client_of(with_place(platform, "store", DISK_BYTES)) as api:
         where = created(api, curator, len(CONTENT), sha256=sha256_of(CONTENT))
+        take_space(disk)
         assert refuses_for_want_of_room(patch(api, curator, where, 0, CONTENT))
         offset = offset_of(api, curator, where)
         assert 1 << 20 <= offset < len(CONTENT)

@@ -8,6 +8,7 @@ brought already.
 from collections.abc import Callable, Iterable, Iterator
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass, field
+from functools import partial
 from pathlib import Path
 
 from sqlalchemy import Connection, and_, or_, select
@@ -21,6 +22,7 @@ from services.runtime.database.migrate import head_revision
 from services.runtime.orm import Base, Blob, DatasetImport, Job, RecordingFile, SubmissionRow, Upload, UploadPartRow
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.store.free_space import NO_RESERVE, require_room
 from services.runtime.store.garbage_collection import KEPT_FAILED_NS, WORK
 from services.runtime.store.gc_holds import gc_hold
 from services.runtime.store.keys import ObjectMissingError
@@ -185,13 +187,15 @@ class _BackupWriter:
 def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
     """Back up database, store and uploads as of now.
 
-    Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_away`, `OSError`.
+    Raises `backup_busy`, `schema_not_current`, `HoldLostError`, `store_away`, `StorageFullError`, `OSError`.
     """
     writer = _BackupWriter(platform, folder)
     with folder.writing(), gc_hold(platform.database, "backup") as hold, folder.new_snapshot() as place:
         made_ns = now_ns()
         tables, named = _frozen(platform, place)
-        writer.bring_blobs(dumped_rows(place, _named(tables, Blob), ("sha256", "object_key", "size_bytes")))
+        contents = partial(dumped_rows, place, _named(tables, Blob), ("sha256", "object_key", "size_bytes"))
+        _require_room(platform, folder, contents())
+        writer.bring_blobs(contents())
         writer.bring_upload_parts(dumped_rows(place, _named(tables, UploadPartRow), ("object_key", "blob_sha256")))
         writer.bring_work(named.runs)
         for upload in named.uploads:
@@ -208,6 +212,14 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
         write_snapshot(place, snapshot)
         hold.check()
     return BackupResult(folder.snapshot(), snapshot, writer.blobs, writer.brought, writer.brought_bytes)
+
+
+def _require_room(platform: Platform, folder: BackupFolder, rows: Iterable[list[object]]) -> None:
+    """Raises `StorageFullError` where the new contents do not fit; the reserve is kept on the platform's own disk."""
+    contents = (BackupContent(str(sha256), int(str(size))) for sha256, _, size in rows)
+    new_bytes = sum(content.size_bytes for content in contents if not folder.has(content))
+    is_ours = folder.root.stat().st_dev == platform.settings.root.stat().st_dev
+    require_room(folder.root, new_bytes, platform.settings.store.reserve_bytes if is_ours else NO_RESERVE)
 
 
 def _named(tables: tuple[TableFacts, ...], row: type[Base]) -> TableFacts:

@@ -31,9 +31,10 @@ from services.runtime.jobs.completion import Failure, cancelled, fail, lose, suc
 from services.runtime.jobs.errors import JobCancelledError, LostAttemptError
 from services.runtime.jobs.instrumentation import instrumented
 from services.runtime.jobs.lease_keeper import LeaseLine
-from services.runtime.jobs.specs import RETICENT, Handlers, Outcome, queue_of
+from services.runtime.jobs.specs import BULK, RETICENT, Handlers, Outcome, queue_of
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.store.free_space import free_space, require_room
 from services.runtime.telemetry.tracing import StageSpans
 from stone.errors import PlatformFaultError, Refused, StoneError
 
@@ -63,6 +64,7 @@ class Reporter:
         self._logged = 0
         self._progress: JobProgress | None = None
         self._cancel_reason = ""
+        self._is_short_of_room = False
         self._begin = self._beaten = time.monotonic()
         self._leaving = Event()
         self._line = LeaseLine(platform.database, self._limits.lease_s / 4)
@@ -95,16 +97,23 @@ class Reporter:
         self._fall_silent()
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Note how far the job is. Raises `JobCancelledError` when it is to stop."""
+        """Note how far the job is. Raises `JobCancelledError` when it is to stop, `StorageFullError`."""
         self._stages.enter(stage)
         with self._lock:
             self._progress = progress_now(stage, done, total)
         self.stop_if_asked()
+        if self._is_short_of_room:
+            self.require_room()
 
     def stop_if_asked(self) -> None:
         """Raises `JobCancelledError` when somebody asked the job to stop."""
         if self._cancel_reason:
             raise JobCancelledError(self._cancel_reason)
+
+    def require_room(self) -> None:
+        """Raises `StorageFullError` where a job that writes files without a bound would take from the reserve."""
+        if queue_of(self._claim.kind) in BULK:
+            require_room(self._platform.settings.root, 0, self._platform.settings.store.reserve_bytes)
 
     def end(self) -> None:
         """The handler is through: fall silent. Whoever records the end writes the last words with it."""
@@ -171,6 +180,8 @@ class Reporter:
             return
         self._beaten = time.monotonic()
         self._cancel_reason = answer.cancel_reason
+        space = free_space(self._platform.settings.root, self._platform.settings.store.reserve_bytes)
+        self._is_short_of_room = space.free_bytes < space.reserve_bytes // 2  # what began may end in the upper half
         if answer.is_written:
             self._forget(words)
 
@@ -299,6 +310,7 @@ def _answer(taken: Claim, handlers: Handlers, reporter: Reporter) -> Outcome:
                 f"no stage {taken.kind!r} in this worker; it knows {sorted(handlers)} (are all services of the "
                 "same version?)",
             )
+        reporter.require_room()
         outcome = handlers[taken.kind](reporter)
         reporter.stop_if_asked()
         return outcome

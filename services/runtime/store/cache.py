@@ -15,6 +15,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 
 from services.runtime.store.folder import refusing_full
+from services.runtime.store.free_space import StorageFullError
 
 IN_USE_S = 3600.0
 MIRROR_S = 86400.0
@@ -81,15 +82,19 @@ class Cache:
     def _fill(self, key: str, path: Path, download: Callable[[str, Path], None]) -> None:
         with _own(self._partial / hashlib.sha256(key.encode()).hexdigest()) as partial:
             if not self._used(path):
-                download(key, partial)
+                try:
+                    download(key, partial)
+                except StorageFullError:  # what nobody used within the hour makes room
+                    self._evict(0)
+                    download(key, partial)
                 os.replace(partial, path)
-                self._evict()
+                self._evict(self._limit_bytes)
 
-    def _evict(self) -> None:
+    def _evict(self, limit_bytes: int) -> None:
         files = sorted(_files(self._objects))
         total = sum(size for _, size, _ in files)
         for _, size, path in files:
-            if total <= self._limit_bytes:
+            if total <= limit_bytes:
                 return
             with _lock(self._use, fcntl.LOCK_EX):
                 if _unused_s(path) > IN_USE_S and _evicted(path):

@@ -11,4 +11,4 @@ def open_store(settings: Settings) -> Store:
         from services.runtime.store.s3 import S3Store  # boto3 takes most of a second to import
 
         return S3Store(settings)
-    return FolderStore(settings.root / "store")
+    return FolderStore(settings.root / "store", settings.store.reserve_bytes)

@@ -14,6 +14,7 @@ from contextlib import contextmanager, suppress
 from pathlib import Path
 from secrets import token_hex
 
+from services.runtime.store.free_space import NO_RESERVE, require_room
 from services.runtime.store.keys import (
     ObjectMissingError,
     StoreFullError,
@@ -27,20 +28,23 @@ from services.runtime.telemetry.counters import STORE_BYTES, process_counters
 from stone_files.atomic import flush
 
 PIECE_BYTES = 2**20
+SMALL_BYTES = 2**16
 NO_LINK = {errno.EEXIST, errno.EXDEV, errno.EPERM, errno.EMLINK, errno.EOPNOTSUPP, errno.ENOSYS}
 NO_SPACE = {errno.ENOSPC, errno.EDQUOT}
 
 
 class FolderStore:
-    """Objects below `root`."""
+    """Objects below `root`; one of more than `SMALL_BYTES` leaves `reserve_bytes` of its disk free."""
 
-    def __init__(self, root: Path) -> None:
-        self.root = root
+    def __init__(self, root: Path, reserve_bytes: int = NO_RESERVE) -> None:
+        self.root, self._reserve_bytes = root, reserve_bytes
         self._staging = root / ".staging"
 
     def write(self, key: str, source: Path) -> None:
         """Store a copy of `source`. Raises `StoreFullError`; nothing is left behind then."""
         target = self.root / checked(key)
+        if (size_bytes := source.stat().st_size) > SMALL_BYTES:
+            require_room(self.root, size_bytes, self._reserve_bytes)
         with refusing_full(self.root), self._staged() as staging:
             shutil.copyfile(source, staging)
             flush(staging)

@@ -22,6 +22,7 @@ from botocore.exceptions import BotoCoreError, ClientError
 from services.runtime.settings import Settings, StoreSettings
 from services.runtime.store.cache import Cache
 from services.runtime.store.folder import refusing_full
+from services.runtime.store.free_space import require_room
 from services.runtime.store.keys import ObjectMissingError, StoreFullError, checked, checked_prefix, checked_range
 from services.runtime.store.protocol import StoredObject
 from services.runtime.telemetry.counters import STORE_BYTES, process_counters
@@ -58,6 +59,7 @@ class S3Store:
         self.bucket = settings.store.s3_bucket
         self._client = client_of(settings.store)
         self.cache = Cache(settings.root / "cache", settings.store.cache_bytes)
+        self._reserve_bytes = settings.store.reserve_bytes
 
     def write(self, key: str, source: Path) -> None:
         """Upload `source`, in parts when it is large. Raises `StoreFullError`."""
@@ -89,11 +91,13 @@ class S3Store:
         return self.cache.file(checked(key), self.download)
 
     def download(self, key: str, target: Path) -> None:
-        """Write the object into the file `target` and flush it. Raises `StoreFullError` when the disk is full.
+        """Write the object into the file `target` and flush it. Raises `StoreFullError` when the disk is full, or full
+        up to its reserve.
 
         Ranges side by side, each resumed where it broke off (boto3's own download hung when a header broke off).
         """
         starts = range(0, self.size_bytes(key), PART_BYTES)
+        require_room(target.parent, starts.stop, self._reserve_bytes)
         with (
             span("store download", attributes={"stone.size_bytes": starts.stop}),
             refusing_full(target.parent),

@@ -150,7 +150,7 @@ class FolderUploadBackend:
         return offset_of(self._path(upload_id))
 
     def hold(self, upload: Upload) -> LockedUploadFile:
-        return LockedUploadFile(self._path(upload.id))
+        return LockedUploadFile(self._path(upload.id), self._platform.settings.store.reserve_bytes)
 
     def remove(self, upload_id: str) -> None:
         remove_file(self._path(upload_id))
@@ -263,4 +263,4 @@ class StoreUploadBackend:
         return Cache(settings.root / "cache", settings.store.cache_bytes)
 
     def _copy(self, parts: list[UploadPart], _key: str, target: Path) -> None:
-        copy_parts(self._platform.store, parts, target)
+        copy_parts(self._platform.store, parts, target, self._platform.settings.store.reserve_bytes)

@@ -17,6 +17,7 @@ from services.runtime.orm import SequenceRow, SubmissionRow, TeamMember, Upload,
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
+from services.runtime.store.free_space import require_room
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.errors import BadMetadataError, upload_too_large
 from services.runtime.uploads.rows import PART, UploadOwner, expiry_ns, is_waiting
@@ -28,6 +29,7 @@ from stone.errors import Refused
 # that what the platform shows is what the owner called it.
 
 
+FOLDER = "folder"
 PURPOSES = ("recording", "calibration", "submission", "ground_truth", "dataset")
 LONGEST_NAME_BYTES = 255
 SHA256 = re.compile(r"[0-9a-f]{64}")
@@ -71,7 +73,7 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
     """A new upload, open, or complete when the owner has these bytes already.
 
     Raises `upload_too_large`, `upload_target_missing`, `not_as_announced`, `too_many_uploads_of_draft`,
-    `quota_exceeded`, `too_many_uploads`, `DiskFullError`.
+    `quota_exceeded`, `too_many_uploads`, `DiskFullError`, `StorageFullError`.
     """
     limit_bytes = platform.settings.uploads.max_bytes
     if declared.length_bytes > limit_bytes:
@@ -90,6 +92,9 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
             session.flush()
             if is_here or backend.enter(session, upload):
                 upload.state, upload.sha256 = "complete", declared.sha256
+            elif upload.backend == FOLDER or not platform.settings.store.s3_bucket:
+                reserve_bytes = platform.settings.store.reserve_bytes
+                require_room(platform.settings.uploads_folder, declared.length_bytes, reserve_bytes)
     except BaseException:
         backend.remove(upload.id)
         raise

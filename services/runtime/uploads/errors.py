@@ -51,9 +51,10 @@ class FileMismatchError(StoneError):
 
 
 class DiskFullError(StoneError):
-    """The disk is full; what was written before is kept."""
+    """The disk is full, or full up to its reserve (`why`); what was written before is kept."""
 
     code = "disk_full"
 
-    def __init__(self, offset_bytes: int) -> None:
-        super().__init__(f"the disk is full; {offset_bytes} bytes of this upload are kept, resume once space is freed")
+    def __init__(self, offset_bytes: int, why: str = "the disk is full") -> None:
+        super().__init__(f"{why}; {offset_bytes} bytes of this upload are kept, resume once space is freed")
+        self.why = why

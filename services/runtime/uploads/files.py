@@ -20,6 +20,7 @@ from pathlib import Path
 from cachetools import LRUCache
 
 from services.runtime.settings import Settings
+from services.runtime.store.free_space import NO_RESERVE, StorageFullError, require_room
 from services.runtime.uploads.errors import DiskFullError, UploadLockedError
 
 NO_ROOM = (errno.ENOSPC, errno.EDQUOT)
@@ -68,8 +69,8 @@ class LockedUploadFile:
     Raises `UploadLockedError` when another request holds it, `FileNotFoundError` when there is no file.
     """
 
-    def __init__(self, path: Path) -> None:
-        self.path = path
+    def __init__(self, path: Path, reserve_bytes: int = NO_RESERVE) -> None:
+        self.path, self._reserve_bytes = path, reserve_bytes
         self._descriptor = os.open(path, os.O_RDWR | os.O_CLOEXEC)
         try:
             fcntl.flock(self._descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
@@ -93,7 +94,8 @@ class LockedUploadFile:
         bag larger than memory pushes nothing else out of it.
         """
         with refusing_full(lambda: self.kept_bytes):
-            offset_bytes = write_all(self._descriptor, [memoryview(piece) for piece in pieces], offset_bytes)
+            views = [memoryview(piece) for piece in pieces]
+            offset_bytes = write_all(self._descriptor, views, offset_bytes, self._reserve_bytes)
         if offset_bytes - self._handed_bytes >= HANDED_BYTES:
             os.posix_fadvise(self._descriptor, self._handed_bytes, 0, os.POSIX_FADV_DONTNEED)
             self._handed_bytes = offset_bytes
@@ -143,9 +145,10 @@ class LockedUploadFile:
             os.fdatasync(self._descriptor)
 
 
-def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int) -> int:
-    """Write `pieces` at `offset_bytes`; where they end."""
+def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, reserve_bytes: int) -> int:
+    """Write `pieces` at `offset_bytes`; where they end. Raises `StorageFullError`, and writes nothing then."""
     left = list(pieces)
+    require_room(descriptor, sum(map(len, left)), reserve_bytes)
     while left:
         written = os.pwritev(descriptor, left[:MOST_PIECES], offset_bytes)
         offset_bytes += written
@@ -155,9 +158,11 @@ def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int) 
 
 @contextmanager
 def refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
-    """Turn the operating system's full disk into `DiskFullError`."""
+    """Turn the operating system's full disk, and one that is full up to its reserve, into `DiskFullError`."""
     try:
         yield
+    except StorageFullError as error:
+        raise DiskFullError(kept_bytes(), str(error)) from error
     except OSError as error:
         if error.errno in NO_ROOM:
             raise DiskFullError(kept_bytes()) from error

@@ -24,6 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.store.folder import refusing_full
+from services.runtime.store.free_space import require_room
 from services.runtime.store.garbage_collection import UPLOADS
 from services.runtime.store.keys import ObjectMissingError, StoreFullError
 from services.runtime.store.protocol import Store
@@ -153,7 +154,9 @@ class LockedUploadParts:
 
     def _opened(self) -> Spool:
         if self._spool is None:
-            self._spool, self._begun_s = Spool(self._platform.settings.uploads_folder), time.monotonic()
+            settings = self._platform.settings
+            self._spool = Spool(settings.uploads_folder, settings.store.reserve_bytes)
+            self._begun_s = time.monotonic()
         return self._spool
 
     def _hand_over(self) -> None:
@@ -200,7 +203,8 @@ class LockedUploadParts:
             yield
         except (DiskFullError, StoreFullError) as error:
             self._give_up()
-            raise DiskFullError(self._kept_bytes) from error
+            why = error.why if isinstance(error, DiskFullError) else str(error)
+            raise DiskFullError(self._kept_bytes, why) from error
         except BaseException:
             self._give_up()
             raise
@@ -233,8 +237,9 @@ def sha256_of_parts(store: Store, parts: Sequence[UploadPart]) -> str:
     return state.hexdigest()
 
 
-def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path) -> None:
+def copy_parts(store: Store, parts: Sequence[UploadPart], target: Path, reserve_bytes: int) -> None:
     """Write them into the file `target`, flushed. Raises `ObjectMissingError`, `store_away`, `StoreFullError`."""
+    require_room(target.parent, sum(part.length_bytes for part in parts), reserve_bytes)
     with refusing_full(target.parent), target.open("wb") as file, ThreadPoolExecutor(AHEAD) as pool:
         list(pool.map(lambda part: _copy(store, part, file.fileno()), parts))
         os.fsync(file.fileno())

@@ -97,10 +97,10 @@ class UploadReceiver:
         except OSError:
             self._rolling = None
             raise
-        except DiskFullError:
+        except DiskFullError as error:
             self._rolling = None
             self._give_up_unverified()
-            raise DiskFullError(self._held.kept_bytes) from None
+            raise DiskFullError(self._held.kept_bytes, error.why) from None
         for piece in pieces:
             for state in (self._rolling, self._checking):
                 if state is not None:

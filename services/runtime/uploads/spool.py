@@ -13,8 +13,9 @@ from services.runtime.uploads.files import refusing_full, write_all
 class Spool:
     """Bytes on this machine's disk, to be stored as one object from `path`."""
 
-    def __init__(self, folder: Path) -> None:
+    def __init__(self, folder: Path, reserve_bytes: int) -> None:
         """Raises `DiskFullError`."""
+        self._reserve_bytes = reserve_bytes
         with refusing_full(lambda: 0):
             folder.mkdir(parents=True, exist_ok=True)
             self._file = TemporaryFile(dir=folder, buffering=0)  # noqa: SIM115 - closed by whoever stores it
@@ -29,7 +30,7 @@ class Spool:
         """Add all of them, or nothing. Raises `DiskFullError`."""
         try:
             with refusing_full(lambda: self.size_bytes):
-                self.size_bytes = write_all(self._file.fileno(), pieces, self.size_bytes)
+                self.size_bytes = write_all(self._file.fileno(), pieces, self.size_bytes, self._reserve_bytes)
         except DiskFullError:
             os.ftruncate(self._file.fileno(), self.size_bytes)
             raise

@@ -1,6 +1,7 @@
 """A platform is wiped and comes back as it was, from either database and store onto either."""
 
 from collections.abc import Callable, Iterator
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -76,6 +77,19 @@ def empty(request: pytest.FixtureRequest, tmp_path: Path) -> Iterator[Emptied]:
 @pytest.fixture
 def laid(platform: Platform, tmp_path: Path) -> Laid:
     return lay(platform, tmp_path / "scratch")
+
+
+def test_a_backup_that_does_not_fit_is_refused_before_a_blob_is_copied(
+    platform: Platform, folder: BackupFolder, tmp_path: Path
+) -> None:
+    lay(platform, tmp_path / "scratch")
+    store = replace(platform.settings.store, reserve_bytes=2**62)
+    full = replace(platform, settings=platform.settings.model_copy(update={"store": store}))
+    with refused_as("storage_full"):
+        make_backup(full, folder)
+    assert (folder.snapshots(), list(folder.contents())) == ([], [])
+    make_backup(platform, folder)
+    assert folder.snapshots()
 
 
 def test_a_wiped_platform_comes_back_row_for_row_and_byte_for_byte_on_the_other_database(

@@ -1,0 +1,60 @@
+"""The reserve: free space that bulk data never takes, so that rows can always be written.
+
+**Conventions.** Uploads, the files of jobs, downloads into the cache and backups ask here before they write.
+The reserve is of the file system on which they write: the larger of a twentieth of it and 2 GiB, or what
+`STONE_STORE__RESERVE_BYTES` says. A bucket has no reserve.
+"""
+
+import os
+from dataclasses import dataclass
+from pathlib import Path
+
+from services.runtime.store.keys import StoreFullError
+from stone.errors import PlatformFaultError
+
+AUTOMATIC = 0
+"""The setting that stands for the larger of `SHARE` of the file system and `LEAST_BYTES`."""
+NO_RESERVE = 1
+SHARE = 20
+LEAST_BYTES = 2 << 30
+
+
+class StorageFullError(StoreFullError):
+    """More bytes would take from the reserve."""
+
+    def __init__(self, space: "FreeSpace", more_bytes: int) -> None:
+        PlatformFaultError.__init__(
+            self,
+            "storage_full",
+            f"{more_bytes} bytes are to be written; {space.free_bytes} bytes are free on the platform's disk, and "
+            f"{space.reserve_bytes} of them are its reserve (STONE_STORE__RESERVE_BYTES): delete uploads, label sets, "
+            "exports or sequences that are no longer needed, or enlarge the disk, and try again",
+        )
+
+
+@dataclass(frozen=True)
+class FreeSpace:
+    """What is free on a file system, and how much of that stays free."""
+
+    free_bytes: int
+    reserve_bytes: int
+
+    def takes(self, more_bytes: int) -> bool:
+        return self.free_bytes - more_bytes >= self.reserve_bytes
+
+
+def free_space(place: Path | int, reserve_bytes: int = AUTOMATIC) -> FreeSpace:
+    """The file system of a folder, which need not be there yet, or of an open file."""
+    if isinstance(place, Path):
+        facts = os.statvfs(next(path for path in (place, *place.parents) if path.exists()))
+    else:
+        facts = os.fstatvfs(place)
+    automatic = max(facts.f_blocks * facts.f_frsize // SHARE, LEAST_BYTES)
+    return FreeSpace(facts.f_bavail * facts.f_frsize, automatic if reserve_bytes == AUTOMATIC else reserve_bytes)
+
+
+def require_room(place: Path | int, more_bytes: int, reserve_bytes: int) -> None:
+    """Raises `StorageFullError` unless `more_bytes` can be written to `place` and the reserve stays free."""
+    space = free_space(place, reserve_bytes)
+    if not space.takes(more_bytes):
+        raise StorageFullError(space, more_bytes)
