@@ -67,6 +67,7 @@ from api.routes.sequences import (
     sequences,
 )
 from api.routes.sign_in_ways import device_grants, provider
+from services.runtime.database.ballast import Ballast
 from services.runtime.database.transactions import request_threads
 from services.runtime.oidc.provider import Provider
 from services.runtime.platform import Platform, open_platform
@@ -138,6 +139,8 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     )
     api.openapi = documented(api)  # type: ignore[method-assign]  # as FastAPI's own pages say to
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
+    if platform.database.is_sqlite:
+        platform.database.ballast = Ballast(platform.settings)
     api.state.provider = Provider(platform.settings.oidc, platform.settings.api.url)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     api.state.client_wheel, api.state.known_credentials = client_wheel(), KnownCredentials[Caller]()

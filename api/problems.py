@@ -26,6 +26,7 @@ from api.schemas.base import instant
 from api.statuses import phrase_of, problem_type_of
 from api.tus.errors import unsupported_media_type
 from services.domain.benchmarks.submissions.errors import ExhaustedError
+from services.runtime.database.ballast import is_full
 from services.runtime.orm.base import now_ns
 from stone.errors import StoneError
 
@@ -200,7 +201,7 @@ def _raced(error: Any) -> JSONResponse:
 
 def _database_away(error: Any) -> JSONResponse:
     log.error("database away", reason=str(error)[:300])
-    if "disk is full" in str(error):
+    if isinstance(error, OperationalError) and is_full(error):
         return _disk_full()
     if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
         return internal_error()

@@ -28,6 +28,7 @@ from services.domain.sequences.later_recordings import SequenceWalk, follow_reco
 from services.maintenance.notifications.delivery import deliver_queued
 from services.maintenance.scrub import Scrub
 from services.runtime.access.retention import cut_audit, forget_ended
+from services.runtime.database.ballast import Ballast
 from services.runtime.jobs.lease_sweep import Sweeper
 from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.jobs.worker_presence import forget_silent
@@ -150,6 +151,7 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
         Chore("credentials", MINUTE_S, lambda: forget_ended(platform)),
         Chore("audit log", MINUTE_S, lambda: cut_audit(platform)),
         Chore("workers", MINUTE_S, lambda: forget_silent(platform)),
+        *((Chore("ballast", MINUTE_S, Ballast(settings).make),) if platform.database.is_sqlite else ()),
     )
     return (
         ChoreLoop("jobs", (Chore("jobs", settings.jobs.sweep_s, sweeper.sweep),)),

@@ -22,9 +22,10 @@ from pathlib import Path
 from typing import Any
 
 from sqlalchemy import Connection, Engine, create_engine, event, make_url
-from sqlalchemy.exc import InvalidatePoolError, InvalidRequestError, SQLAlchemyError
+from sqlalchemy.exc import InvalidatePoolError, InvalidRequestError, OperationalError, SQLAlchemyError
 from sqlalchemy.orm import Session
 
+from services.runtime.database.ballast import Ballast, is_full
 from services.runtime.settings import Settings
 
 WakeUp = Callable[[str, int], None]
@@ -46,6 +47,8 @@ class Database:
             self._still = self._readers.execution_options(isolation_level=SNAPSHOT)
         self._alone = self.engine if self.is_sqlite else self.engine.execution_options(isolation_level=EACH_ALONE)
         self._wake_up = wake_up
+        self.ballast: Ballast | None = None
+        """Given up for a transaction on a full disk; none where the process may not, or nothing is written here."""
 
     @property
     def is_sqlite(self) -> bool:
@@ -55,11 +58,25 @@ class Database:
     def transaction(self) -> Iterator[Session]:
         """Yield a session; commit at the end, then send the wake-ups it noted; roll back on any exception."""
         with Session(self._writing, expire_on_commit=False) as session:
-            with session.begin():
+            with self._ballasted(), session.begin():
                 yield session
             for queue, times in session.info.pop(WAKE_UPS, {}).items():
                 if times:
                     self._wake_up(queue, times)
+
+    @contextmanager
+    def _ballasted(self) -> Iterator[None]:
+        """Give up the ballast before a transaction as room gets short, and after one that found none for the next."""
+        if self.ballast is None:
+            yield
+            return
+        self.ballast.give_up_if_low()
+        try:
+            yield
+        except OperationalError as error:
+            if is_full(error):
+                self.ballast.give_up()
+            raise
 
     @contextmanager
     def reading(self) -> Iterator[Session]:

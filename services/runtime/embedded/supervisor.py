@@ -20,6 +20,7 @@ from typing import Any
 
 from pydantic import SecretStr
 
+from services.runtime.database.ballast import Ballast
 from services.runtime.database.migrate import upgrade
 from services.runtime.embedded.child_process import Child, Program, ReportCallback, fate_of, last_words
 from services.runtime.embedded.errors import StartFailedError
@@ -90,6 +91,8 @@ def running_platform(
         platform = open_platform(settings)
         stack.callback(platform.database.close)
         keys = _prepare(platform, told)
+        if platform.database.is_sqlite:
+            Ballast(settings).make()
         programs = (
             worker_program(settings),
             api_program(settings, listener.fileno()),

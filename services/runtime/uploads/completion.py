@@ -5,6 +5,11 @@ compare-and-set lets it happen once. A process that dies before the row has chan
 bytes; the next look at it, or the sweeper, settles it.
 """
 
+from contextlib import suppress
+
+from sqlalchemy.exc import OperationalError
+
+from services.runtime.database.ballast import is_full
 from services.runtime.orm import Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.backends import LockedUpload, backend_of
@@ -12,6 +17,8 @@ from services.runtime.uploads.errors import FileMismatchError, UploadLockedError
 from services.runtime.uploads.joining import join_parts, part_ids_of
 from services.runtime.uploads.part_rows import STORE
 from services.runtime.uploads.rows import WHOLE, expiry_ns, find, leave, move
+
+ENDABLE = ("open", "complete")
 
 
 def settle(platform: Platform, upload: Upload, held: LockedUpload, sha256: str = "") -> Upload:
@@ -42,15 +49,36 @@ def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> boo
 
 
 def terminate(platform: Platform, upload: Upload) -> None:
-    """Give an upload up. Raises `wrong_upload_state` when it is in use, `UploadLockedError` while bytes come in."""
-    held = backend_of(platform, upload).hold(upload) if upload.state == "open" else None
+    """Give an upload up. Raises `wrong_upload_state` when it is in use, `UploadLockedError` while bytes come in.
+
+    Where its row cannot be written because the disk is full, its bytes go first.
+    """
+    held = _held_if_there(platform, upload) if upload.state == "open" else None
     try:
         current = find(platform.database, upload.id, upload.owner_id)
-        if current.state not in ("open", "complete") or not end(platform, current, "terminated"):
+        if current.state not in ENDABLE:
+            raise upload_state(upload.id, current.state, "terminated", "open or complete")
+        try:
+            is_ended = end(platform, current, "terminated")
+        except OperationalError as error:
+            if not is_full(error):
+                raise
+            backend_of(platform, current).remove(current.id)
+            if held is not None:
+                held.close()  # an open file keeps its blocks
+            is_ended = end(platform, current, "terminated")
+        if not is_ended:
             raise upload_state(upload.id, current.state, "terminated", "open or complete")
     finally:
         if held is not None:
             held.close()
+
+
+def _held_if_there(platform: Platform, upload: Upload) -> LockedUpload | None:
+    """Its bytes, held; None where they went before its row could be written."""
+    with suppress(FileNotFoundError):
+        return backend_of(platform, upload).hold(upload)
+    return None
 
 
 def settle_if_whole(platform: Platform, upload: Upload) -> Upload:

@@ -77,7 +77,7 @@ def test_the_platform_without_a_broker_is_swept_all_the_same(platform: Platform)
         "jobs": ["jobs"],
         "submissions": ["submissions"],
         "recordings": ["recordings"],
-        "cleaning": ["submitted files", "uploads", "blobs", "credentials", "audit log", "workers"],
+        "cleaning": ["submitted files", "uploads", "blobs", "credentials", "audit log", "workers", "ballast"],
         "scrub": ["scrub"],
         "notifications": ["phases", "events", "deliveries", "lost deliveries", "old events"],
         "senderone": ["senderone"],
