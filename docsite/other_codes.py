@@ -34,6 +34,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("damaged_export", "A file of an export is damaged or incomplete."),
     ("damaged_labels", "A file of the label set cannot be read."),
     ("damaged_sample", "The data of a sensor in a recording are damaged or incomplete."),
+    ("data_folder_open", "A warning at start: other users of the machine may enter the data folder."),
     ("delivery_failed", "A delivery was given up: the dead letter of the job dashboard."),
     ("download_under_way", "Another process is downloading to the same place."),
     ("empty_trajectory", "A trajectory without any pose answers nothing."),

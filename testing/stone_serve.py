@@ -16,6 +16,7 @@ from pathlib import Path
 
 import psutil
 
+from services.runtime.store.free_space import NO_RESERVE
 from stone_client.api import Api
 from stone_client.credentials import Server
 from testing.signals import hear_signals
@@ -63,9 +64,11 @@ class Serving:
 
 
 def environment(data: Path, **extra: str) -> Mapping[str, str]:
-    """This environment, with a configuration folder beside `data` and no setting of the platform."""
+    """This environment, with a configuration folder beside `data` and no setting of the platform but this: how full
+    this machine's disk is decides no test."""
     kept = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
-    return {**kept, "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
+    room = {"STONE_STORE__RESERVE_BYTES": str(NO_RESERVE)}
+    return {**kept, **room, "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
 
 
 @contextmanager

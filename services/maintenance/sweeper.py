@@ -34,6 +34,7 @@ from services.runtime.jobs.wakeup import wake_up_counter, wake_up_sender
 from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, platform
 from services.runtime.processes.health_check import HeartbeatFile
+from services.runtime.processes.private_files import keep_private
 from services.runtime.store.garbage_collection import collect_garbage
 from services.runtime.store.gc_holds import GcCursor
 from services.runtime.telemetry.counter_rows import fold
@@ -217,6 +218,7 @@ class StopSignal:
 def main() -> None:
     from services.runtime.processes.startup import await_schema  # Alembic is needed once
 
+    keep_private()
     speak_json()
     await_schema(platform().settings)
     setup_tracing("stone-sweeper")

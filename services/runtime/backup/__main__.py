@@ -19,6 +19,7 @@ from services.runtime.backup.retention import BackupPruneResult, BackupVerificat
 from services.runtime.backup.snapshot import read_snapshot
 from services.runtime.embedded.listen_socket import hold_folder
 from services.runtime.platform import Platform, open_silent_platform
+from services.runtime.processes.private_files import keep_private
 from services.runtime.settings import Settings
 from stone.errors import StoneError
 
@@ -96,6 +97,7 @@ def _positive(word: str) -> int:
 
 
 if __name__ == "__main__":
+    keep_private()
     sys.exit(main())
 
 

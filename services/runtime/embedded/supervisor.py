@@ -31,6 +31,7 @@ from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.lease_sweep import CRASHED, STOPPED, give_back_running
 from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, open_platform
+from services.runtime.processes.private_files import keep_private, open_data_folder
 from services.runtime.settings import ApiSettings, Settings
 
 READY_S = 180.0  # on a machine that is busy otherwise the imports alone take a minute
@@ -81,7 +82,10 @@ def running_platform(
     Raises `already_serving`, `PortTakenError`, `redis_missing`, `StartFailedError`.
     """
     with ExitStack() as stack:
+        stack.callback(os.umask, keep_private())
         lock = stack.enter_context(hold_folder(settings.root))
+        if warning := open_data_folder(settings.root):
+            told(f"{warning.code}: {warning}")
         listener = listen(settings.api)
         stack.callback(close, listener)
         broker = start_redis(settings.root / "redis", logs_of(settings), told)

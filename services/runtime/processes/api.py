@@ -14,6 +14,7 @@ from typing import Any
 
 import uvicorn
 
+from services.runtime.processes.private_files import keep_private
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
 
@@ -47,6 +48,7 @@ def options(settings: Settings, replies_s: int) -> dict[str, Any]:
 def main() -> None:
     from services.runtime.processes.startup import await_schema
 
+    keep_private()
     speak_json()
     settings = Settings()
     await_schema(settings)

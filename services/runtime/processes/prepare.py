@@ -20,6 +20,7 @@ from services.runtime.database.migrate import upgrade
 from services.runtime.database.roles import ensure_roles
 from services.runtime.embedded.first_start import ADMINISTRATOR, find_administrator
 from services.runtime.platform import Platform, open_platform
+from services.runtime.processes.private_files import keep_private
 from services.runtime.processes.startup import insist
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
@@ -62,6 +63,7 @@ def ensure_administrator(platform: Platform) -> bool:
 
 
 def main() -> None:
+    keep_private()
     speak_json()
     try:
         prepare(Settings())

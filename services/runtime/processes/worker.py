@@ -30,6 +30,7 @@ from services.runtime.jobs.claims import worker_name
 from services.runtime.jobs.execution import tell_to_stop
 from services.runtime.jobs.lease_sweep import WORKER_STOPPED, give_back_of
 from services.runtime.platform import platform
+from services.runtime.processes.private_files import keep_private
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
 from services.runtime.telemetry.log_lines import speak_json
@@ -102,6 +103,7 @@ def _end_after(drain_s: float) -> None:
 def main() -> None:
     from services.runtime.processes.startup import await_schema  # Alembic is needed once, not in every child
 
+    keep_private()
     speak_json()
     if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
