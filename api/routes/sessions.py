@@ -20,9 +20,10 @@ from api.middleware.limits import address_of
 from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
-from services.runtime.access import login_throttle, passwords, sessions, users
+from services.runtime.access import issuing, login_throttle, passwords, sessions, users
+from services.runtime.access.ending import end_browsers
+from services.runtime.access.issuing import SessionSecrets
 from services.runtime.access.login_throttle import SignInTry
-from services.runtime.access.sessions import SessionSecrets
 from services.runtime.orm import User
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
@@ -46,7 +47,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         log.warning("sign-in refused", name=user.name if user else "")  # no name: perhaps a password in the wrong field
         raise wrong_password()
     with platform.database.transaction() as session:
-        if session.get_one(User, user.id).password_hash != user.password_hash:  # changed while it was checked
+        if issuing.lock_user(session, user.id).password_hash != user.password_hash:  # changed while it was checked
             raise wrong_password()
         login_throttle.take_back(session, tried, user.id)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
@@ -79,9 +80,10 @@ def browsers(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
 
 @router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
 def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
-    """All but the browser that asks; asked with a token, all of them."""
+    """All but the browser that asks; asked with a token, all of them. Programs that one of them approved and that have
+    not fetched their token get none."""
     with platform.database.transaction() as session:
-        closed = sessions.close_others(session, caller.user_id, caller.credential_id)
+        closed = end_browsers(session, caller.user_id, caller.credential_id)
         audit.record(session, caller, "session.close_others", caller.user_id, facts={"closed": closed})
 
 

@@ -13,7 +13,8 @@ from api.schemas.admin import ReasonBody
 from api.schemas.base import PLAIN, IdPath
 from api.schemas.people import Password, RevokedItem, TokenItem, UserBody, UserChange, UserItem
 from api.views.people import tokens_page, user_item, user_of, users_page
-from services.runtime.access import login_throttle, passwords, sessions, tokens, users
+from services.runtime.access import login_throttle, passwords, tokens, users
+from services.runtime.access.ending import end_all
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.roles import Role
 
@@ -95,15 +96,15 @@ def revoke_token(
 def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
     """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays.
 
-    A token that asks and was made by one of them ends with that.
+    A token that asks and was made by one of them ends with that. Programs that were approved and have not fetched their
+    token get none; unused invitations into teams and links in e-mails end too.
     """
     with platform.database.transaction() as session:
         user_of(session, user_id, is_locked=True)
-        ended = tokens.revoke_others(session, user_id, caller.credential_id)
-        closed = sessions.close_others(session, user_id, caller.credential_id)
-        facts = {"tokens": ended, "browsers": closed}
+        ended = end_all(session, user_id, caller.credential_id)
+        facts = {"tokens": ended.tokens, "browsers": ended.browsers}
         audit.record_admin_act(session, caller, "user.credentials_revoke", user_id, body.reason, facts)
-    return RevokedItem(tokens=ended, browsers=closed)
+    return RevokedItem(tokens=ended.tokens, browsers=ended.browsers)
 
 
 def _hashed(password: Password | None, name: str) -> str | None:

@@ -17,9 +17,10 @@ import httpx
 import uvicorn
 
 from api.main import make_api
+from api.middleware.context import COOKIE
 from api.middleware.heads import BoundedHeads
-from services.runtime.access import roles, tokens, users
-from services.runtime.orm import new_id
+from services.runtime.access import roles, sessions, tokens, users
+from services.runtime.orm import User, new_id
 from services.runtime.platform import Platform
 from testing import threads
 
@@ -49,6 +50,13 @@ def person(platform: Platform, role: str, name: str = "", **token: Any) -> Perso
         held = token.get("scopes", roles.SCOPES_OF[role])
         secret = tokens.issue(session, user, "test", held, token.get("expires_s", 3600.0))
     return Person(user.id, user.name, secret)
+
+
+def in_browser(platform: Platform, who: Person) -> dict[str, str]:
+    """The headers of a browser in which this person has just signed in."""
+    with platform.database.transaction() as session:
+        opened = sessions.open_session(session, session.get_one(User, who.user_id), 3600.0)
+    return {"Cookie": f"{COOKIE}={opened.secret}", "X-CSRF-Token": opened.csrf_token}
 
 
 class PromptServer(uvicorn.Server):

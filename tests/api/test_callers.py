@@ -19,8 +19,9 @@ from sqlalchemy.orm import Session
 from api.deps import KEPT_S, SAFE, KnownCredentials
 from api.main import make_api
 from api.middleware.context import COOKIE
-from services.runtime.access import sessions, tokens, users
+from services.runtime.access import issuing, sessions, tokens, users
 from services.runtime.access.credential_changes import credentials_generation
+from services.runtime.access.ending import end_all, end_browsers
 from services.runtime.access.erasure import erase_user
 from services.runtime.orm import Token, User, WebSession
 from services.runtime.orm.base import now_ns
@@ -168,7 +169,7 @@ def test_a_session_closed_here_is_worth_nothing_at_once(api: httpx.Client, platf
     cookies = {"Cookie": f"stone_session={opened.secret}"}
     assert api.get(ME, headers=cookies).status_code == 200
     with platform.database.transaction() as session:
-        sessions.close_others(session, curator.user_id, "")
+        end_browsers(session, curator.user_id)
     assert api.get(ME, headers=cookies).status_code == 401
 
 
@@ -219,13 +220,13 @@ def test_a_token_works_until_it_is_revoked_and_its_secret_is_shown_once(api: htt
 
 
 def test_there_is_an_end_to_tokens(api: httpx.Client, curator: Person, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr("api.routes.tokens.MOST_TOKENS", 2)
+    monkeypatch.setattr("services.runtime.access.issuing.MOST_TOKENS", 2)
     assert api.post(TOKENS, json={"name": "x"}, headers=curator.headers).status_code == 201
     answer = api.post(TOKENS, json={"name": "x"}, headers=curator.headers)
     assert (answer.status_code, answer.json()["code"]) == (409, "conflict")
 
 
-CREDENTIALS = (sessions, tokens, users, erase_user, Token, WebSession)
+CREDENTIALS = (issuing, sessions, tokens, users, end_all, end_browsers, erase_user, Token, WebSession)
 """Whatever names one of these in what it runs may change a credential."""
 OF_THE_CALLER_ALONE = {"POST /api/v1/sessions", "DELETE /api/v1/sessions/current", "DELETE /api/v1/tokens/current"}
 """The first asks for the password; the others end what asks, and nothing else."""

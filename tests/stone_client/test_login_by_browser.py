@@ -13,7 +13,7 @@ import pytest
 from services.runtime.platform import Platform
 from stone_client.browser_sign_in import asks_for_browser
 from testing.api.lab import Lab, served_lab
-from testing.api.serving import Person, person
+from testing.api.serving import Person, in_browser, person
 from testing.servers.oidc import OidcServer
 from testing.stone_serve import STONE, environment
 from tests.stone_client.participating import stone
@@ -49,14 +49,14 @@ def login(tmp_path: Path, url: str, *options: str) -> Iterator[tuple[subprocess.
         process.wait()
 
 
-def decide(url: str, who: Person, code: str, approves: bool) -> None:
-    body = {"user_code": code, "approves": approves}
-    httpx.post(f"{url}/api/v1/device-grants/decision", json=body, headers=who.headers).raise_for_status()
+def decide(lab: Lab, who: Person, code: str, approves: bool) -> None:
+    body, headers = {"user_code": code, "approves": approves}, in_browser(lab.platform, who)
+    httpx.post(f"{lab.url}/api/v1/device-grants/decision", json=body, headers=headers).raise_for_status()
 
 
 def test_the_command_waits_for_the_approval_and_keeps_the_token(local: Lab, ada: Person, tmp_path: Path) -> None:
     with login(tmp_path, local.url, "--browser") as (process, code):
-        decide(local.url, ada, code, approves=True)
+        decide(local, ada, code, approves=True)
         said, _ = process.communicate(timeout=300)
     assert process.returncode == 0
     assert json.loads(said) == {
@@ -77,7 +77,7 @@ def test_where_people_have_a_provider_the_command_asks_for_no_password(
     with served_lab(platform, oidc_server.settings()) as lab:
         assert asks_for_browser(lab.url)
         with login(tmp_path, lab.url) as (process, code):
-            decide(lab.url, ada, code, approves=True)
+            decide(lab, ada, code, approves=True)
             process.communicate(timeout=300)
         assert process.returncode == 0
 

@@ -1,8 +1,8 @@
 """Routes by which a program signs in with a browser's help (RFC 8628): ask for codes, approve, take the token.
 
 **Conventions.** A program that is nobody yet asks for two codes, shows one to a person, and asks with the other until
-they decided at `/device`. To approve needs the scope `account`, as to issue a token does; what the token may is bounded
-by what the approver may.
+they decided at `/device`. Only a browser's session approves: a token is a program's, and would make another that
+outlives it. What the token may is bounded by what the approver may.
 """
 
 from fastapi import APIRouter, Request, Response
@@ -12,10 +12,10 @@ from api.answers import refusals
 from api.deps import AccountHolder, Caller, PlatformDep
 from api.errors import ApiError, NotFoundError
 from api.middleware.limits import address_of
-from api.routes.tokens import MOST_TOKENS
+from api.routes.tokens import authority_of_caller
 from api.schemas.people import IssuedToken
 from api.schemas.sign_in import DeviceBody, DeviceCodesItem, DeviceDecision, DeviceTokenBody
-from services.runtime.access import device_grants, tokens
+from services.runtime.access import device_grants, issuing
 from services.runtime.access.device_grants import DevicePoll, DeviceRequest
 from services.runtime.orm import User
 
@@ -37,19 +37,24 @@ def begin(body: DeviceBody, request: Request, response: Response, platform: Plat
 
 @router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
 def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
-    """Approved, it gets a token of the caller's, of those of its scopes that they hold."""
+    """Approved, it gets a token of the caller's, of those of its scopes that they hold; until it fetches the token, it
+    loses the approval with the browser's session. 403 `browser_only` for a token that approves."""
+    if body.approves and not caller.is_session:
+        sentence = "a token cannot approve a program; open /device in a browser in which you are signed in"
+        raise ApiError("browser_only", sentence)
     request.app.state.limits.admit_guess(caller.user_id)
     with platform.database.transaction() as session:
+        authority = authority_of_caller(session, caller, platform.settings.api.token_s)
         grant = device_grants.find_waiting(session, body.user_code, is_locked=True)
         if grant is None:
             raise NotFoundError("waiting program with the code", body.user_code)
-        facts = {"name": grant.name, "address": grant.address, "scopes": device_grants.scopes_for(grant, caller.scopes)}
-        if not body.approves:
-            grant.is_denied = True
-        elif tokens.token_count(session, caller.user_id) >= MOST_TOKENS:
-            raise ApiError("conflict", f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+        scopes = device_grants.scopes_for(grant, authority.scopes)
+        facts = {"name": grant.name, "address": grant.address, "scopes": scopes}
+        if body.approves:
+            issuing.refuse_too_many(session, caller.user_id)
+            device_grants.approve(grant, authority, caller.credential_id)
         else:
-            grant.user_id, grant.scopes = caller.user_id, device_grants.scopes_for(grant, caller.scopes)
+            grant.is_denied = True
         audit.record(session, caller, "device.approve" if body.approves else "device.deny", grant.id, facts=facts)
 
 

@@ -3,7 +3,8 @@
 **Conventions.** The program alone holds the device code (256 random bits), with which it asks; the person types the
 user code, `BCDF-GHJK`: eight letters without vowels (34 bits), valid for `LASTS_S`. Both are kept as hashes. Who
 approves sees the program's name, address and scopes; the token has those of the scopes that the approver holds, and
-never `account`. It is given out once: the row goes with it.
+never `account`. Only a browser's session approves, and its end before the token is fetched ends the grant (the foreign
+key). The token is given out once: the row goes with it.
 """
 
 from dataclasses import dataclass
@@ -13,9 +14,15 @@ from typing import Literal
 from sqlalchemy import func, select
 from sqlalchemy.orm import Session
 
-from services.runtime.access import tokens
-from services.runtime.access.roles import ACCOUNT, scopes_in_force
-from services.runtime.access.tokens import hash_of
+from services.runtime.access.issuing import (
+    Authority,
+    TokenRequest,
+    authority_of_session,
+    hash_of,
+    issue_token,
+    lock_user,
+)
+from services.runtime.access.roles import ACCOUNT
 from services.runtime.orm import DeviceGrant, Token
 from services.runtime.orm.base import now_ns
 from stone.errors import Refused
@@ -83,10 +90,21 @@ def scopes_for(grant: DeviceGrant, held: frozenset[str]) -> list[str]:
     return sorted((frozenset(grant.scopes) & held) - {ACCOUNT})
 
 
+def approve(grant: DeviceGrant, authority: Authority, session_id: str) -> None:
+    """Let the grant become a token of the approver's, if that is fetched before their browser's session ends."""
+    grant.scopes, grant.user_id = scopes_for(grant, authority.scopes), authority.user_id
+    grant.session_id = session_id
+
+
 def poll(session: Session, device_code: str, token_s: float) -> DevicePoll:
     """How the grant of this device code stands; an approved one becomes a token of `token_s`, once."""
     found = select(DeviceGrant).where(DeviceGrant.device_hash == hash_of(device_code))
-    row = session.scalars(found.with_for_update(of=DeviceGrant)).one_or_none()
+    seen = session.scalars(found).one_or_none()
+    approver_id = seen.user_id if seen else None
+    if approver_id:
+        lock_user(session, approver_id)  # first: whoever ends all credentials locks in this order
+    locked = found.with_for_update(of=DeviceGrant).execution_options(populate_existing=True)
+    row = session.scalars(locked).one_or_none()
     now = now_ns()
     if row is None or row.expires_ns <= now:
         return DevicePoll("unknown")
@@ -94,11 +112,14 @@ def poll(session: Session, device_code: str, token_s: float) -> DevicePoll:
     if row.is_denied:
         session.delete(row)
         return DevicePoll("denied")
-    if row.user is None:
+    if row.session_id is None or approver_id is None:
         return DevicePoll("slow_down" if is_early else "pending")
     session.delete(row)
-    if not row.user.is_active:
+    authority = authority_of_session(session, row.session_id, token_s)
+    if authority is None:
         return DevicePoll("denied")
-    scopes = scopes_in_force(row.user.role, row.scopes)
-    token, secret = tokens.issue_row(session, row.user, row.name, scopes, token_s)
+    scopes = frozenset(row.scopes) & authority.scopes
+    if not scopes:
+        return DevicePoll("denied")
+    token, secret = issue_token(session, authority, TokenRequest(row.name, scopes))
     return DevicePoll("approved", token, secret)

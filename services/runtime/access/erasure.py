@@ -22,7 +22,6 @@ from services.runtime.orm import (
     NotificationDelivery,
     NotificationEvent,
     SignInAddress,
-    TeamInvitation,
     Token,
     User,
     Webhook,
@@ -42,7 +41,5 @@ def erase_user(session: Session, user: User) -> None:
     forgive_name(session, user.name)
     for held in HELD:
         session.execute(delete(held).where(held.user_id == user.id))
-    unused = (TeamInvitation.created_by == user.id, TeamInvitation.used_by.is_(None))
-    session.execute(delete(TeamInvitation).where(*unused))
     user.name, user.password_hash = f"{ERASED}{token_hex(8)}", ""
     session.flush()

@@ -1,27 +1,17 @@
-"""Browser sessions: the cookie's secret stored as a hash, and its CSRF token."""
-
-from dataclasses import dataclass
-from secrets import token_urlsafe
+"""Browser sessions: found by the hash of the cookie's secret, and closed; `issuing` makes them."""
 
 from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
 
+from services.runtime.access import issuing
 from services.runtime.access.credential_changes import NOTES_USE
+from services.runtime.access.issuing import SessionSecrets, authority_for, hash_of
 from services.runtime.access.passwords import verify_password
-from services.runtime.access.tokens import USED_EVERY_NS, hash_of
+from services.runtime.access.tokens import USED_EVERY_NS
 from services.runtime.orm import User, WebSession
 from services.runtime.orm.base import now_ns
 
 LONGEST_SECRET = 64
-
-
-@dataclass(frozen=True)
-class SessionSecrets:
-    """The secrets of a browser session: the cookie's, and the token its scripts repeat in `X-CSRF-Token`."""
-
-    secret: str
-    csrf_token: str
-    expires_ns: int
 
 
 def is_password_of(user: User | None, password: str) -> bool:
@@ -31,15 +21,8 @@ def is_password_of(user: User | None, password: str) -> bool:
 
 
 def open_session(session: Session, user: User, lasts_s: float) -> SessionSecrets:
-    """Sign a browser in; sessions of this user that have expired are forgotten."""
-    now = now_ns()
-    session.execute(delete(WebSession).where(WebSession.user_id == user.id, WebSession.expires_ns <= now))
-    opened = SessionSecrets(token_urlsafe(32), token_urlsafe(32), now + int(lasts_s * 1e9))
-    row = WebSession(user_id=user.id, csrf_token=opened.csrf_token, expires_ns=opened.expires_ns)
-    row.secret_hash = hash_of(opened.secret)
-    session.add(row)
-    session.flush()
-    return opened
+    """Sign a browser in, of a user who just proved who they are. Raises `shut_out`."""
+    return issuing.open_session(session, authority_for(user, lasts_s))
 
 
 def find_session(session: Session, secret: str, idle_s: float) -> WebSession | None:
@@ -65,9 +48,3 @@ def note_use(session: Session, session_id: str) -> None:
 
 def close_session(session: Session, session_id: str) -> None:
     session.execute(delete(WebSession).where(WebSession.id == session_id))
-
-
-def close_others(session: Session, user_id: str, kept_id: str) -> int:
-    """Sign a user out of every browser but the one whose session is `kept_id`; how many those were."""
-    others = delete(WebSession).where(WebSession.user_id == user_id, WebSession.id != kept_id)
-    return len(session.scalars(others.returning(WebSession.id)).all())

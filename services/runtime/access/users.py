@@ -9,11 +9,12 @@ import re
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
+from services.runtime.access.ending import end_all, end_browsers
 from services.runtime.access.errors import name_taken
 from services.runtime.access.login_throttle import forget_addresses
 from services.runtime.access.passwords import hash_password
 from services.runtime.access.roles import ROLES
-from services.runtime.orm import User, WebSession
+from services.runtime.orm import User
 from stone.errors import Refused
 
 NAME = re.compile(r"[a-z0-9._@+-]{1,64}")
@@ -42,7 +43,7 @@ def find_user(session: Session, name: str) -> User | None:
 
 
 def change_user(session: Session, user: User, role: str | None, is_active: bool | None) -> None:
-    """Give another role, let in or shut out. Raises `unknown_role`, `last_administrator`."""
+    """Give another role, let in, or shut out with all credentials. Raises `unknown_role`, `last_administrator`."""
     if role is not None:
         _refuse_unknown(role)
     loses = (role is not None and role != "administrator") or is_active is False
@@ -51,16 +52,17 @@ def change_user(session: Session, user: User, role: str | None, is_active: bool 
     user.role = user.role if role is None else role
     user.is_active = user.is_active if is_active is None else is_active
     session.flush()
+    if is_active is False:
+        end_all(session, user.id)
 
 
 def change_password(session: Session, user: User, password_hash: str) -> None:
-    """Set the hash of a new password; every browser that was signed in with the old one is signed out, and no address
-    is known for the user any more."""
+    """Set the hash of a new password; every browser that was signed in with the old one is signed out, with the
+    programs that it approved and that have not fetched their token, and no address is known for the user any more."""
     user.password_hash = password_hash
-    forget_addresses(session, user.id)
-    for row in session.scalars(select(WebSession).where(WebSession.user_id == user.id)).all():
-        session.delete(row)
     session.flush()
+    forget_addresses(session, user.id)
+    end_browsers(session, user.id)
 
 
 def _others(session: Session, user: User) -> list[User]:

@@ -121,7 +121,8 @@ class DeviceGrant(Base):
     """A program that waits for somebody to approve it in a browser (RFC 8628); both codes are kept as their sha256.
 
     `name` and `address` say who asks. `scopes` are those that are asked for, and once `user_id` has approved it those
-    that the token is to have. The row goes when the token is given out.
+    that the token is to have. The row goes when the token is given out, or with `session_id`, the browser's session
+    that approved it.
     """
 
     __tablename__ = "device_grants"
@@ -136,4 +137,4 @@ class DeviceGrant(Base):
     polled_ns: Mapped[Ns] = mapped_column(default=0)
     is_denied: Mapped[bool] = mapped_column(default=False)
     user_id: Mapped[Id | None] = mapped_column(ForeignKey("users.id", ondelete="CASCADE"), index=True)
-    user: Mapped[User | None] = relationship(lazy="joined")
+    session_id: Mapped[Id | None] = mapped_column(ForeignKey("web_sessions.id", ondelete="CASCADE"), index=True)

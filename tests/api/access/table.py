@@ -35,7 +35,7 @@ GET    /api/v1/sign-in                                        200  200  200   20
 GET    /api/v1/sign-in/oidc                                   404  404  404   404   404  404 404  404  404  404 404
 GET    /api/v1/sign-in/oidc/callback                          404  404  404   404   404  404 404  404  404  404 404
 POST   /api/v1/device-grants                                  201  201  201   201   201  201 201  201  201  201 201
-POST   /api/v1/device-grants/decision                         401  404  404   404   404  404 403  401  401  404 403
+POST   /api/v1/device-grants/decision                         401  403  403   403   403  403 403  401  401  404 403
 POST   /api/v1/device-grants/token                            400  400  400   400   400  400 400  400  400  400 400
 POST   /api/v1/tokens                                         401  403  201   201   201  201 403  401  401  201 403
 GET    /api/v1/tokens                                         401  200  200   200   200  200 403  401  401  200 200

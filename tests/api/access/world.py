@@ -16,7 +16,7 @@ from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, cre
 from services.domain.benchmarks.teams import teams
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.profiles import profile_of
-from services.runtime.access import tokens
+from services.runtime.access.issuing import TokenRequest, authority_for, issue_token
 from services.runtime.orm import (
     CalibrationRow,
     GroundTruthRow,
@@ -226,7 +226,7 @@ def _run_that_speaks(platform: Platform, owner: Person) -> str:
 
 def _token(platform: Platform, user: User) -> str:
     with platform.database.transaction() as session:
-        return tokens.issue_row(session, user, "laptop", ["read"], 1000.0)[0].id
+        return issue_token(session, authority_for(user, 1000.0), TokenRequest("laptop", frozenset({"read"})))[0].id
 
 
 def _written(platform: Platform, content: bytes) -> Path:

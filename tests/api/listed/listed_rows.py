@@ -7,7 +7,7 @@ from sqlalchemy import insert
 from sqlalchemy.orm import Session
 
 from services.runtime.access import roles
-from services.runtime.access.tokens import hash_of
+from services.runtime.access.issuing import hash_of
 from services.runtime.orm import Artefact, Blob, Job, LabelSet, Recording, SequenceRow, SplitMember, Token, User
 from services.runtime.platform import Platform
 from tests.api.listed.listed_values import EPOCH_NS, FAR_NS, SHA, STATES, at_ns, id_of

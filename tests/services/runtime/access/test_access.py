@@ -8,6 +8,7 @@ import pytest
 from sqlalchemy import select, update
 
 from services.runtime.access import passwords, roles, sessions, tokens, users
+from services.runtime.access.issuing import TokenRequest, authority_for, issue_token
 from services.runtime.orm import Token, User, WebSession
 from services.runtime.platform import Platform
 from testing.refusals import refused_as
@@ -133,7 +134,7 @@ def test_a_token_ends_with_its_time_and_with_its_user(platform: Platform, ada: U
 def test_the_last_use_is_worth_writing_once_a_minute(platform: Platform) -> None:
     with platform.database.transaction() as session:
         user = users.create_user(session, "ada", "curator")
-        row, _ = tokens.issue_until(session, user, "laptop", ["read"], 2**62)
+        row, _ = issue_token(session, authority_for(user, 60.0), TokenRequest("laptop", frozenset({"read"})))
     assert tokens.is_use_due(row)
     with platform.database.transaction() as session:
         tokens.note_use(session, row.id)
