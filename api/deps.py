@@ -183,8 +183,7 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaita
         caller = await identify_async(request)
         if caller is None:
             raise UnauthenticatedError()
-        if caller.is_session and request.method not in SAFE:
-            _check_csrf(request, caller)
+        check_csrf(request, caller)
         if not caller.scopes & set(scopes):
             wanted = " or ".join(map(repr, scopes))
             raise ForbiddenError(f"this needs the scope {wanted}; yours are {sorted(caller.scopes)}")
@@ -274,7 +273,10 @@ def _by_session(platform: Platform, secret: str) -> Caller:
     return Caller(user.id, user.name, user.role, held, True, row.expires_ns, row.id, row.csrf_token)
 
 
-def _check_csrf(request: Request, caller: Caller) -> None:
+def check_csrf(request: Request, caller: Caller) -> None:
+    """Raises `CsrfError` if a browser would change something without the CSRF token of its session."""
+    if not caller.is_session or request.method in SAFE:
+        return
     offered = request.headers.get("x-csrf-token", "")
     if not compare_digest(offered.encode(), caller.csrf_token.encode()):
         raise CsrfError()

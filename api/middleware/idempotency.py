@@ -1,11 +1,12 @@
 """Idempotency-Key middleware: a creating request sent twice is executed once and answered twice the same.
 
 **Conventions.** Any POST under `/api/v1` by a known caller may carry a key of 1 to 128 visible ASCII characters, which
-is the caller's own, per path, for a day. What is repeated: answers below 400, with `Idempotency-Replayed: true`.
-Refusals and faults changed nothing and are not kept, so the same key may try again. Another body under the same key:
-422. While the first is being worked on: 409. An answer that says `no-store` or sets a cookie holds a secret; it is not
-kept, and its repetition is a 409 that says so. A JSON body is part of what identifies a request; of a form or of pieces
-of a file only the head is.
+is the caller's own, per path, role and scopes, for a day: no answer is repeated to a credential that may do less than
+the first one. A browser's request without its CSRF token is not looked up, and the route refuses it. What is repeated:
+answers below 400, with `Idempotency-Replayed: true`. Refusals and faults changed nothing and are not kept, so the same
+key may try again. Another body under the same key: 422. While the first is being worked on: 409. An answer that says
+`no-store` or sets a cookie holds a secret; it is not kept, and its repetition is a 409 that says so. A JSON body is
+part of what identifies a request; of a form or of pieces of a file only the head is.
 """
 
 import re
@@ -27,8 +28,8 @@ from starlette.requests import ClientDisconnect, Request
 from starlette.responses import Response
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.deps import identify, platform_of
-from api.errors import ApiError, UnauthenticatedError
+from api.deps import Caller, check_csrf, identify, platform_of
+from api.errors import ApiError, CsrfError, UnauthenticatedError
 from services.runtime.database.transactions import Database
 from services.runtime.orm import IdempotentReply
 from services.runtime.orm.base import now_ns
@@ -142,7 +143,6 @@ def _mark(session: Session) -> None:
 
 
 KEY = re.compile("[!-~]{1,128}")
-LONGEST_ROUTE = 128
 MOST_KEPT_BYTES = 64 * 1024
 LEASE_NS = 60 * 10**9
 STREAM_LEASE_NS = 6 * 3600 * 10**9  # a form's body comes while it is worked on
@@ -158,8 +158,8 @@ class Idempotency:
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
         key = _key_of(scope)
-        caller_id = await run_in_threadpool(_caller_id, Request(scope)) if key is not None else ""
-        if key is None or not caller_id:
+        caller = await run_in_threadpool(_caller, Request(scope)) if key is not None else None
+        if key is None or caller is None:
             await self._app(scope, receive, send)
             return
         if not KEY.fullmatch(key):
@@ -169,7 +169,8 @@ class Idempotency:
             )
         body = None if _is_streamed(scope) else await _read(receive)
         lease_ns = STREAM_LEASE_NS if body is None else LEASE_NS
-        asked = IdempotentRequest(caller_id, _route_of(scope), key, _fingerprint(scope, body), lease_ns)
+        route = _route_of(scope, caller)
+        asked = IdempotentRequest(caller.user_id, route, key, _fingerprint(scope, body), lease_ns)
         await self._answer(scope, receive if body is None else _ReplayedBody(receive, body), send, asked)
 
     async def _answer(self, scope: Scope, receive: Receive, send: Send, asked: IdempotentRequest) -> None:
@@ -268,13 +269,15 @@ def _key_of(scope: Scope) -> str | None:
     return Headers(scope=scope).get("idempotency-key")
 
 
-def _caller_id(request: Request) -> str:
+def _caller(request: Request) -> Caller | None:
     """Whose key it is; nobody's when the request will be refused anyway."""
     try:
         caller = identify(request)
-    except UnauthenticatedError:
-        return ""
-    return caller.user_id if caller else ""
+        if caller is not None:
+            check_csrf(request, caller)
+    except (UnauthenticatedError, CsrfError):
+        return None
+    return caller
 
 
 def _is_streamed(scope: Scope) -> bool:
@@ -296,9 +299,10 @@ async def _pieces(receive: Receive) -> AsyncIterator[bytes]:
         is_more = message.get("more_body", False)
 
 
-def _route_of(scope: Scope) -> str:
-    path: str = scope["path"]
-    return path if len(path) <= LONGEST_ROUTE else sha256(path.encode()).hexdigest()
+def _route_of(scope: Scope, caller: Caller) -> str:
+    """What is asked for, by somebody who may do what."""
+    allowed = "\n".join([scope["path"], caller.role, *sorted(caller.scopes)])
+    return sha256(allowed.encode()).hexdigest()
 
 
 def _fingerprint(scope: Scope, body: bytes | None) -> str:

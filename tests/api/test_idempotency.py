@@ -1,6 +1,7 @@
 """A creating request sent twice creates once, whatever happens between the two."""
 
 from collections.abc import Iterator
+from functools import partial
 from typing import Any
 
 import httpx
@@ -14,9 +15,9 @@ from api.main import make_api
 from api.middleware import idempotency
 from api.middleware.idempotency import KEPT_NS, IdempotentRequest, StoredReply
 from services.runtime.database.transactions import Database
-from services.runtime.orm import IdempotentReply, Team
+from services.runtime.orm import IdempotentReply, Team, User
 from services.runtime.platform import Platform
-from testing.api.serving import Person, at_once, person, serving
+from testing.api.serving import Person, at_once, in_browser, person, serving
 from testing.refusals import refused_as
 
 TEAMS = "/api/v1/teams"
@@ -86,6 +87,30 @@ def test_keys_are_their_callers_own_and_their_routes_own(api: httpx.Client, plat
     headers = {**lone.headers, "Idempotency-Key": "k"}
     user = {"name": "bob", "role": "curator", "reason": "joins"}
     assert api.post("/api/v1/users", json=user, headers=headers).status_code == 201
+
+
+def test_an_answer_is_not_repeated_to_a_credential_that_may_do_less(
+    api: httpx.Client, platform: Platform, lone: Person
+) -> None:
+    """The attack: a token for reading, or a cookie without its CSRF token, gets the stored 201 of another request."""
+    key = {"Idempotency-Key": "k"}
+    user = {"name": "bob", "role": "curator", "reason": "joins"}
+    asked = partial(api.post, "/api/v1/users", json=user)
+    assert asked(headers=lone.headers | key).status_code == 201
+    read_only = {"name": "reads", "scopes": ["read"]}
+    reader = api.post("/api/v1/tokens", json=read_only, headers=lone.headers).json()["secret"]
+    refused = asked(headers={"Authorization": f"Bearer {reader}", **key})
+    assert (refused.status_code, refused.json()["code"]) == (403, "forbidden")
+    browser = in_browser(platform, lone)
+    forged = asked(headers={"Cookie": browser["Cookie"], **key})
+    assert (forged.status_code, forged.json()["code"]) == (403, "csrf")
+    again = asked(headers=browser | key)
+    assert (again.status_code, again.headers["idempotency-replayed"]) == (201, "true")
+    api.cookies.clear()
+    with platform.database.transaction() as session:
+        session.execute(update(User).where(User.id == lone.user_id).values(role="curator"))
+    lost = asked(headers=lone.headers | key)
+    assert (lost.status_code, lost.json()["code"]) == (403, "forbidden")
 
 
 def test_a_refused_request_is_worked_on_again(api: httpx.Client, platform: Platform, lone: Person) -> None:

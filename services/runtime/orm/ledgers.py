@@ -55,7 +55,10 @@ class AuditAnchor(Base):
 
 
 class IdempotentReply(Base):
-    """The answer to a request that carried an Idempotency-Key; `status` 0 while the first one is being worked on."""
+    """The answer to a request that carried an Idempotency-Key; `status` 0 while the first one is being worked on.
+
+    `route` is the sha256 of the path and of what the caller may do.
+    """
 
     __tablename__ = "idempotent_replies"
     id: Mapped[Id] = mapped_column(primary_key=True, default=new_id)
