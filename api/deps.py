@@ -152,6 +152,14 @@ def identify(request: Request) -> Caller | None:
     return caller
 
 
+def identify_again(request: Request) -> Caller:
+    """The caller of a request that is still being answered, as they are now. Raises `UnauthenticatedError`."""
+    shown = _shown_credential(request)
+    if shown is None:
+        raise UnauthenticatedError()
+    return _known_credentials(request).find(shown) or _looked_up(request, shown)
+
+
 async def identify_async(request: Request) -> Caller | None:
     """As `identify`, without holding up the event loop: only who must be looked up is given a thread."""
     if hasattr(request.state, "caller"):

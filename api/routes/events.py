@@ -3,10 +3,13 @@
 **Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
 since, if anything. An event's data is the job, sequence or submission as its GET route shows it; `event` is
 `progress`, or `ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a
-browser's reconnecting. A stream lasts `LONGEST_S` at most, and no longer than the token that opened it.
+browser's reconnecting. A stream lasts `LONGEST_S` at most. Before each event and each sign of life the caller is
+identified again and the subject looked up as the route does: a stream ends with its credential, with its user's access
+and with the caller's sight of the subject.
 """
 
 import time
+from asyncio import sleep
 from collections.abc import AsyncGenerator, Callable
 from contextlib import aclosing
 from typing import Annotated
@@ -16,12 +19,14 @@ from fastapi import APIRouter, Header, Request, Response
 from fastapi.concurrency import run_in_threadpool
 from fastapi.responses import StreamingResponse
 from fastapi.sse import KEEPALIVE_COMMENT, format_sse_event
+from sqlalchemy.exc import SQLAlchemyError
 from sqlalchemy.orm import Session
 from starlette.types import Receive, Scope, Send
 
 from api.answers import Responses, refusals
-from api.deps import Caller, PlatformDep, Reader
-from api.event_streams import Follower, StreamSnapshot, StreamSubject
+from api.deps import Caller, PlatformDep, Reader, identify_again
+from api.errors import NotFoundError, UnauthenticatedError
+from api.event_streams import TICK_S, Follower, StreamSnapshot, StreamSubject
 from api.schemas.base import IdPath
 from api.views.jobs import job_detail
 from api.views.sequences import sequence_detail
@@ -62,7 +67,7 @@ async def follow_job(
 ) -> Response:
     """The progress of a job or run, at most twice a second, until it has ended."""
 
-    def subject(session: Session) -> StreamSubject:
+    def subject(session: Session, caller: Caller) -> StreamSubject:
         job = job_of(session, caller, job_id)
         return StreamSubject("run" if job.id == job.root_id else "job", job.id)
 
@@ -80,7 +85,7 @@ async def follow_sequence(
 ) -> Response:
     """What happens to a sequence: its runs move on, it changes, it is deleted (then the stream ends)."""
 
-    def subject(session: Session) -> StreamSubject:
+    def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("sequence", sequence_of(session, caller, sequence_id).id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
@@ -97,10 +102,13 @@ async def follow_submission(
 ) -> Response:
     """How far a submission is, until it has ended."""
 
-    def subject(session: Session) -> StreamSubject:
+    def subject(session: Session, caller: Caller) -> StreamSubject:
         return StreamSubject("submission", submission_of(session, caller, submission_id).id)
 
     return await _streamed(request, platform, caller, subject, last_event_id)
+
+
+Find = Callable[[Session, Caller], StreamSubject]
 
 
 class EventStream(StreamingResponse):
@@ -121,37 +129,63 @@ class EventStream(StreamingResponse):
 
 
 async def _streamed(
-    request: Request,
-    platform: Platform,
-    caller: Caller,
-    find: Callable[[Session], StreamSubject],
-    last_event_id: str | None,
+    request: Request, platform: Platform, caller: Caller, find: Find, last_event_id: str | None
 ) -> Response:
     follower, seen = _follower(request, platform), None if last_event_id is None else int(last_event_id)
 
     def look() -> tuple[StreamSubject, StreamSnapshot]:
         with platform.database.reading() as session:
-            subject = find(session)
+            subject = find(session, caller)
         return subject, follower.look(subject)
+
+    def is_shown_still() -> bool:
+        """Raises `UnauthenticatedError`."""
+        now = identify_again(request)
+        with platform.database.lookups() as session:
+            try:
+                return "read" in now.scopes and find(session, now) == subject
+            except NotFoundError:
+                return False
 
     subject, now = await run_in_threadpool(look)
     if now.is_over and now.version == seen:
         return Response(status_code=204)
     follower.sit(caller.user_id)
     lasting_s = min(LONGEST_S, (caller.expires_ns - now_ns()) / 1e9)
-    return EventStream(_events(follower, subject, seen, lasting_s), lambda: follower.leave(caller.user_id))
+    snapshots = follower.snapshots(subject, seen, min(KEEPALIVE_S, lasting_s))
+    return EventStream(_events(snapshots, is_shown_still, lasting_s), lambda: follower.leave(caller.user_id))
 
 
 async def _events(
-    follower: Follower, subject: StreamSubject, seen: int | None, lasting_s: float
+    newer: AsyncGenerator[StreamSnapshot | None], is_shown_still: Callable[[], bool], lasting_s: float
 ) -> AsyncGenerator[bytes]:
     until_s = time.monotonic() + lasting_s
     yield format_sse_event(retry=RETRY_MS)
-    async with aclosing(follower.snapshots(subject, seen, min(KEEPALIVE_S, lasting_s))) as snapshots:
+    async with aclosing(newer) as snapshots:
         async for snapshot in snapshots:
+            is_shown = await _asked_again(is_shown_still, until_s)
+            if snapshot is not None and snapshot.is_over and is_shown is False:
+                snapshot = StreamSnapshot(snapshot.version, "{}", is_over=True)  # deleted, or the caller's no longer
+            elif not is_shown:
+                return
             yield KEEPALIVE_COMMENT if snapshot is None else _event(snapshot)
             if time.monotonic() >= until_s:
                 return
+
+
+async def _asked_again(is_shown_still: Callable[[], bool], until_s: float) -> bool | None:
+    """Whether the subject is still shown to the caller; None if their credential has ended.
+
+    While the database is away nothing is sent.
+    """
+    while time.monotonic() < until_s:
+        try:
+            return await run_in_threadpool(is_shown_still)
+        except UnauthenticatedError:
+            return None
+        except SQLAlchemyError:
+            await sleep(TICK_S)
+    return None
 
 
 def _event(snapshot: StreamSnapshot) -> bytes:

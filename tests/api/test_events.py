@@ -6,7 +6,7 @@ from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
 from contextlib import contextmanager
 from threading import Thread
-from typing import Any
+from typing import Any, NamedTuple
 
 import httpx
 import pytest
@@ -15,16 +15,26 @@ from sqlalchemy.exc import OperationalError
 
 from api import event_streams
 from api.main import make_api
+from services.runtime.access import users
+from services.runtime.access.ending import end_all
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Job
+from services.runtime.orm import Job, User
 from services.runtime.platform import Platform
-from testing.api.serving import Person, client_of, person, serving
+from testing.api.serving import Person, client_of, in_browser, person, serving
 from testing.worlds.made import job, run, sequence
 
 Event = tuple[str, str, Any]
 
 JOBS = "/api/v1/jobs"
+
+
+class Shown(NamedTuple):
+    """What a caller shows who is no person with a token."""
+
+    headers: dict[str, str]
+
+
 SOON_S = 300.0
 POLL = "UNION ALL"  # in the statement of every poll, and in no other of these tests
 
@@ -48,7 +58,7 @@ def listen(api: httpx.Client, path: str, caller: Person, last: str = "", most: i
     return heard
 
 
-def hear(api: httpx.Client, path: str, caller: Person, last: str, heard: list[Event], most: int = 100) -> None:
+def hear(api: httpx.Client, path: str, caller: Person | Shown, last: str, heard: list[Event], most: int = 100) -> None:
     """Add each event to `heard` as it comes."""
     headers = caller.headers | ({"Last-Event-ID": last} if last else {})
     with api.stream("GET", path, headers=headers, timeout=SOON_S) as answer:
@@ -62,7 +72,7 @@ def hear(api: httpx.Client, path: str, caller: Person, last: str, heard: list[Ev
 
 
 @contextmanager
-def heard_from(api: httpx.Client, path: str, caller: Person, last: str = "") -> Iterator[list[Event]]:
+def heard_from(api: httpx.Client, path: str, caller: Person | Shown, last: str = "") -> Iterator[list[Event]]:
     """The events so far, while they come; at the end of the block the stream must end by itself."""
     heard: list[Event] = []
     ear = Thread(target=hear, args=(api, path, caller, last, heard), daemon=True)
@@ -252,6 +262,42 @@ def test_a_stream_ends_with_the_token_that_opened_it(api: httpx.Client, platform
     heard = listen(api, f"{JOBS}/{job(platform, ada, 'ingest.ok')}/events", ada)
     assert [name for name, _, _ in heard] == ["progress"]
     assert time.monotonic() - begin < SOON_S / 2
+
+
+@pytest.mark.parametrize("end", ["revoked", "signed out", "shut out", "given away"])
+@pytest.mark.parametrize("is_quiet", [False, True])
+def test_a_stream_ends_with_its_callers_access(
+    api: httpx.Client, platform: Platform, monkeypatch: pytest.MonkeyPatch, end: str, is_quiet: bool
+) -> None:
+    """The attack: the stream goes on after its token was revoked and its user was shut out."""
+    monkeypatch.setattr("api.routes.events.KEEPALIVE_S", 0.2 if is_quiet else SOON_S)
+    ada, ben = person(platform, "curator"), person(platform, "curator")
+    job_id = job(platform, ada, "ingest.ok")
+    headers = in_browser(platform, ada) if end == "signed out" else ada.headers
+    with heard_from(api, f"{JOBS}/{job_id}/events", Shown(headers)) as events:
+        until(lambda: events, "what stands is told at once")
+        with platform.database.transaction() as session:
+            if end == "given away":
+                session.get_one(Job, job_id).owner_id = ben.user_id
+            elif end == "shut out":
+                users.change_user(session, session.get_one(User, ada.user_id), None, is_active=False)
+            else:
+                end_all(session, ada.user_id)
+        if not is_quiet:
+            touch(platform, job_id, 7)
+    assert [name for name, _, _ in events] == ["progress"], "nothing that came later is told"
+
+
+def test_the_last_event_of_what_was_given_away_holds_nothing_of_it(
+    api: httpx.Client, platform: Platform, curator: Person
+) -> None:
+    other, job_id = person(platform, "curator"), job(platform, curator, "ingest.ok")
+    with heard_from(api, f"{JOBS}/{job_id}/events", curator) as events:
+        until(lambda: events, "what stands is told at once")
+        with platform.database.transaction() as session:
+            session.get_one(Job, job_id).owner_id = other.user_id
+        assert run_next(platform, "ingest", HANDLERS)
+    assert [(name, body) for name, _, body in events[1:]] in ([("ended", {})], [])
 
 
 @pytest.mark.whole
