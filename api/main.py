@@ -21,6 +21,7 @@ from api.client_wheel import client_wheel, install_line
 from api.deps import Caller, KnownCredentials
 from api.metrics import RequestMetrics
 from api.middleware.bodies import BodyLimit
+from api.middleware.connections import Connections
 from api.middleware.entry import Releases, RequestMiddleware
 from api.middleware.https import Https
 from api.middleware.idempotency import Idempotency
@@ -141,6 +142,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     api.state.platform, api.state.limits = platform, RequestLimits(platform.settings)
     if platform.database.is_sqlite:
         platform.database.ballast = Ballast(platform.settings)
+    api.state.connections = Connections(platform.settings.api)
     api.state.provider = Provider(platform.settings.oidc, platform.settings.api.url)
     api.state.meters, api.state.probes = RequestMetrics(platform), Probes(platform)
     api.state.client_wheel, api.state.known_credentials = client_wheel(), KnownCredentials[Caller]()

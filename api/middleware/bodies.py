@@ -10,10 +10,10 @@ from starlette.exceptions import HTTPException
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
 from api.errors import body_too_large
+from api.middleware.limits import UPLOADS
 from api.problems import answer_to
 from services.runtime.settings import Settings
 
-UPLOADS = "/api/v1/uploads"
 PIECES = "application/offset+octet-stream"
 FORM = "multipart/form-data"
 FORM_OVERHEAD_BYTES = 64 * 1024

@@ -1,37 +1,115 @@
-"""An uvicorn protocol that limits the size of request headers: `--http api.middleware.heads:BoundedHeads`.
+"""An uvicorn protocol that bounds connections and request heads: `--http api.middleware.heads:BoundedHeads`.
 
 **Conventions.** httptools keeps whatever comes until a head is complete, so one connection that never completes it
 would take all memory, and nobody has asked yet who calls. Beyond `MOST_HEAD_BYTES`, and what one read brings more, the
 answer is 431 and the connection ends (RFC 6585 §5). uvicorn's other parser, h11, has the same bound.
+
+A connection has `STONE_API__HEAD_S` for its first complete head, and for each further one from the last answer on; an
+idle one that was answered ends sooner, by uvicorn's own timer. What is left of a body when its request is answered is
+thrown away, within the same time. An answer of which the client takes nothing for `STALL_S` is cut off.
 """
 
+from asyncio import BaseTransport, TimerHandle
 from typing import Any
 
 from uvicorn.protocols.http.httptools_impl import HttpToolsProtocol
 
+from api.middleware.connections import Connections
+
 MOST_HEAD_BYTES = 64 * 1024
-REFUSAL = b"HTTP/1.1 431 Request Header Fields Too Large\r\nconnection: close\r\ncontent-length: 0\r\n\r\n"
+STALL_S = 60.0
+END = b"connection: close\r\ncontent-length: 0\r\n\r\n"
+TOO_LARGE = b"HTTP/1.1 431 Request Header Fields Too Large\r\n" + END
+TOO_SLOW = b"HTTP/1.1 408 Request Timeout\r\n" + END
+TOO_MANY = b"HTTP/1.1 503 Service Unavailable\r\nretry-after: 60\r\n" + END
 
 
 class BoundedHeads(HttpToolsProtocol):
-    """uvicorn's own protocol over httptools, with the bound."""
+    """uvicorn's own protocol over httptools, with the bounds."""
 
     def __init__(self, *args: Any, **kwargs: Any) -> None:
         super().__init__(*args, **kwargs)
+        self._connections = _connections_of(self.app)
         self._is_in_head, self._head_bytes = True, 0
+        self._peer, self._is_admitted = "", False
+        self._deadline: TimerHandle | None = None
+        self._stall: TimerHandle | None = None
+
+    def connection_made(self, transport: BaseTransport) -> None:
+        super().connection_made(transport)  # type: ignore[arg-type]  # as uvicorn declares it
+        self._peer = self.client[0] if self.client else ""
+        self._is_admitted = self._connections.admit(self._peer, transport.get_extra_info("socket").fileno())
+        if self._is_admitted:
+            self._arm()
+        else:
+            self._close(TOO_MANY, is_refused=True)
+
+    def connection_lost(self, exc: Exception | None) -> None:
+        super().connection_lost(exc)
+        self._disarm()
+        self.resume_writing()
+        if self._is_admitted:
+            self._connections.leave(self._peer)
 
     def data_received(self, data: bytes) -> None:
         if self._is_in_head:
             self._head_bytes += len(data)
         super().data_received(data)
         if self._is_in_head and self._head_bytes > MOST_HEAD_BYTES and not self.transport.is_closing():
-            self.transport.write(REFUSAL)
+            self.transport.write(TOO_LARGE)
             self.transport.close()
 
     def on_headers_complete(self) -> None:
         self._is_in_head = False
+        self._disarm()
         super().on_headers_complete()
 
     def on_message_complete(self) -> None:
         self._is_in_head, self._head_bytes = True, 0
         super().on_message_complete()
+
+    def on_response_complete(self) -> None:
+        super().on_response_complete()
+        if self.cycle.response_complete:  # no further request waits that came with this one
+            self._arm()
+
+    def pause_writing(self) -> None:
+        super().pause_writing()
+        self._stall = self._stall or self.loop.call_later(STALL_S, self.transport.abort)
+
+    def resume_writing(self) -> None:
+        super().resume_writing()
+        if self._stall is not None:
+            self._stall.cancel()
+            self._stall = None
+
+    def _arm(self) -> None:
+        self._disarm()
+        self._deadline = self.loop.call_later(self._connections.head_s, self._end)
+
+    def _disarm(self) -> None:
+        if self._deadline is not None:
+            self._deadline.cancel()
+            self._deadline = None
+
+    def _end(self) -> None:
+        """The time for a head is over."""
+        if self.flow.write_paused:  # `pause_writing` bounds that
+            self._arm()
+            return
+        if not self.transport.is_closing():
+            self._close(TOO_SLOW if self._is_in_head and self._head_bytes else b"", is_refused=False)
+        self._deadline = self.loop.call_later(STALL_S, self.transport.abort)  # the end of an answer may stand unread
+
+    def _close(self, answer: bytes, *, is_refused: bool) -> None:
+        self.transport.write(answer)
+        self.transport.close()
+        self._connections.note_closed(self._peer, self.loop.call_later, is_refused=is_refused)
+
+
+def _connections_of(app: Any) -> Connections:
+    """The counts of the application that uvicorn has wrapped."""
+    while not hasattr(app, "state"):
+        app = app.app
+    counts: Connections = app.state.connections
+    return counts

@@ -18,11 +18,11 @@ from starlette.requests import Request
 from starlette.types import ASGIApp, Receive, Scope, Send
 
 from api.errors import rate_limited
-from api.middleware.bodies import UPLOADS
 from api.middleware.context import COOKIE
 from services.runtime.access.login_throttle import SignInTry
 from services.runtime.settings import Settings
 
+UPLOADS = "/api/v1/uploads"
 MOST_BUCKETS = 10_000
 PROBES = ("/healthz", "/readyz")
 FILES = "/assets/"
@@ -120,13 +120,17 @@ def credential_of(request: Request) -> str:
 
 
 def address_of(request: Request) -> str:
-    """The address, or the /64 of an IPv6 one, which is what one site has."""
-    host = request.client.host if request.client else ""
+    """The address that the request comes from, as limits count it."""
+    return f"address {site_of(request.client.host if request.client else '')}"
+
+
+def site_of(host: str) -> str:
+    """The address, or the /64 of an IPv6 one, which is what one site has; a host that is no address as it is."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:
-        return f"address {host}"
+        return host
     mapped = getattr(address, "ipv4_mapped", None)
     if address.version == 4 or mapped is not None:
-        return f"address {mapped or address}"
-    return f"address {ipaddress.ip_network((address, 64), strict=False)}"
+        return str(mapped or address)
+    return str(ipaddress.ip_network((address, 64), strict=False))

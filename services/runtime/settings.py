@@ -179,13 +179,24 @@ class ApiSettings:
     `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, between blanks or commas. Who asks
     is then the right-most address of `X-Forwarded-For` that is not one of them: what stands left of it anybody can
     write. Name the proxies and nothing else: rates and waits are by that address.
+
+    A connection has `head_s` for a complete request head. One address (of IPv6 one /64) may have
+    `connections_per_address` open in a process; trusted proxies may have more.
+
+    A body that is no upload has `body_s`, and a second more for every `body_bytes_per_s` of it that came. A process
+    holds `held_body_bytes` of unanswered requests at most; one user, or one address without one, a quarter of it.
     """
 
     host: str = "127.0.0.1"
     port: int = 8080
     url: str = "http://127.0.0.1:8080"
     pages: bool = True
+    head_s: float = 20.0
+    connections_per_address: int = 256
     body_bytes: int = 2 * 2**20
+    body_s: float = 30.0
+    body_bytes_per_s: int = 16 * 2**10
+    held_body_bytes: int = 64 * 2**20
     requests_per_minute: int = 1200
     sign_ins_per_minute: int = 10
     session_s: float = 12 * 3600.0

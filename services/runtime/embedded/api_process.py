@@ -16,11 +16,13 @@ import uvicorn
 from services.runtime.processes.api import application, options
 from services.runtime.processes.private_files import keep_private
 from services.runtime.settings import Settings
+from services.runtime.telemetry.descriptors import raise_descriptor_limit
 
 
 def main(descriptor: int, replies_s: int) -> None:
     """Answer until SIGTERM, with pages unless the settings say otherwise; then replies may take `replies_s` more."""
     keep_private()
+    raise_descriptor_limit()
     settings = Settings()
     config = uvicorn.Config(application(settings), **options(settings, replies_s))
     uvicorn.Server(config).run(sockets=[socket.socket(fileno=descriptor)])

@@ -33,6 +33,7 @@ from services.runtime.jobs.worker_presence import forget_silent
 from services.runtime.platform import Platform, open_platform
 from services.runtime.processes.private_files import keep_private, open_data_folder
 from services.runtime.settings import ApiSettings, Settings
+from services.runtime.telemetry.descriptors import raise_descriptor_limit
 
 READY_S = 180.0  # on a machine that is busy otherwise the imports alone take a minute
 LOOK_S = 0.2
@@ -81,6 +82,7 @@ def running_platform(
 
     Raises `already_serving`, `PortTakenError`, `redis_missing`, `StartFailedError`.
     """
+    raise_descriptor_limit()  # of all children, which inherit it
     with ExitStack() as stack:
         stack.callback(os.umask, keep_private())
         lock = stack.enter_context(hold_folder(settings.root))

@@ -16,6 +16,7 @@ import uvicorn
 
 from services.runtime.processes.private_files import keep_private
 from services.runtime.settings import Settings
+from services.runtime.telemetry.descriptors import raise_descriptor_limit
 from services.runtime.telemetry.log_lines import speak_json
 
 SITE, API = "web.main:from_environment", "api.main:from_environment"
@@ -38,6 +39,7 @@ def options(settings: Settings, replies_s: int) -> dict[str, Any]:
         "factory": True,
         "loop": "uvloop",
         "http": PROTOCOL,
+        "ws": "none",  # another protocol would take the connection over, with its bounds
         "forwarded_allow_ips": settings.api.proxies,
         "timeout_graceful_shutdown": replies_s,
         "server_header": False,
@@ -50,6 +52,7 @@ def main() -> None:
 
     keep_private()
     speak_json()
+    raise_descriptor_limit()
     settings = Settings()
     await_schema(settings)
     uvicorn.run(

@@ -33,6 +33,7 @@ from services.runtime.platform import platform
 from services.runtime.processes.private_files import keep_private
 from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.settings import Settings
+from services.runtime.telemetry.descriptors import raise_descriptor_limit
 from services.runtime.telemetry.log_lines import speak_json
 from stone.errors import Refused
 
@@ -105,6 +106,7 @@ def main() -> None:
 
     keep_private()
     speak_json()
+    raise_descriptor_limit()
     if "TMPDIR" in os.environ:  # a volume that was empty a moment ago; without it all temporary files went to memory
         Path(os.environ["TMPDIR"]).mkdir(parents=True, exist_ok=True)
     settings, queues = Settings(), sys.argv[1:]
