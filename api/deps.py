@@ -79,6 +79,8 @@ def _key(secret: str) -> bytes:
 
 
 T = TypeVar("T")
+NEEDING_CALLER = set[object]()
+"""Dependencies that refuse who is not known."""
 VISITING = "visitor"
 SAFE = ("GET", "HEAD", "OPTIONS")
 BY_COOKIE = "cookie\n"  # which no header begins with
@@ -199,7 +201,13 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaita
             raise ForbiddenError(f"this needs the role {' or '.join(accepted)}; yours is {caller.role}")
         return caller
 
+    NEEDING_CALLER.add(caller_who_may)
     return caller_who_may
+
+
+def needs_caller(dependency: object) -> bool:
+    """Whether it refuses who is not known."""
+    return dependency in NEEDING_CALLER
 
 
 async def look(

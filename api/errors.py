@@ -7,6 +7,8 @@ and titles by code, `api/problems.py` writes the answer.
 from collections.abc import Mapping
 from typing import Any
 
+from starlette.exceptions import HTTPException
+
 from stone.errors import Refused, StoneError
 from stone.splits.splits import RuleFinding
 
@@ -71,6 +73,19 @@ def body_too_large(limit_bytes: int) -> ApiError:
     return ApiError(
         "body_too_large", f"the body is larger than {limit_bytes} bytes; send files through /api/v1/uploads"
     )
+
+
+def body_too_slow(came_bytes: int, within_s: float) -> ApiError:
+    sentence = f"{came_bytes} bytes of the body came within {within_s:.0f} s, and then no more in time; send it again"
+    return ApiError("body_too_slow", sentence, {"Connection": "close"})
+
+
+class RefusedBodyError(HTTPException):
+    """A refusal while a body is read: FastAPI passes on no other kind of error from within."""
+
+    def __init__(self, refusal: ApiError) -> None:
+        super().__init__(400)
+        self.refusal = refusal
 
 
 def rate_limited(per_minute: float, retry_after_s: int) -> ApiError:

@@ -1,8 +1,8 @@
 """The FastAPI application: its middleware and routes.
 
 **Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
-security headers, faults), `limits` (rate), `releases` (of clients), `bodies` (size), `idempotency`, then the router.
-Routes live under `/api/v1`, a module per noun; probes at the root.
+security headers, faults), `limits` (rate), `releases` (of clients), `bodies` (sender, size, time), `idempotency`, then
+the router. Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
 from collections.abc import AsyncIterator
@@ -26,6 +26,7 @@ from api.middleware.entry import Releases, RequestMiddleware
 from api.middleware.https import Https
 from api.middleware.idempotency import Idempotency
 from api.middleware.limits import RateLimit, RequestLimits
+from api.middleware.strangers import strangers_routes
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
 from api.routes import (
@@ -149,7 +150,7 @@ def make_api(platform: Platform, shown: problems.Shown = problems.as_it_is) -> F
     problems.install(api, shown)
     # What is added last is met first.
     api.add_middleware(Idempotency)
-    api.add_middleware(BodyLimit, settings=platform.settings)
+    api.add_middleware(BodyLimit, settings=platform.settings, strangers=strangers_routes(ROUTERS, PREFIX))
     api.add_middleware(Releases, install=install_line(platform.settings.api.url, api.state.client_wheel))
     api.add_middleware(RateLimit, limits=api.state.limits)
     trusts = platform.settings.api.trusts_traceparent

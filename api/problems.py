@@ -19,7 +19,7 @@ from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, Operationa
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
-from api.errors import ApiError, ForbiddenError, NotFoundError, UnauthenticatedError, body_too_large
+from api.errors import ApiError, ForbiddenError, NotFoundError, RefusedBodyError, UnauthenticatedError
 from api.middleware.context import request_id
 from api.middleware.methods import allowed
 from api.schemas.base import instant
@@ -164,8 +164,8 @@ def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
 
 
 def _http(error: Any) -> JSONResponse:
-    if hasattr(error, "limit_bytes"):  # raised while a body was read, where FastAPI lets no other kind of error pass
-        return answer_to(body_too_large(error.limit_bytes))
+    if isinstance(error, RefusedBodyError):
+        return answer_to(error.refusal)
     code = phrase_of(error.status_code).lower().replace(" ", "_").replace("-", "_")
     detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
     return answer(problem(error.status_code, code, detail), error.headers)

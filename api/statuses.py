@@ -58,6 +58,7 @@ PROBLEM_TYPES = {
     "sequence_deleted": ProblemType(404, "The sequence was deleted; nothing more is made of it"),
     "upload_missing": ProblemType(404, "There is no such upload, or it is somebody else's"),
     "upload_target_missing": ProblemType(404, "What the upload is meant for does not exist, or is somebody else's"),
+    "body_too_slow": ProblemType(408, "The body came more slowly than at the least rate, or stopped"),
     "receive_timeout": ProblemType(408, "The client sent nothing for too long; what was written before counts"),
     "already_active": ProblemType(409, "The board shows this evaluation version now"),
     "already_in_team": ProblemType(409, "Somebody takes part in the phase with another team already"),
@@ -207,7 +208,7 @@ PROBLEM_TYPES = {
     "object_damaged": ProblemType(500, "A stored file is not what was stored any more: the platform's fault"),
     "id_token_refused": ProblemType(502, "The ID token is not one that the provider made for this sign-in"),
     "provider_answer": ProblemType(502, "What the provider answered is not what the standard says"),
-    "busy": ProblemType(503, "Too many passwords are being checked at this moment, or too many programs wait"),
+    "busy": ProblemType(503, "Too many passwords are checked, programs wait, or bodies are read at this moment"),
     "provider_away": ProblemType(503, "The provider does not answer, or not in time"),
     "reader_interrupted": ProblemType(
         503, "Reading the input was cut short by the machine; perhaps no fault of the input"

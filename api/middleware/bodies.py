@@ -1,71 +1,156 @@
-"""ASGI middleware that limits the size of request bodies while they are read, whatever Content-Length says.
+"""ASGI middleware that bounds request bodies while they are read: size, time, sender and memory.
 
-**Conventions.** Of uploads, pieces of files are bounded by the upload's own length and pass, and forms may have
-`uploads.form_bytes`; everything else may have `api.body_bytes`, which is read into memory, perhaps before anybody has
-asked who is calling.
+**Conventions.** Before the first byte is read, the caller is known: whatever a stranger sends to a route that needs a
+caller is refused unread (401), and the routes of strangers (`api/middleware/strangers.py`) read `STRANGERS_BYTES`.
+Others may send `api.body_bytes`, whatever Content-Length says, within `api.body_s` and a second more for every
+`api.body_bytes_per_s` that came (408). What a request holds is part of a budget (`held_bytes.py`, 503) until it ends.
+
+Of uploads, pieces of files are bounded by the upload's own length, and written as they come (`api/tus/body_stream.py`).
+Forms may have `uploads.form_bytes`, of which memory holds `SPOOLED_BYTES`; between two of their bytes, as of pieces,
+at most `uploads.idle_s` may pass.
 """
 
+import asyncio
+from collections.abc import Collection
+from dataclasses import dataclass
+
 from starlette.datastructures import Headers
-from starlette.exceptions import HTTPException
+from starlette.formparsers import MultiPartParser
+from starlette.requests import Request
 from starlette.types import ASGIApp, Message, Receive, Scope, Send
 
-from api.errors import body_too_large
-from api.middleware.limits import UPLOADS
+from api.deps import identify_async
+from api.errors import ApiError, RefusedBodyError, UnauthenticatedError, body_too_large, body_too_slow
+from api.middleware.held_bytes import OVERHEAD_BYTES, BodyBudget
+from api.middleware.limits import UPLOADS, address_of
 from api.problems import answer_to
 from services.runtime.settings import Settings
 
 PIECES = "application/offset+octet-stream"
 FORM = "multipart/form-data"
 FORM_OVERHEAD_BYTES = 64 * 1024
+STRANGERS_BYTES = 16 * 1024
+SPOOLED_BYTES = MultiPartParser.spool_max_size
 
 
-class _TooLargeError(HTTPException):
-    """An `HTTPException`, since FastAPI passes on no other kind from within the reading of a body."""
+@dataclass(frozen=True)
+class _BodyBounds:
+    """The most bytes of a body, and of those that memory holds; a form has no rate but an idle time."""
 
-    def __init__(self, limit_bytes: int) -> None:
-        super().__init__(413)
-        self.limit_bytes = limit_bytes
+    most_bytes: int
+    held_bytes: int
+    idle_s: float = 0.0
+    is_strangers: bool = False
 
 
 class BodyLimit:
-    """An ASGI application that bounds what another may read."""
+    """An ASGI application that bounds what another may read; `strangers` are (method, path) of strangers' routes."""
 
-    def __init__(self, app: ASGIApp, settings: Settings) -> None:
-        self._app, self._settings = app, settings
+    def __init__(self, app: ASGIApp, settings: Settings, strangers: Collection[tuple[str, str]]) -> None:
+        self._app, self._uploads, self._api, self._strangers = app, settings.uploads, settings.api, strangers
+        self.budget = BodyBudget(settings.api.held_body_bytes, settings.api.body_bytes)
 
     async def __call__(self, scope: Scope, receive: Receive, send: Send) -> None:
-        limit_bytes = self.limit_of(scope) if scope["type"] == "http" else None
-        if limit_bytes is None:
+        bounds = self._bounds_of(scope) if scope["type"] == "http" and _has_body(scope) else None
+        if bounds is None:
             await self._app(scope, receive, send)
             return
-        if _declared_bytes(scope) > limit_bytes:
-            await answer_to(body_too_large(limit_bytes))(scope, receive, send)
+        if _declared_bytes(scope) > bounds.most_bytes:
+            await answer_to(body_too_large(bounds.most_bytes))(scope, receive, send)
             return
-        await self._app(scope, _CountedReceive(receive, limit_bytes), send)
+        body = _BoundedBody(await _sender_of(scope, bounds), receive, bounds, self)
+        try:
+            await self._app(scope, body, send)
+        finally:
+            body.release()
 
-    def limit_of(self, scope: Scope) -> int | None:
-        """The most bytes this request's body may have; None where the route bounds it."""
+    def due_s(self, begun_s: float, came_bytes: int) -> float:
+        """When more of a body must have come that began then."""
+        return begun_s + self._api.body_s + came_bytes / self._api.body_bytes_per_s
+
+    def _bounds_of(self, scope: Scope) -> _BodyBounds | None:
+        """None if the route bounds the body itself."""
+        if (scope["method"], scope["path"]) in self._strangers:
+            return _BodyBounds(STRANGERS_BYTES, STRANGERS_BYTES, is_strangers=True)
         kind = Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower()
         is_upload = scope["path"] == UPLOADS or scope["path"].startswith(f"{UPLOADS}/")
         if is_upload and kind == PIECES:
             return None
         if is_upload and kind == FORM:
-            return self._settings.uploads.form_bytes + FORM_OVERHEAD_BYTES
-        return self._settings.api.body_bytes
+            most_bytes = self._uploads.form_bytes + FORM_OVERHEAD_BYTES
+            return _BodyBounds(most_bytes, SPOOLED_BYTES, self._uploads.idle_s)
+        return _BodyBounds(self._api.body_bytes, self._api.body_bytes)
 
 
-class _CountedReceive:
-    """A receive channel that counts bytes and fails beyond the limit."""
+class _BoundedBody:
+    """A receive channel that fails beyond the bounds."""
 
-    def __init__(self, receive: Receive, limit_bytes: int) -> None:
-        self._receive, self._limit_bytes, self._left_bytes = receive, limit_bytes, limit_bytes
+    def __init__(self, sender: str, receive: Receive, bounds: _BodyBounds, limit: BodyLimit) -> None:
+        self._sender, self._receive, self._bounds, self._limit = sender, receive, bounds, limit
+        self._came_bytes = self._held_bytes = 0
+        self._begun_s, self._is_whole = 0.0, False
 
     async def __call__(self) -> Message:
-        message = await self._receive()
-        self._left_bytes -= len(message.get("body", b""))
-        if self._left_bytes < 0:
-            raise _TooLargeError(self._limit_bytes)
+        if self._is_whole:
+            return await self._receive()
+        try:
+            if not self._held_bytes:
+                self._begin()
+            message = await self._next()
+            self._count(len(message.get("body", b"")))
+        except ApiError as refusal:
+            raise RefusedBodyError(refusal) from refusal
+        self._is_whole = not message.get("more_body", False)
         return message
+
+    def release(self) -> None:
+        """Give the bytes back."""
+        if self._held_bytes:
+            self._limit.budget.give_back(self._sender, self._held_bytes)
+            self._held_bytes = 0
+
+    def _begin(self) -> None:
+        if not self._sender:
+            raise UnauthenticatedError()
+        self._begun_s = asyncio.get_running_loop().time()
+        self._hold(OVERHEAD_BYTES)
+
+    async def _next(self) -> Message:
+        idle_s, now_s = self._bounds.idle_s, asyncio.get_running_loop().time()
+        due_s = now_s + idle_s if idle_s else self._limit.due_s(self._begun_s, self._came_bytes)
+        try:
+            async with asyncio.timeout_at(due_s):
+                return await self._receive()
+        except TimeoutError:
+            raise body_too_slow(self._came_bytes, now_s - self._begun_s) from None
+
+    def _count(self, size_bytes: int) -> None:
+        self._came_bytes += size_bytes
+        if self._came_bytes > self._bounds.most_bytes:
+            raise body_too_large(self._bounds.most_bytes)
+        self._hold(min(self._came_bytes, self._bounds.held_bytes) + OVERHEAD_BYTES - self._held_bytes)
+
+    def _hold(self, size_bytes: int) -> None:
+        self._limit.budget.take(self._sender, size_bytes)
+        self._held_bytes += size_bytes
+
+
+async def _sender_of(scope: Scope, bounds: _BodyBounds) -> str:
+    """The user, or the address if strangers may send; empty if the body is not to be read."""
+    request = Request(scope)
+    try:
+        caller = await identify_async(request)
+    except UnauthenticatedError:
+        del request.state.caller  # whoever needs it finds out why
+        caller = None
+    if caller is not None:
+        return f"user {caller.user_id}"
+    return address_of(request) if bounds.is_strangers else ""
+
+
+def _has_body(scope: Scope) -> bool:
+    names = (b"content-length", b"transfer-encoding")
+    return any(name in names and value != b"0" for name, value in scope["headers"])
 
 
 def _declared_bytes(scope: Scope) -> int:

@@ -112,7 +112,6 @@ BOUNDS = (
     Bound("api.body_bytes", 1, "every request with a body is refused"),
     Bound("api.body_s", 0, "every request with a body is refused", is_above=True),
     Bound("api.body_bytes_per_s", 1, "there is no such rate"),
-    Bound("api.held_body_bytes", 2**20, "hardly a request with a body is taken"),
     Bound("api.requests_per_minute", 1, "every request is refused"),
     Bound("api.sign_ins_per_minute", 1, "nobody can sign in"),
     Bound("api.session_s", 0, "whoever signs in is signed out", is_above=True),
@@ -183,6 +182,11 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
         yield "STONE_STORE__S3_ENDPOINT needs STONE_STORE__S3_BUCKET: without one the store is a folder"
     if not 0 <= port <= 65535:
         yield f"STONE_API__PORT is {port} and must lie from 0 to 65535"
+    if settings.api.held_body_bytes < 2 * settings.api.body_bytes:
+        yield (
+            f"STONE_API__HELD_BODY_BYTES is {settings.api.held_body_bytes} and must be at least twice "
+            f"STONE_API__BODY_BYTES, {settings.api.body_bytes}: otherwise the largest body is never taken"
+        )
     yield from _untrustworthy(settings.api.proxies)
     yield from provider_contradictions(settings.oidc, settings.api.passwords)
     yield from in_place_contradictions(settings.in_place)

@@ -104,7 +104,7 @@ def test_a_body_that_is_a_trap_is_refused(wire: Wire) -> None:
     for path in ["sequences", "tokens", "sequences/{sequence_id}/process", "sessions"]:
         where = f"/api/v1/{path}".format_map(wire.named)
         answers = [wire.status("POST", where, "Content-Type: application/json", body=body) for body in BODIES]
-        assert set(answers) <= {400, 422}, answers
+        assert set(answers) <= {400, 422} | ({413} if path == "sessions" else set()), answers  # a stranger's are small
 
 
 def test_a_form_that_is_none_is_refused(wire: Wire) -> None:

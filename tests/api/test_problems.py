@@ -100,7 +100,7 @@ def test_a_body_that_cannot_be_read_is_refused(api: httpx.Client) -> None:
     for content, status in [
         (b"{", 422),
         (b"\xff\xff", 400),
-        (b"[" * 100_000, 400),
+        (b"[" * 10_000, 400),
         (b'{"name": ' + b"9" * 5000 + b"}", 400),
         (b"", 422),
         (b"null", 422),
@@ -121,10 +121,11 @@ def test_what_is_wrong_in_a_body_is_said_without_repeating_it(api: httpx.Client)
     assert SECRET not in answer.text
 
 
-def test_a_body_with_a_thousand_mistakes_is_answered_in_bounded_length(api: httpx.Client) -> None:
-    answer = api.post("/api/v1/sessions", json={f"{'key' * 50}{n}": n for n in range(1000)})
+def test_a_body_with_a_thousand_mistakes_is_answered_in_bounded_length(platform: Platform, curator: Person) -> None:
+    with client_of(platform, curator) as api:
+        answer = api.post("/api/v1/teams", json={f"{'key' * 50}{n}": n for n in range(1000)})
     problem = problem_of(answer, 422, "invalid_request")
-    assert (len(problem.errors), problem.errors_total) == (100, 1002)
+    assert (len(problem.errors), problem.errors_total) == (100, 1001)
     assert len(answer.content) < 40_000
 
 

@@ -102,6 +102,7 @@ def test_a_value_below_its_bound_is_refused_by_name(bound, by: int, monkeypatch:
         {"STONE_JOBS__LEASE_S": "12"},
         {"STONE_JOBS__HEARTBEAT_S": "nan"},
         {"STONE_JOBS__LEASE_S": "inf"},
+        {"STONE_API__HELD_BODY_BYTES": "4000000"},
         {"STONE_JOBS__PROGRESS_S": "5"},
         {"STONE_STORE__S3_ENDPOINT": "http://store:8333"},
         {"STONE_API__PORT": "65536"},
