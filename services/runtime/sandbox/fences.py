@@ -22,7 +22,7 @@ from contextlib import suppress
 from pathlib import Path
 
 from services.runtime.sandbox.limits import SandboxLimits
-from services.runtime.sandbox.seccomp import refuse_calls
+from services.runtime.sandbox.seccomp import allow_calls, kind_of
 from services.runtime.sandbox.system_files import DEVICES, system_files
 
 NONE = "none"
@@ -35,11 +35,13 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
     """Shut this process in; by which means each fence stands, `none` where it does not.
 
-    The process has one thread. Nothing of this can be undone.
+    Nothing of this can be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
     """
+    if len(os.listdir("/proc/self/task")) > 1:
+        raise RuntimeError("a process of several threads cannot be fenced in")
     folder = limits.folder
     has_landlock = restrict_files(limits)
-    has_seccomp = refuse_calls(may_write=folder is not None, may_link=limits.makes_links)
+    has_seccomp = allow_calls(kind_of(limits))
     network = "seccomp" if has_seccomp else "namespace" if _leave_the_network() else NONE
     by_size = "file size" if folder is None else NONE
     writing = "landlock" if has_landlock else "seccomp" if has_seccomp and folder is None else by_size

@@ -1,33 +1,67 @@
-"""A seccomp filter that denies a sandboxed child the network, other processes and, if asked, all writing.
+"""A seccomp filter that lets a sandboxed child make the system calls of its kind, and no others.
 
-**Conventions.** Classic BPF over `struct seccomp_data` (seccomp(2)): what is refused is answered EPERM, so that the
-child sees an error like any other; calls by another machine's numbers end it. The filter cannot be taken off again and
-holds for root too. It lists what is refused, not what is allowed: numerical libraries and allocators differ in what
-they call, and what is left after this list reaches nothing but the child's own memory and files it may read.
+| kind   | of a child                         | besides memory, threads, time, reading and what it has open       |
+|--------|------------------------------------|-------------------------------------------------------------------|
+| reads  | without a folder                   | nothing                                                           |
+| writes | with a folder                      | opens for writing, makes, moves and removes (Landlock says where) |
+| links  | with a folder that may hold links  | the same, and links                                               |
 
-`clone3` keeps its flags in memory that no filter can read, so it is answered ENOSYS and the C library takes `clone`,
-of which threads pass and processes do not. A signal goes to the child itself only. Limits may be read, not raised. A
-pair of local sockets passes: a library's event loop wakes itself by one, and it leads nowhere else.
+**Conventions.** Classic BPF over `struct seccomp_data` (seccomp(2)). A call that is known and not listed
+(`system_calls.py`) answers EPERM, so that the child sees an error like any other; one that is newer than the list
+answers ENOSYS, as on a kernel before it; calls by another machine's numbers end the child. The filter cannot be taken
+off again and holds for root too. `clone3` keeps its flags in memory that no filter can read, so it answers ENOSYS and
+the C library takes `clone`, of which threads pass and processes do not.
+
+What acts on others by their number, by a path or by a descriptor passes by its arguments: a signal goes to the child
+itself only, limits are read and not raised, a descriptor is duplicated and locked but names nobody to be signalled, and
+a file is cut off only by who may write it. A pair of local sockets passes: a library's event loop wakes itself by one,
+and it leads nowhere else.
 """
 
 import ctypes
 import errno
+import fcntl
 import os
 import socket
 import struct
-from collections.abc import Iterable, Mapping
+import termios
+from collections.abc import Mapping
+
+from services.runtime.sandbox import system_calls
+from services.runtime.sandbox.limits import SandboxLimits
+from services.runtime.sandbox.system_calls import MACHINES, NEWEST
 
 AUDIT_ARCH = {"x86_64": 0xC000003E, "aarch64": 0xC00000B7}
 CALL = {"x86_64": 317, "aarch64": 277}  # seccomp(2) itself
 SET_MODE_FILTER, SPEC_ALLOW = 1, 1 << 2  # without the latter older kernels slow the child's branches down
+ACTION_IS_KNOWN = 2
 PR_SET_NO_NEW_PRIVS = 38
 X32_BIT = 0x4000_0000
 ALLOW, KILL, REFUSE = 0x7FFF0000, 0x80000000, 0x00050000
 LOAD, EQUAL, SET, AT_LEAST, RETURN = 0x20, 0x15, 0x45, 0x35, 0x06
 NUMBER_AT, ARCH_AT, ARGUMENTS_AT = 0, 4, 16
 CLONE_THREAD = 0x10000
-WRITING = os.O_WRONLY | os.O_RDWR | os.O_CREAT | os.O_TRUNC
-TIOCSTI = 0x5412  # types on the terminal that a command was started from
+WRITING = os.O_WRONLY | os.O_RDWR
+CHANGING = WRITING | os.O_CREAT | os.O_TRUNC
+KINDS = ("reads", "writes", "links")
+
+# Of fcntl(2): duplicates, flags, locks and what a pipe holds; neither owners nor signals, leases, seals or notices.
+OF_DESCRIPTORS = (
+    *(fcntl.F_DUPFD, fcntl.F_DUPFD_CLOEXEC, fcntl.F_GETFD, fcntl.F_SETFD, fcntl.F_GETFL, fcntl.F_SETFL),
+    *(fcntl.F_GETLK, fcntl.F_SETLK, fcntl.F_SETLKW, fcntl.F_OFD_GETLK, fcntl.F_OFD_SETLK, fcntl.F_OFD_SETLKW),
+    1032,  # F_GETPIPE_SZ
+)
+TCGETS2 = 0x802C542A  # by which newer C libraries find out whether this is a terminal
+OF_DEVICES = (
+    *(termios.TCGETS, TCGETS2, termios.TIOCGWINSZ),
+    *(termios.FIONREAD, termios.FIONBIO, termios.FIOCLEX, termios.FIONCLEX),
+)
+# Of prctl(2): the names of threads and of memory, huge pages, and what it is.
+OF_ITSELF = (
+    *(15, 16, 0x53564D41),  # PR_SET_NAME, PR_GET_NAME, PR_SET_VMA
+    *(2, 3, 21, 23, 39),  # PR_GET_PDEATHSIG, _DUMPABLE, _SECCOMP, PR_CAPBSET_READ, PR_GET_NO_NEW_PRIVS
+    *(41, 42),  # PR_SET_THP_DISABLE, PR_GET_THP_DISABLE
+)
 
 Program = list[bytes]
 _LIBC = ctypes.CDLL(None, use_errno=True)
@@ -37,80 +71,113 @@ class _Filter(ctypes.Structure):
     _fields_ = (("length", ctypes.c_ushort), ("instructions", ctypes.c_char_p))
 
 
-def refuse_calls(*, may_write: bool, may_link: bool = False) -> bool:
-    """Put the filter on this process, whose threads to come have it too; whether the kernel took it.
+def kind_of(limits: SandboxLimits) -> str:
+    """One of `KINDS`."""
+    if limits.folder is None:
+        return "reads"
+    return "links" if limits.makes_links else "writes"
 
-    With `may_write` the calls that make and change files pass (Landlock says where), with `may_link` links as well.
-    """
+
+def is_known() -> bool:
+    """Whether this kernel, and what fences this process in already, let it put on a filter."""
     machine = os.uname().machine
-    if machine not in NUMBERS or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
+    answer = ctypes.c_uint32(REFUSE)
+    return machine in MACHINES and bool(_LIBC.syscall(CALL[machine], ACTION_IS_KNOWN, 0, ctypes.byref(answer)) == 0)
+
+
+def allow_calls(kind: str) -> bool:
+    """Put the filter on this process, whose threads to come have it too; whether the kernel took it."""
+    machine = os.uname().machine
+    if machine not in MACHINES or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
-    program = program_of(machine, os.getpid(), may_write=may_write, may_link=may_link)
+    program = program_of(machine, os.getpid(), kind)
     taken = _Filter(len(program), b"".join(program))
     return bool(_LIBC.syscall(CALL[machine], SET_MODE_FILTER, SPEC_ALLOW, ctypes.byref(taken)) == 0)
 
 
-def program_of(machine: str, pid: int, *, may_write: bool, may_link: bool = False) -> Program:
-    """The filter for the process `pid`, an instruction an entry."""
-    numbers = NUMBERS[machine]
-    head = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
+def program_of(machine: str, pid: int, kind: str) -> Program:
+    """The filter for the process `pid`, an instruction an entry.
+
+    Calls that are judged come first, since the kernel remembers of all others what always passes.
+    """
+    program = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
     if machine == "x86_64":
-        head += [_op(AT_LEAST, X32_BIT, 0, 1), _op(RETURN, KILL)]
-    refused = [*NETWORK, *PROCESSES, *MACHINE, *OWNERSHIP]
-    refused += [*([] if may_write else FILES), *([] if may_write and may_link else LINKS)]
-    body = [*_refused(numbers, refused), *_without(numbers, ("clone3", "openat2"), errno.ENOSYS)]
-    for name, block in _blocks(pid, may_write=may_write).items():
-        if name in numbers:
-            body += [_op(EQUAL, numbers[name], 0, len(block)), *block]
-    return [*head, *body, _op(RETURN, ALLOW)]
-
-
-def _refused(numbers: Mapping[str, int], names: Iterable[str]) -> Program:
-    return _without(numbers, names, errno.EPERM)
-
-
-def _without(numbers: Mapping[str, int], names: Iterable[str], answer: int) -> Program:
-    """Each call by itself: a jump reaches 255 instructions, and the kernel remembers what always passes."""
+        program += [_op(AT_LEAST, X32_BIT, 0, 1), _op(RETURN, KILL)]
+    blocks = _blocks(pid, may_write=kind != "reads")
+    for name, number in system_calls.JUDGED[machine].items():
+        program += [_op(EQUAL, number, 0, len(blocks[name])), *blocks[name]]
+    for number in allowed(machine, kind).values():
+        program += [_op(EQUAL, number, 0, 1), _op(RETURN, ALLOW)]  # a jump to one end would not reach
+    for number in system_calls.ABSENT[machine].values():
+        program += [_op(EQUAL, number, 0, 1), _op(RETURN, REFUSE | errno.ENOSYS)]
     return [
-        op
-        for name in names
-        if name in numbers
-        for op in (_op(EQUAL, numbers[name], 0, 1), _op(RETURN, REFUSE | answer))
+        *program,
+        *(_op(AT_LEAST, NEWEST + 1, 0, 1), _op(RETURN, REFUSE | errno.ENOSYS)),
+        _op(RETURN, REFUSE | errno.EPERM),
     ]
+
+
+def allowed(machine: str, kind: str) -> Mapping[str, int]:
+    """The calls that pass whatever they are given."""
+    calls = system_calls
+    groups = [calls.DESCRIPTORS, calls.MEMORY, calls.THREADS, calls.ITSELF, calls.PATHS]
+    groups += [calls.WRITING] * (kind != "reads") + [calls.LINKING] * (kind == "links")
+    return {name: number for group in groups for name, number in group[machine].items()}
 
 
 def _blocks(pid: int, *, may_write: bool) -> dict[str, Program]:
     """Calls that pass or not by what they are given."""
-    to_itself = _if(0, _op(EQUAL, pid, 1, 0))
-    blocks = {
-        "socketpair": _if(0, _op(EQUAL, socket.AF_UNIX, 1, 0)),
-        "clone": _if(0, _op(SET, CLONE_THREAD, 1, 0)),
+    to_itself = _passes_if_one_of(0, pid)
+    opening = _cuts_off_what_it_writes if may_write else _opens_to_read
+    return {
+        "openat": opening(2),
+        "open": opening(1),
+        "fcntl": [*_refused_if(1, fcntl.F_SETFL, 2, os.O_ASYNC), *_passes_if_one_of(1, *OF_DESCRIPTORS)],
+        "ioctl": _passes_if_one_of(1, *OF_DEVICES),
+        "prctl": _passes_if_one_of(0, *OF_ITSELF),
+        "prlimit64": _reads_only(2),
+        "clone": [_op(LOAD, _at(0)), _op(SET, CLONE_THREAD, 1, 0), *ENDS],
         "kill": to_itself,
         "tgkill": to_itself,
-        "prlimit64": _reads_only(2),
-        "ioctl": _if(1, _op(EQUAL, TIOCSTI, 0, 1)),
+        "tkill": to_itself,
+        "socketpair": _passes_if_one_of(0, socket.AF_UNIX),
     }
-    if not may_write:
-        blocks |= {"open": _if(1, _op(SET, WRITING, 0, 1)), "openat": _if(2, _op(SET, WRITING, 0, 1))}
-    return blocks
 
 
-def _if(argument: int, test: bytes) -> Program:
-    """Refused where `test` of the argument's lower half goes on, allowed where it skips one."""
-    return [_op(LOAD, _at(argument)), test, _op(RETURN, REFUSE | errno.EPERM), _op(RETURN, ALLOW)]
+def _passes_if_one_of(argument: int, *values: int) -> Program:
+    """Of the argument's lower half, which is all that the kernel reads of numbers of 32 bits."""
+    last = len(values)
+    return [
+        _op(LOAD, _at(argument)),
+        *(_op(EQUAL, value, last - place, 0) for place, value in enumerate(values)),
+        *ENDS,
+    ]
+
+
+def _refused_if(argument: int, value: int, beside: int, flags: int) -> Program:
+    """Refused with one of the `flags` in the argument `beside`; else it goes on."""
+    return [
+        _op(LOAD, _at(argument)),
+        _op(EQUAL, value, 0, 3),
+        _op(LOAD, _at(beside)),
+        _op(SET, flags, 0, 1),
+        _op(RETURN, REFUSE | errno.EPERM),
+    ]
+
+
+def _opens_to_read(flags: int) -> Program:
+    return [_op(LOAD, _at(flags)), _op(SET, CHANGING, 0, 1), *ENDS]
+
+
+def _cuts_off_what_it_writes(flags: int) -> Program:
+    """Landlock before its version 3 lets a file be cut off that is opened for reading."""
+    return [_op(LOAD, _at(flags)), _op(SET, os.O_TRUNC, 0, 2), _op(SET, WRITING, 1, 0), *ENDS]
 
 
 def _reads_only(argument: int) -> Program:
-    """Allowed where the pointer, both its halves, is none."""
+    """Of the child's own, where the pointer, both its halves, is none."""
     low, high = _at(argument), _at(argument) + 4
-    return [
-        _op(LOAD, low),
-        _op(EQUAL, 0, 0, 2),
-        _op(LOAD, high),
-        _op(EQUAL, 0, 1, 0),
-        _op(RETURN, REFUSE | errno.EPERM),
-        _op(RETURN, ALLOW),
-    ]
+    return [_op(LOAD, low), _op(EQUAL, 0, 0, 2), _op(LOAD, high), _op(EQUAL, 0, 1, 0), *ENDS]
 
 
 def _at(argument: int) -> int:
@@ -122,90 +189,4 @@ def _op(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
     return struct.pack("<HBBI", code, if_true, if_false, value)
 
 
-# System call numbers that the sandbox denies, by machine and by effect.
-#
-# **Conventions.** `NUMBERS[machine][name]`, `machine` as `os.uname().machine` says it; from the kernel's own headers
-# (`asm/unistd_64.h` for x86_64, `asm-generic/unistd.h` for aarch64, which never had the older calls). A group is
-# names; a name that a machine does not have is not refused there, since nobody can call it.
-
-
-def _names(words: str) -> tuple[str, ...]:
-    return tuple(words.split())
-
-
-NETWORK = _names(
-    """
-    socket connect bind listen accept accept4 sendto sendmsg sendmmsg recvfrom recvmsg recvmmsg
-    """
-)
-PROCESSES = _names(
-    """
-    fork vfork execve execveat tkill rt_sigqueueinfo rt_tgsigqueueinfo pidfd_open pidfd_send_signal pidfd_getfd
-    ptrace process_vm_readv process_vm_writev process_madvise setrlimit shmget shmat msgget semget mq_open
-    """
-)
-MACHINE = _names(
-    """
-    mount umount2 pivot_root chroot unshare setns move_mount open_tree fsopen fsmount mount_setattr swapon swapoff
-    acct quotactl quotactl_fd bpf perf_event_open userfaultfd io_uring_setup io_uring_enter io_uring_register keyctl
-    add_key request_key init_module finit_module delete_module kexec_load kexec_file_load reboot syslog personality
-    iopl ioperm setuid setgid setreuid setregid setresuid setresgid setgroups setfsuid setfsgid capset sethostname
-    setdomainname settimeofday clock_settime adjtimex clock_adjtime name_to_handle_at open_by_handle_at
-    fanotify_init
-    """
-)
-OWNERSHIP = _names(
-    """
-    mknod mknodat chown fchown lchown fchownat setxattr lsetxattr fsetxattr removexattr lremovexattr fremovexattr
-    utime utimes utimensat futimesat
-    """
-)
-FILES = _names(
-    """
-    creat truncate rename renameat renameat2 unlink unlinkat mkdir mkdirat rmdir chmod fchmod fchmodat fchmodat2
-    """
-)
-LINKS = _names("link linkat symlink symlinkat")
-
-_X86_64 = """
-    socket 41 socketpair 53 connect 42 bind 49 listen 50 accept 43 accept4 288 sendto 44 sendmsg 46 sendmmsg 307
-    recvfrom 45 recvmsg 47 recvmmsg 299 fork 57 vfork 58 clone 56 clone3 435 execve 59 execveat 322 kill 62 tkill 200
-    tgkill 234 rt_sigqueueinfo 129 rt_tgsigqueueinfo 297 pidfd_open 434 pidfd_send_signal 424 pidfd_getfd 438 ptrace 101
-    process_vm_readv 310 process_vm_writev 311 process_madvise 440 prlimit64 302 setrlimit 160 ioctl 16 open 2
-    openat 257 openat2 437 creat 85 truncate 76 rename 82 renameat 264 renameat2 316 link 86 linkat 265 symlink 88
-    symlinkat 266 unlink 87 unlinkat 263 mkdir 83 mkdirat 258 rmdir 84 mknod 133 mknodat 259 chmod 90 fchmod 91
-    fchmodat 268 fchmodat2 452 chown 92 fchown 93 lchown 94 fchownat 260 setxattr 188 lsetxattr 189 fsetxattr 190
-    removexattr 197 lremovexattr 198 fremovexattr 199 utime 132 utimes 235 utimensat 280 futimesat 261
-    open_by_handle_at 304 name_to_handle_at 303 mount 165 umount2 166 pivot_root 155 chroot 161 unshare 272 setns 308
-    move_mount 429 open_tree 428 fsopen 430 fsmount 432 mount_setattr 442 swapon 167 swapoff 168 acct 163 quotactl 179
-    quotactl_fd 443 bpf 321 perf_event_open 298 userfaultfd 323 io_uring_setup 425 io_uring_enter 426
-    io_uring_register 427 keyctl 250 add_key 248 request_key 249 init_module 175 finit_module 313 delete_module 176
-    kexec_load 246 kexec_file_load 320 reboot 169 syslog 103 personality 135 iopl 172 ioperm 173 setuid 105 setgid 106
-    setreuid 113 setregid 114 setresuid 117 setresgid 119 setgroups 116 setfsuid 122 setfsgid 123 capset 126
-    sethostname 170 setdomainname 171 settimeofday 164 clock_settime 227 adjtimex 159 clock_adjtime 305 shmget 29
-    shmat 30 msgget 68 semget 64 mq_open 240 fanotify_init 300
-"""
-_AARCH64 = """
-    socket 198 socketpair 199 connect 203 bind 200 listen 201 accept 202 accept4 242 sendto 206 sendmsg 211 sendmmsg 269
-    recvfrom 207 recvmsg 212 recvmmsg 243 clone 220 clone3 435 execve 221 execveat 281 kill 129 tkill 130 tgkill 131
-    rt_sigqueueinfo 138 rt_tgsigqueueinfo 240 pidfd_open 434 pidfd_send_signal 424 pidfd_getfd 438 ptrace 117
-    process_vm_readv 270 process_vm_writev 271 process_madvise 440 prlimit64 261 setrlimit 164 ioctl 29 openat 56
-    openat2 437 truncate 45 renameat 38 renameat2 276 linkat 37 symlinkat 36 unlinkat 35 mkdirat 34 mknodat 33 fchmod 52
-    fchmodat 53 fchmodat2 452 fchown 55 fchownat 54 setxattr 5 lsetxattr 6 fsetxattr 7 removexattr 14 lremovexattr 15
-    fremovexattr 16 utimensat 88 open_by_handle_at 265 name_to_handle_at 264 mount 40 umount2 39 pivot_root 41 chroot 51
-    unshare 97 setns 268 move_mount 429 open_tree 428 fsopen 430 fsmount 432 mount_setattr 442 swapon 224 swapoff 225
-    acct 89 quotactl 60 quotactl_fd 443 bpf 280 perf_event_open 241 userfaultfd 282 io_uring_setup 425
-    io_uring_enter 426 io_uring_register 427 keyctl 219 add_key 217 request_key 218 init_module 105 finit_module 273
-    delete_module 106 kexec_load 104 kexec_file_load 294 reboot 142 syslog 116 personality 92 setuid 146 setgid 144
-    setreuid 145 setregid 143 setresuid 147 setresgid 149 setgroups 159 setfsuid 151 setfsgid 152 capset 91
-    sethostname 161 setdomainname 162 settimeofday 170 clock_settime 112 adjtimex 171 clock_adjtime 266 shmget 194
-    shmat 196 msgget 186 semget 190 mq_open 180 fanotify_init 262
-"""
-
-
-def _numbers(table: str) -> dict[str, int]:
-    words = table.split()
-    return {name: int(number) for name, number in zip(words[::2], words[1::2], strict=True)}
-
-
-NUMBERS = {"x86_64": _numbers(_X86_64), "aarch64": _numbers(_AARCH64)}
+ENDS = (_op(RETURN, REFUSE | errno.EPERM), _op(RETURN, ALLOW))  # of a block: refused, or skipping one, allowed

@@ -83,7 +83,6 @@ def _with_journal(path: Path, journal: Path) -> Db3Location:
     folder = PrivateFolder()
     try:
         placed = folder.copy(path)
-        placed.chmod(0o600)
         folder.copy(journal)
     except BaseException:
         folder.close()

@@ -15,28 +15,17 @@ import structlog
 
 from services.runtime.sandbox import SandboxLimits, fences, parent, sandboxed, seccomp
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
-from services.runtime.sandbox.fences import enter_sandbox
-from services.runtime.sandbox.seccomp import NUMBERS
+from services.runtime.sandbox.system_calls import MACHINES
+from testing.system_calls import system_call
 
 Attack = Callable[[Path], object]
-LIBC = ctypes.CDLL(None, use_errno=True)
 REFUSED = "raised PermissionError"
 
 
-def has_seccomp() -> bool:
-    return sandboxed(lambda: enter_sandbox(SandboxLimits())["network"].encode()) == b"seccomp"
-
-
-needs_seccomp = pytest.mark.skipif(not has_seccomp(), reason="this kernel or its container takes no seccomp filter")
+needs_seccomp = pytest.mark.skipif(
+    not seccomp.is_known(), reason="this kernel or its container takes no seccomp filter"
+)
 needs_landlock = pytest.mark.skipif(fences.version() == 0, reason="this kernel has no Landlock")
-
-
-def system_call(name: str, *arguments: int) -> int:
-    """By number, as code that does not go through Python would."""
-    number = NUMBERS[os.uname().machine][name]
-    if LIBC.syscall(number, *(ctypes.c_long(argument) for argument in arguments)) == -1:
-        raise OSError(ctypes.get_errno(), name)
-    return 0
 
 
 def send_away(_: Path) -> None:
@@ -205,7 +194,7 @@ def test_a_missing_fence_is_warned_of_once_and_whole_fences_are_not_spoken_of(mo
     with structlog.testing.capture_logs() as lines:
         sandboxed(lambda: b"")
     assert [line["log_level"] for line in lines if "none" not in line.values()] == []
-    monkeypatch.setattr(seccomp, "NUMBERS", {})
+    monkeypatch.setattr(seccomp, "MACHINES", ())
     monkeypatch.setattr("services.runtime.sandbox.fences._leave_the_network", lambda: False)
     with structlog.testing.capture_logs() as lines:
         sandboxed(lambda: b"")
@@ -214,7 +203,7 @@ def test_a_missing_fence_is_warned_of_once_and_whole_fences_are_not_spoken_of(mo
 
 
 def test_without_seccomp_the_network_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(seccomp, "NUMBERS", {})
+    monkeypatch.setattr(seccomp, "MACHINES", ())
     with structlog.testing.capture_logs() as lines:
         monkeypatch.setattr(parent, "_NOTED", set())
         sandboxed(lambda: b"")
@@ -230,10 +219,10 @@ def _network_lines() -> list[bytes]:
     return Path("/proc/self/net/dev").read_bytes().splitlines()[2:]
 
 
-@pytest.mark.parametrize("machine", sorted(NUMBERS))
-@pytest.mark.parametrize("may_write", [True, False])
-def test_no_jump_of_the_filter_leaves_it(machine: str, may_write: bool) -> None:
-    program = seccomp.program_of(machine, 1, may_write=may_write)
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize("kind", seccomp.KINDS)
+def test_no_jump_of_the_filter_leaves_it(machine: str, kind: str) -> None:
+    program = seccomp.program_of(machine, 1, kind)
     assert len(program) < 4096  # BPF_MAXINSNS
     for place, op in enumerate(program):
         assert len(op) == 8
