@@ -32,7 +32,7 @@ NO_NPY = (INFLATING, ValueError, KeyError, EOFError, OSError, TypeError, SyntaxE
 known_head = lru_cache(maxsize=256)(npy_head)  # all files of a dataset have the same
 SEMANTICS, MASK_LIDAR, MASK_CAMERA = "semantics", "mask_lidar", "mask_camera"
 PLAIN = tuple(f"{key}.npy" for key in (SEMANTICS, MASK_LIDAR, MASK_CAMERA))
-CONFIDENCE = {"distance_squared.npy": np.float16, "confidence.npy": np.uint8}
+FURTHER = {"late.npy": np.uint8, "distance_squared.npy": np.float16, "confidence.npy": np.uint8}
 Grid = NDArray[np.uint8]
 
 
@@ -42,7 +42,7 @@ class FrameLabels:
 
     What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
     whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else but the
-    arrays of confidence that such labels may have.
+    further arrays that such labels may have.
     """
 
     classes: Grid
@@ -93,11 +93,11 @@ def _opened(span: ExportFileSpan, grid: LabelGrid) -> tuple[list[zipfile.ZipInfo
 
 
 def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
-    """Whether a file has the three grids, each once, and nothing else but confidence."""
+    """Whether a file has the three grids, each once, and nothing else but further arrays of ours."""
     names = [one.filename for one in listed]
     further = [one for one in listed if one.filename not in PLAIN]
     is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
-    return is_whole and all(map(arrays.is_confidence, further))
+    return is_whole and all(map(arrays.is_further, further))
 
 
 @dataclass(frozen=True)
@@ -129,11 +129,11 @@ class _Arrays:
             )
         return self._whole(member, packed, start)
 
-    def is_confidence(self, member: zipfile.ZipInfo) -> bool:
-        """Whether it is a number of each voxel, of the type that labels with confidence have."""
-        if member.filename not in CONFIDENCE:
+    def is_further(self, member: zipfile.ZipInfo) -> bool:
+        """Whether it is a number of each voxel, of the type that our labels have."""
+        if member.filename not in FURTHER:
             return False
-        dtype_ours = np.dtype(CONFIDENCE[member.filename])
+        dtype_ours = np.dtype(FURTHER[member.filename])
         packed = self._packed(member)
         try:
             shape, is_fortran, dtype, start = known_head(self._begun(member, packed, HEAD_BYTES))

@@ -43,8 +43,8 @@ class TimedSequence:
 
 # The sequences of a folder of sequences in time; None where that is not known.
 FrameOrder = Callable[[Path, Mapping[str, Sequence[str]]], Mapping[str, TimedSequence] | None]
-CONFIDENCE = "confidence"
-KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", "distance_squared", CONFIDENCE})
+CONFIDENCE, LATE = "confidence", "late"
+KEYS = frozenset({"semantics", "mask_lidar", "mask_camera", LATE, "distance_squared", CONFIDENCE})
 MAX_LABELS_BYTES = 8 * 2**20
 
 

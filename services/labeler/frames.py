@@ -20,7 +20,8 @@ from stone.labels.columns import Columns, Words, reconcile, spread_out
 from stone.labels.confidence import CALIBRATED, confidence_of, properties_of
 from stone.labels.crops import cut_batch, cut_with_rows
 from stone.labels.grid import Bounds, Window, frame_bounds, window_bytes, window_of
-from stone.labels.observed_voxels import Observed, union
+from stone.labels.late_voxels import FirstSeen, first_seen, late_columns
+from stone.labels.observed_voxels import NOTHING, Observed, union
 from stone.labels.pooling import pooled, pooled_further
 from stone.labels.profiles import VoxelTerrain, distances
 from stone.labels.sight_batches import LANES, SightBatch
@@ -32,6 +33,7 @@ from stone_files.npz import npz_bytes
 
 MAX_WINDOW_BYTES = 192 * 2**20
 GRIDS = ("semantics", "mask_lidar", "mask_camera")
+LATE = "late"
 # Further arrays: D² as float16, to half a part in a thousand, its greatest value for all beyond; and the values that
 # stand for no surface.
 MOST_SQUARED = float(np.finfo(np.float16).max)
@@ -94,18 +96,23 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
 
 def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
     poses, shape = run.sequence.frames.map_from_ego, run.parameters.grid.shape
-    height, cuts = shape[2], labelled_map.cut(poses[slice(*batch)])
-    grids = np.empty((len(GRIDS), *shape), np.uint8)  # the same memory for every frame: fresh pages cost more
-    seen = sight.visible(np.stack([columns.occupied for columns, _ in cuts]))
-    for token, (columns, extra), visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
+    later = np.arange(*batch) + run.every(
+        run.parameters.carve.every_frame
+    )  # up to there one sweep at least is followed
+    height, cuts = shape[2], labelled_map.cut(poses[slice(*batch)], later.tolist())
+    names = (*GRIDS, LATE)
+    grids = np.empty((len(names), *shape), np.uint8)  # the same memory for every frame: fresh pages cost more
+    seen = sight.visible(np.stack([frame.columns.occupied for frame in cuts]))
+    for token, frame, visible in zip(run.sequence.frames.tokens[slice(*batch)], cuts, seen, strict=True):
+        columns = frame.columns
         masks = reconcile(columns, visible, height)
-        layers: list[tuple[Words, Words | None]]
-        layers = [(columns.ones, columns.twos), (masks.observed, None), (masks.visible, None)]
+        layers: list[tuple[Words, Words | None]] = [(columns.ones, columns.twos)]
+        layers += [(words, None) for words in (masks.observed, masks.visible, frame.late)]
         for (low, high), grid in zip(layers, grids, strict=True):
             spread_out(low, high, grid)
         packed = [deflated_columns(low, high, height) for low, high in layers]
-        arrays: dict[str, NDArray[Any]] = {**dict(zip(GRIDS, grids, strict=True)), **extra}
-        payload = npz_bytes(arrays, deflated=dict(zip(GRIDS, packed, strict=True)))
+        arrays: dict[str, NDArray[Any]] = {**dict(zip(names, grids, strict=True)), **frame.further}
+        payload = npz_bytes(arrays, deflated=dict(zip(names, packed, strict=True)))
         yield LabelledFrame(token, payload, masks.by_class, masks.by_mask, columns.filled)
 
 
@@ -129,6 +136,15 @@ def _bounds(run: LabelRun, part: Part) -> Bounds:
 
 
 @dataclass(frozen=True, eq=False)
+class _CutFrame:
+    """The columns of one frame, its late voxels, and the further arrays of its file by name."""
+
+    columns: Columns
+    late: Words
+    further: Mapping[str, NDArray[Any]]
+
+
+@dataclass(frozen=True, eq=False)
 class _LabelledMap:
     """The labelled map around some frames, which are cut at `grid`. If confidence is asked for, `table` finds the rows
     of its voxels (K,), and `further` has the further arrays of their files, (K + 1,) each, by name; the last value
@@ -136,21 +152,28 @@ class _LabelledMap:
 
     grid: LabelGrid
     window: Window
+    first: FirstSeen
     table: VoxelTable | None
     further: Mapping[str, NDArray[Any]]
 
-    def cut(self, map_from_ego: SE3) -> list[tuple[Columns, dict[str, NDArray[Any]]]]:
-        """The frames at these poses (F,), and what goes into the file of each besides."""
-        grid = self.grid
+    def cut(self, map_from_ego: SE3, later: Sequence[int]) -> list[_CutFrame]:
+        """The frames at these poses (F,), of each of which `later` is the first frame that counts as later."""
         if self.table is None:
-            return [(pooled(columns, grid), {}) for columns in cut_batch(self.window, map_from_ego, grid.on_map)]
+            fine = cut_batch(self.window, map_from_ego, self.grid.on_map)
+            return [self._cut_frame(fine[at], map_from_ego[at], frame, {}) for at, frame in enumerate(later)]
         found = []
-        for frame in range(len(map_from_ego)):
-            fine, rows = cut_with_rows(self.window, map_from_ego[frame], self.table, grid.on_map)
-            columns = pooled(fine, grid)
+        for at, frame in enumerate(later):
+            columns, rows = cut_with_rows(self.window, map_from_ego[at], self.table, self.grid.on_map)
             further = {name: values[rows] for name, values in self.further.items()}
-            found.append((columns, further if columns is fine else pooled_further(fine, columns, further, grid)))
+            found.append(self._cut_frame(columns, map_from_ego[at], frame, further))
         return found
+
+    def _cut_frame(self, fine: Columns, pose: SE3, later: int, further: Mapping[str, NDArray[Any]]) -> _CutFrame:
+        columns = pooled(fine, self.grid)
+        late = late_columns(fine, self.window, pose, (self.first, later), self.grid)
+        return _CutFrame(
+            columns, late, further if columns is fine else pooled_further(fine, columns, further, self.grid)
+        )
 
 
 @dataclass(frozen=True, eq=False)
@@ -200,7 +223,7 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
     bounds, is_asked = _bounds(run, part), run.parameters.confidence
     keys, classes, squared = [np.zeros(0, np.int64)], [np.zeros(0, np.uint8)], [np.zeros(0)]
     confidence = [np.zeros(0, np.uint8)]
-    seen = [Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))]
+    seen = [NOTHING]
     for tile in tiles_across(run.parameters, bounds, run.map_of(part)):
         if not surface_path(run, tile).exists():
             continue
@@ -209,13 +232,16 @@ def _map_around(run: LabelRun, part: Part, reference: Reference) -> _LabelledMap
         classes.append(found.classes)
         squared.append(found.squared)
         confidence += [] if found.confidence is None else [found.confidence]
-        seen.append(Observed(found.arrays["bricks"], found.arrays["words"]))  # type: ignore[arg-type]
+        bricks = (found.arrays[name] for name in ("bricks", "words", "since"))
+        seen.append(Observed(*bricks))  # type: ignore[arg-type]
     all_keys = np.concatenate(keys)
-    window = window_of(all_keys, np.concatenate(classes), union(seen), bounds)
+    observed = union(seen)
+    window = window_of(all_keys, np.concatenate(classes), observed, bounds)
+    cut_from = (run.parameters.grid, window, first_seen(observed, window))
     if not is_asked:
-        return _LabelledMap(run.parameters.grid, window, None, {})
+        return _LabelledMap(*cut_from, None, {})
     all_squared = np.append(np.concatenate(squared), NO_SURFACE)
     further: dict[str, NDArray[Any]] = {"distance_squared": np.minimum(all_squared, MOST_SQUARED).astype(np.float16)}
     if run.parameters.profile == CALIBRATED:
         further["confidence"] = np.append(np.concatenate(confidence), np.uint8(UNSURE))
-    return _LabelledMap(run.parameters.grid, window, table_of(all_keys), further)
+    return _LabelledMap(*cut_from, table_of(all_keys), further)

@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from services.labeler.map.fused_files import fused_observed, fused_points
 from services.labeler.run import LabelRun, Part, Tile, parts_of
-from stone.labels.observed_voxels import Observed, union
+from stone.labels.observed_voxels import NOTHING, Observed, union
 from stone.surface.pointmap import PointMap
 from stone.surface.range_image import RangeImage, view_of
 from stone_files.npz import mapped_npz, npz_bytes, write_stored_npz
@@ -112,8 +112,7 @@ def load_points(run: LabelRun, tile: Tile, low: NDArray[np.float64], high: NDArr
 
 def load_observed(run: LabelRun, tile: Tile) -> Observed:
     """What any part observed in this tile."""
-    nothing = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
-    return union([nothing, *(fused_observed(load(path)) for path in _fused_parts(run, tile))])
+    return union([NOTHING, *(fused_observed(load(path)) for path in _fused_parts(run, tile))])
 
 
 def save_images(run: LabelRun, part: Part, images: Mapping[int, NDArray[np.float32]]) -> None:

@@ -1,7 +1,8 @@
 """Observed voxels: every voxel that a LiDAR ray reached or passed.
 
 **Conventions.** The set is kept as bricks of 4 × 4 × 4 voxels, one bit each in a uint64 word, so marking a voxel is
-idempotent and sets from different sweeps join by OR: order and grouping do not matter. Bit (x·4 + y)·4 + z.
+idempotent and sets from different sweeps join by OR: order and grouping do not matter. Bit (x·4 + y)·4 + z. Beside
+its bits a brick keeps the first frame whose rays touched it.
 """
 
 import math
@@ -49,22 +50,32 @@ class CarveParameters:
 
 @dataclass(frozen=True, eq=False)
 class Observed:
-    """`keys` (B,) sorted brick keys (lattice of `BRICK` voxels), `words` (B,) uint64 bits."""
+    """`keys` (B,) sorted brick keys (lattice of `BRICK` voxels), `words` (B,) uint64 bits, `since` (B,) the first frame
+    whose rays touched the brick."""
 
     keys: Keys
     words: NDArray[np.uint64]
+    since: NDArray[np.int32]
+
+    def where(self, kept: NDArray[np.bool_]) -> "Observed":
+        """Return the bricks that are kept (B,)."""
+        return Observed(self.keys[kept], self.words[kept], self.since[kept])
+
+
+NOTHING = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64), np.zeros(0, np.int32))
 
 
 def union(parts: Sequence[Observed]) -> Observed:
     """What any of the parts observed."""
     keys = np.concatenate([part.keys for part in parts])
     words = np.concatenate([part.words for part in parts])
+    since = np.concatenate([part.since for part in parts])
     order = np.argsort(keys, kind="stable")
-    keys, words = keys[order], words[order]
+    keys, words, since = keys[order], words[order], since[order]
     if len(keys) == 0:
-        return Observed(keys, words)
+        return Observed(keys, words, since)
     first = np.flatnonzero(np.concatenate([[True], keys[1:] != keys[:-1]]))
-    return Observed(keys[first], np.bitwise_or.reduceat(words, first))
+    return Observed(keys[first], np.bitwise_or.reduceat(words, first), np.minimum.reduceat(since, first))
 
 
 class Carver:
@@ -79,16 +90,19 @@ class Carver:
         self._used = 0
         self._keys = np.full(slots, EMPTY, np.int64)
         self._words = np.zeros(slots, np.uint64)
+        self._since = np.zeros(slots, np.int32)
         self._bits = _window_bits(parameters)
         bricks = 1 << 3 * self._bits
         self._window = np.zeros(bricks, np.uint64)
         self._is_touched, self._touched = np.zeros(bricks, np.uint8), np.empty(bricks + 1, np.int32)
         self._lanes = _room_for_lanes(parameters)
 
-    def carve(self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64]) -> None:
+    def carve(
+        self, points_ego: NDArray[np.float32], map_from_ego: SE3, sensor_ego: NDArray[np.float64], frame: int = 0
+    ) -> None:
         """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
 
-        Raises `off_lattice` for a pose that is not finite or off the lattice.
+        Frames come in their order. Raises `off_lattice` for a pose that is not finite or off the lattice.
         """
         p = self._parameters
         sensor = map_from_ego @ sensor_ego
@@ -103,18 +117,19 @@ class Carver:
         while self._used + touched > int(len(self._keys) * LOAD_RATIO):
             self._grow()
         window = (self._window, self._touched[:touched], self._bits)
-        self._used += _join(window, corner, self._keys, self._words)
+        self._used += _join(window, corner, (self._keys, self._words, self._since), frame)
 
     def _grow(self) -> None:
-        old = (self._keys, self._words)
+        old = (self._keys, self._words, self._since)
         self._keys = np.full(2 * len(old[0]), EMPTY, np.int64)
         self._words = np.zeros(2 * len(old[0]), np.uint64)
-        _rehash(old, (self._keys, self._words))
+        self._since = np.zeros(2 * len(old[0]), np.int32)
+        _rehash(old, (self._keys, self._words, self._since))
 
     def finish(self) -> Observed:
         used = np.flatnonzero(self._keys != EMPTY)
         order = used[np.argsort(self._keys[used])]
-        return Observed(self._keys[order], self._words[order])
+        return Observed(self._keys[order], self._words[order], self._since[order])
 
 
 def _window_radius(parameters: CarveParameters) -> int:
@@ -251,9 +266,9 @@ def _gather_touched(is_touched, touched):  # type: ignore[no-untyped-def]
 
 
 @njit(cache=True, nogil=True)
-def _join(window, corner, keys, known):  # type: ignore[no-untyped-def]
-    """Join the touched bricks to what is known and clear the window; how many of them are new."""
-    words, touched, bits = window
+def _join(window, corner, table, frame):  # type: ignore[no-untyped-def]
+    """Join the touched bricks to what is known and clear the window; how many of them are new, since this frame."""
+    (words, touched, bits), (keys, known, since) = window, table
     side = 1 << bits
     new, mask, own = 0, np.uint64(keys.size - 1), np.empty(touched.size, np.int64)
     for n in range(touched.size):
@@ -268,7 +283,9 @@ def _join(window, corner, keys, known):  # type: ignore[no-untyped-def]
             prefetch(words, np.int64(touched[n + AHEAD]))
         key, brick = own[n], touched[n]
         slot = slot_of(keys, key)
-        new += keys[slot] == EMPTY
+        if keys[slot] == EMPTY:
+            new += 1
+            since[slot] = frame
         keys[slot] = key
         known[slot] |= words[brick]
         words[brick] = 0
@@ -281,7 +298,7 @@ def _rehash(old, new):  # type: ignore[no-untyped-def]
         if old[0][row] != EMPTY:
             slot = slot_of(new[0], old[0][row])
             new[0][slot] = old[0][row]
-            new[1][slot] = old[1][row]
+            new[1][slot], new[2][slot] = old[1][row], old[2][row]
 
 
 # Rays through the voxel lattice, `LANES` of them in step: one alone waits for each of its steps, many do not.

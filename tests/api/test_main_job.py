@@ -131,7 +131,7 @@ def test_every_frame_has_its_labels(done: Done) -> None:
         answer = done.read(f"{API}/frames/{frame['token']}/labels.npz")
         assert answer.headers["etag"] == f'"{sha256(answer.content).hexdigest()}"'
         labels = np.load(io.BytesIO(answer.content))
-        assert set(labels) == {"semantics", "mask_lidar", "mask_camera"}
+        assert set(labels) == {"semantics", "mask_lidar", "mask_camera", "late"}
         assert labels["semantics"].shape == (256, 256, 32)
         assert (labels["semantics"] == 1).any(), "the robot stands on what it drove over"
 

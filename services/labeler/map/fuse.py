@@ -38,7 +38,7 @@ def fuse(run: LabelRun, part: Part, step: Step = silent) -> int:
         )
         builder.insert(points.world_ego, pose, run.sensor_ego, reach)
         if index % run.every(parameters.carve.every(len(points.world_ego))) == 0:
-            carver.carve(points.world_ego, pose, run.sensor_ego)
+            carver.carve(points.world_ego, pose, run.sensor_ego, index)
         if index % imaged == 0:
             image = range_image(points.points_ego, pose, run.sensor_ego, parameters.dynamic)
             images[index] = image.ranges_m
@@ -64,7 +64,7 @@ def _leave(run: LabelRun, part: Part, points: PointMap, observed: Observed) -> N
     for i, j in sorted(_distinct(point_tiles) | _distinct(brick_tiles)):
         mine = (point_tiles[:, 0] == i) & (point_tiles[:, 1] == j)
         bricks = (brick_tiles[:, 0] == i) & (brick_tiles[:, 1] == j)
-        mapped = points.where(mine), Observed(observed.keys[bricks], observed.words[bricks])
+        mapped = points.where(mine), observed.where(bricks)
         save(fused_path(run, Tile(i, j, run.map_of(part)), part), fused_columns(*mapped))
 
 

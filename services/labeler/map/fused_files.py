@@ -6,6 +6,7 @@ x highest, hence sorted as the keys are.
 """
 
 from collections.abc import Mapping
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -33,6 +34,7 @@ def fused_columns(points: PointMap, observed: Observed) -> dict[str, NDArray[np.
         "views": _narrowed(points.moments[:, VIEW]),
         "bricks": observed.keys,
         "words": observed.words,
+        "since": _narrowed(observed.since),
     }
 
 
@@ -50,7 +52,8 @@ def fused_points(columns: Columns, voxel_m: float, plan: Plan | None = None) -> 
 
 def fused_observed(columns: Columns) -> Observed:
     """The observed bricks among these columns."""
-    return Observed(columns["bricks"].astype(np.int64, copy=False), columns["words"].astype(np.uint64, copy=False))
+    bricks, words = columns["bricks"].astype(np.int64, copy=False), columns["words"].astype(np.uint64, copy=False)
+    return Observed(bricks, words, columns["since"].astype(np.int32))
 
 
 def _cells_of(keys: Keys) -> tuple[NDArray[np.int64], NDArray[np.generic]]:
@@ -84,7 +87,7 @@ def _rows_in(plan: Plan, box: NDArray[np.generic], cells: NDArray[np.generic]) -
     return np.asarray(rows.start + np.flatnonzero((first[1] <= j) & (j < end[1])))
 
 
-def _narrowed(values: NDArray[np.int64]) -> NDArray[np.generic]:
+def _narrowed(values: NDArray[np.integer[Any]]) -> NDArray[np.generic]:
     """The same numbers in the narrowest type that holds them all."""
     if not values.size:
         return values.astype(np.uint8)

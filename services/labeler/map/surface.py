@@ -166,5 +166,6 @@ def _leave(
         "mesh": packed(mesh_arrays),
         "bricks": observed.keys,
         "words": observed.words,
+        "since": observed.since,
     }
     save(surface_path(run, tile), arrays)

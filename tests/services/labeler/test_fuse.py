@@ -19,7 +19,7 @@ from services.labeler.scratch import images_near, images_path, load_observed, lo
 from services.labeler.tile_plan import plan_of, reach_m, tiles_around
 from stone.geometry.lattice import indices_of, keys_from_indices
 from stone.geometry.se3 import SE3
-from stone.labels.observed_voxels import Observed, union
+from stone.labels.observed_voxels import NOTHING, Observed, union
 from stone.sensors.calibration import Box
 from stone.sensors.sequence import Frames, Sweep
 from stone.surface.pointmap import PointMap, merge
@@ -250,9 +250,6 @@ def test_a_task_that_waits_for_nobody_is_refused() -> None:
         list(workers.run(tasks))
 
 
-NOTHING_SEEN = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
-
-
 def map_of(seed, count, reach, largest):
     rng = np.random.default_rng(seed)
     keys = np.unique(keys_from_indices(rng.integers(-reach, reach + 1, (count, 3))))
@@ -265,7 +262,7 @@ def map_of(seed, count, reach, largest):
 @given(st.integers(0, 2**32), st.integers(0, 60), st.sampled_from([0, 3, 500, 2**20 - 2]), st.integers(1, 2**62))
 def test_a_point_map_comes_back_bit_for_bit(seed, count, reach, largest):
     points = map_of(seed, count, reach, largest)
-    read = fused_points(fused_columns(points, NOTHING_SEEN), 0.1)
+    read = fused_points(fused_columns(points, NOTHING), 0.1)
     assert read.keys.tobytes() == points.keys.tobytes()
     assert read.moments.tobytes() == points.moments.tobytes()
 
@@ -275,7 +272,7 @@ def test_a_point_map_comes_back_bit_for_bit(seed, count, reach, largest):
 def test_a_rectangle_of_a_point_map_is_its_voxels_there(seed, count, reach, data):
     points, index = map_of(seed, count, reach, 1000), st.integers(-reach - 2, reach + 2)
     low, high = np.sort([data.draw(st.tuples(index, index)) for _ in range(2)], axis=0)
-    read = fused_points(fused_columns(points, NOTHING_SEEN), 0.1, (low, high))
+    read = fused_points(fused_columns(points, NOTHING), 0.1, (low, high))
     places = indices_of(points.keys)[:, :2]
     inside = points.where(((low <= places) & (places < high)).all(axis=1))
     assert read.keys.tobytes() == inside.keys.tobytes()
@@ -284,13 +281,15 @@ def test_a_rectangle_of_a_point_map_is_its_voxels_there(seed, count, reach, data
 
 @given(st.sets(st.integers(0, 2**62), max_size=40))
 def test_what_was_observed_comes_back_bit_for_bit(keys):
-    observed = Observed(np.array(sorted(keys), np.int64), np.arange(len(keys), dtype=np.uint64) << np.uint64(57))
+    words, since = np.arange(len(keys), dtype=np.uint64) << np.uint64(57), np.arange(len(keys), dtype=np.int32) * 9000
+    observed = Observed(np.array(sorted(keys), np.int64), words, since)
     read = fused_observed(fused_columns(map_of(1, 0, 1, 1), observed))
     assert read.keys.tobytes() == observed.keys.tobytes()
     assert read.words.tobytes() == observed.words.tobytes()
+    assert read.since.tobytes() == observed.since.tobytes()
 
 
 @pytest.mark.parametrize(("largest", "width"), [(100, 1), (30_000, 2), (2**30, 4), (2**40, 8)])
 def test_sums_take_no_more_bytes_than_they_need(largest, width):
-    columns = fused_columns(map_of(2, 500, 200, largest), NOTHING_SEEN)
+    columns = fused_columns(map_of(2, 500, 200, largest), NOTHING)
     assert columns["offsets"].dtype == columns["views"].dtype == np.dtype(f"i{width}")

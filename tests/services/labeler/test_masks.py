@@ -68,6 +68,26 @@ def test_mask_lidar_is_every_voxel_that_a_ray_of_the_run_reached_or_passed(plain
 
 
 @pytest.mark.whole
+def test_late_is_what_no_ray_of_a_sweep_up_to_the_frame_came_near(plain):
+    low, high = frame_bounds(SEQUENCE.frames.map_from_ego)
+    corner = low % 4  # bricks of 4 voxels are aligned with the map
+    bricks = np.full(tuple((high - low + corner) // 4 + 1), WORLD.frames)
+    for index in reversed(range(WORLD.frames)):
+        map_from_lidar = SEQUENCE.frames.map_from_ego[index] @ EGO_FROM_LIDAR
+        points_map = map_from_lidar @ RayCast(WORLD).sweep(index).points_lidar.astype(np.float64)
+        nothing = np.zeros(tuple(high - low), np.bool_)
+        passed = cast(nothing, map_from_lidar.translation_m / VOXEL_M - low, points_map / VOXEL_M - low)[1]
+        bricks[tuple(((np.argwhere(passed) + corner) // 4).T)] = index
+    for index, least in ((0, 1000), (3, 200), (WORLD.frames - 1, 0)):
+        grids = np.load(plain[index])
+        at = np.floor(SEQUENCE.frames.map_from_ego[index] @ centres_ego() / VOXEL_M).astype(np.int64) - low
+        first = bricks[tuple(np.moveaxis((at + corner) // 4, -1, 0))]
+        expected = (first > index + 4) & (first < WORLD.frames) & (grids["mask_lidar"] > 0)
+        assert expected.sum() >= least
+        assert (grids["late"] != expected).sum() <= 0.01 * expected.sum()  # points in float32, at voxel borders
+
+
+@pytest.mark.whole
 @pytest.mark.parametrize("index", [0, 7])
 def test_mask_camera_is_where_half_of_many_rays_come_through_or_any_ends_on_a_side(plain, index):
     grids = np.load(plain[index])

@@ -78,16 +78,17 @@ def test_every_frame_has_its_labels_and_nothing_else_is_left(made):
         assert [path.name for path in (made / "gts" / "small" / token).iterdir()] == ["labels.npz"]
 
 
-def test_label_files_hold_three_grids_of_bytes(made):
+def test_label_files_hold_four_grids_of_bytes(made):
     for path in made.glob("gts/small/*/labels.npz"):
         with np.load(path, allow_pickle=False) as arrays:
-            assert arrays.files == ["semantics", "mask_lidar", "mask_camera"]
+            assert arrays.files == ["semantics", "mask_lidar", "mask_camera", "late"]
             assert {arrays[name].shape for name in arrays.files} == {PAPER.shape}
             assert {arrays[name].dtype for name in arrays.files} == {np.dtype(np.uint8)}
             assert set(np.unique(arrays["semantics"])) == {0, 1, 2, 3}
             assert set(np.unique(arrays["mask_lidar"])) == {0, 1}
             assert set(np.unique(arrays["mask_camera"])) == {0, 1}
             assert (arrays["mask_lidar"] >= arrays["mask_camera"]).all()
+            assert (arrays["mask_lidar"] >= arrays["late"]).all()
             assert arrays["mask_lidar"][arrays["semantics"] > 0].all()
 
 

@@ -14,14 +14,13 @@ from stone.geometry.se3 import SE3
 from stone.labels.columns import Columns, gathered, reconcile, spread_out
 from stone.labels.crops import cut, cut_batch, cut_with_rows, placing_of
 from stone.labels.grid import frame_bounds, window_bytes, window_of
-from stone.labels.observed_voxels import BRICK, Observed
+from stone.labels.observed_voxels import BRICK, NOTHING, Observed
 from stone.labels.pinholes import FRACTION_BITS
 from stone.labels.pooling import pooled
 from stone.labels.voxels import VOXEL_M
 from stone_base.label_grid import PAPER, RELEASE, LabelGrid
 from tests.observed_voxels import voxel_keys
 
-NOTHING = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
 SEEDS = st.integers(0, 2**32)
 
 
@@ -201,7 +200,8 @@ class World:
         self.indices = np.unique(rng.integers(low - 3, high + 3, (60_000, 3)), axis=0)
         self.classes = rng.integers(1, 4, len(self.indices)).astype(np.uint8)
         bricks = np.unique(rng.integers(low // BRICK - 1, high // BRICK + 2, (20_000, 3)), axis=0)
-        self.observed = Observed(keys_from_indices(bricks), rng.integers(0, 2**64, len(bricks), dtype=np.uint64))
+        words, since = rng.integers(0, 2**64, len(bricks), dtype=np.uint64), np.zeros(len(bricks), np.int32)
+        self.observed = Observed(keys_from_indices(bricks), words, since)
         self.keys = keys_from_indices(self.indices)
         self.window = window_of(self.keys, self.classes, self.observed, self.bounds)
 
@@ -342,15 +342,14 @@ def test_a_frame_of_any_grid_is_its_voxels_looked_up_and_its_gaps_closed(grid):
 
 def test_the_weight_of_a_window_is_known_before_it_is_made():
     bounds = frame_bounds(POSES["tilted"])
-    nothing = Observed(np.zeros(0, np.int64), np.zeros(0, np.uint64))
-    window = window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), nothing, bounds)
+    window = window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), NOTHING, bounds)
     assert window.voxels.nbytes == window_bytes(bounds)
 
 
 def test_a_window_whose_voxels_cannot_be_counted_is_refused_before_it_is_made():
     wide = np.zeros(3, np.int64), np.array([2000, 2000, 600])
     with pytest.raises(ValueError, match="2412818408 bytes"):
-        window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), Observed(np.zeros(0, np.int64), np.zeros(0)), wide)
+        window_of(np.zeros(0, np.int64), np.zeros(0, np.uint8), NOTHING, wide)
 
 
 def test_columns_are_the_grid_bit_by_bit():
