@@ -4,12 +4,15 @@
 too, and `Content-Digest` where the whole is sent. One range is served (206), one
 beyond the end is refused (416), several or malformed ones are answered with the whole, as RFC 9110 §14.2 allows. Bytes
 go from the store to the socket in pieces; the first is read before the status is sent, so a missing object is an error
-and not half an answer. What a user uploaded is never rendered by a browser: `attachment`, `nosniff`, `sandbox`.
+and not half an answer. What is sent whole is hashed on the way: if it differs, the last piece is kept back and the
+connection cut, so that nobody takes it for the file. A range cannot be compared with anything. What a user uploaded is
+never rendered by a browser: `attachment`, `nosniff`, `sandbox`.
 """
 
 import re
 from base64 import b64encode
 from collections.abc import Callable, Iterator
+from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from hashlib import sha256
 from itertools import chain
@@ -19,11 +22,16 @@ from fastapi import Request, Response
 from fastapi.responses import StreamingResponse
 
 from api.answers import Responses, refusals
+from api.deps import platform_of
 from api.errors import ApiError
 from api.etags import etag, is_unchanged
+from services.runtime.database.transactions import Database
+from services.runtime.store.faults import ObjectDamagedError, note_served
 from services.runtime.store.protocol import Store
 from stone_base.label_grid import PAPER, LabelGrid
 
+HASHERS = ThreadPoolExecutor(4, "hash")
+"""Hashes pieces while they are sent."""
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 STRUCTURED = ("application/json", "application/yaml")
@@ -55,7 +63,8 @@ class StoredFile:
 class ServedFile:
     """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside.
 
-    What `is_lasting` is at its address for good: a browser asks for it once.
+    `object_keys` are the objects that they come from, none if they were made just now. What `is_lasting` is at its
+    address for good: a browser asks for it once.
     """
 
     size_bytes: int
@@ -63,6 +72,7 @@ class ServedFile:
     media_type: str
     filename: str
     read: Callable[[int, int], Iterator[bytes]]
+    object_keys: tuple[str, ...]
     is_lasting: bool = False
 
 
@@ -90,8 +100,17 @@ def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
     def read(start: int, stop: int) -> Iterator[bytes]:
         return store.read(file.object_key, begin + start, begin + stop)
 
-    served = ServedFile(file.size_bytes, file.sha256, file.media_type, file.filename, read, file.is_lasting)
-    return answer_bytes(request, served)
+    facts = (file.size_bytes, file.sha256, file.media_type, file.filename)
+    return answer_bytes(request, ServedFile(*facts, read, (file.object_key,), file.is_lasting))
+
+
+def read_whole(store: Store, file: StoredFile) -> bytes:
+    """All bytes of a small file. Raises `ObjectDamagedError`, `ObjectMissingError`."""
+    begin = file.offset_bytes
+    content = b"".join(store.read(file.object_key, begin, begin + file.size_bytes))
+    if sha256(content).hexdigest() != file.sha256:
+        raise ObjectDamagedError(file.filename, (file.object_key,))
+    return content
 
 
 def answer_made(request: Request, content: bytes, facts: GeneratedFile) -> Response:
@@ -102,7 +121,7 @@ def answer_made(request: Request, content: bytes, facts: GeneratedFile) -> Respo
         yield content[start:stop]
 
     return answer_bytes(
-        request, ServedFile(len(content), digest, facts.media_type, facts.filename, read, facts.is_lasting)
+        request, ServedFile(len(content), digest, facts.media_type, facts.filename, read, (), facts.is_lasting)
     )
 
 
@@ -122,7 +141,10 @@ def answer_bytes(request: Request, file: ServedFile) -> Response:
         headers["Content-Range"] = f"bytes {start}-{stop - 1}/{file.size_bytes}"
     headers["Content-Length"] = str(stop - start)
     status = 200 if asked is None else 206
-    return StreamingResponse(_opened(file.read(start, stop)), status, headers, media_type=file.media_type)
+    pieces = file.read(start, stop)
+    if file.object_keys and stop - start == file.size_bytes:
+        pieces = _compared(pieces, file, platform_of(request).database)
+    return StreamingResponse(_opened(pieces), status, headers, media_type=file.media_type)
 
 
 def safe_name(name: str) -> str:
@@ -169,6 +191,25 @@ def _range(request: Request, file: ServedFile) -> tuple[int, int] | None:
 def _is_same(request: Request, file: ServedFile) -> bool:
     """Whether the range is of the file the caller has in mind, if it says which (RFC 9110 §13.1.5: strongly)."""
     return request.headers.get("if-range", etag(file.sha256)) == etag(file.sha256)
+
+
+def _compared(pieces: Iterator[bytes], file: ServedFile, database: Database) -> Iterator[bytes]:
+    """The pieces of the whole, each hashed while it is sent. Raises `ObjectDamagedError` in place of the last one."""
+    digest, hashed, held = sha256(), None, next(pieces, b"")
+    for piece in pieces:
+        if hashed is not None:
+            hashed.result()
+        hashed = HASHERS.submit(digest.update, held)
+        yield held
+        held = piece
+    if hashed is not None:
+        hashed.result()
+    digest.update(held)
+    if digest.hexdigest() != file.sha256:
+        if hashed is not None:  # too late for a refusal, with which it would be noted
+            note_served(database, file.object_keys)
+        raise ObjectDamagedError(file.filename, file.object_keys)
+    yield held
 
 
 def _opened(pieces: Iterator[bytes]) -> Iterator[bytes]:

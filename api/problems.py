@@ -28,6 +28,7 @@ from api.tus.errors import unsupported_media_type
 from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.database.ballast import is_full
 from services.runtime.orm.base import now_ns
+from services.runtime.store.faults import ObjectDamagedError, note_served
 from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
@@ -124,6 +125,8 @@ def install(app: FastAPI, shown: Shown = as_it_is) -> None:
     """Answer what routes raise with problems; what is raised outside, `middleware/entry.py` hands to `respond`."""
 
     def answered(request: Request, error: Exception) -> Response:
+        if isinstance(error, ObjectDamagedError):
+            note_served(request.app.state.platform.database, error.object_keys)
         response = respond(_told(request, error))
         if response.status_code == 405:
             response.headers["Allow"] = allowed(request) or response.headers.get("Allow", "")

@@ -124,7 +124,7 @@ def download_vectors(at: AtPhase, metric: MetricName, platform: PlatformDep, req
     content = golden_archive()
     digest = sha256(content).hexdigest()
     served = ServedFile(
-        len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],))
+        len(content), digest, "application/zip", named, lambda start, stop: iter((content[start:stop],)), ()
     )
     return answer_bytes(request, served)
 

@@ -113,5 +113,6 @@ def download_part(
         media_type=MEDIA_TYPES["tar"],
         filename=f"{dataset_name}-{part}.tar",
         read=lambda start, stop: archive_pieces(stored.files, archive, (start, stop), read),
+        object_keys=stored.object_keys,
     )
     return answer_bytes(request, served)

@@ -38,6 +38,7 @@ def served_file(store: Store, stored: StoredFiles, path: str) -> ServedFile:
         media_type=FILE_TYPE,
         filename=path.rpartition("/")[2],
         read=lambda start, stop: file_pieces(files, ordinal, (start, stop), read),
+        object_keys=(stored.object_keys[int(files.packs[ordinal])],),
     )
 
 
@@ -51,6 +52,7 @@ def served_archive(store: Store, stored: StoredFiles, kind: ArchiveKind, called:
         media_type=MEDIA_TYPES[kind],
         filename=f"{called[0]}.{kind}",
         read=lambda start, stop: archive_pieces(files, archive, (start, stop), read),
+        object_keys=stored.object_keys,
     )
 
 

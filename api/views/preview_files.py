@@ -8,7 +8,7 @@ from sqlalchemy import BindParameter, Select, func, select
 from sqlalchemy.orm import Session, aliased
 
 from api.errors import NotFoundError
-from api.files import StoredFile
+from api.files import StoredFile, read_whole
 from api.schemas.sequences.sequences import PreviewItem
 from services.domain.viewer.frame_picture import recoloured
 from services.runtime.database.rows import KeptSelect, parameter
@@ -52,7 +52,7 @@ def picture_in(store: Store, file: StoredFile, colours: ColourName) -> bytes:
 
     Reads the store, so not within a transaction. Raises `ObjectMissingError`.
     """
-    return recoloured(b"".join(store.read(file.object_key)), colours)
+    return recoloured(read_whole(store, file), colours)
 
 
 def _of_recording(recording: Recording) -> Select[Preview]:

@@ -16,7 +16,7 @@ from sqlalchemy.orm import Session
 
 from api.deps import Caller
 from api.errors import NotFoundError
-from api.files import ServedFile, StoredFile
+from api.files import ServedFile, StoredFile, read_whole
 from api.schemas.base import ID_PATTERN
 from api.views.exports import served_file
 from api.visible import frame_of, newest_label_set, shown_sequence
@@ -151,7 +151,7 @@ def _placed_voxels(semantics: Grid, observed: Grid, _grid: LabelGrid) -> bytes:
 @lru_cache(maxsize=HELD_SCENES)
 def _record(store: Store, file: StoredFile) -> dict[str, Any]:
     """An object never changes, so neither does what was read of it."""
-    record: dict[str, Any] = json.loads(b"".join(store.read(file.object_key)))
+    record: dict[str, Any] = json.loads(read_whole(store, file))
     return record
 
 

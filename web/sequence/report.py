@@ -8,7 +8,7 @@ from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
 
-from api.files import StoredFile
+from api.files import StoredFile, read_whole
 from services.runtime.store.protocol import Store
 from stone_base.codes.catalogue import PROFILE_CODES
 from stone_base.label_grid import PAPER
@@ -68,7 +68,7 @@ def read_report(store: Store, file: StoredFile | None) -> Report | None:
     """None where the labels have no report, or one of an impossible size. Raises `ObjectMissingError`."""
     if file is None or file.size_bytes > MOST_BYTES:
         return None
-    return report_of(json.loads(b"".join(store.read(file.object_key))))
+    return report_of(json.loads(read_whole(store, file)))
 
 
 def report_of(record: Mapping[str, Any]) -> Report:

@@ -90,15 +90,6 @@ def sha256_of(pieces: Iterable[bytes]) -> str:
     return digest.hexdigest()
 
 
-def whole(store: Store, database: Database, blob: BlobFacts) -> bytes:
-    """All bytes of a small object. Raises `object_damaged` if they differ from its row; the fault is noted then."""
-    content = b"".join(store.read(blob.object_key))
-    if sha256(content).hexdigest() != blob.sha256:
-        note_served(database, [blob.object_key])
-        raise object_damaged(blob.object_key)
-    return content
-
-
 def note(session: Session, found: BlobFacts, fault: str, by: str) -> None:
     """Note what is wrong with the object, unless that is known; `by` says for the counter who found it."""
     known = session.get(StoreFault, found.sha256, populate_existing=True)
@@ -164,9 +155,13 @@ def tables_naming(session: Session, sha256_: str) -> Iterator[str]:
             yield table.name
 
 
-def object_damaged(what: str) -> PlatformFaultError:
-    return PlatformFaultError(
-        "object_damaged",
-        f"{what} is not what was stored any more; this is the platform's fault and its operator sees it: "
-        "try again later, or send the same file again, which mends it",
-    )
+class ObjectDamagedError(PlatformFaultError):
+    """Bytes of one of these objects are not what was stored; whoever answers for it notes that (`note_served`)."""
+
+    def __init__(self, named: str, object_keys: Sequence[str]) -> None:
+        super().__init__(
+            "object_damaged",
+            f"{named} is not what was stored any more; this is a fault of the platform, and its operator sees it: "
+            "try again later, or, if it is your file, send it again, which mends it",
+        )
+        self.object_keys = tuple(object_keys)

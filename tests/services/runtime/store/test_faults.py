@@ -8,8 +8,7 @@ from services.runtime.access.users import create_user
 from services.runtime.orm import Blob, CalibrationRow, StoreFault
 from services.runtime.platform import Platform
 from services.runtime.store.blobs import keep, link, prepare
-from services.runtime.store.faults import count_of_faults, fault_of, note, note_served, noted_faults, whole
-from testing.refusals import refused_as
+from services.runtime.store.faults import count_of_faults, fault_of, note, note_served, noted_faults
 
 CONTENT = b"a recording of the forest\n" * 999
 
@@ -80,12 +79,3 @@ def test_a_fault_is_shown_with_what_needs_the_object_until_the_blob_is_gone(anyw
     with anywhere.database.reading() as session:
         assert noted_faults(session) == []
         assert session.query(StoreFault).count() == 1, "the scrub forgets it"
-
-
-def test_small_objects_are_read_whole_or_not_at_all(anywhere: Platform, blob: Blob, tmp_path: Path) -> None:
-    assert whole(anywhere.store, anywhere.database, blob) == CONTENT
-    put(anywhere, blob, with_a_bit_flipped(CONTENT), tmp_path / "decayed")
-    with refused_as("object_damaged"):
-        whole(anywhere.store, anywhere.database, blob)
-    with anywhere.database.reading() as session:
-        assert [one.fault for one in noted_faults(session)] == ["served"]
