@@ -10,6 +10,7 @@ from services.eval.scored_case import Case, case_of
 from services.runtime.jobs.specs import Attempt
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import sandbox_watch_of
+from services.runtime.store.faults import comparing, refuse_damaged
 from services.runtime.store.workspace import Workspace
 from services.runtime.telemetry.counters import FRAMES, process_counters
 
@@ -43,13 +44,21 @@ class EvalStageContext:
     def examined(self, case: Case, span: Span) -> ExaminedRange:
         """The frames [start, stop) of the submission, counted unless it is only to be checked.
 
-        Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`.
+        Before anything is said against the file, it is compared with what was sent: what decayed in the store is no
+        fault of its sender's.
+
+        Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`, `ObjectDamagedError`.
         """
         store = self.platform.store
         manifest = case.truth.manifest(self.platform)
         pack = None if case.is_validation else store.local(case.truth.pack_key)
         watch = sandbox_watch_of(self.attempt, "check", span[1] - span[0])
-        found = examine(Examination(store.local(case.kept_key()), manifest.tokens, span, pack, manifest.grid), watch)
+        examination = Examination(store.local(case.kept_key()), manifest.tokens, span, pack, manifest.grid)
+        blamed = (store, self.platform.database, [case.zip_key, case.truth.pack_key], "the file of this submission")
+        with comparing(*blamed):
+            found = examine(examination, watch)
+        if not found.validation.ok:
+            refuse_damaged(*blamed)
         if found.counts is not None:
             process_counters().add(FRAMES, ("scored",), span[1] - span[0])
         return found

@@ -122,7 +122,11 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
     attempt.progress("inspect", 0, STEPS)
     try:
         with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
-            found = _seen(platform, attempt, brought, work)
+            try:
+                found = _seen(platform, attempt, brought, work)
+            except IngestError:  # what decayed on the way is not said to be corrupt
+                _refuse_changed(brought, hashed())
+                raise
             attempt.progress("keep", 2, STEPS)
             originals = _originals(platform, brought, hashed())
     except PlatformFaultError:  # a disk that is full, a store that is away: no fault of the recording
@@ -162,11 +166,16 @@ def _moved(path: Path, work: Path) -> Path:
 
 def _originals(platform: Platform, brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> dict[str, PreparedBlob]:
     """The stored files by their rows. Raises `RecordingChangedError`."""
+    _refuse_changed(brought, hashed)
+    stored = prepare_hashed(platform.database, hashed)
+    return {file.row_id: blob for file, blob in zip(brought.files, stored, strict=True)}
+
+
+def _refuse_changed(brought: ReceivedBag, hashed: Sequence[PreparedBlob]) -> None:
+    """Raises `RecordingChangedError`."""
     for file, found in zip(brought.files, hashed, strict=True):
         if found.sha256 != file.sha256:
             raise RecordingChangedError(file.filename, found.sha256, file.sha256)
-    stored = prepare_hashed(platform.database, hashed)
-    return {file.row_id: blob for file, blob in zip(brought.files, stored, strict=True)}
 
 
 def _register(session: Session, brought: ReceivedBag, found: RecordingSurvey, kept: _StoredBytes) -> Recording:

@@ -28,6 +28,7 @@ from services.runtime.orm import Blob, Job, Recording, RecordingFile, SequenceRo
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from services.runtime.store.blobs import PreparedBlob
+from services.runtime.store.faults import comparing
 from services.runtime.store.named_objects import NAMES_FOLDER, described_folder, named, named_folder
 from services.runtime.telemetry.tracing import link_uploads_of
 from services.runtime.uploads import consume
@@ -190,13 +191,15 @@ def recording_place(recording: Recording) -> RecordingPlace | None:
 @contextmanager
 def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[None]:
     """A block that reads recordings. Raises, instead of what the block raised, `recording_changed_in_place` or
-    `recording_vanished` if one in place is not as registered any more: what was read of it is not to be used."""
+    `recording_vanished` if one in place is not as registered any more: what was read of it is not to be used; and
+    `ObjectDamagedError` instead of a refusal if one that is stored is not what was sent."""
 
     def check() -> None:
         for place in (recording.place for recording in kept if recording.place is not None):
             refuse_changed(platform.settings.in_place, place)
 
-    with checked_after(check):
+    stored = [file.object_key for recording in kept for file in recording.files]
+    with checked_after(check), comparing(platform.store, platform.database, stored, "the recording"):
         yield
 
 

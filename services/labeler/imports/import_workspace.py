@@ -73,12 +73,15 @@ class ImportStageContext:
         self.attempt.log("fetched", read_bytes=read_bytes, size_bytes=self.imported.size_bytes)
 
     def _kept(self) -> Path:
+        for key in self.stored_archive():
+            return self.platform.store.local(key)
+        raise JobCancelledError("its dataset was deleted")
+
+    def stored_archive(self) -> Sequence[str]:
+        """The key of the archive's object; none if it lies in place, or was deleted."""
         with self.platform.database.reading() as session:
             kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
-            key = session.scalar(kept.where(DatasetImport.id == self.imported.id))
-        if key is None:
-            raise JobCancelledError("its dataset was deleted")
-        return self.platform.store.local(key)
+            return session.scalars(kept.where(DatasetImport.id == self.imported.id)).all()
 
     def folder(self) -> AbstractContextManager[Path]:
         """A fresh folder of this attempt, as `fresh_folder`; those of jobs of the run that have ended are removed."""

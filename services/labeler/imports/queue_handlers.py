@@ -37,6 +37,7 @@ from services.runtime.jobs.specs import Attempt, Handlers, Outcome
 from services.runtime.orm import DatasetImport, ImportedFile, Job, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.sandbox import SandboxCrashedError
+from services.runtime.store.faults import comparing
 from services.runtime.store.recipes import recipe_of
 
 # The stage that publishes a dataset: all sequences, label sets and frames of all its scenes, in one transaction.
@@ -141,4 +142,6 @@ def import_handlers(platform: Platform) -> Handlers:
 
 
 def _with_context(platform: Platform, stage: Callable[[ImportStageContext], Outcome], attempt: Attempt) -> Outcome:
-    return stage(import_context_of(platform, attempt))
+    context = import_context_of(platform, attempt)
+    with comparing(platform.store, platform.database, context.stored_archive(), "the archive"):
+        return stage(context)

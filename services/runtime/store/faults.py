@@ -7,8 +7,9 @@ that every process shows the same. `served` is one whose bytes differed while th
 
 import errno
 from collections.abc import Iterable, Iterator, Sequence
+from contextlib import contextmanager
 from dataclasses import dataclass
-from hashlib import sha256
+from hashlib import file_digest, sha256
 from typing import Protocol
 
 import structlog
@@ -18,11 +19,12 @@ from sqlalchemy.orm import Session
 
 from services.runtime.database.inserts import insert_new
 from services.runtime.database.transactions import Database
+from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Base, Blob, StoreFault, StoreScrub
 from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.protocol import Store
 from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
-from stone.errors import PlatformFaultError
+from stone.errors import PlatformFaultError, StoneError
 
 UNREADABLE = {errno.EIO, errno.EBADMSG, errno.EUCLEAN}
 """What a disk answers that has lost the bytes, and a filesystem whose own checksums differ."""
@@ -111,6 +113,47 @@ def note_served(database: Database, object_keys: Sequence[str]) -> None:
             insert_new(session, StoreFault, [{"sha256": sha, "fault": SERVED} for sha in sorted(found)])
     except SQLAlchemyError as error:
         log.warning("fault not noted; the scrub will find it", reason=f"{type(error).__name__}: {error}"[:500])
+
+
+def refuse_damaged(store: Store, database: Database, object_keys: Iterable[str], named: str) -> None:
+    """Raise `ObjectDamagedError` if what this machine reads of one of these blobs' objects is not what was stored.
+
+    For use before somebody's input is refused. Reads all of it; a copy that differs is forgotten, a fault noted.
+    """
+    with database.reading() as session:
+        blobs = session.scalars(select(Blob).where(Blob.object_key.in_(list(object_keys)))).all()
+    for blob in blobs:
+        if _is_sound_here(store, blob):
+            continue
+        store.forget_copy(blob.object_key)
+        if fault := fault_of(store, blob, is_read=True):
+            with database.transaction() as session:
+                note(session, blob, fault, "judged")
+        raise ObjectDamagedError(named, (blob.object_key,))
+
+
+@contextmanager
+def comparing(store: Store, database: Database, object_keys: Iterable[str], named: str) -> Iterator[None]:
+    """A block that reads these objects. Raises `ObjectDamagedError` in place of a refusal for which a damaged one is to
+    blame."""
+    try:
+        yield
+    except StoneError as error:
+        if not isinstance(error, PlatformFaultError | JobCancelledError):
+            refuse_damaged(store, database, object_keys, named)
+        raise
+
+
+def _is_sound_here(store: Store, blob: BlobFacts) -> bool:
+    try:
+        with store.local(blob.object_key).open("rb") as file:
+            return file_digest(file, "sha256").hexdigest() == blob.sha256
+    except ObjectMissingError:
+        return False
+    except OSError as error:
+        if error.errno not in UNREADABLE:
+            raise
+        return False
 
 
 def forget(session: Session, sha256s: Iterable[str]) -> None:

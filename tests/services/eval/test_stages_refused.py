@@ -2,25 +2,27 @@
 
 import os
 from collections.abc import Mapping
+from pathlib import Path
 from typing import Any
 
 import numpy as np
 import pytest
-from sqlalchemy import func, select, update
+from sqlalchemy import delete, func, select, update
 
 from services.domain.benchmarks.submissions import scoring_ranges
 from services.domain.benchmarks.submissions.state_machine import reopen
 from services.domain.benchmarks.submissions.submissions import cancel
 from services.domain.benchmarks.submissions.sweeper_chores import settle_ended
-from services.eval import examination
+from services.eval import examination, queue_handlers
 from services.eval.queue_handlers import handlers
 from services.runtime.jobs.claims import Claim, claim
 from services.runtime.jobs.completion import Failure, lose, succeed
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Blob, GroundTruthRow, Job, Score, ScoringEntry, SubmissionRow
+from services.runtime.orm import Blob, GroundTruthRow, Job, Score, ScoringEntry, StoreFault, SubmissionRow
 from services.runtime.platform import Platform
+from services.runtime.store.faults import noted_faults
 from services.runtime.uploads import upload_file
 from testing.worlds.benchmark_world import Grid, World, run_eval
 from testing.worlds.made import row_of as job_row
@@ -131,6 +133,50 @@ def test_a_ground_truth_that_decayed_is_the_platforms_fault(world: World) -> Non
     (job,) = jobs_of(world.platform, submission_id)
     assert (job.state, job.attempt, job.failure_code) == ("failed", 3, "ground_truth_damaged")
     assert "frame" not in job.failure
+
+
+@pytest.mark.parametrize("place", [0.5, 0.999], ids=["frame", "directory"])
+def test_a_submission_that_decays_once_it_is_kept_is_the_platforms_fault(
+    world: World, monkeypatch: pytest.MonkeyPatch, place: float
+) -> None:
+    platform = world.platform
+    submission_id = send(world, zipped(world, guess(world, turn=40 + int(10 * place))))
+    keep, kept = queue_handlers.keep_file, list[Path]()
+
+    def keep_and_decay(platform: Platform, submission: SubmissionRow) -> None:
+        keep(platform, submission)
+        with platform.database.reading() as session:
+            sha256 = session.get_one(SubmissionRow, submission_id).blob_sha256
+            path = platform.store.local(session.get_one(Blob, sha256).object_key)
+        if not kept:
+            flip(path, place)
+            kept.append(path)
+
+    monkeypatch.setattr(queue_handlers, "keep_file", keep_and_decay)
+    run_eval(platform)
+    settle_ended(platform)
+    (job,) = jobs_of(platform, submission_id)
+    assert (job.state, job.attempt, job.failure_code) == ("failed", 3, "object_damaged")
+    row = row_of(platform, submission_id)
+    assert (row.state, row.failure_code, row.problems) == ("failed", "object_damaged", None)
+    assert "fault of the platform" in row.failure
+    assert taken(platform, submission_id) == 0
+    with platform.database.reading() as session:
+        assert [one.fault for one in noted_faults(session)] == ["bytes"]
+    flip(kept[0], place)
+    with platform.database.transaction() as session:
+        reopen(session, retry(session, row.job_id or "", 3))
+        session.execute(delete(StoreFault))
+    run_eval(platform)
+    assert (row_of(platform, submission_id).state, taken(platform, submission_id)) == ("scored", 1)
+
+
+def flip(path: Path, place: float) -> None:
+    """Flip one bit, in a copy: the file may share its bytes with the one that was sent."""
+    content = bytearray(path.read_bytes())
+    content[int(len(content) * place)] ^= 1
+    path.with_suffix(".flipped").write_bytes(content)
+    path.with_suffix(".flipped").replace(path)
 
 
 def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
