@@ -25,6 +25,7 @@ from services.runtime.platform import Platform
 from services.runtime.store.faults import noted_faults
 from services.runtime.uploads import upload_file
 from testing.worlds.benchmark_world import Grid, World, run_eval
+from testing.worlds.decay import flip
 from testing.worlds.made import row_of as job_row
 from testing.worlds.runs import Said
 from testing.worlds.sending import guess, jobs_of, pair_of, parts_left, row_of, scores_of, send, taken, zipped
@@ -169,14 +170,6 @@ def test_a_submission_that_decays_once_it_is_kept_is_the_platforms_fault(
         session.execute(delete(StoreFault))
     run_eval(platform)
     assert (row_of(platform, submission_id).state, taken(platform, submission_id)) == ("scored", 1)
-
-
-def flip(path: Path, place: float) -> None:
-    """Flip one bit, in a copy: the file may share its bytes with the one that was sent."""
-    content = bytearray(path.read_bytes())
-    content[int(len(content) * place)] ^= 1
-    path.with_suffix(".flipped").write_bytes(content)
-    path.with_suffix(".flipped").replace(path)
 
 
 def test_one_that_is_cancelled_while_it_is_counted_keeps_nothing(world: World, monkeypatch: pytest.MonkeyPatch) -> None:

@@ -5,8 +5,9 @@ from dataclasses import replace
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 
-from services.domain.imports.requests import PUBLISH_IMPORT
+from services.domain.imports.requests import INDEX, PUBLISH_IMPORT
 from services.labeler.child_answers import PublicationAnswer
 from services.labeler.imports import index_stage, scene_stage
 from services.labeler.imports.answers import DatasetIndexAnswer
@@ -15,11 +16,13 @@ from services.labeler.imports.scene_import import import_scene
 from services.labeler.imports.scene_parts import DatasetOpening, SceneOpening, scene_folder
 from services.labeler.imports.scene_stage import told_path
 from services.runtime.jobs.specs import Attempt, Handler, Outcome
+from services.runtime.orm import Blob, DatasetImport
 from services.runtime.platform import Platform
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads import upload_file
 from testing.worlds.brought_datasets import an_owner, bring_dataset, counts_of
+from testing.worlds.decay import decay
 from testing.worlds.published_datasets import SyntheticDataset, made_labels, write_published_tar
 from testing.worlds.runs import Wrap, run_all, unchanged
 
@@ -80,6 +83,26 @@ def test_a_tar_that_changed_on_the_disk_is_refused(platform: Platform, tar: Path
         file.write(b"more")
     run_all(platform)
     assert brought.run().failure_code == "recording_changed"
+
+
+def test_an_archive_that_decayed_in_the_store_is_the_platforms_fault(platform: Platform, tar: Path) -> None:
+    brought = bring_dataset(platform, tar, an_owner(platform))
+
+    def rotting(kind: str, handler: Handler) -> Handler:
+        def run(attempt: Attempt) -> Outcome:
+            if attempt.job_id not in decayed:
+                decayed.add(attempt.job_id)
+                with platform.database.reading() as session:
+                    kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
+                    key = session.scalars(kept).one()
+                decay(platform, key, 0.0)  # the checksum of the first header is wrong then
+            return handler(attempt)
+
+        return run if kind == INDEX else handler
+
+    decayed = set[str]()
+    run_all(platform, wrap=rotting)
+    assert (brought.run().state, brought.run().failure_code) == ("failed", "object_damaged")
 
 
 def leaves_no_scene(opening: DatasetOpening, folder: Path, progress: ProgressCallback) -> bytes:

@@ -1,0 +1,19 @@
+"""Decay: one bit of a stored file flips."""
+
+from pathlib import Path
+
+from services.runtime.platform import Platform
+
+
+def flip(path: Path, place: float = 0.5) -> None:
+    """Flip a bit at this part of the file, in a copy: an object may share its bytes with the file that was sent."""
+    content = bytearray(path.read_bytes())
+    content[int(len(content) * place)] ^= 1
+    decayed = path.with_name(f".{path.name}.decayed")
+    decayed.write_bytes(content)
+    decayed.replace(path)
+
+
+def decay(platform: Platform, object_key: str, place: float = 0.5) -> None:
+    """The same of an object in a folder."""
+    flip(platform.store.local(object_key), place)
