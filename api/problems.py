@@ -29,6 +29,7 @@ from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.database.ballast import is_full
 from services.runtime.orm.base import now_ns
 from services.runtime.store.faults import ObjectDamagedError, note_served
+from services.runtime.store.own_names import without_paths
 from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
@@ -92,7 +93,7 @@ def answer_to(error: StoneError) -> JSONResponse:
     if kind is None:
         log.error("refusal without a status", code=error.code, sentence=str(error))
         return internal_error()
-    body = problem(kind.status, error.code, str(error), kind.title)
+    body = problem(kind.status, error.code, without_paths(str(error)), kind.title)
     if isinstance(error, ExhaustedError):
         return _exhausted(body, error)
     if not isinstance(error, ApiError):

@@ -32,6 +32,7 @@ from services.runtime.orm import Recording
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, hashed_beside, link_all, prepare, prepare_all, prepare_hashed
+from services.runtime.store.own_names import without_paths
 from services.runtime.store.workspace import Workspace
 from services.runtime.uploads.backends import remove_bytes
 from stone.errors import PlatformFaultError, Refused, StoneError
@@ -202,7 +203,7 @@ def _refuse(platform: Platform, recording_id: str, error: StoneError) -> None:
         if recording is None or recording.state != "received":
             return
         recording.state = "refused"
-        recording.findings = [Finding(error.code, "error", "", str(error)[:2000]).as_record()]
+        recording.findings = [Finding(error.code, "error", "", without_paths(str(error))[:2000]).as_record()]
         upload_ids = [file.upload_id for file in recording.files if file.upload_id]
         for upload_id in upload_ids:
             storage_quota.release(session, upload_id, "recording refused")

@@ -20,6 +20,7 @@ from services.runtime.jobs.specs import TERMINAL, Outcome
 from services.runtime.notifications.events import tell_run_failed, tell_run_succeeded
 from services.runtime.orm import Job, JobAttempt, JobNeed
 from services.runtime.orm.base import now_ns
+from services.runtime.store.own_names import without_paths
 from services.runtime.telemetry.process_usage import peak_bytes, used_cpu_s
 
 LONGEST_FAILURE = 2000
@@ -33,10 +34,13 @@ ONE_LEFT = (
 
 @dataclass(frozen=True)
 class Failure:
-    """The failure of an attempt or a job: a code for programs, a sentence for people."""
+    """The failure of an attempt or a job: a code for programs, a sentence for people, which names no path of ours."""
 
     code: str
     sentence: str
+
+    def __post_init__(self) -> None:
+        object.__setattr__(self, "sentence", without_paths(self.sentence))
 
     def columns(self) -> dict[str, str]:
         return {"failure_code": self.code, "failure": self.sentence[:LONGEST_FAILURE]}

@@ -35,6 +35,7 @@ from services.runtime.jobs.specs import BULK, RETICENT, Handlers, Outcome, queue
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.free_space import free_space, require_room
+from services.runtime.store.own_names import called_as_uploaded, without_paths
 from services.runtime.telemetry.tracing import StageSpans
 from stone.errors import PlatformFaultError, Refused, StoneError
 
@@ -144,7 +145,9 @@ class Reporter:
             if self._logged == limit:
                 event, level, facts = f"more than {limit} lines; the rest is not kept", "warning", {}
             if self._logged <= limit:
-                self._lines.append(AttemptLine(self._logged - 1, level, event[:LONGEST_EVENT], facts, now_ns()))
+                shown = {name: without_paths(fact) if isinstance(fact, str) else fact for name, fact in facts.items()}
+                event = without_paths(event)[:LONGEST_EVENT]
+                self._lines.append(AttemptLine(self._logged - 1, level, event, shown, now_ns()))
 
     def _speak(self) -> None:
         while not self._leaving.wait(self._limits.progress_s):
@@ -292,7 +295,8 @@ def _attempt(row: JobRow, taken: Claim, reporter: Reporter) -> AttemptEnd:
             cancelled(session, taken, reporter.last_words())
         return AttemptEnd("cancelled", error.code)
     except Exception as error:
-        failure = _failure_of(error, taken.kind)
+        log.warning("attempt raised", code=getattr(error, "code", "internal_error"), reason=str(error)[:LONGEST_EVENT])
+        failure = _failure_of(row.platform, error, taken)
         if is_refusal(error):
             _fail(row.platform, taken, reporter, failure)
             return AttemptEnd("failed", failure.code)
@@ -328,11 +332,14 @@ def is_refusal(error: Exception) -> bool:
     return isinstance(error, StoneError) and not isinstance(error, PlatformFaultError)
 
 
-def _failure_of(error: Exception, kind: str) -> Failure:
+def _failure_of(platform: Platform, error: Exception, taken: Claim) -> Failure:
     """The failure as its owner sees it: the words of what raised, unless they might quote what is hidden from them."""
+    is_said = isinstance(error, StoneError) or queue_of(taken.kind) not in RETICENT
+    words = str(error) if is_said else "its words are in the log of the attempt"
+    with platform.database.reading() as session:
+        words = called_as_uploaded(session, taken.job_id, words)
     if isinstance(error, StoneError):
-        return Failure(error.code, str(error))
-    words = "its words are in the log of the attempt" if queue_of(kind) in RETICENT else str(error)
+        return Failure(error.code, words)
     return Failure("internal_error", f"{type(error).__name__}: {words}")
 
 

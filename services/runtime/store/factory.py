@@ -2,11 +2,13 @@
 
 from services.runtime.settings import Settings
 from services.runtime.store.folder import FolderStore
+from services.runtime.store.own_names import hide
 from services.runtime.store.protocol import Store
 
 
 def open_store(settings: Settings) -> Store:
-    """The bucket of `settings`; without one, the folder `store` below the data folder."""
+    """The bucket of `settings`; without one, the folder `store` below the data folder, which no sentence names then."""
+    hide(settings.root)
     if settings.store.s3_bucket:
         from services.runtime.store.s3 import S3Store  # boto3 takes most of a second to import
 

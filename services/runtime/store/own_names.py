@@ -1,0 +1,48 @@
+"""Sentences without the server's paths: a file is called by its own name, that of its upload where it has one.
+
+**Conventions.** Libraries and programs of ours that also run without the platform name the path that they were given.
+Below a data folder and the folder of temporary files that is nobody's business but the operator's, whose log keeps it.
+"""
+
+import re
+from pathlib import Path, PurePath
+from tempfile import gettempdir
+
+from sqlalchemy import select
+from sqlalchemy.orm import Session
+
+from services.runtime.orm import Job, Upload
+
+_FOLDERS: dict[str, None] = {}
+"""The data folders that this process has opened."""
+BELOW = r"/[^\s'\",;:()<>]*"
+STORED = re.compile(r"\b(?:(?P<sha256>[0-9a-f]{64})\.[0-9a-f]{8}|(?P<id>[0-9a-f]{32}))\b")
+"""Objects of blobs, and uploads under way."""
+A_STORED_FILE = "a stored file"
+
+
+def hide(folder: Path) -> None:
+    """From now on no sentence names this folder."""
+    _FOLDERS[str(folder)] = None
+
+
+def without_paths(text: str) -> str:
+    """The text, each path below a hidden folder cut to the name of its file."""
+    for folder in (*_FOLDERS, gettempdir()):
+        if folder in text:
+            text = re.sub(re.escape(folder) + BELOW, lambda path: PurePath(path[0]).name, text)
+        if folder in _FOLDERS:
+            text = text.replace(folder, "the data folder")
+    return text
+
+
+def called_as_uploaded(session: Session, job_id: str, text: str) -> str:
+    """The text as `without_paths` makes it; a file that the job's owner uploaded has the name that its owner gave."""
+    owner_id = select(Job.owner_id).where(Job.id == job_id).scalar_subquery()
+
+    def name(found: re.Match[str]) -> str:
+        is_it = Upload.sha256 == found["sha256"] if found["sha256"] else Upload.id == found["id"]
+        named = select(Upload.filename).where(Upload.owner_id == owner_id, is_it).order_by(Upload.id).limit(1)
+        return session.scalar(named) or (A_STORED_FILE if found["sha256"] else found[0])
+
+    return STORED.sub(name, without_paths(text))
