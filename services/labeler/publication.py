@@ -29,6 +29,7 @@ from services.labeler.parameters import chosen_parameters
 from services.labeler.publication_files import PUBLISHED
 from services.labeler.run_workspace import LabelStageContext
 from services.labeler.sandboxed_run import described
+from services.runtime.access import storage_quota
 from services.runtime.jobs.specs import Outcome
 from services.runtime.orm import Job, LabelSet
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare_all
@@ -81,7 +82,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
 
 
 def _write_rows(publication: _Publication, session: Session) -> None:
-    """Raises `JobCancelledError` when the sequence was deleted: the transaction is undone by it."""
+    """Raises `JobCancelledError` when the sequence was deleted, `quota_exceeded`: the transaction is undone by it."""
     context = publication.context
     sequence = require_sequence(session, context.attempt)
     run = session.get_one(Job, context.attempt.root_id)
@@ -89,6 +90,9 @@ def _write_rows(publication: _Publication, session: Session) -> None:
     labels = standing_label_set(session, sequence.id, recipe)
     if labels is None:
         labels = _write_labels(publication, session, _new_label_set(context, sequence.id, run.id))
+        size_bytes = sum(prepared.size_bytes for _, prepared in publication.prepared)
+        limit_bytes = context.platform.settings.uploads.owner_bytes
+        storage_quota.reserve(session, sequence.owner_id, size_bytes, labels.id, "label set", limit_bytes)
         if context.platform.settings.viewing.makes_playback:
             follow_labels(session, sequence, labels, PLAYBACK)
     run.result = {"label_set_id": labels.id, "frames": len(publication.told.tokens), "recipe": recipe}

@@ -5,6 +5,7 @@ Equal requests are one comparison, for label sets never change; one
 whose job failed or was cancelled is tried again. Each function is part of the caller's transaction.
 """
 
+import json
 from collections.abc import Mapping
 from dataclasses import dataclass
 from typing import Any
@@ -13,6 +14,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.sequences.processing import lock_sequence
+from services.runtime.access import storage_quota
 from services.runtime.code_version import code_version
 from services.runtime.jobs.enqueue import enqueue
 from services.runtime.jobs.errors import JobCancelledError
@@ -98,6 +100,8 @@ def write_comparison(session: Session, attempt: Attempt, record: Mapping[str, An
     """Write down what the job has counted, in the transaction of its success. Raises `JobCancelledError`."""
     comparison = compared_by(session, attempt)
     comparison.record, comparison.finished_ns = dict(record), now_ns()
+    owner_id = session.get_one(SequenceRow, comparison.sequence_id).owner_id
+    storage_quota.count(session, owner_id, len(json.dumps(comparison.record)), comparison.id, "label comparison")
 
 
 def stored_pairs(session: Session, comparison: LabelComparison) -> list[StoredPair]:

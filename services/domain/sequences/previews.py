@@ -11,7 +11,8 @@ from pathlib import Path
 from sqlalchemy import delete
 from sqlalchemy.orm import Session
 
-from services.runtime.orm import Preview
+from services.runtime.access import storage_quota
+from services.runtime.orm import Preview, SequenceRow
 from services.runtime.platform import Platform
 from services.runtime.store.blobs import PreparedBlob, prepare
 from stone_files.atomic import atomic_file
@@ -48,15 +49,22 @@ def prepared_previews(
 
 
 def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:
-    """Make these the previews of `shown`; their blobs are linked already."""
+    """Make these the previews of `shown`; their blobs are linked already.
+
+    They count against the sequence's owner, under the recording's id or the sequence's.
+    """
     mine = (Preview.recording_id == shown.recording_id, Preview.recipe == shown.recipe)
-    session.execute(delete(Preview).where(Preview.sequence_id == shown.sequence_id, *mine))
+    gone = delete(Preview).where(Preview.sequence_id == shown.sequence_id, *mine).returning(Preview.size_bytes)
+    more_bytes = -sum(session.scalars(gone))
     for preview in previews:
+        more_bytes += preview.blob.size_bytes
         row = Preview(sequence_id=shown.sequence_id, recording_id=shown.recording_id, recipe=shown.recipe)
         row.name, row.media_type = preview.name, preview.media_type
         row.blob_sha256, row.size_bytes = preview.blob.sha256, preview.blob.size_bytes
         session.add(row)
     session.flush()
+    owner_id = session.get_one(SequenceRow, shown.sequence_id).owner_id
+    storage_quota.count(session, owner_id, more_bytes, shown.recording_id or shown.sequence_id, "previews")
 
 
 def _prepared(platform: Platform, folder: Path, name: str, media_type: str, content: bytes) -> PreparedPreview:

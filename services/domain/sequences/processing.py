@@ -27,7 +27,17 @@ from services.runtime.jobs.control import cancel
 from services.runtime.jobs.enqueue import enqueue, enqueue_run
 from services.runtime.jobs.errors import JobStateError
 from services.runtime.jobs.specs import TERMINAL, Context, JobSpec
-from services.runtime.orm import CalibrationRow, Export, Job, LabelSet, Preview, Recording, RecordingFile, SequenceRow
+from services.runtime.orm import (
+    CalibrationRow,
+    Export,
+    Job,
+    LabelComparison,
+    LabelSet,
+    Preview,
+    Recording,
+    RecordingFile,
+    SequenceRow,
+)
 from services.runtime.orm.base import now_ns
 from services.runtime.store.recipes import recipe_of
 from services.runtime.telemetry.tracing import link_uploads_of
@@ -121,7 +131,9 @@ def delete_sequence(session: Session, sequence: SequenceRow) -> None:
     held = select(RecordingFile.upload_id).join(Recording).where(Recording.sequence_id == sequence.id)
     exports = select(Export.id).where(Export.sequence_id == sequence.id)
     recordings = select(Recording.id).where(Recording.sequence_id == sequence.id)
-    subjects = [*session.scalars(held), *session.scalars(recordings), *session.scalars(exports)]
+    comparisons = select(LabelComparison.id).where(LabelComparison.sequence_id == sequence.id)
+    counted = (held, recordings, exports, comparisons)
+    subjects = [sequence.id, *(subject for rows in counted for subject in session.scalars(rows))]
     session.execute(delete(Export).where(Export.sequence_id == sequence.id))
     session.execute(delete(Recording).where(Recording.sequence_id == sequence.id))
     storage_quota.lock_owner(session, sequence.owner_id)  # recordings before their owner's quota, as everywhere

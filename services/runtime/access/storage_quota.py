@@ -35,6 +35,15 @@ def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reaso
         record(session, NewEvent(QUOTA_LOW, "", user_id=owner_id, facts=facts))
 
 
+def count(session: Session, owner_id: str, amount: int, subject_id: str, reason: str) -> None:
+    """Take `amount` bytes for the subject, or give back as many as it is negative, whatever the limit is: of what is
+    small and follows from what was asked for."""
+    if amount:
+        lock_owner(session, owner_id)
+        session.add(_entry(owner_id, amount, subject_id, reason))
+        session.flush()
+
+
 def release(session: Session, subject_id: str, reason: str) -> int:
     """Give back all that is taken for the subject; how many bytes that were. A second time it is 0."""
     owners = select(QuotaEntry.owner_id).where(QuotaEntry.subject_id == subject_id).distinct()
