@@ -91,6 +91,7 @@ PROBLEM_TYPES = {
     "offset_mismatch": ProblemType(
         409, "The client would continue where the file does not end. `offset_bytes` is where it does"
     ),
+    "label_set_pinned": ProblemType(409, "An export, a version, a phase or others' view relies on the label set"),
     "open_test": ProblemType(409, "An open phase over test would tell exactly what is hidden"),
     "other_frames": ProblemType(409, "A new ground truth has other frames than the entries of the phase"),
     "phase_closed": ProblemType(409, "The phase takes no submissions now"),

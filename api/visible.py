@@ -136,6 +136,13 @@ def label_comparison_of(session: Session, caller: Caller, sequence_id: str, comp
     return _only(session, of_sequence.where(LabelComparison.id == comparison_id), "label comparison", comparison_id)
 
 
+def label_set_of(session: Session, caller: Caller, sequence_id: str, label_set_id: str) -> LabelSet:
+    """Raises `NotFoundError`."""
+    sequence = sequence_of(session, caller, sequence_id)
+    of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
+    return _only(session, of_sequence.where(LabelSet.id == label_set_id), "label set", label_set_id)
+
+
 def job_of(session: Session, caller: Caller, job_id: str) -> Job:
     """Raises `NotFoundError`."""
     return _only(session, theirs(select(Job), caller, Job.owner_id).where(Job.id == job_id), "job", job_id)

@@ -26,7 +26,7 @@ from stone_client.server import benchmarks, boards, scores, teams
 from stone_client.server import dataset_imports as imports
 from stone_client.server import submission as submitting
 from stone_client.server.job_following import follow
-from stone_client.server.label_sets import label_sets_of
+from stone_client.server.label_sets import delete_label_set, label_sets_of
 from stone_client.server.places import place_named
 from stone_client.server.sequences import Item, find_sequence
 from stone_files.grid_file import chosen_grid
@@ -155,6 +155,13 @@ class Stone:
         """The label sets of a sequence (name or id), newest first; each says how well it holds: `held_out_recall` over
         `held_out_m` metres of way, and its `gravest` finding."""
         return label_sets_of(self.api, find_sequence(self.api, sequence)["id"])
+
+    def delete_label_set(self, sequence: str, label_set: str) -> str:
+        """Delete a label set (id, latest, latest~1, …) of a sequence and give its bytes back; its id.
+
+        Raises `label_set_pinned` while an export, a version, a phase or others' view relies on it.
+        """
+        return delete_label_set(self.api, find_sequence(self.api, sequence), label_set)
 
     def submission(self, submission_id: str) -> Submission:
         """One of one's own."""

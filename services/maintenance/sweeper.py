@@ -24,6 +24,7 @@ from sqlalchemy.exc import SQLAlchemyError
 
 from services.domain.benchmarks.submissions.sweeper_chores import DraftWalk, settle_ended, tidy_submissions
 from services.domain.notifications.spread import forget_told, queue_due, spread_events, take_back_lost, tell_phases
+from services.domain.sequences.label_set_deletion import LabelSetWalk, keep_newest
 from services.domain.sequences.later_recordings import SequenceWalk, follow_recordings
 from services.maintenance.notifications.delivery import deliver_queued
 from services.maintenance.scrub import Scrub
@@ -145,9 +146,11 @@ def loops_of(platform: Platform) -> tuple[ChoreLoop, ...]:
     settings = platform.settings
     sweeper = Sweeper(platform, wake_up_counter(settings), wake_up_sender(settings))
     uploads, turn, drafts, sequences = UploadCursor(), GcCursor(), DraftWalk(), SequenceWalk()
+    label_sets = LabelSetWalk()
     cleaning = (
         Chore("submitted files", MINUTE_S, lambda: tidy_submissions(platform, drafts)),
         Chore("uploads", MINUTE_S, lambda: expire(platform, uploads)),
+        Chore("label sets", MINUTE_S, lambda: keep_newest(platform, label_sets)),
         Chore("blobs", MINUTE_S, lambda: collect_garbage(platform, turn)),
         Chore("credentials", MINUTE_S, lambda: forget_ended(platform)),
         Chore("audit log", MINUTE_S, lambda: cut_audit(platform)),

@@ -217,9 +217,11 @@ class ApiSettings:
 @dataclass(frozen=True)
 class RetentionSettings:
     """How long what nobody asked to be deleted is kept. Lines of the audit log older than `audit_s` go, and the chain
-    goes on from where it was cut; 0 keeps them for ever."""
+    goes on from where it was cut; 0 keeps them for ever. Of each sequence the newest `label_sets` stay, and besides
+    those on which an export, a version, a phase or others' view relies; 0 keeps all."""
 
     audit_s: Annotated[float, Field(ge=0)] = 0.0
+    label_sets: Annotated[int, Field(ge=0)] = 0
 
 
 @dataclass(frozen=True)

@@ -1,4 +1,4 @@
-"""Label sets of a sequence on a server: listed, compared by a job there."""
+"""Label sets of a sequence on a server: listed, compared by a job there, deleted."""
 
 from pathlib import Path
 
@@ -29,6 +29,13 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
     asked = api.create(f"/sequences/{sequence['id']}/label-comparisons", {"a_id": a_id, "b_id": b_id})
     follow(api, asked["job"]["id"], progress)
     return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
+
+
+def delete_label_set(api: Api, sequence: Item, named: str) -> str:
+    """The id of the label set, which is gone. Raises `no_label_set`, and what `Api.send` raises."""
+    label_set_id = _id_named(named, [str(one["id"]) for one in label_sets_of(api, sequence["id"])])
+    api.send("DELETE", f"/sequences/{sequence['id']}/label-sets/{label_set_id}")
+    return label_set_id
 
 
 def fetch_pictures(api: Api, comparison: Item, folder: Path) -> list[Path]:

@@ -1,4 +1,4 @@
-"""`stone label-sets`: the label sets of a sequence, and two of them held against each other."""
+"""`stone label-sets`: the label sets of a sequence, one of them deleted, two of them held against each other."""
 
 import os
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import confusion_table, show
 
-label_sets = typer.Typer(help="List the label sets of a sequence, compare two of them.", no_args_is_help=True)
+label_sets = typer.Typer(help="List the label sets of a sequence, delete one, compare two.", no_args_is_help=True)
 
 FirstArgument = Annotated[
     str, typer.Argument(metavar="A", help="A folder that holds gts/; with --sequence an id, or latest, latest~1, …")
@@ -41,6 +41,29 @@ def listed(sequence: SequenceArgument, server: ServerOption = None, as_json: Jso
         echo_json({"sequence": found["name"], "label_sets": sets})
         return
     show(label_set_table(found["name"], sets))
+
+
+@label_sets.command()
+def delete(
+    sequence: SequenceArgument,
+    label_set: Annotated[str, typer.Argument(metavar="LABEL_SET", help="An id, or latest, latest~1, …")],
+    server: ServerOption = None,
+    is_agreed: Annotated[bool, typer.Option("--yes", help="Do not ask before.")] = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Delete a label set on which no export, version or phase relies, and free its bytes."""
+    from stone_client.connection import connected
+    from stone_client.server.label_sets import delete_label_set
+    from stone_client.server.sequences import find_sequence
+
+    if not is_agreed:
+        typer.confirm(f"Delete label set {label_set} of {sequence} for good?", abort=True, err=True)
+    with connected(server) as api:
+        deleted = delete_label_set(api, find_sequence(api, sequence), label_set)
+    if as_json:
+        echo_json({"deleted": deleted})
+        return
+    typer.echo(f"deleted {deleted}")
 
 
 @label_sets.command()

@@ -1,4 +1,4 @@
-"""Routes of a sequence's label sets: all of them, and comparisons of two.
+"""Routes of a sequence's label sets: all of them, deletion of one, and comparisons of two.
 
 **Conventions.** Label sets that do not count any more are their owner's alone, and so are comparisons. Equal requests
 are one comparison.
@@ -28,8 +28,9 @@ from api.schemas.sequences.label_sets import (
 from api.views.jobs import job_items
 from api.views.label_sets import comparison_items, label_set_items, pair_differences, pair_picture
 from api.views.scenes import ColoursQuery
-from api.visible import label_comparison_of, sequence_of
+from api.visible import label_comparison_of, label_set_of, sequence_of
 from services.domain.sequences.label_comparisons import StoredPair, start_comparison, stored_pair
+from services.domain.sequences.label_set_deletion import delete_label_set
 from services.domain.viewer.formats import MEDIA_TYPES
 from services.runtime.orm import LabelComparison, LabelSet
 from services.runtime.platform import Platform
@@ -57,6 +58,16 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
         of_sequence = select(LabelSet).where(LabelSet.sequence_id == sequence.id)
         found = page(session, of_sequence, LabelSet.id.desc(), query)
         return Page[LabelSetItem](items=label_set_items(session, sequence.id, found.rows), next=found.next)
+
+
+@router.delete("/label-sets/{label_set_id}", status_code=204, responses=refusals(403, 404, 409))
+def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
+    """Delete a label set on which nothing relies, with its comparisons and its playback, and give its bytes back."""
+    with platform.database.transaction() as session:
+        labels = label_set_of(session, caller, sequence_id, label_set_id)
+        facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}
+        audit.record(session, caller, "label_set.delete", labels.id, facts=facts)
+        delete_label_set(session, labels)
 
 
 @router.post("/label-comparisons", status_code=202, responses=refusals(403, 404, 409))

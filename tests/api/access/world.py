@@ -49,6 +49,7 @@ IDS = (
     "sequence_id", "calibration_id", "recording_id", "job_id", "upload_id", "token_id", "user_id", "token", "export_id",
     "comparison_id", "a_id", "b_id", "phase_id", "team_id", "invitation_id", "truth_id", "rescore_id", "alarm_id",
     "submission_id", "submission_upload", "import_id", "dataset_upload", "settled_submission", "scored_submission",
+    "label_set_id",
 )  # fmt: skip
 UNKNOWN = {name: f"{number:032x}" for number, name in enumerate(IDS, 1)} | {"complete_upload": f"{99:032x}"}
 UNKNOWN |= {name: UNKNOWN["scored_submission"] for name in ("a", "b")}
@@ -96,6 +97,7 @@ def make_world(platform: Platform, user: User, published: str = "") -> World:
         "phase_id": _phase(platform, user.id, dataset_name, benchmark_name),
         "export_id": made.export(platform, sequence_id, {"mesh.ply": b"ply\n"}),
         "comparison_id": made.label_comparison(platform, sequence_id, (labels.id, earlier.id)),
+        "label_set_id": earlier.id,
         "a_id": labels.id,
         "b_id": earlier.id,
         **_team(platform, user),
