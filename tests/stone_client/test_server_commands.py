@@ -33,7 +33,7 @@ from testing.refusals import refused_as
 from testing.stone_serve import until
 from testing.worlds import made
 from testing.worlds.made import frame_labels, labels
-from tests.stone_client.participating import ingesting, refused, stone
+from tests.stone_client.participating import answered, ingesting, refused, stone
 from tests.working import working
 
 PASSWORD = "correct horse battery staple"
@@ -180,6 +180,18 @@ def test_events_are_chosen_by_channel_and_taken_back(platform: Platform, owner: 
 )
 def test_a_name_by_age_is_a_place_from_the_newest(named: str, place: int | None) -> None:
     assert place_from_newest(named) == place
+
+
+@pytest.mark.usefixtures("as_owner")
+def test_a_label_set_is_deleted_once_it_is_agreed_to(platform: Platform, owner: Person) -> None:
+    with client_of(platform) as api:
+        sequence = made.sequence(api, owner, "forest")
+    earlier, later = (made.labels(platform, sequence, seed=seed).id for seed in (b"1", b"2"))
+    assert stone("label-sets", "delete", "forest", "latest", stdin="n\n").exit_code == 1
+    assert answered("label-sets", "delete", "forest", "latest~1", "--yes") == {"deleted": earlier}
+    listed = answered("label-sets", "list", "forest")
+    assert [one["id"] for one in listed["label_sets"]] == [later]
+    assert refused(stone("label-sets", "delete", "forest", earlier, "--yes")) == "not_found"
 
 
 def test_label_sets_are_named_by_id_or_by_age_and_any_other_name_is_refused(platform: Platform) -> None:

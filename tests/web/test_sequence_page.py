@@ -357,6 +357,37 @@ def test_the_owner_compares_two_label_sets(
     assert (answer.status_code, answer.headers["content-type"]) == (200, "image/png")
 
 
+def test_the_owner_deletes_a_label_set_by_keyboard_and_one_that_is_exported_says_why_not(
+    site: Site, platform: Platform, curator: Person, shown: dict[str, Any]
+) -> None:
+    older, newer = (
+        made.labels(platform, shown, contents=[made.frame_labels()] * 2, seed=seed) for seed in (b"1", b"2")
+    )
+    made.export(platform, shown["id"], {"mesh.ply": b"ply"})
+    with site.visit(curator) as page:
+        to(page, shown, "/label-sets")
+        rows = page.get_by_role("region", name="Label sets").get_by_role("row")
+        before = rows.count()
+        rows.nth(2).get_by_role("button", name="Delete").focus()
+        page.keyboard.press("Enter")
+        dialog = page.get_by_role("dialog", name="Delete this label set?")
+        expect(dialog).to_be_visible()
+        look(page, "sequence-label-set-deletion")
+        page.keyboard.press("Escape")
+        expect(dialog).to_be_hidden()
+        rows.nth(1).get_by_role("button", name="Delete").click()
+        dialog.get_by_role("button", name="Delete").click()
+        expect(dialog.get_by_role("alert")).to_contain_text("its export")
+        dialog.get_by_role("button", name="Cancel").click()
+        rows.nth(2).get_by_role("button", name="Delete").click()
+        dialog.get_by_role("button", name="Delete").press("Enter")
+        expect(rows).to_have_count(before - 1)
+        look(page, "sequence-label-sets-left")
+    with platform.database.reading() as session:
+        assert session.get(LabelSet, newer.id) is not None
+        assert session.get(LabelSet, older.id) is None
+
+
 def test_the_topics_of_several_recordings_are_offered_once() -> None:
     again = {"topics": [INSPECTION["topics"][2]], "channels": {"lidar": "/points"}}
     found = choices_in([INSPECTION, again, None])
