@@ -178,7 +178,8 @@ class ApiSettings:
 
     `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, between blanks or commas. Who asks
     is then the right-most address of `X-Forwarded-For` that is not one of them: what stands left of it anybody can
-    write. Name the proxies and nothing else: rates and waits are by that address.
+    write. Name the proxies and nothing else: rates and waits are by that address. Empty: the header is not read, from
+    this machine neither, since any account on it could send one.
 
     A connection has `head_s` for a complete request head. One address (of IPv6 one /64) may have
     `connections_per_address` open in a process; trusted proxies may have more.
@@ -204,7 +205,7 @@ class ApiSettings:
     token_s: float = 365 * 86400.0
     metrics_token: SecretStr = field(default=SecretStr(""))
     trusts_traceparent: bool = False
-    trusted_proxies: str = "127.0.0.1"
+    trusted_proxies: str = ""
     first_password: SecretStr = field(default=SecretStr(""))
     passwords: bool = True
 

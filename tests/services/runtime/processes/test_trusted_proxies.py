@@ -69,6 +69,13 @@ def test_who_is_no_proxy_of_ours_is_told_nothing_by(forged: list[str], peer: str
     assert client_seen(behind(""), "127.0.0.1", [", ".join(forged)]) == "127.0.0.1"
 
 
+@pytest.mark.parametrize("peer", ["127.0.0.1", "::1", "10.0.0.5", ""])
+def test_nobody_is_a_proxy_who_was_not_named(peer: str) -> None:
+    """The attack: somebody on the machine, or at the end of a tunnel to it, picks the address that limits count."""
+    assert Settings(api=ApiSettings()).api.proxies == []
+    assert client_seen(Settings(api=ApiSettings()), peer, ["7.7.7.7"]) == peer
+
+
 def test_the_environment_of_uvicorn_does_not_undo_it(monkeypatch: pytest.MonkeyPatch) -> None:
     settings = behind(TRUSTED)
     monkeypatch.setenv("FORWARDED_ALLOW_IPS", "*")

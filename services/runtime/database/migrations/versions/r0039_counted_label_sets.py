@@ -11,7 +11,7 @@ down_revision = "0038"
 branch_labels = None
 depends_on = None
 
-REASON = "counted by 0037"
+REASON = "counted by 0039"
 LABELS = """
     SELECT s.owner_id, l.id, SUM(a.size_bytes) FROM label_sets l
     JOIN sequences s ON s.id = l.sequence_id JOIN artefacts a ON a.label_set_id = l.id
