@@ -6,7 +6,7 @@ secret switches it on.
 """
 
 from base64 import b64encode
-from ipaddress import IPv4Address, IPv6Address, IPv6Network, ip_address, ip_network
+from ipaddress import ip_address, ip_network
 from secrets import token_bytes
 from urllib.parse import SplitResult, urlsplit
 
@@ -14,6 +14,7 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from services.domain.notifications.errors import BadWebhookUrlError
+from services.domain.notifications.special_addresses import Address, is_public
 from services.runtime.jobs.changes import rows_changed
 from services.runtime.notification_settings import NotificationSettings
 from services.runtime.notifications.events import WEBHOOK_DISABLED, NewEvent, record
@@ -83,14 +84,11 @@ def _renewed(session: Session, row: Webhook) -> Webhook:
 #
 # **Conventions.** A URL is anybody's who has an account. What it resolves to is judged when it is connected to, and
 # the judged address is what is connected to (`services/maintenance/notifications/channels.py`): a name that resolves
-# otherwise a moment later leads nowhere else. Allowed are globally reachable unicast addresses (IANA special purpose
-# registries, RFC 6890), but none that carries an IPv4 address within IPv6; and those of networks that the
-# administrator names.
+# otherwise a moment later leads nowhere else. Allowed are addresses of public hosts
+# (`services/domain/notifications/special_addresses.py`), and those of networks that the administrator names.
 
 
 LONGEST_URL = 1000
-Address = IPv4Address | IPv6Address
-NAT64 = (IPv6Network("64:ff9b::/96"), IPv6Network("64:ff9b:1::/48"))
 
 
 def checked_url(url: str, settings: NotificationSettings) -> SplitResult:
@@ -117,7 +115,7 @@ def is_allowed(address: Address, settings: NotificationSettings) -> bool:
     """Whether requests may be sent to this address."""
     if any(address in ip_network(network) for network in settings.networks):
         return True
-    return _is_public(address)
+    return is_public(address)
 
 
 def _refuse_literal(host: str, settings: NotificationSettings) -> None:
@@ -128,15 +126,3 @@ def _refuse_literal(host: str, settings: NotificationSettings) -> None:
         return
     if not is_allowed(address, settings):
         raise BadWebhookUrlError(f"{address} is private, of this machine or reserved, and may not be sent to")
-
-
-def _is_public(address: Address) -> bool:
-    if isinstance(address, IPv6Address) and (_carries_ipv4(address) or address.is_site_local):
-        return False
-    return address.is_global and not (address.is_multicast or address.is_reserved)
-
-
-def _carries_ipv4(address: IPv6Address) -> bool:
-    """Mapped, 6to4, Teredo or NAT64: where it leads is another's to say."""
-    tunnelled = (address.ipv4_mapped, address.sixtofour, address.teredo)
-    return any(one is not None for one in tunnelled) or any(address in network for network in NAT64)

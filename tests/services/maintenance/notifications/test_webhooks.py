@@ -6,6 +6,7 @@ The sweeper killed by -9 at any moment of its sending: each event is received at
 import json
 import os
 import random
+import socket
 import subprocess
 import sys
 import time
@@ -20,7 +21,7 @@ from standardwebhooks.webhooks import WebhookVerificationError
 from services.domain.notifications.messages import HARMLESS
 from services.domain.notifications.spread import MOST_TRIES, pause_ns
 from services.maintenance.notifications import channels
-from services.maintenance.notifications.channels import ANSWER_WITHIN_S, NotTakenError, judged_addresses
+from services.maintenance.notifications.channels import ANSWER_WITHIN_S, NotTakenError, Resolve, judged_addresses
 from services.runtime.embedded.supervisor import environment_of
 from services.runtime.jobs.control import retry
 from services.runtime.notification_settings import NotificationSettings
@@ -160,6 +161,23 @@ def test_a_name_that_resolves_to_a_private_address_a_moment_later_is_not_sent_to
     for _ in range(3):
         with pytest.raises(NotTakenError):
             judged_addresses("rebind.example", 443, settings, lambda *_: next(answers))
+
+
+def test_whether_a_name_is_known_inside_is_not_told() -> None:
+    """The attack: one answer for a name that resolves inside, another one for a name that nobody has."""
+
+    def refusal(resolve: Resolve) -> str:
+        with pytest.raises(NotTakenError) as refused:
+            judged_addresses("payroll.internal", 443, NotificationSettings(), resolve)
+        return str(refused.value)
+
+    def unknown(*_: object) -> list[str]:
+        raise socket.gaierror(socket.EAI_NONAME, "Name or service not known")
+
+    inner = [refusal(lambda *_: ["10.0.0.7"]), refusal(lambda *_: ["93.184.215.14", "10.0.0.7"])]
+    assert set(inner) == {refusal(unknown)}
+    with pytest.raises(NotTakenError):
+        judged_addresses("x" * 64 + ".example", 443, NotificationSettings())
 
 
 def test_a_name_of_this_machine_is_judged_when_it_is_connected_to(
