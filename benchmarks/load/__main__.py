@@ -1,10 +1,12 @@
-"""The whole platform under load: `python -m benchmarks.load [--clients 200] [--minutes 10] [--pause-s 1.0]`.
+"""The whole platform under load: `python -m benchmarks.load [--clients 200] [--minutes 10] [--pause-s 1.0] [--slow N]`.
 
 The embedded platform on SQLite or PostgreSQL with 2,000 sequences, 10,000 jobs and an open phase; clients in a process
 of their own, each with a connection: 90 in 100 read lists, things and the board, 8 send files in pieces of 1 MiB, 2
 have submissions scored; meanwhile one recording after another is labelled. Told are errors, latencies by what was
 asked, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform in
 the first and the last quarter.
+With `--slow 2000` so many strangers hold connections from one address (`benchmarks/load/strangers.py`) after `CALM_S`;
+nothing is labelled then, and the platform keeps its own bounds. Without it, all clients may come from one address.
 With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
 """
 
@@ -15,7 +17,8 @@ import sys
 import tempfile
 import threading
 import time
-from contextlib import ExitStack
+from collections.abc import Iterable
+from contextlib import ExitStack, nullcontext
 from dataclasses import asdict, replace
 from pathlib import Path
 from statistics import median
@@ -30,6 +33,7 @@ from benchmarks.api import database_url
 from benchmarks.api_rows import ENDED, fill
 from benchmarks.load.clients import LoadPlan
 from benchmarks.load.quarters import UNTIL_SCORED, quarters
+from benchmarks.load.strangers import StrangersPlan
 from benchmarks.memory_watch import MemoryWatch
 from chaos.api_calls import await_run, begin_run, upload_sequence
 from chaos.inputs import Inputs, simulated
@@ -45,6 +49,8 @@ from testing.worlds.benchmark_world import World
 
 MIB = 2**20
 LABELLED_WITHIN_S = 600.0
+CALM_S = 20.0
+CLIENTS_AT, PROXY = "127.0.0.2", "192.0.2.1"  # no connection comes from this one: nobody is exempt
 CONSOLE = Console(width=130, highlight=False)
 
 
@@ -66,11 +72,15 @@ def main() -> int:
         running = stack.enter_context(running_platform(settings, CONSOLE.print))
         world = replace(world, platform=running.platform)
         plan = _plan(options, running, world, readers)
-        with MemoryWatch(running) as watch, _Labelling(PlatformUnderTest(running, inputs), inputs) as labelling:
+        labelling = _Labelling(PlatformUnderTest(running, inputs), inputs)
+        others = _Strangers(options, running)
+        with MemoryWatch(running) as watch, others, nullcontext() if options.slow else labelling:
             noted = clients(options.folder, plan)
     _show(options, noted, labelling)
     _show_quarters(noted, watch)
     _show_memory(watch)
+    if options.slow:
+        others.show(noted, watch)
     return 1 if noted["error_count"] or labelling.failures else 0
 
 
@@ -106,6 +116,7 @@ def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, s
         phase="val",
         phase_id=world.val,
         zip_path=str(path),
+        source=CLIENTS_AT,
     )
 
 
@@ -147,6 +158,57 @@ class _Labelling:
             if state != "succeeded":
                 self.failures.append(state)
                 return
+
+
+class _Strangers:
+    """Strangers in a process of their own, beside the clients."""
+
+    def __init__(self, options: argparse.Namespace, running: RunningPlatform) -> None:
+        self._plan = StrangersPlan(
+            running.platform.settings.api.port, options.slow, CALM_S, options.minutes * 60.0 - CALM_S
+        )
+        self._log, self._folder = running.logs / "api.log", options.folder
+        self._noted: dict[str, Any] = {}
+        self._process: subprocess.Popen[bytes] | None = None
+        self._skipped = 0
+
+    def __enter__(self) -> None:
+        self._skipped = len(self._log.read_text().splitlines())
+        said = self._folder / "strangers.json"
+        said.write_text(json.dumps(asdict(self._plan)))
+        command = [sys.executable, "-m", "benchmarks.load.strangers", said, self._folder / "seen.json"]
+        if self._plan.count:
+            self._process = subprocess.Popen(command)
+
+    def __exit__(self, *_: object) -> None:
+        if self._process:
+            self._process.wait()
+            self._noted = json.loads((self._folder / "seen.json").read_text())
+
+    def show(self, noted: dict[str, Any], watch: MemoryWatch) -> None:
+        """What the API held before and at most, what others waited, and how much was logged."""
+        begun_s = self._noted["begun_s"]
+        held = dict(zip(watch.looked_s, watch.held["api"], strict=False))
+        before = median(size for at_s, size in held.items() if begun_s - CALM_S / 2 < at_s < begun_s)
+        most = max(size for at_s, size in held.items() if at_s >= begun_s)
+        pairs = [(at_s, s) for what in noted["begun_s"] for at_s, s in _pairs(noted, what) if what != UNTIL_SCORED]
+        for name, waited in (
+            ("before", [s for at_s, s in pairs if at_s + s < begun_s]),
+            ("beside", [s for at_s, s in pairs if at_s + s >= begun_s]),
+        ):
+            p50, p99 = np.percentile(waited, [50, 99]) * 1e3
+            CONSOLE.print(f"{name} them: {len(waited)} requests, p50 {p50:.0f} ms, p99 {p99:.0f} ms")
+        lines = self._log.read_text().splitlines()[self._skipped :]
+        asked = sum('"logger": "access"' in line or '"event": "request"' in line for line in lines)
+        CONSOLE.print(
+            f"strangers: {self._plan.count}, {self._noted['most_open']} open at most, ended by {self._noted['seen']}; "
+            f"API {before / MIB:.0f} MiB before, {most / MIB:.0f} at most (+{(most - before) / MIB:.0f}); "
+            f"{len(lines) - asked} log lines beside {asked} of requests"
+        )
+
+
+def _pairs(noted: dict[str, Any], what: str) -> Iterable[tuple[float, float]]:
+    return zip(noted["begun_s"][what], noted["waited_s"][what], strict=True)
 
 
 def _show(options: argparse.Namespace, noted: dict[str, Any], labelling: _Labelling) -> None:
@@ -193,10 +255,11 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--pause-s", type=float, default=1.0, help="a client thinks so long between two requests")
     parser.add_argument("--database", default="postgres", choices=["sqlite", "postgres"])
+    parser.add_argument("--slow", type=int, default=0, help="strangers' connections that do not go on")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="a temporary one unless named")
     options = parser.parse_args()
-    options.api = {}
+    options.api = {"trusted_proxies": PROXY} if options.slow else {"trusted_proxies": CLIENTS_AT}
     options.folder = (options.folder or Path(tempfile.mkdtemp(prefix="stone-load-"))).absolute()
     return options
 

@@ -37,7 +37,8 @@ READS = (
 
 @dataclass(frozen=True)
 class LoadPlan:
-    """Who asks what for how long: `readers` ask for lists, `uploaders` send files, `submitters` have one scored."""
+    """Who asks what for how long, from the address `source`: `readers` ask for lists, `uploaders` send files,
+    `submitters` have one scored."""
 
     port: int
     seconds: float
@@ -52,6 +53,7 @@ class LoadPlan:
     phase: str
     phase_id: str
     zip_path: str
+    source: str = "127.0.0.1"
 
 
 @dataclass
@@ -117,7 +119,8 @@ class Client:
 
     async def _sent(self, method: str, path: str, headers: Mapping[str, str], body: bytes) -> LoadReply:
         if self._streams is None:
-            self._streams = await asyncio.open_connection("127.0.0.1", self.plan.port)
+            source = (self.plan.source, 0)
+            self._streams = await asyncio.open_connection("127.0.0.1", self.plan.port, local_addr=source)
         incoming, outgoing = self._streams
         lines = {"Host": "api", "Authorization": f"Bearer {self._secret}", "Content-Length": str(len(body)), **headers}
         head = "".join(f"{name}: {value}\r\n" for name, value in lines.items())
