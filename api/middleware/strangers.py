@@ -16,7 +16,7 @@ def strangers_routes(routers: Iterable[APIRouter], prefix: str) -> frozenset[tup
     """
     routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     open_to_all = [route for route in routes if route.body_field and not any(map(needs_caller, _calls(route)))]
-    return frozenset((method, prefix + route.path) for route in open_to_all for method in route.methods)
+    return frozenset((method, prefix + route.path) for route in open_to_all for method in route.methods or ())
 
 
 def _calls(route: APIRoute) -> Iterator[object]:
