@@ -3,6 +3,7 @@
 **Conventions.** A request holds two blocks at most, whatever the client sends and however slow the disk is. All work on
 disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else; the
 last block is written, the upload ended and its offset read by one of them, since each costs as much as a statement.
+After `WAITING_S` what came is written: the bytes of a client that pauses are on disk, not in memory.
 """
 
 import asyncio
@@ -26,6 +27,7 @@ from services.runtime.uploads.reception import UploadChunk, UploadReceiver, rece
 from services.runtime.uploads.rows import find
 
 BLOCK_BYTES = 2 << 20
+WAITING_S = 2.0
 THREADS = ThreadPoolExecutor(UPLOADS, thread_name_prefix="upload")
 
 P = ParamSpec("P")
@@ -91,6 +93,8 @@ async def _pump(request: Request, reception: UploadReceiver, idle_s: float) -> S
                 {"Connection": "close"},
             ) from gone
         raise
+    finally:
+        blocks.stop()
 
 
 class _BlockWriter:
@@ -101,19 +105,28 @@ class _BlockWriter:
         self._pieces: list[bytes] = []
         self._size_bytes = 0
         self._writing: asyncio.Future[None] | None = None
+        self._due: asyncio.TimerHandle | None = None
 
     async def take(self, chunk: bytes) -> None:
         if not chunk:
             return
         self._pieces.append(chunk)
         self._size_bytes += len(chunk)
+        self._due = self._due or asyncio.get_running_loop().call_later(WAITING_S, self._write_waiting)
         if self._size_bytes >= BLOCK_BYTES or len(self._pieces) >= MOST_PIECES:
             await self._write()
 
     async def rest(self) -> Sequence[bytes]:
         """What was taken and not written, when all else is."""
+        self.stop()
         await self._written()
         return self._pieces
+
+    def stop(self) -> None:
+        """Begin no more to write."""
+        if self._due is not None:
+            self._due.cancel()
+            self._due = None
 
     async def flush(self) -> None:
         """All that was taken is written."""
@@ -122,7 +135,19 @@ class _BlockWriter:
         await self._written()
 
     async def _write(self) -> None:
+        self.stop()
         await self._written()
+        self._begin()
+
+    def _write_waiting(self) -> None:
+        """What has come is written; while a write is under way, what comes is written after another `WAITING_S`."""
+        self._due = None
+        if self._writing is None or (self._writing.done() and not self._writing.exception()):
+            self._begin()
+        else:
+            self._due = asyncio.get_running_loop().call_later(WAITING_S, self._write_waiting)
+
+    def _begin(self) -> None:
         pieces, self._pieces, self._size_bytes = self._pieces, [], 0
         loop = asyncio.get_running_loop()
         self._writing = loop.run_in_executor(THREADS, self._reception.write, pieces)

@@ -10,6 +10,7 @@ from email.utils import parsedate_to_datetime
 import httpx
 import pytest
 
+from api.tus import body_stream
 from services.runtime.orm import new_id
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
@@ -249,6 +250,34 @@ def test_a_client_that_falls_silent_loses_its_lock_and_keeps_its_bytes(narrow: h
     assert code_of(reply) == (408, "receive_timeout")
     assert offset_of(narrow, curator, where) == 1000
     assert patch(narrow, curator, where, 1000, CONTENT[1000:]).status_code == 204
+
+
+def test_what_a_client_sent_before_it_paused_is_not_held_in_memory(
+    api: httpx.Client, curator: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(body_stream, "WAITING_S", 0.05)
+    where = created(api, curator, len(CONTENT))
+    go_on = threading.Event()
+
+    def in_two() -> Iterator[bytes]:
+        yield CONTENT[:1000]
+        go_on.wait(300)
+        yield CONTENT[1000:]
+
+    replies: list[httpx.Response] = []
+    sender = threading.Thread(target=lambda: replies.append(patch(api, curator, where, 0, in_two())))
+    sender.start()
+    try:
+        deadline = time.monotonic() + 30
+        while offset_of(api, curator, where) == 0:
+            assert time.monotonic() < deadline, "what came is not written"
+            time.sleep(0.01)
+        assert offset_of(api, curator, where) == 1000
+    finally:
+        go_on.set()
+        sender.join(300)
+    assert replies[0].status_code == 204
+    assert shown(api, curator, where)["state"] == "complete"
 
 
 def test_a_file_arrives_in_pieces(placed: Platform) -> None:
