@@ -6,7 +6,7 @@ have submissions scored; meanwhile one recording after another is labelled. Told
 asked, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform in
 the first and the last quarter.
 With `--slow 2000` so many strangers hold connections from one address (`benchmarks/load/strangers.py`) after `CALM_S`;
-nothing is labelled then, and the platform keeps its own bounds. Without it, all clients may come from one address.
+nothing is labelled or scored then, and the platform keeps its bounds. Without it the address of the clients has none.
 With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
 """
 
@@ -98,7 +98,7 @@ def _plan(options: argparse.Namespace, running: RunningPlatform, world: World, s
     """`clients` shared out; the file that is submitted lies in the data folder."""
     path = running.platform.settings.root / "guess.zip"
     path.write_bytes(next(iter(files(world).values())))
-    submitters = max(1, options.clients * 2 // 100)
+    submitters = 0 if options.slow else max(1, options.clients * 2 // 100)
     uploaders = max(1, options.clients * 8 // 100)
     with running.platform.database.reading() as session:
         sequence = session.scalars(select(SequenceRow.id).where(SequenceRow.name == "forest-0")).one()
