@@ -1,25 +1,29 @@
 """Examination of a range of a submission's frames in a sandboxed process: validation, or counting too.
 
 **Conventions.** Frames follow `tokens`, the whole manifest; an empty range checks the archive's directory alone. The
-child opens both files itself. What it answers is measured before it is believed: a little JSON, then exactly the counts
-of the range, little-endian int32 in the order of `ARRAYS`.
+child opens the files itself. A submission may take over the child that reads it, so no child that reads the ground
+truth beside it answers a word: it answers a `CountingOutcome` in one byte, then exactly the counts of the range,
+little-endian int32 in the order of `ARRAYS`, which are held against the supports of the truth. If it counted nothing, a
+child that has no ground truth finds the words: a little JSON.
 """
 
 import json
-import struct
 import zlib
 from collections.abc import Callable, Iterable, Mapping, Sequence, Set
 from dataclasses import dataclass, field, replace
+from enum import IntEnum
 from functools import partial
 from math import prod
 from pathlib import Path
 
 import numpy as np
+import structlog
 from numpy.typing import NDArray
 
 from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.eval.kernel_warmup import warm
 from services.eval.truth_pack import TruthPack, TruthPackError
+from services.eval.truth_supports import can_be_counted, supports_of, truth_damaged
 from services.runtime.sandbox import (
     ProgressCallback,
     SandboxCrashedError,
@@ -45,8 +49,17 @@ from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS
 from stone_base.label_grid import PAPER, LabelGrid
 from stone_submissions.archive import SubmissionZip, open_submission
-from stone_submissions.errors import SubmissionError, UnreadableInputError
-from stone_submissions.validation import THREADS, Progress, check_range, frame_grid, in_threads, refusal_of, silent
+from stone_submissions.errors import MISTAKES, SubmissionError, UnreadableInputError
+from stone_submissions.validation import (
+    BLOCK,
+    THREADS,
+    Progress,
+    check_range,
+    frame_grid,
+    in_threads,
+    refusal_of,
+    silent,
+)
 from stone_submissions.verdict import Validation, ValidationProblem, merged, validation_of, verdict
 
 # Frames of a submission, a thread each block: read, checked, counted; whatever is wrong is collected.
@@ -198,7 +211,6 @@ def counts_in(arrays: Mapping[str, NDArray[np.int32]]) -> Counts:
     return Counts(arrays["confusions"], arrays["bev"], column_counts)
 
 
-HEAD = struct.Struct("<I")
 ARRAYS: Mapping[str, tuple[int, ...]] = {
     "confusions": (RINGS, CLASSES, CLASSES),
     "bev": (RINGS, 3),
@@ -209,6 +221,26 @@ FRAME_BYTES = 4 * sum(map(prod, ARRAYS.values()))
 FRAME_S = 0.1
 """Many times what the slowest honest frame takes (one whose array is stored, not deflated, in a deflated archive)."""
 LONGEST_PROBLEMS_BYTES = 2**20
+
+log = structlog.get_logger(__name__)
+
+
+class CountingOutcome(IntEnum):
+    """All that a child that reads a ground truth may answer beside counts."""
+
+    COUNTED = 0
+    NOT_COUNTED = 1
+    TRUTH_DAMAGED = 2
+
+
+class ImpossibleCountsError(Refused):
+    """Counting a sound file ended as our program never does; `fault` is for the log of the operator."""
+
+    def __init__(self, fault: str) -> None:
+        log.warning("counting ended as our program never does", fault=fault)
+        super().__init__(
+            "scoring_crashed", "counting the submission broke off; was it written by numpy.savez_compressed?"
+        )
 
 
 @dataclass(frozen=True)
@@ -222,35 +254,86 @@ class Examination:
     grid: LabelGrid = PAPER
 
     @property
+    def frames(self) -> int:
+        return self.span[1] - self.span[0]
+
+    @property
     def limits(self) -> SandboxLimits:
-        frames = self.span[1] - self.span[0]
-        cpu_s = 10 + int(FRAME_S * frames)
-        return SandboxLimits(
-            cpu_s=cpu_s,
-            wall_s=10.0 * cpu_s,
-            answer_bytes=LONGEST_PROBLEMS_BYTES + answer_bytes(frames),
-            reads=(self.zip_path, *([self.pack_path] if self.pack_path else [])),
-        )
+        cpu_s = 10 + int(FRAME_S * self.frames)
+        words = SandboxLimits(cpu_s=cpu_s, wall_s=10.0 * cpu_s, reads=(self.zip_path,))
+        if self.pack_path is None:
+            return replace(words, answer_bytes=LONGEST_PROBLEMS_BYTES)
+        reads = (self.zip_path, self.pack_path)
+        return replace(words, reads=reads, answer_bytes=1 + answer_bytes(self.frames), may_quote=False)
 
 
 def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """Look at the range, in a child.
 
-    Raises `scoring_crashed` where the child broke its limits, `scoring_interrupted`, and what `watch` raises.
+    Raises `scoring_crashed` where the child broke its limits, `ImpossibleCountsError`, `scoring_interrupted`,
+    `ground_truth_damaged`, and what `watch` raises.
     """
     warm_unless_served(warm)
+    unseeing = replace(examination, pack_path=None)
+    if examination.pack_path is None or not examination.frames:
+        return _checked(unseeing, watch)
+    supports = supports_of(examination.pack_path, len(examination.tokens))[slice(*examination.span)]
+    counts = _counted_apart(examination, watch)
+    if counts is None:
+        found = _checked(unseeing, watch)
+        if found.validation.ok:
+            raise ImpossibleCountsError("counted nothing of frames that are sound")
+        return found
+    if not can_be_counted(counts.arrays(), supports, _is_sampled(examination)):
+        raise ImpossibleCountsError("answered counts that no prediction has against this ground truth")
+    return ExaminedRange(verdict(()), counts)
+
+
+def _counted_apart(examination: Examination, watch: SandboxWatch) -> Counts | None:
+    """The counts of a child that reads the ground truth, of which nothing else comes; None if it counted nothing.
+
+    Raises `scoring_interrupted`, `ground_truth_damaged`, and what `watch` raises.
+    """
+    silent_watch = SandboxWatch(watch.on_poll, partial(_pass_on, watch, examination.frames))
     try:
-        answer = sandboxed_with_progress(partial(count_submission, examination), examination.limits, watch)
+        answer = sandboxed_with_progress(partial(count_submission, examination), examination.limits, silent_watch)
+    except SandboxCrashedError as error:
+        log.warning("a child that counts broke off", fate=error.fate)
+        return None
+    except SandboxInterruptedError as error:
+        log.warning("a child that counts was interrupted", fate=error.fate)
+        raise _interrupted("was interrupted") from error
+    outcome, raw = answer[:1], answer[1:]
+    if outcome == bytes([CountingOutcome.TRUTH_DAMAGED]):
+        raise truth_damaged()
+    is_counted = outcome == bytes([CountingOutcome.COUNTED]) and len(raw) == answer_bytes(examination.frames)
+    return counts_of(raw, examination.frames) if is_counted else None
+
+
+def _pass_on(watch: SandboxWatch, frames: int, _stage: str, ticks: int, _total: int) -> None:
+    """Pass progress on as the number of blocks that were reported."""
+    watch.progress("score", min(ticks * BLOCK, frames), frames)
+
+
+def _is_sampled(examination: Examination) -> NDArray[np.bool_]:
+    wanted = sampled_tokens(examination.tokens)
+    return np.array([token in wanted for token in examination.tokens[slice(*examination.span)]])
+
+
+def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
+    """The range as a child sees it that reads no ground truth. Raises as `examine`."""
+    try:
+        answer = sandboxed_with_progress(partial(check_submission, examination), examination.limits, watch)
+        found = validation_of(json.loads(answer))
     except SandboxCrashedError as error:
         raise scoring_crashed(error.fate) from error
     except SandboxInterruptedError as error:
-        raise PlatformFaultError(
-            "scoring_interrupted", f"the process that read the submission {error.fate}; it is tried again"
-        ) from error
-    try:
-        return _believed(answer, examination)
-    except (ValueError, TypeError, KeyError, AttributeError, struct.error) as error:
-        raise scoring_crashed("answered something else than counts") from error
+        raise _interrupted(error.fate) from error
+    except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
+        raise scoring_crashed("answered something else than a validation") from error
+    if any(one.code not in MISTAKES or one.frame not in (None, *examination.tokens) for one in found.errors):
+        raise scoring_crashed("answered something else than a validation")
+    return ExaminedRange(found)
 
 
 def unpacked(packed: bytes, frames: int) -> Counts:
@@ -274,46 +357,39 @@ def answer_bytes(frames: int) -> int:
     return frames * FRAME_BYTES
 
 
-def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
-    """The child's part."""
+def check_submission(examination: Examination, progress: ProgressCallback) -> bytes:
+    """Return what is wrong with the range, as JSON; the part of the child that reads no ground truth."""
     with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:
         tokens = examination.tokens[slice(*examination.span)]
-        if submission.problems or examination.pack_path is None:
-            found = examined(submission, tokens, threads=1, progress=progress)
-            return _answer(merged([verdict(submission.problems), found.validation]), b"")
-        found = _counted(submission, examination, examination.pack_path, progress)
-        return _answer(found.validation, found.counts.raw() if found.counts else b"")
+        found = examined(submission, tokens, threads=1, progress=progress)
+        return json.dumps(merged([verdict(submission.problems), found.validation]).as_record()).encode()
 
 
-def _counted(
-    submission: SubmissionZip, examination: Examination, pack_path: Path, progress: ProgressCallback
-) -> ExaminedRange:
-    tokens, wanted = examination.tokens[slice(*examination.span)], sampled_tokens(examination.tokens)
-    try:
-        with TruthPack(pack_path) as pack:
-            return examined(submission, tokens, pack.planes_of, sampled=wanted, threads=1, progress=progress)
-    except (TruthPackError, UnreadableInputError) as error:
-        raise PlatformFaultError(
-            "ground_truth_damaged",
-            "the ground truth that is kept cannot be read; was the store changed by hand, or is it away?",
-        ) from error
-
-
-def _answer(found: Validation, counts: bytes) -> bytes:
-    problems = json.dumps(found.as_record()).encode()
-    return HEAD.pack(len(problems)) + problems + counts
-
-
-def _believed(answer: bytes, examination: Examination) -> ExaminedRange:
-    stop = HEAD.size + HEAD.unpack_from(answer)[0]
-    found = validation_of(json.loads(answer[HEAD.size : stop]))
-    frames = examination.span[1] - examination.span[0]
-    if not found.ok or examination.pack_path is None:
-        return ExaminedRange(found)
-    return ExaminedRange(found, counts_of(answer[stop:], frames))
+def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
+    """Return an outcome and the counts of the range, if it has any; the part of the child that reads the truth."""
+    if examination.pack_path is None:
+        return bytes([CountingOutcome.NOT_COUNTED])
+    with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:
+        if submission.problems:
+            return bytes([CountingOutcome.NOT_COUNTED])
+        tokens, sampled = examination.tokens[slice(*examination.span)], sampled_tokens(examination.tokens)
+        try:
+            with TruthPack(examination.pack_path) as pack:
+                found = examined(submission, tokens, pack.planes_of, sampled=sampled, threads=1, progress=progress)
+        except (TruthPackError, UnreadableInputError):
+            return bytes([CountingOutcome.TRUTH_DAMAGED])
+        return (
+            bytes([CountingOutcome.COUNTED]) + found.counts.raw()
+            if found.counts
+            else bytes([CountingOutcome.NOT_COUNTED])
+        )
 
 
 def scoring_crashed(fate: str) -> Refused:
     return Refused(
         "scoring_crashed", f"the process that read the submission {fate}; was it written by numpy.savez_compressed?"
     )
+
+
+def _interrupted(fate: str) -> PlatformFaultError:
+    return PlatformFaultError("scoring_interrupted", f"the process that read the submission {fate}; it is tried again")

@@ -16,13 +16,13 @@ import numpy as np
 from sqlalchemy import select
 from sqlalchemy.orm import Session
 
-from services.domain.benchmarks.alarms.alarms import raise_alarms
+from services.domain.benchmarks.alarms.alarms import raise_alarms, raise_impossible_counts
 from services.domain.benchmarks.phases.evaluation_versions import EvaluationVersion, versions_to_score
 from services.domain.benchmarks.submissions.score_rows import NewScore, drop_parts, write_score
 from services.domain.benchmarks.submissions.scoring_jobs import rescore_specs
 from services.domain.benchmarks.submissions.scoring_ranges import Span
 from services.domain.benchmarks.submissions.submissions import settle
-from services.eval.examination import Counts, ExaminedRange, counts_in, joined, unpacked
+from services.eval.examination import Counts, ExaminedRange, ImpossibleCountsError, counts_in, joined, unpacked
 from services.eval.score_record import SequenceFacts, SubmissionCounts, record_of, spectra_npz
 from services.eval.scored_case import Case, ReadyTruth, live_submission
 from services.eval.scoring_workspace import EvalStageContext
@@ -212,5 +212,8 @@ def _give_up(case: Case, session: Session) -> None:
 
 def _fail(submission_id: str, error: StoneError, session: Session) -> None:
     """A scored submission stays scored."""
-    if live_submission(session, submission_id).state != "scored":
+    submission = live_submission(session, submission_id)
+    if submission.state != "scored":
         settle(session, submission_id, "failed", failure=Failure(error.code, str(error)))
+    if isinstance(error, ImpossibleCountsError):
+        raise_impossible_counts(session, submission)

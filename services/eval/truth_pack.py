@@ -1,10 +1,11 @@
 """A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
-`offsets`, `counts`, `crc32`, and `grid`, JSON, if it is not the paper's), then where the index starts and the magic
-again; little-endian. A frame is the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a
-quarter of the time of LZ4 and an eighth of that of zstd, for 1.6 and 3 times the bytes. The same ground truth makes the
-same bytes. A pack is ours, never a stranger's; its checks are against decay.
+`offsets`, `counts`, `crc32`, `column_supports`, and `grid`, JSON, if it is not the paper's), then where the index
+starts and the magic again; little-endian. Packs of earlier versions have no `column_supports`. A frame is the `changes`
+and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of
+that of zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a
+stranger's; its checks are against decay.
 """
 
 import json
@@ -25,7 +26,8 @@ from numpy.typing import NDArray
 
 from services.eval.ground_truth import truth_hash, whole_hash
 from stone.errors import Refused, StoneError
-from stone.scoring.bitplanes import TruthPlanes
+from stone.scoring.bitplanes import TruthPlanes, frame_counts
+from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS, layout_of
 from stone.scoring.plane_runs import PLANES, PlaneRuns, planes_of, runs_of
 from stone_base.label_grid import PAPER, LabelGrid, grid_of
@@ -38,6 +40,8 @@ from stone_submissions.validation import THREADS, Progress, silent
 MAGIC = b"STONEGT1"
 TRAILER = struct.Struct("<Q8s")
 BATCH = 32  # frames in memory at a time
+SUPPORTS = 2 * CLASSES + 1
+NOT_KEPT = -1
 
 
 class TruthPackError(StoneError):
@@ -61,6 +65,7 @@ class PackSummary:
 class _PackedTruthFrame:
     payload: bytes
     counts: NDArray[np.int64]
+    column_supports: NDArray[np.int32]
     hash: bytes
 
 
@@ -108,6 +113,7 @@ class TruthPack:
             raise
         self.tokens: tuple[str, ...] = tuple(token.tobytes().hex() for token in index["tokens"])
         self._offsets, self._counts, self._crc32 = (index[key] for key in ("offsets", "counts", "crc32"))
+        self._column_supports = index.get("column_supports")
         self.grid = self._grid_in(index)
         self._changes = PLANES * layout_of(self.grid).columns // 64
 
@@ -134,6 +140,16 @@ class TruthPack:
         """The ground truth of this frame, which must be in `tokens`."""
         return self.planes(self._index_of[token])
 
+    def supports(self) -> NDArray[np.int32]:
+        """Return the counts of the truth alone, (F, ring, 9): its voxels by class, its drivable columns, its columns by
+        class; `NOT_KEPT` for those of columns in a pack of an earlier version."""
+        evaluated, low, high, both = np.moveaxis(self._counts, -1, 0)
+        voxels = np.stack([evaluated - low - high + both, low - both, high - both, both], axis=-1)
+        unknown = np.full((*voxels.shape[:-1], SUPPORTS - CLASSES), NOT_KEPT)
+        return np.concatenate(
+            [voxels, unknown if self._column_supports is None else self._column_supports], axis=-1
+        ).astype(np.int32)
+
     @cached_property
     def _index_of(self) -> dict[str, int]:
         return {token: index for index, token in enumerate(self.tokens)}
@@ -149,7 +165,7 @@ class TruthPack:
         raw = os.pread(self._descriptor, stop - start, start)
         try:
             with np.load(BytesIO(raw), allow_pickle=False) as arrays:
-                keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"grid"})
+                keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"column_supports", "grid"})
                 return {key: arrays[key] for key in keys}
         except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
             raise TruthPackError(self._path, "its index is no npz") from error
@@ -172,18 +188,21 @@ class _Index:
         self.offsets = [len(MAGIC)]
         self._counts: list[NDArray[np.int64]] = []
         self._crc32: list[int] = []
+        self._column_supports: list[NDArray[np.int32]] = []
 
     def add(self, token: str, packed: _PackedTruthFrame) -> None:
         self.hashes[token] = packed.hash
         self.offsets.append(self.offsets[-1] + len(packed.payload))
         self._counts.append(packed.counts)
         self._crc32.append(deflate.crc32(packed.payload))
+        self._column_supports.append(packed.column_supports)
 
     def npz(self) -> bytes:
         tokens = np.frombuffer(bytes.fromhex("".join(self.hashes)), np.uint8).reshape(-1, 16)
         counts = np.array(self._counts, np.int64).reshape(-1, RINGS, 4)
         offsets, crc32 = np.array(self.offsets, np.uint64), np.array(self._crc32, np.uint32)
         arrays: dict[str, NDArray[Any]] = {"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32}
+        arrays["column_supports"] = np.array(self._column_supports, np.int32).reshape(-1, RINGS, SUPPORTS - CLASSES)
         if self._grid != PAPER:
             arrays["grid"] = np.frombuffer(json.dumps(self._grid.as_record()).encode(), np.uint8)
         return npz_bytes(arrays)
@@ -191,4 +210,11 @@ class _Index:
 
 def _packed(truth: TruthPlanes) -> _PackedTruthFrame:
     runs = runs_of(truth.planes)
-    return _PackedTruthFrame(runs.changes.tobytes() + runs.columns.tobytes(), truth.counts, truth_hash(truth))
+    payload = runs.changes.tobytes() + runs.columns.tobytes()
+    return _PackedTruthFrame(payload, truth.counts, _column_supports(truth), truth_hash(truth))
+
+
+def _column_supports(truth: TruthPlanes) -> NDArray[np.int32]:
+    """Return the columns of one frame (ring, 5): those drivable, then by class; a free prediction hits no other."""
+    free = frame_counts(np.zeros(truth.grid.shape, np.uint8), truth)
+    return np.concatenate([free.bev[:, 1:2], free.column_counts.columns[:, :, 0]], axis=1)

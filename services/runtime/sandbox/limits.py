@@ -22,7 +22,8 @@ class SandboxLimits:
 
     `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
     files of `file_bytes` at most, and links only where it `makes_links`; without a folder nowhere. Of other files it
-    may read `reads` (files, and whatever is below folders) and the system's own, no others.
+    may read `reads` (files, and whatever is below folders) and the system's own, no others. A child that
+    `may_quote` nothing reads a secret: of its refusals and faults no text is passed on, and its progress is a count.
     """
 
     memory_bytes: int = 256 * 2**20
@@ -35,6 +36,7 @@ class SandboxLimits:
     file_bytes: int = 0
     reads: tuple[Path, ...] = ()
     makes_links: bool = False
+    may_quote: bool = True
 
 
 def apply_limits(limits: SandboxLimits) -> None:

@@ -177,6 +177,7 @@ class SandboxProcess:
         os.set_blocking(reading, False)
         self._reader = SandboxMessageReader(reading, limits.answer_bytes)
         self._is_sound = False
+        self._ticks = 0
 
     @property
     def is_waiting(self) -> bool:
@@ -200,13 +201,20 @@ class SandboxProcess:
                 if word.kind == FENCED:
                     _note(word.texts())
                 elif word.kind == TICK:
-                    watch.progress(*word.tick())
+                    watch.progress(*self._tick(word))
                 else:
                     return word
             if is_over:
                 return None
             watch.on_poll()
             self._stop_when_late(asked_s)
+
+    def _tick(self, word: SandboxMessage) -> tuple[str, int, int]:
+        """Return the progress; of a child that may quote nothing only how often it reported some."""
+        if self._limits.may_quote:
+            return word.tick()
+        self._ticks += 1
+        return "", self._ticks, 0
 
     def close(self) -> None:
         """Ended and reaped, its pipe closed."""
@@ -252,17 +260,18 @@ def _answered(word: SandboxMessage | None, child: SandboxProcess, limits: Sandbo
         raise _ended(child.reap(), limits)
     if word.kind == ANSWER:
         return word.payload
-    if word.kind == REFUSAL:
+    if word.kind == REFUSAL and limits.may_quote:
         raise _refusal(word)
     if word.kind == MEMORY:
         raise SandboxCrashedError(f"needed more than {limits.memory_bytes >> 20} MiB")
     if word.kind == FLOODED:
         raise SandboxCrashedError(f"answered more than {limits.answer_bytes} bytes")
     said = word.texts()
-    log.warning("sandboxed work raised", traceback=said.get("traceback", ""))
+    log.warning("sandboxed work raised", traceback=said.get("traceback", said.get("sentence", "")))
+    raised = said.get("exception", "an error") if limits.may_quote else "an error"
     if word.kind == MACHINE:
-        raise SandboxInterruptedError(f"met {said.get('exception', 'an error')} of the machine")
-    raise SandboxCrashedError(f"raised {said.get('exception', 'an error')}")
+        raise SandboxInterruptedError(f"met {raised} of the machine")
+    raise SandboxCrashedError(f"raised {raised}")
 
 
 def _ended(status: int, limits: SandboxLimits) -> StoneError:

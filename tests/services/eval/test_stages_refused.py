@@ -1,5 +1,6 @@
 """A submission that cannot be scored ends with its reason, costs nothing, and its job has done its work."""
 
+import json
 import os
 from collections.abc import Mapping
 from pathlib import Path
@@ -20,7 +21,7 @@ from services.runtime.jobs.completion import Failure, lose, succeed
 from services.runtime.jobs.control import retry
 from services.runtime.jobs.execution import run_next
 from services.runtime.jobs.specs import Attempt, Outcome
-from services.runtime.orm import Blob, GroundTruthRow, Job, Score, ScoringEntry, StoreFault, SubmissionRow
+from services.runtime.orm import Alarm, Blob, GroundTruthRow, Job, Score, ScoringEntry, StoreFault, SubmissionRow
 from services.runtime.platform import Platform
 from services.runtime.store.faults import noted_faults
 from services.runtime.uploads import upload_file
@@ -113,9 +114,26 @@ def test_a_file_that_breaks_its_reader_is_not_read_again(
 
 
 def test_a_child_that_answers_nonsense_is_not_believed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
-    for turn, nonsense in enumerate((b"", b"\xff\xff\xff\xff", b"\2\0\0\0{}", b"\2\0\0\0[]" + bytes(100))):
-        monkeypatch.setattr(examination, "_answer", lambda *given, said=nonsense: said)
+    """The submission is no score and no verdict, its team reads one sentence, and administrators have an alarm."""
+    sent = []
+    for turn, nonsense in enumerate((b"", b"\xff", b"\1", b"\0" + bytes(100), b"\0" + bytes(2 * 468))):
+        monkeypatch.setattr(examination, "count_submission", lambda *given, said=nonsense: said)
         row = ended(world, send(world, zipped(world, guess(world, turn=16 + turn))))
+        assert (row.state, row.failure_code) == ("failed", "scoring_crashed"), nonsense
+        sent.append(row)
+    assert {row.failure for row in sent} == {sent[0].failure}
+    with world.platform.database.reading() as session:
+        alarms = select(Alarm.subject).where(Alarm.kind == "impossible_counts")
+        assert set(session.scalars(alarms)) >= {row.id for row in sent}
+
+
+def test_a_verdict_that_is_none_is_not_believed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
+    problem = {"code": "not_zip", "file": "", "frame": None, "expected": "", "actual": ""}
+    forged = ({**problem, "code": "of_its_own"}, {**problem, "frame": "0" * 32})
+    verdicts = [json.dumps({"errors": [one], "errors_total": 1}).encode() for one in forged]
+    for turn, nonsense in enumerate((b"", b"\xff", b"[]", b"[" * 100_000, b'{"errors": []}', *verdicts)):
+        monkeypatch.setattr(examination, "check_submission", lambda *given, said=nonsense: said)
+        row = ended(world, send(world, zipped(world, guess(world, turn=22 + turn)), kind="validation"))
         assert (row.state, row.failure_code) == ("failed", "scoring_crashed"), nonsense
 
 

@@ -1,4 +1,5 @@
-"""Alarms for administrators: equal predictions of several teams, and probing by near-identical submissions.
+"""Alarms for administrators: equal predictions of several teams, probing by near-identical submissions, impossible
+counts.
 
 **Conventions.** An alarm is about its subject: the later of two submissions, or a team's day; it is raised once, in
 whatever order and however often they are scored. Withdrawn and hidden entries count; baselines where the truth is
@@ -30,6 +31,7 @@ from stone.errors import Refused
 
 
 EQUAL_CONTENT, NEAR_EQUAL, NEAR_EQUAL_TEAMS = "equal_content", "near_equal", "near_equal_teams"
+IMPOSSIBLE_COUNTS = "impossible_counts"
 DAY_NS = 86_400 * 10**9
 
 Cells = NDArray[np.int64]
@@ -161,6 +163,14 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
     raised = {"phase_id": own.phase_id, "created_ns": now_ns()}
     about = suspicions(mine, of_team, foreign, limits)
     insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(one)} for one in about])
+
+
+def raise_impossible_counts(session: Session, submission: SubmissionRow) -> None:
+    """Raise that counting a sound file broke off, or gave counts that no prediction has: it may hold an attack."""
+    team = session.get_one(Team, submission.team_id)
+    facts = {"submission_id": submission.id, "team_id": team.id, "team": team.name, "method": submission.method}
+    about = {"kind": IMPOSSIBLE_COUNTS, "subject": submission.id, "facts": facts}
+    insert_new(session, Alarm, [{"id": new_id(), "phase_id": submission.phase_id, "created_ns": now_ns(), **about}])
 
 
 def open_alarms(phase_id: str) -> Select[Alarm]:
