@@ -33,6 +33,8 @@ LIVE = ("queued", "scoring")
 OPEN = ("draft", *LIVE)
 ENDED = ("scored", "valid", "invalid", "failed", "cancelled")
 RETRIED = ("failed", "cancelled")
+UP_TO_COUNTING = ("scoring_crashed", "scoring_interrupted", "ground_truth_damaged", "time_limit")
+"""Failures that a child which counts against the truth can bring about."""
 TOLD = {"scored": SUBMISSION_SCORED, "invalid": SUBMISSION_INVALID, "failed": SUBMISSION_FAILED}
 
 
@@ -64,7 +66,7 @@ def settle(
     problems: Mapping[str, Any] | None = None,
     failure: Failure | None = None,
 ) -> bool:
-    """End a submission, and with it its reserved scoring: used when it is scored, else given back.
+    """End a submission, and with it its reserved scoring: used if it is scored, else given back within bounds.
 
     `problems` is what the validation found (`{"ok", "errors", "errors_total"}`). False when it is in this state
     already, for instance scored by an earlier evaluation version. Raises `JobCancelledError` when it ended otherwise:
@@ -88,6 +90,8 @@ def end(session: Session, submission: SubmissionRow, state: str, failure: Failur
     """Let a locked submission end; what it held of the team's scorings is used or given back, what was counted goes."""
     if state == "scored":
         scoring_quota.consume(session, submission.id)
+    elif submission.state == "scoring" and (state != "failed" or (failure and failure.code in UP_TO_COUNTING)):
+        scoring_quota.release_counted(session, submission.id, state)
     else:
         scoring_quota.release(session, submission.id, f"released: {state}")
     if failure is not None:

@@ -8,6 +8,7 @@ from hypothesis import strategies as st
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases import evaluation_versions
+from services.domain.benchmarks.submissions import scoring_quota
 from services.domain.benchmarks.submissions.completion_estimate import STEP_S, busy_ns, expected_s, queue_position
 from services.domain.benchmarks.submissions.errors import SubmissionStateError
 from services.domain.benchmarks.submissions.submissions import (
@@ -38,6 +39,7 @@ from tests.services.domain.benchmarks.drafts import (
     entrant_on,
     finalised,
     seen,
+    standing,
     taken,
     uploaded,
 )
@@ -87,6 +89,46 @@ def test_only_a_score_uses_a_scoring_up(platform: Platform, state: str, held: in
     assert seen(entrant, submission_id).settled_ns is not None
     assert not ended(entrant, submission_id, state)
     assert taken(entrant) == held
+
+
+def used(entrant: Entrant, state: str, code: str = "") -> int:
+    """How many scorings are used up when a further submission ends so while it is counted."""
+    before = taken(entrant)
+    submission_id = finalised(entrant)
+    begun(entrant, submission_id)
+    ended(entrant, submission_id, state, failure=Failure(code, "it ended") if code else None)
+    return taken(entrant) - before
+
+
+COUNTED_ENDS = [
+    ("invalid", ""),
+    ("cancelled", ""),
+    ("failed", "scoring_crashed"),
+    ("failed", "scoring_interrupted"),
+    ("failed", "ground_truth_damaged"),
+    ("failed", "time_limit"),
+]
+
+
+@pytest.mark.parametrize(("state", "code"), COUNTED_ENDS)
+def test_of_a_hidden_truth_a_team_is_given_few_scorings_back(
+    platform: Platform, state: str, code: str, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """A file that takes over the child that counts it chooses such an end by the truth: it may do so ten times."""
+    entrant = entrant_on(platform, is_hidden=True)
+    assert [used(entrant, state, code) for _ in range(12)] == [0] * 10 + [1, 1]
+    assert (standing(entrant).used, standing(entrant).reserved) == (2, 0)
+    other = another_entrant(entrant.place)
+    assert used(other, state, code) == 0
+    assert used(entrant, "failed", "worker_lost") == 0, "a fault that no child brings about costs nothing"
+    later_ns = now_ns() + standing(entrant).window_ns
+    monkeypatch.setattr(scoring_quota, "now_ns", lambda: later_ns)
+    assert used(entrant, state, code) == 0
+
+
+def test_of_an_open_truth_all_scorings_are_given_back(platform: Platform) -> None:
+    entrant = entrant_on(platform, is_hidden=False)
+    assert [used(entrant, "invalid") for _ in range(12)] == [0] * 12
 
 
 def test_what_was_found_and_why_is_kept(platform: Platform) -> None:
