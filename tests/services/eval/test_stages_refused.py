@@ -2,7 +2,7 @@
 
 import json
 import os
-from collections.abc import Mapping
+from collections.abc import Callable, Mapping
 from pathlib import Path
 from typing import Any
 
@@ -25,11 +25,12 @@ from services.runtime.orm import Alarm, Blob, GroundTruthRow, Job, Score, Scorin
 from services.runtime.platform import Platform
 from services.runtime.store.faults import noted_faults
 from services.runtime.uploads import upload_file
+from stone.errors import PlatformFaultError, Refused
 from testing.worlds.benchmark_world import Grid, World, run_eval
 from testing.worlds.decay import flip
 from testing.worlds.made import row_of as job_row
 from testing.worlds.runs import Said
-from testing.worlds.sending import guess, jobs_of, pair_of, parts_left, row_of, scores_of, send, taken, zipped
+from testing.worlds.sending import guess, jobs_of, pair_of, parts_left, row_of, said_of, scores_of, send, taken, zipped
 
 
 @pytest.fixture(scope="module")
@@ -125,6 +126,26 @@ def test_a_child_that_answers_nonsense_is_not_believed(world: World, monkeypatch
     with world.platform.database.reading() as session:
         alarms = select(Alarm.subject).where(Alarm.kind == "impossible_counts")
         assert set(session.scalars(alarms)) >= {row.id for row in sent}
+
+
+def words(*_: object) -> bytes:
+    raise PlatformFaultError("a_code_of_its_own", "voxels of the truth")
+
+
+def refusal(*_: object) -> bytes:
+    raise Refused("a_code_of_its_own", "voxels of the truth")
+
+
+@pytest.mark.parametrize("say", [words, refusal])
+def test_nothing_that_a_counting_child_says_is_kept(
+    world: World, say: Callable[..., bytes], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(examination, "count_submission", say)
+    row = ended(world, send(world, zipped(world, guess(world, turn=40))))
+    assert (row.state, row.failure_code) == ("failed", "scoring_crashed")
+    told = json.dumps([row.failure, row.problems, said_of(world.platform, row.id)])
+    assert "scoring_crashed" in told
+    assert not [word for word in ("a_code_of_its_own", "voxels") if word in told]
 
 
 def test_a_verdict_that_is_none_is_not_believed(world: World, monkeypatch: pytest.MonkeyPatch) -> None:
