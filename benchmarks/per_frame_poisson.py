@@ -29,7 +29,7 @@ from stone.surface.pointmap import merge
 from stone_base.label_grid import PAPER
 
 NEIGHBOURS, DEPTH, LEAST_DENSE = 20, 10, 0.1
-LIMITS = SandboxLimits(memory_bytes=32 * 2**30, cpu_s=3600)
+LIMITS = SandboxLimits(memory_bytes=32 * 2**30, cpu_s=3600, imports=("open3d",))
 EVERYWHERE_M = 1e5  # the map's lattice ends there
 
 

@@ -12,6 +12,7 @@ import sys
 import traceback
 from collections.abc import Callable, Iterable
 from dataclasses import dataclass
+from importlib import import_module
 from typing import NoReturn
 
 from services.runtime.processes.parent_death import die_with
@@ -30,6 +31,7 @@ from services.runtime.sandbox.messages import (
     texts_of,
     tick_of,
 )
+from services.runtime.sandbox.own_user import leave_the_user
 from stone.errors import StoneError
 
 ProgressCallback = Callable[[str, int, int], None]
@@ -70,8 +72,10 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
     """All that the child does."""
     status = 1
     try:
-        die_with(parent)
+        leave_the_user()
+        die_with(parent)  # which does not outlast a change of user
         _forget_the_parent()
+        _import_first(answer)
         _keep_nothing_compiled()
         replace_inherited_descriptors(answer.writing, answer.reading)
         apply_limits(answer.limits)
@@ -92,6 +96,17 @@ def _forget_the_parent() -> None:
             signal.signal(number, signal.SIG_DFL)
     signal.signal(signal.SIGXCPU, signal.SIG_DFL)
     signal.pthread_sigmask(signal.SIG_SETMASK, ())
+
+
+def _import_first(answer: SandboxTask) -> None:
+    """What fails here is no fault of the input, which nobody has read yet."""
+    sys.dont_write_bytecode = True
+    try:
+        for name in answer.limits.imports:
+            import_module(name)
+    except Exception as error:
+        send_message(answer.writing, MACHINE, _exception(error))
+        raise
 
 
 def _keep_nothing_compiled() -> None:

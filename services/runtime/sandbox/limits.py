@@ -22,8 +22,12 @@ class SandboxLimits:
 
     `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
     files of `file_bytes` at most, and links only where it `makes_links`; without a folder nowhere. Of other files it
-    may read `reads` (files, and whatever is below folders) and the system's own, no others. A child that
-    `may_quote` nothing reads a secret: of its refusals and faults no text is passed on, and its progress is a count.
+    may read `reads` (files, and whatever is below folders) and the system's own, no others. In all, `folder` holds
+    `folder_files` files and folders of `folder_bytes` at most. `imports` are modules that it imports before its fences
+    close: libraries read at their import what is none of the system's files here.
+
+    A child that reads a secret has `may_quote` off: the parent passes on no text of its refusals and faults, and only
+    a count of its progress.
     """
 
     memory_bytes: int = 256 * 2**20
@@ -37,6 +41,9 @@ class SandboxLimits:
     reads: tuple[Path, ...] = ()
     makes_links: bool = False
     may_quote: bool = True
+    folder_files: int = 10_000
+    folder_bytes: int = 2**30
+    imports: tuple[str, ...] = ()
 
 
 def apply_limits(limits: SandboxLimits) -> None:

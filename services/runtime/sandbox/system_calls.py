@@ -41,7 +41,7 @@ THREADS = _table(
     sched_yield 24 124  sched_getaffinity 204 123  sched_getparam 143 121  sched_getscheduler 145 120
     sched_get_priority_max 146 125  sched_get_priority_min 147 126  rt_sigaction 13 134  rt_sigprocmask 14 135
     rt_sigreturn 15 139  sigaltstack 131 132  rt_sigpending 127 136  rt_sigsuspend 130 133
-    rt_sigtimedwait 128 137
+    rt_sigtimedwait 128 137  pause 34 -
     """
 )
 # What it is, and what time it is.
