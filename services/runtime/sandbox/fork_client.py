@@ -127,6 +127,11 @@ class ServedChild:
             theirs.close()
 
     @property
+    def pid(self) -> int:
+        """Its number; 0 before it is begun."""
+        return self._pid
+
+    @property
     def ended(self) -> int:
         """The descriptor that is readable when there is something to be said of it."""
         return self._told.fileno()

@@ -18,6 +18,7 @@ import structlog
 from services.runtime.jobs.specs import Attempt
 from services.runtime.sandbox.child import ProgressCallback
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
+from services.runtime.sandbox.folder_bounds import give_back
 from services.runtime.sandbox.fork_client import ForkServer, ServedChild, fork_server, warm_unless_served
 from services.runtime.sandbox.fork_server import Work, parcel
 from services.runtime.sandbox.limits import SandboxLimits
@@ -28,6 +29,9 @@ MEMORY_BYTES = 4 * 2**30
 ANSWER_BYTES = 128 * 2**20
 DESCRIPTORS = 2048  # a bag may be split into many files, each of them open
 SLACK_BYTES = 2**30
+# What a job may leave: of the least recording, and more for each byte that it reads (a label of a frame packs well).
+FOLDER_FILES, FOLDER_BYTES = 200_000, 64 * 2**30
+BYTES_A_FILE, BYTES_A_BYTE = 4096, 64
 
 SandboxedWork = Callable[[Path, ProgressCallback], bytes]
 
@@ -53,17 +57,21 @@ class JobSandbox:
     @property
     def limits(self) -> SandboxLimits:
         limit_s = self.settings.jobs.time_limit_s
+        read_bytes = sum(path.stat().st_size for path in self.reads)
+        folder_bytes = FOLDER_BYTES + BYTES_A_BYTE * read_bytes
         return SandboxLimits(
             memory_bytes=MEMORY_BYTES,
             cpu_s=2 * int(limit_s),  # hashing and reading go side by side
             wall_s=limit_s,
             answer_bytes=ANSWER_BYTES,
             descriptors=DESCRIPTORS,
-            mapped_bytes=SLACK_BYTES + 2 * sum(path.stat().st_size for path in self.reads),
+            mapped_bytes=SLACK_BYTES + 2 * read_bytes,
             folder=self.folder,
-            file_bytes=self.settings.uploads.max_bytes,
+            file_bytes=min(self.settings.uploads.max_bytes, folder_bytes),
             reads=self.reads,
             makes_links=self.makes_links,
+            folder_files=FOLDER_FILES + read_bytes // BYTES_A_FILE,
+            folder_bytes=folder_bytes,
         )
 
     def run(self, work: SandboxedWork, stage: str, total: int) -> bytes:
@@ -72,10 +80,13 @@ class JobSandbox:
         temporary = self.temporary or self.folder
         task = partial(_work, self.folder, str(temporary), work)
         watch = sandbox_watch_of(self.attempt, stage, total)
-        if self.shares_run:
-            return sandboxed_in_run(RunWork(self.attempt.root_id, task, self.limits, watch))
-        CHILDREN.close()  # one child at a time
-        return sandboxed_with_progress(task, self.limits, watch)
+        try:
+            if self.shares_run:
+                return sandboxed_in_run(RunWork(self.attempt.root_id, task, self.limits, watch))
+            CHILDREN.close()  # one child at a time
+            return sandboxed_with_progress(task, self.limits, watch)
+        finally:
+            give_back(self.folder)
 
 
 @contextmanager
@@ -121,6 +132,7 @@ def sandbox_watch_of(attempt: Attempt, stage: str, total: int) -> SandboxWatch:
 IDLE_S = 5.0
 MOST_HELD_BYTES = 2**30
 MOST_USED_S = 300
+BY_READ = ("mapped_bytes", "file_bytes", "folder_files", "folder_bytes")  # limits that follow what is read
 LONGEST_BYTES = 2**15  # of a work: a pipe that nobody reads takes it all the same
 
 log = structlog.get_logger(__name__)
@@ -153,9 +165,10 @@ class RunChild:
 
     def serves(self, run_id: str, limits: SandboxLimits) -> bool:
         """Whether it waits, and was given all that a job of these limits needs, and as much of the rest."""
-        reads, mapped_bytes = self.limits.reads, self.limits.mapped_bytes
-        is_enough = set(limits.reads) <= set(reads) and limits.mapped_bytes <= mapped_bytes
-        is_alike = replace(limits, reads=reads, mapped_bytes=mapped_bytes) == self.limits
+        given = {name: getattr(self.limits, name) for name in BY_READ}
+        is_enough = all(getattr(limits, name) <= most for name, most in given.items())
+        is_enough = is_enough and set(limits.reads) <= set(self.limits.reads)
+        is_alike = replace(limits, reads=self.limits.reads, **given) == self.limits
         is_theirs = self.run_id == run_id and is_enough and is_alike
         return is_theirs and self.inodes == _inodes(self.limits) and self.process.is_waiting
 

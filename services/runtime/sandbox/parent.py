@@ -34,6 +34,7 @@ import structlog
 from services.runtime.sandbox.child import ProgressCallback, SandboxTask, run_child
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
 from services.runtime.sandbox.fences import NONE, SandboxMechanisms
+from services.runtime.sandbox.folder_bounds import FolderWatch
 from services.runtime.sandbox.fork_client import ForkServer, ServedChild, fork_server, single_task
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.messages import (
@@ -77,6 +78,9 @@ class ForkedChild(Protocol):
     """A forked child, whoever forked it; `ended` is readable when there is something to be said of it."""
 
     begun_s: float | None
+
+    @property
+    def pid(self) -> int: ...
 
     @property
     def ended(self) -> int: ...
@@ -138,6 +142,11 @@ class _OwnChild:
         self._ended = os.pidfd_open(self._pid)
 
     @property
+    def pid(self) -> int:
+        """Its number."""
+        return self._pid
+
+    @property
     def ended(self) -> int:
         """The descriptor that tells its end."""
         return self._ended
@@ -165,7 +174,7 @@ class SandboxProcess:
     def __init__(self, begin: Callable[[Pipe], ForkedChild], limits: SandboxLimits) -> None:
         """`begin` answers with a child that writes into the pipe's second end."""
         reading, writing = os.pipe()
-        self._limits = limits
+        self._limits, self._folder = limits, FolderWatch(limits)
         try:
             self.child = begin((reading, writing))
         except BaseException:
@@ -188,6 +197,7 @@ class SandboxProcess:
         """What it says to the work that it was given last. Raises as `sandboxed`."""
         self._is_sound = False
         word = self._listen(watch)
+        self._folder.look(self.child.pid)
         self._is_sound = word is not None and word.kind in (ANSWER, REFUSAL)
         return _answered(word, self, self._limits)
 
@@ -207,6 +217,7 @@ class SandboxProcess:
             if is_over:
                 return None
             watch.on_poll()
+            self._folder.look_at_times(self.child.pid)
             self._stop_when_late(asked_s)
 
     def _tick(self, word: SandboxMessage) -> tuple[str, int, int]:
