@@ -14,6 +14,7 @@ from services.domain.benchmarks.phases.reported_results import reported_in
 from services.runtime.orm import Activation, AuditEntry, Benchmark, JobLine, Phase
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
+from services.runtime.sandbox import fences
 from services.runtime.store.blobs import keep
 from services.runtime.store.faults import note
 from testing.api.serving import Person
@@ -61,6 +62,17 @@ def test_damaged_objects_are_shown_with_what_needs_them(
     shown = reading.html("/admin/queues", administrator)
     assert "1 damaged or lost" in shown
     assert blob.object_key in shown
+
+
+def test_the_installation_says_which_fence_of_the_sandbox_its_kernel_does_not_have(
+    reading: Reading, administrator: Person, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fences, "version", lambda: 6)
+    assert "landlock" not in reading.html("/admin/queues", administrator)
+    monkeypatch.setattr(fences, "version", lambda: 2)
+    assert "<code>landlock_without_signals</code>" in reading.html("/admin/queues", administrator)
+    monkeypatch.setattr(fences, "version", lambda: 0)
+    assert "<code>no_landlock</code>" in reading.html("/admin/queues", administrator)
 
 
 def test_many_are_selected_and_steered_with_what_came_of_each(

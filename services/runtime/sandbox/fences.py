@@ -21,8 +21,8 @@ from collections.abc import Iterable, Mapping
 from contextlib import suppress
 from pathlib import Path
 
+from services.runtime.sandbox import seccomp
 from services.runtime.sandbox.limits import SandboxLimits
-from services.runtime.sandbox.seccomp import allow_calls, kind_of
 from services.runtime.sandbox.system_files import DEVICES, system_files
 
 NONE = "none"
@@ -33,7 +33,7 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
-    """Shut this process in; by which means each fence stands, `none` where it does not.
+    """Shut this process in; by which means each fence stands, `none` if it does not.
 
     Nothing of this can be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
     """
@@ -41,12 +41,33 @@ def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
         raise RuntimeError("a process of several threads cannot be fenced in")
     folder = limits.folder
     has_landlock = restrict_files(limits)
-    has_seccomp = allow_calls(kind_of(limits))
+    has_seccomp = seccomp.allow_calls(seccomp.kind_of(limits))
     network = "seccomp" if has_seccomp else "namespace" if _leave_the_network() else NONE
     by_size = "file size" if folder is None else NONE
     writing = "landlock" if has_landlock else "seccomp" if has_seccomp and folder is None else by_size
     processes, reading = "seccomp" if has_seccomp else NONE, "landlock" if has_landlock else NONE
     return {"network": network, "processes": processes, "writing": writing, "reading": reading}
+
+
+def missing_fences() -> Mapping[str, str]:
+    """The fences that this kernel, or the container around it, does not give to a child, by name, and what follows."""
+    spoken, missing = version(), {}
+    if not seccomp.is_known():
+        missing["no_seccomp"] = (
+            "a child that a damaged file takes over can start processes and signal those of its user; "
+            "does the container's profile let seccomp(2) through?"
+        )
+    if spoken == 0:
+        missing["no_landlock"] = (
+            "a child that a damaged file takes over reads, and with a folder writes, what its user may; "
+            "Linux 5.13 or later has Landlock, if its list of security modules (lsm=) names it."
+        )
+    elif spoken < WITH_SCOPES:
+        missing["landlock_without_signals"] = (
+            f"only seccomp keeps a child from signalling processes of its user: Landlock is of version {spoken} here, "
+            f"and does so from version {WITH_SCOPES}, Linux 6.12."
+        )
+    return missing
 
 
 def replace_inherited_descriptors(*kept: int | None) -> None:
@@ -96,7 +117,7 @@ MAKE_SYM = 1 << 12
 OF_FILES = EXECUTE | WRITE_FILE | READ_FILE | TRUNCATE | IOCTL_DEV  # the others are of folders
 SINCE = {1: EXECUTE | WRITE_FILE | READ_FILE | READ_DIR | MAKING, 2: REFER, 3: TRUNCATE, 5: IOCTL_DEV}
 TCP = 0b11  # bind and connect, since version 4
-SCOPES = 0b11  # abstract sockets and signals, since version 6
+SCOPES, WITH_SCOPES = 0b11, 6  # abstract sockets and signals, since that version
 
 
 def version() -> int:
@@ -110,7 +131,7 @@ def restrict_files(limits: SandboxLimits) -> bool:
     if spoken == 0 or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
     held = sum(rights for since, rights in SINCE.items() if since <= spoken)
-    rules = struct.pack("<QQQ", held, TCP, SCOPES)[: 8 if spoken < 4 else 16 if spoken < 6 else 24]
+    rules = struct.pack("<QQQ", held, TCP, SCOPES)[: 8 if spoken < 4 else 16 if spoken < WITH_SCOPES else 24]
     ruleset = _LIBC.syscall(CREATE, rules, ctypes.c_size_t(len(rules)), 0)
     if ruleset < 0:
         return False

@@ -16,10 +16,15 @@ from contextlib import suppress
 from dataclasses import dataclass, field
 from threading import Lock
 
+import structlog
+
 from services.runtime.sandbox.errors import SandboxInterruptedError
+from services.runtime.sandbox.fences import missing_fences
 from services.runtime.sandbox.fork_server import FATE, FORKED, REQUEST, Work, parcel
 from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.telemetry.process_usage import ProcessUsage, note_served, usage_of
+
+log = structlog.get_logger(__name__)
 
 PROGRAM = "from services.runtime.sandbox.fork_server import main; main()"
 # What a child needs of its environment; everything else stays behind, whatever it is called.
@@ -80,12 +85,14 @@ _SERVERS: list[ForkServer] = []
 
 
 def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
-    """Fork sandboxed children from a server from now on, which starts when it is first asked.
+    """Fork sandboxed children from a server from now on, which starts when it is first asked; warn of missing fences.
 
     `warmed_by` are modules that it loads first, or functions of them that it calls, as `module:function`.
     """
     if not _SERVERS:
         _SERVERS.append(ForkServer(tuple(warmed_by)))
+        for name, follows in missing_fences().items():
+            log.warning("a fence of the sandbox is missing", fence=name, follows=follows)
     return _SERVERS[0]
 
 

@@ -29,6 +29,7 @@ from services.runtime.jobs.broker_app import QUEUES
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Job
 from services.runtime.orm.base import now_ns
+from services.runtime.sandbox.fences import missing_fences
 from services.runtime.store.faults import noted_faults, scrub_status
 from web.boards.slopes import bars
 from web.rendering import page
@@ -153,4 +154,5 @@ def queues(request: Request, caller: Administrator, platform: PlatformDep) -> HT
         queues=[(queue, bars(queue.per_minute, *FIGURE, gap=3.0)) for queue in items],
         workers=workers,
         is_broker_reachable=all(count is not None for count in wake_ups.values()),
+        missing_fences=missing_fences(),
     )

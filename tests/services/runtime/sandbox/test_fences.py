@@ -13,8 +13,9 @@ from pathlib import Path
 import pytest
 import structlog
 
-from services.runtime.sandbox import SandboxLimits, fences, parent, sandboxed, seccomp
+from services.runtime.sandbox import SandboxLimits, fences, fork_client, parent, sandboxed, seccomp
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
+from services.runtime.sandbox.fork_client import use_fork_server
 from services.runtime.sandbox.system_calls import MACHINES
 from testing.system_calls import system_call
 
@@ -200,6 +201,28 @@ def test_a_missing_fence_is_warned_of_once_and_whole_fences_are_not_spoken_of(mo
         sandboxed(lambda: b"")
         sandboxed(lambda: b"")
     assert [(line["log_level"], line["network"], line["processes"]) for line in lines] == [("warning", "none", "none")]
+
+
+@pytest.mark.parametrize(
+    ("landlock", "machines", "missing"),
+    [
+        (6, MACHINES, []),
+        (5, MACHINES, ["landlock_without_signals"]),
+        (0, MACHINES, ["no_landlock"]),
+        (0, (), ["no_seccomp", "no_landlock"]),
+    ],
+)
+@needs_seccomp
+def test_a_service_names_the_fences_that_its_kernel_does_not_have(
+    landlock: int, machines: tuple[str, ...], missing: list[str], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    monkeypatch.setattr(fork_client, "_SERVERS", [])
+    monkeypatch.setattr(fences, "version", lambda: landlock)
+    monkeypatch.setattr(seccomp, "MACHINES", machines)
+    with structlog.testing.capture_logs() as lines:
+        use_fork_server(())
+        use_fork_server(())
+    assert [(line["log_level"], line["fence"]) for line in lines] == [("warning", name) for name in missing]
 
 
 def test_without_seccomp_the_network_is_left_behind(monkeypatch: pytest.MonkeyPatch) -> None:
