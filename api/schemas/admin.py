@@ -192,7 +192,8 @@ MOST_SCORINGS = 10_000
 
 class AlarmItem(Answer):
     """Something to look at: `equal_content` and `near_equal_teams` across teams, `near_equal` within one team's day,
-    `impossible_counts` if counting a sound file broke off or gave counts that no prediction has.
+    `impossible_counts` if counting a sound file broke off or gave counts that no prediction has, and `late_as_good` of
+    an entry that is as good in voxels that only later sweeps observed.
 
     `facts` name the submissions; `differing_ratio` is the least share of the evaluated voxels by which two differ.
     """

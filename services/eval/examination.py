@@ -42,6 +42,7 @@ from stone.scoring.bitplanes import (
     LabelRangeError,
     TruthPlanes,
     count_by_ring,
+    late_confusion,
     no_column_counts,
 )
 from stone.scoring.columns import counted_every
@@ -74,12 +75,13 @@ TruthOf = Callable[[str], TruthPlanes]
 
 @dataclass(frozen=True, eq=False)
 class CountedFrames:
-    """The counts of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32 and those by column;
-    the refusals."""
+    """The counts of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32; by column, and of
+    `late` voxels [F, truth, prediction]; the refusals."""
 
     confusions: Confusion
     bev: Drivable
     column_counts: ColumnCounts
+    late: Confusion
     problems: tuple[ValidationProblem, ...]
 
 
@@ -97,25 +99,28 @@ def count_range(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> CountedFrames:
-    """The counts of these frames, every check on; the column counts of the frames `sampled`, zero of others.
+    """The counts of these frames, every check on; those by column and of late voxels of the frames `sampled`, zero of
+    others.
 
     What is wrong with the archive as a whole is not told again. Raises what `truth_of` raises.
     """
     shape = (len(tokens),)
     confusions, bev = np.zeros((*shape, RINGS, CLASSES, CLASSES), np.int32), np.zeros((*shape, RINGS, 3), np.int32)
-    counted = CountedFrames(confusions, bev, no_column_counts(shape), ())
+    late = np.zeros((*shape, CLASSES, CLASSES), np.int32)
+    counted = CountedFrames(confusions, bev, no_column_counts(shape), late, ())
 
     def one(index: int) -> ValidationProblem | None:
         token = tokens[index]
         if token not in submission.frames:
             return None
-        outs = (confusions[index], bev[index])
+        outs, is_sampled = (confusions[index], bev[index]), token in sampled
         within = counted.column_counts.of_frame(index)
         problem = count_frame(
-            submission, token, truth_of(token), (*outs, within if token in sampled else NO_COLUMN_COUNTS)
+            *(submission, token, truth_of(token), (*outs, within if is_sampled else NO_COLUMN_COUNTS)),
+            late[index] if is_sampled else None,
         )
         if problem is not None:
-            for counts in (*outs, within.pairs, within.columns):
+            for counts in (*outs, within.pairs, within.columns, late[index]):
                 counts[...] = 0
         return problem
 
@@ -124,13 +129,20 @@ def count_range(
 
 
 def count_frame(
-    submission: SubmissionZip, token: str, truth: TruthPlanes, outs: tuple[Confusion, Drivable, ColumnCounts]
+    submission: SubmissionZip,
+    token: str,
+    truth: TruthPlanes,
+    outs: tuple[Confusion, Drivable, ColumnCounts],
+    late_out: Confusion | None = None,
 ) -> ValidationProblem | None:
-    """Write the counts of one frame as `count_by_ring` does, or say why it is refused."""
+    """Write the counts of one frame as `count_by_ring` does, and those of late voxels, or say why it is refused."""
 
     def count() -> None:
         try:
-            count_by_ring(frame_grid(submission, token), truth, *outs)
+            grid = frame_grid(submission, token)
+            count_by_ring(grid, truth, *outs)
+            if late_out is not None:
+                late_out[...] = late_confusion(grid, truth)
         except LabelRangeError as error:
             raise SubmissionError("label_out_of_range", "labels 0 to 3", str(error.value)) from error
 
@@ -144,16 +156,19 @@ def count_frame(
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts`, None if not kept."""
+    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts` and those of late
+    voxels, `late` [F, 4, 4]; None if not kept."""
 
     confusions: NDArray[np.int32]
     bev: NDArray[np.int32]
     column_counts: ColumnCounts | None = None
+    late: NDArray[np.int32] | None = None
 
     def arrays(self) -> dict[str, NDArray[np.int32]]:
         """All counts by the names under which they are kept."""
         column_counts = vars(self.column_counts) if self.column_counts else {}
-        return {"confusions": self.confusions, "bev": self.bev, **column_counts}
+        late = {"late": self.late} if self.late is not None else {}
+        return {"confusions": self.confusions, "bev": self.bev, **column_counts, **late}
 
     def packed(self) -> bytes:
         """For a row, until the join."""
@@ -188,7 +203,7 @@ def examined(
         return ExaminedRange(verdict(check_range(submission, tokens, threads=threads, progress=progress)))
     counted = count_range(submission, tokens, truth_of, sampled=sampled, threads=threads, progress=progress)
     validation = verdict(counted.problems)
-    counts = Counts(counted.confusions, counted.bev, counted.column_counts)
+    counts = Counts(counted.confusions, counted.bev, counted.column_counts, counted.late)
     return ExaminedRange(validation, counts if validation.ok else None)
 
 
@@ -208,7 +223,7 @@ def _concatenated(counts: Sequence[Counts]) -> Counts:
 def counts_in(arrays: Mapping[str, NDArray[np.int32]]) -> Counts:
     """Return the counts with these `Counts.arrays`. Raises KeyError where one is missing."""
     column_counts = ColumnCounts(arrays["pairs"], arrays["columns"]) if "pairs" in arrays else None
-    return Counts(arrays["confusions"], arrays["bev"], column_counts)
+    return Counts(arrays["confusions"], arrays["bev"], column_counts, arrays.get("late"))
 
 
 ARRAYS: Mapping[str, tuple[int, ...]] = {
@@ -216,6 +231,7 @@ ARRAYS: Mapping[str, tuple[int, ...]] = {
     "bev": (RINGS, 3),
     "pairs": (RINGS, CLASSES),
     "columns": (RINGS, CLASSES, CLASSES),
+    "late": (CLASSES, CLASSES),
 }
 FRAME_BYTES = 4 * sum(map(prod, ARRAYS.values()))
 FRAME_S = 0.1

@@ -1,7 +1,8 @@
 """Ground truth on disk: `gts/<sequence>/<frame_token>/labels.npz`, as the labeler writes it.
 
-**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar` and `mask_camera`, uint8 of the grid's shape;
-the `distance_squared` of labels made with their confidence is not read, `confidence` only if a least one is required.
+**Conventions.** `labels.npz` holds `semantics`, and may hold `mask_lidar`, `mask_camera` and `late`, uint8 of the
+grid's shape; the `distance_squared` of labels made with their confidence is not read, `confidence` only if a least one
+is required.
 The folder may be the one that holds `gts` or `gts` itself. All frames have one grid: that of `grid.json` beside `gts`,
 or the first known grid of the shape of the first frame. Evaluated voxels by mask: `all` — every voxel, as the paper's
 tables, whose 0 mixes free and unknown; `lidar`, `camera` — where that mask is not 0.
@@ -132,7 +133,8 @@ def read_truth(path: Path, mask: Mask, grid: LabelGrid = PAPER) -> TruthPlanes:
 def truth_in(npz: bytes, mask: Mask, path: Path, grid: LabelGrid = PAPER) -> TruthPlanes:
     """The ground truth in the bytes of a label file, which `path` only names. Raises `GroundTruthError`."""
     with _refused(path):
-        return truth_planes(*_evaluated(npz, _members(npz), mask, grid), grid)
+        members = _members(npz)
+        return truth_planes(*_evaluated(npz, members, mask, grid), grid, _late(npz, members, grid))
 
 
 def read_sure_truth(
@@ -150,7 +152,8 @@ def read_sure_truth(
         semantics, is_evaluated = _evaluated(npz, members, mask, grid)
         is_unsure = (semantics != 0) & (read_grid(npz, members[CONFIDENCE], grid) < least_level(least_confidence))
         left_out = int(np.count_nonzero(is_unsure & is_evaluated))
-        return truth_planes(semantics, is_evaluated & ~is_unsure, grid), left_out
+        is_late = _late(npz, members, grid)
+        return truth_planes(semantics, is_evaluated & ~is_unsure, grid, is_late), left_out
 
 
 @contextmanager
@@ -179,6 +182,11 @@ def _evaluated(
     if mask == "all":
         return semantics, np.ones(grid.shape, np.bool_)
     return semantics, read_grid(npz, members[f"mask_{mask}"], grid) != 0
+
+
+def _late(npz: bytes, members: Mapping[str, ZipMember], grid: LabelGrid) -> NDArray[np.bool_] | None:
+    """The voxels that only later sweeps came near; None of labels that do not say it."""
+    return read_grid(npz, members[LATE], grid) != 0 if LATE in members else None
 
 
 def truth_hash(truth: TruthPlanes) -> bytes:

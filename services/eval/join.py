@@ -116,7 +116,9 @@ def made_score(
 
     Raises `unknown_metric`, and what the store raises.
     """
-    counts_of_frames = SubmissionCounts(counts.confusions, counts.bev, sequences_of(case.truth), counts.column_counts)
+    counts_of_frames = SubmissionCounts(
+        counts.confusions, counts.bev, sequences_of(case.truth), counts.column_counts, counts.late
+    )
     spectra = counts_of_frames.spectra(evaluation_version.metric)
     return NewScore(
         submission_id=case.submission_id,

@@ -68,7 +68,9 @@ def score(
 
     with open_submission(zip_path, truth.manifest.tokens, found) as submission:
         counted = count(submission, truth.manifest.tokens, truth_of, threads=threads, progress=progress)
-    counts_of_frames = SubmissionCounts(counted.confusions, counted.bev, _facts(truth), counted.column_counts)
+    counts_of_frames = SubmissionCounts(
+        counted.confusions, counted.bev, _facts(truth), counted.column_counts, counted.late
+    )
     limit = ConfidenceLimit(least_confidence, sum(left_out.values())) if least_confidence > 0 else None
     evaluated = truth.mask if limit is None else f"{truth.mask},confidence>={least_confidence:g}"
     return Scores(

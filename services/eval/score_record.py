@@ -55,13 +55,15 @@ class SequenceFacts:
 class SubmissionCounts:
     """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`.
 
-    `column_counts` are zero for frames in which they are not made, None where an earlier version counted.
+    `column_counts` and those of `late` voxels [F, 4, 4] are zero for frames in which they are not made, None where an
+    earlier version counted.
     """
 
     confusions: Confusion
     bev: Drivable
     sequences: tuple[SequenceFacts, ...]
     column_counts: ColumnCounts | None = None
+    late: NDArray[np.int32] | None = None
 
     @property
     def frames_of_sequence(self) -> tuple[int, ...]:
@@ -147,6 +149,7 @@ def record_of(
         "total": ratios,
         "within_occupied": named_ratios(total, OCCUPIED_VERSION),
         **_column_record(counts_of_frames),
+        "late": _late_record(counts_of_frames, metric),
         "support": supports(total),
         "confusion": total.tolist(),
         "extras": asdict(
@@ -168,6 +171,21 @@ def _column_record(counts_of_frames: SubmissionCounts) -> Record:
     return {
         "tolerant": tolerant_ratios(counted.sum(axis=(0, 1), dtype=np.int64), pairs),
         "columns": named_ratios(columns),
+    }
+
+
+def _late_record(counts_of_frames: SubmissionCounts, metric: str) -> Record | None:
+    """The ratios of late voxels and of all others of the frames in which both are counted; None without late voxels."""
+    if counts_of_frames.late is None or not counts_of_frames.late.any():
+        return None
+    is_counted = counts_of_frames.late.any(axis=(1, 2))
+    whole = counts_of_frames.confusions[is_counted].sum(axis=(0, 1), dtype=np.int64)
+    late = counts_of_frames.late.sum(axis=0, dtype=np.int64)
+    return {
+        "frames": int(is_counted.sum()),
+        "ratios": named_ratios(late, metric),
+        "elsewhere": named_ratios(whole - late, metric),
+        "support": supports(late),
     }
 
 

@@ -1,19 +1,21 @@
 """A whole ground truth in one file: its bit planes frame by frame, so that any part of it is read alone.
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
-`offsets`, `counts`, `crc32`, `column_supports`, and `grid`, JSON, if it is not the paper's), then where the index
-starts and the magic again; little-endian. Packs of earlier versions have no `column_supports`. A frame is the `changes`
-and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a quarter of the time of LZ4 and an eighth of
-that of zstd, for 1.6 and 3 times the bytes. The same ground truth makes the same bytes. A pack is ours, never a
-stranger's; its checks are against decay.
+`offsets`, `counts`, `crc32`, `other_supports`; `grid`, JSON, if it is not the paper's; `late` if late voxels are
+known), then where the index starts and the magic again; little-endian. Packs of earlier versions have no
+`other_supports`. A frame is the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a
+quarter of the time of LZ4 and an eighth of that of zstd, for 1.6 and 3 times the bytes. In the frames that
+`stone.scoring.columns` counts the plane of late voxels follows, deflated, of as many bytes as `late` (n,) says. The
+same ground truth makes the same bytes. A pack is ours, never a stranger's; its checks are against decay.
 """
 
 import json
 import os
 import struct
+import zlib
 from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from functools import cached_property
 from io import BytesIO
 from pathlib import Path
@@ -24,9 +26,10 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
-from services.eval.ground_truth import truth_hash, whole_hash
+from services.eval.ground_truth import LATE, truth_hash, whole_hash
 from stone.errors import Refused, StoneError
-from stone.scoring.bitplanes import TruthPlanes, frame_counts
+from stone.scoring.bitplanes import TruthPlanes, frame_counts, truth_of_planes
+from stone.scoring.columns import counted_every
 from stone.scoring.metric import CLASSES
 from stone.scoring.plane_layout import RINGS, layout_of
 from stone.scoring.plane_runs import PLANES, PlaneRuns, planes_of, runs_of
@@ -40,7 +43,7 @@ from stone_submissions.validation import THREADS, Progress, silent
 MAGIC = b"STONEGT1"
 TRAILER = struct.Struct("<Q8s")
 BATCH = 32  # frames in memory at a time
-SUPPORTS = 2 * CLASSES + 1
+SUPPORTS = 3 * CLASSES + 1
 NOT_KEPT = -1
 
 
@@ -64,8 +67,9 @@ class PackSummary:
 @dataclass(frozen=True, eq=False)
 class _PackedTruthFrame:
     payload: bytes
+    late_bytes: int
     counts: NDArray[np.int64]
-    column_supports: NDArray[np.int32]
+    other_supports: NDArray[np.int32]
     hash: bytes
 
 
@@ -82,11 +86,17 @@ def write_truth_pack(
     `truth_of` is called from several threads; what it raises is raised.
     """
     tokens, index = manifest.tokens, _Index(manifest.grid)
+    counted = frozenset(tokens[:: counted_every(len(tokens))])
+
+    def packed_of(token: str) -> _PackedTruthFrame:
+        truth = truth_of(token)
+        return _packed(truth if token in counted else replace(truth, late=None))
+
     with atomic_file(path) as staging, staging.open("wb") as file, ThreadPoolExecutor(threads) as pool:
         file.write(MAGIC)
         for start in range(0, len(tokens), BATCH):
             batch = tokens[start : start + BATCH]
-            for token, packed in zip(batch, pool.map(lambda token: _packed(truth_of(token)), batch), strict=True):
+            for token, packed in zip(batch, pool.map(packed_of, batch), strict=True):
                 file.write(packed.payload)
                 index.add(token, packed)
             progress("truth", start + len(batch), len(tokens))
@@ -113,7 +123,8 @@ class TruthPack:
             raise
         self.tokens: tuple[str, ...] = tuple(token.tobytes().hex() for token in index["tokens"])
         self._offsets, self._counts, self._crc32 = (index[key] for key in ("offsets", "counts", "crc32"))
-        self._column_supports = index.get("column_supports")
+        self._other_supports = index.get("other_supports")
+        self._late_bytes = index.get(LATE, np.zeros(len(self.tokens), np.uint32)).tolist()
         self.grid = self._grid_in(index)
         self._changes = PLANES * layout_of(self.grid).columns // 64
 
@@ -133,21 +144,23 @@ class TruthPack:
         if deflate.crc32(packed) != self._crc32[index]:
             raise TruthPackError(self._path, f"frame {index} fails its checksum")
         changes = np.frombuffer(packed, np.uint64, self._changes)
-        runs = PlaneRuns(changes, np.frombuffer(packed, np.uint32, offset=changes.nbytes))
-        return TruthPlanes(planes_of(runs), self._counts[index], self.grid)
+        end = len(packed) - self._late_bytes[index]
+        runs = PlaneRuns(changes, np.frombuffer(packed[changes.nbytes : end], np.uint32))
+        late = np.frombuffer(zlib.decompress(packed[end:]), np.uint64) if end < len(packed) else None
+        return TruthPlanes(planes_of(runs), self._counts[index], self.grid, late)
 
     def planes_of(self, token: str) -> TruthPlanes:
         """The ground truth of this frame, which must be in `tokens`."""
         return self.planes(self._index_of[token])
 
     def supports(self) -> NDArray[np.int32]:
-        """Return the counts of the truth alone, (F, ring, 9): its voxels by class, its drivable columns, its columns by
-        class; `NOT_KEPT` for those of columns in a pack of an earlier version."""
+        """Return the counts of the truth alone, (F, ring, 13): its voxels by class, its drivable columns, its columns by
+        class, its late voxels by class; `NOT_KEPT` for all but voxels in a pack of an earlier version."""
         evaluated, low, high, both = np.moveaxis(self._counts, -1, 0)
         voxels = np.stack([evaluated - low - high + both, low - both, high - both, both], axis=-1)
         unknown = np.full((*voxels.shape[:-1], SUPPORTS - CLASSES), NOT_KEPT)
         return np.concatenate(
-            [voxels, unknown if self._column_supports is None else self._column_supports], axis=-1
+            [voxels, unknown if self._other_supports is None else self._other_supports], axis=-1
         ).astype(np.int32)
 
     @cached_property
@@ -165,7 +178,7 @@ class TruthPack:
         raw = os.pread(self._descriptor, stop - start, start)
         try:
             with np.load(BytesIO(raw), allow_pickle=False) as arrays:
-                keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"column_supports", "grid"})
+                keys = ("tokens", "offsets", "counts", "crc32", *arrays.keys() & {"other_supports", "grid", LATE})
                 return {key: arrays[key] for key in keys}
         except (ValueError, OSError, KeyError, EOFError, BadZipFile) as error:
             raise TruthPackError(self._path, "its index is no npz") from error
@@ -187,34 +200,46 @@ class _Index:
         self.hashes: dict[str, bytes] = {}
         self.offsets = [len(MAGIC)]
         self._counts: list[NDArray[np.int64]] = []
+        self._late_bytes: list[int] = []
         self._crc32: list[int] = []
-        self._column_supports: list[NDArray[np.int32]] = []
+        self._other_supports: list[NDArray[np.int32]] = []
 
     def add(self, token: str, packed: _PackedTruthFrame) -> None:
         self.hashes[token] = packed.hash
         self.offsets.append(self.offsets[-1] + len(packed.payload))
         self._counts.append(packed.counts)
+        self._late_bytes.append(packed.late_bytes)
         self._crc32.append(deflate.crc32(packed.payload))
-        self._column_supports.append(packed.column_supports)
+        self._other_supports.append(packed.other_supports)
 
     def npz(self) -> bytes:
         tokens = np.frombuffer(bytes.fromhex("".join(self.hashes)), np.uint8).reshape(-1, 16)
         counts = np.array(self._counts, np.int64).reshape(-1, RINGS, 4)
         offsets, crc32 = np.array(self.offsets, np.uint64), np.array(self._crc32, np.uint32)
         arrays: dict[str, NDArray[Any]] = {"tokens": tokens, "offsets": offsets, "counts": counts, "crc32": crc32}
-        arrays["column_supports"] = np.array(self._column_supports, np.int32).reshape(-1, RINGS, SUPPORTS - CLASSES)
+        arrays["other_supports"] = np.array(self._other_supports, np.int32).reshape(-1, RINGS, SUPPORTS - CLASSES)
         if self._grid != PAPER:
             arrays["grid"] = np.frombuffer(json.dumps(self._grid.as_record()).encode(), np.uint8)
+        if any(self._late_bytes):
+            arrays[LATE] = np.array(self._late_bytes, np.uint32)
         return npz_bytes(arrays)
 
 
 def _packed(truth: TruthPlanes) -> _PackedTruthFrame:
     runs = runs_of(truth.planes)
-    payload = runs.changes.tobytes() + runs.columns.tobytes()
-    return _PackedTruthFrame(payload, truth.counts, _column_supports(truth), truth_hash(truth))
+    late = b"" if truth.late is None else zlib.compress(truth.late.tobytes())
+    payload = runs.changes.tobytes() + runs.columns.tobytes() + late
+    return _PackedTruthFrame(payload, len(late), truth.counts, _other_supports(truth), truth_hash(truth))
 
 
-def _column_supports(truth: TruthPlanes) -> NDArray[np.int32]:
-    """Return the columns of one frame (ring, 5): those drivable, then by class; a free prediction hits no other."""
-    free = frame_counts(np.zeros(truth.grid.shape, np.uint8), truth)
-    return np.concatenate([free.bev[:, 1:2], free.column_counts.columns[:, :, 0]], axis=1)
+def _other_supports(truth: TruthPlanes) -> NDArray[np.int32]:
+    """Return, of one frame (ring, 9), the drivable columns, columns by class, late voxels by class.
+
+    They are the counts of a prediction that is free everywhere.
+    """
+    prediction = np.zeros(truth.grid.shape, np.uint8)
+    free = frame_counts(prediction, truth)
+    late = np.zeros((RINGS, CLASSES), np.int32)
+    if truth.late is not None:
+        late = frame_counts(prediction, truth_of_planes(truth.planes & truth.late, truth.grid)).confusion[:, :, 0]
+    return np.concatenate([free.bev[:, 1:2], free.column_counts.columns[:, :, 0], late], axis=1)

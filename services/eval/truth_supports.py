@@ -1,7 +1,7 @@
 """The counts of a ground truth alone: which counts of a submission can be counts against it.
 
 **Conventions.** A child that reads a submission beside its ground truth is held against these, which a child reads that
-reads no submission. Supports are those of `TruthPack.supports`, int32 (frame, ring, 9).
+reads no submission. Supports are those of `TruthPack.supports`, int32 (frame, ring, 13).
 """
 
 from collections.abc import Mapping
@@ -54,12 +54,13 @@ def can_be_counted(counts: Mapping[str, NDArray[np.int32]], supports: Supports, 
 
     `is_sampled` (F,) names the frames in which columns are counted.
     """
-    confusions, bev, pairs, columns = (
-        counts[name].astype(np.int64) for name in ("confusions", "bev", "pairs", "columns")
+    confusions, bev, pairs, columns, late = (
+        counts[name].astype(np.int64) for name in ("confusions", "bev", "pairs", "columns", "late")
     )
-    if min(array.min(initial=0) for array in (confusions, bev, pairs, columns)) < 0:
+    if min(array.min(initial=0) for array in (confusions, bev, pairs, columns, late)) < 0:
         return False
-    voxels, drivable, of_columns = supports[..., :CLASSES], supports[..., CLASSES], supports[..., CLASSES + 1 :]
+    voxels, drivable = supports[..., :CLASSES], supports[..., CLASSES]
+    of_columns, of_late = np.split(supports[..., CLASSES + 1 :], 2, axis=-1)
     is_known, is_counted = drivable != NOT_KEPT, is_sampled[:, None]
     beside = of_columns.sum(axis=-1) - drivable
     wrong = (
@@ -67,6 +68,9 @@ def can_be_counted(counts: Mapping[str, NDArray[np.int32]], supports: Supports, 
         pairs > _most_pairs(confusions),
         is_known & ((bev[..., 0] + bev[..., 1] != drivable) | (bev[..., 2] > beside)),
         is_known & is_counted & (columns.sum(axis=-1) != of_columns).any(axis=-1),
+        (late > confusions.sum(axis=1)).any(axis=(-2, -1)),
+        is_known.all(axis=-1) & (late.sum(axis=-1) != of_late.sum(axis=1)).any(axis=-1),
+        ~is_sampled & (late != 0).any(axis=(-2, -1)),
         ~is_counted & ((pairs != 0).any(axis=-1) | (columns != 0).any(axis=(-2, -1))),
     )
     return not any(one.any() for one in wrong)

@@ -11,7 +11,7 @@ Source: counts of unions from counts of intersections by inclusion–exclusion; 
 Quass, 1997).
 """
 
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from typing import Any
 
 import numpy as np
@@ -51,12 +51,14 @@ class LabelRangeError(StoneError):
 class TruthPlanes:
     """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
 
-    `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set.
+    `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set. `late`
+    (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if nobody knows them.
     """
 
     planes: Planes
     counts: NDArray[np.int64]
     grid: LabelGrid = PAPER
+    late: Planes | None = None
 
 
 @dataclass(frozen=True, eq=False)
@@ -257,7 +259,9 @@ def no_column_counts(shape: tuple[int, ...]) -> ColumnCounts:
     )
 
 
-def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelGrid = PAPER) -> TruthPlanes:
+def truth_planes(
+    grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelGrid = PAPER, is_late: NDArray[np.bool_] | None = None
+) -> TruthPlanes:
     """Ground truth made ready: voxels that are not evaluated count nowhere.
 
     Raises `ShapeError` for other shapes than the label grid's and `LabelRangeError` for values above 3.
@@ -266,7 +270,8 @@ def truth_planes(grid: Grid, is_evaluated: NDArray[np.bool_], label_grid: LabelG
         raise ShapeError("is_evaluated", is_evaluated.shape, str(label_grid.shape))
     low, high = _sorted_planes(grid, label_grid)
     valid, _ = _sorted_planes(is_evaluated.astype(np.uint8), label_grid)
-    return truth_of_planes(np.stack([low & valid, high & valid, valid]), label_grid)
+    late = None if is_late is None else _sorted_planes(is_late.astype(np.uint8), label_grid)[0]
+    return replace(truth_of_planes(np.stack([low & valid, high & valid, valid]), label_grid), late=late)
 
 
 def truth_of_planes(planes: Planes, label_grid: LabelGrid = PAPER) -> TruthPlanes:
@@ -307,6 +312,17 @@ def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
     counts = FrameCounts(confusion, bev, no_column_counts(()))
     count_by_ring(prediction, truth, confusion, bev, counts.column_counts)
     return counts
+
+
+def late_confusion(prediction: Grid, truth: TruthPlanes) -> Confusion:
+    """Return the confusion (4, 4) of the evaluated voxels that are late, 0 if nobody knows them.
+
+    Raises what `count_by_ring` raises.
+    """
+    if truth.late is None:
+        return np.zeros((CLASSES, CLASSES), np.int32)
+    late = frame_counts(prediction, truth_of_planes(truth.planes & truth.late, truth.grid))
+    return np.asarray(late.confusion.sum(axis=0, dtype=np.int32))
 
 
 def _sorted_planes(grid: Grid, label_grid: LabelGrid) -> tuple[Planes, Planes]:

@@ -215,6 +215,7 @@ IMPOSSIBLE: dict[str, Callable[[Counts], Counts]] = {
     "more pairs than voxels": moved("pairs", (0, 0, 1), 2**22),
     "a negative pair": moved("pairs", (0, 2, 0), -(2**22)),
     "a column more": moved("columns", (0, 0, 3, 3), 1),
+    "a late voxel more": moved("late", (0, 1, 1), 1),
 }
 
 
@@ -247,7 +248,7 @@ def test_supports_are_those_of_the_labels(standing: Packs, world: World) -> None
         grid = world.labels[token]
         drivable = (((grid == 1) | (grid == 2)).any(axis=2) & ~(grid == 3).any(axis=2)).sum()
         assert row[:5].tolist() == [*np.bincount(grid.ravel(), minlength=4), drivable]
-        assert row[5:].sum() == grid.shape[0] * grid.shape[1]
+        assert row[5:9].sum() == grid.shape[0] * grid.shape[1]
 
 
 def test_a_pack_of_an_earlier_version_bounds_the_voxels(standing: Packs) -> None:
@@ -282,4 +283,4 @@ def test_the_channels_are_read_in_full() -> None:
     secret = os.urandom(SECRET_BYTES)
     words = json.loads(problems_full_of(secret)[4:])
     assert sum(len(text) // 2 for error in words["errors"] for text in error.values()) >= 50_000
-    assert ctypes.sizeof(ctypes.c_int32) * sum(np.prod(shape) for shape in ARRAYS.values()) == 468
+    assert ctypes.sizeof(ctypes.c_int32) * sum(np.prod(shape) for shape in ARRAYS.values()) == 532

@@ -35,7 +35,7 @@ from tests.plain_confusion import confusion_matrix
 from tests.services.eval.conftest import Grid, World, speckled
 from tests.slow_metric import added_columns, slow_counts, slow_ratios, slow_tolerant
 
-TOLD = ["frames", "total", "within_occupied", "tolerant", "columns", "support", "confusion", "extras"]
+TOLD = ["frames", "total", "within_occupied", "tolerant", "columns", "late", "support", "confusion", "extras"]
 TOLD += ["intervals", "silences", "by", "cells"]
 KEYS = [*TOLD, "signature", "code_version"]
 

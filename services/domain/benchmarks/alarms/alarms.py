@@ -1,5 +1,5 @@
 """Alarms for administrators: equal predictions of several teams, probing by near-identical submissions, impossible
-counts.
+counts, and answers that the inputs of the frame cannot give.
 
 **Conventions.** An alarm is about its subject: the later of two submissions, or a team's day; it is raised once, in
 whatever order and however often they are scored. Withdrawn and hidden entries count; baselines where the truth is
@@ -32,6 +32,8 @@ from stone.errors import Refused
 
 EQUAL_CONTENT, NEAR_EQUAL, NEAR_EQUAL_TEAMS = "equal_content", "near_equal", "near_equal_teams"
 IMPOSSIBLE_COUNTS = "impossible_counts"
+LATE_AS_GOOD = "late_as_good"
+LATE_RATIOS = ("iou_occ", "miou")
 DAY_NS = 86_400 * 10**9
 
 Cells = NDArray[np.int64]
@@ -42,12 +44,19 @@ class AlarmLimits:
     """`near_entries` of a team within `window_ns`, each nearer than `near_ratio` to another of them, is probing.
 
     Of the team and of all others, the last `looked_at` entries are looked at.
+
+    In late voxels (`stone.labels.late_voxels`), if `late_voxels` of them are occupied, IoU_occ and mIoU are as good as
+    elsewhere from `late_least` and `late_margin` times those elsewhere on. Over the demo's hidden worlds both are below
+    0.03 there of the baselines and of an entry that guesses ahead, and above 0.97 of the platform's own labelling.
     """
 
     near_ratio: float = 1e-4
     near_entries: int = 5
     window_ns: int = DAY_NS
     looked_at: int = 64
+    late_voxels: int = 5_000
+    late_least: float = 0.25
+    late_margin: float = 0.75
 
 
 @dataclass(frozen=True, eq=False)
@@ -97,6 +106,17 @@ def suspicions(
         *_about_the_later(NEAR_EQUAL_TEAMS, mine, _near(mine, foreign, limits)),
         *_probing([mine, *own], limits),
     ]
+
+
+def late_suspicion(mine: ScoredEntry, late: Mapping[str, Any] | None, limits: AlarmLimits) -> list[AlarmCandidate]:
+    """The alarm about `mine` if it is as good in late voxels as elsewhere, of that part of its record."""
+    if late is None or sum(late["support"].values()) - late["support"]["free"] < limits.late_voxels:
+        return []
+    pairs = {name: (late["ratios"][name], late["elsewhere"][name]) for name in LATE_RATIOS}
+    known = [(there, other) for there, other in pairs.values() if there is not None and other is not None]
+    if not known or any(there < max(limits.late_least, limits.late_margin * other) for there, other in known):
+        return []
+    return [AlarmCandidate(LATE_AS_GOOD, mine.submission_id, {**mine.facts(), "late": dict(late)})]
 
 
 def _near(mine: ScoredEntry, foreign: Sequence[ScoredEntry], limits: AlarmLimits) -> list[tuple[ScoredEntry, float]]:
@@ -162,6 +182,8 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
     foreign = [one for one in others if one.team_id != own.team_id]
     raised = {"phase_id": own.phase_id, "created_ns": now_ns()}
     about = suspicions(mine, of_team, foreign, limits)
+    if phase.is_hidden:
+        about += late_suspicion(mine, score.record.get("late"), limits)
     insert_new(session, Alarm, [{"id": new_id(), **raised, **vars(one)} for one in about])
 
 

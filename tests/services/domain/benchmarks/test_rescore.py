@@ -374,6 +374,35 @@ def test_where_the_truth_is_hidden_baselines_that_probe_it_or_are_copied_are_tol
     assert _raised(place) == sorted([*probing, ("equal_content", copied), ("near_equal_teams", copied)])
 
 
+LATE = {
+    "ratios": {"iou_occ": 0.9, "miou": 0.8},
+    "elsewhere": {"iou_occ": 0.92, "miou": 0.9},
+    "support": {"free": 90_000, "T": 100, "P": 2000, "N": 4000},
+}
+
+
+@pytest.mark.parametrize(
+    ("changed", "is_raised"),
+    [
+        ({}, True),
+        ({"ratios": {"iou_occ": 0.9, "miou": 0.6}}, False),
+        ({"ratios": {"iou_occ": 0.6, "miou": 0.8}}, False),
+        ({"ratios": {"iou_occ": 0.9, "miou": None}}, True),
+        ({"ratios": {"iou_occ": 0.03, "miou": 0.01}, "elsewhere": {"iou_occ": 0.03, "miou": 0.01}}, False),
+        ({"support": {"free": 90_000, "T": 0, "P": 1000, "N": 3999}}, False),
+    ],
+)
+def test_an_entry_as_good_where_only_later_sweeps_looked_is_told(platform: Platform, changed, is_raised) -> None:
+    place = phase_of_rows(platform)
+    record = {"cells": _cells(0), "late": {**LATE, **changed}}
+    for is_hidden in (False, True):
+        with platform.database.transaction() as session:
+            session.get_one(Phase, place.phase.id).is_hidden = is_hidden
+        sent = entry(place, team(place))
+        _join(place, sent, 1000 * is_hidden, record=record | {"cells": _cells(1000 * is_hidden)})
+        assert _raised(place) == ([("late_as_good", sent)] if is_hidden and is_raised else [])
+
+
 def test_entries_of_another_ground_truth_are_not_compared(platform: Platform) -> None:
     place = phase_of_rows(platform)
     _join(place, entry(place, team(place)), 0)
