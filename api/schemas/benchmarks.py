@@ -65,6 +65,7 @@ class PhaseItem(QualityFields):
     mask: str
     grid: GridItem
     is_hidden: bool
+    every_nth: int | None
     standing: PhaseStatus
     opens_at: Instant | None
     closes_at: Instant | None

@@ -10,6 +10,7 @@ from api.schemas.base import EPOCH, PLAIN, PROSE, Answer, Body, Instant, Reason,
 from api.schemas.datasets import VERSION_PATTERN
 from services.domain.benchmarks.phases.phases import (
     LONGEST_WINDOW_NS,
+    MOST_APART,
     MOST_MEMBERS,
     MOST_SCORINGS,
     Mask,
@@ -55,7 +56,7 @@ RULES_EXAMPLE: dict[str, Any] = {
     "validations_per_day": 20,
     "team_members": 10,
 }
-WHAT_EXAMPLE: dict[str, Any] = {"name": "test", "part": "test", "mask": "all", "is_hidden": True}
+WHAT_EXAMPLE: dict[str, Any] = {"name": "test", "part": "test", "mask": "all", "is_hidden": True, "every_nth": None}
 NEW_PHASE_EXAMPLE: dict[str, Any] = {**WHAT_EXAMPLE, "dataset": "stone-1.0", **RULES_EXAMPLE}
 
 
@@ -79,7 +80,10 @@ class RulesBody(Body):
 
 
 class NewPhaseBody(RulesBody):
-    """A phase to be: of which part of which version, what is evaluated, under which rules."""
+    """A phase to be: of which part of which version, what is evaluated, under which rules.
+
+    With `every_nth` its inputs are one frame in so many, without poses, stamps or order.
+    """
 
     model_config = example(**NEW_PHASE_EXAMPLE)
 
@@ -87,10 +91,11 @@ class NewPhaseBody(RulesBody):
     part: Part
     mask: Mask = "all"
     is_hidden: bool
+    every_nth: Annotated[int, Field(ge=1, le=MOST_APART)] | None = None
     dataset: Version | None = None
 
     def asked(self) -> NewPhase:
-        return NewPhase(self.name, self.part, self.is_hidden, self.mask, self.rules())
+        return NewPhase(self.name, self.part, self.is_hidden, self.mask, self.rules(), self.every_nth)
 
 
 class AddedPhaseBody(NewPhaseBody):

@@ -140,6 +140,7 @@ def sequences_of(truth: ReadyTruth) -> tuple[SequenceFacts, ...]:
         SequenceFacts(
             *(one["name"], one["frames"], one["environment"] or None, one["illumination"] or None),
             *(one.get("drive") or None, one.get("first_stamp_ns")),  # an earlier version knew no drives
+            tuple(one.get("places", ())),
         )
         for one in truth.facts["sequences"]
     )

@@ -41,7 +41,8 @@ RING_NAMES = tuple(
 
 @dataclass(frozen=True)
 class SequenceFacts:
-    """What is known of a sequence; None where nobody said it. `drive` is that of which it is one of several."""
+    """What is known of a sequence; None where nobody said it. `drive` is that of which it is one of several; `places`
+    are those of its frames in time, () if they are in that order."""
 
     name: str
     frames: int
@@ -49,6 +50,11 @@ class SequenceFacts:
     illumination: str | None = None
     drive: str | None = None
     first_stamp_ns: int | None = None
+    places: tuple[int, ...] = ()
+
+    def in_time(self) -> NDArray[np.intp]:
+        """Return the order of its frames in time."""
+        return np.argsort(self.places) if self.places else np.arange(self.frames)
 
 
 @dataclass(frozen=True, eq=False)
@@ -73,7 +79,7 @@ class SubmissionCounts:
         """Return the sums that give the uncertainty of the ratios. Raises `unknown_metric`, and `ShapeError`."""
         runs = list(pairwise(accumulate(self.frames_of_sequence, initial=0)))
         drives = self._drives()
-        order = np.concatenate([np.arange(*runs[row]) for rows in drives for row in rows])
+        order = np.concatenate([runs[row][0] + self.sequences[row].in_time() for rows in drives for row in rows])
         frames_of_drive = tuple(sum(self.sequences[row].frames for row in rows) for rows in drives)
         return spectra_of(self.confusions[order], frames_of_drive, metric_of(metric))
 

@@ -2,7 +2,8 @@
 
 **Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
 (`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
-version's index, inside a sequence that of time. A ground truth that is ready is never written again.
+version's index, inside a sequence that of time; those of a phase that keeps their order back that of its tokens, and
+facts have the place in time of each. A ground truth that is ready is never written again.
 """
 
 from collections.abc import Mapping
@@ -15,13 +16,14 @@ from sqlalchemy import select, update
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.ground_truths import LABELS, first_activation
+from services.domain.benchmarks.phases.unordered_frames import UnorderedFrames, unordered_frames
 from services.eval.ground_truth import Mask
 from services.eval.kernel_warmup import warm
 from services.eval.sandboxed_truth import PACK, PackedLabelFile, TruthAnswer, TruthInputs, labels_unfit, write_truth
 from services.eval.scoring_workspace import EvalStageContext
 from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.jobs.specs import Outcome
-from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow
+from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, DatasetPart, GroundTruthRow, Phase
 from services.runtime.orm.base import now_ns
 from services.runtime.sandbox import SandboxCrashedError
 from services.runtime.sandbox.job_sandbox import JobSandbox
@@ -37,13 +39,14 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class TruthSource:
-    """What a ground truth is made of: its mask and grid, where the part's files lie, and what is said of its sequences
-    by name."""
+    """What a ground truth is made of: its mask and grid, where the part's files lie, what is said of its sequences by
+    name, and which of their frames it has, None for all in time order."""
 
     mask: Mask
     grid: LabelGrid
     located: ExportLocation
     said: Mapping[str, Mapping[str, Any]]
+    unordered: UnorderedFrames | None
 
 
 @dataclass(frozen=True)
@@ -100,12 +103,13 @@ def _source(session: Session, truth: GroundTruthRow) -> TruthSource:
     }
     mask: Mask = truth.mask  # type: ignore[assignment]  # a phase has no other
     grid = recorded_grid(session.get_one(Dataset, truth.dataset_id).grid)
-    return TruthSource(mask, grid, located, said)
+    phase = session.get_one(Phase, truth.phase_id)
+    return TruthSource(mask, grid, located, said, unordered_frames(phase.every_nth, phase.token_key))
 
 
 def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
     store = context.platform.store
-    inputs = _inputs(store, stored_files(store, source.located), source)
+    inputs, places = _inputs(store, stored_files(store, source.located), source)
     folder = context.folder / f"truth-{token_hex(8)}"
     folder.mkdir()
     sandbox = JobSandbox(folder, tuple(inputs.packs.values()), context.attempt, context.platform.settings, warm)
@@ -115,17 +119,23 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
     write_manifest(folder / MANIFEST, inputs.manifest)
     pack, listed = (prepare(store, context.platform.database, folder / name, adopt=True) for name in (PACK, MANIFEST))
     facts: dict[str, Any] = {"sequences": [dict(source.said[name]) for name in inputs.manifest.sequences]}
+    for of_sequence in facts["sequences"] if places else ():
+        of_sequence |= {"frames": len(places[of_sequence["name"]]), "places": places[of_sequence["name"]]}
     if source.grid != PAPER:
         facts["grid"] = source.grid.as_record()
     return BuiltTruth(built, pack, listed, facts)
 
 
-def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> TruthInputs:
-    """The label files, and of the packs those in which some lie, on this machine. Raises `labels_unfit`."""
+def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> tuple[TruthInputs, dict[str, list[int]]]:
+    """The label files, and of the packs those in which some lie, on this machine; the place in time of each frame by
+    sequence, if frames are not in that order. Raises `labels_unfit`."""
     ordinals, manifest = _frames(stored, source.said)
+    places = dict[str, list[int]]()
+    if source.unordered is not None:
+        ordinals, manifest, places = _unordered(ordinals, manifest, source.unordered)
     files = {token: _packed_file(stored.files, ordinal) for token, ordinal in ordinals.items()}
     packs = {number: store.local(stored.object_keys[number]) for number in sorted({one.pack for one in files.values()})}
-    return TruthInputs(packs, files, replace(manifest, grid=source.grid), source.mask)
+    return TruthInputs(packs, files, replace(manifest, grid=source.grid), source.mask), places
 
 
 def _packed_file(files: PackedFiles, ordinal: int) -> PackedLabelFile:
@@ -149,6 +159,16 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
     if counted != {name: facts["frames"] for name, facts in said.items()} or not 0 < len(ordinals) <= MAX_FRAMES:
         raise labels_unfit("the sequences", f"{len(ordinals)} frames that are not those its rows tell of")
     return ordinals, Manifest({name: tuple(tokens) for name, tokens in sequences.items()})
+
+
+def _unordered(
+    ordinals: Mapping[str, int], manifest: Manifest, chosen: UnorderedFrames
+) -> tuple[dict[str, int], Manifest, dict[str, list[int]]]:
+    """The same of the frames that are chosen, by their tokens of the phase, and the place in time of each."""
+    frames = {name: chosen.of(tokens) for name, tokens in manifest.sequences.items()}
+    places = {name: [at for _, at in of_sequence] for name, of_sequence in frames.items()}
+    files = {token: ordinals[manifest.sequences[name][at]] for name, one in frames.items() for token, at in one}
+    return files, Manifest({name: tuple(token for token, _ in one) for name, one in frames.items()}), places
 
 
 def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:

@@ -15,6 +15,7 @@ from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from services.domain.benchmarks.phases.inputs import phase_of_attempt, write_input
+from services.domain.benchmarks.phases.unordered_frames import UnorderedFrames, unordered_frames
 from services.domain.datasets.input_jobs import (
     InputResult,
     joined_key,
@@ -276,18 +277,27 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
     """
     is_of_version = "dataset_id" in attempt.arguments
     with platform.database.transaction() as session:
-        version_of_attempt(session, attempt) if is_of_version else phase_of_attempt(session, attempt)
+        if is_of_version:
+            version_of_attempt(session, attempt)
+            unordered = None
+        else:
+            phase = phase_of_attempt(session, attempt)
+            unordered = unordered_frames(phase.every_nth, phase.token_key)
         keys = {SEQUENCE_FILE: sequence_key(session, attempt), JOINED: joined_key(session, attempt)}
     with attempt_folder(platform, attempt) as folder:
-        made = _made_input(platform, attempt, keys, folder)
+        made = _made_input(platform, attempt, (keys, unordered), folder)
     attempt.log("made", name=made.name, files=len(made.files), tar_bytes=made.tar[0])
     result = {"name": made.name, "files": len(made.files), "tar_bytes": made.tar[0]}
     write = write_version_input if is_of_version else write_input
     return Outcome(result, commit=lambda session: write(session, attempt, made))
 
 
-def _made_input(platform: Platform, attempt: Attempt, keys: Mapping[str, str | None], folder: Path) -> InputResult:
-    """The files of the sequence, in the store; what it is made of lies under these keys, by name."""
+def _made_input(
+    platform: Platform, attempt: Attempt, of: tuple[Mapping[str, str | None], UnorderedFrames | None], folder: Path
+) -> InputResult:
+    """The files of the sequence, in the store; what it is made of lies under keys, by name, and has the frames
+    chosen."""
+    keys, unordered = of
     name = str(attempt.arguments["name"])
     (folder / INPUTS).mkdir()
     for called, key in keys.items():
@@ -297,7 +307,7 @@ def _made_input(platform: Platform, attempt: Attempt, keys: Mapping[str, str | N
     labels = ExportedLabels(str(attempt.arguments["label_set_id"]), str(attempt.arguments["sequence_id"]))
     (folder / FILES).mkdir()
     with with_samples(sandbox, inputs, labels) as measured:
-        sandbox.run(partial(write_phase_input, measured), measured)
+        sandbox.run(partial(write_phase_input, measured, unordered), measured)
     files = pack_files(attempt, folder)
     tar = archive_sha256(files, "tar", local_reader(folder / "packs"), partial(attempt.progress, "tar"))
     index, *packs = stored_packs(platform, attempt, folder, files)

@@ -11,7 +11,7 @@ import pytest
 from sqlalchemy import select, update
 
 from services.domain.benchmarks.golden import golden_names
-from services.runtime.orm import AuditEntry, GroundTruthRow, Job
+from services.runtime.orm import AuditEntry, GroundTruthRow, Job, Phase
 from services.runtime.platform import Platform
 from stone.scoring.metric import METRIC_VERSION, METRICS
 from stone_submissions.manifest import read_manifest
@@ -59,6 +59,7 @@ NO_BENCHMARKS: tuple[tuple[dict[str, Any], tuple[int, str]], ...] = (
     ({"phases": phase_like()["phases"] * 2}, (409, "name_taken")),
     (phase_like(part="test"), (409, "open_test")),
     (phase_like(part="train", is_hidden=True), (409, "empty_part")),
+    (phase_like(every_nth=2), (422, "bad_phase")),
     (phase_like(mask="radar"), (422, "invalid_request")),
     (phase_like(opens_at="2026-06-01"), (422, "invalid_request")),
     (phase_like(opens_at="2026-06-01T00:00:00"), (422, "invalid_request")),
@@ -94,6 +95,19 @@ def test_a_phase_is_changed_by_whom_has_read_it(api: httpx.Client, administrator
     assert freed.json()["title"] == phase["title"]
 
 
+def test_a_phase_shows_that_it_keeps_order_back_and_not_by_which_key(
+    api: httpx.Client, platform: Platform, administrator: Person, participant: Person, version: str
+) -> None:
+    asked = {"phases": [{"name": "test", "part": "test", "is_hidden": True, "every_nth": 5}]}
+    assert make(api, administrator, version, **asked).status_code == 201
+    (key,) = (row.token_key for row in laid.rows(platform, select(Phase)))
+    for person in (administrator, participant):
+        for path in ("/benchmarks/stone", "/benchmarks/stone/phases/test"):
+            shown = api.get(f"{V1}{path}", headers=person.headers)
+            assert '"every_nth":5' in shown.text
+            assert key not in shown.text
+
+
 NO_CHANGES: tuple[tuple[dict[str, Any], tuple[int, str]], ...] = (
     ({"closes_at": "2026-06-01T00:00:00Z", "opens_at": "2026-06-01T00:00:00Z"}, (422, "bad_phase")),
     ({"is_hidden": False}, (409, "open_test")),
@@ -101,6 +115,7 @@ NO_CHANGES: tuple[tuple[dict[str, Any], tuple[int, str]], ...] = (
     ({"dataset": "never-published"}, (404, "not_found")),
     ({"closes_at": "9999-01-01T00:00:00Z"}, (422, "invalid_request")),
     ({"team_members": 0}, (422, "invalid_request")),
+    ({"every_nth": 2}, (422, "invalid_request")),
     ({"reason": ""}, (422, "invalid_request")),
 )
 

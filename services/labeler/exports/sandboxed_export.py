@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 from pydantic import Field
 
+from services.domain.benchmarks.phases.unordered_frames import UnorderedFrames
 from services.domain.sequences.run_files import SEQUENCE_FILE
 from services.labeler.exports.dataset_source import DatasetSource, DatasetSourceFiles
 from services.labeler.exports.errors import damaged_labels
@@ -25,6 +26,7 @@ from services.labeler.exports.nuscenes.plan import NuscenesPlan, channels_of
 from services.labeler.exports.nuscenes.samples import write_samples
 from services.labeler.exports.registry import exporter_of
 from services.labeler.exports.source import MESH, REPORT, TABLE, LabelledSequence
+from services.labeler.exports.unordered_samples import without_order
 from services.labeler.run import Step
 from services.runtime.sandbox import ProgressCallback
 from services.runtime.sandbox.answers import Hex256, SandboxAnswer
@@ -137,10 +139,15 @@ def write_format(name: str, inputs: ExportInputs, folder: Path, progress: Progre
     return b""
 
 
-def write_phase_input(inputs: ExportInputs, folder: Path, progress: ProgressCallback) -> bytes:
+def write_phase_input(
+    inputs: ExportInputs, unordered: UnorderedFrames | None, folder: Path, progress: ProgressCallback
+) -> bytes:
     """The files of an input of a phase: what was sensed, and nothing that was derived from it."""
     sequence = inputs.sequence()
-    write_sensed(sequence, inputs.samples(sequence), folder / FILES, partial(progress, "inputs"))
+    samples = inputs.samples(sequence)
+    if unordered is not None:
+        sequence, samples = without_order(sequence, samples, unordered.of(sequence.frames.tokens))
+    write_sensed(sequence, samples, folder / FILES, partial(progress, "inputs"), is_ordered=unordered is None)
     return b""
 
 
@@ -158,10 +165,10 @@ def write_inputs(source: LabelledSequence, out: Path, step: Step) -> None:
     write_sensed(source.sequence, source.samples, out, step)
 
 
-def write_sensed(sequence: Sequence, samples: SampleSource, out: Path, step: Step) -> None:
+def write_sensed(sequence: Sequence, samples: SampleSource, out: Path, step: Step, *, is_ordered: bool = True) -> None:
     """Write the sequence into the empty folder `out`. Raises what `write_samples` raises."""
     mask = blank_mask(sequence.frames.map_from_ego.translation_m[:, :2])
-    plan = NuscenesPlan(sequence, channels_of(sequence), mask.low_m)
+    plan = NuscenesPlan(sequence, channels_of(sequence), mask.low_m, is_ordered=is_ordered)
     (out / "maps").mkdir()
     write_mask(out / plan.mask_filename, mask)
     total = len(sequence.frames)

@@ -29,6 +29,9 @@ class Phase(Base):
     `mask` says which voxels are evaluated (all, lidar, camera). While `is_hidden`, nothing of its ground truth is told
     but rounded totals, until `closes_ns`. `scorings_per_window` and `scorings_total` bound what a team may have scored,
     null for as many as it likes. Team names are shown from `named_from_ns` on. `revision` counts changes (ETag).
+
+    With `every_nth` inputs and ground truth are one frame in so many, without poses, stamps or order, under tokens made
+    with `token_key`; null for all frames as they are.
     """
 
     __tablename__ = "phases"
@@ -40,6 +43,8 @@ class Phase(Base):
     part: Mapped[str] = mapped_column(String(8))
     mask: Mapped[str] = mapped_column(String(8), default="all")
     is_hidden: Mapped[bool]
+    every_nth: Mapped[int | None]
+    token_key: Mapped[str | None] = mapped_column(String(64))
     opens_ns: Mapped[Ns | None] = mapped_column(index=True)
     closes_ns: Mapped[Ns | None] = mapped_column(index=True)
     named_from_ns: Mapped[Ns | None]

@@ -97,6 +97,19 @@ def test_the_record_is_json_without_nan() -> None:
     assert set(record(nothing)["total"].values()) == set(record(nothing)["extras"].values()) == {None}
 
 
+def test_frames_in_another_order_have_the_intervals_of_their_order_in_time() -> None:
+    counts, random = counts_of_frames(), np.random.default_rng(5)
+    order, sequences, start = list[int](), list[SequenceFacts](), 0
+    for facts in SEQUENCES:
+        places = random.permutation(facts.frames)
+        order += (start + places).tolist()
+        sequences.append(replace(facts, places=tuple(places.tolist())))
+        start += facts.frames
+    mixed = SubmissionCounts(counts.confusions[order], counts.bev[order], tuple(sequences))
+    assert order != sorted(order)
+    assert record(mixed) == record(counts)
+
+
 def test_counts_beyond_32_bits_are_added_exactly() -> None:
     many = SubmissionCounts(
         np.full((FRAMES, 3, 4, 4), 2**31 - 1, np.int32), np.full((FRAMES, 3, 3), 2**31 - 1, np.int32), SEQUENCES

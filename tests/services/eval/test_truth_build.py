@@ -16,6 +16,7 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.ground_truths import start_truth
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.benchmarks.phases.unordered_frames import unordered_frames
 from services.eval import sandboxed_truth, truth_build
 from services.eval.ground_truth import (
     MAX_LABELS_BYTES,
@@ -70,13 +71,14 @@ def local(platform: Platform, sha256: str | None) -> Path:
         return platform.store.local(session.get_one(Blob, sha256).object_key)
 
 
-def masked_phase(world: World, mask: str) -> str:
+def masked_phase(world: World, mask: str, every_nth: int | None = None) -> str:
     """The id of a phase over test that evaluates by this mask, its ground truth ready."""
     with world.platform.database.transaction() as session:
         version = session.scalars(select(Dataset).where(Dataset.name == world.dataset)).one()
         asked = NewBenchmark(f"by-{mask}-{new_id()[-4:]}", "", "", world.administrator.user_id)
         benchmark = create_benchmark(session, asked)
-        phase = create_phase(session, benchmark, version, NewPhase("test", "test", True, mask))  # type: ignore[arg-type]
+        new = NewPhase("test", "test", True, mask, every_nth=every_nth)  # type: ignore[arg-type]
+        phase = create_phase(session, benchmark, version, new)
         start_truth(session, phase, version, world.administrator.user_id)
         phase_id = phase.id
     run_eval(world.platform)
@@ -109,6 +111,30 @@ def test_the_pack_holds_the_labels_and_its_hash_is_that_of_the_command(world: Wo
         for index, token in enumerate(pack.tokens):
             assert np.array_equal(pack.planes(index).planes, expected[token].planes)
             assert np.array_equal(pack.planes(index).counts, expected[token].counts)
+
+
+@pytest.mark.parametrize("every_nth", [1, 2])
+def test_a_phase_without_order_has_the_labels_under_tokens_of_its_own(world: World, every_nth: int) -> None:
+    phase_id = masked_phase(world, "all", every_nth)
+    (truth,), (ordered,) = truths(world, phase_id), truths(world, world.test)
+    with world.platform.database.reading() as session:
+        phase = session.get_one(Phase, phase_id)
+        chosen = unordered_frames(phase.every_nth, phase.token_key)
+    assert chosen is not None
+    manifest = read_manifest(local(world.platform, truth.manifest_sha256))
+    own = {name: tuple(grids) for name, grids in world.grids["test"].items()}
+    expected = {name: chosen.of(tokens) for name, tokens in own.items()}
+    assert {name: list(tokens) for name, tokens in manifest.sequences.items()} == {
+        name: [token for token, _ in frames] for name, frames in expected.items()
+    }
+    said = {one["name"]: (one["frames"], one["places"]) for one in truth.facts["sequences"]}
+    assert said == {name: (len(frames), [at for _, at in frames]) for name, frames in expected.items()}
+    assert truth.frames == sum(-(-len(tokens) // every_nth) for tokens in own.values())
+    packs = (local(world.platform, one.pack_sha256) for one in (truth, ordered))
+    with TruthPack(next(packs)) as pack, TruthPack(next(packs)) as whole:
+        for name, frames in expected.items():
+            for token, at in frames:
+                assert (pack.planes_of(token).planes == whole.planes_of(own[name][at]).planes).all()
 
 
 def test_the_first_is_put_in_force_and_no_other(world: World) -> None:

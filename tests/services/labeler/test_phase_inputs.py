@@ -5,7 +5,7 @@ Catches alone inputs of a phase that hold labels, or go with their sequence.
 
 import json
 from collections.abc import Iterator, Mapping
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import Any
 
@@ -15,11 +15,12 @@ from sqlalchemy import select
 
 from services.domain.benchmarks.phases.inputs import RUN, inputs_of, locate_input, start_inputs
 from services.domain.benchmarks.phases.phases import NewBenchmark, NewPhase, create_benchmark, create_phase
+from services.domain.benchmarks.phases.unordered_frames import unordered_frames
 from services.domain.datasets.input_jobs import start_version_inputs
 from services.domain.datasets.queries import dataset_named
 from services.domain.sequences.processing import delete_sequence
 from services.domain.sequences.recordings import remove_recording
-from services.runtime.orm import DatasetInput, Job, LabelledFrameRow, Phase, PhaseInput
+from services.runtime.orm import Benchmark, Dataset, DatasetInput, Job, LabelledFrameRow, Phase, PhaseInput
 from services.runtime.platform import Platform
 from services.runtime.settings import StoreSettings
 from services.runtime.store.garbage_collection import collect_garbage
@@ -102,6 +103,24 @@ def test_inputs_of_a_version_are_byte_for_byte_those_of_a_phase(asked: Asked) ->
         (of_version,) = session.scalars(select(DatasetInput))
     (of_phase,) = asked.rows()
     assert (of_version.name, of_version.tar_sha256) == (of_phase.name, of_phase.tar_sha256)
+
+
+def test_inputs_without_order_hold_every_second_frame_under_the_tokens_of_the_phase(asked: Asked) -> None:
+    with asked.platform.database.transaction() as session:
+        first = session.get_one(Phase, asked.phase_id)
+        benchmark = session.get_one(Benchmark, first.benchmark_id)
+        version = session.get_one(Dataset, first.dataset_id)
+        phase = create_phase(session, benchmark, version, NewPhase("unordered", "test", True, every_nth=2))
+        chosen = unordered_frames(phase.every_nth, phase.token_key)
+    unordered = replace(asked, phase_id=phase.id)
+    unordered.start()
+    assert run_all(asked.platform) == 1
+    files = unordered.files()
+    assert chosen is not None
+    own = tokens(asked.platform)
+    assert [row["token"] for row in table(files, "sample")] == [token for token, _ in chosen.of(own)]
+    everything = b"".join(files.values()) + "".join(files).encode()
+    assert not [token for token in own if token.encode() in everything]
 
 
 def test_inputs_hold_the_frames_of_the_labels_and_no_label(asked: Asked) -> None:

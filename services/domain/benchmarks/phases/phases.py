@@ -2,11 +2,12 @@
 
 **Conventions.** A phase is open in [opens_ns, closes_ns); null is for ever. What is evaluated (version, part, mask,
 whether the ground truth is hidden) is fixed once a ground truth stands: one that is ready or being made. A phase over
-test is always hidden. Whoever changes a phase locks its row.
+test is always hidden, and what `every_nth` keeps back never changes. Whoever changes a phase locks its row.
 """
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from secrets import token_hex
 from typing import Any, Literal
 
 from sqlalchemy import select
@@ -27,6 +28,7 @@ HIDDEN_PART: Part = "test"
 DAY_NS = 86_400 * 10**9
 MOST_SCORINGS = 1_000_000
 MOST_MEMBERS = 100
+MOST_APART = 1000
 LONGEST_WINDOW_NS = 366 * DAY_NS
 FIXED = ("dataset_id", "part", "mask", "is_hidden")
 COUNTED = {
@@ -34,6 +36,7 @@ COUNTED = {
     "scorings_total": (0, MOST_SCORINGS),
     "validations_per_day": (0, MOST_SCORINGS),
     "team_members": (1, MOST_MEMBERS),
+    "every_nth": (1, MOST_APART),
     "window_ns": (10**9, LONGEST_WINDOW_NS),
 }
 
@@ -72,6 +75,7 @@ class NewPhase:
     is_hidden: bool
     mask: Mask = "all"
     rules: Rules = field(default_factory=Rules)
+    every_nth: int | None = None
 
 
 VAL = NewPhase("val", "val", False, rules=Rules("Validation: open ground truth, unlimited submissions"))
@@ -109,7 +113,8 @@ def create_phase(session: Session, benchmark: Benchmark, dataset: Dataset, asked
     if phase_named(session, benchmark.name, asked.name) is not None:
         raise name_taken("phase", asked.name)
     row = Phase(benchmark_id=benchmark.id, dataset_id=dataset.id, name=asked.name)
-    row.part, row.mask, row.is_hidden = asked.part, asked.mask, asked.is_hidden
+    row.part, row.mask, row.is_hidden, row.every_nth = asked.part, asked.mask, asked.is_hidden, asked.every_nth
+    row.token_key = None if asked.every_nth is None else token_hex(32)
     for name, value in vars(asked.rules).items():
         setattr(row, name, value)
     refuse_contradictions(session, row, dataset)
@@ -181,6 +186,11 @@ def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> N
             "open_test", f"the labels of {phase.part} are hidden, and an open phase shows exact results; make it hidden"
         )
     refuse_empty(session, dataset, phase.part)
+    if phase.every_nth is not None and not phase.is_hidden:
+        raise Refused(
+            "bad_phase",
+            f"every_nth is {phase.every_nth}, but an open phase shows its frames; make it hidden, or leave it out",
+        )
     for name, (least, most) in COUNTED.items():
         value = getattr(phase, name)
         if value is not None and not least <= value <= most:

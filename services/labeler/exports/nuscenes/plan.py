@@ -46,12 +46,14 @@ class NuscenesChannel:
 
 @dataclass(frozen=True, eq=False)
 class NuscenesPlan:
-    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels."""
+    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels. Frames
+    that are not in time order have neither one before nor one after."""
 
     sequence: Sequence
     channels: tuple[NuscenesChannel, ...]
     low_m: tuple[int, int]
     quality: Mapping[str, Any] | None = None
+    is_ordered: bool = True
 
     @property
     def logfile(self) -> str:

@@ -78,8 +78,8 @@ def _write_frame(
         {
             "token": token,
             "timestamp": int(frames.stamps_ns[index]) // NS_PER_US,
-            "prev": frames.tokens[index - 1] if index else "",
-            "next": frames.tokens[index + 1] if index + 1 < len(frames) else "",
+            "prev": frames.tokens[index - 1] if index and plan.is_ordered else "",
+            "next": frames.tokens[index + 1] if index + 1 < len(frames) and plan.is_ordered else "",
             "scene_token": plan.scene_token,
         }
     )
@@ -107,8 +107,8 @@ def _datum_row(
         "height": size_px[1],
         "width": size_px[0],
         "filename": plan.filename(channel, place),
-        "prev": plan.datum_token(channel, place - 1),
-        "next": plan.datum_token(channel, place + 1),
+        "prev": plan.datum_token(channel, place - 1) if plan.is_ordered else "",
+        "next": plan.datum_token(channel, place + 1) if plan.is_ordered else "",
     }
 
 

@@ -70,6 +70,18 @@ def test_no_phase_is_made_that_would_tell_test_or_that_has_no_sequence(
     assert laid.rows(platform, select(Benchmark)) == []
 
 
+def test_only_a_hidden_phase_keeps_order_and_poses_back(platform: Platform, root: Person, dataset: Dataset) -> None:
+    for part, is_hidden, every_nth in (("val", False, 2), ("test", True, 0), ("test", True, 1001)):
+        with refused_as("bad_phase"):
+            laid.phase(platform, root, dataset, NewPhase("t", part, is_hidden, every_nth=every_nth))
+    phases = [laid.phase(platform, root, dataset, NewPhase("t", "test", True, every_nth=n)) for n in (None, 1, 5)]
+    assert [phase.every_nth for phase in phases] == [None, 1, 5]
+    keys = [phase.token_key for phase in phases]
+    assert (keys[0], len(set(keys)), {len(key or "") for key in keys[1:]}) == (None, 3, {64})
+    with refused_as("bad_phase"), platform.database.transaction() as session:
+        change_phase(session, phases[2].id, {"is_hidden": False, "part": "val"})
+
+
 OUT_OF_RANGE: tuple[dict[str, Any], ...] = (
     {"opens_ns": 5, "closes_ns": 5},
     {"opens_ns": 6, "closes_ns": 5},

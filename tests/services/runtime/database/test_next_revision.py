@@ -30,7 +30,7 @@ from testing.servers.fixtures import make_settings
 from testing.servers.postgres import PostgresServer
 
 ROWS = 3
-NEXT = "0040"
+NEXT = "0041"
 CHANGE = """with op.batch_alter_table("sequences") as sequences:
         sequences.alter_column("name", type_=sa.String(length=120))
 """
