@@ -68,8 +68,8 @@ def succeed(
         tell_run_succeeded(session, run)
         return True
     if run.state not in TERMINAL:
-        goes_on = bool(add_jobs(session, run, outcome.then, max_attempts))
-        goes_on = _release(session, claim.job_id) or goes_on
+        goes_on = _release(session, claim.job_id)  # first: what is added after jobs of this kind counts it as done
+        goes_on = bool(add_jobs(session, run, outcome.then, max_attempts)) or goes_on
         if run.cancel_reason:
             cancel_queued(session, run)
         if run.cancel_reason or not goes_on:
