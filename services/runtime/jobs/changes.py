@@ -2,10 +2,17 @@
 
 from typing import cast
 
-from sqlalchemy import CursorResult, Delete, Update, select, update
+from sqlalchemy import CursorResult, Delete, Update, bindparam, select, update
 from sqlalchemy.orm import Session
 
 from services.runtime.orm import Job
+
+LOCKED = (
+    select(Job)
+    .where(Job.id == bindparam("root"))
+    .with_for_update(key_share=True)
+    .execution_options(populate_existing=True)
+)
 
 
 def rows_changed(session: Session, statement: Update | Delete) -> int:
@@ -16,10 +23,7 @@ def rows_changed(session: Session, statement: Update | Delete) -> int:
 
 def lock_run(session: Session, root_id: str) -> Job:
     """The run's row, locked until the end of the transaction: endings within one run come one after another."""
-    locked = (
-        select(Job).where(Job.id == root_id).with_for_update(key_share=True).execution_options(populate_existing=True)
-    )
-    return session.scalars(locked).one()
+    return session.scalars(LOCKED, {"root": root_id}).one()
 
 
 def revise_run(session: Session, root_id: str) -> Job:

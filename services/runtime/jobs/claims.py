@@ -115,8 +115,13 @@ def take_next(session: Session, queue: str) -> tuple[Job, str] | None:
 
 def wake_ups_wanted(session: Session, queue: str) -> int:
     """The number of ready jobs of `queue`, at most `MOST_WAKE_UPS`."""
-    some = select(literal_column("1")).select_from(Job).where(_is_ready(Job, queue)).limit(MOST_WAKE_UPS).subquery()
-    return session.scalar(select(func.count()).select_from(some)) or 0
+    return session.scalar(_counting(queue)) or 0
+
+
+@lru_cache(MOST_QUEUES)
+def _counting(queue: str) -> Select[int]:
+    some = select(ONE).select_from(Job).where(_is_ready(Job, queue)).limit(MOST_WAKE_UPS).subquery()
+    return select(func.count()).select_from(some)
 
 
 def _is_ready(job: type[Job], queue: str) -> ColumnElement[bool]:

@@ -27,6 +27,7 @@ from services.runtime.telemetry.counters import WAKE_UPS_RESENT, process_counter
 log = structlog.get_logger(__name__)
 
 HeartbeatKey = tuple[str, int]
+RUNNING = select(Job).where(Job.state == "running", Job.queue != "")
 
 
 @dataclass
@@ -79,7 +80,7 @@ class Sweeper:
     def _look(self) -> Sequence[Job]:
         try:
             with self.platform.database.reading() as session:
-                return session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+                return session.scalars(RUNNING).all()
         except Exception:
             self._seen.clear()
             raise
@@ -131,7 +132,7 @@ def give_back_running(platform: Platform, failure: Failure, *, is_counted: bool)
     A job without attempts left fails with `failure`; one that was asked to stop is cancelled.
     """
     with platform.database.reading() as session:
-        running = session.scalars(select(Job).where(Job.state == "running", Job.queue != "")).all()
+        running = session.scalars(RUNNING).all()
     return _interrupt_all(platform, running, failure, is_counted=is_counted)
 
 
