@@ -135,6 +135,7 @@ docs: install $(DOCS_INSTALLED)
 
 chaos: develop
 	$(BIN)/python -m chaos
+	$(BIN)/python -m chaos.seeds
 	$(BIN)/python -m chaos.scoring
 	$(BIN)/python -m chaos.restore
 	$(BIN)/python -m chaos.restore --postgres --s3

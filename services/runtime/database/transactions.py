@@ -38,8 +38,10 @@ EACH_ALONE = "AUTOCOMMIT"  # of PostgreSQL: every statement is a transaction
 class Database:
     """`with database.transaction() as session: …`; `wake_up(queue, times)` is called after the commit."""
 
-    def __init__(self, settings: Settings, wake_up: WakeUp = lambda queue, times: None) -> None:
-        self.engine = _engine(settings)
+    def __init__(
+        self, settings: Settings, wake_up: WakeUp = lambda queue, times: None, engine: Engine | None = None
+    ) -> None:
+        self.engine = engine or _engine(settings)
         self._writing = self.engine.execution_options(stone_writes=True)
         self._readers = self._still = self.engine  # what SQLite reads is as it was at the first statement anyway (WAL)
         if not self.is_sqlite:
@@ -136,15 +138,19 @@ def _engine(settings: Settings) -> Engine:
     if url.get_backend_name() == "sqlite":
         Path(url.database or "").parent.mkdir(parents=True, exist_ok=True)
         waits = {"timeout": settings.database.busy_timeout_s}
-        engine = create_engine(url, connect_args=waits, hide_parameters=True, **pool)
-        event.listen(engine, "connect", _prepare_sqlite)
-        event.listen(engine, "begin", _begin_sqlite)
-        return engine
+        return sqlite_engine(create_engine(url, connect_args=waits, hide_parameters=True, **pool))
     password = settings.database.password.get_secret_value() or url.password
     url = url.set(drivername="postgresql+psycopg", password=password)
     # What is written may be a secret, so errors and logs show statements without it.
     engine = create_engine(url, connect_args={"connect_timeout": CONNECT_S}, hide_parameters=True, **pool)
     event.listen(engine, "checkout", _refuse_lost)
+    return engine
+
+
+def sqlite_engine(engine: Engine) -> Engine:
+    """The engine, whose connections are prepared and whose transactions begin as `Database` needs it."""
+    event.listen(engine, "connect", _prepare_sqlite)
+    event.listen(engine, "begin", _begin_sqlite)
     return engine
 
 

@@ -1,0 +1,69 @@
+"""Play histories of jobs from seeds: `python -m chaos.seeds [--seeds 0..100] [--minutes 10] [--processes 2]`.
+
+Workers, sweepers, an owner, a broker and faults of the database take turns as a die says that begins at the seed; the
+code of jobs is the platform's own, the clock is virtual. Ends with 1 when something was lost, doubled or left for ever:
+the line of that seed says what, and plays it again. Once repaired it belongs into `PAST` in
+`tests/chaos/seeds/test_histories.py`, where every test run plays it again.
+"""
+
+import argparse
+import gc
+import sys
+import time
+from collections.abc import Iterator
+from concurrent.futures import ProcessPoolExecutor
+from itertools import count
+from multiprocessing import get_context
+
+from rich.console import Console
+
+from chaos.seeds.histories import History, play
+
+AT_ONCE = 20
+CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
+
+
+def main() -> int:
+    options = _options()
+    begun_s = time.monotonic()
+    until_s = begun_s + options.minutes * 60.0
+    histories = steps = broken = 0
+    with ProcessPoolExecutor(options.processes, get_context("forkserver"), gc.freeze) as pool:
+        for played in _played(pool, options, until_s):
+            histories, steps = histories + 1, steps + played.steps
+            if played.violation:
+                broken += 1
+                again = f"python -m chaos.seeds --seeds {played.seed}..{played.seed + 1}"
+                CONSOLE.print(f"seed {played.seed}, step {played.steps}: {played.violation} ({again})")
+    minutes = (time.monotonic() - begun_s) / 60.0
+    CONSOLE.print(
+        f"{histories} histories, {steps} steps in {minutes:.1f} minutes: {histories / minutes:.0f} and "
+        f"{steps / minutes:.0f} a minute, {broken} broken"
+    )
+    return 1 if broken or not histories else 0
+
+
+def _played(pool: ProcessPoolExecutor, options: argparse.Namespace, until_s: float) -> Iterator[History]:
+    first, last = options.seeds
+    for begin in count(first, AT_ONCE * options.processes):
+        seeds = range(begin, min(begin + AT_ONCE * options.processes, last))
+        if not seeds or time.monotonic() > until_s:
+            return
+        yield from pool.map(play, seeds)
+
+
+def _seeds(said: str) -> tuple[int, int]:
+    first, _, last = said.partition("..")
+    return int(first), int(last)
+
+
+def _options() -> argparse.Namespace:
+    parser = argparse.ArgumentParser(prog="python -m chaos.seeds", description=__doc__)
+    parser.add_argument("--seeds", type=_seeds, default=(0, 2**31), help="A..B: from A to before B")
+    parser.add_argument("--minutes", type=float, default=10.0, help="no twenty seeds begin later than this")
+    parser.add_argument("--processes", type=int, default=2)
+    return parser.parse_args()
+
+
+if __name__ == "__main__":
+    sys.exit(main())
