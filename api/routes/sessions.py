@@ -21,7 +21,7 @@ from api.schemas.base import instant
 from api.schemas.people import BrowserItem, MeItem, PasswordBody, SessionItem, SignInBody
 from api.views.people import browsers_of
 from services.runtime.access import issuing, login_throttle, passwords, sessions, users
-from services.runtime.access.ending import end_browsers
+from services.runtime.access.ending import end_all, end_browsers
 from services.runtime.access.issuing import SessionSecrets
 from services.runtime.access.login_throttle import SignInTry
 from services.runtime.orm import User
@@ -103,8 +103,10 @@ def change_own_password(body: PasswordBody, caller: AccountHolder, request: Requ
     password_hash = passwords.hash_password(body.new.get_secret_value(), caller.name)
     with platform.database.transaction() as session:
         users.change_password(session, session.get_one(User, caller.user_id), password_hash)
+        if body.ends_tokens:
+            end_all(session, caller.user_id)
         login_throttle.take_back(session, tried, caller.user_id)
-        audit.record(session, caller, "user.password", caller.user_id)
+        audit.record(session, caller, "user.password", caller.user_id, facts={"ends_tokens": body.ends_tokens})
 
 
 def _counted_try(request: Request, platform: Platform, name: str) -> SignInTry:

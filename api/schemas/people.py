@@ -94,12 +94,13 @@ class MeItem(Answer):
 
 
 class PasswordBody(Body):
-    """One's own password, old and new."""
+    """One's own password, old and new; `ends_tokens` ends all other credentials too, as after a theft."""
 
     model_config = example(current=PASSWORD, new="another horse, another battery")
 
     current: Password
     new: Password
+    ends_tokens: bool = False
 
 
 class TokenBody(Body):

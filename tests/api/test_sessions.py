@@ -495,6 +495,19 @@ def test_a_program_that_was_approved_keeps_its_token_beyond_the_browser(
     assert uncounted.get(ME, headers=shown).status_code == 401
 
 
+@pytest.mark.parametrize("ends_tokens", [False, True])
+def test_a_new_password_ends_tokens_if_its_user_chooses(
+    browser: httpx.Client, platform: Platform, ends_tokens: bool
+) -> None:
+    csrf = csrf_of(browser)
+    secret = browser.post("/api/v1/tokens", json={"name": "laptop"}, headers=csrf).json()["secret"]
+    change = {"current": PASSWORD, "new": PASSWORD + " new", "ends_tokens": ends_tokens}
+    assert browser.put("/api/v1/me/password", json=change, headers=csrf).status_code == 204
+    shown = {"Authorization": f"Bearer {secret}"}
+    assert browser.get(ME, headers=shown).status_code == (401 if ends_tokens else 200)
+    assert browser.get(ME).status_code == 401
+
+
 def test_a_user_let_in_again_signs_in_anew(uncounted: httpx.Client, platform: Platform) -> None:
     root, ada = person(platform, "administrator"), person(platform, "curator")
     for is_active in (False, True):
@@ -505,7 +518,7 @@ def test_a_user_let_in_again_signs_in_anew(uncounted: httpx.Client, platform: Pl
 
 def test_nothing_is_issued_while_all_credentials_end(platform_on: Platform) -> None:
     """A token that is fetched while everything ends is ended too, or never made."""
-    for number in range(8):
+    for number in range(20):
         with platform_on.database.transaction() as session:
             user = users.create_user(session, f"ada{number}", "curator")
             authority = issuing.authority_for(user, 60.0)
