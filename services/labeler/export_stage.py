@@ -48,6 +48,7 @@ from services.runtime.orm import Artefact, Blob, Export, LabelledFrameRow, Recor
 from services.runtime.platform import Platform
 from services.runtime.sandbox.job_sandbox import JobSandbox, SandboxedWork, private_folder_in
 from services.runtime.store.blobs import PreparedBlob, prepare_all
+from services.runtime.store.faults import refuse_damaged
 from services.runtime.store.pack_reading import archive_sha256, local_reader
 from services.runtime.store.packs import PackedFiles, index_bytes, pack_count, pack_folder, pack_path
 from services.runtime.store.workspace import Workspace, fresh_folder
@@ -80,15 +81,19 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
 def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter: Exporter) -> ExportInputs:
     """What an export of the label set is made of, but what was measured, on this machine.
 
-    `folder` gets links that call the files as they are called. Raises `ObjectMissingError`.
+    `folder` gets links that call the files as they are called. All are compared with what was published, or what
+    decayed would be exported under a hash of its own. Raises `ObjectMissingError`, `ObjectDamagedError`.
     """
     with platform.database.reading() as session:
         named = select(Artefact.name, Blob.object_key).join(Blob, Blob.sha256 == Artefact.blob_sha256)
         keys = {name: key for name, key in session.execute(named.where(Artefact.label_set_id == label_set_id))}
         ranges = _ranges(session, label_set_id) if exporter.reads_labels else ()
     folder.mkdir(parents=True, exist_ok=True)
-    for name in (REPORT, SEQUENCE_FILE, MESH, TABLE, *({JOINED} & set(keys))):
-        (folder / name).symlink_to(platform.store.local(keys[name]))
+    linked = {name: keys[name] for name in (REPORT, SEQUENCE_FILE, MESH, TABLE, *({JOINED} & set(keys)))}
+    read = {*linked.values(), *(at.pack for at in ranges)}
+    refuse_damaged(platform.store, platform.database, read, "a file of the labels")
+    for name, key in linked.items():
+        (folder / name).symlink_to(platform.store.local(key))
     packs = {key: platform.store.local(key) for key in sorted({at.pack for at in ranges})}
     return ExportInputs(folder, PackedLabels(packs, ranges))
 

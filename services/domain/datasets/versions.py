@@ -31,6 +31,7 @@ from services.runtime.orm import Blob, Dataset, DatasetMember, DatasetPack, Data
 from services.runtime.orm.base import now_ns
 from services.runtime.platform import Platform
 from services.runtime.store.blobs import PreparedBlob, link_all, prepare
+from services.runtime.store.faults import refuse_damaged
 from services.runtime.store.pack_reading import StoredFiles, archive_sha256
 from services.runtime.store.packs import PackedFiles, index_bytes
 from stone.errors import Refused
@@ -273,6 +274,7 @@ def _tar(platform: Platform, index: PackedFiles, packs: tuple[str, ...], sums: P
     with platform.database.reading() as session:
         rows = (session.get(Blob, blob) for blob in packs)
         keys = tuple(row.object_key if row is not None else sums.object_key for row in rows)
+    refuse_damaged(platform.store, platform.database, keys, "a file of the labels")  # or its hash would stand for it
     stored = StoredFiles(index, keys)
     return archive_sha256(index, "tar", stored.reader(platform.store), lambda _done, _total: None)
 

@@ -34,6 +34,7 @@ from services.runtime.settings import Settings, UploadSettings, ViewingSettings
 from testing.refusals import refused_as
 from testing.servers.fixtures import opened
 from testing.stone_serve import until
+from testing.worlds.decay import decay
 from testing.worlds.drives import exported_files, labelled_platform
 from testing.worlds.runs import Brought, Listening, Said, followed_by, run_all
 from tests.services.labeler.test_stages import publish_again
@@ -95,6 +96,19 @@ def test_an_export_has_every_file_the_exporter_writes_and_their_checksums(brough
     assert (export.files, brought.job(job_id).result["files"]) == (len(files) + 1,) * 2  # type: ignore[index]
     assert asked(brought) == (export_id, job_id)
     assert run_all(brought.platform) == 0
+
+
+def test_labels_that_decayed_are_not_exported_under_a_hash_of_their_own(brought: Brought) -> None:
+    (label_set,) = brought.label_sets()
+    with brought.platform.database.reading() as session:
+        of_meshes = select(Blob.object_key).join(Artefact, Artefact.blob_sha256 == Blob.sha256)
+        of_set = of_meshes.where(Artefact.label_set_id == label_set.id, Artefact.name == "mesh.ply")
+        decay(brought.platform, session.scalars(of_set).one())
+    export_id, job_id = asked(brought, "mesh")
+    run_all(brought.platform)
+    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "object_damaged")
+    export = row(brought.platform, export_id)
+    assert export is None or export.finished_ns is None
 
 
 def test_exports_of_two_versions_under_way_are_both_written(brought: Brought) -> None:
