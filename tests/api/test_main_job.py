@@ -19,7 +19,7 @@ from services.ingest import queue_handlers as ingest
 from services.labeler import queue_handlers as labeler
 from services.runtime.access import storage_quota
 from services.runtime.jobs.execution import run_next
-from services.runtime.orm import Blob, Export, ExportPack, LabelSet, Recording
+from services.runtime.orm import Artefact, Blob, Export, ExportPack, LabelSet, Preview, Recording
 from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from simulator.pipeline import calibration_path
@@ -184,7 +184,9 @@ def test_a_deleted_sequence_leaves_nothing_that_is_counted(done: Done) -> None:
     with done.platform.database.reading() as session:
         index = session.get_one(Blob, session.query(Export).one().index_sha256)
         playback_bytes = index.size_bytes + sum(pack.size_bytes for pack in session.query(ExportPack))
-        counted = done.bag.stat().st_size + playback_bytes
+        of_labels = sum(one.size_bytes for one in session.query(Artefact))
+        counted = done.bag.stat().st_size + playback_bytes + of_labels
+        counted += sum(one.size_bytes for one in session.query(Preview))
         assert storage_quota.balance(session, done.owner.user_id) == counted
     assert done.api.delete(done.path(), headers={"If-Match": "*"}).status_code == 204
     with done.platform.database.reading() as session:

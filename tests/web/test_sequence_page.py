@@ -364,7 +364,7 @@ def test_the_owner_deletes_a_label_set_by_keyboard_and_one_that_is_exported_says
         made.labels(platform, shown, contents=[made.frame_labels()] * 2, seed=seed) for seed in (b"1", b"2")
     )
     made.export(platform, shown["id"], {"mesh.ply": b"ply"})
-    with site.visit(curator) as page:
+    with site.visit(curator, expected=["409"]) as page:
         to(page, shown, "/label-sets")
         rows = page.get_by_role("region", name="Label sets").get_by_role("row")
         before = rows.count()
