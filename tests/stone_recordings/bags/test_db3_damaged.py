@@ -18,6 +18,7 @@ import zstandard
 from hypothesis import HealthCheck, given, settings
 from hypothesis import strategies as st
 
+from services.runtime.sandbox import SandboxLimits, sandboxed
 from stone.errors import StoneError
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.db3 import sql
@@ -120,6 +121,25 @@ def test_an_unfinished_transaction_is_undone_in_a_copy(tmp_path: Path) -> None:
         assert _content(bag) == _expected(before)
         assert [finding.code for finding in bag.findings] == ["BAG-029"]
     assert _snapshot(path.parent) == held
+
+
+@pytest.mark.parametrize("journal", ["WAL", "DELETE"])
+@pytest.mark.parametrize("makes_links", [True, False])
+def test_a_database_that_was_not_closed_is_read_by_a_child_that_changes_no_mode(
+    journal: str, makes_links: bool, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    before, after = _messages(50), _messages(400, start=50)
+    path = _crashed(tmp_path, journal, before, after)
+    own = tmp_path / "own"
+    own.mkdir()
+    monkeypatch.setattr(tempfile, "tempdir", str(own))
+
+    def work() -> bytes:
+        with open_bag(path) as bag:
+            return str(len(_content(bag))).encode()
+
+    limits = SandboxLimits(folder=own, file_bytes=2**30, reads=(path.parent,), makes_links=makes_links)
+    assert sandboxed(work, limits) == (b"450" if journal == "WAL" else b"50")
 
 
 def test_a_journal_that_names_another_file_is_refused_and_the_file_stays(tmp_path: Path) -> None:
