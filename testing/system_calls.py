@@ -8,9 +8,8 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 NUMBERS = {
     "socket": (41, 198), "socketpair": (53, 199), "clone": (56, 220), "process_vm_readv": (310, 270),
     "ptrace": (101, 117), "prlimit64": (302, 261), "mount": (165, 40), "setuid": (105, 146), "unshare": (272, 97),
-    "io_uring_setup": (425, 425), "setxattr": (188, 5), "setxattrat": (463, 463), "file_setattr": (469, 469),
-    "ioprio_set": (251, 30), "memfd_create": (319, 279), "truncate": (76, 45), "pidfd_open": (434, 434),
-    "fchmodat": (268, 53), "unknown yet": (2000, 2000),
+    "io_uring_setup": (425, 425), "setxattrat": (463, 463), "ioprio_set": (251, 30), "prctl": (157, 167),
+    "unknown yet": (2000, 2000),
 }  # fmt: skip
 
 

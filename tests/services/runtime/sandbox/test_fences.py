@@ -1,11 +1,15 @@
 """A parser in the hands of whoever wrote the file reaches nothing: no network, no process, no file, no signal."""
 
 import ctypes
+import errno
+import fcntl
 import os
 import resource
 import signal
 import socket
+import struct
 import subprocess
+import termios
 import threading
 from collections.abc import Callable
 from pathlib import Path
@@ -72,6 +76,14 @@ ATTACKS: dict[str, Attack] = {
     "a mount": lambda _: system_call("mount", 0, 0, 0, 0, 0),
     "another user": lambda _: system_call("setuid", 0),
     "a namespace": lambda _: system_call("unshare", 0x10000000),
+    "somebody who is signalled by a descriptor": lambda _: fcntl.fcntl(1, fcntl.F_SETOWN, os.getppid()),
+    "another signal of a descriptor": lambda _: fcntl.fcntl(1, fcntl.F_SETSIG, signal.SIGKILL),
+    "a descriptor that signals": lambda _: fcntl.fcntl(os.pipe()[0], fcntl.F_SETFL, os.O_ASYNC),
+    "a lease": lambda _: fcntl.fcntl(os.open(os.__file__, os.O_RDONLY), fcntl.F_SETLEASE, fcntl.F_RDLCK),
+    "a notice of a folder": lambda _: fcntl.fcntl(os.open(Path(os.__file__).parent, 0), fcntl.F_NOTIFY, 1),
+    "words typed on the terminal": lambda _: fcntl.ioctl(1, termios.TIOCSTI, b"x"),
+    "a file that is memory": lambda _: os.memfd_create("held"),
+    "a process that may be looked at": lambda _: system_call("prctl", 4, 1, 0, 0, 0),
     "io_uring": lambda _: system_call("io_uring_setup", 8, 0),
 }
 
@@ -250,3 +262,72 @@ def test_no_jump_of_the_filter_leaves_it(machine: str, kind: str) -> None:
     for place, op in enumerate(program):
         assert len(op) == 8
         assert place + 1 + max(op[2], op[3]) <= len(program) - (op[0] != seccomp.RETURN)
+
+
+def verdict(machine: str, kind: str, number: int, *arguments: int, arch: int | None = None) -> str:
+    """What the filter of the process 7 answers to a call: by an interpreter of our own of classic BPF (bpf(4))."""
+    program = [struct.unpack("<HBBI", op) for op in seccomp.program_of(machine, 7, kind)]
+    given = struct.pack("<iIQ6Q", number, arch or seccomp.AUDIT_ARCH[machine], 0, *(*arguments, *[0] * 6)[:6])
+    held, place = 0, 0
+    while True:
+        code, if_true, if_false, value = program[place]
+        place += 1
+        if code == 0x06:
+            named = {0x7FFF: "allowed", 0x8000: "killed", 0x0005: errno.errorcode.get(value & 0xFFFF, "")}
+            return named[value >> 16]
+        if code == 0x20:
+            held = int.from_bytes(given[value : value + 4], "little")
+        else:
+            is_so = {0x15: held == value, 0x35: held >= value, 0x45: held & value != 0}[code]
+            place += if_true if is_so else if_false
+
+
+# By machine, from the kernel's headers; of the calls with which a child reaches out, and some that it needs.
+CALLS = {
+    "x86_64": {"openat": 257, "fcntl": 72, "kill": 62, "fchmodat": 268, "mkdirat": 258, "symlinkat": 266, "clone": 56,
+               "clone3": 435, "prlimit64": 302, "futex": 202, "setpriority": 141, "sched_setaffinity": 203,
+               "ioprio_set": 251, "bpf": 321, "execve": 59, "socket": 41, "truncate": 76},
+    "aarch64": {"openat": 56, "fcntl": 25, "kill": 129, "fchmodat": 53, "mkdirat": 34, "symlinkat": 36, "clone": 220,
+                "clone3": 435, "prlimit64": 261, "futex": 98, "setpriority": 140, "sched_setaffinity": 122,
+                "ioprio_set": 30, "bpf": 280, "execve": 221, "socket": 198, "truncate": 45},
+}  # fmt: skip
+WRITE, CUT = os.O_WRONLY | os.O_CREAT | os.O_TRUNC, os.O_RDONLY | os.O_TRUNC
+VERDICTS = [  # a call, its arguments, and what each kind of child is answered
+    ("futex", (), "allowed allowed allowed"),
+    ("openat", (0, 0, os.O_RDONLY), "allowed allowed allowed"),
+    ("openat", (0, 0, WRITE), "EPERM allowed allowed"),
+    ("openat", (0, 0, CUT), "EPERM EPERM EPERM"),
+    ("mkdirat", (), "EPERM allowed allowed"),
+    ("symlinkat", (), "EPERM EPERM allowed"),
+    ("fcntl", (0, fcntl.F_SETFL, os.O_NONBLOCK), "allowed allowed allowed"),
+    ("fcntl", (0, fcntl.F_SETFL, os.O_ASYNC), "EPERM EPERM EPERM"),
+    ("fcntl", (0, fcntl.F_SETLK), "allowed allowed allowed"),
+    ("fcntl", (0, 15), "EPERM EPERM EPERM"),  # F_SETOWN_EX
+    ("kill", (7,), "allowed allowed allowed"),
+    ("kill", (8,), "EPERM EPERM EPERM"),
+    ("kill", (2**32 - 1,), "EPERM EPERM EPERM"),
+    ("clone", (0x3D0F00,), "allowed allowed allowed"),  # as pthread_create(3) of glibc
+    ("clone", (17,), "EPERM EPERM EPERM"),  # as fork(3)
+    ("clone3", (), "ENOSYS ENOSYS ENOSYS"),
+    ("prlimit64", (0, 7, 0), "allowed allowed allowed"),
+    ("prlimit64", (0, 7, 2**32), "EPERM EPERM EPERM"),
+    *((name, (), "EPERM EPERM EPERM") for name in
+      ("fchmodat", "setpriority", "sched_setaffinity", "ioprio_set", "bpf", "execve", "socket", "truncate")),
+]  # fmt: skip
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+@pytest.mark.parametrize(("name", "arguments", "answers"), VERDICTS)
+def test_the_filter_answers_on_every_machine(machine: str, name: str, arguments: tuple[int, ...], answers: str) -> None:
+    found = [verdict(machine, kind, CALLS[machine][name], *arguments) for kind in seccomp.KINDS]
+    assert found == answers.split()
+
+
+@pytest.mark.parametrize("machine", MACHINES)
+def test_what_is_newer_than_the_list_is_not_there_and_numbers_of_another_machine_end_the_child(machine: str) -> None:
+    other = next(arch for name, arch in seccomp.AUDIT_ARCH.items() if name != machine)
+    assert verdict(machine, "links", 469) == "EPERM"
+    assert verdict(machine, "links", 470) == "ENOSYS"
+    assert verdict(machine, "links", 0, arch=other) == "killed"
+    if machine == "x86_64":
+        assert verdict(machine, "links", 0x4000_0000 + 1) == "killed"
