@@ -9,10 +9,14 @@ from pathlib import Path
 
 import pytest
 
-from services.runtime.sandbox import SandboxLimits, fences, sandboxed
+from services.runtime.orm import Job
+from services.runtime.sandbox import ProgressCallback, SandboxLimits, fences, sandboxed
 from services.runtime.sandbox.errors import SandboxCrashedError, SandboxInterruptedError
+from services.runtime.sandbox.job_sandbox import JobSandbox
 from testing.process_states import is_running, parent_of
+from testing.servers.fixtures import make_settings
 from testing.stone_serve import until
+from testing.worlds.runs import Said
 
 needs_landlock = pytest.mark.skipif(fences.version() == 0, reason="this kernel has no Landlock")
 needs_root = pytest.mark.skipif(os.geteuid() != 0, reason="only root becomes another user")
@@ -103,3 +107,18 @@ def test_a_child_of_another_user_ends_with_its_parent(tmp_path: Path) -> None:
     os.kill(pid, signal.SIGKILL)
     os.waitpid(pid, 0)
     until(lambda: not is_running(child))
+
+
+def test_what_a_job_left_belongs_to_the_service(tmp_path: Path) -> None:
+    folder = tmp_path / "folder"
+    folder.mkdir()
+
+    def leave(folder: Path, _progress: ProgressCallback) -> bytes:
+        (folder / "below").mkdir()
+        (folder / "below" / "labels").write_text(str(os.getuid()))
+        return b""
+
+    sandbox = JobSandbox(folder, (), Said(Job(root_id="1" * 32)), make_settings(tmp_path), lambda: None)
+    sandbox.run(leave, "stage", 1)
+    assert {path.stat().st_uid for path in folder.rglob("*")} == {os.getuid()}
+    assert int((folder / "below" / "labels").read_text()) >= os.getuid()
