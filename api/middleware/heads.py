@@ -9,6 +9,7 @@ idle one that was answered ends sooner, by uvicorn's own timer. What is left of 
 thrown away, within the same time. An answer of which the client takes nothing for `STALL_S` is cut off.
 """
 
+import logging
 from asyncio import BaseTransport, TimerHandle
 from typing import Any
 
@@ -59,6 +60,10 @@ class BoundedHeads(HttpToolsProtocol):
             self.transport.write(TOO_LARGE)
             self.transport.close()
 
+    def send_400_response(self, msg: str) -> None:
+        super().send_400_response(msg)
+        self._connections.note_closed(self._peer, self.loop.call_later, is_refused=True)
+
     def on_headers_complete(self) -> None:
         self._is_in_head = False
         self._disarm()
@@ -105,6 +110,14 @@ class BoundedHeads(HttpToolsProtocol):
         self.transport.write(answer)
         self.transport.close()
         self._connections.note_closed(self._peer, self.loop.call_later, is_refused=is_refused)
+
+
+def _is_no_line_of_a_stranger(record: logging.LogRecord) -> bool:
+    """uvicorn logs each connection that sends no HTTP; `Connections` counts them."""
+    return record.msg != "Invalid HTTP request received."
+
+
+logging.getLogger("uvicorn.error").addFilter(_is_no_line_of_a_stranger)
 
 
 def _connections_of(app: Any) -> Connections:

@@ -76,6 +76,14 @@ def test_what_is_left_of_an_answered_body_is_not_waited_for(platform: Platform) 
         assert rest_of(connection).count(b"HTTP/1.1 ") == 1
 
 
+def test_who_sends_no_http_writes_no_line_each(platform: Platform, caplog: pytest.LogCaptureFixture) -> None:
+    with served(platform) as url:
+        for _ in range(3):
+            with connected(url, b"SSH-2.0-OpenSSH_9.2\r\n\r\n") as connection:
+                assert rest_of(connection).startswith(b"HTTP/1.1 400 ")
+    assert "Invalid HTTP request" not in caplog.text
+
+
 def test_one_address_has_so_many_connections_and_others_are_answered(platform: Platform) -> None:
     with served(platform, connections_per_address=4) as url, ExitStack() as stack:
         held = [stack.enter_context(connected(url)) for _ in range(4)]
