@@ -2,6 +2,7 @@
 
 import resource
 import socket
+import time
 from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import ExitStack, contextmanager
 from typing import Any
@@ -11,6 +12,7 @@ import httpx
 import pytest
 from structlog.testing import capture_logs
 
+from api.middleware import heads
 from api.middleware.connections import LINE_S, Connections
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
@@ -76,6 +78,15 @@ def test_what_is_left_of_an_answered_body_is_not_waited_for(platform: Platform) 
         assert rest_of(connection).count(b"HTTP/1.1 ") == 1
 
 
+def test_an_answer_that_nobody_takes_is_cut_off(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
+    """Nothing is read until the server has ended the connection, which the next of its address shows."""
+    monkeypatch.setattr(heads, "STALL_S", 0.5)
+    asked = b"GET /api/v1/openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 100
+    with served(platform, connections_per_address=1) as url, connected(url, asked) as connection:
+        assert answered_at_last(url)
+        assert rest_of(connection).count(b"HTTP/1.1 200 ") < 100
+
+
 def test_who_sends_no_http_writes_no_line_each(platform: Platform, caplog: pytest.LogCaptureFixture) -> None:
     with served(platform) as url:
         for _ in range(3):
@@ -103,6 +114,7 @@ def answered_at_last(url: str) -> bool:
         with connected(url, b"GET /healthz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n") as connection:
             if rest_of(connection).startswith(b"HTTP/1.1 200 "):
                 return True
+        time.sleep(0.02)
     return False
 
 
