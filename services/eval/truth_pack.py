@@ -154,8 +154,8 @@ class TruthPack:
         return self.planes(self._index_of[token])
 
     def supports(self) -> NDArray[np.int32]:
-        """Return the counts of the truth alone, (F, ring, 13): voxels by class, drivable columns, columns by class, late
-        voxels by class; `NOT_KEPT` for all but voxels in a pack of an earlier version."""
+        """Return the counts of the truth alone, (F, ring, 13): voxels by class, drivable columns, columns by class,
+        late voxels by class; `NOT_KEPT` for all but voxels in a pack of an earlier version."""
         evaluated, low, high, both = np.moveaxis(self._counts, -1, 0)
         voxels = np.stack([evaluated - low - high + both, low - both, high - both, both], axis=-1)
         unknown = np.full((*voxels.shape[:-1], SUPPORTS - CLASSES), NOT_KEPT)
