@@ -25,6 +25,7 @@ from testing.worlds.made import job, row_of
 from tests.api.test_audit import unguarded
 from tests.api.test_jobs import run_all
 from tests.services.domain.benchmarks.scored import Place, another_truth, phase_of_rows, scored, scored_entry, team
+from tests.web.looking import look
 
 
 @pytest.fixture
@@ -52,16 +53,18 @@ def test_the_work_is_listed_by_state_and_owner_with_its_workers(
 
 
 def test_damaged_objects_are_shown_with_what_needs_them(
-    reading: Reading, platform: Platform, administrator: Person, tmp_path: Path
+    site: Site, reading: Reading, platform: Platform, administrator: Person, tmp_path: Path
 ) -> None:
     assert "damaged or lost" not in reading.html("/admin/queues", administrator)
     (tmp_path / "rig").write_bytes(b"rig")
     with platform.database.transaction() as session:
         blob = keep(session, platform.store, tmp_path / "rig")
         note(session, blob, "bytes", "scrub")
-    shown = reading.html("/admin/queues", administrator)
-    assert "1 damaged or lost" in shown
-    assert blob.object_key in shown
+    with site.visit(administrator) as page:
+        page.goto("/admin/queues")
+        expect(page.locator("#store")).to_contain_text("1 damaged or lost")
+        expect(page.locator("#store")).to_contain_text(blob.object_key)
+        look(page, "queues-damaged")
 
 
 def test_the_installation_says_which_fence_of_the_sandbox_its_kernel_does_not_have(
