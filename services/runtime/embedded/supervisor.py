@@ -45,7 +45,7 @@ class RunningPlatform:
 
     platform: Platform
     keys: FirstStartKeys
-    _watched: "_SupervisedChildren"
+    _watched: "SupervisedChildren"
 
     @property
     def children(self) -> tuple[Child, ...]:
@@ -105,7 +105,7 @@ def running_platform(
             sweeper_program(settings),
         )
         worker, api, sweeper = (Child(program, logs_of(settings), told) for program in programs)
-        watched = _SupervisedChildren((broker.child, worker, api, sweeper), told, Pulse(broker, told))
+        watched = SupervisedChildren((broker.child, worker, api, sweeper), told, Pulse(broker, told))
         stack.callback(watched.kill)
         for child in (worker, api, sweeper):
             child.start()
@@ -180,7 +180,7 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Re
             told(f"{interrupted} unfinished job(s) resume at the next start")
 
 
-class _SupervisedChildren:
+class SupervisedChildren:
     """Children that a thread starts again when they die; Redis also when it runs and does not answer.
 
     What the thread started dies with it, so it stays, idle, until all of them have ended.

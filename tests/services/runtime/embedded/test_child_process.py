@@ -13,12 +13,14 @@ from pathlib import Path
 
 import psutil
 import pytest
-from redis import AuthenticationError, Redis
+from redis import AuthenticationError, Redis, RedisError
 
+from services.runtime.embedded import redis_child
 from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large
 from services.runtime.embedded.errors import PortTakenError
 from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
 from services.runtime.embedded.redis_child import LOOK_S, MISSES, Broker, Pulse, start_redis
+from services.runtime.embedded.supervisor import SupervisedChildren
 from services.runtime.settings import ApiSettings
 from testing.process_states import is_running
 from testing.refusals import refused_as
@@ -163,6 +165,26 @@ def test_a_redis_that_hangs_is_killed_and_one_that_answers_is_not(tmp_path: Path
         until(lambda: broker.child.revive() or broker.child.exit_code is None)
     assert len(told) == 1
     assert "did not answer" in told[0]
+
+
+def test_the_supervisor_starts_a_hung_redis_again(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(redis_child, "LOOK_S", 0.1)
+    told: list[str] = []
+    with running(tmp_path, told) as broker, Redis.from_url(broker.url) as client:
+        supervised = SupervisedChildren((broker.child,), told.append, Pulse(broker, told.append))
+        supervised.start()
+        os.kill(broker.child.pid, signal.SIGSTOP)
+        until(lambda: any("started again, process" in line for line in told))
+        supervised.stop()
+        until(lambda: is_answering(client))
+        supervised.kill()
+
+
+def is_answering(client: Redis) -> bool:
+    try:
+        return bool(client.ping())
+    except RedisError:
+        return False
 
 
 def test_a_second_server_is_told_the_process_and_the_url(tmp_path: Path) -> None:
