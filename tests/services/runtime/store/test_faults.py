@@ -5,10 +5,15 @@ from pathlib import Path
 import pytest
 
 from services.runtime.access.users import create_user
+from services.runtime.jobs.errors import JobCancelledError
 from services.runtime.orm import Blob, CalibrationRow, StoreFault
 from services.runtime.platform import Platform
 from services.runtime.store.blobs import keep, link, prepare
-from services.runtime.store.faults import count_of_faults, fault_of, note, note_served, noted_faults
+from services.runtime.store.faults import comparing, count_of_faults, fault_of, note, note_served, noted_faults
+from services.runtime.store.folder import FolderStore
+from stone.errors import PlatformFaultError, Refused
+from testing.refusals import refused_as
+from testing.worlds.decay import decay
 
 CONTENT = b"a recording of the forest\n" * 999
 
@@ -79,3 +84,29 @@ def test_a_fault_is_shown_with_what_needs_the_object_until_the_blob_is_gone(anyw
     with anywhere.database.reading() as session:
         assert noted_faults(session) == []
         assert session.query(StoreFault).count() == 1, "the scrub forgets it"
+
+
+def test_a_refusal_is_the_platforms_fault_if_what_was_read_differs(
+    anywhere: Platform, blob: Blob, tmp_path: Path
+) -> None:
+    read = ([blob.object_key], "the recording")
+    with refused_as("corrupt"), comparing(anywhere.store, anywhere.database, *read):
+        raise Refused("corrupt", "it is")
+    decay(anywhere, blob.object_key)  # of a bucket: the copy on this machine
+    with refused_as("object_damaged"), comparing(anywhere.store, anywhere.database, *read):
+        raise Refused("corrupt", "it is")
+    with anywhere.database.reading() as session:
+        is_in_folder = isinstance(anywhere.store, FolderStore)
+        assert [one.fault for one in noted_faults(session)] == ["bytes"] * is_in_folder
+    assert (anywhere.store.local(blob.object_key).read_bytes() == CONTENT) != is_in_folder
+
+
+@pytest.mark.parametrize("error", [PlatformFaultError("store_away", "gone"), JobCancelledError("stop"), OSError(5)])
+def test_what_is_no_refusal_is_not_compared(anywhere: Platform, blob: Blob, error: Exception) -> None:
+    decay(anywhere, blob.object_key)
+    with (
+        pytest.raises(type(error)) as raised,
+        comparing(anywhere.store, anywhere.database, [blob.object_key], "the recording"),
+    ):
+        raise error
+    assert raised.value is error
