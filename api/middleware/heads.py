@@ -80,13 +80,24 @@ class BoundedHeads(HttpToolsProtocol):
 
     def pause_writing(self) -> None:
         super().pause_writing()
-        self._stall = self._stall or self.loop.call_later(STALL_S, self.transport.abort)
+        if self._stall is None:
+            self._watch()
 
     def resume_writing(self) -> None:
         super().resume_writing()
         if self._stall is not None:
             self._stall.cancel()
             self._stall = None
+
+    def _watch(self) -> None:
+        self._stall = self.loop.call_later(STALL_S, self._look, self.transport.get_write_buffer_size())
+
+    def _look(self, before_bytes: int) -> None:
+        """While writing is paused nothing is added, so an answer that is taken shrinks."""
+        if self.transport.get_write_buffer_size() < before_bytes:
+            self._watch()
+        else:
+            self.transport.abort()
 
     def _arm(self) -> None:
         self._disarm()

@@ -5,12 +5,14 @@ import socket
 import time
 from collections.abc import Callable, Iterator, MutableMapping
 from contextlib import ExitStack, contextmanager
-from typing import Any
+from functools import partial
+from typing import Any, cast
 from urllib.parse import urlsplit
 
 import httpx
 import pytest
 from structlog.testing import capture_logs
+from uvicorn.protocols.http.flow_control import FlowControl
 
 from api.middleware import heads
 from api.middleware.connections import LINE_S, Connections
@@ -127,8 +129,9 @@ class Clock:
     def __call__(self) -> float:
         return self.now_s
 
-    def later(self, after_s: float, act: Callable[[], None]) -> None:
-        self.due.append((self.now_s + after_s, act))
+    def call_later(self, after_s: float, act: Callable[..., None], *given: Any) -> bool:
+        self.due.append((self.now_s + after_s, partial(act, *given)))
+        return True
 
     def go_on(self, seconds: float) -> None:
         self.now_s += seconds
@@ -144,12 +147,39 @@ def logged() -> Iterator[Logged]:
         yield lines
 
 
+class Buffer:
+    """A transport that a slow client takes an answer from."""
+
+    def __init__(self, size_bytes: int) -> None:
+        self.size_bytes, self.is_aborted = size_bytes, False
+
+    def get_write_buffer_size(self) -> int:
+        return self.size_bytes
+
+    def abort(self) -> None:
+        self.is_aborted = True
+
+
+def test_a_large_answer_is_not_cut_while_a_slow_client_takes_of_it() -> None:
+    clock, buffer = Clock(), Buffer(100)
+    connection: Any = heads.BoundedHeads.__new__(heads.BoundedHeads)
+    connection.loop, connection.transport, connection.flow = clock, buffer, FlowControl(cast(Any, buffer))
+    connection._stall = None
+    connection.pause_writing()
+    for _ in range(100):
+        buffer.size_bytes -= 1
+        clock.go_on(heads.STALL_S)
+    assert not buffer.is_aborted
+    clock.go_on(heads.STALL_S)
+    assert buffer.is_aborted
+
+
 def test_closed_connections_are_told_of_in_one_line_a_minute(logged: Logged) -> None:
     clock = Clock()
     counts = Connections(ApiSettings(), clock)
     for _ in range(150):
         for host in ("2001:db8::1", "2001:db8::2", "198.51.100.7"):
-            counts.note_closed(host, clock.later, is_refused=True)
+            counts.note_closed(host, clock.call_later, is_refused=True)
         clock.go_on(1.0)
     clock.go_on(LINE_S)
     lines = [line for line in logged if line["log_level"] == "warning"]
