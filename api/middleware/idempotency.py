@@ -192,7 +192,7 @@ class Idempotency:
 
 @dataclass
 class _RecordedReply:
-    """The answer, held back until it is kept; one too large to keep goes out as it comes."""
+    """The answer, held back until it is kept; all but the end of one too large to keep goes out as it comes."""
 
     send: Send
     messages: list[Message] = field(default_factory=list)
@@ -200,11 +200,11 @@ class _RecordedReply:
     status: int = 0
 
     async def __call__(self, message: Message) -> None:
-        self.messages.append(message)
         self.status = self.status or message.get("status", 0)
         self.size_bytes += len(message.get("body", b""))
-        if self.size_bytes > MOST_KEPT_BYTES:
+        if self.size_bytes > MOST_KEPT_BYTES and message.get("more_body"):
             await self.pass_on()
+        self.messages.append(message)
 
     @property
     def is_success(self) -> bool:

@@ -3,7 +3,7 @@
 | fence     | by seccomp                      | else by                              |
 |-----------|---------------------------------|--------------------------------------|
 | network   | no socket at all                | a user and network namespace of its own; Landlock: no TCP |
-| processes | no fork, exec, trace or signal  | Landlock: no signal; of a root service's child its own user (`own_user`) |
+| processes | no fork, exec, trace or signal  | Landlock: no signal; a user of its own if root runs the service |
 | writing   | no file is opened for writing   | Landlock; else a file size of zero, where no folder is given |
 | reading   | nothing                         | Landlock: what was given, and the system's own files |
 
