@@ -104,7 +104,7 @@ def test_the_administrators_guide_works_line_by_line(
         said = json.loads(shell.printed[-1])
         (ours,) = answered("benchmarks", "stone")["benchmarks"]
     assert said["scorings"] == 2
-    assert {phase["name"] for phase in ours["phases"]} == {"val", "test", "val-lidar"}
+    assert {phase["name"] for phase in ours["phases"]} == {"val", "test", "test-single", "val-lidar"}
     assert json.loads((tmp_path / "manifest.json").read_text())["sequences"]
 
 
