@@ -21,7 +21,7 @@ from services.runtime.store.free_space import require_room
 from services.runtime.uploads.backends import backend_of
 from services.runtime.uploads.errors import BadMetadataError, upload_too_large
 from services.runtime.uploads.rows import PART, UploadOwner, expiry_ns, is_waiting
-from stone.errors import Refused
+from stone.errors import Refused, StoneError
 
 # The client's declaration of a file to upload, validated.
 #
@@ -95,7 +95,7 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
             elif upload.backend == FOLDER or not platform.settings.store.s3_bucket:
                 reserve_bytes = platform.settings.store.reserve_bytes
                 require_room(platform.settings.uploads_folder, declared.length_bytes, reserve_bytes)
-    except BaseException:
+    except StoneError:  # after any other error the row may be there: a COMMIT whose answer was lost; it needs its bytes
         backend.remove(upload.id)
         raise
     return upload
