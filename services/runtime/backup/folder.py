@@ -7,6 +7,7 @@ A content is written beside its place, flushed and renamed.
 import fcntl
 import hashlib
 import os
+import shutil
 from collections.abc import Iterable, Iterator
 from contextlib import contextmanager
 from dataclasses import dataclass
@@ -46,6 +47,8 @@ class BackupFolder:
             self._lock(descriptor)
             for half in (self.root / STAGING).iterdir():
                 half.unlink()
+            for half in (self.root / SNAPSHOTS).glob(".*"):  # each has a name of its own: no later one replaces it
+                shutil.rmtree(half)
             yield
         finally:
             os.close(descriptor)
