@@ -121,4 +121,6 @@ def test_indices_are_checked_in_this_run() -> None:
 
     few, many = np.zeros(2, np.int64), np.full(4, -1, np.int64)
     with pytest.raises(IndexError):
-        _rehash((few, np.zeros(1, np.uint64)), (many, np.zeros(4, np.uint64)))
+        _rehash(
+            (few, np.zeros(1, np.uint64), few.astype(np.int32)), (many, np.zeros(4, np.uint64), many.astype(np.int32))
+        )
