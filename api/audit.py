@@ -1,6 +1,6 @@
-"""The audit log as requests write it: who did what to what and why.
+"""Audit log entries of requests: the actor, the act, its subject and the reason.
 
-**Conventions.** An act and its line are one transaction; the chain is `services/runtime/access/audit_chain.py`.
+**Conventions.** An act and its line share one transaction. `services/runtime/access/audit_chain.py` keeps the chain.
 """
 
 from collections.abc import Mapping

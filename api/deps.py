@@ -80,7 +80,7 @@ def _key(secret: str) -> bytes:
 
 T = TypeVar("T")
 NEEDING_CALLER = set[object]()
-"""Dependencies that refuse who is not known."""
+"""Dependencies that refuse unauthenticated requests."""
 VISITING = "visitor"
 SAFE = ("GET", "HEAD", "OPTIONS")
 BY_COOKIE = "cookie\n"  # which no header begins with
@@ -155,7 +155,7 @@ def identify(request: Request) -> Caller | None:
 
 
 def identify_again(request: Request) -> Caller:
-    """The caller of a request that is still being answered, as they are now. Raises `UnauthenticatedError`."""
+    """Return the current caller of a request in progress. Raises `UnauthenticatedError`."""
     shown = _shown_credential(request)
     if shown is None:
         raise UnauthenticatedError()
@@ -206,7 +206,7 @@ def require_one(scopes: tuple[str, ...], *accepted: str) -> Callable[..., Awaita
 
 
 def needs_caller(dependency: object) -> bool:
-    """Whether it refuses who is not known."""
+    """Return whether the dependency refuses unauthenticated requests."""
     return dependency in NEEDING_CALLER
 
 
@@ -290,7 +290,7 @@ def _by_session(platform: Platform, secret: str) -> Caller:
 
 
 def check_csrf(request: Request, caller: Caller) -> None:
-    """Raises `CsrfError` if a browser would change something without the CSRF token of its session."""
+    """Raises `CsrfError` if a browser's request changes data without the CSRF token of its session."""
     if not caller.is_session or request.method in SAFE:
         return
     offered = request.headers.get("x-csrf-token", "")

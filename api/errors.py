@@ -76,12 +76,12 @@ def body_too_large(limit_bytes: int) -> ApiError:
 
 
 def body_too_slow(came_bytes: int, within_s: float) -> ApiError:
-    sentence = f"{came_bytes} bytes of the body came within {within_s:.0f} s, and then no more in time; send it again"
+    sentence = f"{came_bytes} bytes of the body arrived in {within_s:.0f} s, and then no more in time; send it again"
     return ApiError("body_too_slow", sentence, {"Connection": "close"})
 
 
 class RefusedBodyError(HTTPException):
-    """A refusal while a body is read: FastAPI passes on no other kind of error from within."""
+    """A refusal while a body is read, as the only kind of error that FastAPI does not replace there."""
 
     def __init__(self, refusal: ApiError) -> None:
         super().__init__(400)

@@ -4,9 +4,9 @@
 too, and `Content-Digest` where the whole is sent. One range is served (206), one
 beyond the end is refused (416), several or malformed ones are answered with the whole, as RFC 9110 §14.2 allows. Bytes
 go from the store to the socket in pieces; the first is read before the status is sent, so a missing object is an error
-and not half an answer. What is sent whole is hashed on the way: if it differs, the last piece is kept back and the
-connection cut, so that nobody takes it for the file. A range cannot be compared with anything. What a user uploaded is
-never rendered by a browser: `attachment`, `nosniff`, `sandbox`.
+and not half an answer. A whole file is hashed while it is sent: if its bytes differ, the last piece is held back and
+the connection is closed, so that no client accepts the file. A single range cannot be compared. Browsers never render
+an uploaded file: `attachment`, `nosniff`, `sandbox`.
 """
 
 import re
@@ -31,7 +31,7 @@ from services.runtime.store.protocol import Store
 from stone_base.label_grid import PAPER, LabelGrid
 
 HASHERS = ThreadPoolExecutor(4, "hash")
-"""Hashes pieces while they are sent."""
+"""Threads that hash pieces while they are sent."""
 ONE_RANGE = re.compile(r"bytes=(\d{0,18})-(\d{0,18})")
 UNSAFE = re.compile(r"[^A-Za-z0-9._-]+")
 STRUCTURED = ("application/json", "application/yaml")
@@ -63,8 +63,8 @@ class StoredFile:
 class ServedFile:
     """Bytes to answer with, of which `read(start, stop)` gives any range in pieces, and how they are called outside.
 
-    `object_keys` are the objects that they come from, none if they were made just now. What `is_lasting` is at its
-    address for good: a browser asks for it once.
+    `object_keys` are the objects that hold the bytes, none if the request generated them. If `is_lasting`, the bytes
+    at this address never change, so a browser requests them once.
     """
 
     size_bytes: int
@@ -105,7 +105,7 @@ def answer_file(request: Request, store: Store, file: StoredFile) -> Response:
 
 
 def read_whole(store: Store, file: StoredFile) -> bytes:
-    """All bytes of a small file. Raises `ObjectDamagedError`, `ObjectMissingError`."""
+    """Return all bytes of a small file. Raises `ObjectDamagedError`, `ObjectMissingError`."""
     begin = file.offset_bytes
     content = b"".join(store.read(file.object_key, begin, begin + file.size_bytes))
     if sha256(content).hexdigest() != file.sha256:
@@ -194,7 +194,10 @@ def _is_same(request: Request, file: ServedFile) -> bool:
 
 
 def _compared(pieces: Iterator[bytes], file: ServedFile, database: Database) -> Iterator[bytes]:
-    """The pieces of the whole, each hashed while it is sent. Raises `ObjectDamagedError` in place of the last one."""
+    """Yield the pieces of the whole file, each hashed while it is sent; the last only if the hash is right.
+
+    Raises `ObjectDamagedError`.
+    """
     digest, hashed, held = sha256(), None, next(pieces, b"")
     for piece in pieces:
         if hashed is not None:
@@ -206,7 +209,7 @@ def _compared(pieces: Iterator[bytes], file: ServedFile, database: Database) -> 
         hashed.result()
     digest.update(held)
     if digest.hexdigest() != file.sha256:
-        if hashed is not None:  # too late for a refusal, with which it would be noted
+        if hashed is not None:  # too late for a refusal, whose handler records the fault
             note_served(database, file.object_keys)
         raise ObjectDamagedError(file.filename, file.object_keys)
     yield held

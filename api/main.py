@@ -1,8 +1,8 @@
 """The FastAPI application: its middleware and routes.
 
-**Conventions.** A request passes, from outside in: `https` where the platform is reached so, `entry` (id, log, metrics,
-security headers, faults), `limits` (rate), `releases` (of clients), `bodies` (sender, size, time), `idempotency`, then
-the router. Routes live under `/api/v1`, a module per noun; probes at the root.
+**Conventions.** A request passes, from outside in: `https` (if the public URL is HTTPS), `entry` (id, log, metrics,
+security headers, faults), `limits` (rate), `releases` (client version), `bodies` (sender, size, time), `idempotency`,
+then the router. Routes live under `/api/v1`, a module per noun; probes at the root.
 """
 
 from collections.abc import AsyncIterator

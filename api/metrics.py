@@ -193,10 +193,10 @@ def status_metrics(now: PlatformStatus) -> Iterator[Metric]:
         yield GaugeMetricFamily("stone_stored_bytes", "Bytes of all blobs", now.figures[STORED_BYTES])
         yield GaugeMetricFamily("stone_stored_blobs", "Blobs in the store", now.figures[STORED_BLOBS])
     yield GaugeMetricFamily("stone_store_faulty_objects", "Objects known to be damaged or lost", now.scrub.faults)
-    yield GaugeMetricFamily("stone_scrub_pass_bytes", "Bytes of the scrub's pass so far", now.scrub.size_bytes)
+    yield GaugeMetricFamily("stone_scrub_pass_bytes", "Bytes read in the current scrub pass", now.scrub.size_bytes)
     if now.scrub.passed_ns is not None:
         passed_s = now.scrub.passed_ns / 1e9
-        yield GaugeMetricFamily("stone_scrub_passed_timestamp_seconds", "End of the scrub's last full pass", passed_s)
+        yield GaugeMetricFamily("stone_scrub_passed_timestamp_seconds", "End of the last full scrub pass", passed_s)
     yield from _workers(now.workers, now.oldest_ready_s)
 
 

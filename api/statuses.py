@@ -29,7 +29,7 @@ PROBLEM_TYPES = {
     "unauthenticated": ProblemType(401, "Not signed in, or the token or session is no longer valid"),
     "wrong_password": ProblemType(401, "The name or the password is wrong"),
     "access_denied": ProblemType(403, "The program was denied, or the approving browser's session has ended"),
-    "browser_only": ProblemType(403, "A token cannot do this, only a person in a signed-in browser"),
+    "browser_only": ProblemType(403, "Only a person in a signed-in browser can do this, not a token"),
     "csrf": ProblemType(403, "The request lacks the CSRF token of the browser's session"),
     "forbidden": ProblemType(403, "The caller is known, but their role or token does not allow this"),
     "frames_hidden": ProblemType(403, "Pictures of frames are not shown where the ground truth is hidden"),
@@ -58,7 +58,7 @@ PROBLEM_TYPES = {
     "sequence_deleted": ProblemType(404, "The sequence was deleted; nothing more is made of it"),
     "upload_missing": ProblemType(404, "There is no such upload, or it is somebody else's"),
     "upload_target_missing": ProblemType(404, "What the upload is meant for does not exist, or is somebody else's"),
-    "body_too_slow": ProblemType(408, "The body came more slowly than at the least rate, or stopped"),
+    "body_too_slow": ProblemType(408, "The body arrived below the minimum rate, or stopped"),
     "receive_timeout": ProblemType(408, "The client sent nothing for too long; what was written before counts"),
     "already_active": ProblemType(409, "The board shows this evaluation version now"),
     "already_in_team": ProblemType(409, "Somebody takes part in the phase with another team already"),
@@ -206,17 +206,17 @@ PROBLEM_TYPES = {
         460, "The bytes of this request are not those that were sent; they were cut off again"
     ),
     "sha256_mismatch": ProblemType(460, "The whole file is not the declared one; it was removed"),
-    "object_damaged": ProblemType(500, "A stored file is not what was stored any more: the platform's fault"),
+    "object_damaged": ProblemType(500, "A stored file is damaged: the platform's fault"),
     "id_token_refused": ProblemType(502, "The ID token is not one that the provider made for this sign-in"),
     "provider_answer": ProblemType(502, "What the provider answered is not what the standard says"),
-    "busy": ProblemType(503, "Too many passwords are checked, programs wait, or bodies are read at this moment"),
+    "busy": ProblemType(503, "Too many password checks, waiting programs or request bodies at this moment"),
     "provider_away": ProblemType(503, "The provider does not answer, or not in time"),
     "reader_interrupted": ProblemType(
         503, "Reading the input was cut short by the machine; perhaps no fault of the input"
     ),
     "store_away": ProblemType(503, "The store did not answer, or answered that it cannot work now"),
     "disk_full": ProblemType(507, "The disk is full; what was written before is kept"),
-    "storage_full": ProblemType(507, "The disk is full up to its reserve; what is declared or made would not fit"),
+    "storage_full": ProblemType(507, "The disk is full up to its reserve; the new files would not fit"),
     "store_full": ProblemType(507, "The store, or the local cache in front of it, has no room left"),
 }
 TITLES_OF_WRONG_STATE: dict[type[StoneError], str] = {

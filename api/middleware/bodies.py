@@ -1,13 +1,14 @@
 """ASGI middleware that bounds request bodies while they are read: size, time, sender and memory.
 
-**Conventions.** Before the first byte is read, the caller is known: whatever a stranger sends to a route that needs a
-caller is refused unread (401), and the routes of strangers (`api/middleware/strangers.py`) read `STRANGERS_BYTES`.
-Others may send `api.body_bytes`, whatever Content-Length says, within `api.body_s` and a second more for every
-`api.body_bytes_per_s` that came (408). What a request holds is part of a budget (`held_bytes.py`, 503) until it ends.
+**Conventions.** The caller is identified before the first byte is read. If a route requires a caller, a body without
+one is refused unread (401). Routes without a caller (`api/middleware/strangers.py`) read at most `STRANGERS_BYTES`.
+Other bodies have at most `api.body_bytes`, whatever their Content-Length. They must arrive within `api.body_s` and one
+more second for every `api.body_bytes_per_s` received (408). The bytes that a request holds count against a budget until
+the request ends (`held_bytes.py`, 503).
 
-Of uploads, pieces of files are bounded by the upload's own length, and written as they come (`api/tus/body_stream.py`).
-Forms may have `uploads.form_bytes`, of which memory holds `SPOOLED_BYTES`; between two of their bytes, as of pieces,
-at most `uploads.idle_s` may pass.
+The upload's own length limits pieces of files, which are written as they arrive (`api/tus/body_stream.py`). Forms may
+have `uploads.form_bytes`, of which memory holds `SPOOLED_BYTES`. Forms and pieces of files may pause for
+`uploads.idle_s` at most.
 """
 
 import asyncio
@@ -35,7 +36,7 @@ SPOOLED_BYTES = MultiPartParser.spool_max_size
 
 @dataclass(frozen=True)
 class _BodyBounds:
-    """The most bytes of a body, and of those that memory holds; a form has no rate but an idle time."""
+    """The limits of a body in all and in memory, in bytes; a form has an idle time instead of a rate."""
 
     most_bytes: int
     held_bytes: int
@@ -44,7 +45,7 @@ class _BodyBounds:
 
 
 class BodyLimit:
-    """An ASGI application that bounds what another may read; `strangers` are (method, path) of strangers' routes."""
+    """An ASGI application that limits another's bodies; `strangers` are (method, path) of routes without a caller."""
 
     def __init__(self, app: ASGIApp, settings: Settings, strangers: Collection[tuple[str, str]]) -> None:
         self._app, self._uploads, self._api, self._strangers = app, settings.uploads, settings.api, strangers
@@ -65,11 +66,11 @@ class BodyLimit:
             body.release()
 
     def due_s(self, begun_s: float, came_bytes: int) -> float:
-        """When more of a body must have come that began then."""
+        """Return the time by which the next bytes of a body are due."""
         return begun_s + self._api.body_s + came_bytes / self._api.body_bytes_per_s
 
     def _bounds_of(self, scope: Scope) -> _BodyBounds | None:
-        """None if the route bounds the body itself."""
+        """Return the limits of the body; None if the route sets its own."""
         if (scope["method"], scope["path"]) in self._strangers:
             return _BodyBounds(STRANGERS_BYTES, STRANGERS_BYTES, is_strangers=True)
         kind = Headers(scope=scope).get("content-type", "").partition(";")[0].strip().lower()
@@ -83,7 +84,7 @@ class BodyLimit:
 
 
 class _BoundedBody:
-    """A receive channel that fails beyond the bounds."""
+    """A receive channel that raises if the body exceeds its limits."""
 
     def __init__(self, sender: str, receive: Receive, bounds: _BodyBounds, limit: BodyLimit) -> None:
         self._sender, self._receive, self._bounds, self._limit = sender, receive, bounds, limit
@@ -104,7 +105,7 @@ class _BoundedBody:
         return message
 
     def release(self) -> None:
-        """Give the bytes back."""
+        """Release the held bytes to the budget."""
         if self._held_bytes:
             self._limit.budget.give_back(self._sender, self._held_bytes)
             self._held_bytes = 0
@@ -136,12 +137,12 @@ class _BoundedBody:
 
 
 async def _sender_of(scope: Scope, bounds: _BodyBounds) -> str:
-    """The user, or the address if strangers may send; empty if the body is not to be read."""
+    """Return the user, or the address if the route needs no caller; empty if the body must stay unread."""
     request = Request(scope)
     try:
         caller = await identify_async(request)
     except UnauthenticatedError:
-        del request.state.caller  # whoever needs it finds out why
+        del request.state.caller  # the route identifies again and reports the reason
         caller = None
     if caller is not None:
         return f"user {caller.user_id}"

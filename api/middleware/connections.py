@@ -1,7 +1,7 @@
-"""Counts of open connections by peer address, and one log line a minute about those that were closed unanswered.
+"""Counts of open connections by peer address, and one log line a minute about connections closed unanswered.
 
-**Conventions.** All addresses of an IPv6 /64 count as one. Proxies that `STONE_API__TRUSTED_PROXIES` names carry the
-connections of many clients, so they are exempt: they bound their own clients. Counts are per process.
+**Conventions.** All addresses of an IPv6 /64 count as one. Proxies in `STONE_API__TRUSTED_PROXIES` carry the
+connections of many clients, so they are exempt and limit their own clients. Counts are per process.
 """
 
 import time
@@ -24,18 +24,18 @@ log = structlog.get_logger(__name__)
 
 
 class Connections:
-    """The open connections of one application; used by its event loop alone."""
+    """The open connections of one application, used only by its event loop."""
 
     def __init__(self, api: ApiSettings, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self.head_s, self._most = api.head_s, api.connections_per_address
-        self._proxies = [ip_network(one) for one in api.proxies]
+        self._proxies = [ip_network(proxy) for proxy in api.proxies]
         self._open, self._closed = Counter[str](), Counter[str]()
         self._now_s, self._silent_until_s = monotonic_s, 0.0
         self._is_due, self._refused = False, 0
         self._descriptors = Descriptors(LINE_S, monotonic_s)
 
     def admit(self, host: str, descriptor: int) -> bool:
-        """Count the connection; False, and not counted, if its address has as many as it may have."""
+        """Count the connection; return False without counting it if its address has reached the limit."""
         self._descriptors.look(descriptor)
         site = site_of(host)
         if self._open[site] >= self._most and not self._is_proxy(host):
@@ -44,14 +44,14 @@ class Connections:
         return True
 
     def leave(self, host: str) -> None:
-        """Take back the count of an admitted connection."""
+        """Remove an admitted connection from the count."""
         site = site_of(host)
         self._open[site] -= 1
         if not self._open[site]:
             del self._open[site]
 
     def note_closed(self, host: str, later: Later, *, is_refused: bool) -> None:
-        """Count a connection that was closed unanswered; `later` calls what writes the line when it is due."""
+        """Count a connection that was closed unanswered, and schedule the log line by `later`."""
         self._closed[site_of(host)] += 1
         self._refused += is_refused
         if not self._is_due:
@@ -59,10 +59,10 @@ class Connections:
             later(max(0.0, self._silent_until_s - self._now_s()), self._report)
 
     def _report(self) -> None:
-        """Write the line about all that were closed since the last one."""
-        clear_contextvars()  # of the request whose end was the reason for this one
+        """Log one line about all connections closed since the last line."""
+        clear_contextvars()  # the context belongs to the request that triggered the line
         ((site, most),) = self._closed.most_common(1)
-        write = log.warning if self._refused else log.info  # browsers open connections that they do not use
+        write = log.warning if self._refused else log.info  # browsers open connections without using them
         count, refused = self._closed.total(), self._refused
         write("connections closed unanswered", count=count, refused=refused, address=site, of_address=most)
         self._closed.clear()

@@ -4,9 +4,9 @@
 would take all memory, and nobody has asked yet who calls. Beyond `MOST_HEAD_BYTES`, and what one read brings more, the
 answer is 431 and the connection ends (RFC 6585 §5). uvicorn's other parser, h11, has the same bound.
 
-A connection has `STONE_API__HEAD_S` for its first complete head, and for each further one from the last answer on; an
-idle one that was answered ends sooner, by uvicorn's own timer. What is left of a body when its request is answered is
-thrown away, within the same time. An answer of which the client takes nothing for `STALL_S` is cut off.
+A connection has `STONE_API__HEAD_S` to complete its first head, and the same time after each answer for the next head.
+uvicorn's own timer closes an idle connection sooner after an answer. The unread rest of an answered request's body is
+discarded within the same time. If a client accepts no byte of an answer for `STALL_S`, the connection is aborted.
 """
 
 import logging
@@ -75,7 +75,7 @@ class BoundedHeads(HttpToolsProtocol):
 
     def on_response_complete(self) -> None:
         super().on_response_complete()
-        if self.cycle.response_complete:  # no further request waits that came with this one
+        if self.cycle.response_complete:  # no pipelined request is waiting
             self._arm()
 
     def pause_writing(self) -> None:
@@ -93,7 +93,7 @@ class BoundedHeads(HttpToolsProtocol):
         self._stall = self.loop.call_later(STALL_S, self._look, self.transport.get_write_buffer_size())
 
     def _look(self, before_bytes: int) -> None:
-        """While writing is paused nothing is added, so an answer that is taken shrinks."""
+        """Abort the connection unless its buffer shrank: while writing is paused, nothing is added to it."""
         if self.transport.get_write_buffer_size() < before_bytes:
             self._watch()
         else:
@@ -109,13 +109,13 @@ class BoundedHeads(HttpToolsProtocol):
             self._deadline = None
 
     def _end(self) -> None:
-        """The time for a head is over."""
-        if self.flow.write_paused:  # `pause_writing` bounds that
+        """Close the connection, because the time for a head is over."""
+        if self.flow.write_paused:  # `pause_writing` limits the wait
             self._arm()
             return
         if not self.transport.is_closing():
             self._close(TOO_SLOW if self._is_in_head and self._head_bytes else b"", is_refused=False)
-        self._deadline = self.loop.call_later(STALL_S, self.transport.abort)  # the end of an answer may stand unread
+        self._deadline = self.loop.call_later(STALL_S, self.transport.abort)  # the end may stay unread
 
     def _close(self, answer: bytes, *, is_refused: bool) -> None:
         self.transport.write(answer)
@@ -124,7 +124,7 @@ class BoundedHeads(HttpToolsProtocol):
 
 
 def _is_no_line_of_a_stranger(record: logging.LogRecord) -> bool:
-    """uvicorn logs each connection that sends no HTTP; `Connections` counts them."""
+    """Return False for uvicorn's line about a connection that sends no HTTP; `Connections` counts them."""
     return record.msg != "Invalid HTTP request received."
 
 
@@ -132,7 +132,7 @@ logging.getLogger("uvicorn.error").addFilter(_is_no_line_of_a_stranger)
 
 
 def _connections_of(app: Any) -> Connections:
-    """The counts of the application that uvicorn has wrapped."""
+    """Return the connection counts of the application that uvicorn has wrapped."""
     while not hasattr(app, "state"):
         app = app.app
     counts: Connections = app.state.connections

@@ -1,7 +1,7 @@
-"""A budget of the bytes of request bodies that this process holds, of all senders and of each.
+"""A budget of the bytes of request bodies that this process holds, in total and per sender.
 
-**Conventions.** Used by one event loop. A sender is a user, or an address of nobody known, and has `1/SHARES` of the
-budget: one of them cannot use it up for the others. `OVERHEAD_BYTES` is what a request holds before its body.
+**Conventions.** Used by one event loop. A sender is a user, or the address of a request without a caller. Each sender
+has `1/SHARES` of the budget, so no sender can use it up. `OVERHEAD_BYTES` is the size of a request without its body.
 """
 
 from collections import Counter
@@ -13,7 +13,7 @@ OVERHEAD_BYTES = 16 * 2**10
 
 
 class BodyBudget:
-    """The bytes that are held now, by sender."""
+    """The held bytes, by sender."""
 
     def __init__(self, most_bytes: int, largest_bytes: int) -> None:
         self._most_bytes = most_bytes
@@ -22,7 +22,7 @@ class BodyBudget:
         self.held_bytes = 0
 
     def take(self, sender: str, size_bytes: int) -> None:
-        """Hold so many more. Raises `busy`."""
+        """Hold `size_bytes` more for the sender. Raises `busy`."""
         of_sender = self._held_bytes[sender] + size_bytes
         if self.held_bytes + size_bytes > self._most_bytes or of_sender > self._share_bytes:
             self._forget(sender)
@@ -41,4 +41,4 @@ class BodyBudget:
 
 
 def bodies_held() -> ApiError:
-    return ApiError("busy", "too many bodies of requests are under way, of yours or of all; try again in a moment")
+    return ApiError("busy", "your request bodies, or those of all users, take too much memory; try again in a moment")

@@ -1,12 +1,12 @@
 """Idempotency-Key middleware: a creating request sent twice is executed once and answered twice the same.
 
-**Conventions.** Any POST under `/api/v1` by a known caller may carry a key of 1 to 128 visible ASCII characters, which
-is the caller's own, per path, role and scopes, for a day: no answer is repeated to a credential that may do less than
-the first one. A browser's request without its CSRF token is not looked up, and the route refuses it. What is repeated:
-answers below 400, with `Idempotency-Replayed: true`. Refusals and faults changed nothing and are not kept, so the same
-key may try again. Another body under the same key: 422. While the first is being worked on: 409. An answer that says
-`no-store` or sets a cookie holds a secret; it is not kept, and its repetition is a 409 that says so. A JSON body is
-part of what identifies a request; of a form or of pieces of a file only the head is.
+**Conventions.** Any POST under `/api/v1` by a known caller may carry a key of 1 to 128 visible ASCII characters. A key
+belongs to one caller, path, role and set of scopes for a day, so no credential with fewer rights receives the answer. A
+browser's request without its CSRF token is not looked up, and the route refuses it. Answers below 400 are repeated,
+with `Idempotency-Replayed: true`. Refusals and faults changed nothing and are not kept, so the same key may be used
+again. Another body with the same key: 422. A repetition while the first request is in progress: 409. An answer with
+`no-store` or a cookie holds a secret; it is not kept, and its repetition is a 409 with this reason. A JSON body
+identifies a request; of a form or a piece of a file only the head does.
 """
 
 import re
@@ -192,7 +192,7 @@ class Idempotency:
 
 @dataclass
 class _RecordedReply:
-    """The answer, held back until it is kept; all but the end of one too large to keep goes out as it comes."""
+    """The answer, held back until it is kept; an answer too large to keep is sent as it comes, except its end."""
 
     send: Send
     messages: list[Message] = field(default_factory=list)
@@ -300,7 +300,7 @@ async def _pieces(receive: Receive) -> AsyncIterator[bytes]:
 
 
 def _route_of(scope: Scope, caller: Caller) -> str:
-    """What is asked for, by somebody who may do what."""
+    """Return the sha256 of the path and of the caller's rights."""
     allowed = "\n".join([scope["path"], caller.role, *sorted(caller.scopes)])
     return sha256(allowed.encode()).hexdigest()
 

@@ -120,12 +120,12 @@ def credential_of(request: Request) -> str:
 
 
 def address_of(request: Request) -> str:
-    """The address that the request comes from, as limits count it."""
+    """Return the address of the request's client, as limits count it."""
     return f"address {site_of(request.client.host if request.client else '')}"
 
 
 def site_of(host: str) -> str:
-    """The address, or the /64 of an IPv6 one, which is what one site has; a host that is no address as it is."""
+    """Return an IPv4 address, the /64 of an IPv6 address (one site has it), or any other host unchanged."""
     try:
         address = ipaddress.ip_address(host)
     except ValueError:

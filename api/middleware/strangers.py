@@ -1,4 +1,4 @@
-"""The routes that read a body of whom they do not know: found by their dependencies, named nowhere."""
+"""The routes that read bodies without a caller, derived from their dependencies."""
 
 from collections.abc import Iterable, Iterator
 
@@ -10,9 +10,9 @@ from api.deps import needs_caller
 
 
 def strangers_routes(routers: Iterable[APIRouter], prefix: str) -> frozenset[tuple[str, str]]:
-    """(method, path) of every route with a body none of whose dependencies refuses who is not known.
+    """Return (method, path) of every route with a body whose dependencies all accept unauthenticated requests.
 
-    Their paths have no parameters, so that a request is compared with them as they are.
+    Their paths have no parameters, so a request's path is compared with them literally.
     """
     routes = [route for router in routers for route in router.routes if isinstance(route, APIRoute)]
     open_to_all = [route for route in routes if route.body_field and not any(map(needs_caller, _calls(route)))]
@@ -20,10 +20,10 @@ def strangers_routes(routers: Iterable[APIRouter], prefix: str) -> frozenset[tup
 
 
 def _calls(route: APIRoute) -> Iterator[object]:
-    return (one.call for one in _below(route.dependant))
+    return (dependant.call for dependant in _below(route.dependant))
 
 
 def _below(dependant: Dependant) -> Iterator[Dependant]:
     yield dependant
-    for one in dependant.dependencies:
-        yield from _below(one)
+    for dependency in dependant.dependencies:
+        yield from _below(dependency)

@@ -3,9 +3,9 @@
 **Conventions.** `id` is the version of what is followed; who comes back with it as Last-Event-ID is told what is new
 since, if anything. An event's data is the job, sequence or submission as its GET route shows it; `event` is
 `progress`, or `ended` for the last one. Who asks again for what has ended and was seen is answered 204, which ends a
-browser's reconnecting. A stream lasts `LONGEST_S` at most. Before each event and each sign of life the caller is
-identified again and the subject looked up as the route does: a stream ends with its credential, with its user's access
-and with the caller's sight of the subject.
+browser's reconnecting. A stream lasts `LONGEST_S` at most. Before each event and each heartbeat the caller is
+identified again, and the subject is looked up as its route does. A stream ends with its credential, with its user's
+access, or when the subject is no longer visible to the caller.
 """
 
 import time
@@ -165,7 +165,7 @@ async def _events(
         async for snapshot in snapshots:
             is_shown = await _asked_again(is_shown_still, until_s)
             if snapshot is not None and snapshot.is_over and is_shown is False:
-                snapshot = StreamSnapshot(snapshot.version, "{}", is_over=True)  # deleted, or the caller's no longer
+                snapshot = StreamSnapshot(snapshot.version, "{}", is_over=True)  # deleted, or no longer visible
             elif not is_shown:
                 return
             yield KEEPALIVE_COMMENT if snapshot is None else _event(snapshot)
@@ -174,9 +174,9 @@ async def _events(
 
 
 async def _asked_again(is_shown_still: Callable[[], bool], until_s: float) -> bool | None:
-    """Whether the subject is still shown to the caller; None if their credential has ended.
+    """Return whether the subject is still visible to the caller; None if their credential has ended.
 
-    While the database is away nothing is sent.
+    While the database is unavailable, nothing is sent.
     """
     while time.monotonic() < until_s:
         try:

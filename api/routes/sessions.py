@@ -47,7 +47,7 @@ def sign_in(body: SignInBody, request: Request, response: Response, platform: Pl
         log.warning("sign-in refused", name=user.name if user else "")  # no name: perhaps a password in the wrong field
         raise wrong_password()
     with platform.database.transaction() as session:
-        if issuing.lock_user(session, user.id).password_hash != user.password_hash:  # changed while it was checked
+        if issuing.lock_user(session, user.id).password_hash != user.password_hash:  # it changed during the check
             raise wrong_password()
         login_throttle.take_back(session, tried, user.id)
         opened = sessions.open_session(session, user, platform.settings.api.session_s)
@@ -80,8 +80,8 @@ def browsers(caller: Reader, platform: PlatformDep) -> list[BrowserItem]:
 
 @router.delete("/sessions/others", status_code=204, summary="Sign all one's other browsers out")
 def sign_others_out(caller: AccountHolder, platform: PlatformDep) -> None:
-    """All but the browser that asks; asked with a token, all of them. Programs that one of them approved and that have
-    not fetched their token get none."""
+    """Sign out all browsers but the calling one; a call with a token signs out all of them. If one of them approved a
+    program that has not fetched its token, the program gets none."""
     with platform.database.transaction() as session:
         closed = end_browsers(session, caller.user_id, caller.credential_id)
         audit.record(session, caller, "session.close_others", caller.user_id, facts={"closed": closed})

@@ -1,8 +1,8 @@
 """Routes of API tokens: issue, list, revoke.
 
-**Conventions.** `services/runtime/access/issuing.py` bounds what a caller may grant. Issuing and revoking need the
-scope `account`, which a browser's session has; any token may end itself. The secret is in the answer to its making and
-nowhere else.
+**Conventions.** `services/runtime/access/issuing.py` bounds what a caller may grant. Issuing and revoking require the
+scope `account`, which a browser's session has; any token may revoke itself. Only the answer that creates a token
+contains its secret.
 """
 
 from fastapi import APIRouter, Response
@@ -57,7 +57,7 @@ def revoke(token_id: IdPath, caller: AccountHolder, platform: PlatformDep) -> No
 
 
 def authority_of_caller(session: Session, caller: Caller, longest_s: float) -> Authority:
-    """What the caller's credential may authorise. Raises `UnauthenticatedError` if it has ended meanwhile."""
+    """Return the authority of the caller's credential. Raises `UnauthenticatedError` if it has ended."""
     of_credential = issuing.authority_of_session if caller.is_session else issuing.authority_of_token
     authority = of_credential(session, caller.credential_id, longest_s)
     if authority is None:

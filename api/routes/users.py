@@ -96,8 +96,8 @@ def revoke_token(
 def revoke_credentials(user_id: IdPath, body: ReasonBody, caller: Administrator, platform: PlatformDep) -> RevokedItem:
     """Whatever uses them is answered 401 from now on. The credential that asks is spared, and the password stays.
 
-    A token that asks and was made by one of them ends with that. Programs that were approved and have not fetched their
-    token get none; unused invitations into teams and links in e-mails end too.
+    If another token created the calling token, both end. Approved programs that have not fetched their token get none.
+    Unused invitations into teams and links in e-mails end too.
     """
     with platform.database.transaction() as session:
         user_of(session, user_id, is_locked=True)

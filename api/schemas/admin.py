@@ -191,9 +191,10 @@ MOST_SCORINGS = 10_000
 
 
 class AlarmItem(Answer):
-    """Something to look at: `equal_content` and `near_equal_teams` across teams, `near_equal` within one team's day,
-    `impossible_counts` if counting a sound file broke off or gave counts that no prediction has, and `late_as_good` of
-    an entry that is as good in voxels that only later sweeps observed.
+    """A finding to review: `equal_content` and `near_equal_teams` across teams, `near_equal` within one team's day.
+
+    `impossible_counts`: counting a sound file failed, or gave counts that no prediction has. `late_as_good`: an entry
+    is as good in voxels that only later sweeps observed as elsewhere.
 
     `facts` name the submissions; `differing_ratio` is the least share of the evaluated voxels by which two differ.
     """

@@ -94,7 +94,7 @@ class MeItem(Answer):
 
 
 class PasswordBody(Body):
-    """One's own password, old and new; `ends_tokens` ends all other credentials too, as after a theft."""
+    """The caller's own password, old and new; `ends_tokens` also ends all other credentials, as after a theft."""
 
     model_config = example(current=PASSWORD, new="another horse, another battery")
 

@@ -82,7 +82,7 @@ class RulesBody(Body):
 class NewPhaseBody(RulesBody):
     """A phase to be: of which part of which version, what is evaluated, under which rules.
 
-    With `every_nth` its inputs are one frame in so many, without poses, stamps or order.
+    With `every_nth`, its inputs are one frame in `every_nth`, without poses, stamps or order.
     """
 
     model_config = example(**NEW_PHASE_EXAMPLE)

@@ -3,7 +3,7 @@
 **Conventions.** A request holds two blocks at most, whatever the client sends and however slow the disk is. All work on
 disk and database is done in threads of this module's own, so that a stalled disk stalls uploads and nothing else; the
 last block is written, the upload ended and its offset read by one of them, since each costs as much as a statement.
-After `WAITING_S` what came is written: the bytes of a client that pauses are on disk, not in memory.
+After `WAITING_S` the received bytes are written: the bytes of a pausing client are on disk, not in memory.
 """
 
 import asyncio
@@ -123,7 +123,7 @@ class _BlockWriter:
         return self._pieces
 
     def stop(self) -> None:
-        """Begin no more to write."""
+        """Start no further write."""
         if self._due is not None:
             self._due.cancel()
             self._due = None
@@ -140,7 +140,7 @@ class _BlockWriter:
         self._begin()
 
     def _write_waiting(self) -> None:
-        """What has come is written; while a write is under way, what comes is written after another `WAITING_S`."""
+        """Write the received bytes; during a write, later bytes are written after another `WAITING_S`."""
         self._due = None
         if self._writing is None or (self._writing.done() and not self._writing.exception()):
             self._begin()

@@ -62,7 +62,7 @@ def list_label_sets(sequence_id: IdPath, caller: Reader, platform: PlatformDep, 
 
 @router.delete("/label-sets/{label_set_id}", status_code=204, responses=refusals(403, 404, 409))
 def remove_label_set(sequence_id: IdPath, label_set_id: IdPath, caller: Curator, platform: PlatformDep) -> None:
-    """Delete a label set on which nothing relies, with its comparisons and its playback, and give its bytes back."""
+    """Delete a label set that nothing relies on, with its comparisons and its playback, and free its storage."""
     with platform.database.transaction() as session:
         labels = label_set_of(session, caller, sequence_id, label_set_id)
         facts = {"sequence_id": labels.sequence_id, "recipe": labels.recipe}

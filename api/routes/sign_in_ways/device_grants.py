@@ -1,8 +1,8 @@
 """Routes by which a program signs in with a browser's help (RFC 8628): ask for codes, approve, take the token.
 
 **Conventions.** A program that is nobody yet asks for two codes, shows one to a person, and asks with the other until
-they decided at `/device`. Only a browser's session approves: a token is a program's, and would make another that
-outlives it. What the token may is bounded by what the approver may.
+they decided at `/device`. Only a browser's session approves: a token belongs to a program, and would create
+another token that outlives it. A token never has more rights than its approver.
 """
 
 from fastapi import APIRouter, Request, Response
@@ -37,8 +37,8 @@ def begin(body: DeviceBody, request: Request, response: Response, platform: Plat
 
 @router.post("/decision", status_code=204, summary="Approve or deny a program", responses=refusals(404, 409))
 def decide(body: DeviceDecision, caller: AccountHolder, request: Request, platform: PlatformDep) -> None:
-    """Approved, it gets a token of the caller's, of those of its scopes that they hold; until it fetches the token, it
-    loses the approval with the browser's session. 403 `browser_only` for a token that approves."""
+    """An approved program gets a token of the caller, with the requested scopes that the caller holds. If the browser's
+    session ends before the program fetches the token, it gets none. A token cannot approve (403 `browser_only`)."""
     if body.approves and not caller.is_session:
         sentence = "a token cannot approve a program; open /device in a browser in which you are signed in"
         raise ApiError("browser_only", sentence)
