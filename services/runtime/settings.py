@@ -63,9 +63,9 @@ class DatabaseSettings:
 class StoreSettings:
     """Where blobs live; an empty `s3_bucket` means the folder `store` in the data folder.
 
-    The sweeper reads `scrub_bytes_per_s` and compares them with their sha256 (the default: 1 TB a month; 0: nothing),
-    of a bucket only if `scrubs_bucket`.
-    Uploads, the files of jobs, the cache and backups leave `reserve_bytes` of the disk free; 0 is the larger of a
+    The sweeper reads stored bytes at `scrub_bytes_per_s` and compares them with their sha256 (default: 1 TB a month; 0:
+    nothing); it reads a bucket only with `scrubs_bucket`.
+    Uploads, the files of jobs, the cache and backups leave `reserve_bytes` of the disk free; 0 means the larger of a
     twentieth of the disk and 2 GiB.
     """
 
@@ -178,14 +178,15 @@ class ApiSettings:
 
     `trusted_proxies` are the addresses and networks (CIDR) of the proxies in front, between blanks or commas. Who asks
     is then the right-most address of `X-Forwarded-For` that is not one of them: what stands left of it anybody can
-    write. Name the proxies and nothing else: rates and waits are by that address. Empty: the header is not read, from
-    this machine neither, since any account on it could send one.
+    write. Name the proxies and nothing else: rates and waits are by that address. Empty: the header is ignored, even
+    from this machine, because any account on it could send one.
 
     A connection has `head_s` for a complete request head. One address (of IPv6 one /64) may have
     `connections_per_address` open in a process; trusted proxies may have more.
 
-    A body that is no upload has `body_s`, and a second more for every `body_bytes_per_s` of it that came. A process
-    holds `held_body_bytes` of unanswered requests at most; one user, or one address without one, a quarter of it.
+    A body other than an upload must arrive within `body_s`, and one more second for every `body_bytes_per_s` received.
+    A process holds at most `held_body_bytes` of unanswered requests; a user, or an address without a user, may take a
+    quarter of it.
     """
 
     host: str = "127.0.0.1"
@@ -217,9 +218,9 @@ class ApiSettings:
 
 @dataclass(frozen=True)
 class RetentionSettings:
-    """How long what nobody asked to be deleted is kept. Lines of the audit log older than `audit_s` go, and the chain
-    goes on from where it was cut; 0 keeps them for ever. Of each sequence the newest `label_sets` stay, and besides
-    those on which an export, a version, a phase or others' view relies; 0 keeps all."""
+    """Automatic deletion. Lines of the audit log older than `audit_s` are deleted, and the chain continues from the
+    cut; 0 keeps them for ever. Each sequence keeps its newest `label_sets` label sets, and every label set that an
+    export, a version, a phase or another user's view relies on; 0 keeps all."""
 
     audit_s: Annotated[float, Field(ge=0)] = 0.0
     label_sets: Annotated[int, Field(ge=0)] = 0

@@ -86,7 +86,7 @@ BOUNDS = (
     Bound("workers", 0, "no worker starts (0 is one for every core)"),
     Bound("database.pool_size", 1, "connections are not bounded, or there is none"),
     Bound("store.grace_s", 0, "files are deleted before the row that names them is written"),
-    Bound("store.scrub_bytes_per_s", 0, "nothing is read backwards; 0 reads nothing"),
+    Bound("store.scrub_bytes_per_s", 0, "a rate cannot be negative; 0 reads nothing"),
     Bound("broker.visibility_timeout_s", 1, "a message is delivered over and over"),
     Bound("jobs.lease_s", 0, "every attempt is lost as it begins", is_above=True),
     Bound("jobs.heartbeat_s", 0, "workers do nothing but beat", is_above=True),
@@ -111,7 +111,7 @@ BOUNDS = (
     Bound("api.connections_per_address", 1, "every connection is refused"),
     Bound("api.body_bytes", 1, "every request with a body is refused"),
     Bound("api.body_s", 0, "every request with a body is refused", is_above=True),
-    Bound("api.body_bytes_per_s", 1, "there is no such rate"),
+    Bound("api.body_bytes_per_s", 1, "a rate must be positive"),
     Bound("api.requests_per_minute", 1, "every request is refused"),
     Bound("api.sign_ins_per_minute", 1, "nobody can sign in"),
     Bound("api.session_s", 0, "whoever signs in is signed out", is_above=True),
@@ -185,7 +185,7 @@ def _contradictions(settings: "Settings") -> Iterator[str]:
     if settings.api.held_body_bytes < 2 * settings.api.body_bytes:
         yield (
             f"STONE_API__HELD_BODY_BYTES is {settings.api.held_body_bytes} and must be at least twice "
-            f"STONE_API__BODY_BYTES, {settings.api.body_bytes}: otherwise the largest body is never taken"
+            f"STONE_API__BODY_BYTES, {settings.api.body_bytes}: otherwise the largest body is always refused"
         )
     yield from _untrustworthy(settings.api.proxies)
     yield from provider_contradictions(settings.oidc, settings.api.passwords)

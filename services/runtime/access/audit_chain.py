@@ -1,10 +1,10 @@
-"""The audit log: who did what to what and why, in append-only lines chained by hashes.
+"""The audit log: actor, act, subject and reason, in append-only lines chained by hashes.
 
 **Conventions.** `hash` = sha256 of the canonical JSON (sorted keys, no spaces, UTF-8) of the line with `previous`, the
-hash before it ("" for the first); numbers count from 1. An act and its line are one transaction. The line is written
-last, just before the commit, under a lock that every writer takes, so two at once make two links of one chain; the lock
-is held for moments only and, being the last, deadlocks with nothing. Who cuts the tail off is found out by whoever
-noted the head (`GET /admin/audit-log/verification`, and the process's own log).
+hash before it ("" for the first); numbers count from 1. An act and its line share one transaction. The line is
+written last, just before the commit, under a lock that every writer takes, so two writers at once add two links to one
+chain. The lock is held briefly and is the last one taken, so it causes no deadlock. A noted head reveals a removed tail
+(`GET /admin/audit-log/verification`, and the process's own log).
 """
 
 import json
@@ -24,14 +24,14 @@ LOCK = 0x4155444954  # "AUDIT": the advisory lock's number, shared by every proc
 AT_A_TIME = 500
 PENDING = "audit_entries"
 PLATFORM = "platform"
-"""The actor of what a setting has done, without a person."""
+"""The actor of acts that a setting causes, without a person."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class AuditHead:
-    """The last line of the chain; number 0 and an empty hash where there is none."""
+    """The last line of the chain; number 0 and an empty hash if there is none."""
 
     number: int
     hash: str
@@ -47,15 +47,15 @@ def append(session: Session, entry: AuditEntry, facts: Mapping[str, Any] | None 
 
 
 def append_own(session: Session, act: str, subject_id: str, facts: Mapping[str, Any]) -> None:
-    """Add a line for what the platform does by itself, as its settings say."""
+    """Add a line for an act that the platform performs automatically, by its settings."""
     entry = AuditEntry(act=act, subject_id=subject_id, reason="", actor_id="", actor=PLATFORM, request_id="")
     append(session, entry, facts)
 
 
 def verify(session: Session) -> int | None:
-    """The number of the first line that does not follow from the one before it; None when all do.
+    """Return the number of the first line that does not follow from its predecessor; None if all do.
 
-    Lines are counted on from the anchor where the log was cut.
+    The check starts at the anchor of the log's last cut.
     """
     begin = cut(session)
     previous, expected = begin.hash, begin.number + 1
@@ -72,20 +72,20 @@ def head(session: Session) -> AuditHead:
 
 
 def cut(session: Session) -> AuditHead:
-    """The last line that was kept as long as lines are (`services/runtime/access/retention.py`), where there is one."""
+    """Return the last line that retention deleted (`services/runtime/access/retention.py`), or number 0 if none was."""
     anchor = session.scalars(select(AuditAnchor).order_by(AuditAnchor.number.desc()).limit(1)).one_or_none()
     return AuditHead(anchor.number, anchor.hash) if anchor else AuditHead(0, "")
 
 
 def hash_of(entry: AuditEntry, previous: str) -> str:
-    """The link of this line to `previous`."""
+    """Return the hash that links this line to `previous`."""
     names = ("number", "actor_id", "actor", "act", "subject_id", "reason", "facts", "request_id", "logged_ns")
     line = {name: getattr(entry, name) for name in names} | {"previous": previous}
     return sha256(canonical(line).encode()).hexdigest()
 
 
 def canonical(value: Mapping[str, Any]) -> str:
-    """One text per value. Raises `ValueError` for NaN and infinities."""
+    """Return the canonical JSON text of a value. Raises `ValueError` for NaN and infinities."""
     return json.dumps(value, sort_keys=True, separators=(",", ":"), ensure_ascii=False, allow_nan=False)
 
 
@@ -96,7 +96,7 @@ def _write(session: Session) -> None:
     session.flush()
     if session.get_bind().dialect.name == "postgresql":
         session.execute(text("SELECT pg_advisory_xact_lock(:number)"), {"number": LOCK})
-    # SQLite needs no lock: a writing transaction holds the only write lock there is since its BEGIN.
+    # SQLite needs no lock: a writing transaction holds the only write lock from its BEGIN on.
     last = head(session)
     for entry in entries:
         entry.number = last.number + 1
@@ -110,8 +110,8 @@ def _write(session: Session) -> None:
 def _all(session: Session) -> Iterator[AuditEntry]:
     after = 0
     while True:
-        some = select(AuditEntry).where(AuditEntry.number > after).order_by(AuditEntry.number).limit(AT_A_TIME)
-        entries = session.scalars(some).all()
+        page = select(AuditEntry).where(AuditEntry.number > after).order_by(AuditEntry.number).limit(AT_A_TIME)
+        entries = session.scalars(page).all()
         if not entries:
             return
         yield from entries

@@ -3,8 +3,8 @@
 **Conventions.** The program alone holds the device code (256 random bits), with which it asks; the person types the
 user code, `BCDF-GHJK`: eight letters without vowels (34 bits), valid for `LASTS_S`. Both are kept as hashes. Who
 approves sees the program's name, address and scopes; the token has those of the scopes that the approver holds, and
-never `account`. Only a browser's session approves, and its end before the token is fetched ends the grant (the foreign
-key). The token is given out once: the row goes with it.
+never `account`. Only a browser's session approves. If that session ends before the token is fetched, the grant ends too
+(the foreign key). The token is returned once, and the row is deleted with it.
 """
 
 from dataclasses import dataclass
@@ -91,7 +91,7 @@ def scopes_for(grant: DeviceGrant, held: frozenset[str]) -> list[str]:
 
 
 def approve(grant: DeviceGrant, authority: Authority, session_id: str) -> None:
-    """Let the grant become a token of the approver's, if that is fetched before their browser's session ends."""
+    """Approve the grant: until the approver's browser session ends, the program can fetch a token of the approver."""
     grant.scopes, grant.user_id = scopes_for(grant, authority.scopes), authority.user_id
     grant.session_id = session_id
 
@@ -102,7 +102,7 @@ def poll(session: Session, device_code: str, token_s: float) -> DevicePoll:
     seen = session.scalars(found).one_or_none()
     approver_id = seen.user_id if seen else None
     if approver_id:
-        lock_user(session, approver_id)  # first: whoever ends all credentials locks in this order
+        lock_user(session, approver_id)  # first: `end_all` locks in this order
     locked = found.with_for_update(of=DeviceGrant).execution_options(populate_existing=True)
     row = session.scalars(locked).one_or_none()
     now = now_ns()

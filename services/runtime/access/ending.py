@@ -1,9 +1,9 @@
-"""Ending of a user's credentials: every table that can become one is walked here.
+"""Ending of a user's credentials, in every table that holds credentials or their precursors.
 
-**Conventions.** `end_all` leaves nothing by which the user, or a thief, comes in but the password and the provider:
-tokens, browsers, approved programs that have not fetched their token, links that were mailed, invitations into teams.
-`end_browsers` ends browsers with the programs that these approved (the foreign key); tokens that were fetched stay. A
-table with a new kind of secret belongs here (`tests/services/runtime/access/test_ending.py`).
+**Conventions.** After `end_all`, the user, or a thief, can sign in only by the password or the provider. It ends
+tokens, browsers, approved programs that have not fetched their token, mailed links, and invitations into teams.
+`end_browsers` ends browsers with the programs that these approved (the foreign key); fetched tokens stay. A table with
+a new kind of secret belongs here (`tests/services/runtime/access/test_ending.py`).
 """
 
 from dataclasses import dataclass
@@ -17,14 +17,14 @@ from services.runtime.orm import DeviceGrant, EmailAddress, TeamInvitation, Toke
 
 @dataclass(frozen=True)
 class EndedCredentials:
-    """How many tokens and browser sessions ended."""
+    """The numbers of ended tokens and browser sessions."""
 
     tokens: int
     browsers: int
 
 
 def end_all(session: Session, user_id: str, kept_id: str = "") -> EndedCredentials:
-    """End all credentials of a user but the one of `kept_id`, which ends too if one of the others made it."""
+    """End all credentials of a user except `kept_id`, which ends too if another of them created it."""
     browsers = end_browsers(session, user_id, kept_id)
     before = token_count(session, user_id)
     session.execute(delete(Token).where(Token.user_id == user_id, Token.id != kept_id))
@@ -37,7 +37,7 @@ def end_all(session: Session, user_id: str, kept_id: str = "") -> EndedCredentia
 
 
 def end_browsers(session: Session, user_id: str, kept_id: str = "") -> int:
-    """Sign a user out of every browser but the one whose session is `kept_id`; return how many browsers."""
-    session.execute(select(User.id).where(User.id == user_id).with_for_update())  # nobody issues meanwhile
+    """Sign a user out of every browser except the session `kept_id`; return the number of browsers."""
+    session.execute(select(User.id).where(User.id == user_id).with_for_update())  # blocks issuing
     others = delete(WebSession).where(WebSession.user_id == user_id, WebSession.id != kept_id)
     return len(session.scalars(others.returning(WebSession.id)).all())

@@ -1,10 +1,10 @@
-"""Issuing of credentials: the one place that makes tokens and browser sessions, each by an authority.
+"""Issuing of credentials: the only module that creates tokens and browser sessions, each by an authority.
 
-**Conventions.** An `Authority` names the user that authorises a credential, and its bounds. A person who proved
-themselves (password, provider) authorises a browser. A browser's session authorises programs: their tokens last as long
-as any token may, and continue without the browser. A token authorises tokens that have no scope beyond its own, end no
-later, and are deleted with it (the foreign key). `ending` ends all of them. Issuing locks the user's row first, and
-ending locks it exclusively, so that nothing is issued while everything ends.
+**Conventions.** An `Authority` names the user that authorises a credential, and its limits. A person who proved their
+identity (password, provider) authorises a browser. A browser's session authorises programs: their tokens last as long
+as any token may, and outlive the session. A token authorises tokens that have no scope beyond its own, end no later,
+and are deleted with it (the foreign key). `ending` ends all of them. Issuing locks the user's row first, and ending
+locks it exclusively, so that nothing is issued while everything ends.
 """
 
 from dataclasses import dataclass
@@ -28,7 +28,7 @@ Credential = TypeVar("Credential", Token, WebSession)
 
 @dataclass(frozen=True)
 class Authority:
-    """Who authorises a credential: the user, the scopes they hold, its latest end, and the token that it ends with."""
+    """The source of a credential: the user, the scopes they hold, its latest end, and the token that it ends with."""
 
     user_id: str
     scopes: frozenset[str]
@@ -38,7 +38,7 @@ class Authority:
 
 @dataclass(frozen=True)
 class TokenRequest:
-    """The wanted token; None asks for all scopes of the authority but `account`, and for the latest end."""
+    """The requested token; None means all scopes of the authority except `account`, and the latest end."""
 
     name: str
     scopes: frozenset[str] | None = None
@@ -47,7 +47,7 @@ class TokenRequest:
 
 @dataclass(frozen=True)
 class SessionSecrets:
-    """The secrets of a browser session: the cookie's, and the token its scripts repeat in `X-CSRF-Token`."""
+    """The secrets of a browser session: the cookie, and the token that scripts repeat in `X-CSRF-Token`."""
 
     secret: str
     csrf_token: str
@@ -55,12 +55,12 @@ class SessionSecrets:
 
 
 def authority_for(user: User, lasts_s: float) -> Authority:
-    """The authority of the platform itself, for a user who just proved who they are, or whom its operator names."""
+    """Return the platform's authority, for a user who just proved their identity or whom the operator names."""
     return Authority(user.id, frozenset(SCOPES), now_ns() + int(lasts_s * 1e9))
 
 
 def authority_of_token(session: Session, token_id: str, longest_s: float) -> Authority | None:
-    """What a token may authorise now; None if it has ended. Nobody ends it before the transaction does."""
+    """Return the authority of a token; None if it has ended. It cannot end before the transaction does."""
     row = _standing(session, Token, token_id)
     if row is None:
         return None
@@ -69,7 +69,7 @@ def authority_of_token(session: Session, token_id: str, longest_s: float) -> Aut
 
 
 def authority_of_session(session: Session, session_id: str, longest_s: float) -> Authority | None:
-    """As `authority_of_token`, of a browser's session, whose end bounds nothing."""
+    """Return the authority of a browser's session, whose end limits no token; None if it has ended."""
     row = _standing(session, WebSession, session_id)
     if row is None:
         return None
@@ -77,13 +77,13 @@ def authority_of_session(session: Session, session_id: str, longest_s: float) ->
 
 
 def lock_user(session: Session, user_id: str) -> User:
-    """The user as they are now, whose credentials nobody ends before the transaction does."""
+    """Return the user's current row, locked: their credentials cannot end before the transaction does."""
     locked = select(User).where(User.id == user_id).with_for_update(read=True, key_share=True)
     return session.scalars(locked.execution_options(populate_existing=True)).one()
 
 
 def issue_token(session: Session, authority: Authority, wanted: TokenRequest) -> tuple[Token, str]:
-    """The new token's row and its secret, which cannot be shown again. Raises `forbidden`, `shut_out`."""
+    """Create a token; return its row and its secret, which cannot be shown again. Raises `forbidden`, `shut_out`."""
     scopes, expires_ns = _granted_scopes(authority, wanted), _granted_end_ns(authority, wanted)
     secret = PREFIX + token_urlsafe(32)
     row = Token(user_id=_active_user(session, authority).id, name=wanted.name, scopes=scopes, expires_ns=expires_ns)
@@ -94,7 +94,7 @@ def issue_token(session: Session, authority: Authority, wanted: TokenRequest) ->
 
 
 def open_session(session: Session, authority: Authority) -> SessionSecrets:
-    """Sign a browser in; sessions of this user that have expired are deleted. Raises `shut_out`."""
+    """Sign a browser in, and delete the user's expired sessions. Raises `shut_out`."""
     user_id = _active_user(session, authority).id
     session.execute(delete(WebSession).where(WebSession.user_id == user_id, WebSession.expires_ns <= now_ns()))
     opened = SessionSecrets(token_urlsafe(32), token_urlsafe(32), authority.latest_ns)
@@ -108,7 +108,7 @@ def open_session(session: Session, authority: Authority) -> SessionSecrets:
 def refuse_too_many(session: Session, user_id: str) -> None:
     """Raises `conflict` if the user has `MOST_TOKENS` tokens."""
     if token_count(session, user_id) >= MOST_TOKENS:
-        raise Refused("conflict", f"you have {MOST_TOKENS} tokens already; revoke those that are not used")
+        raise Refused("conflict", f"you have {MOST_TOKENS} tokens already; revoke unused tokens")
 
 
 def token_count(session: Session, user_id: str) -> int:
@@ -116,12 +116,12 @@ def token_count(session: Session, user_id: str) -> int:
 
 
 def hash_of(secret: str) -> str:
-    """The stored hash of a secret. 256 random bits cannot be guessed, so no slow hash is needed."""
+    """Return the stored hash of a secret. 256 random bits cannot be guessed, so no slow hash is needed."""
     return sha256(secret.encode()).hexdigest()
 
 
 def _standing(session: Session, kind: type[Credential], credential_id: str) -> Credential | None:
-    """The credential, unless it has ended; locked after its user."""
+    """Return the credential, locked after its user; None if it has ended."""
     user_id = session.scalar(select(kind.user_id).where(kind.id == credential_id))
     if user_id is None:
         return None
@@ -141,7 +141,7 @@ def _active_user(session: Session, authority: Authority) -> User:
 def _granted_scopes(authority: Authority, wanted: TokenRequest) -> list[str]:
     scopes = authority.scopes - {ACCOUNT} if wanted.scopes is None else wanted.scopes
     if not scopes:
-        raise Refused("forbidden", "a token has the scope 'account' only where it is asked for; name it in scopes")
+        raise Refused("forbidden", "a token has the scope 'account' only if the request names it; add it to scopes")
     if not scopes <= authority.scopes:
         beyond = sorted(scopes - authority.scopes)
         raise Refused("forbidden", f"you cannot grant {beyond}; yours are {sorted(authority.scopes)}")

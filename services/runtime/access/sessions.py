@@ -1,4 +1,4 @@
-"""Browser sessions: found by the hash of the cookie's secret, and closed; `issuing` makes them."""
+"""Browser sessions: lookup by the hash of the cookie's secret, and sign-out; `issuing` creates them."""
 
 from sqlalchemy import delete, select, update
 from sqlalchemy.orm import Session
@@ -21,7 +21,7 @@ def is_password_of(user: User | None, password: str) -> bool:
 
 
 def open_session(session: Session, user: User, lasts_s: float) -> SessionSecrets:
-    """Sign a browser in, of a user who just proved who they are. Raises `shut_out`."""
+    """Sign in the browser of a user who just proved their identity. Raises `shut_out`."""
     return issuing.open_session(session, authority_for(user, lasts_s))
 
 

@@ -36,8 +36,10 @@ def reserve(session: Session, owner_id: str, amount: int, subject_id: str, reaso
 
 
 def count(session: Session, owner_id: str, amount: int, subject_id: str, reason: str) -> None:
-    """Take `amount` bytes for the subject, or give back as many as it is negative, whatever the limit is: of what is
-    small and follows from what was asked for."""
+    """Charge `amount` bytes for the subject, or release them if negative, without checking the limit.
+
+    For small files that follow from a permitted request.
+    """
     if amount:
         lock_owner(session, owner_id)
         session.add(_entry(owner_id, amount, subject_id, reason))

@@ -1,4 +1,4 @@
-"""API tokens: found by the hash of their secret, and revoked; `issuing` makes them.
+"""API tokens: lookup by the hash of their secret, and revocation; `issuing` creates them.
 
 **Conventions.** A secret is `stone_` and 32 random bytes in base64url; a lookup is one indexed read of its sha256.
 """
@@ -19,7 +19,7 @@ USED_EVERY_NS = 60 * 10**9
 
 
 def issue(session: Session, user: User, name: str, scopes: Iterable[str], expires_s: float) -> str:
-    """The secret of a new token that the platform itself gives `user`, on its first start or by its operator."""
+    """Return the secret of a new token that the platform creates for `user`, on its first start or by its operator."""
     return issue_token(session, authority_for(user, expires_s), TokenRequest(name, frozenset(scopes)))[1]
 
 

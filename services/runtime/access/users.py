@@ -43,7 +43,7 @@ def find_user(session: Session, name: str) -> User | None:
 
 
 def change_user(session: Session, user: User, role: str | None, is_active: bool | None) -> None:
-    """Give another role, let in, or shut out with all credentials. Raises `unknown_role`, `last_administrator`."""
+    """Change the role; reactivate, or deactivate with all credentials. Raises `unknown_role`, `last_administrator`."""
     if role is not None:
         _refuse_unknown(role)
     loses = (role is not None and role != "administrator") or is_active is False
@@ -57,8 +57,10 @@ def change_user(session: Session, user: User, role: str | None, is_active: bool 
 
 
 def change_password(session: Session, user: User, password_hash: str) -> None:
-    """Set the hash of a new password; every browser that was signed in with the old one is signed out, with the
-    programs that it approved and that have not fetched their token, and no address is known for the user any more."""
+    """Set the hash of a new password, sign out every browser, and forget the user's known addresses.
+
+    Approved programs that have not fetched their token get none.
+    """
     user.password_hash = password_hash
     session.flush()
     forget_addresses(session, user.id)

@@ -215,7 +215,7 @@ def make_backup(platform: Platform, folder: BackupFolder) -> BackupResult:
 
 
 def _require_room(platform: Platform, folder: BackupFolder, rows: Iterable[list[object]]) -> None:
-    """Raises `StorageFullError` where the new contents do not fit; the reserve is kept on the platform's own disk."""
+    """Raises `StorageFullError` if the new contents do not fit; the platform's own disk keeps its reserve."""
     contents = (BackupContent(str(sha256), int(str(size))) for sha256, _, size in rows)
     new_bytes = sum(content.size_bytes for content in contents if not folder.has(content))
     is_ours = folder.root.stat().st_dev == platform.settings.root.stat().st_dev

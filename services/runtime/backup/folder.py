@@ -47,7 +47,7 @@ class BackupFolder:
             self._lock(descriptor)
             for half in (self.root / STAGING).iterdir():
                 half.unlink()
-            for half in (self.root / SNAPSHOTS).glob(".*"):  # each has a name of its own: no later one replaces it
+            for half in (self.root / SNAPSHOTS).glob(".*"):  # names are unique: no later snapshot replaces it
                 shutil.rmtree(half)
             yield
         finally:

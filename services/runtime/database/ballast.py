@@ -1,8 +1,8 @@
-"""The ballast: a file beside SQLite that is given up on a full disk, so that rows which free space can be written.
+"""The ballast: a file beside SQLite that is deleted on a full disk, so that rows that free space can be written.
 
-**Conventions.** It is made where it fits beside the reserve (`services/runtime/store/free_space.py`): as the platform
-starts, and again by the sweeper. Requests alone give it up, for who signs in, deletes, cancels or shuts somebody out
-comes by one; workers and the sweeper never do.
+**Conventions.** It is created if it fits beside the reserve (`services/runtime/store/free_space.py`): when the platform
+starts, and again by the sweeper. Only requests delete it, because users sign in, delete, cancel and deactivate accounts
+by requests; workers and the sweeper never do.
 """
 
 import os
@@ -18,7 +18,7 @@ MOST_BYTES = 64 << 20
 
 
 class Ballast:
-    """The ballast of a data folder: `MOST_BYTES`, but not more than the reserve."""
+    """The ballast of a data folder: `MOST_BYTES`, but at most the reserve."""
 
     def __init__(self, settings: Settings) -> None:
         self.path: Path = settings.root / NAME
@@ -26,7 +26,7 @@ class Ballast:
         self._low_bytes = self._size_bytes() // 2
 
     def make(self) -> bool:
-        """Make it where there is none and it fits beside the reserve; whether it stands."""
+        """Create the file if it is missing and fits beside the reserve; return whether it exists."""
         if self.path.exists():
             return True
         size_bytes = self._size_bytes()
@@ -45,7 +45,7 @@ class Ballast:
         return True
 
     def give_up_if_low(self) -> None:
-        """Give it up as less than half of its size is free, before the next rows are written."""
+        """Delete the file if less than half of its size is free, before the next rows are written."""
         if free_space(self.path.parent).free_bytes < self._low_bytes:
             self.give_up()
 
@@ -57,5 +57,5 @@ class Ballast:
 
 
 def is_full(error: OperationalError) -> bool:
-    """Whether SQLite found no room."""
+    """Return whether SQLite failed because the disk is full."""
     return "disk is full" in str(error)

@@ -1,9 +1,9 @@
-"""Login roles of PostgreSQL, one for each service, which own nothing: made and granted by `prepare`.
+"""PostgreSQL login roles, one for each service, which own nothing; `prepare` creates them and grants their rights.
 
 **Conventions.** The role that prepares owns tables and triggers. `stone_api` and `stone_beat` change rows of every
-table; they change no schema, and no trigger of a table that is only appended to. A worker's role reads rows of every
-table without secrets (`CREDENTIALS`), reads people and benchmarks, and writes what its service writes. PostgreSQL
-checks foreign keys and cascades with the owner's rights, so neither needs a grant.
+table; they change no schema, and no trigger of an append-only table. A worker's role reads rows of every table without
+secrets (`CREDENTIALS`), reads people and benchmarks, and writes the tables of its service. PostgreSQL checks foreign
+keys and cascades with the owner's rights, so neither needs a grant.
 
 Source: PostgreSQL 18, GRANT and "Privileges": SELECT … FOR KEY SHARE requires UPDATE on one column of the table.
 """
@@ -29,7 +29,7 @@ CREDENTIALS = frozenset(
         *("sign_in_guesses", "team_invitations", "tokens", "web_sessions", "webhooks"),
     }
 )
-"""Tables that a credential is kept in or can be made from; no worker reads them."""
+"""Tables that hold credentials or their precursors; no worker reads them."""
 
 PEOPLE = frozenset(
     {"notification_choices", "phase_teams", "profiles", "splits", "split_members", "team_members", "teams"}
@@ -69,16 +69,16 @@ def passwords_of(settings: DatabaseSettings) -> dict[str, str]:
 
 
 def ensure_roles(settings: Settings) -> bool:
-    """Create the services' roles, set their passwords and grant what each needs; return whether there is one.
+    """Create the services' roles, set their passwords and grant their rights; return whether there are any.
 
-    One transaction: no role loses a right in the meantime. Raises `impossible_settings`, also on SQLite.
+    One transaction: no role loses a right during the change. Raises `impossible_settings`, also on SQLite.
     """
     passwords = passwords_of(settings.database)
     if not passwords:
         return False
     with schema_connection(settings) as connection:
         if connection.dialect.name != "postgresql":
-            raise Refused("impossible_settings", "roles of the database need PostgreSQL; unset their passwords")
+            raise Refused("impossible_settings", "database roles require PostgreSQL; unset their passwords")
         for service, password in passwords.items():
             _create(connection, name_of(service), password)
             _grant(connection, service)

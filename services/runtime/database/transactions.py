@@ -50,7 +50,7 @@ class Database:
         self._alone = self.engine if self.is_sqlite else self.engine.execution_options(isolation_level=EACH_ALONE)
         self._wake_up = wake_up
         self.ballast: Ballast | None = None
-        """Given up for a transaction on a full disk; none where the process may not, or nothing is written here."""
+        """The file to delete on a full disk; None if this process must not delete it or writes nothing here."""
 
     @property
     def is_sqlite(self) -> bool:
@@ -68,7 +68,7 @@ class Database:
 
     @contextmanager
     def _ballasted(self) -> Iterator[None]:
-        """Give up the ballast before a transaction as room gets short, and after one that found none for the next."""
+        """Delete the ballast before a transaction if space is low, and after a transaction that found no space."""
         if self.ballast is None:
             yield
             return
@@ -148,7 +148,7 @@ def _engine(settings: Settings) -> Engine:
 
 
 def sqlite_engine(engine: Engine) -> Engine:
-    """The engine, whose connections are prepared and whose transactions begin as `Database` needs it."""
+    """Return the engine, with its connections and the start of its transactions set up for `Database`."""
     event.listen(engine, "connect", _prepare_sqlite)
     event.listen(engine, "begin", _begin_sqlite)
     return engine

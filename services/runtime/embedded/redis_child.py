@@ -3,8 +3,8 @@
 **Conventions.** It listens on 127.0.0.1 only, on a port that was free a moment before, and asks for a password that is
 new at each start and handed over in a file for the owner's eyes: other users of the machine cannot send wake-ups. (A
 unix socket would need no port, but its path may have 107 bytes, and kombu and redis-py spell its URL differently.) An
-append-only file, flushed every second, keeps the wake-ups over a restart. They are no truth, so a damaged file is moved
-aside. A Redis that runs and does not answer is ended, so that the supervisor starts it again.
+append-only file, flushed every second, keeps the wake-ups over a restart. The database is the truth, so a damaged file
+is moved aside. If Redis runs without answering, it is killed, and the supervisor restarts it.
 """
 
 import os
@@ -29,7 +29,7 @@ from stone.errors import Refused
 READY_S = 20.0
 LOOK_S = 2.0
 MISSES = 5
-"""So many pings in a row without an answer, each waited for `LOOK_S`, and it is taken to hang."""
+"""Consecutive pings without an answer, within `LOOK_S` each, after which Redis counts as hung."""
 PORTS = range(15_000, 32_000)
 CONFIGURATION = """\
 bind 127.0.0.1
@@ -54,7 +54,7 @@ class Broker:
 
 
 class Pulse:
-    """Looks whether the broker answers, every `LOOK_S`."""
+    """A check that the broker answers, every `LOOK_S`."""
 
     def __init__(self, broker: Broker, told: ReportCallback) -> None:
         self._child = broker.child
@@ -63,18 +63,18 @@ class Pulse:
         self._misses, self._due_s = 0, 0.0
 
     def look(self, now_s: float) -> None:
-        """Kill what runs and has missed `MISSES` pings."""
+        """Kill a running Redis that missed `MISSES` pings."""
         if now_s < self._due_s:
             return
         self._due_s = now_s + LOOK_S
         self._misses = 0 if self._child.exit_code is not None or self._is_alive() else self._misses + 1
         if self._misses == MISSES:
             self._misses = 0
-            self._told(f"redis runs and did not answer {MISSES} pings in a row; it is killed and started again")
+            self._told(f"redis runs but did not answer {MISSES} consecutive pings; it is killed and restarted")
             self._child.kill()
 
     def _is_alive(self) -> bool:
-        """Whether it answers anything; "loading" is an answer."""
+        """Return whether Redis answers; "loading" is an answer."""
         try:
             return bool(self._client.ping())
         except (RedisConnectionError, RedisTimeoutError, OSError) as error:

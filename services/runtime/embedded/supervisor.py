@@ -181,7 +181,7 @@ def _drain(platform: Platform, quick: tuple[Child, ...], worker: Child, told: Re
 
 
 class SupervisedChildren:
-    """Children that a thread starts again when they die; Redis also when it runs and does not answer.
+    """Children that a thread restarts when they die; Redis also when it runs without answering.
 
     What the thread started dies with it, so it stays, idle, until all of them have ended.
     """

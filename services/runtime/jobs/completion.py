@@ -34,7 +34,7 @@ ONE_LEFT = (
 
 @dataclass(frozen=True)
 class Failure:
-    """The failure of an attempt or a job: a code for programs, a sentence for people, which names no path of ours."""
+    """The failure of an attempt or a job: a code for programs, and a sentence for people without the server's paths."""
 
     code: str
     sentence: str
@@ -68,7 +68,7 @@ def succeed(
         tell_run_succeeded(session, run)
         return True
     if run.state not in TERMINAL:
-        goes_on = _release(session, claim.job_id)  # first: what is added after jobs of this kind counts it as done
+        goes_on = _release(session, claim.job_id)  # first: jobs added after this kind count it as done
         goes_on = bool(add_jobs(session, run, outcome.then, max_attempts)) or goes_on
         if run.cancel_reason:
             cancel_queued(session, run)

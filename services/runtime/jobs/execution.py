@@ -98,7 +98,7 @@ class Reporter:
         self._fall_silent()
 
     def progress(self, stage: str, done: int, total: int) -> None:
-        """Note how far the job is. Raises `JobCancelledError` when it is to stop, `StorageFullError`."""
+        """Record the job's progress. Raises `JobCancelledError` if it must stop, `StorageFullError`."""
         self._stages.enter(stage)
         with self._lock:
             self._progress = progress_now(stage, done, total)
@@ -112,7 +112,7 @@ class Reporter:
             raise JobCancelledError(self._cancel_reason)
 
     def require_room(self) -> None:
-        """Raises `StorageFullError` where a job that writes files without a bound would take from the reserve."""
+        """Raises `StorageFullError` if the reserve is in use and the job writes files without a limit."""
         if queue_of(self._claim.kind) in BULK:
             require_room(self._platform.settings.root, 0, self._platform.settings.store.reserve_bytes)
 
@@ -184,7 +184,7 @@ class Reporter:
         self._beaten = time.monotonic()
         self._cancel_reason = answer.cancel_reason
         space = free_space(self._platform.settings.root, self._platform.settings.store.reserve_bytes)
-        self._is_short_of_room = space.free_bytes < space.reserve_bytes // 2  # what began may end in the upper half
+        self._is_short_of_room = space.free_bytes < space.reserve_bytes // 2  # a started job may use half
         if answer.is_written:
             self._forget(words)
 
@@ -335,7 +335,7 @@ def is_refusal(error: Exception) -> bool:
 def _failure_of(platform: Platform, error: Exception, taken: Claim) -> Failure:
     """The failure as its owner sees it: the words of what raised, unless they might quote what is hidden from them."""
     is_said = isinstance(error, StoneError) or queue_of(taken.kind) not in RETICENT
-    words = str(error) if is_said else "its words are in the log of the attempt"
+    words = str(error) if is_said else "the attempt's log has the message"
     with platform.database.reading() as session:
         words = called_as_uploaded(session, taken.job_id, words)
     if isinstance(error, StoneError):

@@ -13,7 +13,7 @@ if TYPE_CHECKING:  # a graph of jobs is also run where there is no database
 TERMINAL = ("succeeded", "failed", "cancelled")
 RETICENT = ("eval",)
 BULK = ("ingest", "labeler")
-"""Queues whose jobs write files without a bound of their own: they stop at the reserve of the disk."""
+"""Queues whose jobs write files without a limit of their own; these jobs stop at the disk's reserve."""
 
 
 def queue_of(kind: str) -> str:

@@ -2,7 +2,7 @@
 
 **Conventions.** Sending happens after the commit, so it must not raise: the job is safe in the database. One wake-up is
 as good as another, so whoever took a job without one takes any of that queue back, or somebody would look in vain.
-Whoever made the commit waits `DEADLINE_S` at most; after a failure nobody tries for as long again, or they would queue.
+A caller waits `DEADLINE_S` at most. After a failure no caller tries again for the same time, so that none queue up.
 """
 
 import time

@@ -30,8 +30,8 @@ class Phase(Base):
     but rounded totals, until `closes_ns`. `scorings_per_window` and `scorings_total` bound what a team may have scored,
     null for as many as it likes. Team names are shown from `named_from_ns` on. `revision` counts changes (ETag).
 
-    With `every_nth` inputs and ground truth are one frame in so many, without poses, stamps or order, under tokens made
-    with `token_key`; null for all frames as they are.
+    With `every_nth`, inputs and ground truth are one frame in `every_nth`, without poses, stamps or order, under tokens
+    made with `token_key`; null means all frames, unchanged.
     """
 
     __tablename__ = "phases"

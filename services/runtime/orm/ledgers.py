@@ -55,9 +55,9 @@ class AuditAnchor(Base):
 
 
 class IdempotentReply(Base):
-    """The answer to a request that carried an Idempotency-Key; `status` 0 while the first one is being worked on.
+    """The answer to a request that carried an Idempotency-Key; `status` is 0 while the first is in progress.
 
-    `route` is the sha256 of the path and of what the caller may do.
+    `route` is the sha256 of the path and of the caller's rights.
     """
 
     __tablename__ = "idempotent_replies"
@@ -89,11 +89,11 @@ class GcHoldRow(Base):
     until_ns: Mapped[Ns] = mapped_column(index=True)
 
 
-# ORM models of the store's scrub, and of the faults that it or somebody else found.
+# ORM models of the store's scrub, and of the faults that it or another reader found.
 
 
 class StoreScrub(Base):
-    """The pass through all blobs that is under way, one row: `objects` and `size_bytes` up to `after_sha256` are read.
+    """The current pass through all blobs, one row: `objects` and `size_bytes` are read, up to `after_sha256`.
 
     `passed_ns` is the end of the last full pass, null before the first.
     """
@@ -108,7 +108,7 @@ class StoreScrub(Base):
 
 
 class StoreFault(Base):
-    """A blob whose object is not what its row says; no foreign key, or the fault would hold the blob.
+    """A blob whose object differs from its row; no foreign key, because the fault would keep the blob.
 
     `fault` is one of `services/runtime/store/faults.py`.
     """

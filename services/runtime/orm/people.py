@@ -120,9 +120,9 @@ class ExternalIdentity(Base):
 class DeviceGrant(Base):
     """A program that waits for somebody to approve it in a browser (RFC 8628); both codes are kept as their sha256.
 
-    `name` and `address` say who asks. `scopes` are those that are asked for, and once `user_id` has approved it those
-    that the token is to have. The row goes when the token is given out, or with `session_id`, the browser's session
-    that approved it.
+    `name` and `address` identify the program. `scopes` are the requested scopes, and after the approval by `user_id`
+    the token's scopes. The row is deleted when the token is fetched, or with `session_id`, the browser session that
+    approved it.
     """
 
     __tablename__ = "device_grants"

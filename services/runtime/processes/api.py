@@ -39,7 +39,7 @@ def options(settings: Settings, replies_s: int) -> dict[str, Any]:
         "factory": True,
         "loop": "uvloop",
         "http": PROTOCOL,
-        "ws": "none",  # another protocol would take the connection over, with its bounds
+        "ws": "none",  # WebSockets would bypass the bounds of connections
         "forwarded_allow_ips": settings.api.proxies,
         "timeout_graceful_shutdown": replies_s,
         "server_header": False,

@@ -1,7 +1,7 @@
 """Deployment setup, run once before the processes start: `python -m services.runtime.processes.prepare`.
 
-The bucket if there is none, the database brought to the newest schema, the services' database roles if their passwords
-are set, the first administrator if there is none.
+It creates a missing bucket, upgrades the database to the newest schema, creates the services' database roles if their
+passwords are set, and creates the first administrator if there is none.
 
 **Conventions.** Run again it changes nothing, and two at once are one. What is not up yet is waited for,
 `database.awaited_s` each.
@@ -30,7 +30,7 @@ log = structlog.get_logger(__name__)
 
 
 def prepare(settings: Settings) -> None:
-    """Do all of it. Raises what `insist`, `upgrade`, `ensure_roles`, `ensure_bucket` and `create_user` raise."""
+    """Run all steps. Raises the errors of `insist`, `upgrade`, `ensure_roles`, `ensure_bucket` and `create_user`."""
     if settings.store.s3_bucket:
         from services.runtime.store.s3 import ensure_bucket
 
@@ -38,7 +38,7 @@ def prepare(settings: Settings) -> None:
         log.info("bucket stands", bucket=settings.store.s3_bucket, is_new=is_new)
     insist(lambda: upgrade(settings), settings.database.awaited_s)
     log.info("database is at the schema of this version")
-    log.info("roles of the database stand", are_separate=ensure_roles(settings))
+    log.info("database roles ready", are_separate=ensure_roles(settings))
     platform = open_platform(settings)
     try:
         log.info("administrator stands", is_new=ensure_administrator(platform))

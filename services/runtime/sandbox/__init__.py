@@ -1,8 +1,8 @@
 """A sandbox for untrusted bytes: work runs in a forked child process behind fences.
 
 **Conventions.** `parent` is the parent's side and says what holds, `child` the child's, `messages` what they speak,
-`answers` what of it is believed. `limits` says how much the child may take, `fences` what it cannot reach and on which
-kernels (`seccomp` by the list in `system_calls`); `fork_server` is what it is forked from.
+`answers` what of it is believed. `limits` bounds the child's resources, `fences` isolates it, with the means of the
+kernel (`seccomp` by the list in `system_calls`); `fork_server` forks it.
 """
 
 from services.runtime.sandbox.child import ProgressCallback

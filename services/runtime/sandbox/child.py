@@ -73,7 +73,7 @@ def run_child(answer: SandboxTask, parent: int) -> NoReturn:
     status = 1
     try:
         leave_the_user()
-        die_with(parent)  # which does not outlast a change of user
+        die_with(parent)  # after the change of user, which would reset it
         _forget_the_parent()
         _import_first(answer)
         _keep_nothing_compiled()
@@ -99,7 +99,7 @@ def _forget_the_parent() -> None:
 
 
 def _import_first(answer: SandboxTask) -> None:
-    """What fails here is no fault of the input, which nobody has read yet."""
+    """Import the modules of the limits. A failure is no fault of the input, which is still unread."""
     sys.dont_write_bytecode = True
     try:
         for name in answer.limits.imports:

@@ -33,9 +33,9 @@ _LIBC = ctypes.CDLL(None, use_errno=True)
 
 
 def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
-    """Shut this process in; by which means each fence stands, `none` if it does not.
+    """Isolate this process; return the means of each fence, `none` for a missing fence.
 
-    Nothing of this can be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
+    The isolation cannot be undone. Raises `RuntimeError` for a process of several threads, which would stay outside.
     """
     if len(os.listdir("/proc/self/task")) > 1:
         raise RuntimeError("a process of several threads cannot be fenced in")
@@ -50,22 +50,22 @@ def enter_sandbox(limits: SandboxLimits) -> SandboxMechanisms:
 
 
 def missing_fences() -> Mapping[str, str]:
-    """The fences that this kernel, or the container around it, does not give to a child, by name, and what follows."""
+    """Return the consequence of each fence, by name, that this kernel or the container around it does not provide."""
     spoken, missing = version(), {}
     if not seccomp.is_known():
         missing["no_seccomp"] = (
-            "a child that a damaged file takes over can start processes and signal those of its user; "
-            "does the container's profile let seccomp(2) through?"
+            "a child that a damaged file takes over can start processes and signal processes of its user; "
+            "check that the container's profile allows seccomp(2)."
         )
     if spoken == 0:
         missing["no_landlock"] = (
-            "a child that a damaged file takes over reads, and with a folder writes, what its user may; "
-            "Linux 5.13 or later has Landlock, if its list of security modules (lsm=) names it."
+            "a child that a damaged file takes over can read (and with a folder, write) all files of its user; "
+            "Landlock requires Linux 5.13 or later with landlock in its list of security modules (lsm=)."
         )
     elif spoken < WITH_SCOPES:
         missing["landlock_without_signals"] = (
-            f"only seccomp keeps a child from signalling processes of its user: Landlock is of version {spoken} here, "
-            f"and does so from version {WITH_SCOPES}, Linux 6.12."
+            f"only seccomp prevents a child from signalling processes of its user: Landlock has version {spoken} here, "
+            f"and prevents signals from version {WITH_SCOPES} on (Linux 6.12)."
         )
     return missing
 

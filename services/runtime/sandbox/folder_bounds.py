@@ -1,9 +1,9 @@
-"""How much a sandboxed child may leave in its folder in all: files and folders, bytes, depth.
+"""Limits on the total contents of a sandboxed child's folder: files and folders, bytes, depth.
 
-**Conventions.** The kernel bounds each file of a child and not how many there are, so its parent looks: again after
-`PAUSE_S`, or later if looking takes long, and once more when the work is done. What is counted is what the folder takes
-on the disk (blocks, not lengths), whoever made it, and files that the child holds open without a name, if their
-descriptors can be looked at. What a child writes between two looks is bounded by how fast it writes.
+**Conventions.** The kernel limits the size of each file of a child but not their number, so its parent checks the
+folder: every `PAUSE_S`, less often if a check takes long, and once more when the work is done. It counts the folder's
+disk usage (blocks, not lengths), by any owner. It also counts files that the child holds open without a name, if their
+descriptors are readable. Between two checks only the speed of the disk limits the child's writes.
 """
 
 import os
@@ -19,20 +19,20 @@ from services.runtime.sandbox.limits import SandboxLimits
 from services.runtime.sandbox.own_user import NOBODY_ELSE
 
 PAUSE_S = 2.0
-LOOKING_SHARE = 50  # a look that took a second is followed by fifty without one
+LOOKING_SHARE = 50  # after a check of 1 s, the next one comes 50 s later
 DEEPEST = 64
 BLOCK_BYTES = 512
 
 
 @dataclass
 class FolderWatch:
-    """The bounds of one child's folder, and when they are looked at next."""
+    """The limits of one child's folder, and the time of the next check."""
 
     limits: SandboxLimits
     _next_s: float = field(default_factory=lambda: time.monotonic() + PAUSE_S)
 
     def look_at_times(self, pid: int) -> None:
-        """As `look`, if it is time to."""
+        """Call `look` if the next check is due."""
         begun_s = time.monotonic()
         if begun_s >= self._next_s:
             self.look(pid)
@@ -40,12 +40,12 @@ class FolderWatch:
             self._next_s = now_s + max(PAUSE_S, LOOKING_SHARE * (now_s - begun_s))
 
     def look(self, pid: int) -> None:
-        """Raises `SandboxCrashedError` if the folder, and what the child `pid` holds open, is more than it may be."""
+        """Raises `SandboxCrashedError` if the folder, with the open files of the child `pid`, exceeds its limits."""
         if self.limits.folder is None:
             return
         held_bytes = 0
-        for files, found in enumerate(_found(self.limits.folder, pid), start=1):
-            held_bytes += found.st_blocks * BLOCK_BYTES
+        for files, facts in enumerate(_found(self.limits.folder, pid), start=1):
+            held_bytes += facts.st_blocks * BLOCK_BYTES
             if files > self.limits.folder_files:
                 raise SandboxCrashedError(f"left more than {self.limits.folder_files} files and folders")
             if held_bytes > self.limits.folder_bytes:
@@ -53,10 +53,10 @@ class FolderWatch:
 
 
 def _found(folder: Path, pid: int) -> Iterator[os.stat_result]:
-    """Yield what is below the folder, each but once, then what the process holds open without a name."""
+    """Yield every entry below the folder once, then the files that the process holds open without a name."""
     for place, folders, files, descriptor in os.fwalk(folder, onerror=_unseen):
         if len(Path(place).relative_to(folder).parts) >= DEEPEST:
-            raise SandboxCrashedError(f"left folders in each other, {DEEPEST} deep")
+            raise SandboxCrashedError(f"left nested folders, {DEEPEST} deep")
         for name in (*folders, *files):
             with suppress(FileNotFoundError):
                 yield os.stat(name, dir_fd=descriptor, follow_symlinks=False)
@@ -64,7 +64,7 @@ def _found(folder: Path, pid: int) -> Iterator[os.stat_result]:
 
 
 def _nameless(device: int, pid: int) -> Iterator[os.stat_result]:
-    """Yield the files without a name on the device that the process holds open, but for where it logs to."""
+    """Yield the files without a name on the device that the process holds open, except its logs."""
     logs = [os.fstat(number) for number in (1, 2)]
     with suppress(OSError):
         for number in os.listdir(f"/proc/{pid}/fd"):
@@ -76,13 +76,13 @@ def _nameless(device: int, pid: int) -> Iterator[os.stat_result]:
 
 
 def _unseen(error: OSError) -> None:
-    """A folder that is gone holds nothing; one that is shut may hold anything."""
+    """Ignore a deleted folder. Raises `SandboxCrashedError` for an unreadable folder, which may hold anything."""
     if not isinstance(error, FileNotFoundError | NotADirectoryError):
-        raise SandboxCrashedError("left a folder that nobody can look into") from error
+        raise SandboxCrashedError("left an unreadable folder") from error
 
 
 def give_back(folder: Path) -> None:
-    """Make this process's user the owner of what a child with a user of its own left in the folder."""
+    """Make this process's user the owner of files in the folder that belong to a child's own user."""
     if os.geteuid() != 0:
         return
     for _, folders, files, descriptor in os.fwalk(folder):

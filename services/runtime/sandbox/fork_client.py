@@ -85,7 +85,7 @@ _SERVERS: list[ForkServer] = []
 
 
 def use_fork_server(warmed_by: Sequence[str]) -> ForkServer:
-    """Fork sandboxed children from a server from now on, which starts when it is first asked; warn of missing fences.
+    """Fork sandboxed children from a server, which starts with the first child; log a warning of each missing fence.
 
     `warmed_by` are modules that it loads first, or functions of them that it calls, as `module:function`.
     """
@@ -135,7 +135,7 @@ class ServedChild:
 
     @property
     def pid(self) -> int:
-        """Its number; 0 before it is begun."""
+        """The process ID; 0 before the start."""
         return self._pid
 
     @property

@@ -29,7 +29,7 @@ MEMORY_BYTES = 4 * 2**30
 ANSWER_BYTES = 128 * 2**20
 DESCRIPTORS = 2048  # a bag may be split into many files, each of them open
 SLACK_BYTES = 2**30
-# What a job may leave: of the least recording, and more for each byte that it reads (a label of a frame packs well).
+# The files a job may leave: for the smallest recording, and more for each byte that it reads (labels compress well).
 FOLDER_FILES, FOLDER_BYTES = 200_000, 64 * 2**30
 BYTES_A_FILE, BYTES_A_BYTE = 4096, 64
 
@@ -132,7 +132,7 @@ def sandbox_watch_of(attempt: Attempt, stage: str, total: int) -> SandboxWatch:
 IDLE_S = 5.0
 MOST_HELD_BYTES = 2**30
 MOST_USED_S = 300
-BY_READ = ("mapped_bytes", "file_bytes", "folder_files", "folder_bytes")  # limits that follow what is read
+BY_READ = ("mapped_bytes", "file_bytes", "folder_files", "folder_bytes")  # limits that grow with the bytes read
 LONGEST_BYTES = 2**15  # of a work: a pipe that nobody reads takes it all the same
 
 log = structlog.get_logger(__name__)

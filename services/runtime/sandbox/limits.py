@@ -21,10 +21,10 @@ class SandboxLimits:
     """The limits of a child: memory, processor and wall time, files opened at once, size of its answer.
 
     `mapped_bytes` are files that it maps, which take address space and no memory. It may write below `folder` only,
-    files of `file_bytes` at most, and links only where it `makes_links`; without a folder nowhere. Of other files it
-    may read `reads` (files, and whatever is below folders) and the system's own, no others. In all, `folder` holds
-    `folder_files` files and folders of `folder_bytes` at most. `imports` are modules that it imports before its fences
-    close: libraries read at their import what is none of the system's files here.
+    files of `file_bytes` at most, and links only if it `makes_links`; without a folder it writes nothing. Elsewhere it
+    may read `reads` (files, and everything below folders) and the system's own files, no others. `folder` holds at most
+    `folder_files` files and folders, and `folder_bytes` in total. `imports` are modules that it imports before its
+    fences close, because libraries read other files at their import.
 
     A child that reads a secret has `may_quote` off: the parent passes on no text of its refusals and faults, and only
     a count of its progress.

@@ -221,7 +221,7 @@ class SandboxProcess:
             self._stop_when_late(asked_s)
 
     def _tick(self, word: SandboxMessage) -> tuple[str, int, int]:
-        """Return the progress; of a child that may quote nothing only how often it reported some."""
+        """Return the progress; if the child may quote nothing, only the number of its reports."""
         if self._limits.may_quote:
             return word.tick()
         self._ticks += 1

@@ -1,21 +1,21 @@
 """A seccomp filter that lets a sandboxed child make the system calls of its kind, and no others.
 
-| kind   | of a child                         | besides memory, threads, time, reading and what it has open       |
+| kind   | child                              | besides memory, threads, time, reading and open descriptors       |
 |--------|------------------------------------|-------------------------------------------------------------------|
 | reads  | without a folder                   | nothing                                                           |
 | writes | with a folder                      | opens for writing, makes, moves and removes (Landlock says where) |
 | links  | with a folder that may hold links  | the same, and links                                               |
 
-**Conventions.** Classic BPF over `struct seccomp_data` (seccomp(2)). A call that is known and not listed
-(`system_calls.py`) answers EPERM, so that the child sees an error like any other; one that is newer than the list
-answers ENOSYS, as on a kernel before it; calls by another machine's numbers end the child. The filter cannot be taken
-off again and holds for root too. `clone3` keeps its flags in memory that no filter can read, so it answers ENOSYS and
-the C library takes `clone`, of which threads pass and processes do not.
+**Conventions.** Classic BPF over `struct seccomp_data` (seccomp(2)). A known call that is not listed
+(`system_calls.py`) returns EPERM, an ordinary error to the child. A call that is newer than the list returns ENOSYS, as
+on an older kernel. Calls by another machine's numbers kill the child. The filter cannot be removed and binds root too.
+`clone3` keeps its flags in memory that no filter can read, so it returns ENOSYS and the C library uses `clone`, which
+passes for threads and not for processes.
 
-What acts on others by their number, by a path or by a descriptor passes by its arguments: a signal goes to the child
-itself only, limits are read and not raised, a descriptor is duplicated and locked but names nobody to be signalled, and
-a file is cut off only by who may write it. A pair of local sockets passes: a library's event loop wakes itself by one,
-and it leads nowhere else.
+Arguments decide about calls that act on others by number, path or descriptor. The child can signal only itself. It can
+read limits but not raise them. It can duplicate and lock a descriptor, but not choose a process that receives its
+signals. It can truncate a file only if it may write the file. A pair of local sockets passes: a library's event loop
+wakes itself with it, and it leads nowhere else.
 """
 
 import ctypes
@@ -51,12 +51,12 @@ OF_DESCRIPTORS = (
     *(fcntl.F_GETLK, fcntl.F_SETLK, fcntl.F_SETLKW, fcntl.F_OFD_GETLK, fcntl.F_OFD_SETLK, fcntl.F_OFD_SETLKW),
     1032,  # F_GETPIPE_SZ
 )
-TCGETS2 = 0x802C542A  # by which newer C libraries find out whether this is a terminal
+TCGETS2 = 0x802C542A  # newer C libraries detect a terminal with it
 OF_DEVICES = (
     *(termios.TCGETS, TCGETS2, termios.TIOCGWINSZ),
     *(termios.FIONREAD, termios.FIONBIO, termios.FIOCLEX, termios.FIONCLEX),
 )
-# Of prctl(2): the names of threads and of memory, huge pages, and what it is.
+# Of prctl(2): the names of threads and of memory, huge pages, and reading the process's state.
 OF_ITSELF = (
     *(15, 16, 0x53564D41),  # PR_SET_NAME, PR_GET_NAME, PR_SET_VMA
     *(2, 3, 21, 23, 39),  # PR_GET_PDEATHSIG, _DUMPABLE, _SECCOMP, PR_CAPBSET_READ, PR_GET_NO_NEW_PRIVS
@@ -79,14 +79,14 @@ def kind_of(limits: SandboxLimits) -> str:
 
 
 def is_known() -> bool:
-    """Whether this kernel, and what fences this process in already, let it put on a filter."""
+    """Return whether this kernel, and the existing fences of this process, allow a filter."""
     machine = os.uname().machine
     answer = ctypes.c_uint32(REFUSE)
     return machine in MACHINES and bool(_LIBC.syscall(CALL[machine], ACTION_IS_KNOWN, 0, ctypes.byref(answer)) == 0)
 
 
 def allow_calls(kind: str) -> bool:
-    """Put the filter on this process, whose threads to come have it too; whether the kernel took it."""
+    """Install the filter for this process and its later threads; return whether the kernel accepted it."""
     machine = os.uname().machine
     if machine not in MACHINES or _LIBC.prctl(PR_SET_NO_NEW_PRIVS, 1, 0, 0, 0) != 0:
         return False
@@ -96,9 +96,9 @@ def allow_calls(kind: str) -> bool:
 
 
 def program_of(machine: str, pid: int, kind: str) -> Program:
-    """The filter for the process `pid`, an instruction an entry.
+    """Return the filter for the process `pid`, one instruction per entry.
 
-    Calls that are judged come first, since the kernel remembers of all others what always passes.
+    Calls with checked arguments come first: of the others, the kernel caches those that always pass.
     """
     program = [_op(LOAD, ARCH_AT), _op(EQUAL, AUDIT_ARCH[machine], 1, 0), _op(RETURN, KILL), _op(LOAD, NUMBER_AT)]
     if machine == "x86_64":
@@ -107,7 +107,7 @@ def program_of(machine: str, pid: int, kind: str) -> Program:
     for name, number in system_calls.JUDGED[machine].items():
         program += [_op(EQUAL, number, 0, len(blocks[name])), *blocks[name]]
     for number in allowed(machine, kind).values():
-        program += [_op(EQUAL, number, 0, 1), _op(RETURN, ALLOW)]  # a jump to one end would not reach
+        program += [_op(EQUAL, number, 0, 1), _op(RETURN, ALLOW)]  # a jump to a common end is too far
     for number in system_calls.ABSENT[machine].values():
         program += [_op(EQUAL, number, 0, 1), _op(RETURN, REFUSE | errno.ENOSYS)]
     return [
@@ -118,7 +118,7 @@ def program_of(machine: str, pid: int, kind: str) -> Program:
 
 
 def allowed(machine: str, kind: str) -> Mapping[str, int]:
-    """The calls that pass whatever they are given."""
+    """Return the calls that pass with any arguments."""
     calls = system_calls
     groups = [calls.DESCRIPTORS, calls.MEMORY, calls.THREADS, calls.ITSELF, calls.PATHS]
     groups += [calls.WRITING] * (kind != "reads") + [calls.LINKING] * (kind == "links")
@@ -145,7 +145,7 @@ def _blocks(pid: int, *, may_write: bool) -> dict[str, Program]:
 
 
 def _passes_if_one_of(argument: int, *values: int) -> Program:
-    """Of the argument's lower half, which is all that the kernel reads of numbers of 32 bits."""
+    """Allow only these values of the argument's lower half, which is all that the kernel reads of 32-bit numbers."""
     last = len(values)
     return [
         _op(LOAD, _at(argument)),
@@ -155,7 +155,7 @@ def _passes_if_one_of(argument: int, *values: int) -> Program:
 
 
 def _refused_if(argument: int, value: int, beside: int, flags: int) -> Program:
-    """Refused with one of the `flags` in the argument `beside`; else it goes on."""
+    """Refuse the value if the argument `beside` has one of the `flags`; otherwise continue."""
     return [
         _op(LOAD, _at(argument)),
         _op(EQUAL, value, 0, 3),
@@ -170,18 +170,18 @@ def _opens_to_read(flags: int) -> Program:
 
 
 def _cuts_off_what_it_writes(flags: int) -> Program:
-    """Landlock before its version 3 lets a file be cut off that is opened for reading."""
+    """Refuse to truncate a file that is opened for reading, which Landlock before its version 3 allows."""
     return [_op(LOAD, _at(flags)), _op(SET, os.O_TRUNC, 0, 2), _op(SET, WRITING, 1, 0), *ENDS]
 
 
 def _reads_only(argument: int) -> Program:
-    """Of the child's own, where the pointer, both its halves, is none."""
+    """Allow the call only if the pointer, in both halves, is null."""
     low, high = _at(argument), _at(argument) + 4
     return [_op(LOAD, low), _op(EQUAL, 0, 0, 2), _op(LOAD, high), _op(EQUAL, 0, 1, 0), *ENDS]
 
 
 def _at(argument: int) -> int:
-    """The offset of the lower half of an argument; both machines are little-endian."""
+    """Return the offset of the lower half of an argument; both machines are little-endian."""
     return ARGUMENTS_AT + 8 * argument
 
 
@@ -189,4 +189,4 @@ def _op(code: int, value: int, if_true: int = 0, if_false: int = 0) -> bytes:
     return struct.pack("<HBBI", code, if_true, if_false, value)
 
 
-ENDS = (_op(RETURN, REFUSE | errno.EPERM), _op(RETURN, ALLOW))  # of a block: refused, or skipping one, allowed
+ENDS = (_op(RETURN, REFUSE | errno.EPERM), _op(RETURN, ALLOW))  # the end of a block: refused, or, skipping one, allowed

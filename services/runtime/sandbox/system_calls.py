@@ -1,15 +1,15 @@
 """The system calls that a sandboxed child may make, and their numbers.
 
 **Conventions.** A group is a table of `name x86_64 aarch64`; `-` if a machine has no such call. The numbers are of
-the kernel's headers (`asm/unistd_64.h`, `asm-generic/unistd.h`), up to Linux 6.18. The groups are what the children of
-this platform did when they were traced over the recordings of the tests, and beside it what the C libraries, numpy,
-numba, pyarrow and Open3D call on other kernels for memory, threads and time. A call that is refused and needed is found
-with the filter's flag 2 (`SECCOMP_FILTER_FLAG_LOG`): the kernel then logs each refusal with its number.
+the kernel's headers (`asm/unistd_64.h`, `asm-generic/unistd.h`), up to Linux 6.18. The groups hold the calls
+traced from this platform's children over the recordings of the tests, and the calls for memory, threads and time that
+the C libraries, numpy, numba, pyarrow and Open3D make on other kernels. To find a refused call that is needed, set the
+filter's flag 2 (`SECCOMP_FILTER_FLAG_LOG`): the kernel then logs each refusal with its number.
 """
 
 from collections.abc import Mapping
 
-NEWEST = 469  # file_setattr(2), the last call of Linux 6.18; what comes after is unknown here
+NEWEST = 469  # file_setattr(2), the last call of Linux 6.18; later calls are unknown here
 MACHINES = ("x86_64", "aarch64")
 
 SystemCalls = Mapping[str, Mapping[str, int]]
@@ -33,7 +33,7 @@ MEMORY = _table(
     mbind 237 235  set_mempolicy 238 237  get_mempolicy 239 236
     """
 )
-# Its own threads, and signals as it receives them; of scheduling it may only read.
+# Its own threads, received signals, and reading (not setting) its scheduling.
 THREADS = _table(
     """
     futex 202 98  futex_waitv 449 449  set_robust_list 273 99  rseq 334 293  set_tid_address 218 96
@@ -44,7 +44,7 @@ THREADS = _table(
     rt_sigtimedwait 128 137  pause 34 -
     """
 )
-# What it is, and what time it is.
+# Its identity, and the time.
 ITSELF = _table(
     """
     getpid 39 172  getppid 110 173  getuid 102 174  geteuid 107 175  getgid 104 176  getegid 108 177
@@ -55,7 +55,7 @@ ITSELF = _table(
     alarm 37 -
     """
 )
-# What it has open, and what it can make without a path.
+# Open descriptors, and descriptors made without a path.
 DESCRIPTORS = _table(
     """
     read 0 63  readv 19 65  pread64 17 67  preadv 295 69  preadv2 327 286  write 1 64  writev 20 66
@@ -66,15 +66,15 @@ DESCRIPTORS = _table(
     eventfd 284 -  eventfd2 290 19  pipe 22 -  pipe2 293 59
     """
 )
-# What a path is; nothing of its content.
+# Facts about a path, without its content.
 PATHS = _table(
     """
     stat 4 -  lstat 6 -  newfstatat 262 79  statx 332 291  statfs 137 43  access 21 -  faccessat 269 48
     faccessat2 439 439  readlink 89 -  readlinkat 267 78
     """
 )
-# Files and folders that are made, moved, removed and kept: Landlock says where. Neither modes, owners, times and
-# attributes nor the length of a file by its path: older versions of Landlock judge none of these.
+# Creating, moving, removing and flushing files and folders, within the limits of Landlock. Changes of modes, owners,
+# times, attributes and, by path, of a file's length are not listed: older versions of Landlock check none of these.
 WRITING = _table(
     """
     creat 85 -  mkdir 83 -  mkdirat 258 34  rmdir 84 -  unlink 87 -  unlinkat 263 35  rename 82 -
@@ -88,14 +88,14 @@ LINKING = _table(
     link 86 -  linkat 265 37  symlink 88 -  symlinkat 266 36
     """
 )
-# Calls that pass by what they are given (`seccomp.py`).
+# Calls with checked arguments (`seccomp.py`).
 JUDGED = _table(
     """
     openat 257 56  open 2 -  fcntl 72 25  ioctl 16 29  prctl 157 167  prlimit64 302 261  clone 56 220
     kill 62 129  tgkill 234 131  tkill 200 130  socketpair 53 199
     """
 )
-# Calls whose arguments no filter can read: answered as if the kernel had none, for which the C library has another.
+# Calls whose arguments no filter can read: they return ENOSYS, and the C library uses another call.
 ABSENT = _table(
     """
     clone3 435 435  openat2 437 437

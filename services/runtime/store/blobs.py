@@ -77,8 +77,8 @@ def keep(session: Session, store: Store, path: Path, *, adopt: bool = False) -> 
 def prepare(store: Store, database: Database, path: Path, *, adopt: bool = False) -> PreparedBlob:
     """Hash `path` and store its content unless a blob has it; call it outside transactions, then `link`.
 
-    If a blob has it, its object is read and compared: one that is gone or differs, which only others than us can have
-    done, is replaced.
+    If a blob has it, its object is read and compared. A missing or different object, which the platform itself never
+    causes, is replaced.
 
     What is never linked is collected after the grace. Raises `StoreFullError`, `store_away`.
     """
@@ -209,9 +209,9 @@ def _store(prepared: PreparedBlob, key: str) -> None:
 
 
 def _mend(prepared: PreparedBlob, standing: Mapping[str, str]) -> bool:
-    """Replace the object of a content that a blob has (`standing`: its object by sha256) if it is not sound.
+    """Replace the object of a content that a blob has (`standing`: its object by sha256) if it is damaged.
 
-    Should garbage collection take the blob meanwhile, it comes upon the object as one that no row speaks of.
+    If garbage collection takes the blob at the same time, it later deletes the object as one without a row.
     """
     if (key := standing.get(prepared.sha256)) is None:
         return False

@@ -42,7 +42,7 @@ class Cache:
         return path
 
     def forget(self, key: str) -> None:
-        """Remove the file of `key`, if there is one; whoever has it open reads on."""
+        """Remove the file of `key`, if there is one; open readers continue."""
         with suppress(FileNotFoundError), _lock(self._use, fcntl.LOCK_EX):
             (self._objects / key).unlink()
 
@@ -84,7 +84,7 @@ class Cache:
             if not self._used(path):
                 try:
                     download(key, partial)
-                except StorageFullError:  # what nobody used within the hour makes room
+                except StorageFullError:  # files unused for an hour make room
                     self._evict(0)
                     download(key, partial)
                 os.replace(partial, path)

@@ -7,7 +7,7 @@ from services.runtime.store.protocol import Store
 
 
 def open_store(settings: Settings) -> Store:
-    """The bucket of `settings`; without one, the folder `store` below the data folder, which no sentence names then."""
+    """Return the bucket of `settings`; without one, the folder `store` in the data folder, hidden from messages."""
     hide(settings.root)
     if settings.store.s3_bucket:
         from services.runtime.store.s3 import S3Store  # boto3 takes most of a second to import

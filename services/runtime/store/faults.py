@@ -1,8 +1,8 @@
-"""Objects that are not what their blob's row says: found, noted, and forgotten once they are sound.
+"""Objects that differ from their blob's row: detected, recorded, and forgotten once they are sound.
 
-**Conventions.** The row counts: `sha256` and `size_bytes` say what the object has to be. A fault is a row itself, so
-that every process shows the same. `served` is one whose bytes differed while they were read for somebody: the scrub
-(`services/maintenance/scrub.py`) reads it next and says what is wrong, or that nothing is.
+**Conventions.** The row counts: `sha256` and `size_bytes` define the object. A fault is a row itself, so every process
+shows the same faults. `served` means that the bytes differed while a request or a job read them. The scrub
+(`services/maintenance/scrub.py`) reads such an object next, and records its fault or deletes the row.
 """
 
 import errno
@@ -27,7 +27,7 @@ from services.runtime.telemetry.counters import STORE_FAULTS, process_counters
 from stone.errors import PlatformFaultError, StoneError
 
 UNREADABLE = {errno.EIO, errno.EBADMSG, errno.EUCLEAN}
-"""What a disk answers that has lost the bytes, and a filesystem whose own checksums differ."""
+"""The errors of a disk that lost the bytes, and of a file system whose own checksums differ."""
 MISSING, SIZE, BYTES, SERVED = "missing", "size", "bytes", "served"
 MOST_SHOWN = 200
 
@@ -35,7 +35,7 @@ log = structlog.get_logger(__name__)
 
 
 class BlobFacts(Protocol):
-    """What a blob's row says of its object."""
+    """The facts about an object in its blob's row."""
 
     @property
     def sha256(self) -> str: ...
@@ -47,7 +47,7 @@ class BlobFacts(Protocol):
 
 @dataclass(frozen=True)
 class ScrubStatus:
-    """How far the scrub is: `objects` and `size_bytes` of the pass that began at `begun_ns`; null before the first."""
+    """Progress of the scrub: `objects` and `size_bytes` of the pass that began at `begun_ns`; null before the first."""
 
     passed_ns: int | None
     begun_ns: int | None
@@ -58,7 +58,7 @@ class ScrubStatus:
 
 @dataclass(frozen=True)
 class NotedFault:
-    """A fault that is noted; `named_by` are the tables whose rows need the object."""
+    """A recorded fault; `named_by` are the tables whose rows need the object."""
 
     sha256: str
     object_key: str
@@ -69,7 +69,7 @@ class NotedFault:
 
 
 def fault_of(store: Store, blob: BlobFacts, *, is_read: bool = False) -> str:
-    """What is wrong with the blob's object: `missing`, `size`, `bytes`, or nothing; `bytes` only if all of it is read.
+    """Return the fault of the blob's object: `missing`, `size`, `bytes` or none; `bytes` only if all of it is read.
 
     Raises `store_away`.
     """
@@ -93,7 +93,7 @@ def sha256_of(pieces: Iterable[bytes]) -> str:
 
 
 def note(session: Session, found: BlobFacts, fault: str, by: str) -> None:
-    """Note what is wrong with the object, unless that is known; `by` says for the counter who found it."""
+    """Record the object's fault, unless it is recorded already; `by` names its finder to the counter."""
     known = session.get(StoreFault, found.sha256, populate_existing=True)
     if known is not None and known.fault == fault:
         return
@@ -104,21 +104,21 @@ def note(session: Session, found: BlobFacts, fault: str, by: str) -> None:
 
 
 def note_served(database: Database, object_keys: Sequence[str]) -> None:
-    """Note that bytes of one of these objects differed while somebody read them; a database that is away is logged."""
+    """Record that bytes of one of these objects differed when read; log it if the database is unavailable."""
     log.error("bytes differ from their sha256", object_keys=list(object_keys)[:MOST_SHOWN])
     process_counters().add(STORE_FAULTS, (SERVED,))
     try:
         with database.transaction() as session:
-            found = session.scalars(select(Blob.sha256).where(Blob.object_key.in_(object_keys))).all()
-            insert_new(session, StoreFault, [{"sha256": sha, "fault": SERVED} for sha in sorted(found)])
+            hashes = session.scalars(select(Blob.sha256).where(Blob.object_key.in_(object_keys))).all()
+            insert_new(session, StoreFault, [{"sha256": sha, "fault": SERVED} for sha in sorted(hashes)])
     except SQLAlchemyError as error:
         log.warning("fault not noted; the scrub will find it", reason=f"{type(error).__name__}: {error}"[:500])
 
 
 def refuse_damaged(store: Store, database: Database, object_keys: Iterable[str], named: str) -> None:
-    """Raise `ObjectDamagedError` if what this machine reads of one of these blobs' objects is not what was stored.
+    """Raise `ObjectDamagedError` if this machine reads other bytes than were stored for one of these blobs.
 
-    For use before somebody's input is refused. Reads all of it; a copy that differs is forgotten, a fault noted.
+    Call it before refusing a user's input. It reads all bytes, drops a copy that differs, and records a fault.
     """
     with database.reading() as session:
         blobs = session.scalars(select(Blob).where(Blob.object_key.in_(list(object_keys)))).all()
@@ -134,8 +134,8 @@ def refuse_damaged(store: Store, database: Database, object_keys: Iterable[str],
 
 @contextmanager
 def comparing(store: Store, database: Database, object_keys: Iterable[str], named: str) -> Iterator[None]:
-    """A block that reads these objects. Raises `ObjectDamagedError` in place of a refusal for which a damaged one is to
-    blame."""
+    """A context that reads these objects; it raises `ObjectDamagedError` instead of a refusal that a damaged object
+    caused."""
     try:
         yield
     except StoneError as error:
@@ -157,12 +157,12 @@ def _is_sound_here(store: Store, blob: BlobFacts) -> bool:
 
 
 def forget(session: Session, sha256s: Iterable[str]) -> None:
-    """These objects are sound."""
+    """Delete the faults of these objects, which are sound."""
     session.execute(delete(StoreFault).where(StoreFault.sha256.in_(list(sha256s))))
 
 
 def scrub_status(session: Session) -> ScrubStatus:
-    """The scrub as its row says, and the number of faults."""
+    """Return the progress of the scrub, and the number of faults."""
     row, faults = session.get(StoreScrub, 1), count_of_faults(session)
     if row is None:
         return ScrubStatus(None, None, 0, 0, faults)
@@ -170,13 +170,13 @@ def scrub_status(session: Session) -> ScrubStatus:
 
 
 def count_of_faults(session: Session) -> int:
-    """The number of faults of blobs that there still are."""
+    """Return the number of faults whose blob still exists."""
     standing = select(func.count()).select_from(StoreFault).join(Blob, Blob.sha256 == StoreFault.sha256)
     return session.scalar(standing) or 0
 
 
 def noted_faults(session: Session, most: int = MOST_SHOWN) -> list[NotedFault]:
-    """Faults of blobs that there still are, the oldest first."""
+    """Return the faults whose blob still exists, the oldest first."""
     standing = select(Blob, StoreFault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
     rows = session.execute(standing.order_by(StoreFault.found_ns, StoreFault.sha256).limit(most)).all()
     return [
@@ -189,7 +189,7 @@ def noted_faults(session: Session, most: int = MOST_SHOWN) -> list[NotedFault]:
 
 
 def tables_naming(session: Session, sha256_: str) -> Iterator[str]:
-    """The tables of which a row needs the blob."""
+    """Yield the tables with a row that needs the blob."""
     for table in Base.metadata.sorted_tables:
         keys = [
             column for column in table.columns if any(key.column.table is Blob.__table__ for key in column.foreign_keys)
@@ -199,12 +199,12 @@ def tables_naming(session: Session, sha256_: str) -> Iterator[str]:
 
 
 class ObjectDamagedError(PlatformFaultError):
-    """Bytes of one of these objects are not what was stored; whoever answers for it notes that (`note_served`)."""
+    """Bytes of one of these objects differ from the stored bytes; the error's handler records it (`note_served`)."""
 
     def __init__(self, named: str, object_keys: Sequence[str]) -> None:
         super().__init__(
             "object_damaged",
-            f"{named} is not what was stored any more; this is a fault of the platform, and its operator sees it: "
-            "try again later, or, if it is your file, send it again, which mends it",
+            f"{named} is damaged in the store; this is a fault of the platform, and its operator sees it: "
+            "try again later, or, if it is your file, upload it again to repair it",
         )
         self.object_keys = tuple(object_keys)

@@ -34,7 +34,7 @@ NO_SPACE = {errno.ENOSPC, errno.EDQUOT}
 
 
 class FolderStore:
-    """Objects below `root`; one of more than `SMALL_BYTES` leaves `reserve_bytes` of its disk free."""
+    """Objects below `root`; an object of more than `SMALL_BYTES` leaves `reserve_bytes` of its disk free."""
 
     def __init__(self, root: Path, reserve_bytes: int = NO_RESERVE) -> None:
         self.root, self._reserve_bytes = root, reserve_bytes
@@ -82,7 +82,7 @@ class FolderStore:
         return path
 
     def forget_copy(self, key: str) -> None:
-        """Nothing: the file is the object."""
+        """Do nothing: the file is the object."""
 
     def delete(self, key: str) -> None:
         path = self.root / checked(key)

@@ -1,8 +1,8 @@
 """The reserve: free space that bulk data never takes, so that rows can always be written.
 
-**Conventions.** Uploads, the files of jobs, downloads into the cache and backups ask here before they write.
-The reserve is of the file system on which they write: the larger of a twentieth of it and 2 GiB, or what
-`STONE_STORE__RESERVE_BYTES` says. A bucket has no reserve.
+**Conventions.** Uploads, the files of jobs, downloads into the cache and backups check the free space before they
+write. Each file system has a reserve: `STONE_STORE__RESERVE_BYTES`, or by default the larger of a twentieth of it and
+2 GiB. A bucket has no reserve.
 """
 
 import os
@@ -13,14 +13,14 @@ from services.runtime.store.keys import StoreFullError
 from stone.errors import PlatformFaultError
 
 AUTOMATIC = 0
-"""The setting that stands for the larger of `SHARE` of the file system and `LEAST_BYTES`."""
+"""The value of the setting that means the larger of `SHARE` of the file system and `LEAST_BYTES`."""
 NO_RESERVE = 1
 SHARE = 20
 LEAST_BYTES = 2 << 30
 
 
 class StorageFullError(StoreFullError):
-    """More bytes would take from the reserve."""
+    """Writing more bytes would use the reserve."""
 
     def __init__(self, space: "FreeSpace", more_bytes: int) -> None:
         PlatformFaultError.__init__(
@@ -34,7 +34,7 @@ class StorageFullError(StoreFullError):
 
 @dataclass(frozen=True)
 class FreeSpace:
-    """What is free on a file system, and how much of that stays free."""
+    """The free space of a file system, and its reserve."""
 
     free_bytes: int
     reserve_bytes: int
@@ -44,7 +44,7 @@ class FreeSpace:
 
 
 def free_space(place: Path | int, reserve_bytes: int = AUTOMATIC) -> FreeSpace:
-    """The file system of a folder, which need not be there yet, or of an open file."""
+    """Return the space on the file system of a folder, which need not exist yet, or of an open file."""
     if isinstance(place, Path):
         facts = os.statvfs(next(path for path in (place, *place.parents) if path.exists()))
     else:

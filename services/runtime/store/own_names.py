@@ -1,7 +1,7 @@
-"""Sentences without the server's paths: a file is called by its own name, that of its upload where it has one.
+"""Messages without the server's paths: a file has its own name, or if it was uploaded, the name of its upload.
 
-**Conventions.** Libraries and programs of ours that also run without the platform name the path that they were given.
-Below a data folder and the folder of temporary files that is nobody's business but the operator's, whose log keeps it.
+**Conventions.** Libraries, and modules that also run without the platform, name paths in their errors. Paths below a
+data folder and the folder of temporary files concern only the operator, whose log keeps them.
 """
 
 import re
@@ -22,12 +22,12 @@ A_STORED_FILE = "a stored file"
 
 
 def hide(folder: Path) -> None:
-    """From now on no sentence names this folder."""
+    """Hide this folder from all messages of this process."""
     _FOLDERS[str(folder)] = None
 
 
 def without_paths(text: str) -> str:
-    """The text, each path below a hidden folder cut to the name of its file."""
+    """Return the text, with each path below a hidden folder cut to its file name."""
     for folder in (*_FOLDERS, gettempdir()):
         if folder in text:
             text = re.sub(re.escape(folder) + BELOW, lambda path: PurePath(path[0]).name, text)
@@ -37,7 +37,7 @@ def without_paths(text: str) -> str:
 
 
 def called_as_uploaded(session: Session, job_id: str, text: str) -> str:
-    """The text as `without_paths` makes it; a file that the job's owner uploaded has the name that its owner gave."""
+    """Return the text without paths; a file that the job's owner uploaded has the name that the owner gave."""
     owner_id = select(Job.owner_id).where(Job.id == job_id).scalar_subquery()
 
     def name(found: re.Match[str]) -> str:

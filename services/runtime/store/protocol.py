@@ -48,7 +48,7 @@ class Store(Protocol):
         ...
 
     def forget_copy(self, key: str) -> None:
-        """Have `local` read the object anew: the copy on this machine, if it is one, differs from what it has to be."""
+        """Make `local` read the object again, because this machine's copy, if there is one, is damaged."""
         ...
 
     def delete(self, key: str) -> None:

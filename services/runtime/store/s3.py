@@ -91,7 +91,7 @@ class S3Store:
         return self.cache.file(checked(key), self.download)
 
     def download(self, key: str, target: Path) -> None:
-        """Write the object into the file `target` and flush it. Raises `StoreFullError` when the disk is full, or full
+        """Write the object into the file `target` and flush it. Raises `StoreFullError` if the disk is full, or full
         up to its reserve.
 
         Ranges side by side, each resumed where it broke off (boto3's own download hung when a header broke off).

@@ -46,7 +46,7 @@ STORE_BYTES = MetricDefinition(
     "stone_store_bytes", "Bytes that were written to and read from the store", ("direction",)
 )
 STORE_FAULTS = MetricDefinition(
-    "stone_store_faults", "Objects found that differ from their sha256 or are gone", ("found_by",)
+    "stone_store_faults", "Objects that differ from their sha256 or are missing", ("found_by",)
 )
 LEASES_EXPIRED = MetricDefinition("stone_leases_expired", "Attempts given up after silence for a lease", ("kind",))
 WAKE_UPS_RESENT = MetricDefinition(

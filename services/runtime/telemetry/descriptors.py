@@ -1,8 +1,8 @@
-"""The limit of open files of this process: raised at start, and a warning before none is left.
+"""The limit of open files of this process: raised at start, with a warning before it is reached.
 
-**Conventions.** The kernel gives a new file the lowest free number, so the number of the newest one tells how many are
-open. Without a free one libuv accepts a connection and closes it at once, without an error: so the warning comes at
-`NEAR` of the limit.
+**Conventions.** The kernel assigns the lowest free number to a new file, so the newest number is a measure of the open
+files. Without a free number, libuv accepts a connection and closes it at once without an error, so the warning is
+logged at `NEAR` of the limit.
 """
 
 import resource
@@ -13,13 +13,13 @@ import structlog
 
 NEAR = 0.9
 MOST = 2**20
-"""As many as are ever used: some hosts allow 2^30, and libraries make tables as long as the limit."""
+"""Enough for any load: some hosts allow 2^30, and libraries allocate tables as long as the limit."""
 
 log = structlog.get_logger(__name__)
 
 
 def raise_descriptor_limit() -> int:
-    """Raise the soft limit of open files to the hard one, at most to `MOST`; the limit in force."""
+    """Raise the soft limit of open files to the hard one, at most to `MOST`; return the limit in force."""
     soft, hard = resource.getrlimit(resource.RLIMIT_NOFILE)
     wanted = MOST if hard == resource.RLIM_INFINITY else min(hard, MOST)
     if soft == resource.RLIM_INFINITY or soft >= wanted:
@@ -29,7 +29,7 @@ def raise_descriptor_limit() -> int:
 
 
 class Descriptors:
-    """`look(number)` logs a warning, at most one in `each_s`, if the file of this number is among the last ones."""
+    """`look(number)` logs a warning, at most one in `each_s`, if this file number is near the limit."""
 
     def __init__(self, each_s: float, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._each_s, self._now_s, self._silent_until_s = each_s, monotonic_s, 0.0

@@ -49,9 +49,9 @@ def end(platform: Platform, upload: Upload, state: str, detail: str = "") -> boo
 
 
 def terminate(platform: Platform, upload: Upload) -> None:
-    """Give an upload up. Raises `wrong_upload_state` when it is in use, `UploadLockedError` while bytes come in.
+    """Terminate an upload. Raises `wrong_upload_state` if it is in use, `UploadLockedError` while bytes arrive.
 
-    Where its row cannot be written because the disk is full, its bytes go first.
+    If its row cannot be written because the disk is full, its bytes are deleted first.
     """
     held = _held_if_there(platform, upload) if upload.state == "open" else None
     try:
@@ -75,7 +75,7 @@ def terminate(platform: Platform, upload: Upload) -> None:
 
 
 def _held_if_there(platform: Platform, upload: Upload) -> LockedUpload | None:
-    """Its bytes, held; None where they went before its row could be written."""
+    """Return its bytes, locked; None if they were deleted before its row could be written."""
     with suppress(FileNotFoundError):
         return backend_of(platform, upload).hold(upload)
     return None

@@ -95,7 +95,7 @@ def create(platform: Platform, owner: UploadOwner, declared: UploadDeclaration) 
             elif upload.backend == FOLDER or not platform.settings.store.s3_bucket:
                 reserve_bytes = platform.settings.store.reserve_bytes
                 require_room(platform.settings.uploads_folder, declared.length_bytes, reserve_bytes)
-    except StoneError:  # after any other error the row may be there: a COMMIT whose answer was lost; it needs its bytes
+    except StoneError:  # after any other error (the answer to COMMIT was lost) the row may exist and need its bytes
         backend.remove(upload.id)
         raise
     return upload

@@ -51,7 +51,7 @@ class FileMismatchError(StoneError):
 
 
 class DiskFullError(StoneError):
-    """The disk is full, or full up to its reserve (`why`); what was written before is kept."""
+    """The disk is full, or full up to its reserve (`why`); written bytes are kept."""
 
     code = "disk_full"
 

@@ -146,7 +146,7 @@ class LockedUploadFile:
 
 
 def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, reserve_bytes: int) -> int:
-    """Write `pieces` at `offset_bytes`; where they end. Raises `StorageFullError`, and writes nothing then."""
+    """Write `pieces` at `offset_bytes`; return their end. Raises `StorageFullError` before it writes anything."""
     left = list(pieces)
     require_room(descriptor, sum(map(len, left)), reserve_bytes)
     while left:
@@ -158,7 +158,7 @@ def write_all(descriptor: int, pieces: Sequence[memoryview], offset_bytes: int, 
 
 @contextmanager
 def refusing_full(kept_bytes: Callable[[], int]) -> Iterator[None]:
-    """Turn the operating system's full disk, and one that is full up to its reserve, into `DiskFullError`."""
+    """Raise `DiskFullError` if the disk is full, or full up to its reserve."""
     try:
         yield
     except StorageFullError as error:

@@ -1,4 +1,4 @@
-"""The store's scrub, and the objects that were found damaged."""
+"""The store's scrub, and the damaged objects."""
 
 import sqlalchemy as sa
 from alembic import op

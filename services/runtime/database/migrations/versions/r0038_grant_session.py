@@ -1,4 +1,4 @@
-"""The browser's session that approved a device grant, with which the grant ends."""
+"""The browser session that approved a device grant; the grant ends with it."""
 
 import sqlalchemy as sa
 from alembic import op

@@ -1,4 +1,4 @@
-"""Label sets and previews that stand are counted against the owners of their sequences."""
+"""Existing label sets and previews count against the quota of their sequences' owners."""
 
 import time
 from uuid import uuid4
