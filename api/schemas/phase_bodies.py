@@ -80,7 +80,7 @@ class RulesBody(Body):
 
 
 class NewPhaseBody(RulesBody):
-    """A phase to be: of which part of which version, what is evaluated, under which rules.
+    """A new phase: its dataset version, its part, the evaluated voxels, and its rules.
 
     With `every_nth`, its inputs are one frame in `every_nth`, without poses, stamps or order.
     """

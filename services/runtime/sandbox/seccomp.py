@@ -3,7 +3,7 @@
 | kind   | child                              | besides memory, threads, time, reading and open descriptors       |
 |--------|------------------------------------|-------------------------------------------------------------------|
 | reads  | without a folder                   | nothing                                                           |
-| writes | with a folder                      | opens for writing, makes, moves and removes (Landlock says where) |
+| writes | with a folder                      | opening for writing, creating, moving, removing (Landlock limits) |
 | links  | with a folder that may hold links  | the same, and links                                               |
 
 **Conventions.** Classic BPF over `struct seccomp_data` (seccomp(2)). A known call that is not listed
