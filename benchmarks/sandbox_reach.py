@@ -1,12 +1,12 @@
-"""What a sandboxed child can still do once it is taken over: `python -m benchmarks.sandbox_reach [--kernel NAME]`.
+"""The reach of a sandboxed child after it is taken over: `python -m benchmarks.sandbox_reach [--kernel NAME]`.
 
-A child of each kind tries everything of `ATTEMPTS` by native means, on a ground of its own: a folder to write in, a
-file to read, a file and a folder of the same user that it was not given, and another process of the same user. What
-became of it is looked at from outside where it leaves a trace there, else the child's own word counts.
+A child of each kind tries all `ATTEMPTS` by native means, on a ground of its own: a folder to write in, a file to read,
+a file and a folder of the same user that it was not given, and another process of the same user. If an attempt leaves a
+trace outside, the trace is checked from outside; otherwise the child's own answer counts.
 
-**Conventions.** `--kernel` takes away what an older kernel does not have: Landlock's newer versions, or all of it.
-Root's children have a user of their own, which refuses much of this by itself; here they keep that of the service, as
-those of any other user do. `docs/security/sandbox.md` holds the table, and a test holds it to its word.
+**Conventions.** `--kernel` removes the features that an older kernel lacks: newer versions of Landlock, or all of it.
+Root's children usually have a user of their own, which alone refuses many attempts. Here they keep the service's user,
+as children of any other user do. `docs/security/sandbox.md` holds the table, and a test compares it with this program.
 """
 
 import argparse
@@ -38,7 +38,7 @@ from stone.errors import StoneError
 from testing.system_calls import system_call
 
 KERNELS: Mapping[str, int | None] = {"this": None, "6.10": 5, "6.1": 2, "no Landlock": 0}
-"""By name, the version of Landlock that such a kernel has."""
+"""The version of Landlock of each kernel, by the kernel's name; None is the version of this kernel."""
 YES, NO = "yes", "–"
 ENDED_WITHIN_S = 0.2
 AT_FDCWD = -100
@@ -46,7 +46,7 @@ AT_FDCWD = -100
 
 @dataclass(frozen=True)
 class Ground:
-    """Where a child tries, and whom it meets there."""
+    """The files, folders and process (`victim`) that a child's attempts aim at."""
 
     folder: Path
     given: Path
@@ -59,7 +59,7 @@ class Ground:
 
     @property
     def beside(self) -> Path:
-        """A folder that it was not given."""
+        """The folder that the child was not given."""
         return self.foreign.parent
 
 
@@ -110,12 +110,12 @@ ATTEMPTS: Mapping[str, tuple[Act, Trace | None]] = {
     "make a file in its folder": (lambda at: (at.folder / "made").touch(), lambda at: (at.folder / "made").exists()),
     "make a link in its folder": (lambda at: (at.folder / "link").symlink_to("/"), None),
     "make a file elsewhere": (lambda at: (at.beside / "made").touch(), lambda at: (at.beside / "made").exists()),
-    "write what it was given to read": (lambda at: at.given.open("r+b").write(b"x"), lambda at: at.given.read_bytes()),
-    "cut off what it was given, by its path": (
+    "write to its input": (lambda at: at.given.open("r+b").write(b"x"), lambda at: at.given.read_bytes()),
+    "truncate its input by its path": (
         lambda at: os.truncate(at.given, 0),
         lambda at: at.given.stat().st_size,
     ),
-    "cut off what it was given, opened to read": (
+    "truncate its input, opened for reading": (
         lambda at: os.open(at.given, os.O_RDONLY | os.O_TRUNC),
         lambda at: at.given.stat().st_size,
     ),
@@ -130,42 +130,42 @@ ATTEMPTS: Mapping[str, tuple[Act, Trace | None]] = {
     "set an attribute elsewhere": (partial(_set_attribute, "setxattr"), lambda at: os.listxattr(at.foreign)),
     "set one by the newer call": (partial(_set_attribute, "setxattrat"), lambda at: os.listxattr(at.foreign)),
     "call what is newer than the list": (lambda _: system_call("unknown yet"), None),
-    "take a lock on what it was given": (lambda at: fcntl.flock(at.given.open(), fcntl.LOCK_EX), None),
+    "lock its input": (lambda at: fcntl.flock(at.given.open(), fcntl.LOCK_EX), None),
     "start a process": (lambda _: os.fork() or os._exit(0), None),
     "open a socket": (lambda _: socket.socket(), None),
     "signal another process": (lambda at: os.kill(at.victim, signal.SIGKILL), _alive),
-    "signal one by a descriptor's owner": (_signal_by_descriptor, _alive),
+    "signal another process through a descriptor's owner": (_signal_by_descriptor, _alive),
     "slow another process down": (
         lambda at: os.setpriority(os.PRIO_PROCESS, at.victim, 19),
         lambda at: os.getpriority(os.PRIO_PROCESS, at.victim),
     ),
-    "give it to one processor": (
+    "pin another process to one processor": (
         lambda at: os.sched_setaffinity(at.victim, [min(os.sched_getaffinity(0))]),
         None,
     ),
-    "let it run when nothing else does": (
+    "let another process run only on an idle processor": (
         lambda at: os.sched_setscheduler(at.victim, os.SCHED_IDLE, os.sched_param(0)),
         lambda at: os.sched_getscheduler(at.victim),
     ),
-    "let it wait for its disk": (lambda at: system_call("ioprio_set", 1, at.victim, 3 << 13), None),
-    "lower its limits": (_limit, lambda at: resource.prlimit(at.victim, resource.RLIMIT_NOFILE)),
-    "read its environment": (lambda at: Path(f"/proc/{at.victim}/environ").read_bytes(), None),
+    "lower another process's disk priority": (lambda at: system_call("ioprio_set", 1, at.victim, 3 << 13), None),
+    "lower another process's limits": (_limit, lambda at: resource.prlimit(at.victim, resource.RLIMIT_NOFILE)),
+    "read another process's environment": (lambda at: Path(f"/proc/{at.victim}/environ").read_bytes(), None),
 }
 
 
 def reach(kind: str, name: str, kernel: str = "this", *, is_fenced: bool = True) -> str:
-    """Whether a child of the kind, on such a kernel, does what the attempt is: `yes`, or the error that refuses it."""
+    """Return `yes` if a child of the kind succeeds with the attempt on this kernel, else `–` or the error."""
     act, trace = ATTEMPTS[name]
     with _ground() as ground, _older(KERNELS[kernel]), nullcontext() if is_fenced else _unfenced():
         before = trace(ground) if trace else None
         folder = None if kind == "reads" else ground.folder
         limits = SandboxLimits(folder=folder, file_bytes=2**20, reads=(ground.given,), makes_links=kind == "links")
         try:
-            said = sandboxed(partial(_tried, act, ground), limits).decode()
+            answer = sandboxed(partial(_tried, act, ground), limits).decode()
         except StoneError as error:
-            said = str(error)
-        happened = trace(ground) != before if trace else said == YES
-    return YES if happened else NO if said == YES else said
+            answer = str(error)
+        happened = trace(ground) != before if trace else answer == YES
+    return YES if happened else NO if answer == YES else answer
 
 
 def _tried(act: Act, ground: Ground) -> bytes:
@@ -196,15 +196,15 @@ def _ground() -> Iterator[Ground]:
 
 @contextmanager
 def _older(landlock: int | None) -> Iterator[None]:
-    """Children of this process, which has no fork server, with the user of the service and with no newer Landlock."""
-    spoken = fences.version() if landlock is None else min(landlock, fences.version())
-    with patch.object(child, "leave_the_user", lambda: False), patch.object(fences, "version", lambda: spoken):
+    """Fork children from this process (no fork server), with the service's user and at most this Landlock."""
+    version = fences.version() if landlock is None else min(landlock, fences.version())
+    with patch.object(child, "leave_the_user", lambda: False), patch.object(fences, "version", lambda: version):
         yield
 
 
 @contextmanager
 def _unfenced() -> Iterator[None]:
-    """Children behind no fence at all, which shows that an attempt is one."""
+    """Fork children without any fence, to show that each attempt can succeed."""
     with ExitStack() as patches:
         patches.enter_context(patch.object(fences, "version", lambda: 0))
         patches.enter_context(patch.object(seccomp, "allow_calls", lambda _: False))
@@ -214,7 +214,7 @@ def _unfenced() -> Iterator[None]:
 
 def main() -> None:
     parser = argparse.ArgumentParser(description=__doc__)
-    parser.add_argument("--kernel", choices=list(KERNELS), action="append", help="one of them; default: all")
+    parser.add_argument("--kernel", choices=list(KERNELS), action="append", help="kernel to simulate (default: all)")
     kernels = parser.parse_args().kernel or list(KERNELS)
     table = Table("", *(f"{kind}, {kernel}" for kernel in kernels for kind in KINDS))
     for name in ATTEMPTS:
