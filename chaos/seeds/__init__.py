@@ -1,9 +1,8 @@
-"""Histories of jobs from a seed: workers, sweepers, an owner and faults take turns as one die says, on one thread.
+"""Histories of jobs from a seed: workers, sweepers, an owner and faults take turns at random, on one thread.
 
-**Conventions.** What runs is the platform's own code of jobs, from `run_row` and its reporter to the sweeper, on SQLite
-in memory; virtual are clocks, threads, the death of a process and the broker. A *step* is one transaction: an actor
-waits at its beginning until the scheduler picks it, so two actors interleave there and nowhere else, as they do on a
-database with one writer at a time. What PostgreSQL lets run at once (row locks, SKIP LOCKED) is left to
-`tests/services/runtime/jobs` and `python -m chaos`. A *history* is all steps of one seed. Read `scheduler`, then
-`world`, `actors` and `verdict`.
+**Conventions.** A history runs the platform's job code, from `run_row` and its reporter to the sweeper, on SQLite in
+memory. Clocks, threads, the death of a process and the broker are virtual. A *step* is one transaction: an actor waits
+at its start until the scheduler picks the actor. So two actors interleave only there, as on a database with one writer
+at a time. `tests/services/runtime/jobs` and `python -m chaos` cover transactions that run at once on PostgreSQL (row
+locks, SKIP LOCKED). A *history* is all steps of one seed. Read `scheduler`, then `world`, `actors` and `verdict`.
 """

@@ -1,9 +1,9 @@
 """Play histories of jobs from seeds: `python -m chaos.seeds [--seeds 0..100] [--minutes 10] [--processes 2]`.
 
-Workers, sweepers, an owner, a broker and faults of the database take turns as a die says that begins at the seed; the
-code of jobs is the platform's own, the clock is virtual. Ends with 1 when something was lost, doubled or left for ever:
-the line of that seed says what, and plays it again. Once repaired it belongs into `PAST` in
-`tests/chaos/seeds/test_histories.py`, where every test run plays it again.
+Workers, sweepers, an owner, a broker and database faults take turns, drawn from the seed. The job code is the
+platform's, the clock is virtual. The exit status is 1 if a history loses, doubles or never ends something. The line
+of a failed seed names the fault and the command that plays the history again. After the repair, add the seed to
+`PAST` in `tests/chaos/seeds/test_histories.py`, where every test run plays it again.
 """
 
 import argparse
@@ -52,16 +52,16 @@ def _played(pool: ProcessPoolExecutor, options: argparse.Namespace, until_s: flo
         yield from pool.map(play, seeds)
 
 
-def _seeds(said: str) -> tuple[int, int]:
-    first, _, last = said.partition("..")
+def _seeds(text: str) -> tuple[int, int]:
+    first, _, last = text.partition("..")
     return int(first), int(last)
 
 
 def _options() -> argparse.Namespace:
     parser = argparse.ArgumentParser(prog="python -m chaos.seeds", description=__doc__)
-    parser.add_argument("--seeds", type=_seeds, default=(0, 2**31), help="A..B: from A to before B")
-    parser.add_argument("--minutes", type=float, default=10.0, help="no twenty seeds begin later than this")
-    parser.add_argument("--processes", type=int, default=2)
+    parser.add_argument("--seeds", type=_seeds, default=(0, 2**31), help="A..B: seeds from A to B - 1 (default: all)")
+    parser.add_argument("--minutes", type=float, default=10.0, help="minutes until the last seeds start (default: 10)")
+    parser.add_argument("--processes", type=int, default=2, help="number of processes (default: 2)")
     return parser.parse_args()
 
 

@@ -1,8 +1,7 @@
-"""Who acts in a history: workers, sweepers, an owner, an administrator and the nemesis.
+"""The actors of a history: workers, sweepers, an owner, an administrator and the nemesis.
 
-**Conventions.** Each is a task that goes on for ever; how long it waits and what it does next is drawn. An
-`OutageError` ends what an actor was at, as it would end a request or a task; anything else that the platform raises
-ends the history.
+**Conventions.** Each actor is a task without end; its pauses and next actions are drawn. An `OutageError` ends an
+actor's current action, as it would end a request or a task. Any other exception of the platform ends the history.
 """
 
 from collections.abc import Callable
@@ -37,9 +36,9 @@ STUMBLED = "Input/output error"
 
 
 class Handling:
-    """The handlers of a worker: they report, sleep, fail and bring more jobs as the die says.
+    """The handlers of a worker: they report, sleep, fail and add more jobs at random.
 
-    `effects` counts in the database what a success commits.
+    `effects` counts the commits of successes in the database.
     """
 
     def __init__(self, world: World) -> None:
@@ -60,7 +59,7 @@ class Handling:
     def _fail(self) -> None:
         drawn = self._dice.random() if not self._world.is_calm else 1.0
         if drawn < 0.04:
-            raise Refused(REFUSED, "as the die fell")
+            raise Refused(REFUSED, "drawn from the seed")
         if drawn < 0.12:
             raise OSError(5, STUMBLED)
         if drawn < 0.13:
@@ -69,9 +68,9 @@ class Handling:
     def _then(self, attempt: Attempt) -> tuple[JobSpec, ...]:
         if attempt.job_id == attempt.root_id or self._world.is_calm or self._dice.random() < 0.7:
             return ()
-        said = {"by": attempt.job_id}
+        arguments = {"by": attempt.job_id}
         after = ("labeler.step",) if self._dice.random() < 0.5 else ()
-        return JobSpec("ingest.step", said, "x"), JobSpec("labeler.step", said, needs=("x",), after=after)
+        return JobSpec("ingest.step", arguments, "x"), JobSpec("labeler.step", arguments, needs=("x",), after=after)
 
 
 def _count(session: Session, job_id: str) -> None:
@@ -81,7 +80,7 @@ def _count(session: Session, job_id: str) -> None:
 
 
 def begin(world: World) -> None:
-    """All of them."""
+    """Start all actors."""
     world.wanted = world.dice.randrange(1, WORKERS + 1)
     _spawn(world, "supervisor", lambda: supervise(world))
     for number in range(world.dice.randrange(1, SWEEPERS + 1)):
@@ -95,7 +94,7 @@ def _spawn(world: World, name: str, work: Callable[[], None]) -> None:
 
 
 def supervise(world: World) -> None:
-    """Another worker comes in the place of each that has ended."""
+    """Replace each worker that has ended."""
     while True:
         while len(_alive(world)) < world.wanted:
             add_worker(world)
@@ -103,7 +102,7 @@ def supervise(world: World) -> None:
 
 
 def add_worker(world: World) -> None:
-    """A process that runs rows of jobs, one for each wake-up."""
+    """Start a process that runs one job row for each wake-up."""
     process = Process(f"worker:{len(world.workers)}")
     world.workers.append(process)
     step = Handling(world)
@@ -119,7 +118,7 @@ def add_worker(world: World) -> None:
 
 
 def sweep(world: World) -> None:
-    """A sweeper that looks every few seconds."""
+    """Run a sweeper every few seconds."""
     sweeper = Sweeper(world.platform, world.broker.waiting, world.broker.send, lambda: world.scheduler.now_s)
     while True:
         world.scheduler.pause(world.dice.choice((1.0, 2.0, 5.0)))
@@ -128,7 +127,7 @@ def sweep(world: World) -> None:
 
 
 def own(world: World) -> None:
-    """An owner who queues runs, stops them and tries them again."""
+    """Queue, stop and retry runs, as an owner does."""
     while True:
         act = world.dice.choice((queue_run, queue_run, stop_run, stop_run, try_again, try_again))
         with suppress(OutageError, JobStateError, QueueDrainingError):
@@ -150,7 +149,7 @@ def queue_run(world: World) -> None:
             run = enqueue_run(session, "sequence.process", specs, context)
         else:
             run = enqueue(session, JobSpec("ingest.step"), context)
-        world.runs.append(run.id)  # though the answer may be lost: then there is no such run, or nobody knows of it
+        world.runs.append(run.id)  # if the answer is lost, the run may exist or not
 
 
 def stop_run(world: World) -> None:
@@ -161,7 +160,7 @@ def stop_run(world: World) -> None:
     if not _exists(world, run_id):
         return
     with world.database.transaction() as session:
-        act(session, run_id, "as the die fell")
+        act(session, run_id, "drawn from the seed")
     world.asked_of(run_id).stopped = True
 
 
@@ -171,10 +170,10 @@ def try_again(world: World) -> None:
     run_id = world.dice.choice(world.runs)
     if not _exists(world, run_id):
         return
-    asked = world.asked_of(run_id)
+    requests = world.asked_of(run_id)
     with world.database.transaction() as session:
         control.retry(session, run_id, world.platform.settings.jobs.max_attempts)
-        asked.retries, asked.stopped = asked.retries + 1, False  # before its answer, which may be lost
+        requests.retries, requests.stopped = requests.retries + 1, False  # before the answer, which may be lost
 
 
 def _exists(world: World, run_id: str) -> bool:
@@ -183,7 +182,7 @@ def _exists(world: World, run_id: str) -> bool:
 
 
 def harm(world: World) -> None:
-    """The nemesis: kills, stops and holds processes, the broker and the database, and turns queues off."""
+    """Kill, stop and hold processes, the broker and the database, and turn queues off (the nemesis)."""
     acts = (kill, kill, hold, hold, stop_worker, restart_platform, lose_broker, lose_database, turn)
     while True:
         world.scheduler.pause(world.dice.choice((1.0, 4.0, 15.0)))
@@ -197,19 +196,19 @@ def _alive(world: World) -> list[Process]:
 
 
 def kill(world: World) -> None:
-    """kill −9."""
+    """Kill a worker, as kill −9 does."""
     if alive := _alive(world):
         world.scheduler.kill(world.dice.choice(alive))
 
 
 def hold(world: World) -> None:
-    """SIGSTOP, and SIGCONT sooner or later than a lease."""
+    """Stop a worker, and continue it before or after its lease ends (SIGSTOP, SIGCONT)."""
     if alive := _alive(world):
         world.dice.choice(alive).held_until_s = world.scheduler.now_s + world.dice.choice((1.0, 15.0, 30.0, 60.0))
 
 
 def stop_worker(world: World) -> None:
-    """An orderly stop, after which the parent gives back what its child ran."""
+    """Stop a worker in an orderly way; its parent gives the child's jobs back."""
     if alive := _alive(world):
         process = world.dice.choice(alive)
         world.scheduler.kill(process)
@@ -217,7 +216,7 @@ def stop_worker(world: World) -> None:
 
 
 def restart_platform(world: World) -> None:
-    """All workers end, orderly or not, and what they ran is given back before others come."""
+    """End all workers, orderly or not, and give their jobs back before new workers start."""
     wanted, world.wanted = world.wanted, 0
     for process in _alive(world):
         world.scheduler.kill(process)
@@ -239,6 +238,6 @@ def lose_database(world: World) -> None:
 
 
 def turn(world: World) -> None:
-    """An administrator pauses, drains or opens a queue."""
+    """Pause, drain or open a queue, as an administrator does."""
     with world.database.transaction() as session:
         control.set_mode(session, world.dice.choice(QUEUES), world.dice.choice(("open", "paused", "draining")))

@@ -1,8 +1,8 @@
-"""A database in memory whose transactions fail as the die says, and begin when the scheduler says.
+"""A database in memory whose transactions fail at random and start when the scheduler picks them.
 
-**Conventions.** *away*: refused at its beginning. *cut*: the connection ends at one of its statements, or at COMMIT
-before that took effect. *unanswered*: COMMIT took effect, its answer and the wake-ups after it did not come. *calm*
-ends all of them.
+**Conventions.** *away*: the transaction is refused at its start. *cut*: the connection ends at a statement, or at
+COMMIT before it takes effect. *unanswered*: COMMIT takes effect, but its answer and the following wake-ups are lost.
+*calm* ends all faults.
 """
 
 from collections.abc import Callable, Iterator
@@ -24,18 +24,18 @@ from services.runtime.settings import Settings
 OWNER = "0" * 32
 WRITTEN = (NotificationEvent, FigureRow, JobLine, JobNeed, JobAttempt, Job, Queue)
 LONGEST = 12
-"""A connection that is cut is cut at one of so many statements, or at COMMIT."""
+"""A cut connection ends at one of its first `LONGEST` statements, or at COMMIT."""
 
 
 class OutageError(OperationalError):
-    """A fault that the die drew; what else the database raises is a fault of the platform."""
+    """A drawn fault; any other exception of the database is a fault of the platform."""
 
     def __init__(self, at: str) -> None:
         super().__init__(at, {}, OSError("server closed the connection unexpectedly"))
 
 
 class FaultyDatabase(Database):
-    """`share` is that of transactions that fail; `away_until_s` is when the database is back."""
+    """`share` is the share of transactions that fail; `away_until_s` is the time at which the database returns."""
 
     def __init__(self, settings: Settings, scheduler: Scheduler, wake_up: Callable[[str, int], None]) -> None:
         super().__init__(settings, self._send, memory())
@@ -49,7 +49,7 @@ class FaultyDatabase(Database):
         event.listen(self.engine, "before_cursor_execute", self._count_down)
 
     def close(self) -> None:
-        """The memory is kept for the next history."""
+        """Detach from the engine, whose memory the next history uses."""
         event.remove(self.engine, "before_cursor_execute", self._count_down)
 
     @contextmanager
@@ -74,12 +74,15 @@ class FaultyDatabase(Database):
 
     @contextmanager
     def looking_on(self) -> Iterator[Session]:
-        """As `reading`, for who judges: no step, no fault."""
+        """Yield a session like `reading`, for the judge: no step, no fault."""
         with super().reading() as session:
             yield session
 
     def _begin(self) -> tuple[bool, bool]:
-        """Wait for the turn; whether the transaction is to be cut, or not to be answered. Raises `OutageError`."""
+        """Wait for the turn; return whether to cut the transaction, and whether to lose its answer.
+
+        Raises `OutageError`.
+        """
         late_s = self._dice.choice((0.0, 0.0, 0.0, 0.0, 0.0, 0.01, 0.3)) if self.share else 0.0
         self._scheduler.pause(late_s)
         self.transactions += 1
@@ -105,7 +108,7 @@ class FaultyDatabase(Database):
 
 @cache
 def memory() -> Engine:
-    """The engine of this process: all its sessions are on one connection, so one at a time."""
+    """Return the engine of this process; all its sessions share one connection, so use one at a time."""
     engine = sqlite_engine(create_engine("sqlite://", poolclass=StaticPool, hide_parameters=True))
     Base.metadata.create_all(engine)
     with Session(engine) as session:
@@ -115,7 +118,7 @@ def memory() -> Engine:
 
 
 def clear() -> None:
-    """Delete what a history wrote."""
+    """Delete the rows of a history."""
     with Session(memory()) as session:
         for row in WRITTEN:
             session.execute(delete(row))

@@ -1,4 +1,4 @@
-"""Plays the history of a seed: some hundred steps of chaos, then calm until everything has ended, judged on the way."""
+"""Play the history of a seed: `CHAOS_STEPS` steps of chaos, then calm until every run has ended, and judge it."""
 
 import logging
 from collections.abc import Iterator
@@ -22,17 +22,17 @@ from services.runtime.orm import Job
 CHAOS_STEPS = 300
 LOOKS_EACH = 64
 PATIENCE_S = 1500.0
-"""After so long a calm every run has ended: a lease is a hundredth of it."""
+"""Every run ends within this time of calm; a lease is a hundredth of it."""
 LEFT = text("SELECT 1 FROM jobs WHERE state IN ('queued', 'running') LIMIT 1")
 
 
 class ViolationError(Exception):
-    """Something that must not be."""
+    """A rule of `chaos.seeds.verdict` was violated."""
 
 
 @dataclass(frozen=True)
 class History:
-    """How a seed went: its steps (transactions), its checksum, and what was violated, empty if nothing was."""
+    """The result of a seed: its steps (transactions), its checksum, and its violation (empty if there was none)."""
 
     seed: int
     steps: int
@@ -41,7 +41,7 @@ class History:
 
 
 def play(seed: int, looks_each: int = LOOKS_EACH) -> History:
-    """Play and judge; the rows are looked at each `looks_each` turns."""
+    """Play the seed and judge it; the rows are judged every `looks_each` turns."""
     clear()
     world = World(seed)
     violation = ""
@@ -78,7 +78,7 @@ def _open_queues(world: World) -> None:
 
 
 def _judged(world: World, looks_each: int) -> bool:
-    """True. Raises `ViolationError`."""
+    """Return True, or raise `ViolationError`."""
     if world.scheduler.turns % looks_each == 0:
         with world.database.looking_on() as session:
             for sentence in judge_step(Rows.of(session)):
@@ -95,7 +95,7 @@ def _is_over(world: World) -> bool:
 
 @contextmanager
 def _hearing(world: World) -> Iterator[None]:
-    """Inside, a violation is raised where an attempt is lost to silence that has spoken within its lease."""
+    """Raise a violation inside this context if an attempt is ended as silent within its lease after a heartbeat."""
     lose_silent = lease_sweep.lose_silent
 
     def heard(session: Session, seen: Job, lease_s: float) -> bool:
@@ -111,10 +111,10 @@ def _hearing(world: World) -> Iterator[None]:
 
 @contextmanager
 def _silent() -> Iterator[None]:
-    """Inside, nothing is logged: what goes wrong is drawn."""
-    before = structlog.get_config()
+    """Switch logging off inside this context, since the faults are drawn."""
+    config = structlog.get_config()
     structlog.configure(wrapper_class=structlog.make_filtering_bound_logger(logging.CRITICAL))
     try:
         yield
     finally:
-        structlog.configure(**before)
+        structlog.configure(**config)

@@ -1,8 +1,8 @@
-"""A scheduler of greenlets on a virtual clock: whoever is due may be next, and the die decides.
+"""A scheduler of greenlets on a virtual clock: it draws the next task among the due tasks.
 
-**Conventions.** A task gives the turn back in `pause` and nowhere else. A process is a group of tasks that dies as one:
-each of them raises `Killed` wherever it pauses, which no `except Exception` stops, and from then on at every pause; a
-process that is held goes on later, as after SIGSTOP.
+**Conventions.** A task yields its turn only in `pause`. A process is a group of tasks that die together. Each task of a
+dead process raises `Killed` at every pause, and no `except Exception` catches it. A held process continues later, as
+after SIGSTOP.
 """
 
 import random
@@ -28,7 +28,7 @@ class Killed(BaseException):
 
 @dataclass(eq=False)
 class Process:
-    """`attempt` is the (job, number) at work in it."""
+    """A group of tasks; `attempt` is the (job, number) that runs in it."""
 
     name: str
     is_dead: bool = False
@@ -38,7 +38,7 @@ class Process:
 
 @dataclass(eq=False)
 class Task:
-    """`due_s`: when it goes on."""
+    """A greenlet of a process; `due_s` is the time at which it may continue."""
 
     name: str
     process: Process
@@ -51,9 +51,9 @@ class Task:
 
 
 class Scheduler:
-    """`spawn` tasks, then `run`. Whatever a task raises ends the run, except `Killed`.
+    """`spawn` tasks, then `run`. Any exception of a task except `Killed` ends the run.
 
-    `trace` is a checksum of who had each turn when: a history that is played again has the same.
+    `trace` is a checksum of the process and time of each turn; a history that is played again has the same checksum.
     """
 
     def __init__(self, dice: random.Random) -> None:
@@ -76,7 +76,7 @@ class Scheduler:
         return task
 
     def pause(self, seconds: float = 0.0) -> None:
-        """Give the turn back, and go on no earlier than in `seconds`. Raises `Killed`."""
+        """Yield the turn, and continue after at least `seconds`. Raises `Killed`."""
         task = self.current
         task.due_s = self.now_s + seconds
         if not task.process.is_dead:
@@ -85,7 +85,7 @@ class Scheduler:
             raise Killed
 
     def kill(self, process: Process) -> None:
-        """Let none of its tasks go on; the one whose turn it is dies at its next pause."""
+        """End all tasks of the process; the current task dies at its next pause."""
         process.is_dead = True
 
     def run(self, goes_on: Callable[[], bool]) -> None:
@@ -97,7 +97,7 @@ class Scheduler:
             self._turn(due[self.dice.randrange(len(due))])
 
     def close(self) -> None:
-        """Unwind what is left."""
+        """Unwind the remaining tasks."""
         for task in self._tasks:
             task.process.is_dead = True
         while self._tasks:
@@ -121,7 +121,7 @@ class Scheduler:
         for task in [task for task in self._tasks if task.process.is_dead]:
             if task.greenlet:
                 self._turn(task, Killed)
-            else:  # it has not begun
+            else:  # not started
                 self._tasks.remove(task)
 
     def _play(self, work: Callable[[], None]) -> None:
@@ -130,7 +130,7 @@ class Scheduler:
 
 
 class VirtualEvent:
-    """As `threading.Event`."""
+    """A `threading.Event` on the virtual clock."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler, self._is_set = scheduler, False
@@ -156,7 +156,7 @@ class VirtualEvent:
 
 
 class VirtualThread:
-    """As `threading.Thread`: a task of the process that starts it."""
+    """A `threading.Thread` that is a task of the process that starts it."""
 
     def __init__(
         self, scheduler: Scheduler, target: Callable[..., Any], args: tuple[Any, ...], name: str, **_: Any
@@ -178,7 +178,7 @@ class VirtualThread:
 
 @contextmanager
 def virtual(scheduler: Scheduler) -> Iterator[None]:
-    """Inside, jobs are executed on the scheduler's clock, threads and processes."""
+    """Execute jobs inside this context on the scheduler's clock, threads and processes."""
 
     def exit_process(_code: int) -> None:
         scheduler.kill(scheduler.current.process)

@@ -1,8 +1,13 @@
-"""What must be true of jobs at any step of a history, and at its end; each way in which it is not is a sentence.
+"""The rules for jobs at any step of a history and at its end; each violation is a sentence.
 
-**Conventions.** Everything is read from the rows, beside what the world saw and asked for. At any step: no success is
-lost or counted twice, what follows a success is there, a job begins after what it needs, a run has ended if and only if
-its jobs have, and each attempt is open as long as its job runs. At the end: every run has ended, as it was asked to.
+**Conventions.** The rules compare the rows with the world's record of requests. At any step:
+
+- no success is lost or counted twice, and the jobs that follow a success exist;
+- a job starts after the jobs that it needs;
+- a run has ended if and only if its jobs have;
+- each attempt is open as long as its job runs.
+
+At the end every run has ended, and a stopped run has ended as stopped.
 """
 
 from collections import Counter
@@ -32,7 +37,7 @@ OUTAGE = f"{OutageError.__name__}: "
 
 @dataclass(frozen=True)
 class Rows:
-    """All that a history has written."""
+    """All rows of a history."""
 
     jobs: dict[str, Row[tuple[object, ...]]]
     attempts: Sequence[Row[tuple[object, ...]]]
@@ -47,17 +52,17 @@ class Rows:
 
 
 def judge_step(rows: Rows) -> Iterator[str]:
-    """What must be true between any two transactions."""
+    """Yield the violations of the rules that hold between any two transactions."""
     yield from _judge_effects(rows)
     yield from _judge_needs(rows)
     yield from _judge_runs(rows)
     running = sorted(row.id for row in rows.jobs.values() if row.queue and row.state == "running")
     if sorted(row.job_id for row in rows.attempts if not row.outcome) != running:
-        yield f"attempts are open that are not those of the running jobs {running}"
+        yield f"the open attempts do not match the running jobs {running}"
 
 
 def judge_end(world: World, rows: Rows, most: int) -> Iterator[str]:
-    """What must be true once nothing goes wrong any more and everybody has come to rest."""
+    """Yield the violations of the rules that hold after calm, when all actors rest."""
     yield from judge_step(rows)
     for row in rows.jobs.values():
         if row.state not in TERMINAL:
@@ -78,7 +83,7 @@ def _judge_effects(rows: Rows) -> Iterator[str]:
         if effects != is_done:
             yield f"{'doubled' if effects > is_done else 'lost'}: job {row.id} is {row.state}, with {effects} effects"
         if is_done and followers[row.id] != row.brings:
-            yield f"lost: job {row.id} brings {row.brings} jobs, of which {followers[row.id]} are there"
+            yield f"lost: job {row.id} brings {row.brings} jobs, but {followers[row.id]} exist"
 
 
 def _judge_needs(rows: Rows) -> Iterator[str]:
@@ -87,7 +92,7 @@ def _judge_needs(rows: Rows) -> Iterator[str]:
         left[need.job_id] += rows.jobs[need.needed_id].state != "succeeded"
     for row in rows.jobs.values():
         if row.state == "queued" and row.needs_left != left[row.id]:
-            yield f"lost: job {row.id} waits for {row.needs_left} jobs, of which {left[row.id]} are left"
+            yield f"lost: job {row.id} waits for {row.needs_left} jobs, but {left[row.id]} are left"
         if row.state in ("running", "succeeded") and left[row.id]:
             yield f"job {row.id} began before {left[row.id]} of the jobs that it needs"
 
@@ -104,23 +109,23 @@ def _judge_runs(rows: Rows) -> Iterator[str]:
         if run.state == "succeeded" and of_jobs != {"succeeded"}:
             yield f"run {run_id} succeeded, its jobs are {sorted(of_jobs)}"
         if run.cancel_reason and "queued" in of_jobs:
-            yield f"run {run_id} is to stop, and more of it will start"
+            yield f"run {run_id} was stopped, but has queued jobs"
 
 
 def _judge_failure(row: Row[tuple[object, ...]]) -> Iterator[str]:
-    """Whatever failed was refused, stumbled, or had no attempt left after faults: the die's, not the platform's."""
+    """Yield a violation if the job's failure is not drawn: refused, stumbled, or out of attempts after faults."""
     if row.failure_code not in CODES:
-        yield f"{row.id} failed with {row.failure_code!r}, which nobody raised"
+        yield f"{row.id} failed with the unexpected code {row.failure_code!r}"
     if row.failure_code == "internal_error" and not (STUMBLED in row.failure or OUTAGE in row.failure):
         yield f"{row.id} failed by the platform's own fault: {row.failure}"
 
 
 def _judge_stop(world: World, run: Row[tuple[object, ...]]) -> Iterator[str]:
-    """A run that was stopped ends so; a job of its own that did not look once more may have been through."""
+    """Yield a violation if a stopped run did not end as stopped; a run that is one job may have finished first."""
     if not world.asked_of(run.id).stopped or run.state == "cancelled":
         return
     if run.state != "failed" and not run.queue:
-        yield f"run {run.id} was asked to stop and is {run.state}"
+        yield f"run {run.id} was stopped, but is {run.state}"
 
 
 def _judge_attempts(world: World, rows: Rows, most: int) -> Iterator[str]:
@@ -131,10 +136,10 @@ def _judge_attempts(world: World, rows: Rows, most: int) -> Iterator[str]:
         numbers.setdefault(row.job_id, []).append(row.number)
         counted[row.job_id] += row.failure_code not in UNCOUNTED
         succeeded[row.job_id] += row.outcome == "succeeded"
-    for job_id, found in numbers.items():
+    for job_id, kept in numbers.items():
         job = rows.jobs[job_id]
-        if found != list(range(1, job.attempt + 1)):
-            yield f"lost: job {job_id} has had {job.attempt} attempts and keeps {found}"
+        if kept != list(range(1, job.attempt + 1)):
+            yield f"lost: job {job_id} has had {job.attempt} attempts and keeps {kept}"
         if succeeded[job_id] != (job.state == "succeeded"):
             yield f"doubled: job {job_id} is {job.state} after {succeeded[job_id]} attempts that succeeded"
         allowed = most * (1 + world.asked_of(job.root_id).retries)

@@ -1,4 +1,4 @@
-"""The world of one history: platform, broker, what was asked for, and what was seen that must not be."""
+"""The world of one history: platform, broker, processes and the record of the owner's requests."""
 
 import random
 from collections import deque
@@ -17,7 +17,7 @@ LIMITS = JobSettings(time_limit_s=150.0)
 
 
 class Broker:
-    """Wake-ups, of which some are lost, doubled or late; a worker's message is gone once it is received."""
+    """A broker that loses, doubles or delays some wake-ups; a worker that receives a message removes it."""
 
     def __init__(self, scheduler: Scheduler) -> None:
         self._scheduler, self._dice = scheduler, scheduler.dice
@@ -32,7 +32,7 @@ class Broker:
         return self._scheduler.now_s < self.away_until_s
 
     def send(self, queue: str, times: int) -> None:
-        """Send wake-ups, or take some back. A broker that is away gets none, and nobody waits for it."""
+        """Send wake-ups, or take some back; does nothing while the broker is away."""
         if self.is_away:
             return
         for _ in range(min(-times, len(self._held[queue]))):
@@ -47,13 +47,13 @@ class Broker:
             self._arrive(queue, 2 if drawn < self.share else 1)
 
     def waiting(self, queue: str) -> int:
-        """Raises `ConnectionError` while it is away."""
+        """Return the number of wake-ups in a queue. Raises `ConnectionError` while the broker is away."""
         if self.is_away:
             raise ConnectionError("the broker is away")
         return len(self._held.get(queue, ()))
 
     def receive(self) -> str:
-        """The queue of the next wake-up, waited for."""
+        """Wait for the next wake-up and return its queue."""
         while True:
             ready = [queue for queue in QUEUES if self._held[queue]]
             if ready and not self.is_away:
@@ -64,7 +64,7 @@ class Broker:
             self.rung.wait(60.0)
 
     def forget(self) -> None:
-        """It was restarted."""
+        """Delete all wake-ups, as a restart does."""
         for held in self._held.values():
             held.clear()
 
@@ -79,7 +79,7 @@ class Broker:
 
 @dataclass
 class Asked:
-    """What was asked of a run: whether its stop was promised, and how often it may have been queued again."""
+    """The owner's requests for a run: whether its stop was acknowledged, and how many retries may have happened."""
 
     stopped: bool = False
     retries: int = 0
@@ -87,7 +87,7 @@ class Asked:
 
 @dataclass
 class World:
-    """`wanted`: how many workers there are to be. `calm()`: from now on nothing goes wrong any more."""
+    """`wanted` is the target number of workers; `calm()` ends all faults."""
 
     seed: int
     dice: random.Random = field(init=False)
@@ -103,7 +103,7 @@ class World:
         self.broker = Broker(self.scheduler)
         settings = Settings(data_folder=Path("/nonexistent"), jobs=LIMITS)
         self.database = FaultyDatabase(settings, self.scheduler, self.broker.send)
-        self.platform = Platform(settings, self.database, cast("Store", None))  # jobs alone know no store
+        self.platform = Platform(settings, self.database, cast("Store", None))  # jobs use no store
         self.database.share = self.dice.choice((0.0, 0.02, 0.05, 0.15))
         self.broker.share = self.dice.choice((0.0, 0.1, 0.5))
 
