@@ -5,8 +5,8 @@ of their own, each with a connection: 90 in 100 read lists, things and the board
 have submissions scored; meanwhile one recording after another is labelled. Told are errors, latencies by what was
 asked, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform in
 the first and the last quarter.
-With `--slow 2000` so many strangers hold connections from one address (`benchmarks/load/strangers.py`) after `CALM_S`;
-nothing is labelled or scored then, and the platform keeps its bounds. Without it the address of the clients has none.
+With `--slow 2000`, 2,000 connections of one address stop in a request (`benchmarks/load/strangers.py`) after `CALM_S`.
+Nothing is labelled or scored then, and the platform keeps its bounds. Without `--slow` the clients' address is exempt.
 With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.
 """
 
@@ -50,7 +50,7 @@ from testing.worlds.benchmark_world import World
 MIB = 2**20
 LABELLED_WITHIN_S = 600.0
 CALM_S = 20.0
-CLIENTS_AT, PROXY = "127.0.0.2", "192.0.2.1"  # no connection comes from this one: nobody is exempt
+CLIENTS_AT, PROXY = "127.0.0.2", "192.0.2.1"  # no connection comes from PROXY, so no address is exempt
 CONSOLE = Console(width=130, highlight=False)
 
 
@@ -161,7 +161,7 @@ class _Labelling:
 
 
 class _Strangers:
-    """Strangers in a process of their own, beside the clients."""
+    """The connections of `benchmarks.load.strangers`, in a process of their own beside the clients."""
 
     def __init__(self, options: argparse.Namespace, running: RunningPlatform) -> None:
         self._plan = StrangersPlan(
@@ -174,9 +174,9 @@ class _Strangers:
 
     def __enter__(self) -> None:
         self._skipped = len(self._log.read_text().splitlines())
-        said = self._folder / "strangers.json"
-        said.write_text(json.dumps(asdict(self._plan)))
-        command = [sys.executable, "-m", "benchmarks.load.strangers", said, self._folder / "seen.json"]
+        plan_path = self._folder / "strangers.json"
+        plan_path.write_text(json.dumps(asdict(self._plan)))
+        command = [sys.executable, "-m", "benchmarks.load.strangers", plan_path, self._folder / "seen.json"]
         if self._plan.count:
             self._process = subprocess.Popen(command)
 
@@ -186,7 +186,7 @@ class _Strangers:
             self._noted = json.loads((self._folder / "seen.json").read_text())
 
     def show(self, noted: dict[str, Any], watch: MemoryWatch) -> None:
-        """What the API held before and at most, what others waited, and how much was logged."""
+        """Print the API's memory (before, and the maximum), the clients' latencies and the number of log lines."""
         begun_s = self._noted["begun_s"]
         held = dict(zip(watch.looked_s, watch.held["api"], strict=False))
         before = median(size for at_s, size in held.items() if begun_s - CALM_S / 2 < at_s < begun_s)
@@ -199,11 +199,11 @@ class _Strangers:
             p50, p99 = np.percentile(waited, [50, 99]) * 1e3
             CONSOLE.print(f"{name} them: {len(waited)} requests, p50 {p50:.0f} ms, p99 {p99:.0f} ms")
         lines = self._log.read_text().splitlines()[self._skipped :]
-        asked = sum('"logger": "access"' in line or '"event": "request"' in line for line in lines)
+        request_lines = sum('"logger": "access"' in line or '"event": "request"' in line for line in lines)
         CONSOLE.print(
             f"strangers: {self._plan.count}, {self._noted['most_open']} open at most, ended by {self._noted['seen']}; "
             f"API {before / MIB:.0f} MiB before, {most / MIB:.0f} at most (+{(most - before) / MIB:.0f}); "
-            f"{len(lines) - asked} log lines beside {asked} of requests"
+            f"{len(lines) - request_lines} log lines besides {request_lines} of requests"
         )
 
 
@@ -255,7 +255,7 @@ def _options() -> argparse.Namespace:
     parser.add_argument("--minutes", type=float, default=10.0)
     parser.add_argument("--pause-s", type=float, default=1.0, help="a client thinks so long between two requests")
     parser.add_argument("--database", default="postgres", choices=["sqlite", "postgres"])
-    parser.add_argument("--slow", type=int, default=0, help="strangers' connections that do not go on")
+    parser.add_argument("--slow", type=int, default=0, help="number of connections that stop in a request (default: 0)")
     parser.add_argument("--workers", type=int, default=1)
     parser.add_argument("--folder", type=Path, help="a temporary one unless named")
     options = parser.parse_args()

@@ -37,8 +37,10 @@ READS = (
 
 @dataclass(frozen=True)
 class LoadPlan:
-    """Who asks what for how long, from the address `source`: `readers` ask for lists, `uploaders` send files,
-    `submitters` have one scored."""
+    """The clients' requests and their duration, from the address `source`.
+
+    `readers` request lists, `uploaders` send files, and each of the `submitters` has a submission scored.
+    """
 
     port: int
     seconds: float

@@ -1,7 +1,8 @@
-"""Strangers beside the clients of `benchmarks.load`: connections from one address that begin a request and then stop.
+"""Connections from one address that start a request and then stop, beside the clients of `benchmarks.load`.
 
-**Conventions.** `python -m benchmarks.load.strangers PLAN.json OUT.json`. A third is silent, a third stops in a head, a
-third in the body of a sign-in of 2 MiB, a byte before its end. After `PAUSE_S` a connection that ended is opened again.
+**Conventions.** `python -m benchmarks.load.strangers PLAN.json OUT.json`. A third of the connections is silent, a third
+stops in a head, and a third stops in the body of a sign-in of 2 MiB, one byte before its end. `PAUSE_S` after a
+connection ends, it is opened again.
 """
 
 import asyncio
@@ -27,7 +28,7 @@ SENT = (b"", HALF_HEAD, HALF_BODY)
 
 @dataclass(frozen=True)
 class StrangersPlan:
-    """`count` connections from `source`, after `wait_s` and for `seconds`."""
+    """`count` connections from `source`, which start after `wait_s` and last `seconds`."""
 
     port: int
     count: int
@@ -37,7 +38,7 @@ class StrangersPlan:
 
 
 class Strangers:
-    """What became of the connections; `begun_s` on the machine's monotonic clock."""
+    """The connections and counts of their ends (`seen`); `begun_s` is on the machine's monotonic clock."""
 
     def __init__(self, plan: StrangersPlan) -> None:
         self.plan, self.seen, self.open, self.most_open = plan, Counter[str](), 0, 0

@@ -1,7 +1,7 @@
 #!/bin/sh
-# Pull the images of others that docker-compose.yml names and write their digests to .env: pin-images.sh.
+# Pull the external images of docker-compose.yml and write their digests to .env: pin-images.sh.
 #
-# A tag can move, a digest cannot. Run it again to accept what the tags name by then. ENGINE=podman for Podman.
+# A tag can move, a digest cannot. Run it again to accept the tags' newer images. ENGINE=podman for Podman.
 set -eu
 
 cd "$(dirname "$0")/../.."
