@@ -1,10 +1,10 @@
 """Examination of a range of a submission's frames in a sandboxed process: validation, or counting too.
 
 **Conventions.** Frames follow `tokens`, the whole manifest; an empty range checks the archive's directory alone. The
-child opens the files itself. A submission may take over the child that reads it, so no child that reads the ground
-truth beside it answers a word: it answers a `CountingOutcome` in one byte, then exactly the counts of the range,
-little-endian int32 in the order of `ARRAYS`, which are held against the supports of the truth. If it counted nothing, a
-child that has no ground truth finds the words: a little JSON.
+child opens the files itself. A submission may take over the child that reads it, so a child that also reads the ground
+truth returns no text. It returns a `CountingOutcome` in one byte, then exactly the counts of the range, little-endian
+int32 in the order of `ARRAYS`. The parent checks these counts against the supports of the truth. If the child counted
+nothing, a child without the ground truth returns the errors as JSON.
 """
 
 import json
@@ -75,8 +75,8 @@ TruthOf = Callable[[str], TruthPlanes]
 
 @dataclass(frozen=True, eq=False)
 class CountedFrames:
-    """The counts of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32; by column, and of
-    `late` voxels [F, truth, prediction]; the refusals."""
+    """The counts and the refusals of F frames: `confusions` [F, ring, truth, prediction], `bev` [F, ring, 3] int32;
+    the counts by column, and `late` [F, truth, prediction], the counts of late voxels."""
 
     confusions: Confusion
     bev: Drivable
@@ -99,8 +99,8 @@ def count_range(
     threads: int = THREADS,
     progress: Progress = silent,
 ) -> CountedFrames:
-    """The counts of these frames, every check on; those by column and of late voxels of the frames `sampled`, zero of
-    others.
+    """Return the counts of these frames, every check on; counts by column and of late voxels are zero for frames that
+    are not in `sampled`.
 
     What is wrong with the archive as a whole is not told again. Raises what `truth_of` raises.
     """
@@ -135,7 +135,7 @@ def count_frame(
     outs: tuple[Confusion, Drivable, ColumnCounts],
     late_out: Confusion | None = None,
 ) -> ValidationProblem | None:
-    """Write the counts of one frame as `count_by_ring` does, and those of late voxels, or say why it is refused."""
+    """Write the counts of one frame as `count_by_ring` does, and its late counts; return the problem, if any."""
 
     def count() -> None:
         try:
@@ -156,8 +156,8 @@ def count_frame(
 
 @dataclass(frozen=True, eq=False)
 class Counts:
-    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts` and those of late
-    voxels, `late` [F, 4, 4]; None if not kept."""
+    """The counts of F frames: `confusions` [F, 3, 4, 4], `bev` [F, 3, 3] int32, `column_counts`, and `late` [F, 4, 4]
+    of late voxels. The last two are None if not kept."""
 
     confusions: NDArray[np.int32]
     bev: NDArray[np.int32]
@@ -242,7 +242,7 @@ log = structlog.get_logger(__name__)
 
 
 class CountingOutcome(IntEnum):
-    """All that a child that reads a ground truth may answer beside counts."""
+    """The only values that a child reading a ground truth may return besides counts."""
 
     COUNTED = 0
     NOT_COUNTED = 1
@@ -250,10 +250,10 @@ class CountingOutcome(IntEnum):
 
 
 class ImpossibleCountsError(Refused):
-    """Counting a sound file ended as our program never does; `fault` is for the log of the operator."""
+    """Counting a sound file ended in a way that our program never does; `fault` is for the operator's log."""
 
     def __init__(self, fault: str) -> None:
-        log.warning("counting ended as our program never does", fault=fault)
+        log.warning("counting ended in a way that our program never does", fault=fault)
         super().__init__(
             "scoring_crashed", "counting the submission broke off; was it written by numpy.savez_compressed?"
         )
@@ -286,7 +286,7 @@ class Examination:
 def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """Look at the range, in a child.
 
-    Raises `scoring_crashed` where the child broke its limits, `ImpossibleCountsError`, `scoring_interrupted`,
+    Raises `scoring_crashed` if the child broke its limits, `ImpossibleCountsError`, `scoring_interrupted`,
     `ground_truth_damaged`, and what `watch` raises.
     """
     warm_unless_served(warm)
@@ -301,12 +301,12 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
             raise ImpossibleCountsError("counted nothing of frames that are sound")
         return found
     if not can_be_counted(counts.arrays(), supports, _is_sampled(examination)):
-        raise ImpossibleCountsError("answered counts that no prediction has against this ground truth")
+        raise ImpossibleCountsError("returned counts that no prediction has against this ground truth")
     return ExaminedRange(verdict(()), counts)
 
 
 def _counted_apart(examination: Examination, watch: SandboxWatch) -> Counts | None:
-    """The counts of a child that reads the ground truth, of which nothing else comes; None if it counted nothing.
+    """Return the counts from a child that reads the ground truth and returns nothing else; None if it counted nothing.
 
     Raises `scoring_interrupted`, `ground_truth_damaged`, and what `watch` raises.
     """
@@ -314,10 +314,10 @@ def _counted_apart(examination: Examination, watch: SandboxWatch) -> Counts | No
     try:
         answer = sandboxed_with_progress(partial(count_submission, examination), examination.limits, silent_watch)
     except SandboxCrashedError as error:
-        log.warning("a child that counts broke off", fate=error.fate)
+        log.warning("a counting child crashed", fate=error.fate)
         return None
     except SandboxInterruptedError as error:
-        log.warning("a child that counts was interrupted", fate=error.fate)
+        log.warning("a counting child was interrupted", fate=error.fate)
         raise _interrupted("was interrupted") from error
     outcome, raw = answer[:1], answer[1:]
     if outcome == bytes([CountingOutcome.TRUTH_DAMAGED]):
@@ -327,7 +327,7 @@ def _counted_apart(examination: Examination, watch: SandboxWatch) -> Counts | No
 
 
 def _pass_on(watch: SandboxWatch, frames: int, _stage: str, ticks: int, _total: int) -> None:
-    """Pass progress on as the number of blocks that were reported."""
+    """Forward progress as the number of blocks that the child reported."""
     watch.progress("score", min(ticks * BLOCK, frames), frames)
 
 
@@ -337,7 +337,7 @@ def _is_sampled(examination: Examination) -> NDArray[np.bool_]:
 
 
 def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
-    """The range as a child sees it that reads no ground truth. Raises as `examine`."""
+    """Return the range as checked by a child that reads no ground truth. Raises as `examine` does."""
     try:
         answer = sandboxed_with_progress(partial(check_submission, examination), examination.limits, watch)
         found = validation_of(json.loads(answer))
@@ -374,7 +374,7 @@ def answer_bytes(frames: int) -> int:
 
 
 def check_submission(examination: Examination, progress: ProgressCallback) -> bytes:
-    """Return what is wrong with the range, as JSON; the part of the child that reads no ground truth."""
+    """Return the validation of the range, as JSON; runs in the child that reads no ground truth."""
     with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:
         tokens = examination.tokens[slice(*examination.span)]
         found = examined(submission, tokens, threads=1, progress=progress)
@@ -382,7 +382,7 @@ def check_submission(examination: Examination, progress: ProgressCallback) -> by
 
 
 def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
-    """Return an outcome and the counts of the range, if it has any; the part of the child that reads the truth."""
+    """Return an outcome and the counts of the range, if it has any; runs in the child that reads the truth."""
     if examination.pack_path is None:
         return bytes([CountingOutcome.NOT_COUNTED])
     with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:

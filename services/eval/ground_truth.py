@@ -185,7 +185,7 @@ def _evaluated(
 
 
 def _late(npz: bytes, members: Mapping[str, ZipMember], grid: LabelGrid) -> NDArray[np.bool_] | None:
-    """The voxels that only later sweeps came near; None of labels that do not say it."""
+    """Return the voxels that only later sweeps came near, or None if the labels do not mark them."""
     return read_grid(npz, members[LATE], grid) != 0 if LATE in members else None
 
 

@@ -41,8 +41,8 @@ RING_NAMES = tuple(
 
 @dataclass(frozen=True)
 class SequenceFacts:
-    """What is known of a sequence; None where nobody said it. `drive` is that of which it is one of several; `places`
-    are those of its frames in time, () if they are in that order."""
+    """Facts about a sequence, None if unknown. `drive` is the drive that it shares with other sequences; `places` are
+    its frames' places in time, () if the frames are in time order."""
 
     name: str
     frames: int
@@ -53,7 +53,7 @@ class SequenceFacts:
     places: tuple[int, ...] = ()
 
     def in_time(self) -> NDArray[np.intp]:
-        """Return the order of its frames in time."""
+        """Return the indices of its frames in time order."""
         return np.argsort(self.places) if self.places else np.arange(self.frames)
 
 
@@ -61,8 +61,8 @@ class SequenceFacts:
 class SubmissionCounts:
     """All counts of one submission: `confusions` [F, 3, 4, 4] and `bev` [F, 3, 3] int32, the frames of `sequences`.
 
-    `column_counts` and those of `late` voxels [F, 4, 4] are zero for frames in which they are not made, None where an
-    earlier version counted.
+    `column_counts` and the counts of `late` voxels [F, 4, 4] are zero for frames without them, and None if an earlier
+    version counted.
     """
 
     confusions: Confusion
@@ -181,7 +181,7 @@ def _column_record(counts_of_frames: SubmissionCounts) -> Record:
 
 
 def _late_record(counts_of_frames: SubmissionCounts, metric: str) -> Record | None:
-    """The ratios of late voxels and of all others of the frames in which both are counted; None without late voxels."""
+    """Return the ratios of late voxels and of all others, over frames that count both; None without late voxels."""
     if counts_of_frames.late is None or not counts_of_frames.late.any():
         return None
     is_counted = counts_of_frames.late.any(axis=(1, 2))

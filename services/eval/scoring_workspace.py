@@ -44,8 +44,8 @@ class EvalStageContext:
     def examined(self, case: Case, span: Span) -> ExaminedRange:
         """The frames [start, stop) of the submission, counted unless it is only to be checked.
 
-        Before anything is said against the file, it is compared with what was sent: what decayed in the store is no
-        fault of its sender's.
+        Before the file is refused, it is compared with the file that was sent: its sender is not to blame for decay in
+        the store.
 
         Raises `submission_purged`, `scoring_crashed`, `scoring_interrupted`, `JobCancelledError`, `ObjectDamagedError`.
         """

@@ -2,8 +2,8 @@
 
 **Conventions.** Here, and nowhere else, are the labels of test read out of a version, by a sandboxed child
 (`services/eval/sandboxed_truth.py`): this process reads the index, which is ours, and moves files. Frames follow the
-version's index, inside a sequence that of time; those of a phase that keeps their order back that of its tokens, and
-facts have the place in time of each. A ground truth that is ready is never written again.
+version's index; inside a sequence they follow time. If the phase withholds the order, they follow the phase's tokens,
+and the facts hold the place in time of each frame. A ground truth that is ready is never written again.
 """
 
 from collections.abc import Mapping
@@ -39,8 +39,8 @@ MANIFEST = "manifest.json"
 
 @dataclass(frozen=True)
 class TruthSource:
-    """What a ground truth is made of: its mask and grid, where the part's files lie, what is said of its sequences by
-    name, and which of their frames it has, None for all in time order."""
+    """The source of a ground truth: its mask and grid, the location of the part's files, the facts about its sequences
+    by name, and the frames selected (`unordered`; None for all, in time order)."""
 
     mask: Mask
     grid: LabelGrid
@@ -127,8 +127,8 @@ def _built(context: EvalStageContext, source: TruthSource) -> BuiltTruth:
 
 
 def _inputs(store: Store, stored: StoredFiles, source: TruthSource) -> tuple[TruthInputs, dict[str, list[int]]]:
-    """The label files, and of the packs those in which some lie, on this machine; the place in time of each frame by
-    sequence, if frames are not in that order. Raises `labels_unfit`."""
+    """Return the label files and the packs that hold them, on this machine; and each frame's place in time by sequence
+    if frames are not in time order. Raises `labels_unfit`."""
     ordinals, manifest = _frames(stored, source.said)
     places = dict[str, list[int]]()
     if source.unordered is not None:
@@ -164,7 +164,7 @@ def _frames(stored: StoredFiles, said: Mapping[str, Mapping[str, Any]]) -> tuple
 def _unordered(
     ordinals: Mapping[str, int], manifest: Manifest, chosen: UnorderedFrames
 ) -> tuple[dict[str, int], Manifest, dict[str, list[int]]]:
-    """The same of the frames that are chosen, by their tokens of the phase, and the place in time of each."""
+    """Return ordinals and manifest of the chosen frames under their phase tokens, and each frame's place in time."""
     frames = {name: chosen.of(tokens) for name, tokens in manifest.sequences.items()}
     places = {name: [at for _, at in of_sequence] for name, of_sequence in frames.items()}
     files = {token: ordinals[manifest.sequences[name][at]] for name, one in frames.items() for token, at in one}

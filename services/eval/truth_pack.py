@@ -2,11 +2,11 @@
 
 **Conventions.** Magic, the packed planes of each frame in the order of the manifest, an index (an npz of `tokens`,
 `offsets`, `counts`, `crc32`, `other_supports`; `grid`, JSON, if it is not the paper's; `late` if late voxels are
-known), then where the index starts and the magic again; little-endian. Packs of earlier versions have no
+known), then the start of the index and the magic again; little-endian. Packs of earlier versions have no
 `other_supports`. A frame is the `changes` and `columns` of `stone.scoring.plane_runs`: on real labels unpacked in a
-quarter of the time of LZ4 and an eighth of that of zstd, for 1.6 and 3 times the bytes. In the frames that
-`stone.scoring.columns` counts the plane of late voxels follows, deflated, of as many bytes as `late` (n,) says. The
-same ground truth makes the same bytes. A pack is ours, never a stranger's; its checks are against decay.
+quarter of LZ4's time and an eighth of zstd's, for 1.6 and 3 times the bytes. In the frames that
+`stone.scoring.columns` counts, the deflated plane of late voxels follows; `late` (n,) holds its length in bytes. Equal
+ground truths give equal bytes. The platform writes every pack, so its checks only detect decay.
 """
 
 import json
@@ -155,7 +155,7 @@ class TruthPack:
 
     def supports(self) -> NDArray[np.int32]:
         """Return the counts of the truth alone, (F, ring, 13): voxels by class, drivable columns, columns by class,
-        late voxels by class; `NOT_KEPT` for all but voxels in a pack of an earlier version."""
+        late voxels by class. A pack of an earlier version has voxels by class only; other counts are `NOT_KEPT`."""
         evaluated, low, high, both = np.moveaxis(self._counts, -1, 0)
         voxels = np.stack([evaluated - low - high + both, low - both, high - both, both], axis=-1)
         unknown = np.full((*voxels.shape[:-1], SUPPORTS - CLASSES), NOT_KEPT)
@@ -233,9 +233,9 @@ def _packed(truth: TruthPlanes) -> _PackedTruthFrame:
 
 
 def _other_supports(truth: TruthPlanes) -> NDArray[np.int32]:
-    """Return, of one frame (ring, 9), the drivable columns, columns by class, late voxels by class.
+    """Return the drivable columns, columns by class and late voxels by class of one frame, (ring, 9).
 
-    They are the counts of a prediction that is free everywhere.
+    These are the counts of a prediction that is free everywhere.
     """
     prediction = np.zeros(truth.grid.shape, np.uint8)
     free = frame_counts(prediction, truth)

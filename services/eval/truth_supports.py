@@ -1,7 +1,7 @@
-"""The counts of a ground truth alone: which counts of a submission can be counts against it.
+"""The counts of a ground truth alone, which bound the counts of any submission against it.
 
-**Conventions.** A child that reads a submission beside its ground truth is held against these, which a child reads that
-reads no submission. Supports are those of `TruthPack.supports`, int32 (frame, ring, 13).
+**Conventions.** The parent checks a child's counts of a submission against these supports. Another child, which reads
+no submission, reads the supports. Supports are those of `TruthPack.supports`, int32 (frame, ring, 13).
 """
 
 from collections.abc import Mapping
@@ -23,7 +23,7 @@ FRAME_BYTES = 4 * RINGS * SUPPORTS
 
 
 def supports_of(pack_path: Path, frames: int) -> Supports:
-    """Return the supports of all frames of a pack; they are kept while it is used.
+    """Return the supports of all frames of a pack; they are cached.
 
     Raises `ground_truth_damaged`, `SandboxInterruptedError`.
     """
@@ -44,7 +44,7 @@ def _kept(pack_path: Path, _version: tuple[int, ...], frames: int) -> Supports:
 
 
 def read_supports(pack_path: Path) -> bytes:
-    """Return the supports in a pack; the child's part. Raises `TruthPackError`, `UnreadableInputError`."""
+    """Return the supports in a pack; runs in the child. Raises `TruthPackError`, `UnreadableInputError`."""
     with TruthPack(pack_path) as pack:
         return pack.supports().astype("<i4").tobytes()
 
@@ -77,7 +77,7 @@ def can_be_counted(counts: Mapping[str, NDArray[np.int32]], supports: Supports, 
 
 
 def _most_pairs(confusions: NDArray[np.int64]) -> NDArray[np.int64]:
-    """Return the most pairs (F, ring, set) of occupied, T, P, N: a pair takes one voxel of each side."""
+    """Return the upper bound of pairs (F, ring, set) for occupied, T, P, N: a pair takes one voxel of each side."""
     truth, prediction = confusions.sum(axis=-1), confusions.sum(axis=-2)
     fewest: NDArray[np.int64] = np.minimum(truth, prediction)
     fewest[..., 0] = np.minimum(truth[..., 1:].sum(axis=-1), prediction[..., 1:].sum(axis=-1))

@@ -107,7 +107,7 @@ def test_a_label_set_with_an_export_stays_until_the_export_is_deleted(
 ) -> None:
     _, newer = two_sets(platform, run)
     asked = api.post(f"{URL}/{run['id']}/exports", json={"format": "mesh"}, headers=curator.headers).json()
-    assert "its export mesh stands" in refused(delete(api, curator, run, newer))
+    assert "its export mesh exists" in refused(delete(api, curator, run, newer))
     export = f"{URL}/{run['id']}/exports/{asked['export']['id']}"
     assert api.delete(export, headers=curator.headers).status_code == 204
     assert delete(api, curator, run, newer).status_code == 204
@@ -128,7 +128,7 @@ def test_a_label_set_of_a_version_and_of_a_phase_s_truth_stays(
         member.name = member.environment = member.illumination = member.region = "x"
         member.recipe, member.frames, member.duration_ns = "r" * 64, 2, 1
         session.add(member)
-    assert refused(delete(api, curator, run, older)).count("version v1 of the dataset has it") == 1
+    assert refused(delete(api, curator, run, older)).count("version v1 of the dataset contains it") == 1
     assert delete(api, curator, run, newer).status_code == 204
 
 
@@ -142,7 +142,7 @@ def test_the_active_label_set_of_what_others_look_at_stays_and_an_older_one_may_
             session.get_one(SequenceRow, run["id"]).is_public = True
         else:
             session.add(SplitMember(sequence_id=run["id"], part="train"))
-    assert "it is the active one of" in refused(delete(api, curator, run, newer))
+    assert "it is the active label set of" in refused(delete(api, curator, run, newer))
     assert delete(api, curator, run, older).status_code == 204
 
 

@@ -274,7 +274,7 @@ def _tar(platform: Platform, index: PackedFiles, packs: tuple[str, ...], sums: P
     with platform.database.reading() as session:
         rows = (session.get(Blob, blob) for blob in packs)
         keys = tuple(row.object_key if row is not None else sums.object_key for row in rows)
-    refuse_damaged(platform.store, platform.database, keys, "a file of the labels")  # or its hash would stand for it
+    refuse_damaged(platform.store, platform.database, keys, "a file of the labels")  # their hash must not cover decay
     stored = StoredFiles(index, keys)
     return archive_sha256(index, "tar", stored.reader(platform.store), lambda _done, _total: None)
 

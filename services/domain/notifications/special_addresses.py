@@ -1,12 +1,12 @@
-"""Internet addresses that are no public host: the special-purpose registries of IANA, as a table.
+"""Internet addresses that belong to no public host: the special-purpose registries of IANA, as a table.
 
-**Conventions.** The rows are those of the registries (RFC 6890) as they stood on 18 July 2026, globally reachable or
-not, since none is the address of a host; a row within another one is left out:
+**Conventions.** The table holds the registries' rows (RFC 6890) of 18 July 2026, globally reachable or not, since no
+row is the address of a host. A row within another row is left out:
 https://www.iana.org/assignments/iana-ipv4-special-registry and
 https://www.iana.org/assignments/iana-ipv6-special-registry. Multicast and 6bone are added. IPv6 is public within the
 global unicast block 2000::/3 only (RFC 4291, 2.4), so loopback, link-local, unique local, mapped and translated
-addresses need no row. Python's own table must agree: it may be newer. A prefix that a network chose for its own NAT64
-(RFC 6052) looks like any other.
+addresses need no row. Python's own table must agree, because it may be newer. A network's own NAT64 prefix (RFC 6052)
+looks like any other prefix.
 """
 
 from ipaddress import IPv4Address, IPv4Network, IPv6Address, IPv6Network
@@ -57,7 +57,7 @@ ISATAP = (0x0000_5EFE, 0x0200_5EFE)
 
 
 def is_public(address: Address) -> bool:
-    """Whether this is the address of a host on the Internet, as far as tables tell."""
+    """Return whether this is the address of a host on the Internet, according to both tables."""
     if not address.is_global or address.is_multicast or address.is_reserved:
         return False
     if isinstance(address, IPv4Address):

@@ -85,7 +85,7 @@ def _renewed(session: Session, row: Webhook) -> Webhook:
 # **Conventions.** A URL is anybody's who has an account. What it resolves to is judged when it is connected to, and
 # the judged address is what is connected to (`services/maintenance/notifications/channels.py`): a name that resolves
 # otherwise a moment later leads nowhere else. Allowed are addresses of public hosts
-# (`services/domain/notifications/special_addresses.py`), and those of networks that the administrator names.
+# (`services/domain/notifications/special_addresses.py`), and addresses in networks that the administrator names.
 
 
 LONGEST_URL = 1000

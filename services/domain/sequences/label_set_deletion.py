@@ -1,7 +1,7 @@
-"""Deletion of one label set: refused while something relies on it, and of what nobody relies on the oldest first.
+"""Deletion of label sets: one is refused while something relies on it; the sweeper deletes unused sets, oldest first.
 
-**Conventions.** Each function is part of the caller's transaction. With the set go its comparisons, its playback, which
-is made without being asked for, and the previews of its recipe; their bytes are given back to the sequence's owner.
+**Conventions.** Each function is part of the caller's transaction. Deleting a set deletes its comparisons, its
+automatic playback and the previews of its recipe; the storage quota of the sequence's owner gets their bytes back.
 """
 
 from collections.abc import Iterator
@@ -38,7 +38,7 @@ SEQUENCES_AT_A_TIME = 50
 
 
 def delete_label_set(session: Session, labels: LabelSet) -> None:
-    """Delete a label set with what was made of it alone. Raises `label_set_pinned`, `SequenceDeletedError`."""
+    """Delete a label set and everything made from it alone. Raises `label_set_pinned`, `SequenceDeletedError`."""
     sequence = lock_sequence(session, labels.sequence_id)
     if pins := list(label_set_pins(session, sequence, labels)):
         raise Refused(
@@ -64,12 +64,12 @@ def delete_label_set(session: Session, labels: LabelSet) -> None:
 
 
 def label_set_pins(session: Session, sequence: SequenceRow, labels: LabelSet) -> Iterator[str]:
-    """What relies on the label set, each by its name."""
+    """Yield the reasons to keep the label set; each sentence names the object that relies on it."""
     exports = select(Export.format).where(Export.label_set_id == labels.id, Export.format != PLAYBACK)
-    yield from (f"its export {form} stands" for form in session.scalars(exports.order_by(Export.id)))
+    yield from (f"its export {form} exists" for form in session.scalars(exports.order_by(Export.id)))
     members = select(Dataset.id, Dataset.name).join(DatasetMember, DatasetMember.dataset_id == Dataset.id)
     versions = session.execute(members.where(DatasetMember.label_set_id == labels.id).order_by(Dataset.id)).all()
-    yield from (f"version {name} of the dataset has it" for _, name in versions)
+    yield from (f"version {name} of the dataset contains it" for _, name in versions)
     truths = select(Phase.name).join(GroundTruthRow, GroundTruthRow.phase_id == Phase.id).distinct()
     truths = truths.where(GroundTruthRow.dataset_id.in_([dataset_id for dataset_id, _ in versions]))
     yield from (f"phase {name} is scored against it" for name in session.scalars(truths.order_by(Phase.name)))
@@ -77,22 +77,22 @@ def label_set_pins(session: Session, sequence: SequenceRow, labels: LabelSet) ->
     if counting is None or counting.id != labels.id:
         return
     if sequence.is_public:
-        yield f"it is the active one of {sequence.name}, which is public"
+        yield f"it is the active label set of {sequence.name}, which is public"
     if session.get(SplitMember, sequence.id) is not None:
-        yield f"it is the active one of {sequence.name}, which is in the draft splits"
+        yield f"it is the active label set of {sequence.name}, which is in the draft splits"
 
 
 @dataclass
 class LabelSetWalk:
-    """Where the sweeper is among the sequences that may have label sets too many."""
+    """The sweeper's position among the sequences that may have too many label sets."""
 
     after_id: str = ""
 
 
 def keep_newest(platform: Platform, walk: LabelSetWalk) -> int:
-    """Delete the label sets of a few sequences beyond the newest `retention.label_sets` of each; how many.
+    """In a few sequences, delete all but the newest `retention.label_sets` sets of each; return the number deleted.
 
-    Those on which something relies are kept besides. With 0 set none is deleted.
+    Label sets on which something relies are kept in addition. If the setting is 0, no label set is deleted.
     """
     kept = platform.settings.retention.label_sets
     if not kept:

@@ -51,7 +51,7 @@ def prepared_previews(
 def replace_previews(session: Session, shown: PreviewSubject, previews: Iterable[PreparedPreview]) -> None:
     """Make these the previews of `shown`; their blobs are linked already.
 
-    They count against the sequence's owner, under the recording's id or the sequence's.
+    Their bytes count against the sequence's owner, under the recording's id, or the sequence's id if there is none.
     """
     mine = (Preview.recording_id == shown.recording_id, Preview.recipe == shown.recipe)
     gone = delete(Preview).where(Preview.sequence_id == shown.sequence_id, *mine).returning(Preview.size_bytes)

@@ -191,8 +191,8 @@ def recording_place(recording: Recording) -> RecordingPlace | None:
 @contextmanager
 def unchanged(platform: Platform, kept: Sequence[StoredRecording]) -> Iterator[None]:
     """A block that reads recordings. Raises, instead of what the block raised, `recording_changed_in_place` or
-    `recording_vanished` if one in place is not as registered any more: what was read of it is not to be used; and
-    `ObjectDamagedError` instead of a refusal if one that is stored is not what was sent."""
+    `recording_vanished` if a recording in place differs from its registration: its data must not be used. Raises
+    `ObjectDamagedError` instead of a refusal if a stored recording differs from the file that was sent."""
 
     def check() -> None:
         for place in (recording.place for recording in kept if recording.place is not None):

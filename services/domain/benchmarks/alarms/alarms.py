@@ -1,5 +1,5 @@
 """Alarms for administrators: equal predictions of several teams, probing by near-identical submissions, impossible
-counts, and answers that the inputs of the frame cannot give.
+counts, and predictions that cannot follow from the frame's inputs.
 
 **Conventions.** An alarm is about its subject: the later of two submissions, or a team's day; it is raised once, in
 whatever order and however often they are scored. Withdrawn and hidden entries count; baselines where the truth is
@@ -45,9 +45,10 @@ class AlarmLimits:
 
     Of the team and of all others, the last `looked_at` entries are looked at.
 
-    In late voxels (`stone.labels.late_voxels`), if `late_voxels` of them are occupied, IoU_occ and mIoU are as good as
-    elsewhere from `late_least` and `late_margin` times those elsewhere on. Over the demo's hidden worlds both are below
-    0.03 there of the baselines and of an entry that guesses ahead, and above 0.97 of the platform's own labelling.
+    If at least `late_voxels` late voxels (`stone.labels.late_voxels`) are occupied, the alarm compares IoU_occ and mIoU
+    in late voxels with their values elsewhere. It requires at least `late_least`, and at least `late_margin` times the
+    value elsewhere. Over the demo's hidden worlds the baselines, and an entry that guesses ahead, score below 0.03 in
+    late voxels. The platform's own labelling scores above 0.97.
     """
 
     near_ratio: float = 1e-4
@@ -109,7 +110,7 @@ def suspicions(
 
 
 def late_suspicion(mine: ScoredEntry, late: Mapping[str, Any] | None, limits: AlarmLimits) -> list[AlarmCandidate]:
-    """The alarm about `mine` if it is as good in late voxels as elsewhere, of that part of its record."""
+    """Return the alarm about `mine` if it is as good in late voxels as elsewhere; `late` is that part of its record."""
     if late is None or sum(late["support"].values()) - late["support"]["free"] < limits.late_voxels:
         return []
     pairs = {name: (late["ratios"][name], late["elsewhere"][name]) for name in LATE_RATIOS}
@@ -188,7 +189,7 @@ def raise_alarms(session: Session, score: Score, limits: AlarmLimits = DEFAULTS)
 
 
 def raise_impossible_counts(session: Session, submission: SubmissionRow) -> None:
-    """Raise that counting a sound file broke off, or gave counts that no prediction has: it may hold an attack."""
+    """Raise an alarm: counting a sound file stopped or returned impossible counts. The file may be an attack."""
     team = session.get_one(Team, submission.team_id)
     facts = {"submission_id": submission.id, "team_id": team.id, "team": team.name, "method": submission.method}
     about = {"kind": IMPOSSIBLE_COUNTS, "subject": submission.id, "facts": facts}

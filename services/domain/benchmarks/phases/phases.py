@@ -2,7 +2,7 @@
 
 **Conventions.** A phase is open in [opens_ns, closes_ns); null is for ever. What is evaluated (version, part, mask,
 whether the ground truth is hidden) is fixed once a ground truth stands: one that is ready or being made. A phase over
-test is always hidden, and what `every_nth` keeps back never changes. Whoever changes a phase locks its row.
+test is always hidden, and its `every_nth` never changes. Whoever changes a phase locks its row.
 """
 
 from collections.abc import Mapping
@@ -189,7 +189,7 @@ def refuse_contradictions(session: Session, phase: Phase, dataset: Dataset) -> N
     if phase.every_nth is not None and not phase.is_hidden:
         raise Refused(
             "bad_phase",
-            f"every_nth is {phase.every_nth}, but an open phase shows its frames; make it hidden, or leave it out",
+            f"every_nth is {phase.every_nth}, but an open phase shows its frames; hide the phase, or omit every_nth",
         )
     for name, (least, most) in COUNTED.items():
         value = getattr(phase, name)

@@ -1,8 +1,8 @@
-"""Unordered frames: one frame in n of each sequence, under tokens of the phase, in an order that says nothing of time.
+"""Unordered frames: one frame in n of each sequence, under tokens of the phase, in an order independent of time.
 
-**Conventions.** Labels follow from sweeps, poses and their order, so a hidden phase may keep poses, stamps and order
-back (`Phase.every_nth`). A frame's own token is a hash of its stamp, which a search finds; that of a phase is a HMAC by
-the phase's `token_key`, which nobody is given. Frames of a sequence are sorted by the token of the phase.
+**Conventions.** Labels follow from sweeps, poses and their order, so a hidden phase may withhold poses, stamps and
+order (`Phase.every_nth`). A frame's own token is a hash of its stamp, so a search can recover the stamp. Its phase
+token is an HMAC under the phase's secret `token_key`. The frames of a sequence are sorted by phase token.
 """
 
 import hmac
@@ -15,13 +15,13 @@ TOKEN_DIGITS = 32
 
 @dataclass(frozen=True)
 class UnorderedFrames:
-    """The choice of a phase; a plain value, for sandboxed children."""
+    """The frames that a phase selects; a plain value, for sandboxed children."""
 
     every_nth: int
     token_key: str
 
     def of(self, tokens: Sequence[str]) -> tuple[tuple[str, int], ...]:
-        """Return token and place in time of the frames that the phase has, of a sequence's tokens in time order."""
+        """Return phase token and place in time of each selected frame; `tokens` are the sequence's, in time order."""
         return tuple(sorted((self._token(tokens[at]), at) for at in range(0, len(tokens), self.every_nth)))
 
     def _token(self, own: str) -> str:
@@ -29,5 +29,5 @@ class UnorderedFrames:
 
 
 def unordered_frames(every_nth: int | None, token_key: str | None) -> UnorderedFrames | None:
-    """Return the choice of a phase with these columns, None if it has all frames in order, with their poses."""
+    """Return the selection of a phase with these columns, or None if it has all frames in order, with their poses."""
     return None if every_nth is None or token_key is None else UnorderedFrames(every_nth, token_key)

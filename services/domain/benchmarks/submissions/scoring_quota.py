@@ -2,8 +2,8 @@
 
 **Conventions.** A scoring is reserved when a submission is finalised (+1), then consumed by its score (0) or released
 (−1) by whatever else ends it, and retaken (+1) when its run is tried again. What counts is the balance of a submission,
-from the moment it was taken last; what was released never did. Of a hidden truth a window's releases after counting
-began are bounded. Entries cost one, and where the truth is hidden
+from the moment it was taken last; what was released never did. If the truth is hidden, releases
+after counting started are bounded per window. Entries cost one, and where the truth is hidden
 baselines too: a score tells of the truth whoever asks for it. A grant
 (negative, without a submission) raises the total for good, and what the window allows for one window's length. Each
 function is part of the caller's transaction; whoever takes locks the team's row, so that two at once cannot both take
@@ -25,8 +25,8 @@ from services.runtime.orm.base import now_ns
 RESERVED, CONSUMED, GRANTED = "reserved", "consumed", "granted"
 COUNTED = "released after counting"
 GIVEN_BACK = 10
-"""The scorings that a team is given back in a window after counting began, if the truth is hidden: a submission that
-takes over the child that counts it chooses its end by the truth."""
+"""Most scorings that a team gets back per window after counting started, if the truth is hidden. A submission that
+takes over its counting child can choose its end according to the truth."""
 FEW_OF = 5
 """Of a limit's fifth on, rounded down, few are left."""
 
@@ -78,7 +78,7 @@ def release(session: Session, submission_id: str, reason: str) -> int:
 
 
 def release_counted(session: Session, submission_id: str, state: str) -> int:
-    """Give back as `release` does, after counting began; the scoring stays used if the team was given back enough."""
+    """Release the scoring as `release` does, after counting started; it stays used after `GIVEN_BACK` such releases."""
     for phase_id, team_id in _charged_to(session, submission_id):
         lock_team(session, team_id)
         phase = session.get_one(Phase, phase_id)
@@ -168,7 +168,7 @@ def _granted_in_window(session: Session, phase: Phase, team_id: str, at_ns: int)
 
 
 def _given_back_in_window(session: Session, phase: Phase, team_id: str) -> int:
-    """How many scorings the team was given back after counting began."""
+    """Return the number of the team's scorings released in this window after counting started."""
     given_back = select(func.count()).select_from(ScoringEntry).where(*_of_team(phase.id, team_id))
     after_counting = (ScoringEntry.amount < 0, ScoringEntry.reason.startswith(COUNTED))
     return session.scalar(given_back.where(*after_counting, ScoringEntry.created_ns > now_ns() - phase.window_ns)) or 0

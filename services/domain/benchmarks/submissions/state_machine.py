@@ -34,7 +34,7 @@ OPEN = ("draft", *LIVE)
 ENDED = ("scored", "valid", "invalid", "failed", "cancelled")
 RETRIED = ("failed", "cancelled")
 UP_TO_COUNTING = ("scoring_crashed", "scoring_interrupted", "ground_truth_damaged", "time_limit")
-"""Failures that a child which counts against the truth can bring about."""
+"""Failures that a child counting against the truth can cause."""
 TOLD = {"scored": SUBMISSION_SCORED, "invalid": SUBMISSION_INVALID, "failed": SUBMISSION_FAILED}
 
 
@@ -66,7 +66,7 @@ def settle(
     problems: Mapping[str, Any] | None = None,
     failure: Failure | None = None,
 ) -> bool:
-    """End a submission, and with it its reserved scoring: used if it is scored, else given back within bounds.
+    """End a submission, and with it its reserved scoring: used if it is scored, else released within bounds.
 
     `problems` is what the validation found (`{"ok", "errors", "errors_total"}`). False when it is in this state
     already, for instance scored by an earlier evaluation version. Raises `JobCancelledError` when it ended otherwise:

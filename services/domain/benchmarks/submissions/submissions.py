@@ -153,7 +153,7 @@ def finalise(session: Session, submission: SubmissionRow, upload_id: str) -> Job
 
 
 def cancel(session: Session, submission: SubmissionRow, reason: str = "") -> SubmissionRow:
-    """End what was not settled yet; its run is told to stop, its scoring is given back at once, within bounds.
+    """End an unsettled submission: cancel its run and release its scoring at once, within bounds.
 
     Raises `SubmissionStateError` when it has ended.
     """
