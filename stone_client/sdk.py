@@ -157,9 +157,9 @@ class Stone:
         return label_sets_of(self.api, find_sequence(self.api, sequence)["id"])
 
     def delete_label_set(self, sequence: str, label_set: str) -> str:
-        """Delete a label set (id, latest, latest~1, …) of a sequence and give its bytes back; its id.
+        """Delete a label set (id, latest, latest~1, …) of a sequence, free its bytes and return its id.
 
-        Raises `label_set_pinned` while an export, a version, a phase or others' view relies on it.
+        Raises `label_set_pinned` if an export, a version, a phase, the draft splits or a public sequence relies on it.
         """
         return delete_label_set(self.api, find_sequence(self.api, sequence), label_set)
 

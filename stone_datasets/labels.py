@@ -41,7 +41,7 @@ class FrameLabels:
     """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
 
     What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
-    whoever reads it as labels of this platform: the three grids, of this platform's classes, and nothing else but the
+    whoever reads it as labels of this platform: the three grids, of this platform's classes, and otherwise only the
     further arrays that such labels may have.
     """
 
@@ -93,7 +93,7 @@ def _opened(span: ExportFileSpan, grid: LabelGrid) -> tuple[list[zipfile.ZipInfo
 
 
 def _are_ours(listed: Sequence[zipfile.ZipInfo], arrays: "_Arrays") -> bool:
-    """Whether a file has the three grids, each once, and nothing else but further arrays of ours."""
+    """Return whether a file has the three grids, each once, and otherwise only further arrays of this platform."""
     names = [one.filename for one in listed]
     further = [one for one in listed if one.filename not in PLAIN]
     is_whole = set(names) >= set(PLAIN) and len(set(names)) == len(names)
@@ -130,7 +130,7 @@ class _Arrays:
         return self._whole(member, packed, start)
 
     def is_further(self, member: zipfile.ZipInfo) -> bool:
-        """Whether it is a number of each voxel, of the type that our labels have."""
+        """Return whether the array has one number per voxel, of the type that this platform's labels have."""
         if member.filename not in FURTHER:
             return False
         dtype_ours = np.dtype(FURTHER[member.filename])

@@ -125,7 +125,7 @@ def _read_and_kept(platform: Platform, attempt: Attempt, brought: ReceivedBag) -
         with hashed_beside(platform.store, [file.path for file in brought.files], adopt=True) as hashed:
             try:
                 found = _seen(platform, attempt, brought, work)
-            except IngestError:  # what decayed on the way is not said to be corrupt
+            except IngestError:  # a file that decayed on the way is not reported as corrupt
                 _refuse_changed(brought, hashed())
                 raise
             attempt.progress("keep", 2, STEPS)

@@ -81,8 +81,8 @@ def export(platform: Platform, attempt: Attempt) -> Outcome:
 def located_inputs(platform: Platform, label_set_id: str, folder: Path, exporter: Exporter) -> ExportInputs:
     """What an export of the label set is made of, but what was measured, on this machine.
 
-    `folder` gets links that call the files as they are called. All are compared with what was published, or what
-    decayed would be exported under a hash of its own. Raises `ObjectMissingError`, `ObjectDamagedError`.
+    `folder` gets links with the files' own names. All files are compared with their published hashes; otherwise decayed
+    data would be exported under a new hash. Raises `ObjectMissingError`, `ObjectDamagedError`.
     """
     with platform.database.reading() as session:
         named = select(Artefact.name, Blob.object_key).join(Blob, Blob.sha256 == Artefact.blob_sha256)
@@ -300,8 +300,8 @@ def make_input(platform: Platform, attempt: Attempt) -> Outcome:
 def _made_input(
     platform: Platform, attempt: Attempt, of: tuple[Mapping[str, str | None], UnorderedFrames | None], folder: Path
 ) -> InputResult:
-    """The files of the sequence, in the store; what it is made of lies under keys, by name, and has the frames
-    chosen."""
+    """Store the input files of the sequence and return them; `of` holds the store keys of its sources by name, and the
+    frames selected."""
     keys, unordered = of
     name = str(attempt.arguments["name"])
     (folder / INPUTS).mkdir()

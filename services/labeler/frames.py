@@ -96,9 +96,8 @@ def counts_of(frames: Sequence[LabelledFrame]) -> FrameVoxelCounts:
 
 def _labelled(run: LabelRun, batch: Part, labelled_map: "_LabelledMap", sight: SightBatch) -> Iterator[LabelledFrame]:
     poses, shape = run.sequence.frames.map_from_ego, run.parameters.grid.shape
-    later = np.arange(*batch) + run.every(
-        run.parameters.carve.every_frame
-    )  # up to there one sweep at least is followed
+    # At least one sweep is carved from a frame up to its `later`.
+    later = np.arange(*batch) + run.every(run.parameters.carve.every_frame)
     height, cuts = shape[2], labelled_map.cut(poses[slice(*batch)], later.tolist())
     names = (*GRIDS, LATE)
     grids = np.empty((len(names), *shape), np.uint8)  # the same memory for every frame: fresh pages cost more
@@ -137,7 +136,7 @@ def _bounds(run: LabelRun, part: Part) -> Bounds:
 
 @dataclass(frozen=True, eq=False)
 class _CutFrame:
-    """The columns of one frame, its late voxels, and the further arrays of its file by name."""
+    """The columns of one frame, its late voxels, and further arrays of its file by name."""
 
     columns: Columns
     late: Words
@@ -157,7 +156,7 @@ class _LabelledMap:
     further: Mapping[str, NDArray[Any]]
 
     def cut(self, map_from_ego: SE3, later: Sequence[int]) -> list[_CutFrame]:
-        """The frames at these poses (F,), of each of which `later` is the first frame that counts as later."""
+        """Return the frames at these poses (F,); `later` holds the first frame that counts as later, for each frame."""
         if self.table is None:
             fine = cut_batch(self.window, map_from_ego, self.grid.on_map)
             return [self._cut_frame(fine[at], map_from_ego[at], frame, {}) for at, frame in enumerate(later)]

@@ -82,7 +82,7 @@ def _files(context: LabelStageContext, told: PublicationAnswer) -> list[LeftFile
 
 
 def _write_rows(publication: _Publication, session: Session) -> None:
-    """Raises `JobCancelledError` when the sequence was deleted, `quota_exceeded`: the transaction is undone by it."""
+    """Raises `JobCancelledError` if the sequence was deleted, and `quota_exceeded`; both roll back the transaction."""
     context = publication.context
     sequence = require_sequence(session, context.attempt)
     run = session.get_one(Job, context.attempt.root_id)

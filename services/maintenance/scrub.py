@@ -1,12 +1,13 @@
 """The scrub: reads the whole store slowly, again and again, and compares every object with its blob's row.
 
-**Conventions.** A turn reads for `TURN_S` at most and pays for it with rest, so that the mean over a few objects is
-`STONE_STORE__SCRUB_BYTES_PER_S`; one object is read at `TURN_BYTES` a turn, or a large one would never be read between
-two restarts. How far the pass is is a row: after kill −9 it goes on at the last turn's end. Two sweepers read the same
-objects, each for itself, and one of them counts. Noted faults are looked at again before anything else.
+**Conventions.** A turn reads for at most `TURN_S` and about `TURN_BYTES`. A pause after each object keeps the mean rate
+over a few objects at `STONE_STORE__SCRUB_BYTES_PER_S`. A large object is read over several turns without a pause;
+otherwise it would never be read between two restarts. A row holds the position of the pass: after kill −9 it continues
+at the last turn's end. Two sweepers read the same objects independently, and only one of them advances the pass. Noted
+faults are checked first.
 
-Of a bucket nothing is read unless `STONE_STORE__SCRUBS_BUCKET` says so: reading costs money, and an object store of
-several disks compares its own bytes.
+A bucket is read only if `STONE_STORE__SCRUBS_BUCKET` is set: reading costs money, and an object store of several disks
+compares its own bytes.
 """
 
 import time
@@ -35,17 +36,17 @@ TURN_S = 0.5
 TURN_BYTES = 16 * 2**20
 CREDIT_S = 1.0
 LEAST_BYTES = 32 * 2**10
-"""What opening one object counts for, however small it is."""
+"""The least that one object counts for, because opening it costs time too."""
 AHEAD = 200
 AGAIN_S = 3600.0
-"""A noted fault is looked at again, and a pass begins again, after this time at the earliest."""
+"""The least time until a noted fault is checked again, and until the next pass starts."""
 
 log = structlog.get_logger(__name__)
 
 
 @dataclass(frozen=True)
 class _Due:
-    """An object to be read; `is_noted` if it has a fault and is no part of the pass."""
+    """An object to be read; `is_noted` if it has a noted fault and is not part of the pass."""
 
     sha256: str
     object_key: str
@@ -63,7 +64,7 @@ class _Reading:
     digest: Any = field(default_factory=sha256)
 
     def step(self) -> int | None:
-        """Read one piece; its size, None at the end."""
+        """Read one piece and return its size, or None at the end."""
         piece = b""
         with self._noting():
             piece = b"" if self.fault else next(self.pieces, b"")
@@ -87,7 +88,7 @@ class _Reading:
 
     @classmethod
     def of(cls, store: Store, due: _Due) -> "_Reading":
-        """The object, opened. Raises `store_away`."""
+        """Return the object, opened. Raises `store_away`."""
         opened = cls(due, iter(()))
         with opened._noting():
             if store.size_bytes(due.object_key) != due.size_bytes:
@@ -98,7 +99,7 @@ class _Reading:
 
 
 class Scrub:
-    """`turn()` reads on, if it is time."""
+    """The scrub of one sweeper; each `turn()` continues the pass if it is due."""
 
     def __init__(self, platform: Platform, monotonic_s: Callable[[], float] = time.monotonic) -> None:
         self._platform, self._now_s = platform, monotonic_s
@@ -110,7 +111,7 @@ class Scrub:
         self._reading: _Reading | None = None
 
     def turn(self) -> None:
-        """Read on. Raises `store_away`; what was begun is then begun again."""
+        """Continue the pass. Raises `store_away`; the next turn then starts the unfinished object again."""
         if not self._rate:
             return
         self._paid_s = max(self._paid_s, self._now_s() - CREDIT_S)
@@ -132,7 +133,7 @@ class Scrub:
             reading = self._reading or self._next(after, done)
             if reading is None:
                 return
-            self._reading = None  # a store that fails has it begun again
+            self._reading = None  # after a store error the object starts again
             if (size := reading.step()) is not None:
                 left, self._reading = left - size, reading
             else:
@@ -140,7 +141,7 @@ class Scrub:
                 done.append(reading)
 
     def _next(self, after: str, done: list[_Reading]) -> _Reading | None:
-        """The next object, opened; None at the end of the pass, and while what was read is not paid for."""
+        """Return the next object, opened; None at the end of the pass, and during the pause after a read."""
         if self._noted:
             return _Reading.of(self._platform.store, self._noted.popleft())
         if max(self._paid_s, self._pass_s) > self._now_s():
@@ -153,7 +154,7 @@ class Scrub:
         return _Reading.of(self._platform.store, self._ahead.popleft()) if self._ahead else None
 
     def _look_at_noted(self, session: Session) -> None:
-        """Have noted faults looked at again: those that readers met now, others now and then."""
+        """Queue noted faults for another check: faults met by readers at once, other faults once per `AGAIN_S`."""
         now_s = self._now_s()
         standing = select(Blob, StoreFault.fault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
         rows = session.execute(standing.order_by(StoreFault.found_ns).limit(AHEAD)).all()
@@ -164,7 +165,7 @@ class Scrub:
         self._noted.extend(_due(blob, is_noted=True) for blob in found if blob.sha256 not in waiting)
 
     def _write(self, after: str, done: list[_Reading]) -> None:
-        """Note what was found, and how far the pass is; if another sweeper moved it on, go on where that is."""
+        """Write the faults and the position of the pass; if another sweeper moved it, continue at the new position."""
         of_pass = [one.due for one in done if not one.due.is_noted]
         is_over = self._is_over(of_pass[-1].sha256 if of_pass else after)
         if not done and not is_over:
@@ -181,7 +182,7 @@ class Scrub:
                 self._pass_s = self._now_s() + AGAIN_S
 
     def _is_over(self, last: str) -> bool:
-        """Whether the pass has read all there is."""
+        """Return whether the pass has read every object."""
         if self._ahead or self._reading or self._now_s() < self._pass_s:
             return False
         with self._platform.database.reading() as session:
@@ -189,7 +190,7 @@ class Scrub:
 
 
 def rate_of(store: StoreSettings) -> int:
-    """Bytes a second that are scrubbed; 0 if nothing is."""
+    """Return the scrub rate in bytes a second; 0 if the store is not scrubbed."""
     return 0 if store.s3_bucket and not store.scrubs_bucket else store.scrub_bytes_per_s
 
 
@@ -198,7 +199,7 @@ def _due(blob: Blob, *, is_noted: bool) -> _Due:
 
 
 def _conclude(session: Session, read: _Reading) -> None:
-    """Note the fault, or forget it; nothing of a blob that garbage collection took meanwhile."""
+    """Write the fault, or delete the noted fault; skip a blob that garbage collection has deleted since."""
     if not read.fault:
         forget(session, [read.due.sha256])
     elif session.scalar(select(Blob.object_key).where(Blob.sha256 == read.due.sha256)) == read.due.object_key:

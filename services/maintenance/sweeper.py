@@ -1,9 +1,9 @@
 """The sweeper process: recovers jobs and submissions every second, cleans uploads and blobs every minute.
 
 **Conventions.** Any number of sweepers may run. Jobs are recovered in a thread of their own, which nothing else delays;
-submissions, recordings that are added later, what is cleaned, the scrub, notifications and what is told of it have
-theirs (`chore_loops`). What a chore does in a turn is bounded whatever anybody has sent: what is more is done in the
-next. SIGTERM ends each thread between two chores.
+submissions, recordings that are added later, cleaning, the scrub, notifications and records have threads of their own
+(`chore_loops`). Each turn of a chore is bounded, whatever users send; the next turn does the rest. SIGTERM ends each
+thread between two chores.
 """
 
 import services.runtime.processes.seldom_collected

@@ -1,9 +1,9 @@
-"""Late voxels: those of a frame that only sweeps after it observed, which no method can see at the frame's time.
+"""Late voxels: voxels of a frame that only later sweeps observed, so no method can see them at the frame's time.
 
 **Conventions.** A brick (`stone.labels.observed_voxels`) is seen since the first frame whose rays touched it. A voxel
 of a frame is late if the brick that holds its centre is seen only since a later frame. So a voxel between two rays of a
-sweep is not late, and neither is one in a brick that no ray touched. A voxel of a grid that is pooled is late if all
-of its observed voxels of the map are.
+sweep is not late, and neither is a voxel in a brick that no ray touched. A voxel of a pooled grid is late if all of its
+observed map voxels are late.
 """
 
 from dataclasses import dataclass
@@ -29,7 +29,7 @@ NEVER_SEEN = np.int32(-1)
 
 @dataclass(frozen=True, eq=False)
 class FirstSeen:
-    """The first frame of each brick around a window, `NEVER_SEEN` of one that no ray touched.
+    """The first frame of each brick around a window, `NEVER_SEEN` for a brick that no ray touched.
 
     `origin` (3,) int64 is the index of brick [0, 0, 0]; `frames` covers all voxels of the window, and `last` (X, Y) is
     the last of the frames of each column of bricks.
@@ -41,7 +41,7 @@ class FirstSeen:
 
 
 def first_seen(observed: Observed, window: Window) -> FirstSeen:
-    """Return when the bricks of a window were first seen; bricks outside it are left out."""
+    """Return the first frame of each brick of a window; bricks outside the window are left out."""
     low = window.origin >> BRICK_BITS
     high = (window.origin + np.array(window.voxels.shape) - 3 >> BRICK_BITS) + 1
     frames = np.full(tuple(high - low), NEVER_SEEN, np.int32)
@@ -54,9 +54,9 @@ def first_seen(observed: Observed, window: Window) -> FirstSeen:
 def late_columns(
     fine: Columns, window: Window, map_from_ego: SE3, seen: tuple[FirstSeen, int], grid: LabelGrid
 ) -> Words:
-    """Return the late voxels (X, Y) of a grid at this pose, whose columns in voxels of the map's size are `fine`.
+    """Return the late voxels (X, Y) of a grid at this pose; `fine` are its columns at the map's voxel size.
 
-    `seen` are the bricks and the first frame that counts as later.
+    `seen` holds the bricks and the first frame that counts as later.
     """
     (first, later), placing = seen, placing_of(window, map_from_ego, grid.on_map)
     early = np.zeros_like(fine.ones)
@@ -69,7 +69,7 @@ def late_columns(
 
 @njit(inline="always")
 def _is_early(last, place, later):  # type: ignore[no-untyped-def]
-    """Whether no brick of this column of bricks is seen only later."""
+    """Return whether every brick of this column of bricks is seen before frame `later`, or never."""
     i, j = place
     is_inside = (i >= 0) & (j >= 0) & (i < last.shape[0]) & (j < last.shape[1])
     return not is_inside or last[i, j] < later
@@ -77,7 +77,7 @@ def _is_early(last, place, later):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
-    """Set the voxels of the columns that are observed or labelled and not late; a brick outside is never seen."""
+    """Set the observed or labelled voxels of the columns that are not late; a brick outside counts as never seen."""
     (observed, ones, twos), (start, step), (frames, last, later) = columns, place, seen
     shift = FRACTION_BITS + BRICK_BITS
     for a in range(early.shape[0]):
@@ -89,7 +89,7 @@ def _mark_early(columns, place, seen, early):  # type: ignore[no-untyped-def]
             found = left
             if _is_early(last, (u >> shift, v >> shift), later):
                 i, j = (u + 31 * step[0, 2]) >> shift, (v + 31 * step[1, 2]) >> shift
-                is_steep = abs(i - (u >> shift)) + abs(j - (v >> shift)) <= 1  # else it may cross further ones
+                is_steep = abs(i - (u >> shift)) + abs(j - (v >> shift)) <= 1  # else it may cross further bricks
                 if is_steep and _is_early(last, (i, j), later):
                     left = np.uint32(0)
             while left:

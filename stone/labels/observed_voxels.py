@@ -1,8 +1,8 @@
 """Observed voxels: every voxel that a LiDAR ray reached or passed.
 
 **Conventions.** The set is kept as bricks of 4 × 4 × 4 voxels, one bit each in a uint64 word, so marking a voxel is
-idempotent and sets from different sweeps join by OR: order and grouping do not matter. Bit (x·4 + y)·4 + z. Beside
-its bits a brick keeps the first frame whose rays touched it.
+idempotent and sets from different sweeps join by OR: order and grouping do not matter. Bit (x·4 + y)·4 + z. Each
+brick also keeps the first frame whose rays touched it.
 """
 
 import math
@@ -58,7 +58,7 @@ class Observed:
     since: NDArray[np.int32]
 
     def where(self, kept: NDArray[np.bool_]) -> "Observed":
-        """Return the bricks that are kept (B,)."""
+        """Return the bricks selected by `kept` (B,)."""
         return Observed(self.keys[kept], self.words[kept], self.since[kept])
 
 
@@ -102,7 +102,7 @@ class Carver:
     ) -> None:
         """Mark every voxel on the way from `sensor_ego` (3,) to each of the points (N, 3), both ends included.
 
-        Frames come in their order. Raises `off_lattice` for a pose that is not finite or off the lattice.
+        Calls must be in frame order. Raises `off_lattice` for a pose that is not finite or off the lattice.
         """
         p = self._parameters
         sensor = map_from_ego @ sensor_ego
@@ -267,7 +267,7 @@ def _gather_touched(is_touched, touched):  # type: ignore[no-untyped-def]
 
 @njit(cache=True, nogil=True)
 def _join(window, corner, table, frame):  # type: ignore[no-untyped-def]
-    """Join the touched bricks to what is known and clear the window; how many of them are new, since this frame."""
+    """Merge the touched bricks into the table, clear the window and return the number of bricks new in this frame."""
     (words, touched, bits), (keys, known, since) = window, table
     side = 1 << bits
     new, mask, own = 0, np.uint64(keys.size - 1), np.empty(touched.size, np.int64)

@@ -52,7 +52,7 @@ class TruthPlanes:
     """Ground truth of one frame of a grid, ring-sorted: `planes` (3, words) = low, high, evaluated.
 
     `counts` (3, 4) are, by ring, the voxels evaluated and those with the low, the high and both bits set. `late`
-    (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if nobody knows them.
+    (words,) are the voxels of `stone.labels.late_voxels`, evaluated or not; None if unknown.
     """
 
     planes: Planes
@@ -315,7 +315,7 @@ def frame_counts(prediction: Grid, truth: TruthPlanes) -> FrameCounts:
 
 
 def late_confusion(prediction: Grid, truth: TruthPlanes) -> Confusion:
-    """Return the confusion (4, 4) of the evaluated voxels that are late, 0 if nobody knows them.
+    """Return the confusion (4, 4) of the evaluated late voxels, or 0 if late voxels are unknown.
 
     Raises what `count_by_ring` raises.
     """

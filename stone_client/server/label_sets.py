@@ -1,4 +1,4 @@
-"""Label sets of a sequence on a server: listed, compared by a job there, deleted."""
+"""List, compare (by a job of the server) and delete the label sets of a sequence on a server."""
 
 from pathlib import Path
 
@@ -32,7 +32,7 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
 
 
 def delete_label_set(api: Api, sequence: Item, named: str) -> str:
-    """The id of the label set, which is gone. Raises `no_label_set`, and what `Api.send` raises."""
+    """Delete the label set and return its id. Raises `no_label_set`, and what `Api.send` raises."""
     label_set_id = _id_named(named, [str(one["id"]) for one in label_sets_of(api, sequence["id"])])
     api.send("DELETE", f"/sequences/{sequence['id']}/label-sets/{label_set_id}")
     return label_set_id

@@ -1,4 +1,4 @@
-"""`stone label-sets`: the label sets of a sequence, one of them deleted, two of them held against each other."""
+"""`stone label-sets`: list the label sets of a sequence, delete a label set, compare two label sets."""
 
 import os
 from collections.abc import Mapping
@@ -12,7 +12,7 @@ from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import confusion_table, show
 
-label_sets = typer.Typer(help="List the label sets of a sequence, delete one, compare two.", no_args_is_help=True)
+label_sets = typer.Typer(help="List, delete and compare the label sets of a sequence.", no_args_is_help=True)
 
 FirstArgument = Annotated[
     str, typer.Argument(metavar="A", help="A folder that holds gts/; with --sequence an id, or latest, latest~1, …")
@@ -48,10 +48,10 @@ def delete(
     sequence: SequenceArgument,
     label_set: Annotated[str, typer.Argument(metavar="LABEL_SET", help="An id, or latest, latest~1, …")],
     server: ServerOption = None,
-    is_agreed: Annotated[bool, typer.Option("--yes", help="Do not ask before.")] = False,
+    is_agreed: Annotated[bool, typer.Option("--yes", help="Delete without confirmation.")] = False,
     as_json: JsonOption = False,
 ) -> None:
-    """Delete a label set on which no export, version or phase relies, and free its bytes."""
+    """Delete a label set and free its bytes; refused if an export, a version or a phase relies on the label set."""
     from stone_client.connection import connected
     from stone_client.server.label_sets import delete_label_set
     from stone_client.server.sequences import find_sequence

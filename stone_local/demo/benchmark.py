@@ -112,7 +112,7 @@ def benchmark_on_server(api: Api, members: Members, progress: Report) -> DemoPha
 
 
 def fetch_inputs(api: Api, phase: DemoPhase, folder: Path, progress: Report) -> tuple[Path, list[Path]]:
-    """Make the inputs of the phase if it has none, and download them as a participant does: the manifest, the tars."""
+    """Create the inputs of the phase if it has none, and download the manifest and tars as a participant does."""
     _make_inputs(api, phase, progress)
     at = (phase.benchmark, DemoPhase.part)
     fetch_manifest(api, at, folder / "manifest.json")

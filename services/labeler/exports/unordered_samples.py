@@ -1,9 +1,8 @@
-"""A sequence whose frames have neither poses, stamps nor order, for inputs that do not give its labels away.
+"""A sequence whose frames have no poses, stamps or order, for inputs that do not reveal its labels.
 
-**Conventions.** Frames are those that a phase chose, in the order of its tokens. The robot is at the origin in each,
-a frame is stamped a second after the one before it in this order, and each sensor measured at the frame's stamp: dt
-drifts with time, so it would tell the order. Sweeps stay deskewed and the rates of radars compensated. Pictures lose
-what their files say beside the picture.
+**Conventions.** A phase selects the frames and orders them by its tokens. The robot is at the origin in each frame.
+Stamps follow this order, one second apart, and each sensor has its frame's stamp: dt drifts with time, so it would
+reveal the order. Sweeps stay deskewed, and radar rates stay compensated. Pictures lose their metadata.
 """
 
 from collections.abc import Sequence as Listing
@@ -43,7 +42,7 @@ def without_order(
 
 @dataclass(frozen=True, eq=False)
 class UnorderedSamples:
-    """The samples of frames at these places of a sequence. Picklable if the samples are."""
+    """The samples of the frames at these places of a sequence. Picklable if the samples are."""
 
     samples: SampleSource
     places: tuple[int, ...]
@@ -60,8 +59,10 @@ class UnorderedSamples:
 
 
 def bare_jpeg(content: bytes) -> bytes:
-    """Return a JPEG without the segments that do not say how the picture is coded, and without what follows its end;
-    a picture whose segments cannot be followed is returned as far as they can."""
+    """Return a JPEG without metadata segments and without bytes after its end.
+
+    If the segments cannot be parsed, the result ends at the first bad segment.
+    """
     kept, at = [content[:2]], 2
     while content[at : at + 1] == b"\xff" and at + 4 <= len(content):
         kind, length = content[at + 1], int.from_bytes(content[at + 2 : at + 4], "big")

@@ -78,7 +78,7 @@ class ImportStageContext:
         raise JobCancelledError("its dataset was deleted")
 
     def stored_archive(self) -> Sequence[str]:
-        """The key of the archive's object; none if it lies in place, or was deleted."""
+        """Return the object key of the archive, or nothing if the archive lies in place or was deleted."""
         with self.platform.database.reading() as session:
             kept = select(Blob.object_key).join(DatasetImport, DatasetImport.blob_sha256 == Blob.sha256)
             return session.scalars(kept.where(DatasetImport.id == self.imported.id)).all()

@@ -37,8 +37,8 @@ from stone.errors import StoneError
 # **Conventions.** A name is resolved once, every address of it is judged, and one of those judged is connected to; if
 # any may not be sent to, none is: a name that resolves to a public and a private address is an attack or a mistake.
 # TLS is of the name, not of the address. After `WITHIN_S` the socket is shut down under whoever reads or writes it. No
-# proxy of the environment is asked: it would resolve the name anew. Whether and to what a name resolved is not told: it
-# may be known inside only.
+# proxy of the environment is asked: it would resolve the name anew. The owner of a webhook does not learn
+# whether a name resolved, nor its addresses: they may be known inside only.
 
 
 ANSWER_WITHIN_S = 10.0
@@ -52,11 +52,13 @@ def resolved(host: str, port: int) -> list[str]:
 
 
 def judged_addresses(host: str, port: int, settings: NotificationSettings, resolve: Resolve = resolved) -> list[str]:
-    """The addresses of the host, all of which may be sent to. Raises `NotTakenError`, the same for a name of an inner
-    network as for one that does not exist."""
+    """Return the addresses of the host, all of them allowed as receivers.
+
+    Raises `NotTakenError`, with the same sentence for a name of an internal network and for a name that does not exist.
+    """
     try:
         found = resolve(host, port)
-    except (OSError, UnicodeError):  # the latter for a label that is too long
+    except (OSError, UnicodeError):  # UnicodeError: a label of the name is too long
         found = []
     if not found or not all(is_allowed(ip_address(address.partition("%")[0]), settings) for address in found):
         raise NotTakenError(f"{host} is not the name of a public host, as seen from here")

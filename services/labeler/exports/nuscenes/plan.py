@@ -46,8 +46,8 @@ class NuscenesChannel:
 
 @dataclass(frozen=True, eq=False)
 class NuscenesPlan:
-    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels. Frames
-    that are not in time order have neither one before nor one after."""
+    """`low_m` is the corner of the map that is the origin of `global`; `quality` is None without labels. If
+    frames are not in time order (`is_ordered`), they have no previous and no next frame."""
 
     sequence: Sequence
     channels: tuple[NuscenesChannel, ...]
