@@ -1,11 +1,10 @@
 """A child whose n-th system call on a folder's files fails, or kills it: `disturb(work, folder, nth, fault)`.
 
-**Conventions.** Counted are calls that change files: writes, flushes, creations, renames, links, deletions, lengths and
-stamps, of the child's every thread and library, SQLite included, in the order in which they come. The kernel asks this
-process before each of them (seccomp(2), SECCOMP_RET_USER_NOTIF, Linux ≥ 5.5), so nothing is patched. `FULL` counts
-what needs room alone and goes on once it has begun, as a full disk does; `BROKEN` is once; `KILLED` is kill −9 before
-the call. What is not seen: pages that were mapped and written to, and what a power cut takes of that which was not
-flushed.
+**Conventions.** Only calls that change files are counted, in the order of arrival: writes, flushes, creations, renames,
+links, deletions, lengths and stamps. They come from every thread and library of the child, SQLite included. The kernel
+notifies this process before each call (seccomp(2), SECCOMP_RET_USER_NOTIF, Linux ≥ 5.5), so nothing is patched. `FULL`
+counts only calls that need room, and every later one fails too, as on a full disk. `BROKEN` fails one call; `KILLED` is
+kill −9 before the call. Two faults stay undetected: writes to mapped pages, and unflushed data lost in a power cut.
 """
 
 import ctypes
@@ -63,11 +62,11 @@ RECEIVE, SEND, CONTINUE = 0xC0502100, 0xC0182101, 1
 NOTICE, REPLY = struct.Struct("=QIIiIQ6Q"), struct.Struct("=QqiI")  # id, pid, flags, number, machine, place, arguments
 LONGEST_PATH = 4096
 DATABASE = ".sqlite3"
-"""Of SQLite's writes that follow each other in one file the first is disturbed: half of them are SQLite's affair."""
+"""Only the first of consecutive equal calls on a SQLite file is disturbed: half of these calls concern only SQLite."""
 
 
 class Fault(Enum):
-    """What becomes of the n-th call."""
+    """The fate of the n-th call."""
 
     FULL = errno.ENOSPC
     BROKEN = errno.EIO
@@ -76,7 +75,7 @@ class Fault(Enum):
 
 @dataclass(frozen=True)
 class Disturbed:
-    """`hit` is the call that was disturbed, empty where the work ended before; `raised` what the work raised."""
+    """`hit` is the call that was disturbed, empty if the work ended before it; `raised` is the work's traceback."""
 
     hit: str
     was_killed: bool
@@ -84,12 +83,12 @@ class Disturbed:
 
 
 def disturb(work: Callable[[], object], folder: Path, nth: int, fault: Fault) -> Disturbed:
-    """Do the work in a forked child, whose `nth` call (from 1) on what lies below `folder` is disturbed."""
+    """Do the work in a forked child, whose `nth` call (from 1) on files below `folder` is disturbed."""
     ours, theirs = socket.socketpair()
     with ours, theirs:
         if (child := os.fork()) == 0:
             _work(work, theirs)
-        theirs.close()  # one that cannot listen ends, and the next line raises
+        theirs.close()  # a child that cannot listen ends, and the next line raises
         listener = socket.recv_fds(ours, 1, 1)[1][0]
         try:
             hit = _Supervisor(child, listener, os.path.realpath(folder), nth, fault).serve(ours)
@@ -103,8 +102,9 @@ def disturb(work: Callable[[], object], folder: Path, nth: int, fault: Fault) ->
 
 
 def apart(work: Callable[[], object]) -> str:
-    """Do the work in a forked child, undisturbed; what it raised. So this process keeps no threads, which a child that
-    is forked later would miss.
+    """Do the work in a forked child, undisturbed, and return its traceback, if any.
+
+    So this process keeps no threads, which a child that is forked later would lack.
     """
     ours, theirs = socket.socketpair()
     with ours, theirs:
@@ -117,7 +117,7 @@ def apart(work: Callable[[], object]) -> str:
 
 
 def _work(work: Callable[[], object], parent: socket.socket) -> None:
-    """As `_say`, after the kernel began to ask."""
+    """Install the filter, then run `_say`."""
     try:
         socket.send_fds(parent, [b"l"], [_listen()])
     except BaseException:
@@ -126,7 +126,7 @@ def _work(work: Callable[[], object], parent: socket.socket) -> None:
 
 
 def _say(work: Callable[[], object], parent: socket.socket) -> None:
-    """All that a child does: what it says is one point, and what was raised."""
+    """Do the work, then send a point and the traceback, if any; the child does nothing else."""
     try:
         try:
             work()
@@ -138,10 +138,10 @@ def _say(work: Callable[[], object], parent: socket.socket) -> None:
 
 
 def _listen() -> int:
-    """Install the filter; the descriptor on which the kernel asks."""
+    """Install the filter and return the descriptor of the kernel's notifications."""
     steps = [_step(LOAD, 0)]  # the call's number
     for name, number in NUMBERS[platform.machine()].items():
-        if name in FLAGS:  # what is only read fails in other tests
+        if name in FLAGS:  # other tests cover failing reads
             block = [_step(LOAD, 16 + 8 * FLAGS[name]), _step(ANY_BIT, os.O_CREAT, 0, 1), ASK, ALLOW]
         else:
             block = [ASK]
@@ -159,7 +159,7 @@ def _listen() -> int:
 
 
 class _Supervisor:
-    """Answers the kernel until the child has said how its work ended, or was killed."""
+    """Answers the kernel until the child has reported the end of its work, or was killed."""
 
     def __init__(self, child: int, listener: int, folder: str, nth: int, fault: Fault) -> None:
         self._child, self._listener, self._folder, self._fault = child, listener, folder, fault
@@ -167,7 +167,7 @@ class _Supervisor:
         self._names = {number: name for name, number in NUMBERS[platform.machine()].items()}
 
     def serve(self, end: socket.socket) -> str:
-        """The call that was disturbed."""
+        """Return the call that was disturbed."""
         waiting = select.poll()
         waiting.register(self._listener, select.POLLIN)
         waiting.register(end, select.POLLIN)
@@ -180,7 +180,7 @@ class _Supervisor:
         notice = bytearray(NOTICE.size)
         try:
             fcntl.ioctl(self._listener, RECEIVE, notice)
-        except OSError as error:  # who asked is dead
+        except OSError as error:  # the calling thread is dead
             if error.errno not in (errno.ENOENT, errno.EINTR):
                 raise
             return
@@ -191,7 +191,7 @@ class _Supervisor:
             fcntl.ioctl(self._listener, SEND, reply)
 
     def _refusal(self, name: str, thread: int, arguments: list[int]) -> int:
-        """The error with which the call is answered; 0 if it goes on."""
+        """Return the error number for the call, or 0 if the call proceeds."""
         path = self._path(name, thread, arguments)
         if not path.startswith(self._folder):
             return 0
@@ -209,7 +209,7 @@ class _Supervisor:
         return self._fault.value or errno.EINTR
 
     def _path(self, name: str, thread: int, arguments: list[int]) -> str:
-        """The file that the call is about; empty if it is none that has a name."""
+        """Return the path of the call's file, or an empty string if the file has no name."""
         with suppress(OSError):
             if name in OF_DESCRIPTOR:
                 return os.readlink(f"/proc/{thread}/fd/{arguments[OF_DESCRIPTOR[name]]}")
@@ -223,7 +223,7 @@ class _Supervisor:
 
 
 def _text(thread: int, address: int) -> str:
-    """The string at an address of the thread's memory."""
+    """Return the string at an address of the thread's memory."""
     if not address:  # utimensat of an open file
         return ""
     with open(f"/proc/{thread}/mem", "rb", buffering=0) as memory:

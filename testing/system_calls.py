@@ -1,4 +1,4 @@
-"""System calls by their number, as code makes them that does not go through Python."""
+"""System calls by their number, as code outside Python makes them."""
 
 import ctypes
 import os
@@ -14,7 +14,7 @@ NUMBERS = {
 
 
 def system_call(name: str, *arguments: int | bytes) -> int:
-    """Return what the call answers. Raises `OSError`."""
+    """Return the result of the call. Raises `OSError`."""
     number = NUMBERS[name][os.uname().machine == "aarch64"]
     given = (one if isinstance(one, bytes) else ctypes.c_long(one) for one in arguments)
     answer = _LIBC.syscall(number, *given)

@@ -15,5 +15,5 @@ def flip(path: Path, place: float = 0.5) -> None:
 
 
 def decay(platform: Platform, object_key: str, place: float = 0.5) -> None:
-    """The same of an object in a folder."""
+    """Flip a bit of an object of a store in a folder, as `flip` does."""
     flip(platform.store.local(object_key), place)

@@ -1,4 +1,4 @@
-"""Bodies that do not come, or of people who are not known: bounded in time, size and memory before they are read."""
+"""Bodies that never arrive, and bodies of unknown senders: bounded in time, size and memory before they are read."""
 
 import asyncio
 import json
@@ -45,7 +45,7 @@ def test_a_body_that_stops_is_refused_and_its_connection_ends(platform: Platform
 
 
 def test_a_body_that_trickles_is_refused(platform: Platform, curator: Person) -> None:
-    """Each byte comes in time, all of them would not."""
+    """Each byte arrives in time, but the whole body would not."""
     stop = threading.Event()
     with (
         served(platform, body_s=0.5) as url,
@@ -77,7 +77,7 @@ def test_a_form_that_stops_is_refused(platform: Platform, curator: Person) -> No
 
 
 def test_what_a_stranger_sends_is_refused_unread(platform: Platform) -> None:
-    """The rest of the body never comes: an answer shows that it was not waited for."""
+    """The rest of the body never arrives: a response shows that the server did not wait for it."""
     with served(platform) as url:
         for path in ("teams", "sequences", "calibrations", "tokens", "uploads/form", "device-grants/decision"):
             for false in ("", "Authorization: Bearer stone_false\r\n"):
@@ -108,7 +108,7 @@ def test_strangers_send_bodies_where_the_document_names_no_credential(platform: 
 
 @pytest.fixture
 def narrow(platform: Platform) -> Platform:
-    """Room for the overhead of one body and a little more of one sender, four times that of all."""
+    """Return a platform with room for one body's overhead and a little more per sender, and for four times as much."""
     return having(platform, api={"held_body_bytes": SHARES * 2 * MIB, "body_bytes": MIB})
 
 
@@ -122,7 +122,7 @@ def test_bodies_under_way_have_a_budget_which_is_given_back(narrow: Platform, cu
         assert (refused.status, refused.code) == (503, "busy")
         assert "retry-after" in refused.headers
         other = {**person(narrow, "curator").headers, "Content-Type": "application/json"}
-        assert api.post("/api/v1/teams", content=b" " * piece, headers=other).status_code == 422  # has a share too
+        assert api.post("/api/v1/teams", content=b" " * piece, headers=other).status_code == 422  # its own share
         for connection in held:
             connection.close()
         assert answered_at_last(api, piece)
@@ -135,7 +135,7 @@ class Refusal:
 
 
 def refusal_at_last(url: str, sent: bytes) -> Refusal:
-    """The answer to the first of these that is not taken, once the others have come."""
+    """Return the response to the first body that is refused, after the others have arrived."""
     with ExitStack() as stack:
         for _ in range(100):
             connection = stack.enter_context(connected(url, sent))
@@ -166,7 +166,7 @@ def scope_of(host: str = "192.0.2.7") -> Scope:
 
 
 async def unheard(_: Message) -> None:
-    """Nobody listens."""
+    """Drop the message."""
 
 
 @pytest.mark.parametrize("end", ["answered", "failed", "left", "cancelled"])

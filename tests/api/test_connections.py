@@ -1,4 +1,4 @@
-"""Connections that begin a request and do not go on: closed in time, counted by address, logged once a minute."""
+"""Connections that start a request and then stall: closed in time, counted by address, logged once a minute."""
 
 import resource
 import socket
@@ -23,7 +23,7 @@ from testing.api.serving import serving
 from testing.servers.fixtures import having
 
 PATIENCE_S = 300.0
-NOBODY = "192.0.2.1"  # no proxy that a test could come from
+NOBODY = "192.0.2.1"  # not the address of any test client
 LOOPBACK = "127.0.0.1"
 
 Logged = list[MutableMapping[str, Any]]
@@ -39,7 +39,7 @@ def connected(url: str, sent: bytes = b"", source: str = LOOPBACK) -> Iterator[s
 
 
 def rest_of(connection: socket.socket) -> bytes:
-    """Whatever comes until the server ends the connection, in good order or not."""
+    """Return all bytes received until the server ends the connection, cleanly or not."""
     received = b""
     try:
         while block := connection.recv(65536):
@@ -81,7 +81,7 @@ def test_what_is_left_of_an_answered_body_is_not_waited_for(platform: Platform) 
 
 
 def test_an_answer_that_nobody_takes_is_cut_off(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    """Nothing is read until the server has ended the connection, which the next of its address shows."""
+    """The client reads nothing until the server has ended the connection: then its address can connect again."""
     monkeypatch.setattr(heads, "STALL_S", 0.5)
     asked = b"GET /api/v1/openapi.json HTTP/1.1\r\nHost: x\r\n\r\n" * 100
     with served(platform, connections_per_address=1) as url, connected(url, asked) as connection:
@@ -111,7 +111,7 @@ def test_one_address_has_so_many_connections_and_others_are_answered(platform: P
 
 
 def answered_at_last(url: str) -> bool:
-    """Whether the address is answered again once the server has noticed that the others left."""
+    """Return whether the server answers the address again after it has detected that the other connections ended."""
     for _ in range(3000):
         with connected(url, b"GET /healthz HTTP/1.1\r\nHost: x\r\nConnection: close\r\n\r\n") as connection:
             if rest_of(connection).startswith(b"HTTP/1.1 200 "):
@@ -121,7 +121,7 @@ def answered_at_last(url: str) -> bool:
 
 
 class Clock:
-    """A monotonic clock that a test winds, and an event loop's `call_later`."""
+    """A monotonic clock that a test advances, and an event loop's `call_later`."""
 
     def __init__(self) -> None:
         self.now_s, self.due = 1000.0, list[tuple[float, Callable[[], None]]]()
@@ -148,7 +148,7 @@ def logged() -> Iterator[Logged]:
 
 
 class Buffer:
-    """A transport that a slow client takes an answer from."""
+    """A transport whose client reads the response slowly."""
 
     def __init__(self, size_bytes: int) -> None:
         self.size_bytes, self.is_aborted = size_bytes, False

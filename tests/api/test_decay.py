@@ -1,7 +1,7 @@
-"""What decayed in the store is never answered as if it were sound: every file that any route answers, asked for twice.
+"""No route serves decayed data as sound: every file of every route is requested twice.
 
 **Conventions.** All files are read while they are sound, then one bit of every object of the store flips. From then on
-an answer is the same bytes as before, or a refusal, or it breaks off. Nothing that a process remembers is left to it.
+a response has the same bytes as before, is a refusal, or ends early. All caches of the process are cleared.
 """
 
 import functools
@@ -48,7 +48,7 @@ BROKEN = {
     f"{API}/submissions/{{submission_id}}/confusions",
     f"{API}/submissions/{{submission_id}}/predictions.zip",
 }
-"""Routes that must be seen to refuse, or the objects behind them did not decay."""
+"""Routes that must refuse; otherwise the objects behind them did not decay."""
 
 
 @dataclass(frozen=True, eq=False)
@@ -86,7 +86,7 @@ def calibration(platform: Platform, owner: Person, path: Path) -> str:
 
 
 def files_of(document: dict[str, Any], ids: Mapping[str, list[str]]) -> dict[str, str]:
-    """The addresses of all files, with their routes: files are what is answered in ranges too."""
+    """Return the addresses of all files, with their routes: a route that also serves ranges serves a file."""
     return {
         url: path
         for path, method, operation in operations(document)
@@ -101,7 +101,7 @@ def object_keys(platform: Platform) -> list[str]:
 
 
 def flip_all(platform: Platform, place: float) -> None:
-    """Flip a bit of every object; once more, and they are sound again."""
+    """Flip a bit of every object; a second call makes them sound again."""
     for key in object_keys(platform):
         decay(platform, key, place)
 
@@ -113,7 +113,7 @@ def forget_all() -> None:
 
 
 def asked_again(sound: Sound) -> tuple[list[str], Counter[str]]:
-    """Addresses that answered other bytes than before, whole; and by route how often an answer was refused or cut."""
+    """Return the addresses with a complete but different response, and the refused or cut responses by route."""
     wrong, refused = list[str](), Counter[str]()
     forget_all()
     with client_of(sound.platform, sound.caller) as client:

@@ -1,4 +1,4 @@
-"""Programs that a browser helps to sign in: codes that a person approves once, and that end with the browser."""
+"""Device grants: a person approves a program's code once in a browser, and the code ends with the browser session."""
 
 from collections.abc import Iterator
 from concurrent.futures import ThreadPoolExecutor
@@ -25,7 +25,7 @@ ASKED = {"name": "stone on laptop", "scopes": ["read", "submit", "upload", "admi
 
 @pytest.fixture
 def uncounted(platform: Platform) -> Iterator[httpx.Client]:
-    """The API, at which nobody is counted."""
+    """Yield a client of an API whose sign-in limit (1,000 a minute) no test reaches."""
     with (
         served_lab(platform, platform.settings.oidc) as lab,
         httpx.Client(base_url=lab.url, timeout=300.0, verify=False, trust_env=False) as client,
@@ -48,7 +48,7 @@ def begun(uncounted: httpx.Client, **changed: Any) -> dict[str, Any]:
 def decided(
     uncounted: httpx.Client, platform: Platform, who: Person, code: str, approves: bool = True
 ) -> httpx.Response:
-    """The answer to a decision that somebody makes in a browser."""
+    """Return the response to a decision that a person makes in a browser."""
     body = {"user_code": code, "approves": approves}
     return uncounted.post(f"{GRANTS}/decision", json=body, headers=in_browser(platform, who))
 
@@ -58,7 +58,7 @@ def taken(uncounted: httpx.Client, device_code: str) -> httpx.Response:
 
 
 def rested(platform: Platform) -> None:
-    """As if every program had waited as long as it was told to."""
+    """Let the required polling interval of every program pass."""
     with platform.database.transaction() as session:
         session.execute(update(DeviceGrant).values(polled_ns=0))
 
@@ -220,7 +220,7 @@ def test_two_takers_at_once_get_one_token(platform_on: Platform) -> None:
 
 
 def test_a_token_approves_no_program_even_with_the_scope_account(uncounted: httpx.Client, platform: Platform) -> None:
-    """The attack: a token of a minute approves its own program, which gets a token of a year."""
+    """The attack: a token valid for a minute approves its own program, which gets a token valid for a year."""
     leaked, codes = person(platform, "curator", scopes=["read", "account"], expires_s=60.0), begun(uncounted)
     body = {"user_code": codes["user_code"], "approves": True}
     answer = uncounted.post(f"{GRANTS}/decision", json=body, headers=leaked.headers)
@@ -234,7 +234,7 @@ def test_a_token_approves_no_program_even_with_the_scope_account(uncounted: http
 def test_an_approved_program_gets_no_token_after_its_approver_ended(
     uncounted: httpx.Client, platform: Platform, end: str
 ) -> None:
-    """The attack: the token is fetched after everything was ended."""
+    """The attack: the token is fetched after all credentials were ended."""
     root, codes = person(platform, "administrator"), begun(uncounted)
     with platform.database.transaction() as session:
         ada = create_user(session, "ada", "curator", PASSWORD)
@@ -280,7 +280,7 @@ def test_a_program_that_was_approved_keeps_its_token_beyond_the_browser(
 
 
 def test_nothing_is_issued_while_all_credentials_end(platform_on: Platform) -> None:
-    """A token that is fetched while everything ends is ended too, or never made."""
+    """A token fetched while all credentials end is ended too, or never created."""
     for number in range(20):
         with platform_on.database.transaction() as session:
             user = users.create_user(session, f"ada{number}", "curator")

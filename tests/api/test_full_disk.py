@@ -1,4 +1,4 @@
-"""A whole platform on a disk that is really full, a tmpfs of 64 MiB: who makes room can still sign in and do so."""
+"""A whole platform on a full disk, a tmpfs of 64 MiB: an administrator can still sign in and free space."""
 
 import os
 import shutil
@@ -56,7 +56,7 @@ def free_bytes(platform: Platform) -> int:
 
 
 def take_all(platform: Platform) -> None:
-    """Somebody else fills the disk to its last byte."""
+    """Fill the disk to its last byte, as another program would."""
     with (platform.settings.root / FOREIGN).open("wb", buffering=0) as file:
         try:
             while file.write(b"\1" * 4096):
@@ -71,7 +71,7 @@ def a_job(platform: Platform, owner: Person) -> str:
 
 
 def fill_by_upload(platform: Platform, api: httpx.Client, curator: Person) -> str:
-    """Uploads of one curator, until one is refused; the first of them."""
+    """Fill the disk by a curator's uploads until one is refused; return the first upload."""
     where = [created(api, curator, 20 * MIB) for _ in range(4)]
     piece = os.urandom(20 * MIB)
     answers = [patch(api, curator, one, 0, piece) for one in where]
@@ -81,7 +81,7 @@ def fill_by_upload(platform: Platform, api: httpx.Client, curator: Person) -> st
 
 
 def make_room(platform: Platform, api: httpx.Client, curator: Person, upload: str, job_id: str) -> None:
-    """All that an operator does on a full disk."""
+    """Free space as an operator does on a full disk."""
     assert api.delete(upload, headers={**TUS, **curator.headers}).status_code == 204
     assert api.post("/api/v1/sessions", json={"name": "root", "password": PASSWORD}).status_code in (200, 201)
     api.cookies.clear()
@@ -128,7 +128,7 @@ def test_without_a_ballast_the_bytes_of_an_upload_go_before_its_row(full: Platfo
         assert patch(api, curator, uploads[1], 0, os.urandom(MIB)).status_code == 204
         Ballast(full.settings).give_up()
         take_all(full)
-        with full.database.engine.connect() as connection:  # no page of the log is left over to be written again
+        with full.database.engine.connect() as connection:  # no page of the log remains to be written again
             connection.exec_driver_sql("PRAGMA wal_checkpoint(TRUNCATE)")
         take_all(full)
         for upload in uploads:

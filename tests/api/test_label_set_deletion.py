@@ -1,4 +1,4 @@
-"""One label set is deleted: its bytes come back, what was made of it goes, and what others rely on stays."""
+"""Deletion of a label set frees its bytes, deletes its products and is refused while something relies on it."""
 
 from collections.abc import Mapping
 from typing import Any
@@ -42,7 +42,7 @@ def run(api: httpx.Client, curator: Person) -> Mapping[str, Any]:
 
 
 def two_sets(platform: Platform, run: Mapping[str, Any]) -> tuple[str, str]:
-    """The older and the newer, of which the newer counts; both are counted against their owner."""
+    """Return the older and the newer label set; the newer is active, and both count against their owner."""
     made = [
         labels(platform, run, contents=[frame_labels(kind)] * 2, seed=seed).id for kind, seed in ((1, b"a"), (2, b"b"))
     ]

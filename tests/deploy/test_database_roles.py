@@ -1,6 +1,6 @@
-"""Each service connects by a PostgreSQL role of its own, with which its work succeeds and which owns nothing.
+"""Each service connects with its own PostgreSQL role, which suffices for its work and owns nothing.
 
-The processes are those of docker-compose.yml, on a server that requires passwords; the demo is sent through them.
+The processes are those of docker-compose.yml, on a server that requires passwords; the demo runs through them.
 """
 
 import os
@@ -68,7 +68,7 @@ class Deployment:
 
 @pytest.fixture(scope="module")
 def server() -> Iterator[PostgresServer]:
-    """PostgreSQL that requires a password of every role but its superuser."""
+    """Yield a PostgreSQL server that requires a password from every role except its superuser."""
     with tempfile.NamedTemporaryFile("w", prefix="stone-hba-", suffix=".conf") as access:
         access.write("host all postgres 127.0.0.1/32 trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
         access.flush()
@@ -102,7 +102,7 @@ def deployment(server: PostgresServer, tmp_path_factory: pytest.TempPathFactory)
 
 @contextmanager
 def running(deployment: Deployment, service: str) -> Iterator[Path]:
-    """A process of the service; yields its log."""
+    """Run a process of the service; yield its log."""
     settings = deployment.of(service)
     place = deployment.owner.root / f"process-{service}"
     place.mkdir(parents=True)
@@ -166,7 +166,7 @@ def test_a_worker_reads_no_credential_and_writes_no_table_of_others(deployment: 
 
 
 def test_every_table_with_a_secret_is_closed_to_workers() -> None:
-    """Catches a new table of credentials that nobody named."""
+    """Catches a new table of credentials that the list of closed tables lacks."""
     secret = {
         name
         for name, table in Base.metadata.tables.items()

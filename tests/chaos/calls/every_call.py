@@ -1,4 +1,4 @@
-"""Does an operation again and again, each time with another of its system calls disturbed."""
+"""Repeats an operation, each time with a different system call disturbed."""
 
 import os
 import shutil
@@ -23,13 +23,13 @@ IN_MEMORY = Path("/dev/shm")
 
 @contextmanager
 def quick_folder() -> Iterator[Path]:
-    """A folder in memory, if there is any: thousands of flushes are waited for."""
+    """Yield a folder in memory, if possible: the tests wait for thousands of flushes."""
     with tempfile.TemporaryDirectory(dir=IN_MEMORY if os.access(IN_MEMORY, os.W_OK) else None) as folder:
         yield Path(folder)
 
 
 def laid_in(folder: Path, settings: Settings) -> Settings:
-    """The settings of a copy of the platform in `folder`, with what lies beside it."""
+    """Copy the platform and the files beside it into `folder`; return the settings of the copy."""
     shutil.copytree(settings.root.parent, folder, symlinks=True, dirs_exist_ok=True)
     return make_settings(folder).model_copy(update={"uploads": settings.uploads})
 
@@ -40,8 +40,9 @@ def each_call(
     check: Callable[[Platform, Disturbed], object],
     fault: Fault,
 ) -> int:
-    """Check a copy of the platform, and of what lies beside it, after the operation: with its first call disturbed, its
-    second and so on, and last with none; how many calls it has.
+    """Run the operation on fresh copies, disturb its first call, its second and so on, and check each copy afterwards.
+
+    The last run is undisturbed. Return the number of calls of the operation.
     """
     for nth in count(1):
         with quick_folder() as folder:

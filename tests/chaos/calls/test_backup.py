@@ -1,4 +1,4 @@
-"""A backup of which any system call fails leaves the snapshots that there were, or one more; the next one is whole."""
+"""If any system call of a backup fails, the old snapshots remain, perhaps with a new one; the next backup is whole."""
 
 from pathlib import Path
 
@@ -20,7 +20,7 @@ def folder_of(platform: Platform) -> BackupFolder:
 
 
 def back_up(platform: Platform) -> None:
-    """The second backup: the first lies there, and most of what is named with it."""
+    """Make the second backup: the first one exists, with most of the objects that the second one names."""
     make_backup(platform, folder_of(platform))
 
 

@@ -1,4 +1,4 @@
-"""A label set of which any system call fails while it is published is there with all its files, or not at all."""
+"""If any system call of a publication fails, the label set exists with all its files, or not at all."""
 
 from dataclasses import replace
 from hashlib import sha256
@@ -36,14 +36,14 @@ FILES = ("report.json", "frames.parquet", "grid.json")
 
 
 class AnsweredContext(LabelStageContext):
-    """A context whose child has left its files, and answers the same each time."""
+    """A context whose child has left its files and returns the same answer each time."""
 
     def ask(self, *_: object) -> Any:
         return ANSWER
 
 
 def publish_run(platform: Platform) -> None:
-    """The worker's turn: the stage of the run, as the queue does it."""
+    """Run the publication stage, as the queue does in a worker."""
 
     def stage(attempt: Attempt) -> Outcome:
         workspace = Workspace(platform.store, platform.settings, attempt.root_id)
@@ -53,7 +53,7 @@ def publish_run(platform: Platform) -> None:
 
 
 def lay_run(platform: Platform) -> str:
-    """A run whose last stage is to come, and what the others left; its id."""
+    """Create a run before its last stage, with the files of the earlier stages; return its id."""
     owner = an_owner(platform)
     with platform.database.transaction() as session:
         sequence = SequenceRow(owner_id=owner, name="forest")
@@ -80,7 +80,7 @@ def lay_run(platform: Platform) -> str:
 
 
 def published(platform: Platform) -> dict[str, bytes]:
-    """The files of the label set by name, each what its row says."""
+    """Return the files of the label set by name, each checked against its row."""
     found = {}
     with platform.database.reading() as session:
         rows = session.execute(select(Artefact.name, Blob).join(Blob, Blob.sha256 == Artefact.blob_sha256)).all()
@@ -120,7 +120,7 @@ def test_a_label_set_is_published_whole_or_not_at_all(settings: Settings, fault:
 
 
 def assert_nothing_is_left_over(platform: Platform) -> None:
-    """Garbage collection leaves the objects of blobs and nothing else."""
+    """Assert that garbage collection keeps only the objects of blobs."""
     store = replace(platform.settings.store, grace_s=0.0)
     collect_garbage(replace(platform, settings=platform.settings.model_copy(update={"store": store})))
     with platform.database.reading() as session:

@@ -1,4 +1,4 @@
-"""An upload of which any system call fails is not there, there as far as it came, or whole; and it can be sent on."""
+"""If any system call of an upload fails, the upload is absent, partial or complete; the client can continue it."""
 
 import pytest
 from sqlalchemy import select
@@ -21,7 +21,7 @@ from tests.services.runtime.uploads.sending import made, make_owner, right, send
 CONTENT = bytes(range(256)) * 12
 FIRST = 1000
 KNOWN = ("DiskFullError", "StoreFullError", "OperationalError", "OSError")
-"""What a request may end with: the API has an answer for each."""
+"""Errors with which a request may end: the API has a response for each."""
 
 
 @pytest.fixture(params=["folder", "store"])
@@ -33,7 +33,7 @@ def prepared(request: pytest.FixtureRequest, settings: Settings) -> tuple[Settin
 
 
 def upload_all(platform: Platform, owner: UploadOwner) -> None:
-    """A client that sends a file in two requests, the second with a checksum."""
+    """Send a file in two requests, the second with a checksum."""
     upload = made(platform, owner, CONTENT, sha256=sha256_of(CONTENT))
     send(platform, upload, 0, CONTENT[:FIRST])
     send(platform, upload, FIRST, CONTENT[FIRST:], right(CONTENT[FIRST:]))
@@ -82,7 +82,7 @@ def assert_sound(platform: Platform, owner: UploadOwner, disturbed: Disturbed) -
 
 
 def send_on(platform: Platform, owner: UploadOwner) -> None:
-    """The client asks how far it came, and sends the rest."""
+    """Read the offset of the upload and send the rest, as a client does."""
     uploads = uploads_in(platform)
     upload = uploads[0] if uploads else made(platform, owner, CONTENT, sha256=sha256_of(CONTENT))
     if upload.state == "open":
@@ -96,7 +96,7 @@ def send_on(platform: Platform, owner: UploadOwner) -> None:
 
 
 def assert_nothing_is_left_over(platform: Platform) -> None:
-    """The sweeper leaves the bytes of the upload and nothing else."""
+    """Assert that the sweeper keeps only the bytes of the upload."""
     expire(platform)
     platform.store.tidy(0.0)
     (upload,) = uploads_in(platform)

@@ -1,4 +1,4 @@
-"""Histories of jobs from seeds find what they are there to find, and find nothing in the platform as it is."""
+"""Seeded histories of jobs detect planted faults, and detect no fault in the unchanged platform."""
 
 from collections.abc import Callable, Sequence
 from dataclasses import replace
@@ -15,11 +15,11 @@ from services.runtime.jobs.specs import JobSpec, Outcome
 from services.runtime.orm import Job, JobLine
 
 PAST = {14: "a job brought others `after` its own kind: its success was counted off twice, and one began too early"}
-"""Seeds that found a fault of the platform, and what it was. A seed is another history once what is drawn changes, so
-each fault is put back below too."""
+"""Seeds that detected a fault of the platform, with the fault. A seed gives another history if the draws change, so the
+tests below also plant each fault."""
 FRESH = range(3000, 3006)
 MOST_SEEDS = 60
-"""Among so many each fault below is found: it takes a tenth of them."""
+"""Each fault below is detected within this number of seeds; a tenth of them is enough."""
 
 
 @pytest.mark.parametrize("seed", [*PAST, *FRESH])
@@ -32,13 +32,13 @@ def test_a_seed_plays_the_same_history_again() -> None:
 
 
 def found_from(first: int) -> History:
-    """The first history from this seed on that is broken, judged at its end and on the way."""
+    """Return the first history from this seed on that violates a rule, at its end or on the way."""
     played = (play(seed) for seed in range(first, first + MOST_SEEDS))
     return next(history for history in played if history.violation)
 
 
 def test_lines_that_are_inserted_again_after_a_lost_answer_are_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As it was until 24 November 2026: every heartbeat of a live job failed by its own lines."""
+    """Fault of 24 November 2026: a live job's own lines made every heartbeat of it fail."""
 
     def insert_again(session: Session, words: Sequence[AttemptWords]) -> None:
         lines = [(one, line) for one in words for line in one.lines]
@@ -56,7 +56,7 @@ def test_lines_that_are_inserted_again_after_a_lost_answer_are_found(monkeypatch
 
 
 def test_what_follows_a_success_and_is_left_out_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As it was until 23 November 2026: a run that was cancelled in a job's last moment and retried never ended."""
+    """Fault of 23 November 2026: a run that was cancelled in a job's last moment and then retried never ended."""
     succeed, settle = execution.succeed, control.settle
 
     def leave_out(
@@ -75,12 +75,12 @@ def test_what_follows_a_success_and_is_left_out_is_found(monkeypatch: pytest.Mon
 
 
 def test_a_success_that_is_counted_off_in_jobs_it_brings_is_found(monkeypatch: pytest.MonkeyPatch) -> None:
-    """As it was until these histories: of a job that brings others `after` its own kind one began too early."""
+    """A fault that these histories detected: if a job adds jobs `after` its own kind, one of them starts too early."""
     release, add_jobs, released = completion._release, completion.add_jobs, list[str]()
 
     def release_later(_session: Session, job_id: str) -> bool:
         released.append(job_id)
-        return False  # a run looks for itself whether anything is left
+        return False  # a run checks for remaining jobs itself
 
     def add_jobs_first(session: Session, run: Job, specs: Sequence[JobSpec], most: int) -> list[Job]:
         jobs = add_jobs(session, run, specs, most)

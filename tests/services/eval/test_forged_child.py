@@ -1,7 +1,7 @@
-"""A submission that takes over the child that counts it hands out nothing of the ground truth that the child reads.
+"""A submission that takes over its counting child reveals nothing of the ground truth that the child reads.
 
-**Conventions.** A forged child reads the first bytes of the pack and says them by one channel after another. All that a
-team may see of two packs is compared: progress, verdict, code and sentence. Time is no channel here.
+**Conventions.** A forged child reads the first bytes of the pack and sends them through one channel after another. The
+test compares everything that a team may see of two packs: progress, verdict, code and sentence. Time is not tested.
 
 Catches alone a word, a number or an exit status of that child in anything that a team reads.
 """
@@ -40,7 +40,7 @@ Forgery = Callable[[bytes, Any], bytes]
 
 
 def problems_full_of(secret: bytes) -> bytes:
-    """The verdict that carried 75,000 bytes: a hundred problems of five texts, each of 200 characters."""
+    """Return a verdict that carries 75,000 bytes: a hundred problems with five texts of 200 characters each."""
     texts = [secret[start : start + 150].hex()[:200] for start in range(0, SECRET_BYTES, 150)]
     names = ("code", "file", "frame", "expected", "actual")
     errors = [dict(zip(names, texts[5 * row : 5 * row + 5], strict=True)) for row in range(100)]
@@ -115,7 +115,7 @@ FORGERIES: dict[str, Forgery] = {
 
 @dataclass(frozen=True)
 class Packs:
-    """A sound and a wrong submission, and two packs whose bytes differ but for the counts of the truth alone."""
+    """A sound and a wrong submission, and two packs with equal counts of the truth alone but different bytes."""
 
     manifest: Path
     tokens: tuple[str, ...]
@@ -143,7 +143,7 @@ def standing(world: World, tmp_path_factory: pytest.TempPathFactory) -> Packs:
 
 
 def seen(standing: Packs, zip_path: Path, pack: Path) -> tuple[Any, ...]:
-    """All that a team may read of a range: its progress and its end."""
+    """Return everything that a team may read of a range: its progress and its end."""
     progress = list[tuple[str, int, int]]()
     watch = SandboxWatch(progress=lambda *said: progress.append(said))
     try:
@@ -240,7 +240,7 @@ def test_what_is_counted_in_frames_that_are_not_sampled_is_refused(standing: Pac
 
 
 def test_supports_are_those_of_the_labels(standing: Packs, world: World) -> None:
-    """Voxels by class as numpy counts them, and columns that hold a T or P and no N."""
+    """The oracle is numpy: voxels by class, and columns with a T or P but no N."""
     with TruthPack(standing.packs[0]) as pack:
         supports = pack.supports().sum(axis=1)
         assert pack.tokens == standing.tokens
@@ -279,7 +279,7 @@ def test_the_child_that_finds_the_words_is_given_no_ground_truth(
 
 
 def test_the_channels_are_read_in_full() -> None:
-    """The forged verdict carries what it carried before."""
+    """The forged verdict carries at least 50,000 bytes of the secret, and 532 bytes of counts per frame exist."""
     secret = os.urandom(SECRET_BYTES)
     words = json.loads(problems_full_of(secret)[4:])
     assert sum(len(text) // 2 for error in words["errors"] for text in error.values()) >= 50_000

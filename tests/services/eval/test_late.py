@@ -1,4 +1,4 @@
-"""Late voxels are scored apart: counts by numpy alone, packs, and what labels rebuilt from the inputs score there."""
+"""Late voxels are scored separately: counts by numpy alone, packs, and scores of labels rebuilt from the inputs."""
 
 from collections.abc import Mapping
 from dataclasses import replace
@@ -94,7 +94,7 @@ def test_labels_rebuilt_from_the_inputs_raise_the_alarm_and_a_single_sweep_does_
     boxes = tuple(Box((x, y, 0.0), (x + 0.9, y + 0.9, 1.2)) for x in (-6.0, 2.0, 9.0) for y in (-3.5, 2.5))
     world = World(grade=(0.05, 0.02), boxes=boxes, frames=20, step_m=0.6, reach_m=9.0)
     sequence, sweeps = sequence_of(world), RayCast(world)
-    for name in ("truth", "attack"):  # the truth of the phase, and what a participant makes of its inputs
+    for name in ("truth", "attack"):  # the phase's truth, and labels that a participant makes from its inputs
         label(sequence, sweeps, tmp_path / name)
     tokens = sequence.frames.tokens
     rebuilt = {token: np.load(tmp_path / "attack/gts/small" / token / "labels.npz")["semantics"] for token in tokens}

@@ -1,4 +1,4 @@
-"""Nobody is told that a recording is corrupt where it decayed on the platform."""
+"""A recording that decayed on the platform is not reported as corrupt."""
 
 from pathlib import Path
 

@@ -1,4 +1,4 @@
-"""The scrub finds what decayed, at its own pace, and goes on where it was."""
+"""The scrub detects decayed objects at the configured rate, and continues where it stopped."""
 
 import os
 from dataclasses import replace
@@ -23,7 +23,7 @@ UNBOUND = {"scrub_bytes_per_s": 10**12}
 
 
 class Clock:
-    """A clock that goes on when a test says so."""
+    """A clock that a test advances."""
 
     def __init__(self) -> None:
         self.now_s = 1000.0
@@ -111,7 +111,7 @@ def many(platform: Platform, tmp_path: Path) -> dict[str, Blob]:
 
 
 def read_keys(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> list[str]:
-    """The keys that are read from now on."""
+    """Return a list that collects the keys of later reads."""
     keys: list[str] = []
     read = FolderStore.read
 

@@ -25,7 +25,7 @@ POSES = {
 def test_a_voxel_is_late_if_its_brick_is_seen_only_later(pose):
     rng, bounds = np.random.default_rng(3), frame_bounds(POSES[pose])
     low, high = bounds[0] // BRICK - 1, bounds[1] // BRICK + 2
-    # a far corner of the map is seen later, and single bricks anywhere; a third of the bricks is never seen
+    # a far corner of the map and scattered bricks are seen later; a third of the bricks is never seen
     places = np.stack(np.meshgrid(*map(np.arange, low, high), indexing="ij"), axis=-1).reshape(-1, 3)
     places = places[rng.random(len(places)) < 0.67]
     is_later = (places[:, 0] - low[0] > 50) & (places[:, 1] > low[1] + 30) | (rng.random(len(places)) < 0.01)

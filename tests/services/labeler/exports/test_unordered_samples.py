@@ -1,4 +1,4 @@
-"""Inputs without order: no stamp, no pose and no order of the drive is in any file, and each sample is the frame's."""
+"""Inputs without order: no file has a stamp, a pose or the order of the drive; each sample belongs to its frame."""
 
 import io
 import json

@@ -1,4 +1,4 @@
-"""What ends credentials ends those of every table that holds a secret, and one module makes them."""
+"""Ending credentials covers every table that holds a secret, and only one module creates credentials."""
 
 import ast
 from collections.abc import Callable, Iterator
@@ -20,7 +20,7 @@ NO_WAY_IN = {
     "users.password_hash": "the password stays where it is not changed; shut out, it opens nothing",
     "webhooks.secret": "it signs what is sent, and opens nothing here",
 }
-"""Columns with a secret that ending spares, and why."""
+"""Columns with a secret that ending does not touch, and the reasons."""
 BROWSERS = {"web_sessions", "device_grants"}
 ALL = {*BROWSERS, "tokens", "email_addresses", "team_invitations"}
 WAYS: dict[str, tuple[Callable[[Session, User], object], set[str]]] = {
@@ -36,13 +36,13 @@ WAYS: dict[str, tuple[Callable[[Session, User], object], set[str]]] = {
 
 
 def secret_columns() -> set[str]:
-    """The columns of all tables that hold a secret or its hash, by their names."""
+    """Return all columns whose names mark a secret or its hash."""
     columns = (column for table in Base.metadata.sorted_tables for column in table.columns)
     return {str(one) for one in columns if one.name.endswith("_hash") or "secret" in one.name}
 
 
 def give_everything(session: Session, user: User) -> None:
-    """One of each credential, and of each row that can become one."""
+    """Create one credential of each kind, and one of each row that can become a credential."""
     authority = authority_for(user, 600.0)
     issuing.open_session(session, authority)
     issuing.issue_token(session, authority, TokenRequest("laptop", frozenset({"read"})))
@@ -59,7 +59,7 @@ def give_everything(session: Session, user: User) -> None:
 
 
 def standing(session: Session, user_id: str) -> set[str]:
-    """The tables that hold a credential of the user that still works."""
+    """Return the tables that hold a working credential of the user."""
     of_user = (Token.user_id, WebSession.user_id, DeviceGrant.user_id, TeamInvitation.created_by)
     held = {one.class_.__tablename__ for one in of_user if session.scalars(select(one).where(one == user_id)).all()}
     mailed = select(EmailAddress).where(EmailAddress.user_id == user_id, EmailAddress.secret_hash != "")
@@ -100,7 +100,7 @@ def product_files() -> Iterator[Path]:
 
 
 def makes_credentials(path: Path) -> bool:
-    """Whether the module constructs a token's or session's row, or inserts one by a statement."""
+    """Return whether the module constructs a row of a token or session, or inserts it by a statement."""
     for node in ast.walk(ast.parse(path.read_text("utf-8"))):
         if not isinstance(node, ast.Call):
             continue

@@ -1,4 +1,4 @@
-"""No failure, line of a job's log or answer of the API names a path of the server; a file has its owner's name."""
+"""No failure, job log line or API response contains a path of the server; files appear under their owner's names."""
 
 import json
 import tempfile

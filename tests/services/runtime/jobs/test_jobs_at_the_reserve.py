@@ -1,4 +1,4 @@
-"""Jobs that write files stop at the reserve of the disk; those that free bytes or write rows alone go on."""
+"""Jobs that write files stop at the reserve of the disk; jobs that free bytes or only write rows continue."""
 
 from dataclasses import replace
 from time import monotonic, sleep

@@ -1,4 +1,4 @@
-"""Nobody else of the machine reads what the platform writes; a data folder that lets others in is warned of."""
+"""Other users of the machine cannot read the platform's files; an open data folder causes a warning."""
 
 import stat
 from pathlib import Path
@@ -25,7 +25,7 @@ def test_a_folder_that_others_may_enter_is_warned_of_with_the_way_to_close_it(
 
 @pytest.mark.whole
 def test_served_in_a_folder_that_stood_open_every_file_is_private_and_the_folder_is_warned_of(tmp_path: Path) -> None:
-    """Catches alone a process of the platform that writes with the mask of whoever started it."""
+    """Catches alone a process of the platform that writes with the umask it inherited."""
     data = tmp_path / "stood"
     data.mkdir()
     data.chmod(0o755)

@@ -1,4 +1,4 @@
-"""What a child does before its fences close: become a user of its own, import what reads at its import."""
+"""Steps of a child before its fences close: it becomes a separate user and imports modules that read on import."""
 
 import mimetypes
 import os
@@ -25,7 +25,7 @@ READS_AT_IMPORT = "import mimetypes\nmimetypes.init()\nKNOWN = mimetypes.types_m
 
 @pytest.fixture
 def _late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """A library that reads a list of the system when it is imported, as Open3D does of Debian's `media-types`."""
+    """Create a library that reads a system file on import, as Open3D reads the list of Debian's `media-types`."""
     listing, packages = tmp_path / "etc" / "mime.types", tmp_path / "packages"
     listing.parent.mkdir()
     listing.write_text("application/x-stone stone\n")
@@ -57,7 +57,7 @@ def test_an_import_that_fails_is_no_fault_of_the_input() -> None:
 
 
 def test_a_process_of_several_threads_is_not_fenced_in(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    """The filter would hold for one of them."""
+    """The filter would apply to only one of its threads."""
     (tmp_path / "threaded.py").write_text(
         "import threading\nthreading.Thread(target=threading.Event().wait, daemon=True).start()\n"
     )
@@ -89,7 +89,7 @@ def test_a_child_of_root_keeps_of_its_powers_the_one_to_open_files() -> None:
 
 @needs_root
 def test_a_child_of_another_user_ends_with_its_parent(tmp_path: Path) -> None:
-    """A change of user makes the kernel forget whom a process dies with."""
+    """A change of user clears the parent-death signal of a process."""
     told = tmp_path / "told"
     pid = os.fork()
     if pid == 0:

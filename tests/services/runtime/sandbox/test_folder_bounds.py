@@ -1,4 +1,4 @@
-"""A child leaves no more in its folder than it may, however it goes about it."""
+"""A child cannot exceed the bounds of its folder in any way."""
 
 import os
 from collections.abc import Callable
@@ -19,7 +19,7 @@ def limits_of(folder: Path) -> SandboxLimits:
 
 
 def filled(folder: Path) -> None:
-    """All that it may."""
+    """Fill the folder exactly to its bounds."""
     for number in range(FILES - 1):
         (folder / str(number)).touch()
     (folder / "bytes").write_bytes(bytes(BYTES))
@@ -57,7 +57,7 @@ def shut_folder(folder: Path) -> None:
 
 
 def sparse_file(folder: Path) -> None:
-    """It takes nothing of the disk."""
+    """Write a sparse file, which uses no space on the disk."""
     with (folder / "sparse").open("wb") as file:
         file.truncate(2**30)
 
@@ -86,7 +86,7 @@ def test_a_child_that_fills_its_folder_is_refused(
             os.sched_yield()
 
     if fill is shut_folder and os.geteuid() == 0:
-        with pytest.raises(SandboxCrashedError, match="bytes in its files"):  # nothing is shut to root
+        with pytest.raises(SandboxCrashedError, match="bytes in its files"):  # root can read every folder
             sandboxed(work, limits_of(tmp_path))
         return
     with pytest.raises(SandboxCrashedError, match=r"left (more than|folders|a folder)"):

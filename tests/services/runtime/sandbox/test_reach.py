@@ -1,4 +1,4 @@
-"""What a child that is taken over can still do is what the documentation says of its kind, on any kernel."""
+"""On any kernel, a child that is taken over can do only the actions that the documentation lists for its kind."""
 
 from pathlib import Path
 
@@ -17,7 +17,7 @@ pytestmark = [
 
 
 def documented() -> dict[str, list[str]]:
-    """The cells of the page's table by attempt: of each kind with Landlock, then of each without."""
+    """Return the cells of the page's table by attempt: each kind with Landlock, then each kind without it."""
     rows = [[cell.strip() for cell in line.split("|")[1:-1]] for line in PAGE.read_text().splitlines() if "|" in line]
     return {name: cells for name, *cells in rows if name in ATTEMPTS}
 
@@ -37,6 +37,6 @@ def test_a_child_reaches_what_the_page_says_and_nothing_else(kind: str, kernel: 
 
 
 def test_what_is_refused_would_go_through_without_fences() -> None:
-    """So the table can fail: a child behind no fence does all of it, but for what this kernel itself does not have."""
+    """So the table can fail: a child without fences succeeds in every attempt that this kernel supports."""
     refused = {name for name in ATTEMPTS if reach("links", name, is_fenced=False) != YES}
     assert refused <= {"call what is newer than the list", "set an attribute elsewhere", "set one by the newer call"}

@@ -1,4 +1,4 @@
-"""An object that decays is found by whoever brings its content again, and replaced; in a folder and in a bucket."""
+"""Storing the same content again detects and replaces a decayed object, in a folder and in a bucket."""
 
 from pathlib import Path
 
@@ -27,7 +27,7 @@ def path(tmp_path: Path) -> Path:
 
 @pytest.fixture
 def blob(anywhere: Platform, path: Path) -> Blob:
-    """A blob that a calibration names."""
+    """Store a blob that a calibration names."""
     with anywhere.database.transaction() as session:
         owner = create_user(session, "ada", "curator")
         made = keep(session, anywhere.store, path)
@@ -92,7 +92,7 @@ def test_a_refusal_is_the_platforms_fault_if_what_was_read_differs(
     read = ([blob.object_key], "the recording")
     with refused_as("corrupt"), comparing(anywhere.store, anywhere.database, *read):
         raise Refused("corrupt", "it is")
-    decay(anywhere, blob.object_key)  # of a bucket: the copy on this machine
+    decay(anywhere, blob.object_key)  # for a bucket: the copy on this machine
     with refused_as("object_damaged"), comparing(anywhere.store, anywhere.database, *read):
         raise Refused("corrupt", "it is")
     with anywhere.database.reading() as session:

@@ -1,4 +1,4 @@
-"""The reserve of a disk: its size, and who stops at it."""
+"""The reserve of a disk: its size, and the operations that stop at it."""
 
 import os
 from pathlib import Path
