@@ -296,10 +296,10 @@ def examine(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     supports = supports_of(examination.pack_path, len(examination.tokens))[slice(*examination.span)]
     counts = _counted_apart(examination, watch)
     if counts is None:
-        found = _checked(unseeing, watch)
-        if found.validation.ok:
+        checked = _checked(unseeing, watch)
+        if checked.validation.ok:
             raise ImpossibleCountsError("counted nothing of frames that are sound")
-        return found
+        return checked
     if not can_be_counted(counts.arrays(), supports, _is_sampled(examination)):
         raise ImpossibleCountsError("returned counts that no prediction has against this ground truth")
     return ExaminedRange(verdict(()), counts)
@@ -340,16 +340,17 @@ def _checked(examination: Examination, watch: SandboxWatch) -> ExaminedRange:
     """Return the range as checked by a child that reads no ground truth. Raises as `examine` does."""
     try:
         answer = sandboxed_with_progress(partial(check_submission, examination), examination.limits, watch)
-        found = validation_of(json.loads(answer))
+        validation = validation_of(json.loads(answer))
     except SandboxCrashedError as error:
         raise scoring_crashed(error.fate) from error
     except SandboxInterruptedError as error:
         raise _interrupted(error.fate) from error
     except (ValueError, TypeError, KeyError, AttributeError, RecursionError) as error:
         raise scoring_crashed("answered something else than a validation") from error
-    if any(one.code not in MISTAKES or one.frame not in (None, *examination.tokens) for one in found.errors):
+    frames = (None, *examination.tokens)
+    if any(problem.code not in MISTAKES or problem.frame not in frames for problem in validation.errors):
         raise scoring_crashed("answered something else than a validation")
-    return ExaminedRange(found)
+    return ExaminedRange(validation)
 
 
 def unpacked(packed: bytes, frames: int) -> Counts:
@@ -377,8 +378,8 @@ def check_submission(examination: Examination, progress: ProgressCallback) -> by
     """Return the validation of the range, as JSON; runs in the child that reads no ground truth."""
     with open_submission(examination.zip_path, examination.tokens, examination.grid) as submission:
         tokens = examination.tokens[slice(*examination.span)]
-        found = examined(submission, tokens, threads=1, progress=progress)
-        return json.dumps(merged([verdict(submission.problems), found.validation]).as_record()).encode()
+        checked = examined(submission, tokens, threads=1, progress=progress)
+        return json.dumps(merged([verdict(submission.problems), checked.validation]).as_record()).encode()
 
 
 def count_submission(examination: Examination, progress: ProgressCallback) -> bytes:
@@ -391,12 +392,12 @@ def count_submission(examination: Examination, progress: ProgressCallback) -> by
         tokens, sampled = examination.tokens[slice(*examination.span)], sampled_tokens(examination.tokens)
         try:
             with TruthPack(examination.pack_path) as pack:
-                found = examined(submission, tokens, pack.planes_of, sampled=sampled, threads=1, progress=progress)
+                counted = examined(submission, tokens, pack.planes_of, sampled=sampled, threads=1, progress=progress)
         except (TruthPackError, UnreadableInputError):
             return bytes([CountingOutcome.TRUTH_DAMAGED])
         return (
-            bytes([CountingOutcome.COUNTED]) + found.counts.raw()
-            if found.counts
+            bytes([CountingOutcome.COUNTED]) + counted.counts.raw()
+            if counted.counts
             else bytes([CountingOutcome.NOT_COUNTED])
         )
 

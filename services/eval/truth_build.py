@@ -167,8 +167,8 @@ def _unordered(
     """Return ordinals and manifest of the chosen frames under their phase tokens, and each frame's place in time."""
     frames = {name: chosen.of(tokens) for name, tokens in manifest.sequences.items()}
     places = {name: [at for _, at in of_sequence] for name, of_sequence in frames.items()}
-    files = {token: ordinals[manifest.sequences[name][at]] for name, one in frames.items() for token, at in one}
-    return files, Manifest({name: tuple(token for token, _ in one) for name, one in frames.items()}), places
+    files = {token: ordinals[manifest.sequences[name][at]] for name, pairs in frames.items() for token, at in pairs}
+    return files, Manifest({name: tuple(token for token, _ in pairs) for name, pairs in frames.items()}), places
 
 
 def _write(truth_id: str, built: BuiltTruth, session: Session) -> None:

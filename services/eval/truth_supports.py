@@ -73,7 +73,7 @@ def can_be_counted(counts: Mapping[str, NDArray[np.int32]], supports: Supports, 
         ~is_sampled & (late != 0).any(axis=(-2, -1)),
         ~is_counted & ((pairs != 0).any(axis=-1) | (columns != 0).any(axis=(-2, -1))),
     )
-    return not any(one.any() for one in wrong)
+    return not any(is_wrong.any() for is_wrong in wrong)
 
 
 def _most_pairs(confusions: NDArray[np.int64]) -> NDArray[np.int64]:

@@ -158,22 +158,22 @@ class Scrub:
         now_s = self._now_s()
         standing = select(Blob, StoreFault.fault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
         rows = session.execute(standing.order_by(StoreFault.found_ns).limit(AHEAD)).all()
-        found = [blob for blob, fault in rows if fault == SERVED or self._again_s.get(blob.sha256, 0.0) <= now_s]
+        due = [blob for blob, fault in rows if fault == SERVED or self._again_s.get(blob.sha256, 0.0) <= now_s]
         self._again_s = {blob.sha256: self._again_s.get(blob.sha256, 0.0) for blob, _ in rows}
-        self._again_s |= dict.fromkeys((blob.sha256 for blob in found), now_s + AGAIN_S)
+        self._again_s |= dict.fromkeys((blob.sha256 for blob in due), now_s + AGAIN_S)
         waiting = {one.sha256 for one in self._noted} | ({self._reading.due.sha256} if self._reading else set())
-        self._noted.extend(_due(blob, is_noted=True) for blob in found if blob.sha256 not in waiting)
+        self._noted.extend(_due(blob, is_noted=True) for blob in due if blob.sha256 not in waiting)
 
     def _write(self, after: str, done: list[_Reading]) -> None:
         """Write the faults and the position of the pass; if another sweeper moved it, continue at the new position."""
-        of_pass = [one.due for one in done if not one.due.is_noted]
+        of_pass = [reading.due for reading in done if not reading.due.is_noted]
         is_over = self._is_over(of_pass[-1].sha256 if of_pass else after)
         if not done and not is_over:
             return
         with self._platform.database.transaction() as session:
             insert_new(session, StoreScrub, [{"id": 1}])
-            for one in done:
-                _conclude(session, one)
+            for reading in done:
+                _conclude(session, reading)
             if of_pass and not _move_on(session, after, of_pass):
                 self._ahead.clear()
                 self._reading = None

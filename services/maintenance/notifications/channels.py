@@ -57,12 +57,13 @@ def judged_addresses(host: str, port: int, settings: NotificationSettings, resol
     Raises `NotTakenError`, with the same sentence for a name of an internal network and for a name that does not exist.
     """
     try:
-        found = resolve(host, port)
+        addresses = resolve(host, port)
     except (OSError, UnicodeError):  # UnicodeError: a label of the name is too long
-        found = []
-    if not found or not all(is_allowed(ip_address(address.partition("%")[0]), settings) for address in found):
+        addresses = []
+    judged = [is_allowed(ip_address(address.partition("%")[0]), settings) for address in addresses]
+    if not judged or not all(judged):
         raise NotTakenError(f"{host} is not the name of a public host, as seen from here")
-    return found
+    return addresses
 
 
 @contextmanager
