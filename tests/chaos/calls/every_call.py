@@ -16,6 +16,12 @@ from testing.failing_calls import Disturbed, Fault, apart, disturb
 from testing.servers.fixtures import make_settings, opened
 
 FAULTS = pytest.mark.parametrize("fault", list(Fault), ids=lambda fault: fault.name.lower())
+COSTLY_FAULTS = pytest.mark.parametrize(
+    "fault",
+    [pytest.param(fault, marks=() if fault is Fault.KILLED else pytest.mark.release) for fault in Fault],
+    ids=lambda fault: fault.name.lower(),
+)
+"""Of an operation with many calls, the kills are tried in every check and the errors before a release."""
 
 
 IN_MEMORY = Path("/dev/shm")

@@ -9,7 +9,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from testing.failing_calls import Disturbed, Fault
 from testing.servers.fixtures import opened
-from tests.chaos.calls.every_call import FAULTS, each_call
+from tests.chaos.calls.every_call import COSTLY_FAULTS, each_call
 from tests.services.runtime.backup.laid import add_blob, lay
 
 BACKUPS = "backups"
@@ -24,7 +24,7 @@ def back_up(platform: Platform) -> None:
     make_backup(platform, folder_of(platform))
 
 
-@FAULTS
+@COSTLY_FAULTS
 def test_a_backup_is_there_or_not_and_never_half(settings: Settings, fault: Fault, tmp_path: Path) -> None:
     platform = opened(settings, [])
     laid = lay(platform, tmp_path / "scratch")

@@ -21,7 +21,7 @@ from services.runtime.store.blobs import collect_garbage
 from services.runtime.store.workspace import Workspace
 from testing.failing_calls import Disturbed, Fault
 from testing.servers.fixtures import opened
-from tests.chaos.calls.every_call import FAULTS, each_call
+from tests.chaos.calls.every_call import COSTLY_FAULTS, each_call
 from tests.services.runtime.jobs.steps import an_owner
 
 PACK = b"labels of one frame"
@@ -95,7 +95,7 @@ def label_sets(platform: Platform) -> int:
         return len(session.scalars(select(LabelSet.id)).all())
 
 
-@FAULTS
+@COSTLY_FAULTS
 def test_a_label_set_is_published_whole_or_not_at_all(settings: Settings, fault: Fault) -> None:
     platform = opened(settings, [])
     run_id = lay_run(platform)
