@@ -156,11 +156,12 @@ class Scrub:
     def _look_at_noted(self, session: Session) -> None:
         """Queue noted faults for another check: faults met by readers at once, other faults once per `AGAIN_S`."""
         now_s = self._now_s()
-        standing = select(Blob, StoreFault.fault).join(StoreFault, StoreFault.sha256 == Blob.sha256)
-        rows = session.execute(standing.order_by(StoreFault.found_ns).limit(AHEAD)).all()
-        due = [blob for blob, fault in rows if fault == SERVED or self._again_s.get(blob.sha256, 0.0) <= now_s]
-        self._again_s = {blob.sha256: self._again_s.get(blob.sha256, 0.0) for blob, _ in rows}
-        self._again_s |= dict.fromkeys((blob.sha256 for blob in due), now_s + AGAIN_S)
+        oldest = select(StoreFault).order_by(StoreFault.found_ns).limit(AHEAD)
+        faults = {row.sha256: row.fault for row in session.scalars(oldest)}
+        self._again_s = {sha256: self._again_s.get(sha256, 0.0) for sha256 in faults}
+        wanted = [sha256 for sha256, fault in faults.items() if fault == SERVED or self._again_s[sha256] <= now_s]
+        due = session.scalars(select(Blob).where(Blob.sha256.in_(wanted))).all() if wanted else ()
+        self._again_s |= dict.fromkeys(wanted, now_s + AGAIN_S)
         waiting = {one.sha256 for one in self._noted} | ({self._reading.due.sha256} if self._reading else set())
         self._noted.extend(_due(blob, is_noted=True) for blob in due if blob.sha256 not in waiting)
 

@@ -73,9 +73,12 @@ def field_limit(intrinsics: CameraIntrinsics) -> float:
 
 
 def corner_reach(intrinsics: CameraIntrinsics) -> float:
-    """The undistorted corner farthest from the principal point, in the measure of `field_limit`."""
-    x = max(intrinsics.cx_px, intrinsics.width_px - intrinsics.cx_px) / intrinsics.fx_px
-    y = max(intrinsics.cy_px, intrinsics.height_px - intrinsics.cy_px) / intrinsics.fy_px
+    """The undistorted corner farthest from the principal point, in the measure of `field_limit`.
+
+    The centre of the first pixel is (0, 0), so the image begins half a pixel before it.
+    """
+    x = max(intrinsics.cx_px + 0.5, intrinsics.width_px - 0.5 - intrinsics.cx_px) / intrinsics.fx_px
+    y = max(intrinsics.cy_px + 0.5, intrinsics.height_px - 0.5 - intrinsics.cy_px) / intrinsics.fy_px
     return float(np.hypot(x, y))
 
 

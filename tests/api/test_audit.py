@@ -7,6 +7,7 @@ from sqlalchemy.orm import Session
 
 from api import audit
 from api.deps import Caller
+from services.runtime.access import audit_chain
 from services.runtime.orm import AuditEntry, Team
 from services.runtime.platform import Platform
 from testing.api.serving import Person, person
@@ -119,7 +120,7 @@ def test_eight_writers_at_once_make_one_chain(platform_on: Platform) -> None:
 
 
 def test_a_long_log_is_verified_in_pieces(platform: Platform, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(audit, "AT_A_TIME", 3)
+    monkeypatch.setattr(audit_chain, "AT_A_TIME", 3)
     write(platform, *(f"act.{number}" for number in range(10)))
     assert first_broken(platform) is None
     with platform.database.transaction() as session:

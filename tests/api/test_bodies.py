@@ -3,6 +3,7 @@
 import asyncio
 import json
 import threading
+from concurrent.futures import ThreadPoolExecutor
 from contextlib import ExitStack
 from typing import Any
 
@@ -202,10 +203,8 @@ def test_held_bytes_are_given_back_however_a_request_ends(platform: Platform, en
 
     limit = bounded(platform, app)
     expected = {"failed": ZeroDivisionError, "left": ClientDisconnect, "cancelled": asyncio.CancelledError}
-    if end in expected:
-        with pytest.raises(expected[end]):
-            asyncio.run(asked())
-    else:
-        asyncio.run(asked())
+    with ThreadPoolExecutor(1) as apart:  # a browser's test may have left a running loop in this thread
+        ended = apart.submit(asyncio.run, asked())
+    assert isinstance(ended.exception(), expected.get(end, type(None)))
     assert held[0] == OVERHEAD_BYTES + 60
     assert limit.budget.held_bytes == 0

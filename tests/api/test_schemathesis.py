@@ -20,7 +20,7 @@ from hypothesis.strategies import SearchStrategy, one_of
 from schemathesis import APIOperation, Case, GenerationMode
 from schemathesis.core.result import Ok
 from schemathesis.specs.openapi import checks
-from sqlalchemy import delete
+from sqlalchemy import delete, update
 
 from api.deps import SAFE
 from api.main import make_api
@@ -28,7 +28,7 @@ from api.routes import events
 from services.domain.datasets.composition_figure import composition_png
 from services.domain.datasets.statistics import statistics_record
 from services.runtime.database.migrate import upgrade
-from services.runtime.orm import Queue
+from services.runtime.orm import Queue, User
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings, BrokerSettings
 from testing.api.serving import serving
@@ -114,7 +114,9 @@ class Answered:
         """
         with scene.platform.database.transaction() as database:
             database.execute(delete(Queue))  # whatever an earlier request drained is open again
-        self.world = self.world or make_world(scene.platform, scene.cast.users["owner"], self.version)
+            owner = scene.cast.users["owner"]  # deactivated or erased by an earlier request
+            database.execute(update(User).where(User.id == owner.id).values(is_active=True))
+        self.world = self.world or make_world(scene.platform, owner, self.version)
         real, self.version = self.world.named, self.world.named["dataset_name"]
 
         @seed(20260503)

@@ -69,7 +69,7 @@ def test_a_folder_is_one_recording_of_its_files(
     assert uploads(platform) == [(f"run_{number}.mcap", "consumed") for number in range(3)]
     with platform.database.reading() as session:
         recording = session.scalars(select(Recording)).one()
-        taken_bytes = session.scalar(select(func.sum(QuotaEntry.amount)))
+        taken_bytes = session.scalar(select(func.sum(QuotaEntry.amount)).where(QuotaEntry.reason == "upload"))
     assert (recording.filename, recording.state) == ("run.2026", "registered")
     assert recording.sha256 == recording_sha256(folder)
     assert taken_bytes == recording.size_bytes == sum(path.stat().st_size for path in folder.glob("*.mcap"))

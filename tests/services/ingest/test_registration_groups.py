@@ -88,7 +88,8 @@ def test_a_split_bag_is_registered_with_every_file_kept_and_given_back_when_it_i
     assert json.loads(blob_bytes(brought, shown["quality.json"].blob_sha256)) == recording.quality
     expire(platform)
     assert not any(upload_file(platform.settings, file.upload_id or "").exists() for file in recording.files)
-    assert taken_bytes(platform) == recording.size_bytes
+    made_bytes = sum(preview.size_bytes for preview in shown.values())
+    assert taken_bytes(platform) == recording.size_bytes + made_bytes
     with platform.database.transaction() as session:
         remove_recording(session, brought.recording())
     assert (taken_bytes(platform), previews(brought)) == (0, {})

@@ -272,7 +272,7 @@ def test_a_recording_stays_while_an_export_reads_it_and_afterwards_need_not(brou
 
 
 def test_labels_that_are_not_what_they_were_fail_the_export(brought: Brought, tmp_path: Path) -> None:
-    """Every frame is checked against its sha256 as it is read."""
+    """Packs are compared with their sha256 before an export hashes what is made of them."""
     (label_set,) = brought.label_sets()
     of_labels = (Artefact.label_set_id == label_set.id, Artefact.name.startswith("labels/"))
     with brought.platform.database.reading() as session:
@@ -284,7 +284,7 @@ def test_labels_that_are_not_what_they_were_fail_the_export(brought: Brought, tm
     path.write_bytes(content)
     _, job_id = asked(brought)
     run_all(brought.platform)
-    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "damaged_labels")
+    assert (brought.job(job_id).state, brought.job(job_id).failure_code) == ("failed", "object_damaged")
 
 
 @pytest.fixture

@@ -35,10 +35,12 @@ CHORES = (
         "recordings",
         "submitted files",
         "uploads",
+        "label sets",
         "blobs",
         "credentials",
         "audit log",
         "workers",
+        "ballast",
     ),
     *("scrub", "phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
 )

@@ -7,7 +7,7 @@ from sqlalchemy import func, select, text, update
 from sqlalchemy.exc import DatabaseError
 
 from api import audit
-from services.runtime.access import login_throttle, retention, sessions, tokens, users
+from services.runtime.access import audit_chain, login_throttle, retention, sessions, tokens, users
 from services.runtime.access.erasure import erase_user
 from services.runtime.access.retention import forget_ended
 from services.runtime.orm import AuditEntry, Base, FailedSignInRow, SignInAddress, Token, User, WebSession
@@ -101,7 +101,7 @@ def log(platform: Platform, ages_days: list[int]) -> None:
     """Lines of these ages, oldest first, in one chain."""
     for age_days in ages_days:
         with platform.database.transaction() as session, pytest.MonkeyPatch.context() as patch:
-            patch.setattr(audit, "now_ns", lambda age_days=age_days: now_ns() - age_days * DAY_NS)
+            patch.setattr(audit_chain, "now_ns", lambda age_days=age_days: now_ns() - age_days * DAY_NS)
             audit.record(session, None, "act", f"{age_days}")
 
 
