@@ -5,6 +5,7 @@ import os
 import signal
 import sys
 from ast import literal_eval
+from importlib import import_module
 from pathlib import Path
 
 import pytest
@@ -36,9 +37,7 @@ def _late(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def known() -> bytes:
-    import late_library  # type: ignore[import-not-found]
-
-    return str(late_library.KNOWN).encode()
+    return str(import_module("late_library").KNOWN).encode()
 
 
 @needs_landlock
