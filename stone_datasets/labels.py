@@ -40,8 +40,8 @@ Grid = NDArray[np.uint8]
 class FrameLabels:
     """`classes` 0–3; `mask_lidar` 1 where observed, `mask_camera` 1 where a camera sees it: None where nothing says so.
 
-    What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file where it says the same to
-    whoever reads it as labels of this platform: the three grids, of this platform's classes, and otherwise only the
+    What the labels call unobserved is free, and 0 in `mask_lidar`. `content` is the file if its labels are the same
+    to a reader of this platform's labels: it has the three grids, of this platform's classes, and otherwise only the
     further arrays that such labels may have.
     """
 

@@ -61,7 +61,7 @@ class DatabaseSettings:
 
 @dataclass(frozen=True)
 class StoreSettings:
-    """Where blobs live; an empty `s3_bucket` means the folder `store` in the data folder.
+    """The store of blobs: a bucket, or the folder `store` in the data folder if `s3_bucket` is empty.
 
     The sweeper reads stored bytes at `scrub_bytes_per_s` and compares them with their sha256 (default: 1 TB a month; 0:
     nothing); it reads a bucket only with `scrubs_bucket`.

@@ -74,6 +74,17 @@ def running_postgres(**options: str) -> Iterator[PostgresServer]:
         shutil.rmtree(folder, ignore_errors=True)
 
 
+@contextmanager
+def running_postgres_with_passwords() -> Iterator[PostgresServer]:
+    """A server that requires a password of every role but its superuser."""
+    with tempfile.NamedTemporaryFile("w", prefix="stone-hba-", suffix=".conf") as access:
+        access.write("host all postgres 127.0.0.1/32 trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
+        access.flush()
+        os.chmod(access.name, 0o644)
+        with running_postgres(hba_file=access.name) as server:
+            yield server
+
+
 def _server(binaries: Path, folder: Path, options: Mapping[str, str]) -> PostgresServer:
     port = free_port()
     settings = [word for name, value in options.items() for word in ("-c", f"{name}={value}")]

@@ -30,7 +30,7 @@ JOBS = "/api/v1/jobs"
 
 
 class Shown(NamedTuple):
-    """What a caller shows who is no person with a token."""
+    """The headers of a caller without a token."""
 
     headers: dict[str, str]
 
@@ -145,7 +145,7 @@ def test_a_job_is_followed_to_its_end(api: httpx.Client, platform: Platform) -> 
     ada = person(platform, "curator")
     job_id = job(platform, ada, "ingest.ok")
     with heard_from(api, f"{JOBS}/{job_id}/events", ada) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         assert run_next(platform, "ingest", HANDLERS)
     names, ids, bodies = zip(*events, strict=True)
     assert names == ("progress",) * (len(names) - 1) + ("ended",)
@@ -168,7 +168,7 @@ def test_a_child_of_a_run_is_followed_alone(api: httpx.Client, platform: Platfor
     root_id = run(platform, curator, "ingest.ok", "labeler.ok")
     child = api.get(JOBS, params={"root_id": root_id}, headers=curator.headers).json()["items"][-1]
     with heard_from(api, f"{JOBS}/{child['id']}/events", curator) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         assert run_next(platform, "ingest", HANDLERS)
     assert (events[-1][0], events[-1][2]["kind"]) == ("ended", "ingest.ok"), "its run goes on, it does not"
 
@@ -187,7 +187,7 @@ def test_a_broken_stream_goes_on_after_what_was_heard(api: httpx.Client, platfor
         told = (name, body["progress"]["done"], int(number))
         assert told == ("progress", 7, int(last) + 1), "what was heard is not told again"
         assert run_next(platform, "ingest", HANDLERS)
-    assert listen(api, path, curator, last)[0][2]["state"] == "succeeded", "what was missed is told at once"
+    assert listen(api, path, curator, last)[0][2]["state"] == "succeeded", "the missed event comes at once"
 
 
 def test_who_has_seen_the_end_is_told_to_stay_away(api: httpx.Client, platform: Platform, curator: Person) -> None:
@@ -205,7 +205,7 @@ def test_a_sequence_is_followed_through_its_runs_to_its_deletion(api_on: httpx.C
     ada = person(platform_on, "curator")
     made = sequence(api_on, ada)
     with heard_from(api_on, f"/api/v1/sequences/{made['id']}/events", ada) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         run(platform_on, ada, "ingest.ok", sequence_id=made["id"])
         assert run_next(platform_on, "ingest", HANDLERS)
         until(lambda: (events[-1][2]["job"] or {}).get("state") == "succeeded", "its run is seen to end")
@@ -234,7 +234,7 @@ def test_a_stream_outlives_a_database_that_is_away(
         raise OperationalError("SELECT 1", {}, OSError("connection refused"))
 
     with heard_from(api, f"{JOBS}/{job_id}/events", curator) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         with monkeypatch.context() as patched:
             patched.setattr(platform.database, "reading", contextmanager(away))
             until(lambda: len(asked) > 1, "it asks again")
@@ -275,7 +275,7 @@ def test_a_stream_ends_with_its_callers_access(
     job_id = job(platform, ada, "ingest.ok")
     headers = in_browser(platform, ada) if end == "signed out" else ada.headers
     with heard_from(api, f"{JOBS}/{job_id}/events", Shown(headers)) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         with platform.database.transaction() as session:
             if end == "given away":
                 session.get_one(Job, job_id).owner_id = ben.user_id
@@ -285,7 +285,7 @@ def test_a_stream_ends_with_its_callers_access(
                 end_all(session, ada.user_id)
         if not is_quiet:
             touch(platform, job_id, 7)
-    assert [name for name, _, _ in events] == ["progress"], "nothing that came later is told"
+    assert [name for name, _, _ in events] == ["progress"], "no later event comes"
 
 
 def test_the_last_event_of_what_was_given_away_holds_nothing_of_it(
@@ -293,7 +293,7 @@ def test_the_last_event_of_what_was_given_away_holds_nothing_of_it(
 ) -> None:
     other, job_id = person(platform, "curator"), job(platform, curator, "ingest.ok")
     with heard_from(api, f"{JOBS}/{job_id}/events", curator) as events:
-        until(lambda: events, "what stands is told at once")
+        until(lambda: events, "the standing state comes at once")
         with platform.database.transaction() as session:
             session.get_one(Job, job_id).owner_id = other.user_id
         assert run_next(platform, "ingest", HANDLERS)
@@ -313,7 +313,7 @@ def test_a_hundred_streams_are_one_query_a_tick_and_hold_neither_thread_nor_sess
         for job_id, events in zip(job_ids * 5, streams, strict=True):
             pool.submit(hear, api, f"{JOBS}/{job_id}/events", ada, "", events)
         until(lambda: streams_of(app) == 100, "more streams than the application has threads")
-        until(lambda: all(streams), "what stands is told at once")
+        until(lambda: all(streams), "the standing state comes at once")
         begin = time.monotonic()
         statements = statements_of(platform)
         until(lambda: len(statements) >= 4, "it goes on asking")

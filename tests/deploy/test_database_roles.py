@@ -3,9 +3,7 @@
 The processes are those of docker-compose.yml, on a server that requires passwords; the demo runs through them.
 """
 
-import os
 import sys
-import tempfile
 from collections.abc import Iterator
 from contextlib import ExitStack, contextmanager
 from dataclasses import dataclass, replace
@@ -28,7 +26,7 @@ from stone_local.demo import pipeline
 from stone_local.demo.pipeline import DemoPlan, run_demo
 from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
-from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.postgres import PostgresServer, running_postgres_with_passwords
 from testing.servers.process import ServerProcess, answers, free_port
 from testing.servers.redis import running_redis
 from testing.worlds.demo import SMALL, SPARSER
@@ -69,12 +67,8 @@ class Deployment:
 @pytest.fixture(scope="module")
 def server() -> Iterator[PostgresServer]:
     """Yield a PostgreSQL server that requires a password from every role except its superuser."""
-    with tempfile.NamedTemporaryFile("w", prefix="stone-hba-", suffix=".conf") as access:
-        access.write("host all postgres 127.0.0.1/32 trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
-        access.flush()
-        os.chmod(access.name, 0o644)
-        with running_postgres(hba_file=access.name) as running:
-            yield running
+    with running_postgres_with_passwords() as running:
+        yield running
 
 
 @pytest.fixture(scope="module")

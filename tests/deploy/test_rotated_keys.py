@@ -1,7 +1,5 @@
 """Keys are exchanged as docs/operations/keys.md says, on real servers: who works meanwhile notices nothing."""
 
-import os
-import tempfile
 from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
@@ -19,7 +17,7 @@ from services.runtime.settings import DatabaseSettings, Settings
 from services.runtime.store.s3 import S3Store
 from testing.refusals import refused_as
 from testing.servers.fixtures import make_settings
-from testing.servers.postgres import PostgresServer, running_postgres
+from testing.servers.postgres import PostgresServer, running_postgres_with_passwords
 from testing.servers.s3 import running_s3
 
 ROLES = (
@@ -36,12 +34,8 @@ PAGE = Path(__file__).resolve().parents[2] / "docs" / "operations" / "keys.md"
 @pytest.fixture
 def asking_server() -> Iterator[PostgresServer]:
     """PostgreSQL that asks everybody but its superuser for a password."""
-    with tempfile.NamedTemporaryFile("w", prefix="stone-hba-", suffix=".conf") as access:
-        access.write("host all postgres 127.0.0.1/32 trust\nhost all all 127.0.0.1/32 scram-sha-256\n")
-        access.flush()
-        os.chmod(access.name, 0o644)
-        with running_postgres(hba_file=access.name) as server:
-            yield server
+    with running_postgres_with_passwords() as server:
+        yield server
 
 
 def connecting(server: PostgresServer, folder: Path, role: str, password: str) -> Settings:

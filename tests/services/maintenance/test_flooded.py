@@ -22,28 +22,14 @@ from services.runtime.store.gc_holds import GcCursor
 from services.runtime.uploads.expiry import UploadCursor
 from testing.once import made_once
 from testing.servers.fixtures import make_settings, opened
+from tests.services.maintenance.chores import CHORES
 from tests.services.maintenance.flood import NOT_STRANGERS, PARTICULAR, Cost, cost_of, flood
 
 SOME, MORE = 500, 1500
 SMALL = 40
 
 
-CHORES = (
-    *(
-        "jobs",
-        "submissions",
-        "recordings",
-        "submitted files",
-        "uploads",
-        "label sets",
-        "blobs",
-        "credentials",
-        "audit log",
-        "workers",
-        "ballast",
-    ),
-    *("scrub", "phases", "events", "deliveries", "lost deliveries", "old events", "senderone", "sendertwo"),
-)
+NAMES = tuple(name for names in CHORES.values() for name in names)
 
 
 def lay(folder: Path) -> None:
@@ -75,8 +61,8 @@ def cost_of_turns(folder: Path, name: str) -> Cost:
     """What two turns of the chore cost, of which the second goes on where the first ended."""
     platform = opened(make_settings(folder, retention=RetentionSettings(audit_s=1.0)), [])
     chores = [chore for loop in sweeper.loops_of(platform) for chore in loop.chores]
-    assert [chore.name for chore in chores] == list(CHORES)
-    work = chores[CHORES.index(name)].work
+    assert [chore.name for chore in chores] == list(NAMES)
+    work = chores[NAMES.index(name)].work
     with cost_of(platform.database.engine) as cost:
         work()
         work()
@@ -85,7 +71,7 @@ def cost_of_turns(folder: Path, name: str) -> Cost:
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("name", CHORES)
+@pytest.mark.parametrize("name", NAMES)
 def test_a_turn_of_a_chore_costs_no_more_where_strangers_have_left_more(flooded: Path, name: str) -> None:
     some, more = (cost_of_turns(flooded / left, name) for left in ("some", "more"))
     assert more.statements <= some.statements * 1.5 + 10, f"{some}, then {more}"

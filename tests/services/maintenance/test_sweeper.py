@@ -21,6 +21,7 @@ from services.runtime.platform import Platform
 from services.runtime.processes.health_check import HeartbeatFile, live_processes
 from services.runtime.settings import JobSettings
 from testing.stone_serve import until
+from tests.services.maintenance.chores import CHORES
 from tests.services.runtime.jobs.steps import a_job, an_owner, job
 
 PATIENCE_S = 300.0
@@ -73,25 +74,7 @@ def test_sweeping_ends_when_told_between_two_chores() -> None:
 
 def test_the_platform_without_a_broker_is_swept_all_the_same(platform: Platform) -> None:
     loops = loops_of(platform)
-    assert {loop.name: [chore.name for chore in loop.chores] for loop in loops} == {
-        "jobs": ["jobs"],
-        "submissions": ["submissions"],
-        "recordings": ["recordings"],
-        "cleaning": [
-            "submitted files",
-            "uploads",
-            "label sets",
-            "blobs",
-            "credentials",
-            "audit log",
-            "workers",
-            "ballast",
-        ],
-        "scrub": ["scrub"],
-        "notifications": ["phases", "events", "deliveries", "lost deliveries", "old events"],
-        "senderone": ["senderone"],
-        "sendertwo": ["sendertwo"],
-    }
+    assert {loop.name: [chore.name for chore in loop.chores] for loop in loops} == CHORES
     assert all(chore.run_if_due(0.0) for loop in loops for chore in loop.chores)
 
 

@@ -2,7 +2,7 @@
 
 **Conventions.** A phase is open in [opens_ns, closes_ns); null is for ever. What is evaluated (version, part, mask,
 whether the ground truth is hidden) is fixed once a ground truth stands: one that is ready or being made. A phase over
-test is always hidden, and its `every_nth` never changes. Whoever changes a phase locks its row.
+test is always hidden, and its `every_nth` never changes. A change of a phase locks its row.
 """
 
 from collections.abc import Mapping

@@ -3,10 +3,10 @@
 **Conventions.** A scoring is reserved when a submission is finalised (+1), then consumed by its score (0) or released
 (−1) by whatever else ends it, and retaken (+1) when its run is tried again. What counts is the balance of a submission,
 from the moment it was taken last; what was released never did. If the truth is hidden, releases after
-counting started are bounded per window. Entries cost one, and where the truth is hidden baselines too: a score tells
-of the truth whoever asks for it. A grant (negative, without a submission) raises the total for good, and what the
-window allows for one window's length. Each function is part of the caller's transaction; whoever takes locks the team's
-row, so that two at once cannot both take the last scoring. Locks are taken in one order
+counting started are bounded per window. Entries cost one, and if the truth is hidden baselines too, since every
+score reveals something of it. A grant (negative, without a submission) raises the total for good, and what the
+window allows for one window's length. Each function is part of the caller's transaction; taking locks the team's row,
+so that two at once cannot both take the last scoring. Locks are taken in one order
 everywhere: run, submission, upload, team.
 """
 
