@@ -10,13 +10,24 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, case, select, tuple_, update
+from sqlalchemy import ColumnElement, bindparam, case, select, tuple_, update
 from sqlalchemy.orm import Session, aliased
 
 from services.runtime.database.transactions import Database
 from services.runtime.jobs.attempt_lines import OUTAGES, AttemptKey, AttemptWords, write_lines, write_lines_singly
 from services.runtime.jobs.specs import nothing
 from services.runtime.orm import Job
+
+# Written once: to write one of these takes longer than to run it. `keys` are (job, attempt).
+AMONG = tuple_(Job.id, Job.attempt).in_(bindparam("keys", expanding=True))
+RUN = aliased(Job)
+HELD = select(Job.id).where(AMONG, Job.state == "running").with_for_update(skip_locked=True, key_share=True)
+BEATEN = update(Job).where(Job.id.in_(HELD)).returning(Job.id, Job.attempt)
+REASONS = (
+    select(Job.id, Job.attempt, Job.cancel_reason, RUN.cancel_reason)
+    .join(RUN, RUN.id == Job.root_id)
+    .where(AMONG, Job.state == "running")
+)
 
 
 @dataclass(frozen=True)
@@ -58,9 +69,8 @@ def _renew_apart(database: Database, words: Sequence[AttemptWords]) -> list[Leas
 
 
 def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
-    held = select(Job.id).where(_among(words), Job.state == "running").with_for_update(skip_locked=True, key_share=True)
-    beaten = update(Job).where(Job.id.in_(held)).values(heartbeats=Job.heartbeats + 1, **_progress(words))
-    rows = session.execute(beaten.returning(Job.id, Job.attempt), execution_options={"synchronize_session": False})
+    beaten = BEATEN.values(heartbeats=Job.heartbeats + 1, **_progress(words))
+    rows = session.execute(beaten, _keys(words), execution_options={"synchronize_session": False})
     written = {(job_id, attempt) for job_id, attempt in rows}
     reasons = _reasons(session, words)
     return [
@@ -71,19 +81,21 @@ def _beat(session: Session, words: Sequence[AttemptWords]) -> list[LeaseAnswer]:
 
 def _reasons(session: Session, words: Sequence[AttemptWords]) -> dict[AttemptKey, str]:
     """Why each is to stop, or nothing, of those that run; as far as anybody knows what somebody has locked runs."""
-    run = aliased(Job)
-    running = select(Job.id, Job.attempt, Job.cancel_reason, run.cancel_reason).join(run, run.id == Job.root_id)
-    found = session.execute(running.where(_among(words), Job.state == "running"))
+    found = session.execute(REASONS, _keys(words))
     return {(job_id, attempt): own or of_run for job_id, attempt, own, of_run in found}
 
 
-def _among(words: Sequence[AttemptWords]) -> ColumnElement[bool]:
-    return tuple_(Job.id, Job.attempt).in_([one.key for one in words])
+def _keys(words: Sequence[AttemptWords]) -> dict[str, list[AttemptKey]]:
+    return {"keys": [one.key for one in words]}
+
+
+def _is(one: AttemptWords) -> ColumnElement[bool]:
+    return tuple_(Job.id, Job.attempt).in_([one.key])
 
 
 def _progress(words: Sequence[AttemptWords]) -> Mapping[str, Any]:
     """The new value of each column of progress, where an attempt said anything."""
-    said = [(_among([one]), columns) for one in words if (columns := one.columns())]
+    said = [(_is(one), columns) for one in words if (columns := one.columns())]
     if not said:
         return {}
     columns = {
