@@ -2,9 +2,9 @@
 
 The embedded platform on SQLite or PostgreSQL with 2,000 sequences, 10,000 jobs and an open phase; clients in a process
 of their own, each with a connection: 90 in 100 read lists, things and the board, 8 send files in pieces of 1 MiB, 2
-have submissions scored; meanwhile one recording after another is labelled. Told are errors, latencies by what was
-asked, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform in
-the first and the last quarter.
+have submissions scored; meanwhile one recording after another is labelled. The tables show errors, latencies by kind of
+request, requests a second and CPU ms a request by quarter of the time, and the memory of every process of the platform
+in the first and the last quarter.
 With `--slow 2000`, 2,000 connections of one address stop in a request (`benchmarks/load/strangers.py`) after `CALM_S`.
 Nothing is labelled or scored then, and the platform keeps its bounds. Without `--slow` the clients' address is exempt.
 With `--pause-s 0` clients do not think, so latencies are those of a platform that is asked more than it can answer.

@@ -20,12 +20,13 @@ from rich.console import Console
 from chaos.seeds.histories import History, play
 
 AT_ONCE = 20
+REPORTED_EVERY_S = 60.0
 CONSOLE = Console(highlight=False, markup=False, soft_wrap=True)
 
 
 def main() -> int:
     options = _options()
-    begun_s = time.monotonic()
+    begun_s = reported_s = time.monotonic()
     until_s = begun_s + options.minutes * 60.0
     histories = steps = broken = 0
     with ProcessPoolExecutor(options.processes, get_context("forkserver"), gc.freeze) as pool:
@@ -35,12 +36,19 @@ def main() -> int:
                 broken += 1
                 again = f"python -m chaos.seeds --seeds {played.seed}..{played.seed + 1}"
                 CONSOLE.print(f"seed {played.seed}, step {played.steps}: {played.violation} ({again})")
-    minutes = (time.monotonic() - begun_s) / 60.0
-    CONSOLE.print(
+            if time.monotonic() - reported_s > REPORTED_EVERY_S:
+                reported_s = time.monotonic()
+                CONSOLE.print(_summary(histories, steps, broken, reported_s - begun_s))
+    CONSOLE.print(_summary(histories, steps, broken, time.monotonic() - begun_s))
+    return 1 if broken or not histories else 0
+
+
+def _summary(histories: int, steps: int, broken: int, passed_s: float) -> str:
+    minutes = passed_s / 60.0
+    return (
         f"{histories} histories, {steps} steps in {minutes:.1f} minutes: {histories / minutes:.0f} and "
         f"{steps / minutes:.0f} a minute, {broken} broken"
     )
-    return 1 if broken or not histories else 0
 
 
 def _played(pool: ProcessPoolExecutor, options: argparse.Namespace, until_s: float) -> Iterator[History]:

@@ -8,6 +8,7 @@ from collections.abc import Callable
 from contextlib import suppress
 from typing import cast
 
+from sqlalchemy import select
 from sqlalchemy.orm import Session
 
 from chaos.seeds.faulty_database import OWNER, OutageError
@@ -31,6 +32,7 @@ from stone.errors import Refused
 
 WORKERS, SWEEPERS = 3, 2
 MOST_RUNS, MOST_JOBS = 4, 16
+AWAITED = ("labeler.step",)
 REFUSED = "odd"
 STUMBLED = "Input/output error"
 
@@ -69,8 +71,15 @@ class Handling:
         if attempt.job_id == attempt.root_id or self._world.is_calm or self._dice.random() < 0.7:
             return ()
         arguments = {"by": attempt.job_id}
-        after = ("labeler.step",) if self._dice.random() < 0.5 else ()
+        after = AWAITED if self._dice.random() < 0.5 and self._has_awaited(attempt.root_id) else ()
         return JobSpec("ingest.step", arguments, "x"), JobSpec("labeler.step", arguments, needs=("x",), after=after)
+
+    def _has_awaited(self, root_id: str) -> bool:
+        """Return whether the run has a job of the kinds in `AWAITED`; a handler may name no other kind in `after`."""
+        with self._world.database.looking_on() as session:
+            return (
+                session.scalars(select(Job.id).where(Job.root_id == root_id, Job.kind.in_(AWAITED))).first() is not None
+            )
 
 
 def _count(session: Session, job_id: str) -> None:
