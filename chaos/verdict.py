@@ -15,7 +15,17 @@ from sqlalchemy.orm import Session
 
 from chaos.result_hashes import OwnerRun, RunArtefacts, made_by, object_bytes
 from services.runtime.access import storage_quota
-from services.runtime.orm import Blob, Job, JobAttempt, LabelSet, Recording, Upload
+from services.runtime.orm import (
+    Artefact,
+    Blob,
+    Job,
+    JobAttempt,
+    LabelSet,
+    Preview,
+    Recording,
+    SequenceRow,
+    Upload,
+)
 from services.runtime.platform import Platform
 from services.runtime.uploads.files import upload_file
 from services.runtime.uploads.part_rows import upload_parts_of
@@ -113,14 +123,21 @@ def _judge_recordings(session: Session, brought: OwnerRun) -> Iterator[Violation
 
 
 def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
-    """What is under way or kept is counted, once."""
-    holding = select(Upload.length_bytes).where(
-        Upload.owner_id == brought.owner_id, Upload.state.in_(("open", "complete", "consumed"))
-    )
-    taken_bytes, held_bytes = storage_quota.balance(session, brought.owner_id), sum(session.scalars(holding))
+    """The quota counts each upload that is under way or kept, each file of a label set and each preview, once."""
+    taken_bytes, held_bytes = storage_quota.balance(session, brought.owner_id), _held_bytes(session, brought.owner_id)
     if taken_bytes != held_bytes:
         sort: Sort = "doubled" if taken_bytes > held_bytes else "lost"
-        yield Violation(sort, f"{taken_bytes} bytes are counted for uploads of {held_bytes} bytes")
+        yield Violation(sort, f"{taken_bytes} bytes are counted, the rows hold {held_bytes} bytes")
+
+
+def _held_bytes(session: Session, owner_id: str) -> int:
+    mine = SequenceRow.owner_id == owner_id
+    uploads = select(Upload.length_bytes).where(
+        Upload.owner_id == owner_id, Upload.state.in_(("open", "complete", "consumed"))
+    )
+    artefacts = select(Artefact.size_bytes).join(LabelSet).join(SequenceRow).where(mine)
+    previews = select(Preview.size_bytes).join(SequenceRow).where(mine)
+    return sum(sum(session.scalars(sizes)) for sizes in (uploads, artefacts, previews))
 
 
 def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]:

@@ -98,6 +98,7 @@ def _publish(session: Session, platform: Platform, run: Job, folder: Path) -> No
         artefact = Artefact(label_set_id=label_set.id, name=name, media_type="text/plain", size_bytes=len(content))
         artefact.blob_sha256 = _kept(session, platform, folder, content)
         added(session, artefact)
+        storage_quota.reserve(session, str(run.owner_id), len(content), label_set.id, "label set", GIB)
     for ordinal, (begin, end) in enumerate(((0, CUT), (CUT, len(PACK)))):
         frame = LabelledFrameRow(label_set_id=label_set.id, ordinal=ordinal, token=f"token-{ordinal}", stamp_ns=ordinal)
         frame.pack_id, frame.offset_bytes, frame.length_bytes = artefact.id, begin, end - begin

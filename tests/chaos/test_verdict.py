@@ -129,8 +129,8 @@ SPOILT: dict[str, tuple[Any, set[str]]] = {
     "an attempt without a trace": (fused(attempt=3), {"lost"}),
     "a job more than undisturbed": (fan_out_twice, {"doubled"}),
     "a label set of another run": (publish_twice, {"doubled"}),
-    "no label set": (delete(LabelSet), {"lost"}),
-    "an artefact that is missing": (delete(Artefact).where(REPORT), {"lost"}),
+    "no label set": (delete(LabelSet), {"lost", "doubled"}),
+    "an artefact that is missing": (delete(Artefact).where(REPORT), {"lost", "doubled"}),
     "another artefact": (update(Artefact).where(REPORT).values(name="r.json"), {"differing", "lost"}),
     "a frame of other bytes": (
         update(LabelledFrameRow).where(LAST).values(offset_bytes=LabelledFrameRow.offset_bytes - 1),
