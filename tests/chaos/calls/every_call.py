@@ -15,15 +15,15 @@ from services.runtime.settings import Settings
 from testing.failing_calls import Disturbed, Fault, apart, disturb
 from testing.servers.fixtures import make_settings, opened
 
-FAULTS = pytest.mark.parametrize("fault", list(Fault), ids=lambda fault: fault.name.lower())
-COSTLY_FAULTS = pytest.mark.parametrize(
-    "fault",
-    [pytest.param(fault, marks=() if fault is Fault.KILLED else pytest.mark.release) for fault in Fault],
-    ids=lambda fault: fault.name.lower(),
+SPARSE = 7
+FAULTS = pytest.mark.parametrize(
+    ("fault", "step"),
+    [
+        pytest.param(Fault.KILLED, SPARSE, id="killed-sparsely"),
+        *(pytest.param(fault, 1, id=fault.name.lower(), marks=pytest.mark.release) for fault in Fault),
+    ],
 )
-"""Of an operation with many calls, the kills are tried in every check and the errors before a release."""
-
-
+"""Every check kills at each `SPARSE`-th call, a release does all at every call."""
 IN_MEMORY = Path("/dev/shm")
 
 
@@ -45,12 +45,13 @@ def each_call(
     operate: Callable[[Platform], object],
     check: Callable[[Platform, Disturbed], object],
     fault: Fault,
+    step: int = 1,
 ) -> int:
-    """Run the operation on fresh copies, disturb its first call, its second and so on, and check each copy afterwards.
+    """Run the operation on fresh copies, disturb every `step`-th call of it in turn, and check each copy afterwards.
 
-    The last run is undisturbed. Return the number of calls of the operation.
+    The last run is undisturbed. Return the number of calls of the operation, rounded up to a multiple of `step`.
     """
-    for nth in count(1):
+    for nth in count(1, step):
         with quick_folder() as folder:
             settings = laid_in(folder, prepared)
             disturbed = disturb(lambda: operate(opened(settings, [])), folder, nth, fault)  # noqa: B023

@@ -9,7 +9,7 @@ from services.runtime.platform import Platform
 from services.runtime.settings import Settings
 from testing.failing_calls import Disturbed, Fault
 from testing.servers.fixtures import opened
-from tests.chaos.calls.every_call import COSTLY_FAULTS, each_call
+from tests.chaos.calls.every_call import FAULTS, each_call
 from tests.services.runtime.backup.laid import add_blob, lay
 
 BACKUPS = "backups"
@@ -24,8 +24,8 @@ def back_up(platform: Platform) -> None:
     make_backup(platform, folder_of(platform))
 
 
-@COSTLY_FAULTS
-def test_a_backup_is_there_or_not_and_never_half(settings: Settings, fault: Fault, tmp_path: Path) -> None:
+@FAULTS
+def test_a_backup_is_there_or_not_and_never_half(settings: Settings, fault: Fault, step: int, tmp_path: Path) -> None:
     platform = opened(settings, [])
     laid = lay(platform, tmp_path / "scratch")
     make_backup(platform, BackupFolder(tmp_path / BACKUPS))
@@ -46,4 +46,4 @@ def test_a_backup_is_there_or_not_and_never_half(settings: Settings, fault: Faul
         assert not list((folder.root / STAGING).iterdir())
         assert sorted(path.name for path in (folder.root / SNAPSHOTS).iterdir()) == folder.snapshots()
 
-    assert each_call(settings, back_up, check, fault) > 50
+    assert each_call(settings, back_up, check, fault, step) > 50

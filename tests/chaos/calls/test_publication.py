@@ -21,7 +21,7 @@ from services.runtime.store.blobs import collect_garbage
 from services.runtime.store.workspace import Workspace
 from testing.failing_calls import Disturbed, Fault
 from testing.servers.fixtures import opened
-from tests.chaos.calls.every_call import COSTLY_FAULTS, each_call
+from tests.chaos.calls.every_call import FAULTS, each_call
 from tests.services.runtime.jobs.steps import an_owner
 
 PACK = b"labels of one frame"
@@ -95,8 +95,8 @@ def label_sets(platform: Platform) -> int:
         return len(session.scalars(select(LabelSet.id)).all())
 
 
-@COSTLY_FAULTS
-def test_a_label_set_is_published_whole_or_not_at_all(settings: Settings, fault: Fault) -> None:
+@FAULTS
+def test_a_label_set_is_published_whole_or_not_at_all(settings: Settings, fault: Fault, step: int) -> None:
     platform = opened(settings, [])
     run_id = lay_run(platform)
     platform.database.close()
@@ -116,7 +116,7 @@ def test_a_label_set_is_published_whole_or_not_at_all(settings: Settings, fault:
         assert files["labels/000000.pack"] == PACK
         assert_nothing_is_left_over(platform)
 
-    assert each_call(settings, publish_run, check, fault) > 30
+    assert each_call(settings, publish_run, check, fault, step) > 30
 
 
 def assert_nothing_is_left_over(platform: Platform) -> None:

@@ -41,7 +41,7 @@ def upload_all(platform: Platform, owner: UploadOwner) -> None:
 
 @FAULTS
 def test_an_upload_is_absent_partial_or_whole_and_can_be_sent_on(
-    prepared: tuple[Settings, UploadOwner], fault: Fault, monkeypatch: pytest.MonkeyPatch
+    prepared: tuple[Settings, UploadOwner], fault: Fault, step: int, monkeypatch: pytest.MonkeyPatch
 ) -> None:
     monkeypatch.setattr(backends, "ORPHAN_S", 0.0)
     before, owner = prepared
@@ -51,7 +51,7 @@ def test_an_upload_is_absent_partial_or_whole_and_can_be_sent_on(
         send_on(platform, owner)
         assert_nothing_is_left_over(platform)
 
-    assert each_call(before, lambda platform: upload_all(platform, owner), check, fault) > 20
+    assert each_call(before, lambda platform: upload_all(platform, owner), check, fault, step) > 20
 
 
 def uploads_in(platform: Platform) -> list[Upload]:
