@@ -83,10 +83,14 @@ def test_the_setting_that_made_the_labels_is_the_closest_and_its_labels_are_the_
     assert (tmp_path / "out" / "farm_rosbag.png").read_bytes() == comparison_picture(alike, alike)
 
 
+@pytest.mark.release
 def test_voxels_near_the_own_sweep_are_found_to_be_all_that_is_known_over_two_bags_with_late_stamps(
     made: MadePair, folder: Path, tmp_path: Path, capfd: pytest.CaptureFixture[str]
 ) -> None:
-    """If the release knows no other voxels, all settings agree, and those that label nothing else come first."""
+    """If the release knows no other voxels, all settings agree, and those that label nothing else come first.
+
+    It alone finds a search that misses the sweep by late stamps or by a second bag.
+    """
     released = list[NDArray[np.uint8]]()
 
     def change(labels: NDArray[np.uint8], returns_ego: NDArray[np.float64]) -> NDArray[np.uint8]:

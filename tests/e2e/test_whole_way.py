@@ -121,9 +121,11 @@ def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(de
     assert sorted(row["standing"] for row in rows.values()) == ["baseline", "baseline", "ranked"]
 
 
+@pytest.mark.release
 def test_the_demo_runs_again_on_the_platform_of_the_first(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
 ) -> None:
+    """It alone finds a step of the demo that refuses what an earlier demo left on the platform."""
     first = made_demo(tmp_path_factory)
     shutil.copytree(first / "data", tmp_path / "data")
     run_small_demo(tmp_path)

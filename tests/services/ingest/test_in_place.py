@@ -109,7 +109,7 @@ def labels(tmp_path_factory: pytest.TempPathFactory, source: Path) -> dict[str, 
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("name", ["run_0.db3", "run/run_0.db3", "run.mcap"])
+@pytest.mark.parametrize("name", ["run_0.db3", pytest.param("run/run_0.db3", marks=pytest.mark.release), "run.mcap"])
 def test_a_bag_in_place_is_labelled_as_an_uploaded_one_and_not_copied(
     placed: Platform, root: Path, source: Path, labels: dict[str, bytes], name: str
 ) -> None:
@@ -166,7 +166,7 @@ def test_a_registered_bag_in_place_takes_a_tenth_of_its_size_at_most(
 
 
 @pytest.mark.whole
-@pytest.mark.parametrize("part_bytes", [2**30, 2**19])
+@pytest.mark.parametrize("part_bytes", [pytest.param(2**30, marks=pytest.mark.release), 2**19])
 def test_an_object_is_labelled_as_an_uploaded_bag_by_the_ranges_that_labels_need(
     platform: Platform,
     s3_server: S3Server,
