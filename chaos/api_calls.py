@@ -38,8 +38,8 @@ def upload_sequence(api: Api, inputs: Inputs, name: str = SEQUENCE) -> dict[str,
     return sequence
 
 
-def begin_run(api: Api, sequence: dict[str, Any], inputs: Inputs) -> OwnerRun:
-    run = start_run(api, sequence, {})
+def begin_run(api: Api, sequence: dict[str, Any], inputs: Inputs, **request: str) -> OwnerRun:
+    run = start_run(api, sequence, request)
     return OwnerRun(sequence["owner_id"], sequence["id"], run["id"], inputs.sha256, inputs.size_bytes)
 
 

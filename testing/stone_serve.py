@@ -63,16 +63,21 @@ class Serving:
         return self.process.wait(PATIENCE_S)
 
 
-def environment(data: Path, **extra: str) -> Mapping[str, str]:
-    """This environment, with a configuration folder beside `data` and no setting of the platform but this: how full
-    this machine's disk is decides no test."""
+RESERVE = "STONE_STORE__RESERVE_BYTES"
+
+
+def environment(data: Path, **extra: str | None) -> Mapping[str, str]:
+    """This environment, with a configuration folder beside `data` and no setting of the platform but `RESERVE`.
+
+    So the free space of this machine's disk decides no test. An `extra` of None is left out.
+    """
     kept = {name: value for name, value in os.environ.items() if not name.startswith("STONE_")}
-    room = {"STONE_STORE__RESERVE_BYTES": str(NO_RESERVE)}
-    return {**kept, **room, "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
+    ours = {RESERVE: str(NO_RESERVE), "STONE_CONFIG_HOME": str(data.parent / "configuration"), **extra}
+    return {**kept, **{name: value for name, value in ours.items() if value is not None}}
 
 
 @contextmanager
-def serving(data: Path, command: Sequence[str] = STONE, **extra: str) -> Iterator[Serving]:
+def serving(data: Path, command: Sequence[str] = STONE, **extra: str | None) -> Iterator[Serving]:
     """Yield a platform on `data` once it is ready; end it, kindly if it still runs. `command` is that of `stone`."""
     said = data.parent / "serve.stderr"
     with said.open("a") as stderr:
