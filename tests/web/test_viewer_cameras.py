@@ -84,7 +84,11 @@ def corners_of(run: Run, voxels: Any) -> Any:
     return (voxels[:, None] + corners) * run.grid.voxel_m + run.grid.min_m
 
 
-@pytest.mark.parametrize(("seen", "reach"), [(RUN, 25), (RELEASED, 40)], indirect=["seen"], ids=["paper", "release"])
+@pytest.mark.parametrize(
+    ("seen", "reach"),
+    [pytest.param(RUN, 25, id="paper"), pytest.param(RELEASED, 40, id="release", marks=pytest.mark.release)],
+    indirect=["seen"],
+)
 def test_every_pixel_with_a_label_is_of_the_first_voxel_that_its_ray_meets(
     at_viewer: Page, seen: dict[str, Any], reach: int
 ) -> None:
