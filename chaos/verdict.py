@@ -18,6 +18,8 @@ from services.runtime.access import storage_quota
 from services.runtime.orm import (
     Artefact,
     Blob,
+    Export,
+    ExportPack,
     Job,
     JobAttempt,
     LabelSet,
@@ -123,21 +125,28 @@ def _judge_recordings(session: Session, brought: OwnerRun) -> Iterator[Violation
 
 
 def _judge_quota(session: Session, brought: OwnerRun) -> Iterator[Violation]:
-    """The quota counts each upload that is under way or kept, each file of a label set and each preview, once."""
-    taken_bytes, held_bytes = storage_quota.balance(session, brought.owner_id), _held_bytes(session, brought.owner_id)
-    if taken_bytes != held_bytes:
-        sort: Sort = "doubled" if taken_bytes > held_bytes else "lost"
-        yield Violation(sort, f"{taken_bytes} bytes are counted, the rows hold {held_bytes} bytes")
+    """The quota counts each upload that is under way or kept, and each file made of it, once."""
+    counted = storage_quota.balance(session, brought.owner_id)
+    held = held_bytes(session, brought.owner_id)
+    if counted != held:
+        sort: Sort = "doubled" if counted > held else "lost"
+        yield Violation(sort, f"{counted} bytes are counted, the rows hold {held} bytes")
 
 
-def _held_bytes(session: Session, owner_id: str) -> int:
+def held_bytes(session: Session, owner_id: str) -> int:
+    """Return the bytes of an owner's uploads, label sets, previews and exports, by their rows.
+
+    Bags in place, comparisons and imported datasets are not among them.
+    """
     mine = SequenceRow.owner_id == owner_id
     uploads = select(Upload.length_bytes).where(
         Upload.owner_id == owner_id, Upload.state.in_(("open", "complete", "consumed"))
     )
     artefacts = select(Artefact.size_bytes).join(LabelSet).join(SequenceRow).where(mine)
     previews = select(Preview.size_bytes).join(SequenceRow).where(mine)
-    return sum(sum(session.scalars(sizes)) for sizes in (uploads, artefacts, previews))
+    exports = select(ExportPack.size_bytes).join(Export).join(SequenceRow).where(mine)
+    indices = select(Blob.size_bytes).join(Export, Export.index_sha256 == Blob.sha256).join(SequenceRow).where(mine)
+    return sum(sum(session.scalars(sizes)) for sizes in (uploads, artefacts, previews, exports, indices))
 
 
 def _judge_uploads(platform: Platform, brought: OwnerRun) -> Iterator[Violation]:

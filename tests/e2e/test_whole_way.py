@@ -14,7 +14,13 @@ from hashlib import sha256
 from pathlib import Path
 
 import pytest
+from sqlalchemy import select
 
+from chaos.verdict import held_bytes
+from services.runtime.access import storage_quota
+from services.runtime.orm import User
+from services.runtime.platform import open_platform
+from services.runtime.settings import Settings
 from stone_client.api import Api
 from stone_client.credentials import Server
 from testing.signals import hear_signals
@@ -119,6 +125,19 @@ def test_the_board_shows_the_demos_own_entry_with_the_score_that_anybody_gets(de
     assert row["ratios"] == record["baseline"]["total"]
     assert row["intervals"]["miou"] == pytest.approx(record["baseline"]["intervals"]["these_places"]["miou"])
     assert sorted(row["standing"] for row in rows.values()) == ["baseline", "baseline", "ranked"]
+
+
+def test_the_quota_of_each_owner_counts_the_bytes_that_the_rows_hold(
+    tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
+) -> None:
+    data = shutil.copytree(made_demo(tmp_path_factory) / "data", tmp_path / "data")
+    platform = open_platform(Settings(data_folder=data))
+    with platform.database.reading() as session:
+        counted = {user: storage_quota.balance(session, user) for user in session.scalars(select(User.id))}
+        held = {user: held_bytes(session, user) for user in counted}
+    platform.database.close()
+    assert counted == held
+    assert max(held.values()) > 2**20
 
 
 @pytest.mark.release
