@@ -89,7 +89,7 @@ def test_voxels_near_the_own_sweep_are_found_to_be_all_that_is_known_over_two_ba
 ) -> None:
     """If the release knows no other voxels, all settings agree, and those that label nothing else come first.
 
-    It alone finds a search that misses the sweep by late stamps or by a second bag.
+    Catches alone a search that misses the sweep by late stamps or by a second bag.
     """
     released = list[NDArray[np.uint8]]()
 

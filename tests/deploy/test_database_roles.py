@@ -118,7 +118,7 @@ def running(deployment: Deployment, service: str) -> Iterator[Path]:
 def test_the_demo_goes_through_services_that_each_have_a_role(
     deployment: Deployment, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    """It alone finds a right that a service needs and does not have."""
+    """Catches alone a right that a service needs and does not have."""
     monkeypatch.setattr(pipeline, "SPARSE", SPARSER)
     monkeypatch.setenv("STONE_CONFIG_HOME", str(tmp_path / "config"))
     (tmp_path / "demo").mkdir()

@@ -144,7 +144,7 @@ def test_the_quota_of_each_owner_counts_the_bytes_that_the_rows_hold(
 def test_the_demo_runs_again_on_the_platform_of_the_first(
     tmp_path_factory: pytest.TempPathFactory, tmp_path: Path
 ) -> None:
-    """It alone finds a step of the demo that refuses what an earlier demo left on the platform."""
+    """Catches alone a step of the demo that refuses what an earlier demo left on the platform."""
     first = made_demo(tmp_path_factory)
     shutil.copytree(first / "data", tmp_path / "data")
     run_small_demo(tmp_path)
