@@ -22,6 +22,7 @@ from stone_client.credentials import Server
 from testing.signals import hear_signals
 
 STONE = (str(Path(sys.executable).parent / "stone"),)
+RESERVE = "STONE_STORE__RESERVE_BYTES"
 PATIENCE_S = 300.0
 
 
@@ -61,9 +62,6 @@ class Serving:
         """Ask it to drain; its exit code."""
         self.process.send_signal(signal.SIGTERM)
         return self.process.wait(PATIENCE_S)
-
-
-RESERVE = "STONE_STORE__RESERVE_BYTES"
 
 
 def environment(data: Path, **extra: str | None) -> Mapping[str, str]:

@@ -77,9 +77,8 @@ class Handling:
     def _has_awaited(self, root_id: str) -> bool:
         """Return whether the run has a job of the kinds in `AWAITED`; a handler may name no other kind in `after`."""
         with self._world.database.looking_on() as session:
-            return (
-                session.scalars(select(Job.id).where(Job.root_id == root_id, Job.kind.in_(AWAITED))).first() is not None
-            )
+            kinds = session.scalars(select(Job.kind).where(Job.root_id == root_id)).all()
+        return not set(AWAITED).isdisjoint(kinds)
 
 
 def _count(session: Session, job_id: str) -> None:

@@ -10,7 +10,7 @@ from collections.abc import Callable, Mapping, Sequence
 from dataclasses import dataclass
 from typing import Any
 
-from sqlalchemy import ColumnElement, bindparam, case, select, tuple_, update
+from sqlalchemy import bindparam, case, select, tuple_, update
 from sqlalchemy.orm import Session, aliased
 
 from services.runtime.database.transactions import Database
@@ -19,7 +19,8 @@ from services.runtime.jobs.specs import nothing
 from services.runtime.orm import Job
 
 # Written once: to write one of these takes longer than to run it. `keys` are (job, attempt).
-AMONG = tuple_(Job.id, Job.attempt).in_(bindparam("keys", expanding=True))
+KEY = tuple_(Job.id, Job.attempt)
+AMONG = KEY.in_(bindparam("keys", expanding=True))
 RUN = aliased(Job)
 HELD = select(Job.id).where(AMONG, Job.state == "running").with_for_update(skip_locked=True, key_share=True)
 BEATEN = update(Job).where(Job.id.in_(HELD)).returning(Job.id, Job.attempt)
@@ -89,13 +90,9 @@ def _keys(words: Sequence[AttemptWords]) -> dict[str, list[AttemptKey]]:
     return {"keys": [one.key for one in words]}
 
 
-def _is(one: AttemptWords) -> ColumnElement[bool]:
-    return tuple_(Job.id, Job.attempt).in_([one.key])
-
-
 def _progress(words: Sequence[AttemptWords]) -> Mapping[str, Any]:
     """The new value of each column of progress, where an attempt said anything."""
-    said = [(_is(one), columns) for one in words if (columns := one.columns())]
+    said = [(KEY.in_([one.key]), columns) for one in words if (columns := one.columns())]
     if not said:
         return {}
     columns = {

@@ -45,11 +45,11 @@ def each_call(
     operate: Callable[[Platform], object],
     check: Callable[[Platform, Disturbed], object],
     fault: Fault,
-    step: int = 1,
+    step: int,
 ) -> int:
     """Run the operation on fresh copies, disturb every `step`-th call of it in turn, and check each copy afterwards.
 
-    The last run is undisturbed. Return the number of calls of the operation, rounded up to a multiple of `step`.
+    The last run is undisturbed. Return the number of the last call that was disturbed.
     """
     for nth in count(1, step):
         with quick_folder() as folder:
@@ -58,5 +58,5 @@ def each_call(
             raised = apart(lambda: check(opened(settings, []), disturbed))  # noqa: B023
         assert not raised, f"{fault.name} at call {nth}, {disturbed.hit or 'none'}: {raised}"
         if not disturbed.hit:
-            return nth - 1
+            return nth - step
     raise AssertionError("the operation never came to its end")
