@@ -16,12 +16,11 @@ import numpy as np
 
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import sequence_in
-from services.labeler.parameters import parameters_for
-from services.labeler.run import ground_refusal
 from stone.errors import StoneError
 from stone.findings import Finding
 from stone.sensors.calibration_errors import MissingSensorError
 from stone.sensors.ground_plane import GroundFit
+from stone.sensors.ground_refusals import ground_refusal
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration
 from stone_recordings.report.rig.channels import ChannelMatch, channel_findings, channel_matches
@@ -98,7 +97,7 @@ def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tupl
         unmeasured = f"neither the ground nor the cameras were checked: {error}"
         return (Finding(error.code, "warning", "", unmeasured),), None
     kept = [finding for finding in sequence.findings if finding.code.startswith(OF_CALIBRATIONS)]
-    refusal = ground_refusal(sequence, parameters_for("paper").footprint_band_m)
+    refusal = ground_refusal(sequence)
     if refusal is not None:
         kept.append(Finding(refusal.code, "error", "", str(refusal)))
     return tuple(finding for finding in kept if not _is_said_by_channels(finding)), sequence.ground

@@ -20,13 +20,14 @@ def outcome_of(drive: SoundDrive, name: str, clean: Mapping[int, NDArray[np.uint
         try:
             return outcome(drive, fault, Path(folder), clean).as_record()
         except Exception as error:
-            return {"named": (), "refusal": f"CRASH {type(error).__name__}", "sentence": str(error)[:300]}
+            return {"named": (), "errors": (), "refusal": f"CRASH {type(error).__name__}", "sentence": str(error)[:300]}
 
 
 def row_of_sound(drive: SoundDrive, clean: LabelledDrive) -> dict[str, Any]:
     shares = clean.report.class_shares()
     return {
         "named": codes(inspected(drive.bag, drive.rig())),
+        "errors": (),
         "refusal": "",
         "frames": len(clean.report.sequence.frames),
         "excluded": {},

@@ -5,8 +5,6 @@ from typing import Any
 
 # by drive, by fault ("" is none): what `FaultOutcome.as_record` gives
 Outcomes = dict[str, dict[str, dict[str, Any]]]
-# What labelling refuses by a figure that inspection has measured and named by another code.
-NAMED_AS = {"footprint_off_ground": "CAL-433", "poses_tilted": "SYN-518"}
 
 
 def shown(made: Outcomes, before: Outcomes) -> str:
@@ -15,10 +13,11 @@ def shown(made: Outcomes, before: Outcomes) -> str:
 
 
 def goes_through(row: Mapping[str, Any]) -> bool:
-    """Whether the fault got past everybody: a crash, T where nobody drove, or what inspection did not say before."""
+    """Whether the fault got past everybody: a crash, T where nobody drove, a refusal that is no error of the inspection
+    or an error of it without a refusal."""
     if row["refusal"]:
-        return NAMED_AS.get(row["refusal"], row["refusal"]) not in row["named"]
-    return bool(row["beyond"]) or (bool(row["excluded"]) and "SYN-501" not in row["named"])
+        return row["refusal"] not in row["errors"]
+    return bool(row["errors"]) or bool(row["beyond"]) or (bool(row["excluded"]) and "SYN-501" not in row["named"])
 
 
 def _of_drive(drive: str, rows: Mapping[str, Mapping[str, Any]], before: Mapping[str, Mapping[str, Any]]) -> str:

@@ -29,10 +29,11 @@ from services.runtime.store.keys import ObjectMissingError
 from services.runtime.store.named_objects import NAMES_FOLDER, named, named_folder
 from services.runtime.uploads.backends import backend_of
 from stone.errors import PlatformFaultError, Refused, StoneError
-from stone.findings import Finding
+from stone.findings import Finding, Severity
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, Mount
 from stone.sensors.ground_plane import GroundFit
+from stone.sensors.ground_refusals import ground_refusal
 from stone_files.bag_fingerprint import bag_paths
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.content_hash import content_sha256
@@ -47,7 +48,7 @@ from stone_recordings.report.quality.report import quality_of
 from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
 from stone_recordings.sync.clock_offsets import ClockOffsets
-from stone_recordings.sync.ground_check import measured_ground, recorded_ground_finding
+from stone_recordings.sync.ground_check import early_refusal, measured_ground, recorded_ground_finding
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -55,8 +56,10 @@ from stone_recordings.topics.profiles import TopicProfile
 #
 #     inspection → the same synchronisation that labels are made from → its findings beside those of the inspection
 #
-# **Conventions.** With a calibration everything is looked at that comes before labelling. Without one, a rig whose
-# parts all sit in one place stands in for it, and what is found about mounts is not said.
+# **Conventions.** With a calibration everything is looked at that comes before labelling, and what labelling would
+# refuse is an error. Without one, a rig whose parts all sit in one place stands in for it, and what is found about
+# mounts is not said; a refusal is an error too, unless the platform looks, which may yet be given what averts it: a
+# calibration with the offset of a clock, a file of poses.
 
 
 NAME = "outlook"
@@ -71,10 +74,12 @@ def inspected_in(
     options: SynchroniseOptions | None = None,
     *,
     scan: Scan | None = None,
+    is_complete: bool = True,
 ) -> Inspection:
     """The inspection with the outlook among its findings; the topics of `options` are those of the profile.
 
-    `scan` spares another where the caller has one. A recording is read once for both.
+    `scan` spares another where the caller has one. A recording is read once for both. If the inspection is not
+    complete, more may be brought for the recording, and what is refused without a calibration is a warning.
 
     Raises as `inspect_in` and `read_calibration` do.
     """
@@ -86,7 +91,7 @@ def inspected_in(
         inspection = replace(inspection, findings=told)
     options = replace(asked, recorded=scan.recorded)
     if calibration is None:
-        said, ground = stood_in(bag, options)
+        said, ground = stood_in(bag, options, "error" if is_complete else "warning")
         inspection = replace(inspection, lidar_ground=ground)
         if ground is not None and scan.recorded is not None and scan.recorded.sources is not None:
             mounts = recorded_rig(scan.recorded, scan.recorded.sources, STAND_IN, ClockOffsets())
@@ -98,28 +103,46 @@ def inspected_in(
 
 
 def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
-    """Return the findings of synchronisation; its refusal is an error."""
+    """Return the findings of synchronisation; its refusal, and labelling's by the ground, is an error."""
     try:
-        return synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)[0].findings
+        sequence, sweeps = synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)
     except StoneError as refusal:
-        return (Finding(refusal.code, "error", "", str(refusal)),)
+        return (_refused(refusal, "error"),)
+    refusal_by_ground = ground_refusal(sequence)
+    if refusal_by_ground is None and options.ground == "given":
+        with suppress(StoneError):
+            refusal_by_ground = early_refusal(bag, sweeps.topic, calibration)
+    refusals = () if refusal_by_ground is None else (_refused(refusal_by_ground, "error"),)
+    return sequence.findings + refusals
 
 
-def stood_in(bag: Bag, options: SynchroniseOptions) -> tuple[tuple[Finding, ...], GroundFit | None]:
+def stood_in(
+    bag: Bag, options: SynchroniseOptions, severity: Severity = "error"
+) -> tuple[tuple[Finding, ...], GroundFit | None]:
     """As `outlook`, without a calibration, and the ground in the LiDAR's frame, by which a calibration can be judged
-    before anything is processed. A refusal is a warning: a calibration may yet avert it."""
+    before anything is processed. A refusal is of the given severity."""
     try:
         sequence, sweeps = unjoined_sequence(bag, STAND_IN, options, NAME)
         ground = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag), None)
     except StoneError as refusal:
-        return (Finding(refusal.code, "warning", "", str(refusal)),), None
+        return (_refused(refusal, severity),), None
     return tuple(finding for finding in sequence.findings if not finding.code.startswith(OF_MOUNTS)), ground
 
 
+def _refused(refusal: StoneError, severity: Severity) -> Finding:
+    return Finding(refusal.code, severity, "", str(refusal))
+
+
 def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Both, without what is said twice: the same code of the same topic, or of none in particular."""
+    """Return both, without repetitions: the same code of the same topic, or of none in particular, and as grave."""
     codes, named = {finding.code for finding in known}, {(finding.code, finding.topic) for finding in known}
-    new = [one for one in said if (one.code, one.topic) not in named and (one.topic or one.code not in codes)]
+    refused = {finding.code for finding in known if finding.severity == "error"}
+    new = [
+        one
+        for one in said
+        if ((one.code, one.topic) not in named and (one.topic or one.code not in codes))
+        or (one.severity == "error" and one.code not in refused)
+    ]
     return (*known, *new)
 
 
@@ -311,14 +334,14 @@ def _inspected_in(
         bag = files.enter_context(open_bag(ours.bag()))
         if ours.here is not None:
             bag.read_sparingly()
-        return bag, inspected_in(bag, ours.profile), {}
+        return bag, inspected_in(bag, ours.profile, is_complete=False), {}
     except CutBagError:
         recovered = recovered_files(ours, folder)
         if not recovered:
             raise
     files.close()
     bag = files.enter_context(open_bag(ours.bag({row_id: file.path for row_id, file in recovered.items()})))
-    return bag, inspected_in(bag, ours.profile), recovered
+    return bag, inspected_in(bag, ours.profile, is_complete=False), recovered
 
 
 def _measured(name: str, inspection: Inspection, sampled: SampledMessages, facts: Mapping[str, Any]) -> bytes:

@@ -8,10 +8,9 @@ from pathlib import Path
 
 from services.labeler.parameters import LabelParameters
 from stone.errors import Refused, StoneError
-from stone.sensors.ground_plane import surely_off_ground
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.calibrations.file import read_calibration
-from stone_recordings.sync.ground_check import early_ground
+from stone_recordings.sync.ground_check import early_refusal
 from stone_recordings.topics.sources import AskedTopics, choose_sources
 
 
@@ -21,8 +20,7 @@ def require_early_ground(bag: Path, calibration: Path, asked: AskedTopics, param
     with suppress(StoneError), open_bag(bag) as opened:
         opened.believe()
         rig, _ = read_calibration(calibration, opened)
-        ground = early_ground(opened, choose_sources(opened, asked).lidar.name, rig)
-        if ground is not None:
-            refusal = surely_off_ground(ground, rig.ego_from_lidar, parameters.footprint_band_m)
+        lidar_topic = choose_sources(opened, asked).lidar.name
+        refusal = early_refusal(opened, lidar_topic, rig, parameters.footprint_band_m)
     if refusal is not None:
         raise refusal

@@ -27,9 +27,10 @@ from services.labeler.parameters import LabelParameters
 from services.labeler.pipeline import FRAMES, STAGES, label_graph
 from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
-from services.labeler.run import LabelRun, ground_refusal, silent
+from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
 from stone.findings import Finding
+from stone.sensors.ground_refusals import ground_refusal
 from stone.sensors.sequence import Sequence, SweepSource
 from stone_base.label_grid import LabelGrid
 from stone_files.atomic import atomic_directory

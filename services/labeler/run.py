@@ -16,15 +16,13 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from services.labeler.errors import mount_tilted, poses_tilted
 from services.labeler.parameters import LabelParameters
-from stone.errors import Refused
 from stone.geometry.lattice import Keys, indices_of
 from stone.geometry.se3 import steps_of
 from stone.labels.grid import Bounds
 from stone.labels.voxels import VOXEL_M
 from stone.sensors.ego_path import ego_path, maps_of_frames
-from stone.sensors.ground_plane import footprint_off_ground, is_off_ground
+from stone.sensors.ground_refusals import ground_refusal
 from stone.sensors.sequence import Sequence, SweepSource
 
 USUAL_PERIOD_S = 0.1
@@ -94,21 +92,6 @@ class LabelRun:
     def map_of(self, part: Part) -> int:
         """The map that all frames of the part are in."""
         return int(self.maps[part[0]])
-
-
-def ground_refusal(sequence: Sequence, band_m: float) -> Refused | None:
-    """Why nothing is labelled of a run whose footprint floats above the ground, or sinks into it, or whose halves do
-    one each, or whose LiDAR or poses are tilted; None where they are not."""
-    ground, footprint = sequence.ground, sequence.calibration.footprint
-    if ground is None:
-        return None
-    # From the middle of the footprint to the middle of its half.
-    lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
-    if is_off_ground(ground, band_m) or lean_m > band_m:
-        return footprint_off_ground(ground, sequence.calibration.ego_from_lidar, band_m)
-    if ground.is_mount_tilted:
-        return mount_tilted(ground)
-    return poses_tilted(ground, sequence.calibration) if ground.is_way_tilted else None
 
 
 def require_ground(run: LabelRun) -> None:

@@ -10,7 +10,7 @@ from typing import TYPE_CHECKING, Annotated, Any
 import typer
 
 from stone_client.clock_offsets import ClockOffsetOption
-from stone_client.options import RunArgument
+from stone_client.options import Ground, GroundOption, LidarOption, OdometryOption, RunArgument
 from stone_client.refusals import REFUSED
 from stone_client.streams import JsonOption, echo_explainer, echo_findings, echo_json
 from stone_client.tables import clock_table, inspection_table, recording_table, show
@@ -20,8 +20,10 @@ from stone_local.topic_choices import (
     PosesFrameOption,
     PosesOption,
     SaveTopicsOption,
+    TimeOffsetOption,
     TopicOption,
     TopicsOption,
+    chosen_offsets,
     chosen_poses,
     chosen_topics,
 )
@@ -45,6 +47,10 @@ def inspect(
     save_topics: SaveTopicsOption = None,
     html: HtmlOption = None,
     calibration: RigOption = None,
+    odometry: OdometryOption = None,
+    lidar: LidarOption = None,
+    ground: GroundOption = Ground.GIVEN,
+    time_offset: TimeOffsetOption = [],  # noqa: B006
     poses: PosesOption = None,
     poses_frame: PosesFrameOption = "",
     clock_offset: ClockOffsetOption = [],  # noqa: B006
@@ -53,11 +59,12 @@ def inspect(
     """Show a recording's topics with their roles, rates, gaps and findings.
 
     Where several topics fit one role, choose with --topic and save the choice for the robot's next recording.
-    What labelling would refuse or leave out is said too; with --calibration also what it would say of the mounts.
+    What labelling with the same options would refuse or leave out is shown too; with --calibration also what is wrong
+    with the mounts.
     Several recordings of one run are joined first, with --calibration where their clocks must be measured; their
     offsets, what two of them hold and what lies between them is shown.
     With --html its quality is measured too: a page with plots, and under --json one more key.
-    Exit code 1 where something in it cannot be used, named by an error line.
+    Exit code 1 if labels cannot be made of it so, or something in it cannot be used: an error line names it.
     """
     from stone_recordings.bags.bag import open_bag
     from stone_recordings.topics.profiles import write_profile
@@ -68,11 +75,19 @@ def inspect(
     def options() -> "SynchroniseOptions":
         from services.ingest.pipeline import SynchroniseOptions
 
-        poses_of_file = chosen_poses(poses, poses_frame)
-        return SynchroniseOptions(poses=poses_of_file, poses_frame=poses_frame, topics=profile.topics)
+        return SynchroniseOptions(
+            odometry,
+            lidar,
+            poses=chosen_poses(poses, poses_frame, odometry),
+            poses_frame=poses_frame,
+            topics=profile.topics,
+            ground=ground.value,
+            time_offsets_ns=chosen_offsets(time_offset),
+        )
 
     with run_of(RunRecordings(bags, clock_offset, calibration, options)) as run, open_bag(run.bag) as opened:
-        asked_topics = AskedTopics.of_roles(profile.topics, has_pose_file=poses is not None)
+        given = {role: topic for role, topic in {"lidar": lidar, "pose": odometry}.items() if topic}
+        asked_topics = AskedTopics.of_roles({**profile.topics, **given}, has_pose_file=poses is not None)
         with scanning(opened, asked_topics) as scan:  # which inflates while these are loaded
             from services.ingest.sandboxed_inspection import inspected_in
             from stone.kernels.loading import load_compiler
@@ -90,12 +105,7 @@ def inspect(
     if as_json:
         echo_json(record)
     else:
-        show(inspection_table(record))
-        show(clock_table(inspection.clocks.as_record()))
-        if "recordings" in record:
-            show(recording_table(record["recordings"]))
-        if "quality" in record:
-            show(deduction_table(record["quality"]))
+        _show(record)
     if save_topics is not None:
         write_profile(save_topics, inspection.assignment.as_profile(profile.platform))
     echo_findings(findings)
@@ -103,6 +113,15 @@ def inspect(
         echo_explainer(findings)
     if any(finding.severity == "error" for finding in findings):
         raise typer.Exit(REFUSED)
+
+
+def _show(record: dict[str, Any]) -> None:
+    show(inspection_table(record))
+    show(clock_table(record["clocks"]))
+    if "recordings" in record:
+        show(recording_table(record["recordings"]))
+    if "quality" in record:
+        show(deduction_table(record["quality"]))
 
 
 @contextmanager

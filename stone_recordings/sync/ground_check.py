@@ -10,12 +10,13 @@ from dataclasses import replace
 
 import numpy as np
 
+from stone.errors import Refused
 from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import Calibration, entry_of
 from stone.sensors.driving_direction import DrivingDirection, driving_direction
 from stone.sensors.ego_path import track_of
-from stone.sensors.ground_plane import GroundFit, above, ground_fit, is_off_ground
+from stone.sensors.ground_plane import BAND_M, GroundFit, above, ground_fit, is_off_ground, surely_off_ground
 from stone.sensors.ground_points import plane_around
 from stone.sensors.sequence import Sequence, SweepSource
 from stone.sensors.sweep_tilt import SweepTilt
@@ -48,6 +49,15 @@ def early_ground(bag: Bag, lidar_topic: str, calibration: Calibration) -> Ground
     picked = np.unique(np.linspace(0, len(times_ns) - 1, EARLY_SWEEPS).round().astype(np.int64)).tolist()
     planes = (plane_around(points_around(calibration, sweeps, index)) for index in picked)
     return ground_fit([plane for plane in planes if plane is not None])
+
+
+def early_refusal(bag: Bag, lidar_topic: str, calibration: Calibration, band_m: float = BAND_M) -> Refused | None:
+    """Return the refusal of a ground that is far off by the first look; None if it is not, or too few sweeps show it.
+
+    Raises what reading a sweep raises.
+    """
+    ground = early_ground(bag, lidar_topic, calibration)
+    return None if ground is None else surely_off_ground(ground, calibration.ego_from_lidar, band_m)
 
 
 def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: str) -> tuple[Finding, ...]:

@@ -91,7 +91,8 @@ def test_the_page_holds_the_score_and_the_pictures_and_json_the_numbers(drive: P
 
 def test_a_topic_that_lies_is_an_error_once_it_is_looked_at(tmp_path: Path) -> None:
     lies = [recordings.picture("/camera/front/image", int(stamp), b"no picture") for stamp in ticks(1, 10)]
-    path = written(tmp_path / "run.mcap", lies, recordings.clouds(ticks(1, 10)))
+    sound = recordings.clouds(ticks(2, 10)), recordings.solutions(ticks(2, 20), 56)
+    path = written(tmp_path / "run.mcap", lies, *sound)
     assert stone("inspect", path).exit_code == 0
     result = stone("inspect", path, "--html", str(tmp_path / "out.html"))
     assert result.exit_code == 1

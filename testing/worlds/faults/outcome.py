@@ -46,7 +46,8 @@ class LabelledDrive:
 
 @dataclass(frozen=True)
 class FaultOutcome:
-    """`named` are the codes of what inspection finds; `refusal` the code of label's, "" where it labelled.
+    """`named` are the codes of what inspection finds, `errors` those of its errors; `refusal` is the code of label's,
+    "" if it labelled.
 
     `excluded` counts the frames left out by reason, `beyond` the T voxels beyond the footprint of any pose; `p_share`
     is P's of the occupied voxels and `agreement` the share of voxels that are classed as in the sound run.
@@ -55,6 +56,7 @@ class FaultOutcome:
     fault: str
     drive: str
     named: tuple[str, ...]
+    errors: tuple[str, ...] = ()
     refusal: str = ""
     sentence: str = ""
     frames: int = 0
@@ -83,19 +85,21 @@ def outcome(
     """
     bag, rig = faulty(drive, fault, folder / "run.mcap"), drive.rig(fault)
     try:
-        named = codes(inspected(bag, rig))
+        seen = inspected(bag, rig)
     except StoneError as refusal:
-        named = (refusal.code,)
+        seen = (Finding(refusal.code, "error", "", str(refusal)),)
+    named, errors = codes(seen), codes(tuple(finding for finding in seen if finding.severity == "error"))
     try:
         made = labelled(bag, rig, folder / "labels", SynchroniseOptions())
     except StoneError as refusal:
-        return FaultOutcome(fault.name, drive.name, named, refusal.code, str(refusal))
+        return FaultOutcome(fault.name, drive.name, named, errors, refusal.code, str(refusal))
     report = made.report
     gaps_m = driven_off_track_m(report.sequence, made.grids)
     return FaultOutcome(
         fault.name,
         drive.name,
         named,
+        errors,
         frames=len(report.sequence.frames),
         excluded=Counter(frame.code for frame in report.sequence.excluded),
         found=codes(report.findings),

@@ -22,6 +22,8 @@ from testing.worlds.drives import sound_drive
 from testing.worlds.faults.catalogue import FAULTS
 from testing.worlds.faults.drive import SoundDrive, faulty, kitti_drive
 from testing.worlds.faults.fault import RecordingFault
+from testing.worlds.field.drive import LIDAR_UP_M, FieldDrive
+from testing.worlds.field.outcome import outcome_of
 
 BY_NAME = {fault.name: fault for fault in FAULTS}
 EVERY_DAY = (
@@ -125,11 +127,11 @@ def test_poses_and_sweeps_of_two_times_are_named_with_what_puts_them_right(
     assert "TIM-213" not in {one.code for one in sound}
 
 
-def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: SoundDrive, tmp_path: Path) -> None:
+def test_a_refusal_is_an_error_unless_what_averts_it_may_yet_be_brought(simulated: SoundDrive, tmp_path: Path) -> None:
     bag = faulty(simulated, BY_NAME["every position NaN"], tmp_path / "run.mcap")
     with open_bag(bag) as opened:
         said = (
-            stood_in(opened, SynchroniseOptions())[0],
+            stood_in(opened, SynchroniseOptions(), "warning")[0],
             outlook(opened, simulated.rig(), SynchroniseOptions()),
         )
         severities = [[(one.code, one.severity) for one in found] for found in said]
@@ -139,7 +141,8 @@ def test_a_refusal_is_an_error_where_no_calibration_can_avert_it(simulated: Soun
 def test_nothing_is_said_twice() -> None:
     known = (Finding("TOP-101", "error", "", "none"), Finding("TIM-203", "warning", "/a", "back"))
     again = (Finding("TOP-101", "error", "", "no LiDAR"), Finding("TIM-203", "warning", "/a", "sorted"))
-    new = (Finding("TIM-203", "warning", "/b", "sorted"), Finding("SYN-501", "warning", "", "few"))
+    graver = Finding("TIM-203", "error", "", "refused")
+    new = (Finding("TIM-203", "warning", "/b", "sorted"), Finding("SYN-501", "warning", "", "few"), graver)
     assert with_new(known, again + new) == known + new
 
 
@@ -184,3 +187,12 @@ def test_topics_that_synchronisation_would_refuse_are_scanned_without_it(simulat
         assert found.recorded is None
         assert found.stamps_ns.keys() == scanned(bag, AskedTopics()).stamps_ns.keys()
         assert scanned(bag, AskedTopics()).recorded is not None
+
+
+def test_what_labelling_refuses_by_the_ground_is_an_error_of_the_inspection(tmp_path: Path) -> None:
+    drive = FieldDrive()
+    run, calibration = drive.write(tmp_path, drive.lidar_topic(), drive.odometry_topic())
+    lower = tmp_path / "low.yaml"
+    lower.write_text(calibration.read_text().replace(f"{LIDAR_UP_M}]", f"{LIDAR_UP_M - 0.4}]"))
+    found = outcome_of(run, lower, tmp_path / "labels")
+    assert (found.refusal, [one.code for one in found.errors]) == ("footprint_off_ground", ["footprint_off_ground"])

@@ -11,7 +11,7 @@ from scipy.spatial.transform import Rotation
 from benchmarks.outside.remedies import AS_ADVISED, GROUND_AUTO, fault_of, opened
 from services.ingest.pipeline import SynchroniseOptions
 from services.ingest.sequence import open_sequence
-from services.labeler.run import ground_refusal
+from stone.sensors.ground_refusals import ground_refusal
 from stone.sensors.sequence import Sequence
 from stone_recordings.poses.file_poses import PoseFile
 from testing.outside.drive import OutsideDrive
@@ -41,7 +41,7 @@ def folder(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 
 def refusal(sequence: Sequence) -> str:
-    found = ground_refusal(sequence, BAND_M)
+    found = ground_refusal(sequence)
     return "" if found is None else found.code
 
 

@@ -1,0 +1,53 @@
+"""Why nothing is labelled of a run by where its sweeps show the ground: the mount, or the poses, cannot be right.
+
+**Conventions.** In the ego frame of `stone/sensors/ground_plane.py`. Labelling and inspection ask here alike, so that
+inspection names beforehand what labelling will refuse.
+"""
+
+import math
+
+from stone.errors import Refused
+from stone.sensors.calibration import Calibration, entry_of
+from stone.sensors.driving_direction import turned_to_way
+from stone.sensors.ground_plane import BAND_M, GroundFit, footprint_off_ground, is_off_ground
+from stone.sensors.sequence import Sequence
+
+
+def ground_refusal(sequence: Sequence, band_m: float = BAND_M) -> Refused | None:
+    """Return the refusal of a run whose footprint floats above the ground or sinks into it, or whose halves do one
+    each, or whose LiDAR or poses are tilted; None if they are not, or no ground was measured.
+
+    Driven ground is looked for within `band_m` metres of the footprint.
+    """
+    ground, footprint = sequence.ground, sequence.calibration.footprint
+    if ground is None:
+        return None
+    # From the middle of the footprint to the middle of its half.
+    lean_m = max(abs(ground.slope_x) * footprint.length_m, abs(ground.slope_y) * footprint.width_m) / 4
+    if is_off_ground(ground, band_m) or lean_m > band_m:
+        return footprint_off_ground(ground, sequence.calibration.ego_from_lidar, band_m)
+    if ground.is_mount_tilted:
+        return _mount_tilted(ground)
+    return _poses_tilted(ground, sequence.calibration) if ground.is_way_tilted else None
+
+
+def _mount_tilted(ground: GroundFit) -> Refused:
+    return Refused(
+        "footprint_off_ground",
+        f"the ground tilts by {math.degrees(ground.tilt_rad):.1f}° in the ego frame, and the sweeps in the map with "
+        "it: the LiDAR is not mounted as the calibration says, and labels would be wrong; "
+        "CAL-433 says what to enter, and ground auto corrects it for this run",
+    )
+
+
+def _poses_tilted(ground: GroundFit, calibration: Calibration) -> Refused:
+    climb_rad = math.atan(ground.way_slope)
+    mounts = turned_to_way(calibration, 0.0, climb_rad - math.atan(ground.slope_x))
+    entries = [f"enter {entry_of(one)}" for one in mounts]
+    way_out = entries[0] if entries else "correct the source, or take the poses from the sweeps (odometry kiss-icp)"
+    return Refused(
+        "poses_tilted",
+        f"by its poses the robot drives {abs(math.degrees(climb_rad)):.1f}° {'above' if climb_rad > 0 else 'below'} "
+        "where it faces, over ground that the sweeps show level with it: the INS is turned on its mount, its "
+        f"attitude is biased, or its heights drift, and labels would be wrong: {way_out}",
+    )
