@@ -21,6 +21,7 @@ from stone.findings import Finding
 from stone.sensors.calibration_errors import MissingSensorError
 from stone.sensors.ground_plane import GroundFit
 from stone.sensors.ground_refusals import ground_refusal
+from stone_base.names import sequence_name
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration
 from stone_recordings.report.rig.channels import ChannelMatch, channel_findings, channel_matches
@@ -90,7 +91,7 @@ def ground_record(ground: GroundFit) -> Mapping[str, float | int]:
 def _on_the_run(bag: Bag, path: Path, options: SynchroniseOptions) -> tuple[tuple[Finding, ...], GroundFit | None]:
     """What synchronising the run says of the calibration, and the ground where it was measured."""
     try:
-        sequence, _ = sequence_in(bag, path, bag.path.stem, options)
+        sequence, _ = sequence_in(bag, path, sequence_name(bag.path), options)
     except StoneError as error:
         if error.code not in WITHOUT_A_RUN:
             return (Finding(error.code, "error", "", str(error)),), None

@@ -9,6 +9,7 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
+from stone_base.names import sequence_name
 from stone_client.clock_offsets import chosen_clock_offsets
 
 if TYPE_CHECKING:
@@ -40,7 +41,7 @@ def run_of(recordings: RunRecordings) -> Iterator[OpenRun]:
     """Raises: `typer.BadParameter`, and what `join_recordings` raises."""
     given_ns = chosen_clock_offsets(recordings.clock_offsets)
     if len(recordings.paths) == 1 and not given_ns:
-        yield OpenRun(recordings.paths[0], recordings.paths[0].stem)
+        yield OpenRun(recordings.paths[0], sequence_name(recordings.paths[0]))
         return
     from services.ingest.joining.clocks import JoinRequest, join_recordings
     from stone_recordings.bags.private_folder import PrivateFolder

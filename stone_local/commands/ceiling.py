@@ -6,6 +6,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_base.names import sequence_name
 from stone_client.options import (
     BagArgument,
     CalibrationOption,
@@ -76,7 +77,7 @@ def ceiling(
         def measured(opened: OpenedSequence) -> dict[str, Any]:
             return ceiling_of(opened, plan, progress)
 
-        record = with_sequence(bag, calibration, bag.stem, sources, measured)
+        record = with_sequence(bag, calibration, sequence_name(bag), sources, measured)
     if as_json:
         echo_json(record)
         return

@@ -17,6 +17,7 @@ from stone.sensors.lag_fit import LagEvidence, LagFit, fitted_lag
 from stone.sensors.sequence import Sequence as RunSequence
 from stone.sensors.sweep_lag import SweepLag
 from stone.sensors.triggers import LidarRotation, triggers_of
+from stone_base.names import sequence_name
 from stone_files.joined_file import (
     CAMERAS,
     GIVEN,
@@ -102,7 +103,7 @@ def pose_offset(name: str, open_at: OpenAt, calibration: Path, options: Synchron
 
 def _lag(bag: Bag, calibration: Path, options: SynchroniseOptions) -> SweepLag | None:
     rig, _ = read_calibration(calibration, bag)
-    sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
+    sequence, sweeps = unjoined_sequence(bag, rig, options, sequence_name(bag.path))
     return measured_lag(sequence, SweepsOfOpenBag(sweeps, bag))
 
 
@@ -143,7 +144,7 @@ class RunReference:
 def reference_of(bag: Bag, calibration: Path, options: SynchroniseOptions) -> RunReference:
     """Raises: `SYN-523`, and what `read_calibration` and `unjoined_sequence` raise."""
     rig, _ = read_calibration(calibration, bag)
-    sequence, sweeps = unjoined_sequence(bag, rig, options, bag.path.stem)
+    sequence, sweeps = unjoined_sequence(bag, rig, options, sequence_name(bag.path))
     if sequence.track is None or len(sequence.frames) < 2:
         raise unmeasured_offset([bag.path.name], ["it has too few sweeps with a pose to compare others with"])
     look = lidar_look(bag, sweeps, typical_period_ns(sequence.frames.stamps_ns))
