@@ -84,6 +84,6 @@ def _points(layout: PointLayout) -> NDArray[np.void]:
     names: dict[str, Any] = {"names": ["x", "y", "z", time, laser], "formats": formats, "offsets": offsets}
     record: np.dtype[np.void] = np.dtype({**names, "itemsize": point_bytes})  # type: ignore[call-overload]
     points = np.ones(4, record)
-    points[time] = np.arange(4) * (0.02 if time_format == "<f8" else 2e7)
+    points[time] = np.arange(1, 5) * (0.02 if time_format == "<f8" else 2e7)
     points.setflags(write=False)
     return points

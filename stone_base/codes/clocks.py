@@ -65,6 +65,13 @@ MEANINGS = (
     ),
     CodeMeaning("TIM-214", "none", "A clock was shifted, as the calibration or the command says.", "Nothing."),
     CodeMeaning(
+        "TIM-220",
+        "none",
+        "Point times are on another clock than the header stamps, by a constant; the first or the last point of a sweep"
+        " is taken to be at its stamp.",
+        "Let the driver stamp headers and points by one clock.",
+    ),
+    CodeMeaning(
         "GNS-301",
         "wrong",
         "RTK was not fixed all the time, or its status is unknown.",

@@ -20,8 +20,8 @@ MEANINGS = (
     CodeMeaning(
         "MSG-303",
         "less",
-        "Point clouds whose fields or sizes contradict each other are left out; a wrong byte-order flag alone"
-        " is ignored.",
+        "Point clouds whose fields or sizes contradict each other are left out if their bytes do not decide; a wrong"
+        " byte-order flag alone is ignored.",
         "Check the LiDAR's driver where there are many.",
     ),
     CodeMeaning(
@@ -78,6 +78,25 @@ MEANINGS = (
         "The LiDAR's packets are of a model that is not decoded, or are damaged.",
         "Record the driver's point topic that the sentence names.",
         as_warning="less",
+    ),
+    CodeMeaning(
+        "MSG-320",
+        "none",
+        "Clouds declare rows, sizes or steps that their own data refutes; the data is read.",
+        "Correct the driver or the node that writes the clouds (row_step is width times point_step).",
+    ),
+    CodeMeaning(
+        "MSG-321",
+        "less",
+        "Points have no time of their sweep: unsigned times that wrapped are read as negative, single ones get the time"
+        " between their neighbours, the others are left out.",
+        "Nothing for a few; look at the LiDAR's time synchronisation where there are many.",
+    ),
+    CodeMeaning(
+        "MSG-322",
+        "wrong",
+        "The point times of some sweeps cannot be read, so these are not deskewed: a turning robot smears them.",
+        "Look at the LiDAR's time synchronisation and driver.",
     ),
     CodeMeaning(
         "TOP-101",

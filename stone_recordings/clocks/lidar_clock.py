@@ -14,13 +14,13 @@ from stone.errors import Refused
 from stone.findings import Finding
 from stone.sensors.sequence import ExcludedFrame
 from stone_recordings.bags.bag import Bag
+from stone_recordings.clocks.point_clock import looks_of
+from stone_recordings.clocks.sweep_findings import sweep_findings
 from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.problems import OTHER_FRAME, STRAY, MessageProblem, majority
 from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics, in_order
 
-# The first and the last sweep may be cut short; a few from beginning to end show the true length.
-SPAN_SAMPLES = 5
 # A stamp that goes back, and lies so far from where the recorder's clock puts it, is no stamp.
 LAST_STRAY_NS = 500_000_000
 
@@ -55,8 +55,10 @@ def lidar_clock(bag: Bag, recorded: RecordedTopics, topic: str, offset_ns: int =
     ordered = in_order(topic, stamps_ns, usable)
     points = np.array([recorded.cloud_size(topic, index) for index in ordered.index.tolist()], np.int64)
     _check_returns(bag, topic, ordered.index[points > 0])
-    span_ns = _span_ns(bag, topic, ordered.index[points > 0])
-    findings = ordered.findings if span_ns is not None else (*ordered.findings, _no_time(topic))
+    looks = looks_of(bag, topic, ordered.index[points > 0])
+    spans_ns = [look.span_ns for look in looks if look.span_ns is not None]
+    span_ns = (min(first for first, _ in spans_ns), max(last for _, last in spans_ns)) if spans_ns else None
+    findings = (*ordered.findings, *sweep_findings(bag, topic, looks))
     excluded = tuple(ExcludedFrame(int(stamps_ns[at]), why.code, why.reason) for at, why in sorted(problems.items()))
     findings += _problem_finding(topic, excluded, len(stamps_ns))
     return LidarClock(topic, ordered, points, span_ns or (0, 0), span_ns is not None, findings, excluded)
@@ -102,26 +104,11 @@ def _problem_finding(topic: str, excluded: tuple[ExcludedFrame, ...], total: int
     return (Finding("MSG-303", "warning", topic, sentence),)
 
 
-def _span_ns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[int, int] | None:
-    """First and last point time around the stamp over a few clouds from beginning to end; None without."""
-    picked = rows[np.linspace(0, len(rows) - 1, min(SPAN_SAMPLES, len(rows))).astype(np.int64)]
-    clouds = (lidar_points(cloud_at(bag, topic, row)) for row in picked.tolist())
-    offsets = [cloud.offset_ns for cloud in clouds if cloud.offset_ns is not None and len(cloud.offset_ns)]
-    if not offsets:
-        return None
-    return min(int(offset_ns.min()) for offset_ns in offsets), max(int(offset_ns.max()) for offset_ns in offsets)
-
-
 def _check_returns(bag: Bag, topic: str, rows: NDArray[np.int64]) -> None:
     """Raises `SYN-509` where no cloud holds a return; the first that does ends the search."""
     clouds = (lidar_points(cloud_at(bag, topic, row), with_ring=False) for row in rows.tolist())
     if len(rows) and not any(len(cloud.points_lidar) for cloud in clouds):
         raise no_usable_sweep(topic, len(rows), "it has points, but none is a return")
-
-
-def _no_time(topic: str) -> Finding:
-    sentence = "its points have no readable time; sweeps are not deskewed (a turning robot smears them)"
-    return Finding("TOP-102", "warning", topic, sentence)
 
 
 def no_usable_sweep(topic: str, count: int, reason: str) -> Refused:

@@ -17,8 +17,7 @@ from stone.sensors.calibration import Mount
 from stone.sensors.sequence import Association, Sequence
 from stone.sensors.triggers import ON_TIME_NS, LidarRotation, Triggers, look_of, triggers_of
 from stone_recordings.bags.bag import Bag
-from stone_recordings.messages.pointcloud2 import lidar_points
-from stone_recordings.messages.sweep_clouds import cloud_at
+from stone_recordings.clocks.point_clock import points_at
 from stone_recordings.sync.sweeps import BagSweeps
 
 SWEEP_SAMPLES = 3
@@ -74,7 +73,7 @@ def lidar_look(bag: Bag, sweeps: BagSweeps, period_ns: int) -> LidarRotation | N
 
 
 def _timed_points(bag: Bag, sweeps: BagSweeps, row: int) -> tuple[NDArray[np.float32], NDArray[np.int64]] | None:
-    found = lidar_points(cloud_at(bag, sweeps.topic, int(sweeps.message_index[row])))
+    found = points_at(bag, sweeps.topic, int(sweeps.message_index[row]), with_ring=False)
     if found.offset_ns is None:
         return None
     every = max(1, len(found.points_lidar) // MOST_POINTS)

@@ -1,9 +1,8 @@
 """Points, times and rings out of a LiDAR cloud, whatever its driver calls them.
 
 **Conventions.** Points without a return are NaN, infinite or (0, 0, 0) and are dropped, and so are those out of reach
-(`stone.sensors.reach`), which are counted. A time field is recognised by its values:
-the unit is the one in which a cloud lasts between 1 ms and 1 s; it is absolute when the values are a date, relative to
-the header stamp otherwise. Names only nominate fields. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
+(`stone.sensors.reach`), which are counted. Times are read by `stone_recordings.messages.point_times`; a point of a
+timed sweep that has none is dropped. Source: Hesai ROS 2.0, Nebula, Velodyne and Ouster drivers.
 """
 
 from dataclasses import dataclass
@@ -15,19 +14,10 @@ from numpy.typing import NDArray
 
 from stone.sensors.reach import is_in_reach
 from stone_recordings.bags.errors import CloudLayoutError
+from stone_recordings.messages.point_times import UNTIMED, PointClock, point_times
 
-NS_PER_S = 1_000_000_000
-TIME_NAMES = ("timestamp", "time_stamp", "time", "t", "offset_time", "timeStamp", "ts")
 RING_NAMES = ("ring", "channel", "laser_id", "line")
 LAST_RING = 1023
-# Nanoseconds per unit; a sweep of 1 to 1000 Hz lasts 1e6 to 1e9 ns, so at most one unit fits a spread of values.
-UNIT_NAMES = {NS_PER_S: "s", 1_000_000: "ms", 1_000: "µs", 1: "ns"}
-UNITS_NS = tuple(UNIT_NAMES)
-LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
-# Dates begin here (1973): no offset within a sweep is that long.
-FIRST_DATE_NS = 1e17
-# An absolute time further from the stamp than this is another clock's, and says nothing about this stamp.
-LAST_CLOCK_DISTANCE_NS = 5 * NS_PER_S
 
 
 @dataclass(frozen=True, eq=False)
@@ -35,8 +25,9 @@ class LidarPoints:
     """N returns: (N, 3) float32 metres in the LiDAR frame, and where the cloud says so when and by which laser.
 
     `offset_ns` is relative to the header stamp; `time_meaning` says how it was read ("absolute s", "relative ns",
-    "none", "another clock"); `rows` (N,) are the records of the cloud that the returns are, and `beyond` counts those
-    that are places out of any LiDAR's reach.
+    "none", "another clock", "too coarse"); `rows` (N,) are the records of the cloud that the returns are, and `beyond`
+    counts those that are places out of any LiDAR's reach. Of the times `wrapped`, `filled` and `untimed` (dropped) are
+    those of `PointTimes`.
     """
 
     points_lidar: NDArray[np.float32]
@@ -45,14 +36,32 @@ class LidarPoints:
     time_meaning: str
     rows: NDArray[np.int32]
     beyond: int
+    wrapped: int = 0
+    filled: int = 0
+    untimed: int = 0
+
+    @property
+    def mistimed(self) -> int:
+        """How many points had no time of the sweep as they were written."""
+        return self.wrapped + self.filled + self.untimed
 
 
-def resolve_points(points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True) -> LidarPoints:
-    """Raises: CloudLayoutError when there are no x, y, z of one floating type."""
+def resolve_points(
+    points: NDArray[np.void], stamp_ns: int, *, with_ring: bool = True, clock: PointClock | None = None
+) -> LidarPoints:
+    """Return the returns of a cloud; `clock` is known of its points if it is not the header's.
+
+    Raises: CloudLayoutError when there are no x, y, z of one floating type.
+    """
     check_xyz(points.dtype)
     xyz, kept, beyond = _packed(points)
-    offset_ns, meaning = _offsets(points, kept, stamp_ns)
-    return LidarPoints(xyz, offset_ns, _rings(points, kept) if with_ring else None, meaning, kept, beyond)
+    times = point_times(points, kept, stamp_ns, clock)
+    offset_ns = times.offset_ns
+    if offset_ns is not None and times.untimed:
+        is_timed = offset_ns != UNTIMED
+        xyz, kept, offset_ns = xyz[is_timed], kept[is_timed], offset_ns[is_timed]
+    ring, counts = _rings(points, kept) if with_ring else None, (times.wrapped, times.filled, times.untimed)
+    return LidarPoints(xyz, offset_ns, ring, times.meaning, kept, beyond, *counts)
 
 
 def check_xyz(record: np.dtype[np.void]) -> None:
@@ -69,40 +78,6 @@ def _packed(points: NDArray[np.void]) -> tuple[NDArray[np.float32], NDArray[np.i
     kept = np.empty(len(points), np.int32)
     count, beyond = pack_points((points["x"], points["y"], points["z"]), xyz, kept)
     return xyz[:count], kept[:count], beyond
-
-
-def _offsets(points: NDArray[np.void], kept: NDArray[np.int32], stamp_ns: int) -> tuple[NDArray[np.int64] | None, str]:
-    """The first nominated field whose values are times."""
-    meaning = "none"
-    for name in TIME_NAMES:
-        if name not in (points.dtype.names or ()) or points.dtype[name].kind not in "fiu" or not len(kept):
-            continue
-        offset_ns, meaning = offsets_from_values(points[name], kept, stamp_ns)
-        if offset_ns is not None:
-            return offset_ns, meaning
-    return None, meaning
-
-
-def offsets_from_values(
-    column: NDArray[Any], kept: NDArray[np.int32], stamp_ns: int
-) -> tuple[NDArray[np.int64] | None, str]:
-    """Offsets of `column[kept]` from the stamp in ns, and how they were read; None where they are no times."""
-    least, last = span(column, kept)
-    length = last - least
-    unit_ns = next((unit for unit in UNITS_NS if LEAST_SWEEP_NS < length * unit <= LAST_SWEEP_NS), None)
-    if unit_ns is None:
-        return None, "none"
-    unit, offset_ns = UNIT_NAMES[unit_ns], np.empty(len(kept), np.int64)
-    if abs(least) * unit_ns < FIRST_DATE_NS:
-        scaled(column, kept, 0.0, float(unit_ns), offset_ns)
-        return offset_ns, f"relative {unit}"
-    if abs(least * unit_ns - stamp_ns) > LAST_CLOCK_DISTANCE_NS:
-        return None, "another clock"
-    # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
-    whole, rest_ns = divmod(stamp_ns, unit_ns)
-    scaled(column, kept, float(whole), float(unit_ns), offset_ns)
-    offset_ns -= rest_ns
-    return offset_ns, f"absolute {unit}"
 
 
 def _rings(points: NDArray[np.void], kept: NDArray[np.int32]) -> NDArray[np.uint16] | None:
@@ -142,27 +117,6 @@ def pack_points(
             kept[count] = row
             count += 1
     return count, beyond
-
-
-@njit(cache=True, nogil=True)
-def span(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[float, float]:
-    """Least and last of `column[kept]`, NaN twice where one of them is not finite; `kept` is not empty."""
-    least, last = np.inf, -np.inf
-    for row in kept:
-        value = np.float64(column[row])
-        if not np.isfinite(value):
-            return np.nan, np.nan
-        least, last = min(least, value), max(last, value)
-    return least, last
-
-
-@njit(cache=True, nogil=True)
-def scaled(
-    column: NDArray[Any], kept: NDArray[np.int32], whole: float, unit_ns: float, offset_ns: NDArray[np.int64]
-) -> None:
-    """`offset_ns[i] = round((column[kept[i]] − whole) · unit_ns)`, half to even."""
-    for place in range(len(kept)):
-        offset_ns[place] = np.int64(np.rint((np.float64(column[kept[place]]) - whole) * unit_ns))
 
 
 @njit(cache=True, nogil=True)

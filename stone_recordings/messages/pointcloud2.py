@@ -1,9 +1,13 @@
 """sensor_msgs/msg/PointCloud2 as a structured view of its own bytes, checked before it is believed.
 
+What a cloud declares twice may contradict itself. Its bytes decide then: rows, sizes and steps that the length of the
+data refutes are ignored and named in `Cloud.ignored`; a cloud is refused only if its bytes leave a doubt.
+
 **Conventions.** `points` has one record a point, in the order of the message, with the driver's field names; nothing
 is copied unless rows are padded or numbers big-endian. Offsets need not be aligned (Hesai: 26 bytes a point). Numbers
 leave little-endian. `is_bigendian` is believed unless the places that follow are none and the little-endian ones are:
-some drivers set it and write little-endian. Source: sensor_msgs (Humble).
+some drivers set it and write little-endian. Of several fields of one name the first counts. Source: sensor_msgs
+(Humble).
 """
 
 from collections.abc import Callable
@@ -16,6 +20,7 @@ from numpy.typing import NDArray
 
 from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
 from stone_recordings.messages.lidar import LidarPoints, check_xyz, resolve_points
+from stone_recordings.messages.point_times import PointClock
 from stone_recordings.messages.types.cdr import Cursor
 
 __all__ = ["Cloud", "LidarPoints", "decode_cloud", "lidar_points"]
@@ -24,7 +29,8 @@ TYPE = "sensor_msgs/msg/PointCloud2"
 FORMATS = {1: "i1", 2: "u1", 3: "<i2", 4: "<u2", 5: "<i4", 6: "<u4", 7: "<f4", 8: "<f8"}
 # name length, terminator, offset, datatype, count: what a PointField takes at least.
 LEAST_FIELD_BYTES = 4 + 1 + 4 + 1 + 4
-FIELD_LIMIT = 256
+FIELD_LIMIT, MOST_STEP_BYTES = 256, 1 << 16
+PLACE_NAMES = frozenset("xyz")
 # Coordinates that a LiDAR can report; a number whose bytes are swapped has an exponent like any other.
 LEAST_PLACE_M, LAST_PLACE_M = 1e-6, 1e5
 LEAST_PLACES = 0.5
@@ -49,12 +55,26 @@ class _CloudLayout(NamedTuple):
 
 @dataclass(frozen=True, eq=False)
 class Cloud:
-    """One message: stamp, frame and N point records; `is_misdeclared` where its byte order is not the declared one."""
+    """One message: stamp, frame and N point records; `is_misdeclared` where its byte order is not the declared one.
+
+    `ignored` names what it declares against its own bytes, with the value; "" for nothing.
+    """
 
     stamp_ns: int
     frame_id: str
     points: NDArray[np.void]
     is_misdeclared: bool = False
+    ignored: str = ""
+
+
+class _Rows(NamedTuple):
+    """Where the points lie: `height` rows of `width` points, by what the bytes decide; `ignored` as of a Cloud."""
+
+    height: int
+    width: int
+    record: np.dtype[np.void]
+    row_step: int
+    ignored: str
 
 
 def decode_cloud(payload: memoryview) -> Cloud:
@@ -67,15 +87,14 @@ def decode_cloud(payload: memoryview) -> Cloud:
     stamp_ns, frame_id = cursor.stamp_ns(), cursor.text()
     layout = _layout(cursor)
     start = cursor.take(cursor.bounded(layout.data_bytes, 1))
-    record = record_of(layout.fields, layout.point_step)
-    _check_steps(layout)
-    steps = (layout.row_step, layout.point_step)
-    points = np.ndarray((layout.height, layout.width), record, payload, start, steps).reshape(-1)
+    rows = _rows(layout)
+    record, steps = rows.record, (rows.row_step, rows.record.itemsize)
+    points = np.ndarray((rows.height, rows.width), record, payload, start, steps).reshape(-1)
     if not layout.is_bigendian:
-        return Cloud(stamp_ns, frame_id, points)
+        return Cloud(stamp_ns, frame_id, points, ignored=rows.ignored)
     swapped = points.view(record.newbyteorder(">")).astype(record)
     is_misdeclared = _places_ratio(swapped) < LEAST_PLACES <= _places_ratio(points)
-    return Cloud(stamp_ns, frame_id, points if is_misdeclared else swapped, is_misdeclared)
+    return Cloud(stamp_ns, frame_id, points if is_misdeclared else swapped, is_misdeclared, rows.ignored)
 
 
 def _places_ratio(points: NDArray[np.void]) -> float:
@@ -99,8 +118,7 @@ def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
         cursor.stamp_ns()
         cursor.text()
         layout = _layout(cursor)
-        record_of(layout.fields, layout.point_step)
-        _check_steps(layout)
+        _rows(layout)
     except (ByteOrderError, CloudLayoutError, MessageLayoutError) as error:
         return str(error)
     end = cursor.at + layout.data_bytes
@@ -116,10 +134,19 @@ def xyz_problem(head: memoryview) -> str:
     cursor.text()
     layout = _layout(cursor)
     try:
-        check_xyz(record_of(layout.fields, layout.point_step))
+        check_xyz(_rows(layout).record)
     except CloudLayoutError as error:
         return str(error)
     return ""
+
+
+def cloud_size(head: memoryview) -> int:
+    """Return how many points a cloud holds that begins so. Raises as `decode_cloud`."""
+    cursor = Cursor(head, TYPE)
+    cursor.stamp_ns()
+    cursor.text()
+    rows = _rows(_layout(cursor))
+    return rows.height * rows.width
 
 
 def _layout(cursor: Cursor) -> _CloudLayout:
@@ -134,37 +161,89 @@ def _layout(cursor: Cursor) -> _CloudLayout:
     return _CloudLayout(height, width, fields, is_bigendian, point_step, row_step, cursor.u32())
 
 
-def lidar_points(cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
+def lidar_points(cloud: Cloud, *, with_ring: bool = True, clock: PointClock | None = None) -> LidarPoints:
     """Finite, non-zero points with their time and, unless spared, ring; see `stone_recordings.messages.lidar`."""
-    return resolve_points(cloud.points, cloud.stamp_ns, with_ring=with_ring)
+    return resolve_points(cloud.points, cloud.stamp_ns, with_ring=with_ring, clock=clock)
 
 
 @lru_cache(maxsize=64)
-def record_of(fields: tuple[_PointField, ...], point_step: int) -> np.dtype[np.void]:
-    """The numpy record of a point; fields named "" or "_…" are padding. Raises: CloudLayoutError."""
-    named = [field for field in fields if field.name.strip("_")]
-    if len({field.name for field in named}) != len(named):
-        raise CloudLayoutError(f"a field is declared twice: {', '.join(field.name for field in named)}"[:200])
-    formats: list[str] = []
-    for field in named:
-        if field.datatype not in FORMATS:
-            raise CloudLayoutError(f"field {field.name!r} has datatype {field.datatype}, known are 1 to 8")
-        code, count = FORMATS[field.datatype], max(1, field.length)
-        end = field.offset + np.dtype(code).itemsize * count
-        if end > point_step:
-            raise CloudLayoutError(f"field {field.name!r} ends at byte {end}, point_step is {point_step}")
-        formats.append(code if count == 1 else f"{count}{code}")
-    if point_step == 0 or point_step > 1 << 16:
-        raise CloudLayoutError(f"point_step is {point_step}, expected 1 to {1 << 16}")
-    names, offsets = [field.name for field in named], [field.offset for field in named]
-    return np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": point_step})
+def record_of(fields: tuple[_PointField, ...], point_step: int) -> tuple[np.dtype[np.void], str]:
+    """The numpy record of a point, and the fields that are ignored; those named "" or "_…" are padding.
+
+    A field that no bytes can hold is ignored unless it is a coordinate. Raises: CloudLayoutError.
+    """
+    kept: dict[str, _PointField] = {}
+    ignored = list[str]()
+    for field in fields:
+        if not field.name.strip("_"):
+            continue
+        problem = _field_problem(field, point_step)
+        if problem and field.name in PLACE_NAMES and field.name not in kept:
+            raise CloudLayoutError(problem)
+        if problem or field.name in kept:
+            ignored.append(problem or f"a second field {field.name!r}")
+        else:
+            kept[field.name] = field
+    if point_step == 0 or point_step > MOST_STEP_BYTES:
+        raise CloudLayoutError(f"point_step is {point_step}, expected 1 to {MOST_STEP_BYTES}")
+    counts = [max(1, field.length) for field in kept.values()]
+    codes = [FORMATS[field.datatype] for field in kept.values()]
+    formats = [code if count == 1 else f"{count}{code}" for code, count in zip(codes, counts, strict=True)]
+    offsets = [field.offset for field in kept.values()]
+    record = np.dtype({"names": list(kept), "formats": formats, "offsets": offsets, "itemsize": point_step})
+    return record, "; ".join(ignored)
 
 
-def _check_steps(layout: _CloudLayout) -> None:
-    height, width, point_step, row_step = layout.height, layout.width, layout.point_step, layout.row_step
-    if row_step < width * point_step:
-        problem = f"row_step {row_step} holds no {width} points of {point_step} bytes ({width * point_step})"
-        raise CloudLayoutError(problem)
-    if layout.data_bytes != height * row_step:
-        problem = f"{height} rows of {row_step} bytes are {height * row_step}, data has {layout.data_bytes}"
-        raise CloudLayoutError(problem)
+def _field_problem(field: _PointField, point_step: int) -> str:
+    if field.datatype not in FORMATS:
+        return f"field {field.name!r} has datatype {field.datatype}, known are 1 to 8"
+    end = _end_of(field)
+    return f"field {field.name!r} ends at byte {end}, point_step is {point_step}" if end > point_step else ""
+
+
+def _end_of(field: _PointField) -> int:
+    return field.offset + np.dtype(FORMATS[field.datatype]).itemsize * max(1, field.length)
+
+
+def _rows(layout: _CloudLayout) -> _Rows:
+    """What the length of the data decides of the declared sizes. Raises: CloudLayoutError."""
+    height, width, row_step, data_bytes = layout.height, layout.width, layout.row_step, layout.data_bytes
+    step = _point_step(layout)
+    record, ignored = record_of(layout.fields, step)
+    wrong = [f"point_step {layout.point_step}"] * (step != layout.point_step)
+    # No row is padded by whole points, or holds none: its width is wrong then.
+    is_padded = row_step > width * step > 0 and row_step % step > 0
+    is_of_rows = height * row_step == data_bytes and (row_step == width * step or is_padded)
+    is_of_points = data_bytes % step == 0 and data_bytes > 0 and height <= 1
+    if is_of_rows:
+        pass
+    elif height * width * step == data_bytes:
+        wrong, row_step = [*wrong, f"row_step {row_step}"], width * step
+    elif is_of_points:
+        is_row_wrong = row_step != data_bytes
+        wrong += [f"height {height}"] * (height != 1) + [f"width {width}"] + [f"row_step {row_step}"] * is_row_wrong
+        height, width, row_step = 1, data_bytes // step, data_bytes
+    elif height and height * row_step == data_bytes and row_step % step == 0:
+        wrong, width = [*wrong, f"width {width}"], row_step // step
+    elif row_step and row_step == width * step and data_bytes and data_bytes % row_step == 0:
+        wrong, height = [*wrong, f"height {height}"], data_bytes // row_step
+    else:
+        raise CloudLayoutError(
+            f"{height} rows of {width} points of {step} bytes are {height * width * step}, or {height * row_step} by "
+            f"row_step {row_step}; data has {data_bytes}"
+        )
+    said = f"{', '.join(wrong)} against {data_bytes} bytes of data" if wrong else ""
+    return _Rows(height, width, record, row_step, "; ".join(one for one in (said, ignored) if one))
+
+
+def _point_step(layout: _CloudLayout) -> int:
+    """The declared step, unless the bytes of a point are another number by both the rows and the data."""
+    points, step = layout.height * layout.width, layout.point_step
+    least = max(
+        (_end_of(one) for one in layout.fields if one.name in PLACE_NAMES and one.datatype in FORMATS), default=1
+    )
+    if not points or points * step == layout.data_bytes or layout.data_bytes % points:
+        return step
+    told = layout.data_bytes // points
+    is_told = layout.row_step == layout.width * told or step < least
+    return told if least <= told <= MOST_STEP_BYTES and is_told else step

@@ -27,9 +27,8 @@ from stone.sensors.association import typical_period_ns
 from stone.sensors.calibration import Calibration
 from stone_recordings.bags.bag import Bag
 from stone_recordings.clocks.lidar_clock import LidarClock
+from stone_recordings.clocks.point_clock import points_at
 from stone_recordings.messages.lidar import LidarPoints
-from stone_recordings.messages.pointcloud2 import lidar_points
-from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.poses.sources import PoseTrack
 from stone_recordings.sync.errors import NoUsablePoseError
 
@@ -96,7 +95,7 @@ def _sweeps(topic: SweepTopic) -> Iterator[_Sweep]:
     """Those with points enough, in time order."""
     ordered = topic.clock.ordered
     for ordinal, (stamp_ns, row) in enumerate(zip(ordered.stamps_ns.tolist(), ordered.index.tolist(), strict=True)):
-        points = lidar_points(cloud_at(topic.bag, topic.clock.topic, row))
+        points = points_at(topic.bag, topic.clock.topic, row)
         near, times_s = _timed(points, topic.clock)
         if len(near) >= LEAST_POINTS:
             yield _Sweep(ordinal, stamp_ns + topic.clock.span_ns[1], near, times_s)

@@ -6,10 +6,13 @@ finding says what later stages will do about it, or what to change before the ne
 
 from collections.abc import Iterator
 
+import numpy as np
+
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.clocks.point_clock import looks_of
+from stone_recordings.clocks.sweep_findings import sweep_findings
 from stone_recordings.clocks.timing import Timing
-from stone_recordings.messages.pointcloud2 import Cloud, lidar_points
 from stone_recordings.topics.roles import Role
 
 Inspected = tuple[Topic, Role, Timing]
@@ -31,15 +34,6 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
             yield Finding("BAG-014", "warning", topic.name, message)
 
 
-def cloud_findings(topic: Topic, cloud: Cloud) -> Iterator[Finding]:
-    """One cloud of a LiDAR topic, looked at in full."""
-    if cloud.is_misdeclared:
-        message = "Declared big-endian, its points are little-endian: they are read as such. Correct the driver's flag."
-        yield Finding("MSG-303", "warning", topic.name, message)
-    points = lidar_points(cloud)
-    if points.offset_ns is None and points.time_meaning == "another clock":
-        message = "Point times are on another clock than the header stamp: sweeps are not deskewed."
-        yield Finding("TOP-102", "warning", topic.name, message)
-    elif points.offset_ns is None:
-        message = "The points have no time: sweeps are not deskewed, and a turning robot smears them."
-        yield Finding("TOP-102", "warning", topic.name, message)
+def cloud_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:
+    """Yield what some clouds of a LiDAR topic have, from beginning to end."""
+    yield from sweep_findings(bag, topic.name, looks_of(bag, topic.name, np.arange(topic.count)))

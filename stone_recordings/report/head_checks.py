@@ -12,9 +12,11 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
+from stone_recordings.bags.errors import CloudLayoutError, MessageLayoutError
 from stone_recordings.bags.message_store import Topic
 from stone_recordings.clocks.constants import FIRST_DATE_NS
 from stone_recordings.messages.lidars.packet_scan import packet_count
+from stone_recordings.messages.pointcloud2 import cloud_size
 from stone_recordings.messages.types.cdr import HEAD_BYTES
 from stone_recordings.topics.roles import PACKET_TYPES, POINT_CLOUD, Role
 
@@ -43,7 +45,15 @@ class HeadCounts:
             end = _TEXT_AT + _U32.size + length
             start = end + -(end - HEAD_BYTES) % 4
             if start + _SIZE.size <= len(head):
-                self.empty += 0 in _SIZE.unpack_from(head, start)
+                self.empty += 0 in _SIZE.unpack_from(head, start) and _is_empty(head)
+
+
+def _is_empty(head: memoryview) -> bool:
+    """Whether a cloud without rows or columns has no points either, by its bytes."""
+    try:
+        return cloud_size(head) == 0
+    except (CloudLayoutError, MessageLayoutError):
+        return True
 
 
 def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:

@@ -185,7 +185,7 @@ def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Findi
     fields = frozenset(cloud.points.dtype.names or ())
     known = replace(facts, point_fields=fields, point_count=len(cloud.points))
     if role_of(known) == "lidar":
-        findings += checks.cloud_findings(topic, cloud)
+        findings += checks.cloud_findings(bag, topic)
         findings += packet_findings(bag, topic)
     return known
 

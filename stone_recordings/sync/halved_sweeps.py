@@ -8,9 +8,8 @@ from numpy.typing import NDArray
 
 from stone.errors import Refused
 from stone.sensors.sequence import Sweep
+from stone_recordings.clocks.point_clock import points_at
 from stone_recordings.messages.lidar import RING_NAMES
-from stone_recordings.messages.pointcloud2 import lidar_points
-from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.sweeps import BagSweeps, opened
 
 Halving = Literal["sweeps", "rings"]
@@ -39,7 +38,7 @@ class HalvedSweeps:
     def _rings(self, index: int) -> NDArray[np.uint16]:
         """The ring of each point of the whole sweep, (N,)."""
         source = self.source
-        found = lidar_points(cloud_at(opened(source.path), source.topic, int(source.message_index[index]))).ring
+        found = points_at(opened(source.path), source.topic, int(source.message_index[index])).ring
         if found is None:
             raise Refused("no_rings", f"the points of {source.topic} have none of the fields {', '.join(RING_NAMES)}")
         return found

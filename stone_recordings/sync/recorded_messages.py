@@ -16,6 +16,7 @@ from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
 from stone_recordings.messages.lidars.packet_scan import packet_count
+from stone_recordings.messages.pointcloud2 import cloud_size
 from stone_recordings.messages.problems import (
     DAMAGED,
     MALFORMED,
@@ -30,8 +31,8 @@ from stone_recordings.topics.roles import POINT_CLOUD
 from stone_recordings.topics.sources import Sources
 
 STAMP_BYTES = HEAD_BYTES + 8
-# A header with the longest frame_id anybody uses, and the size of a cloud behind it.
-HEADER_BYTES = 256
+# A header with the longest frame_id anybody uses; of a cloud also its fields.
+HEADER_BYTES, CLOUD_HEAD_BYTES = 256, 2048
 NO_PROBLEMS: Mapping[int, MessageProblem] = {}
 
 
@@ -97,7 +98,7 @@ class RecordedTopics:
     def cloud_size(self, topic: str, index: int) -> int:
         """Declared points of a cloud that nothing is wrong with, or the packets that take its place."""
         head, type_name = self.heads[topic][index], self.topics[topic].type
-        return _cloud_size(head, type_name) if type_name == POINT_CLOUD else packet_count(memoryview(head), type_name)
+        return cloud_size(memoryview(head)) if type_name == POINT_CLOUD else packet_count(memoryview(head), type_name)
 
     def left_out(self, topic: str) -> tuple[Finding, ...]:
         """What is said of a topic's messages that cannot be used."""
@@ -134,7 +135,8 @@ class RecordedReading:
         if name in self._payloads:
             self._payloads[name][index] = bytes(payload)
         if name in self._heads:
-            self._heads[name][index] = bytes(payload[:HEADER_BYTES])
+            most = CLOUD_HEAD_BYTES if name == self._sources.lidar.name else HEADER_BYTES
+            self._heads[name][index] = bytes(payload[:most])
             problem = self._problem(name, index, payload)
             if problem is not None:
                 self._unusable[name][index] = problem
@@ -187,10 +189,3 @@ def in_order(topic: str, stamps_ns: NDArray[np.int64], rows: NDArray[np.int64] |
     if repeats:
         findings.append(Finding("TIM-206", "warning", topic, f"{repeats} messages repeat a stamp; the first is used"))
     return OrderedStamps(rows[order[is_new]], stamps_ns[order[is_new]], tuple(findings))
-
-
-def _cloud_size(head: bytes, type_name: str) -> int:
-    cursor = Cursor(memoryview(head), type_name)
-    cursor.stamp_ns()
-    cursor.text()
-    return cursor.u32() * cursor.u32()

@@ -21,9 +21,9 @@ from stone.sensors.radar_motion import compensated, radar_motion
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Association, Sequence
 from stone_files.bag_fingerprint import recording_sha256
+from stone_recordings.clocks.point_clock import points_in
 from stone_recordings.messages.camera import COMPRESSED, CameraPicture, decode_image, head_of
 from stone_recordings.messages.lidar import LidarPoints
-from stone_recordings.messages.pointcloud2 import lidar_points
 from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.messages.sweep_clouds import cloud_at
 from stone_recordings.sync.sweeps import BagSweeps, opened
@@ -100,8 +100,9 @@ class BagSamples:
     def lidar(self, index: int) -> LidarSample:
         """Raises IndexError, `not_recorded`, `point_offset`, what opening and decoding raise (BAG-*, MSG-*)."""
         sweeps = self._sweeps
-        cloud = cloud_at(opened(self.path), sweeps.topic, int(sweeps.message_index[index]))
-        found = lidar_points(cloud)
+        bag = opened(self.path)
+        cloud = cloud_at(bag, sweeps.topic, int(sweeps.message_index[index]))
+        found = points_in(bag, sweeps.topic, cloud)
         ring = np.zeros(len(found.rows), np.uint16) if found.ring is None else found.ring
         points_lidar, is_kept = self._deskewed(found, int(sweeps.stamps_ns[index]))
         return LidarSample(points_lidar, _intensity(cloud.points, found.rows)[is_kept], ring[is_kept])

@@ -23,8 +23,7 @@ from stone.sensors.deskew import SweepMount, deskew
 from stone.sensors.sequence import Sweep
 from stone_files.npz import npz_bytes
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.messages.pointcloud2 import lidar_points
-from stone_recordings.messages.sweep_clouds import cloud_at
+from stone_recordings.clocks.point_clock import points_at
 from stone_recordings.sync.stored_recording import StoredRecording, StoredRecordingFile
 
 
@@ -56,8 +55,7 @@ class BagSweeps:
     def sweep_in(self, bag: Bag, index: int) -> Sweep:
         """As `sweep`, from the recording that the caller has open. Raises as it does, but for opening."""
         stamp_ns = int(self.stamps_ns[index])
-        cloud = cloud_at(bag, self.topic, int(self.message_index[index]))
-        found = lidar_points(cloud, with_ring=False)
+        found = points_at(bag, self.topic, int(self.message_index[index]), with_ring=False)
         if self.mount is None or found.offset_ns is None:
             return Sweep(stamp_ns, found.points_lidar, found.beyond)
         moved = deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns)

@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.lidar import LAST_CLOCK_DISTANCE_NS
+from stone_recordings.messages.point_times import NEAR_NS
 
 POINT = np.dtype(
     [("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("intensity", "<f4"), ("ring", "<u2"), ("time_stamp", "<i8")]
@@ -47,7 +47,7 @@ def records_of(returns: PacketReturns, stamp_ns: int) -> NDArray[np.void]:
     points["intensity"] = returns.intensity[is_return]
     points["ring"] = np.broadcast_to(returns.ring, shape)[is_return]
     time_ns = np.broadcast_to(returns.time_ns, shape)[is_return]
-    is_near = len(time_ns) and abs(int(time_ns[0]) - stamp_ns) <= LAST_CLOCK_DISTANCE_NS
+    is_near = len(time_ns) and abs(int(time_ns[0]) - stamp_ns) <= NEAR_NS // 2
     points["time_stamp"] = time_ns - stamp_ns if is_near else time_ns
     return points
 

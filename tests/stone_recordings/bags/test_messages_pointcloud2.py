@@ -2,6 +2,7 @@
 
 import math
 from pathlib import Path
+from typing import Any
 
 import numpy as np
 import pytest
@@ -12,8 +13,15 @@ from numpy.typing import NDArray
 from stone.sensors.reach import FARTHEST_POINT_M
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
-from stone_recordings.messages.lidar import offsets_from_values
-from stone_recordings.messages.pointcloud2 import Cloud, LidarPoints, decode_cloud, lidar_points
+from stone_recordings.messages.point_times import HOUR_NS, UNTIMED, PointClock, PointTimes, offsets_from_values
+from stone_recordings.messages.pointcloud2 import (
+    Cloud,
+    LidarPoints,
+    cloud_size,
+    decode_cloud,
+    layout_problem,
+    lidar_points,
+)
 from stone_recordings.messages.types.registry import typestore
 from tests.stone_recordings.writing import HESAI, KITTI, NEBULA, POINT_CLOUD, START_NS, CloudText, cloud_payload, sweep
 
@@ -102,7 +110,7 @@ def test_nebula_points_carry_nanoseconds_and_kitti_s_no_time() -> None:
     read = _read(sweep(KITTI, 1000))
     assert (read.offset_ns, read.ring, read.time_meaning) == (None, None, "none")
     values = START_NS / 1e9 - 37 + np.arange(500) * 0.0002
-    assert offsets_from_values(values, np.arange(500, dtype=np.int32), START_NS) == (None, "another clock")
+    assert _times(values).meaning == "another clock"
 
 
 @pytest.mark.parametrize(
@@ -125,14 +133,104 @@ def test_a_time_is_read_by_its_values_whatever_its_name(name, code, scale, is_ab
     assert np.abs(read.offset_ns - offset_s * 1e9).max() < 1100
 
 
-UNTIMED = [np.where(np.arange(9) == 4, bad, np.arange(9) * 0.01) for bad in (np.nan, np.inf, -np.inf)]
+NUMBERLESS = [np.where(np.arange(9) < 5, bad, np.arange(9) * 0.01) for bad in (np.nan, np.inf, -np.inf)]
 
 
 @pytest.mark.parametrize(
-    "values", [np.zeros(9), np.full(9, START_NS / 1e9), np.arange(9) * 1e-9, np.arange(9) * 1e30, *UNTIMED]
+    "values", [np.zeros(9), np.full(9, START_NS / 1e9), np.arange(9) * 1e-9, np.arange(9) * 1e30, *NUMBERLESS]
 )
 def test_values_that_no_sweep_lasts_are_no_times(values: NDArray[np.float64]) -> None:
-    assert offsets_from_values(values, np.arange(9, dtype=np.int32), START_NS) == (None, "none")
+    found = _times(values)
+    assert (found.offset_ns, found.meaning) == (None, "none")
+
+
+def _times(values: NDArray[Any], stamp_ns: int = START_NS) -> PointTimes:
+    return offsets_from_values(values, np.arange(len(values), dtype=np.int32), stamp_ns)
+
+
+# A sweep of 3600 columns in storage order, and what a field holds of some of its points instead.
+SPOILT = {
+    "NaN": np.nan, "infinity": np.inf, "a date of nanoseconds": 1e18, "the largest": 1e299, "negative": -1e15,
+    "another second": 1.3, "another unit": 50.0,
+}  # fmt: skip
+
+
+@settings(max_examples=60)
+@given(
+    kind=st.sampled_from(sorted(SPOILT)), seed=seeds, share=st.floats(0.001, 0.3),
+    unit_ns=st.sampled_from([10**9, 10**6, 10**3, 1]), begin_ns=st.integers(-120_000_000, 30_000_000),
+)  # fmt: skip
+def test_a_few_bad_times_cost_only_their_points(kind, seed, share, unit_ns, begin_ns):
+    """The rest are timed as without them; one between two good neighbours is timed within a column, or none is."""
+    truth_ns = begin_ns + np.repeat(np.arange(360), 10) * 277_000.0
+    is_bad = np.random.default_rng(seed).random(3600) < share
+    values = np.where(is_bad, SPOILT[kind], truth_ns / 1e9) * (1e9 / unit_ns)
+    found = _times(values)
+    assert found.offset_ns is not None
+    assert np.abs(found.offset_ns - truth_ns)[~is_bad].max() <= 1
+    assert found.filled + found.untimed == is_bad.sum()
+    told = is_bad & (found.offset_ns != UNTIMED)
+    assert told.sum() == found.filled
+    assert np.abs(found.offset_ns - truth_ns)[told].max(initial=0) < 10_000_000
+
+
+def test_bad_times_of_points_in_no_order_are_dropped() -> None:
+    rng = np.random.default_rng(1)
+    values = rng.permutation(np.linspace(0, 0.1, 5000))
+    values[:200] = np.nan
+    found = _times(values)
+    assert (found.filled, found.untimed) == (0, 200)
+    assert found.offset_ns is not None
+    assert (found.offset_ns[:200] == UNTIMED).all()
+
+
+@pytest.mark.parametrize("begin_ns", [-50_000_000, -100_000_000, -137_216, 0])
+@pytest.mark.parametrize("code", ["u4", "f8"])
+def test_unsigned_times_below_the_stamp_are_negative(begin_ns: int, code: str) -> None:
+    truth_ns = begin_ns + np.arange(0, 100_000_000, 100_000)
+    found = _times(truth_ns.astype(np.uint32).astype(code))
+    assert found.offset_ns is not None
+    assert found.offset_ns.tolist() == truth_ns.tolist()
+    assert (found.wrapped, found.untimed) == (int((truth_ns < 0).sum()), 0)
+
+
+@settings(max_examples=60)
+@given(
+    stamp_ns=st.integers(2 * 10**9, 2 * 10**18),
+    begin_ns=st.integers(-200_000_000, 100_000_000),
+    unit_ns=st.sampled_from([10**9, 10**6, 10**3, 1]),
+)
+def test_absolute_times_are_read_at_any_date(stamp_ns: int, begin_ns: int, unit_ns: int) -> None:
+    """A clock that was never set counts from 0; the grain is that of the field."""
+    truth_ns = begin_ns + np.arange(0, 100_000_000, 100_000)
+    values = (stamp_ns + truth_ns) / unit_ns
+    found = _times(values, stamp_ns)
+    assert found.offset_ns is not None
+    assert np.abs(found.offset_ns - truth_ns).max() <= np.spacing(values[-1]) * unit_ns + 130
+
+
+def test_microseconds_of_the_hour_are_read_across_its_end() -> None:
+    stamp_ns = 1_700_002_800 * 10**9 - 40_000_000  # 40 ms before the hour
+    truth_ns = np.arange(0, 100_000_000, 100_000)
+    column = ((stamp_ns + truth_ns) // 1000 % 3_600_000_000).astype(np.uint32)
+    rows = np.arange(len(column), dtype=np.int32)
+    found = offsets_from_values(column, rows, stamp_ns, PointClock(0, HOUR_NS))
+    assert found.offset_ns is not None
+    assert found.offset_ns.tolist() == truth_ns.tolist()
+
+
+def test_dates_in_four_bytes_are_named() -> None:
+    assert _times((START_NS / 1e9 + np.arange(5000) * 2e-5).astype(np.float32)).meaning == "too coarse"
+
+
+@pytest.mark.parametrize("zeros", [0.02, 0.2, 0.45])
+def test_zeros_among_relative_times_are_none(zeros: float) -> None:
+    truth_ns = np.repeat(np.arange(360), 10) * 277_000
+    is_zero = np.random.default_rng(3).random(3600) < zeros
+    found = _times(np.where(is_zero, 0, truth_ns).astype(np.uint32))
+    assert found.offset_ns is not None
+    assert np.abs(found.offset_ns - truth_ns)[found.offset_ns != UNTIMED].max() < 10_000_000
+    assert found.filled + found.untimed > 0.7 * (is_zero & (truth_ns > 10_000_000)).sum()
 
 
 def test_a_ring_is_a_small_whole_number_whatever_its_name() -> None:
@@ -176,13 +274,61 @@ def test_padded_rows_are_skipped_over() -> None:
     assert decode_cloud(memoryview(padded)).points.tobytes() == points.tobytes()
 
 
-LIES = {
-    "a step smaller than its fields": CloudText(point_step=12), "a step of nothing": CloudText(point_step=0),
-    "a step of gigabytes": CloudText(point_step=0xFFFFFFFF),
+REFUTED = {
+    "a step of nothing": CloudText(point_step=0), "a step of gigabytes": CloudText(point_step=0xFFFFFFFF),
     "a step larger than the data": CloudText(point_step=2600), "a row of nothing": CloudText(row_step=0),
+    "a step smaller than its places": CloudText(point_step=10), "a row of half": CloudText(row_step=130),
+    "a row of points": CloudText(row_step=10), "a row of one more": CloudText(row_step=261),
     "a row of gigabytes": CloudText(row_step=0xFFFFFFFF), "more points than data": CloudText(width=11, row_step=286),
-    "fewer points than data": CloudText(width=9, row_step=234),
-    "more rows than data": CloudText(height=4_000_000_000, width=10, row_step=260),
+    "fewer points than data": CloudText(width=9, row_step=234), "one point": CloudText(width=1),
+    "fewer points in a row as long": CloudText(width=9, row_step=260), "no points": CloudText(width=0, row_step=0),
+    "no steps": CloudText(point_step=0, row_step=0), "no rows": CloudText(height=0, width=10),
+    "more rows": CloudText(height=4_000_000_000, width=10, row_step=260),
+    "rows of columns": CloudText(height=5, width=2, row_step=130), "two wrong": CloudText(width=3, row_step=0),
+}  # fmt: skip
+
+
+@pytest.mark.parametrize("lie", REFUTED)
+def test_a_size_that_the_bytes_refute_is_ignored_and_named(lie: str) -> None:
+    points = sweep(HESAI, 10)
+    cloud = _cloud(points, REFUTED[lie])
+    assert cloud.points.tobytes() == points.tobytes()
+    assert cloud.ignored
+
+
+def test_a_field_that_no_bytes_hold_costs_itself() -> None:
+    """An unknown type of the intensity; a second field of a name."""
+    payload = cloud_payload(sweep(KITTI, 10))
+    datatype = payload.index(b"intensity\0") + 16
+    cloud = decode_cloud(memoryview(payload[:datatype] + b"\x0c" + payload[datatype + 1 :]))
+    assert (cloud.points.dtype.names, "intensity" in cloud.ignored) == (("x", "y", "z"), True)
+
+
+@settings(max_examples=300)
+@given(
+    height=st.sampled_from([0, 1, 2, 5, 10, 2**32 - 1]), width=st.sampled_from([0, 1, 2, 5, 9, 10, 11, 2**32 - 1]),
+    point_step=st.sampled_from([0, 1, 12, 25, 26, 27, 52, 65536, 65537, 2**32 - 1]),
+    row_step=st.sampled_from([0, 1, 10, 26, 52, 130, 259, 260, 261, 520, 2**32 - 1]), count=st.sampled_from([0, 1, 10]),
+)  # fmt: skip
+def test_the_head_of_a_cloud_is_refused_if_and_only_if_the_cloud_is(height, width, point_step, row_step, count):
+    said = CloudText(height=height, width=width, point_step=point_step, row_step=row_step)
+    payload = memoryview(cloud_payload(sweep(HESAI, count), said))
+    problem = layout_problem(payload[:300], lambda: len(payload))
+    try:
+        cloud = decode_cloud(payload)
+    except (CloudLayoutError, MessageLayoutError):
+        assert problem
+        return
+    assert not problem
+    assert cloud_size(payload[:300]) == len(cloud.points)
+    assert cloud.points.nbytes <= 26 * count
+    assert cloud.ignored or (height * width, point_step) == (count, 26) or not count
+
+
+LIES = {
+    "a step smaller than its fields": CloudText(point_step=12, row_step=120),
+    "data of another step": CloudText(point_step=27, row_step=270),
+    "more points and rows than data": CloudText(height=3, width=7, row_step=7),
     "a field beyond the point": CloudText(offset_of_x=23),
     "a field beyond everything": CloudText(offset_of_x=0xFFFFFFFF),
     "a datatype that is none": CloudText(datatype_of_x=9), "x as an integer": CloudText(datatype_of_x=6),
@@ -230,13 +376,13 @@ def test_a_big_endian_cloud_is_read_as_numpy_reads_it_be_it_so_or_only_said() ->
     assert cloud.points.tobytes() == points.tobytes()
 
 
-def test_a_cloud_without_coordinates_or_with_a_field_twice_is_refused_and_padding_is_not() -> None:
+def test_a_cloud_without_coordinates_is_refused_and_padding_or_a_field_twice_is_not() -> None:
     with pytest.raises(CloudLayoutError):
         _read(np.zeros(3, np.dtype([("range", "<f4")])))
     payload = cloud_payload(np.zeros(3, np.dtype([("x", "<f4"), ("y", "<f4"), ("z", "<f4"), ("q", "<f4")])))
     name = b"\x02\x00\x00\x00q\x00"
-    with pytest.raises(CloudLayoutError):
-        decode_cloud(memoryview(payload.replace(name, b"\x02\x00\x00\x00x\x00")))
+    twice = decode_cloud(memoryview(payload.replace(name, b"\x02\x00\x00\x00x\x00")))
+    assert (twice.points.dtype.names, twice.ignored) == (("x", "y", "z"), "a second field 'x'")
     assert decode_cloud(memoryview(payload.replace(name, b"\x02\x00\x00\x00_\x00"))).points.dtype.names == (
         "x",
         "y",

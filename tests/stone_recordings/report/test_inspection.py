@@ -115,7 +115,8 @@ def test_what_is_missing_is_said(tmp_path: Path) -> None:
 
 
 def test_a_topic_that_lies_is_a_finding_and_the_others_are_still_inspected(tmp_path: Path) -> None:
-    lying = Recorded("/lidar", POINT_CLOUD, START_NS, cloud_payload(sweep(HESAI, 10), CloudText(point_step=12)))
+    said = CloudText(point_step=12, row_step=120)
+    lying = Recorded("/lidar", POINT_CLOUD, START_NS, cloud_payload(sweep(HESAI, 10), said))
     odometry = _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
     inspection = _inspected(tmp_path, [lying, *odometry, Recorded("/imu", IMU, START_NS, b"\x00\x01")])
     assert {("MSG-303", "/lidar"), ("MSG-301", "/imu")} <= set(_codes(inspection))

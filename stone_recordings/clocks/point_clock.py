@@ -1,0 +1,199 @@
+"""The clock of a topic's points: whether it is the one of its headers, and how far the two are apart if not.
+
+**Conventions.** Most sweeps are read by themselves (`stone_recordings.messages.point_times`). Sweeps whose points are
+on another clock are read by the distance of the two clocks, which a few sweeps from beginning to end must agree on.
+Nothing is published before it is measured: if the recorder has a sweep sooner after its stamp than a sweep lasts, the
+stamp is that of its last point, else that of its first. What was found of a topic is kept with the open recording.
+"""
+
+from collections.abc import Iterator, Sequence
+from dataclasses import dataclass, replace
+from typing import NamedTuple
+from weakref import WeakKeyDictionary
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone_recordings.bags.bag import Bag
+from stone_recordings.bags.errors import IngestError
+from stone_recordings.messages.lidar import LidarPoints
+from stone_recordings.messages.point_times import (
+    ANOTHER_CLOCK,
+    HOUR_NS,
+    PointClock,
+    apart_ns,
+    core_of,
+    reach_of,
+    span,
+    time_names,
+    units_of,
+)
+from stone_recordings.messages.pointcloud2 import Cloud, lidar_points
+from stone_recordings.messages.sweep_clouds import cloud_at
+
+# The first and the last sweep may be cut short; some from beginning to end show the true length.
+SWEEP_SAMPLES = 16
+LEAST_SWEEPS = 4
+# Sweeps of one clock begin within a part of a sweep of where the others do; nine of ten do so.
+AGREEING_SWEEPS, LEAST_AGREEING = 0.25, 0.9
+# A sweep that the recorder has within so much of its length after its stamp is stamped at its end.
+LATE_SWEEPS, LAST_LATE_NS = 0.75, 1_000_000_000
+# Quartzes differ by less; over a shorter time a slope is the jitter of stamps.
+MOST_DRIFT, LEAST_DRIFTING_NS = 2e-4, 60_000_000_000
+# So near to the beginning of a clock (a simulated one, or one of hours) times may be relative or not.
+CERTAIN_NS = 1_500_000_000
+
+
+@dataclass(frozen=True)
+class SweepLook:
+    """How one sweep's points were timed; `span_ns` is that of the times of `count` returns, None without."""
+
+    row: int
+    count: int
+    meaning: str
+    span_ns: tuple[int, int] | None
+    wrapped: int
+    filled: int
+    untimed: int
+    ignored: str
+    is_swapped: bool
+
+
+class _Ends(NamedTuple):
+    """First and last time of a sweep on its points' clock, and by what units they may be told apart from others'."""
+
+    stamp_ns: int
+    late_ns: int
+    first_ns: int
+    last_ns: int
+    word_ns: int
+
+
+class _Kept(NamedTuple):
+    clocks: dict[str, tuple[PointClock | None, str]]
+    looks: dict[tuple[str, int], SweepLook | None]
+
+
+_KEPT: WeakKeyDictionary[Bag, _Kept] = WeakKeyDictionary()
+
+
+def points_at(bag: Bag, topic: str, row: int, *, with_ring: bool = True) -> LidarPoints:
+    """Return the returns of one message of a LiDAR's topic. Raises as `cloud_at`."""
+    return points_in(bag, topic, cloud_at(bag, topic, row), with_ring=with_ring)
+
+
+def points_in(bag: Bag, topic: str, cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
+    """Return the returns of a cloud of a topic, timed by the clock of the topic's points."""
+    found = lidar_points(cloud, with_ring=with_ring)
+    is_doubtful = found.time_meaning.startswith("relative") and not _is_certain(cloud.stamp_ns)
+    if found.time_meaning != ANOTHER_CLOCK and not is_doubtful:
+        return found
+    clock, _at = point_clock(bag, topic)
+    return found if clock is None else lidar_points(cloud, with_ring=with_ring, clock=clock)
+
+
+def point_clock(bag: Bag, topic: str) -> tuple[PointClock | None, str]:
+    """Return the clock of a topic's points if it must be known, and which point its stamps are of: "first" or "last".
+
+    None if sweeps do not agree on one, or if each can be read by itself.
+    """
+    kept = _kept(bag)
+    if topic not in kept.clocks:
+        kept.clocks[topic] = _clock_of(list(_ends(bag, topic)))
+    return kept.clocks[topic]
+
+
+def _is_certain(stamp_ns: int) -> bool:
+    """Whether times near 0 at this stamp are relative: no clock, and no clock of hours, has just begun."""
+    return not stamp_ns or min(stamp_ns % HOUR_NS, -stamp_ns % HOUR_NS) >= CERTAIN_NS
+
+
+def looks_of(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[SweepLook, ...]:
+    """Return how the points of a few of the rows (N,) are timed, from beginning to end, without the unreadable."""
+    picked = rows[np.linspace(0, len(rows) - 1, min(SWEEP_SAMPLES, len(rows))).astype(np.int64)]
+    known = _kept(bag).looks
+    for row in picked.tolist():
+        if (topic, row) not in known:
+            known[topic, row] = _look(bag, topic, row)
+    return tuple(look for row in picked.tolist() if (look := known[topic, row]) is not None)
+
+
+def _kept(bag: Bag) -> _Kept:
+    return _KEPT.setdefault(bag, _Kept({}, {}))
+
+
+def _look(bag: Bag, topic: str, row: int) -> SweepLook | None:
+    try:
+        cloud = cloud_at(bag, topic, row)
+        found = points_in(bag, topic, cloud)
+    except IngestError:
+        return None
+    timed = found.offset_ns if found.offset_ns is not None and len(found.offset_ns) else None
+    span_ns = None if timed is None else (int(timed.min()), int(timed.max()))
+    counts = (found.wrapped, found.filled, found.untimed)
+    count = len(found.points_lidar) + found.untimed
+    return SweepLook(row, count, found.time_meaning, span_ns, *counts, cloud.ignored, cloud.is_misdeclared)
+
+
+def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
+    """Those of a few sweeps from beginning to end that have times."""
+    log_times_ns = bag.log_times_ns(topic)
+    rows = np.unique(np.linspace(0, len(log_times_ns) - 1, SWEEP_SAMPLES).astype(np.int64)) if len(log_times_ns) else ()
+    for row in map(int, rows):
+        try:
+            cloud = cloud_at(bag, topic, row)
+            kept = lidar_points(cloud, with_ring=False).rows
+        except IngestError:
+            continue
+        for name in time_names(cloud.points) if len(kept) else ():
+            column = cloud.points[name]
+            core, (least, last) = core_of(column, kept), span(column, kept)
+            units = units_of(core, last - least)
+            if units:
+                reach = reach_of(core, units[0])
+                values = column[kept].astype(np.float64)
+                near = values[np.abs(values - core.centre) <= reach]
+                ends_ns = [round(float(end) * units[0]) for end in (near.min(), near.max())]
+                word_ns = units[0] << 32 if column.dtype.kind == "u" and column.dtype.itemsize == 4 else 0
+                yield _Ends(cloud.stamp_ns, int(log_times_ns[row]) - cloud.stamp_ns, ends_ns[0], ends_ns[1], word_ns)
+                break
+
+
+def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
+    """Return the clock that the sweeps agree on, and the point that stamps are of."""
+    late = [one for one in ends if _is_certain(one.stamp_ns)]
+    if len(late) < LEAST_SWEEPS:
+        return None, ""
+    length_ns = int(np.median([one.last_ns - one.first_ns for one in late]))
+    for period_ns in dict.fromkeys((0, HOUR_NS, late[0].word_ns)):
+        if period_ns == 0 or all(0 <= one.first_ns <= one.last_ns <= period_ns for one in late):
+            starts_ns = [one.first_ns - one.stamp_ns for one in late]
+            apart = np.array([apart_ns(start - starts_ns[0], period_ns) for start in starts_ns], np.int64)
+            after_ns = np.array([one.stamp_ns - late[0].stamp_ns for one in late], np.int64)
+            drift = _drift(after_ns, apart)
+            level = apart - drift * after_ns
+            if np.mean(np.abs(level - np.median(level)) <= AGREEING_SWEEPS * length_ns) >= LEAST_AGREEING:
+                clock = PointClock(starts_ns[0] + round(float(np.median(level))), period_ns, drift, late[0].stamp_ns)
+                return _of_stamps(late, clock, length_ns)
+    return None, ""
+
+
+def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:
+    """Return the median slope of the distances (N,) over time; 0 for what no two clocks do, or is soon over."""
+    if np.ptp(after_ns) < LEAST_DRIFTING_NS:
+        return 0.0
+    one, other = np.triu_indices(len(after_ns), 1)
+    is_apart = after_ns[one] != after_ns[other]
+    one, other = one[is_apart], other[is_apart]
+    slope = float(np.median((apart_ns[other] - apart_ns[one]) / (after_ns[other] - after_ns[one])))
+    return slope if abs(slope) <= MOST_DRIFT else 0.0
+
+
+def _of_stamps(ends: Sequence[_Ends], clock: PointClock, length_ns: int) -> tuple[PointClock, str]:
+    """Return the clock, which is that of first points, by which point the stamps are of."""
+    if -length_ns - LAST_LATE_NS // 2 <= apart_ns(clock.ahead_ns, clock.period_ns) <= LAST_LATE_NS // 2:
+        return PointClock(0, clock.period_ns), ""  # the headers' own
+    late_ns = float(np.median([one.late_ns for one in ends]))
+    if 0 <= late_ns < LATE_SWEEPS * length_ns:
+        return replace(clock, ahead_ns=clock.ahead_ns + length_ns), "last"
+    return clock, "first"
