@@ -8,7 +8,8 @@ from typing import Annotated
 
 import typer
 
-MOST_S = 2_000_000_000
+from stone_files.joined_file import MOST_OFFSET_NS
+
 CHOICE = re.compile(r"(?P<name>.+)=(?P<seconds>[+-]?\d{1,11}(\.\d{1,9})?)s?")
 
 ClockOffsetOption = Annotated[
@@ -26,7 +27,7 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
     chosen: dict[str, int] = {}
     for choice in choices:
         found = CHOICE.fullmatch(choice)
-        if found is None or abs(Decimal(found["seconds"])) > MOST_S:
+        if found is None or abs(Decimal(found["seconds"])) * 10**9 > MOST_OFFSET_NS:
             raise typer.BadParameter(
                 f"{choice[:80]!r} is no offset of a recording; write cameras.mcap=-0.080 (seconds)"
             )

@@ -11,6 +11,8 @@ from typing import TYPE_CHECKING, Annotated
 
 import typer
 
+from stone_files.joined_file import MOST_OFFSET_NS
+
 if TYPE_CHECKING:
     from stone_recordings.poses.file_poses import PoseFile
     from stone_recordings.topics.profiles import TopicProfile
@@ -84,8 +86,7 @@ def chosen_poses(poses: Path | None, frame: str, odometry: str | None = None) ->
 
 PARTS = ("lidar", "pose")
 UNITS_NS = {"s": 10**9, "ms": 10**6, "us": 10**3, "ns": 1}
-MOST_NS = 10**12
-CHOICE = re.compile(r"(?P<part>[a-z]+)=(?P<number>[+-]?\d{1,13}(\.\d{1,9})?)(?P<unit>ns|us|ms|s)")
+CHOICE = re.compile(r"(?P<part>[a-z]+)=(?P<number>[+-]?\d{1,19}(\.\d{1,9})?)(?P<unit>ns|us|ms|s)")
 
 TimeOffsetOption = Annotated[
     list[str],
@@ -108,7 +109,7 @@ def chosen_offsets(choices: Sequence[str]) -> dict[str, int]:
                 f"units: {', '.join(UNITS_NS)})"
             )
         offset_ns = int(Decimal(found["number"]) * UNITS_NS[found["unit"]])
-        if abs(offset_ns) > MOST_NS:
-            raise typer.BadParameter(f"{choice[:80]!r} is more than {MOST_NS / 1e9:g} s; is the unit right?")
+        if abs(offset_ns) > MOST_OFFSET_NS:
+            raise typer.BadParameter(f"{choice[:80]!r} is more than {MOST_OFFSET_NS / 1e9:.0f} s; is the unit right?")
         chosen[found["part"]] = offset_ns
     return chosen

@@ -31,7 +31,7 @@ from stone_recordings.poses.quality import quality_findings
 from stone_recordings.poses.recorded_mounts import RecordedRadar, unplaced_finding, with_radars
 from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
-from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
+from stone_recordings.sync.clock_offsets import ClockOffsets, RecordedStamps, shifted_finding, way_out
 from stone_recordings.sync.direction_check import direction_findings
 from stone_recordings.sync.ground_check import applied_finding, ground_findings, measured_ground, settled
 from stone_recordings.sync.ground_looks import SeenWay, seen_along
@@ -192,7 +192,11 @@ def unjoined_sequence(
     calibration, placed = with_radars(calibration, rig.tree, radars, channel_of)
     track = ego_track(PoseInputs(bag, recorded, sources, clock, options.poses), rig, options.progress)
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
-    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns)
+    stamped = (
+        RecordedStamps(stamps_ns, bag.log_times_ns(topic) if topic in recorded.topics else stamps_ns[:0])
+        for topic, stamps_ns in ((clock.topic, clock.ordered.stamps_ns), (track.topic, track.trajectory.stamps_ns))
+    )
+    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns, lambda: way_out(*stamped, clocks))
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
     mounts = (*unplaced_finding(rig.tree), *cross_check(rig.tree, rig.calibration, rig.lidar_frame), *placed)

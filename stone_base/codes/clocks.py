@@ -13,7 +13,7 @@ MEANINGS = (
         "TIM-202",
         "wrong",
         "A clock is seconds away from the others.",
-        "Repair the driver (18 s is GPS - UTC, 37 s is TAI - UTC), or set time_offset_ns in the calibration.",
+        "Repair the driver (18 s is GPS - UTC, 37 s is TAI - UTC), or copy the option or the entry of the sentence.",
     ),
     CodeMeaning(
         "TIM-203",

@@ -20,6 +20,7 @@ from stone.sensors.calibration_checks import (
     quaternion_and_translation,
     rotation_and_translation,
 )
+from stone_files.joined_file import MOST_OFFSET_NS
 from stone_recordings.calibrations.errors import bad_calibration_key
 
 # The keys of a native calibration file, and of the rig document that completes others, as their authors write them.
@@ -93,7 +94,7 @@ class SensorDocument(Document):
     kind: Literal["camera", "radar", "ins", "imu", "lidar"]
     lidar_from_sensor: TransformDocument
     frame_id: Annotated[str, Field(max_length=100)] = ""
-    time_offset_ns: Annotated[int, Field(ge=-(10**12), le=10**12)] = 0
+    time_offset_ns: Annotated[int, Field(ge=-MOST_OFFSET_NS, le=MOST_OFFSET_NS)] = 0
     intrinsics: IntrinsicsDocument | None = None
 
 
@@ -118,7 +119,7 @@ class RigSensor(Document):
     frame: Name
     kind: Literal["camera", "radar", "ins", "imu", "lidar"] | None = None
     frame_id: Annotated[str, Field(max_length=100)] | None = None
-    time_offset_ns: Annotated[int, Field(ge=-(10**12), le=10**12)] | None = None
+    time_offset_ns: Annotated[int, Field(ge=-MOST_OFFSET_NS, le=MOST_OFFSET_NS)] | None = None
     width_px: Pixels | None = None
     height_px: Pixels | None = None
 

@@ -6,6 +6,7 @@ without a size (nuScenes) has 0 × 0 pixels here. Numbers come as numbers or as 
 
 from collections.abc import Mapping
 from dataclasses import dataclass, field
+from decimal import Decimal
 from typing import Literal
 
 import numpy as np
@@ -16,6 +17,7 @@ from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel, SensorKind
 from stone.sensors.calibration_checks import Findings
 from stone.sensors.calibration_errors import distortion_length, not_finite
+from stone_files.joined_file import MOST_OFFSET_NS
 from stone_recordings.calibrations.errors import bad_calibration_key, unread_lens_model
 
 Format = Literal[
@@ -23,7 +25,6 @@ Format = Literal[
 ]
 LONGEST_NAME = 100
 LARGEST_COUNT = 100_000
-OFFSET_LIMIT_S = 1000.0
 
 
 @dataclass(frozen=True, eq=False)
@@ -102,10 +103,9 @@ class Node:
 
     def offset_ns(self) -> int:
         """Seconds as whole nanoseconds."""
-        seconds = self.number()
-        if not abs(seconds) <= OFFSET_LIMIT_S:
-            raise self.refused(f"a time of at most {OFFSET_LIMIT_S:g} s is expected")
-        return round(seconds * 1e9)
+        if not abs(self.number()) * 1e9 <= MOST_OFFSET_NS:
+            raise self.refused(f"a time of at most {MOST_OFFSET_NS / 1e9:.0f} s is expected")
+        return round(Decimal(str(self.value)) * 10**9)
 
     def text(self) -> str:
         if not isinstance(self.value, str) or len(self.value) > LONGEST_NAME:

@@ -5,6 +5,7 @@ time 18 s ahead of UTC since 2017. Sources: IERS Bulletin C, IS-GPS-200.
 """
 
 NS_PER_S = 1_000_000_000
+LIDAR_ENTRY = "kind: lidar, lidar_from_sensor: {translation_m: [0, 0, 0], rotation_wxyz: [1, 0, 0, 0]}"
 KNOWN_S = ((37, "TAI-UTC"), (18, "GPS-UTC"), (19, "TAI-GPS"))
 # What transport and a slightly wrong clock add to the constant.
 TOLERANCE_NS = 400_000_000
@@ -13,6 +14,25 @@ HALF_HOUR_NS = 1_800 * NS_PER_S
 LAST_ZONE_HALF_HOURS = 28  # UTC+14
 # Whoever stamps a date before 2001 counts from the start of its own computer.
 FIRST_DATE_NS = 1_000_000_000 * NS_PER_S
+
+
+def seconds_text(duration_ns: int) -> str:
+    """Return "+18.000", to the last nanosecond: as `--time-offset` takes it."""
+    seconds, rest_ns = divmod(abs(duration_ns), NS_PER_S)
+    millis, nanos = f"{rest_ns:09d}"[:3], f"{rest_ns:09d}"[3:].rstrip("0")
+    return f"{'-' if duration_ns < 0 else '+'}{seconds}.{millis}{nanos}"
+
+
+def shift_advice(part: str, offset_ns: int) -> str:
+    """Return how to add an offset to the stamps of a part of the run, "lidar", "pose" or "" for a sensor of neither.
+
+    The entry of a calibration is that of a LiDAR, or of the sensor whose frame the poses or messages are of.
+    """
+    entry = f"time_offset_ns: {offset_ns}"
+    if not part:
+        return f"set {entry} of its sensor in the calibration"
+    where = f"{{{LIDAR_ENTRY}, {entry}}} among its sensors" if part == "lidar" else f"{entry} of the poses' sensor"
+    return f"try --time-offset {part}={seconds_text(offset_ns)}s, or give the calibration {where}"
 
 
 def constant_of(ahead_ns: int, stamp_ns: int = FIRST_DATE_NS) -> str:

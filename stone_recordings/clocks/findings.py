@@ -13,15 +13,17 @@ from collections.abc import Iterator, Mapping, Sequence
 import numpy as np
 
 from stone.findings import Finding
-from stone_recordings.clocks.constants import SINCE_BOOT, constant_of
+from stone_recordings.clocks.constants import SINCE_BOOT, constant_of, shift_advice
 from stone_recordings.clocks.host_stamps import GPS_REMEDY, StampLateness, host_stamp_finding, readable_ns
 from stone_recordings.clocks.measurement import ClockMeasurement
 from stone_recordings.clocks.report import UNCLOCKED_ROLES, ClockReport, ImuLag, TopicClock
 from stone_recordings.clocks.timing import Timing, lost_messages
-from stone_recordings.topics.roles import Role
+from stone_recordings.topics.roles import POSE_ROLES, Role
 
 # Transport takes milliseconds: a median distance beyond this is another clock.
 CLOCK_DISTANCE_NS = 500_000_000
+# What is farther from the recorder's clock is not stamped by a clock of the robot that is set.
+LAST_TRANSPORT_NS = 5_000_000_000
 # A host disciplined by NTP wanders by less, a free quartz is wrong by up to 100 ppm.
 DRIFT_LIMIT_PPM = 20.0
 DRIFT_SIGMAS = 5.0
@@ -110,31 +112,31 @@ def distance_findings(report: ClockReport) -> Iterator[Finding]:
     whose = next((name for name in agreed if name in lidars), agreed[0])
     for name, clock in compared.items():
         if name not in agreed:
-            yield _distance(name, "Its clock", reference_ns - offsets[name], whose, clock.constant)
+            yield _distance(clock, "Its clock", reference_ns - offsets[name], whose, clock.constant)
         own_ns = reference_ns - offsets[name] - (clock.own_offset_ns or 0)
         if clock.role in ("ins", "gnss") and clock.own_offset_ns is not None and abs(own_ns) > CLOCK_DISTANCE_NS:
-            yield _distance(name, "The GPS time in it, which is used,", own_ns, whose, "")
+            yield _distance(clock, "The GPS time in it, which is used,", own_ns, whose, "")
 
 
-OFFER = "set time_offset_ns in the calibration; --time-offset of stone label tries one."
-
-
-def _distance(topic: str, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
+def _distance(clock: TopicClock, what: str, ahead_ns: int, whose: str, constant: str) -> Finding:
     # A topic's own constant is against the recorder, whose clock may be the one that is off; a start is a start.
     named = constant_of(ahead_ns) or (constant if constant == SINCE_BOOT else "")
     doubt = f" (= {named.replace('-', ' − ')}?)" if named else ""
     message = f"{what} differs from the clock of {whose} by {ahead_ns / 1e9:.3f} s{doubt}."
-    return Finding("TIM-202", "warning", topic, f"{message} Nothing was shifted; {OFFER}")
+    part = "lidar" if clock.role == "lidar" else "pose" if clock.role in POSE_ROLES else ""
+    advice = shift_advice(part, -ahead_ns)
+    return Finding("TIM-202", "warning", clock.topic, f"{message} Nothing was shifted; {advice}.")
 
 
 def _agreeing(offsets_ns: Mapping[str, int], lidars: Sequence[str]) -> list[str]:
-    """The topics whose clocks are one: the largest group, of two as large the LiDAR's."""
+    """The topics whose clocks are one: the largest group, of two as large the recorder's, else the LiDAR's."""
     names, offsets = list(offsets_ns), np.array(list(offsets_ns.values()), np.float64)
     ordered = np.sort(offsets)
     first = np.searchsorted(ordered, offsets - CLOCK_DISTANCE_NS, side="left")
     sizes = np.searchsorted(ordered, offsets + CLOCK_DISTANCE_NS, side="right") - first
     is_lidar = np.isin(names, lidars)
-    centre = offsets[np.lexsort((is_lidar, sizes))[-1]]
+    is_recorders = np.abs(offsets) < LAST_TRANSPORT_NS
+    centre = offsets[np.lexsort((is_lidar, is_recorders, sizes))[-1]]
     return [name for name, offset in zip(names, offsets, strict=True) if abs(offset - centre) <= CLOCK_DISTANCE_NS]
 
 

@@ -28,7 +28,7 @@ from stone_recordings.poses.ins_poses import track_from_ins
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_from_sweeps
 from stone_recordings.poses.sources import PoseTrack, RigMounts, track_from_odometry, track_from_tf
 from stone_recordings.sync.association import mount_of
-from stone_recordings.sync.clock_offsets import ClockOffsets
+from stone_recordings.sync.clock_offsets import POSE, ClockOffsets
 from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import OrderedStamps, RecordedTopics
 from stone_recordings.topics.sources import Sources
@@ -272,7 +272,7 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
     topic, messages = sources.pose.name, recorded.messages[sources.pose.name]
     if sources.pose_role == "ins":
         fixes, unread = _fixes(recorded, sources.fixes)
-        of_ins = track_from_ins(messages, topic, rig.calibration, fixes)
+        of_ins = track_from_ins(messages, topic, rig.calibration, fixes, rig.clocks.asked.get(POSE))
         return replace(of_ins, findings=of_ins.findings + unread)
     if sources.attitude is not None:
         turns = sources.attitude.name

@@ -32,6 +32,7 @@ from stone_recordings.messages.novatel import (
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.poses.quality import solution_quality
 from stone_recordings.poses.sources import PoseTrack
+from stone_recordings.sync.clock_offsets import shifted_finding
 from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import in_order
 
@@ -39,9 +40,15 @@ USABLE_STATUS = (INS_SOLUTION_GOOD, INS_SOLUTION_FREE, INS_ALIGNMENT_COMPLETE)
 
 
 def track_from_ins(
-    messages: Iterable[StampedMessage], topic: str, calibration: Calibration, fixes: FixSamples | None
+    messages: Iterable[StampedMessage],
+    topic: str,
+    calibration: Calibration,
+    fixes: FixSamples | None,
+    offset_ns: int | None = None,
 ) -> PoseTrack:
-    """Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
+    """`offset_ns` is added to the stamps instead of what the calibration says.
+
+    Raises MissingSensorError (no INS in the calibration), NoUsablePoseError, and what `decode_inspva` raises."""
     mount = _ins_mount(calibration)
     samples, unread = read_readable(topic, messages, decode_inspva)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
@@ -51,9 +58,16 @@ def track_from_ins(
     rows = rows[ordered.index]
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
-    trajectory = Trajectory(ordered.stamps_ns + mount.time_offset_ns, map_from_ins @ ins_from_ego)
+    offset_ns = mount.time_offset_ns if offset_ns is None else offset_ns
+    trajectory = Trajectory(ordered.stamps_ns + offset_ns, map_from_ins @ ins_from_ego)
     solution = solution_quality(samples, rows, fixes)
-    findings = unread + ordered.findings + _clock(samples, topic) + _left_out(samples, usable, topic)
+    findings = (
+        unread
+        + ordered.findings
+        + shifted_finding(topic, offset_ns)
+        + _clock(samples, topic)
+        + _left_out(samples, usable, topic)
+    )
     if not solution.rtk.any():
         findings += (Finding("GNS-301", "warning", topic, "the RTK status is unknown (no BESTPOS)"),)
     return PoseTrack(trajectory, source, topic, findings, origin, solution, is_smooth=True)

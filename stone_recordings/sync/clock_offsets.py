@@ -9,13 +9,32 @@ from collections.abc import Mapping
 from dataclasses import dataclass, field
 
 import numpy as np
+from numpy.typing import NDArray
 
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
+from stone_recordings.clocks.constants import shift_advice
 from stone_recordings.poses.extrinsics import plain
 
 LIDAR, POSE = "lidar", "pose"
+# Less is no other clock.
+LEAST_APART_NS = 500_000_000
 NO_MOVE = np.array([1.0, 0, 0, 0, 0, 0, 0])
+
+
+@dataclass(frozen=True, eq=False)
+class RecordedStamps:
+    """Stamps (N,) as they are used, and when all M messages of their topic were recorded, ascending."""
+
+    stamps_ns: NDArray[np.int64]
+    log_times_ns: NDArray[np.int64]
+
+    @property
+    def late_ns(self) -> int | None:
+        """The median of record time − stamp; None if some messages have no stamp here."""
+        if not len(self.stamps_ns) or len(self.stamps_ns) != len(self.log_times_ns):
+            return None
+        return int(np.median(self.log_times_ns - np.sort(self.stamps_ns)))
 
 
 @dataclass(frozen=True)
@@ -40,6 +59,18 @@ class ClockOffsets:
             return self.asked[POSE]
         named = (mount for mount in calibration.mounts if frame and plain(mount.frame_id) == plain(frame))
         return next((mount.time_offset_ns for mount in named), 0)
+
+
+def way_out(lidar: RecordedStamps, poses: RecordedStamps, offsets: ClockOffsets) -> str:
+    """Return how to bring the clocks of sweeps and poses together by what the recorder's tells of both, or "".
+
+    The one that is farther from the recorder's clock is shifted.
+    """
+    lidar_ns, poses_ns = (one.late_ns for one in (lidar, poses))
+    if lidar_ns is None or poses_ns is None or abs(lidar_ns - poses_ns) < LEAST_APART_NS:
+        return ""
+    part, step_ns = (LIDAR, lidar_ns - poses_ns) if abs(lidar_ns) >= abs(poses_ns) else (POSE, poses_ns - lidar_ns)
+    return f": {shift_advice(part, offsets.asked.get(part, 0) + step_ns)}"
 
 
 def shifted_finding(topic: str, offset_ns: int) -> tuple[Finding, ...]:

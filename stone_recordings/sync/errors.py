@@ -10,8 +10,6 @@ from stone.errors import Refused, StoneError
 from stone_recordings.messages.lidars.models import topic_instead
 
 SHOWN = 6
-# Less is no other clock; of more, --time-offset says that it is a slip of the unit.
-LEAST_APART_S, LAST_TRIED_S = 0.5, 1000.0
 
 
 def listed(names: Sequence[str]) -> str:
@@ -55,22 +53,13 @@ class NoUsablePoseError(StoneError):
         )
 
 
-def no_posed_frames(reasons: str, lidar_s: tuple[float, float], poses_s: tuple[float, float]) -> Refused:
+def no_posed_frames(reasons: str, lidar_s: tuple[float, float], poses_s: tuple[float, float], way_out: str) -> Refused:
     apart_s = lidar_s[0] - poses_s[0]
     return Refused(
         "SYN-501",
         f"no sweep is usable ({reasons}): LiDAR stamps run from {lidar_s[0]:.3f} to {lidar_s[1]:.3f} s, poses from "
         f"{poses_s[0]:.3f} to {poses_s[1]:.3f} s, {apart_s:+.3f} s apart at the start (18 s is GPS, 37 s TAI, "
-        f"hours a time zone{_way_out(apart_s)}; for pose_gap, record poses more often, or estimate them "
+        f"hours a time zone{way_out}; for pose_gap, record poses more often, or estimate them "
         "from the sweeps: "
         "--odometry kiss-icp)",
     )
-
-
-def _way_out(apart_s: float) -> str:
-    """How to bring two clocks together that are so far apart."""
-    if abs(apart_s) < LEAST_APART_S:
-        return ""
-    is_tried = abs(apart_s) <= LAST_TRIED_S
-    way = f"--time-offset pose={apart_s:.3f}s tries that" if is_tried else "set time_offset_ns in the calibration"
-    return f": {way}"

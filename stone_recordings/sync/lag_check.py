@@ -67,7 +67,8 @@ def lag_findings(lag: SweepLag | None) -> tuple[Finding, ...]:
         f"the stamps of the {late} are about {abs(ms)} ms later than those of the {other}: {lag.turns} turns of the "
         f"robot between sweeps are off by {unshifted_deg:.2f}°, and by {residual_deg:.2f}° with that taken out. Labels "
         "are smeared by what the robot moves in that time. time_offset_ns in the calibration, or the time offset "
-        f"pose={-ms}ms or lidar={ms}ms of the run, corrects it, for the one whose clock is wrong; then check again"
+        f"pose={-ms}ms or lidar={ms}ms of the run, added to what is set there, corrects it, for the one whose clock is "
+        "wrong; then check again"
     )
     return (Finding("TIM-213", "warning", "", sentence),)
 

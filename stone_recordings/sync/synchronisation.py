@@ -5,6 +5,7 @@ unbroken stretch of the track: nothing is extrapolated, nor interpolated across 
 """
 
 from collections import Counter
+from collections.abc import Callable
 from dataclasses import dataclass
 
 import numpy as np
@@ -44,8 +45,12 @@ class PosedFrames:
     excluded: tuple[ExcludedFrame, ...]
 
 
-def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int) -> PosedFrames:
+def frames_with_pose(
+    name: str, clock: LidarClock, track: PoseTrack, max_gap_ns: int, way_out: Callable[[], str] = lambda: ""
+) -> PosedFrames:
     """Every LiDAR stamp, as a frame or as an exclusion with its reason.
+
+    `way_out` is how to bring the two clocks together, for a refusal.
 
     Raises where none has a pose: NoUsablePoseError (a single pose), `SYN-511`, `SYN-501`.
     """
@@ -73,7 +78,7 @@ def frames_with_pose(name: str, clock: LidarClock, track: PoseTrack, max_gap_ns:
                 f"across more than {max_gap_ns / 1e9:.3f} s, so no sweep has a pose; record them at a "
                 "higher rate, or estimate them from the sweeps: --odometry kiss-icp",
             )
-        raise no_posed_frames(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns))
+        raise no_posed_frames(counted_reasons(excluded), _seconds(stamps_ns), _seconds(trajectory.stamps_ns), way_out())
     frames = Frames(
         stamps_ns[rows],
         tuple(frame_token(name, stamp_ns) for stamp_ns in stamps_ns[rows].tolist()),

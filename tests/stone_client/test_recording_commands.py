@@ -272,9 +272,11 @@ def test_what_is_no_offset_is_refused_with_how_to_write_one(choice: str) -> None
         chosen_offsets([choice])
 
 
-def test_more_than_a_quarter_of_an_hour_is_a_slip_of_the_unit() -> None:
+def test_more_than_a_lifetime_is_a_slip_of_the_unit_and_years_are_exact() -> None:
     with pytest.raises(typer.BadParameter, match="is the unit right"):
-        chosen_offsets(["lidar=1001s"])
+        chosen_offsets(["lidar=2300000000s"])
+    assert chosen_offsets(["lidar=+110054594.750000001s"]) == {"lidar": 110_054_594_750_000_001}
+    assert chosen_offsets(["pose=-1699999331710000003ns"]) == {"pose": -1_699_999_331_710_000_003}
 
 
 def _shown(report: ClockReport) -> str:

@@ -273,7 +273,7 @@ def test_two_lidars_are_not_chosen_between(tmp_path: Path) -> None:
     [
         ("camera_model", "omni", "CAL-427"), ("distortion_model", "fov", "CAL-427"),
         ("distortion_coeffs", [0.1, 0.2], "CAL-410"), ("intrinsics", [1, 2, 3], "CAL-422"),
-        ("resolution", [1], "CAL-422"), ("timeshift_cam_imu", 1e9, "CAL-422"),
+        ("resolution", [1], "CAL-422"), ("timeshift_cam_imu", 1e10, "CAL-422"),
         ("timeshift_cam_imu", "nan", "CAL-422"),
     ],
 )  # fmt: skip
