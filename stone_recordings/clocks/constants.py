@@ -32,7 +32,9 @@ def shift_advice(part: str, offset_ns: int) -> str:
     if not part:
         return f"set {entry} of its sensor in the calibration"
     where = f"{{{LIDAR_ENTRY}, {entry}}} among its sensors" if part == "lidar" else f"{entry} of the poses' sensor"
-    return f"try --time-offset {part}={seconds_text(offset_ns)}s, or give the calibration {where}"
+    return (
+        f"--time-offset {part}={seconds_text(offset_ns)}s would correct it, and so would the calibration with {where}"
+    )
 
 
 def constant_of(ahead_ns: int, stamp_ns: int = FIRST_DATE_NS) -> str:

@@ -108,7 +108,8 @@ def distance_findings(report: ClockReport) -> Iterator[Finding]:
     if not offsets:
         return
     agreed = _agreeing(offsets, lidars)
-    reference_ns = round(float(np.median([offsets[name] for name in agreed])))
+    near_ns = [offsets[name] - offsets[agreed[0]] for name in agreed]  # small numbers: floats are exact
+    reference_ns = offsets[agreed[0]] + round(float(np.median(near_ns)))
     whose = next((name for name in agreed if name in lidars), agreed[0])
     for name, clock in compared.items():
         if name not in agreed:

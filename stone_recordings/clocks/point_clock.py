@@ -34,6 +34,7 @@ from stone_recordings.messages.sweep_clouds import cloud_at
 # The first and the last sweep may be cut short; some from beginning to end show the true length.
 SWEEP_SAMPLES = 16
 LEAST_SWEEPS = 4
+SPARSE = 16  # every so-manieth point shows where a sweep is
 # Sweeps of one clock begin within a part of a sweep of where the others do; nine of ten do so.
 AGREEING_SWEEPS, LEAST_AGREEING = 0.25, 0.9
 # A sweep that the recorder has within so much of its length after its stamp is stamped at its end.
@@ -85,7 +86,8 @@ def points_at(bag: Bag, topic: str, row: int, *, with_ring: bool = True) -> Lida
 def points_in(bag: Bag, topic: str, cloud: Cloud, *, with_ring: bool = True) -> LidarPoints:
     """Return the returns of a cloud of a topic, timed by the clock of the topic's points."""
     found = lidar_points(cloud, with_ring=with_ring)
-    is_doubtful = found.time_meaning.startswith("relative") and not _is_certain(cloud.stamp_ns)
+    is_relative = found.offset_ns is not None and found.time_meaning.startswith("relative")
+    is_doubtful = is_relative and not (_is_certain(cloud.stamp_ns) and _touches_stamp(found.offset_ns))
     if found.time_meaning != ANOTHER_CLOCK and not is_doubtful:
         return found
     clock, _at = point_clock(bag, topic)
@@ -106,6 +108,16 @@ def point_clock(bag: Bag, topic: str) -> tuple[PointClock | None, str]:
 def _is_certain(stamp_ns: int) -> bool:
     """Whether times near 0 at this stamp are relative: no clock, and no clock of hours, has just begun."""
     return not stamp_ns or min(stamp_ns % HOUR_NS, -stamp_ns % HOUR_NS) >= CERTAIN_NS
+
+
+def _touches_stamp(offset_ns: NDArray[np.int64] | None) -> bool:
+    """Whether the stamp lies within a sweep or next to it, as it does if its times are relative."""
+    if offset_ns is None or not len(offset_ns):
+        return True
+    some = offset_ns[::SPARSE]
+    first, last = int(some.min()), int(some.max())
+    margin = (last - first) * AGREEING_SWEEPS
+    return first - margin <= 0 <= last + margin
 
 
 def looks_of(bag: Bag, topic: str, rows: NDArray[np.int64]) -> tuple[SweepLook, ...]:
@@ -160,22 +172,30 @@ def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
 
 
 def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
-    """Return the clock that the sweeps agree on, and the point that stamps are of."""
-    late = [one for one in ends if _is_certain(one.stamp_ns)]
-    if len(late) < LEAST_SWEEPS:
+    """Return the clock that the sweeps agree on, and the point that stamps are of: the headers' own if it may be."""
+    certain = [one for one in ends if _is_certain(one.stamp_ns)]
+    if len(certain) < LEAST_SWEEPS:
         return None, ""
-    length_ns = int(np.median([one.last_ns - one.first_ns for one in late]))
-    for period_ns in dict.fromkeys((0, HOUR_NS, late[0].word_ns)):
-        if period_ns == 0 or all(0 <= one.first_ns <= one.last_ns <= period_ns for one in late):
-            starts_ns = [one.first_ns - one.stamp_ns for one in late]
-            apart = np.array([apart_ns(start - starts_ns[0], period_ns) for start in starts_ns], np.int64)
-            after_ns = np.array([one.stamp_ns - late[0].stamp_ns for one in late], np.int64)
-            drift = _drift(after_ns, apart)
-            level = apart - drift * after_ns
-            if np.mean(np.abs(level - np.median(level)) <= AGREEING_SWEEPS * length_ns) >= LEAST_AGREEING:
-                clock = PointClock(starts_ns[0] + round(float(np.median(level))), period_ns, drift, late[0].stamp_ns)
-                return _of_stamps(late, clock, length_ns)
-    return None, ""
+    word_ns = certain[0].word_ns
+    found = [_agreed(certain, period_ns) for period_ns in ((0, HOUR_NS, word_ns) if word_ns else (0,))]
+    agreed = [(clock, stamped) for clock, stamped in found if clock is not None]
+    return next((one for one in agreed if not one[1]), agreed[0] if agreed else (None, ""))
+
+
+def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, str]:
+    """Return the clock of a period, or of none, that nearly all sweeps agree on."""
+    if period_ns and any(one.first_ns < 0 or one.last_ns > period_ns for one in ends):
+        return None, ""
+    length_ns = int(np.median([one.last_ns - one.first_ns for one in ends]))
+    starts_ns, first = [one.first_ns - one.stamp_ns for one in ends], ends[0].stamp_ns
+    apart = np.array([apart_ns(start - starts_ns[0], period_ns) for start in starts_ns], np.int64)
+    after_ns = np.array([one.stamp_ns - first for one in ends], np.int64)
+    drift = _drift(after_ns, apart)
+    level = apart - drift * after_ns
+    if np.mean(np.abs(level - np.median(level)) <= AGREEING_SWEEPS * length_ns) < LEAST_AGREEING:
+        return None, ""
+    clock = PointClock(starts_ns[0] + round(float(np.median(level))), period_ns, drift, first)
+    return _of_stamps(ends, clock, length_ns)
 
 
 def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:

@@ -9,7 +9,7 @@ from collections.abc import Iterator, Sequence
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag
 from stone_recordings.clocks.point_clock import SweepLook, point_clock
-from stone_recordings.messages.point_times import ANOTHER_CLOCK, TOO_COARSE
+from stone_recordings.messages.point_times import ANOTHER_CLOCK, OTHERS, TOO_COARSE
 
 UNTIMED = {
     ANOTHER_CLOCK: "its points are on another clock than the header stamp, and the distance of the two is not constant",
@@ -42,12 +42,14 @@ def _time_findings(bag: Bag, topic: str, looks: Sequence[SweepLook]) -> Iterator
         why = UNTIMED.get(untimed[0].meaning, NO_TIME)
         sentence = f"{len(untimed)} of {len(looks)} sweeps looked at are not deskewed: {why}"
         yield Finding("MSG-322", "warning", topic, sentence)
-    clock, stamped = point_clock(bag, topic) if timed else (None, "")
-    if clock is not None and stamped:
+    if others := [look for look in timed if look.meaning.startswith(OTHERS)]:
+        clock, stamped = point_clock(bag, topic)
+    if others and clock is not None:
         modulo = f" (modulo {clock.period_ns / 1e9:.3f} s)" if clock.period_ns else ""
         sentence = (
-            f"its points are on another clock than the header stamp, ahead of it by {clock.ahead_ns / 1e9:+.3f} s"
-            f"{modulo} in the {len(looks)} sweeps looked at: the {stamped} point of a sweep is taken to be at its stamp"
+            f"in {len(others)} of {len(looks)} sweeps looked at, points are on another clock than the header stamp, "
+            f"ahead of it by {clock.ahead_ns / 1e9:+.3f} s{modulo}: the {stamped} point of a sweep is taken to be at "
+            "its stamp"
         )
         yield Finding("TIM-220", "warning", topic, sentence)
     if odd := [look for look in timed if look.wrapped + look.filled + look.untimed]:

@@ -24,7 +24,7 @@ LEAST_SWEEP_NS, LAST_SWEEP_NS = 1e6, 1e9
 # The core of a sweep is no farther from its stamp on one clock; `stone.sensors.deskew` takes no time beyond a second.
 NEAR_NS, LAST_OFFSET_NS = 750_000_000, NS_PER_S
 HOUR_NS = 3600 * NS_PER_S
-ANOTHER_CLOCK, NO_TIMES, TOO_COARSE = "another clock", "none", "too coarse"
+ANOTHER_CLOCK, OTHERS, NO_TIMES, TOO_COARSE = "another clock", "another clock's", "none", "too coarse"
 # Places in a sweep, evenly spread whatever its rows and columns are (multiples of the golden ratio, modulo 1).
 SAMPLE = np.modf(np.arange(512) * 0.6180339887498949)[0]
 # Less than half, so that the core of a sweep in which a counter begins anew lies on one side of that.
@@ -163,7 +163,8 @@ def _reading(
     """Return how the times are to be read: by the clock that is known, else by what they are near to."""
     unit, centre_ns = UNIT_NAMES[unit_ns], round(core.centre * unit_ns)
     if clock is not None:
-        return _by_clock(f"absolute {unit}", centre_ns, unit_ns, (stamp_ns, clock))
+        whose = OTHERS if clock.ahead_ns else "absolute"
+        return _by_clock(f"{whose} {unit}", centre_ns, unit_ns, (stamp_ns, clock))
     relative = _Reading(f"relative {unit}", unit_ns, is_wrapped=True)
     if abs(centre_ns) <= NEAR_NS:
         return relative

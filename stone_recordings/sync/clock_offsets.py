@@ -34,7 +34,8 @@ class RecordedStamps:
         """The median of record time − stamp; None if some messages have no stamp here."""
         if not len(self.stamps_ns) or len(self.stamps_ns) != len(self.log_times_ns):
             return None
-        return int(np.median(self.log_times_ns - np.sort(self.stamps_ns)))
+        late_ns = self.log_times_ns - np.sort(self.stamps_ns)
+        return int(late_ns[0]) + round(float(np.median(late_ns - late_ns[0])))
 
 
 @dataclass(frozen=True)
