@@ -99,10 +99,17 @@ MEANINGS = (
         "Look at the LiDAR's time synchronisation and driver.",
     ),
     CodeMeaning(
+        "MSG-330",
+        "refused",
+        "A CompressedPointCloud2 is compressed in a format that is not read.",
+        "Record with zlib or zstd, or the PointCloud2 topic; point_cloud_transport's republish makes it.",
+        as_warning="less",
+    ),
+    CodeMeaning(
         "TOP-101",
         "refused",
-        "There is no LiDAR topic that can be used.",
-        "Record sensor_msgs/PointCloud2 from the driver.",
+        "There is no LiDAR topic that can be used; topics that hold points in another form are named.",
+        "Record sensor_msgs/PointCloud2 from the driver, or the topic that the sentence names.",
     ),
     CodeMeaning(
         "TOP-102",
@@ -165,5 +172,11 @@ MEANINGS = (
         "none",
         "A radar has its channel of its yaw in /tf_static, or its name contradicts that yaw.",
         "Check which channel it has; name another with --topic CHANNEL=TOPIC.",
+    ),
+    CodeMeaning(
+        "TOP-120",
+        "none",
+        "Points of a further LiDAR are in a form that is not read; another LiDAR is used.",
+        "Nothing, or record the driver's topic that the sentence names.",
     ),
 )

@@ -53,6 +53,14 @@ class _CloudLayout(NamedTuple):
     data_bytes: int
 
 
+class CloudSize(NamedTuple):
+    """What a cloud declares: how many points, the bytes they take at least or in rows, and the bytes that follow."""
+
+    points: int
+    points_bytes: int
+    data_bytes: int
+
+
 @dataclass(frozen=True, eq=False)
 class Cloud:
     """One message: stamp, frame and N point records; `is_misdeclared` where its byte order is not the declared one.
@@ -140,13 +148,22 @@ def xyz_problem(head: memoryview) -> str:
     return ""
 
 
-def cloud_size(head: memoryview) -> int:
+def points_in(head: memoryview) -> int:
     """Return how many points a cloud holds that begins so. Raises as `decode_cloud`."""
     cursor = Cursor(head, TYPE)
     cursor.stamp_ns()
     cursor.text()
     rows = _rows(_layout(cursor))
     return rows.height * rows.width
+
+
+def cloud_size(cursor: Cursor) -> CloudSize:
+    """Return the declared size behind the header, where the cursor stands. Raises: CloudLayoutError (its fields)."""
+    layout = _layout(cursor)
+    record_of(layout.fields, layout.point_step)
+    points = layout.height * layout.width
+    rows_bytes = layout.height * layout.row_step
+    return CloudSize(points, max(points * layout.point_step, rows_bytes), layout.data_bytes)
 
 
 def _layout(cursor: Cursor) -> _CloudLayout:

@@ -15,9 +15,10 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError, PoseValueError
 from stone_recordings.messages.batch import StampedMessage
-from stone_recordings.messages.camera import COMPRESSED, picture_problem
+from stone_recordings.messages.camera import CAMERA_TYPES, picture_problem
+from stone_recordings.messages.lidars.models import COMPRESSED_CLOUD, LIVOX_TYPES
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
-from stone_recordings.messages.pointcloud2 import layout_problem
+from stone_recordings.messages.sweep_clouds import points_problem
 from stone_recordings.messages.types.cdr import HEAD_BYTES, Cursor
 
 STAMP_END = HEAD_BYTES + 8
@@ -30,6 +31,8 @@ MALFORMED, UNSTAMPED, DAMAGED, OTHER_FRAME, STRAY = (
     "stray_stamp",
 )
 Read = TypeVar("Read")
+# Types of which more than the header is looked at.
+_LOOKED_AT = frozenset({POINT_CLOUD, COMPRESSED_CLOUD, *LIVOX_TYPES, *CAMERA_TYPES})
 
 
 @dataclass(frozen=True, slots=True)
@@ -49,7 +52,7 @@ def head_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]
         picture = picture_problem(head, type_name, size_bytes)
     except (MessageLayoutError, ByteOrderError) as error:
         return MessageProblem(MALFORMED, str(error))
-    if type_name == POINT_CLOUD and (problem := layout_problem(head, size_bytes)):
+    if problem := points_problem(head, type_name, size_bytes):
         return MessageProblem(MALFORMED, problem)
     if picture:
         return MessageProblem(MALFORMED, picture)
@@ -72,7 +75,7 @@ class TopicHeads:
         if self._name and head[STAMP_END : STAMP_END + len(self._name)] == self._name and _is_dated(head):
             return None
         problem = head_problem(head, self.type_name, size_bytes)
-        if problem is None and self.type_name not in (POINT_CLOUD, COMPRESSED):
+        if problem is None and self.type_name not in _LOOKED_AT:
             cursor = Cursor(head, self.type_name)
             cursor.stamp_ns()
             cursor.text()

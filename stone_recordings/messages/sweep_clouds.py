@@ -1,26 +1,40 @@
-"""The cloud of a sweep from whatever a driver recorded: sensor_msgs/PointCloud2, or the LiDAR's own packets.
+"""The cloud of a sweep from whatever a driver recorded: sensor_msgs/PointCloud2, as it is or compressed, Livox's own
+message of points, or the LiDAR's own packets.
 
 **Conventions.** A message is one revolution. Packets are decoded with the maker's default angles of the model that they
 name; of one message all are of the model of its first, and the others are left out.
 """
 
+from collections.abc import Callable
+from contextlib import suppress
 from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from stone_recordings.bags.bag import Bag
-from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
+from stone_recordings.bags.errors import ByteOrderError, CloudLayoutError, MessageLayoutError
+from stone_recordings.messages.compressed_cloud import compressed_problem, plain_cloud
 from stone_recordings.messages.lidars.hesai import ot128_returns, pandar40p_returns
-from stone_recordings.messages.lidars.models import LidarModel, layout_of, model_of, refused
-from stone_recordings.messages.lidars.packet_scan import PACKET_READERS, first_packet, packet_scan
+from stone_recordings.messages.lidars.livox import livox_cloud, livox_count, livox_problem
+from stone_recordings.messages.lidars.models import (
+    COMPRESSED_CLOUD,
+    LIVOX_TYPES,
+    LidarModel,
+    layout_of,
+    model_of,
+    refused,
+)
+from stone_recordings.messages.lidars.packet_scan import PACKET_READERS, first_packet, packet_count, packet_scan
 from stone_recordings.messages.lidars.points import PacketReturns, records_of
 from stone_recordings.messages.lidars.velodyne import velodyne_returns
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
-from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud, xyz_problem
+from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud, layout_problem, points_in, xyz_problem
+from stone_recordings.messages.types.cdr import Cursor
 
 PACKET_TYPES = frozenset(PACKET_READERS)
-SWEEP_TYPES = PACKET_TYPES | {POINT_CLOUD}
+CLOUD_TYPES = frozenset({POINT_CLOUD, COMPRESSED_CLOUD})
+SWEEP_TYPES = PACKET_TYPES | CLOUD_TYPES | LIVOX_TYPES
 
 
 @dataclass(frozen=True, eq=False)
@@ -39,8 +53,47 @@ def cloud_at(bag: Bag, topic: str, index: int) -> Cloud:
 
 
 def sweep_cloud(payload: memoryview, type_name: str) -> Cloud:
-    """Raises: MessageLayoutError, ByteOrderError, CloudLayoutError, LidarPacketError (a model that is not decoded)."""
-    return packet_cloud(payload, type_name).cloud if type_name in PACKET_TYPES else decode_cloud(payload)
+    """Raises: MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-330` and LidarPacketError (a compression or a
+    model that is not decoded).
+    """
+    if type_name in PACKET_TYPES:
+        return packet_cloud(payload, type_name).cloud
+    if type_name in LIVOX_TYPES:
+        return livox_cloud(payload, type_name)
+    return decode_cloud(plain_cloud(payload) if type_name == COMPRESSED_CLOUD else payload)
+
+
+def points_declared(head: memoryview, type_name: str) -> int | None:
+    """Return the points of a message that begins so, or the packets that take their place.
+
+    Of a PointCloud2 they are those that its bytes decide, of one whose fields the head does not hold the declared ones.
+    None if the head of a cloud cannot be read, 0 if that of another message cannot.
+    """
+    if type_name in PACKET_TYPES:
+        return packet_count(head, type_name)
+    if type_name in LIVOX_TYPES:
+        return livox_count(head, type_name)
+    with suppress(MessageLayoutError, ByteOrderError, CloudLayoutError):
+        if type_name == POINT_CLOUD:
+            return points_in(head)
+    try:
+        cursor = Cursor(head, type_name)
+        cursor.stamp_ns()
+        cursor.text()
+        return cursor.u32() * cursor.u32()
+    except (MessageLayoutError, ByteOrderError):
+        return None
+
+
+def points_problem(head: memoryview, type_name: str, size_bytes: Callable[[], int]) -> str:
+    """Return why a message of points that begins so cannot be decoded; "" for other types, and if nothing speaks
+    against it. `size_bytes` returns the size of the whole message, of which `head` may be all.
+    """
+    if type_name == POINT_CLOUD:
+        return layout_problem(head, size_bytes)
+    if type_name == COMPRESSED_CLOUD:
+        return compressed_problem(head, size_bytes)
+    return livox_problem(head, type_name, size_bytes) if type_name in LIVOX_TYPES else ""
 
 
 def packet_cloud(payload: memoryview, type_name: str) -> PacketCloud:
@@ -64,7 +117,9 @@ def _returns(packets: list[memoryview], model: LidarModel, stamps_ns: NDArray[np
 
 def sweep_problem(head: memoryview, type_name: str) -> str:
     """Why a message that begins so, and whose layout is right, holds no sweep; "" where nothing speaks against it."""
-    return _packets_problem(head, type_name) if type_name in PACKET_TYPES else xyz_problem(head)
+    if type_name in PACKET_TYPES:
+        return _packets_problem(head, type_name)
+    return xyz_problem(head) if type_name in CLOUD_TYPES else ""
 
 
 def _packets_problem(head: memoryview, type_name: str) -> str:

@@ -12,18 +12,16 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.findings import Finding
-from stone_recordings.bags.errors import CloudLayoutError, MessageLayoutError
 from stone_recordings.bags.message_store import Topic
 from stone_recordings.clocks.constants import FIRST_DATE_NS
-from stone_recordings.messages.lidars.packet_scan import packet_count
-from stone_recordings.messages.pointcloud2 import cloud_size
+from stone_recordings.messages.sweep_clouds import SWEEP_TYPES, points_declared
 from stone_recordings.messages.types.cdr import HEAD_BYTES
-from stone_recordings.topics.roles import PACKET_TYPES, POINT_CLOUD, Role
+from stone_recordings.topics.roles import Role
 
 FRAMED_ROLES: tuple[Role, ...] = ("lidar", "camera", "radar", "imu", "odometry", "pose")
 DATED_ROLES: tuple[Role, ...] = (*FRAMED_ROLES, "gnss", "ins")
 _TEXT_AT = HEAD_BYTES + 8  # behind the stamp
-_U32, _SIZE = Struct("<I"), Struct("<II")
+_U32 = Struct("<I")
 
 
 @dataclass
@@ -39,21 +37,8 @@ class HeadCounts:
             return
         length = _U32.unpack_from(head, _TEXT_AT)[0]
         self.frameless += length <= 1
-        if type_name in PACKET_TYPES:
-            self.empty += packet_count(head, type_name) == 0
-        if type_name == POINT_CLOUD:
-            end = _TEXT_AT + _U32.size + length
-            start = end + -(end - HEAD_BYTES) % 4
-            if start + _SIZE.size <= len(head):
-                self.empty += 0 in _SIZE.unpack_from(head, start) and _is_empty(head)
-
-
-def _is_empty(head: memoryview) -> bool:
-    """Whether a cloud without rows or columns has no points either, by its bytes."""
-    try:
-        return cloud_size(head) == 0
-    except (CloudLayoutError, MessageLayoutError):
-        return True
+        if type_name in SWEEP_TYPES:
+            self.empty += points_declared(head, type_name) == 0
 
 
 def head_findings(topic: Topic, role: Role, counts: HeadCounts, stamps_ns: NDArray[np.int64]) -> Iterator[Finding]:

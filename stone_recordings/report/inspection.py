@@ -22,7 +22,6 @@ from stone_recordings.clocks.findings import clock_findings
 from stone_recordings.clocks.measurement import kept_bytes, measured
 from stone_recordings.clocks.report import ClockReport
 from stone_recordings.clocks.timing import Timing, measure
-from stone_recordings.messages.errors import LidarPacketError
 from stone_recordings.messages.problems import left_out_finding
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.messages.types.cdr import Cursor
@@ -51,12 +50,16 @@ NO_STAMPS = np.zeros(0, np.int64)
 
 @dataclass(frozen=True, eq=False)
 class InspectedTopic:
-    """One topic and when its messages were taken; `point_count` is that of one of its clouds."""
+    """One topic and when its messages were taken; `point_count` is that of one of its clouds.
+
+    `problem` is why none of its messages can be read.
+    """
 
     topic: Topic
     role: Role
     timing: Timing
     point_count: int = 0
+    problem: str = ""
 
     def as_record(self) -> dict[str, object]:
         rate_hz = self.timing.rate_hz
@@ -172,11 +175,10 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
             raise scan.refused[topic.name]
         if holds_sweeps(topic.name, topic.type) and topic.encoding == "cdr" and topic.count:
             facts = _cloud_facts(bag, facts, topic, findings)
-    except LidarPacketError as error:  # TOP-101 is the error where there are no other sweeps
+    except StoneError as error:  # it costs this topic; what labels need and lack then, other findings say
         findings.append(Finding(error.code, "warning", topic.name, str(error)))
-    except StoneError as error:
-        findings.append(Finding(error.code, "error", topic.name, str(error)))
-    return InspectedTopic(topic, role_of(facts), timing, facts.point_count)
+        facts = replace(facts, problem=str(error))
+    return InspectedTopic(topic, role_of(facts), timing, facts.point_count, facts.problem)
 
 
 def _cloud_facts(bag: Bag, facts: TopicFacts, topic: Topic, findings: list[Finding]) -> TopicFacts:
@@ -203,6 +205,7 @@ def _candidates(bag: Bag, topics: tuple[InspectedTopic, ...]) -> tuple[Candidate
             part.timing.rate_hz,
             frame_ids.get(part.topic.name, ""),
             part.point_count,
+            part.problem if part.role == "other" else "",
         )
         for part in topics
     )

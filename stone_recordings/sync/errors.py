@@ -7,7 +7,6 @@ what was found and what to do.
 from collections.abc import Sequence
 
 from stone.errors import Refused, StoneError
-from stone_recordings.messages.lidars.models import topic_instead
 
 SHOWN = 6
 
@@ -18,14 +17,13 @@ def listed(names: Sequence[str]) -> str:
     return (", ".join(names[:SHOWN]) + more) or "none"
 
 
-def no_lidar(packets: Sequence[tuple[str, str]]) -> Refused:
-    cause = (
-        f"{listed([name for name, _ in packets])} holds raw packets: {topic_instead(packets[0][1])}"
-        if packets
-        else "name its topic with --lidar if a cloud was taken for a radar's"
-    )
+def no_lidar(unread: str) -> Refused:
+    """`unread` names the topics that may hold points and are not read."""
+    cause = unread or "name its topic with --lidar if a cloud was taken for a radar's"
     return Refused(
-        "TOP-101", f"no LiDAR sensor_msgs/msg/PointCloud2 was recorded, nor packets that are decoded here; {cause}"
+        "TOP-101",
+        "no LiDAR sensor_msgs/msg/PointCloud2 was recorded, nor other points or packets that are decoded here; "
+        f"{cause}",
     )
 
 

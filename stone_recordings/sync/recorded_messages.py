@@ -15,8 +15,7 @@ from numpy.typing import NDArray
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import ByteOrderError, MessageLayoutError
-from stone_recordings.messages.lidars.packet_scan import packet_count
-from stone_recordings.messages.pointcloud2 import cloud_size
+from stone_recordings.messages.lidars.models import COMPRESSED_CLOUD, LIVOX_TYPES
 from stone_recordings.messages.problems import (
     DAMAGED,
     MALFORMED,
@@ -25,14 +24,15 @@ from stone_recordings.messages.problems import (
     left_out_finding,
     majority,
 )
-from stone_recordings.messages.sweep_clouds import SWEEP_TYPES, sweep_problem
+from stone_recordings.messages.sweep_clouds import SWEEP_TYPES, points_declared, sweep_problem
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor
-from stone_recordings.topics.roles import POINT_CLOUD
 from stone_recordings.topics.sources import Sources
 
 STAMP_BYTES = HEAD_BYTES + 8
 # A header with the longest frame_id anybody uses; of a cloud also its fields.
 HEADER_BYTES, CLOUD_HEAD_BYTES = 256, 2048
+# Whether points inflate, and how long those of a ROS 1 bag are as CDR, only the whole message tells.
+TOLD_WHOLE = LIVOX_TYPES | {COMPRESSED_CLOUD}
 NO_PROBLEMS: Mapping[int, MessageProblem] = {}
 
 
@@ -97,8 +97,7 @@ class RecordedTopics:
 
     def cloud_size(self, topic: str, index: int) -> int:
         """Declared points of a cloud that nothing is wrong with, or the packets that take its place."""
-        head, type_name = self.heads[topic][index], self.topics[topic].type
-        return cloud_size(memoryview(head)) if type_name == POINT_CLOUD else packet_count(memoryview(head), type_name)
+        return points_declared(memoryview(self.heads[topic][index]), self.topics[topic].type) or 0
 
     def left_out(self, topic: str) -> tuple[Finding, ...]:
         """What is said of a topic's messages that cannot be used."""
@@ -122,9 +121,11 @@ class RecordedReading:
     """
 
     def __init__(self, bag: Bag, sources: Sources) -> None:
-        self._bag, self._sources, self.whole = bag, sources, sources.whole
+        self._bag, self._sources = bag, sources
         self.used = tuple(dict.fromkeys((*sources.scanned, *sources.whole)))
         self._topics = {topic.name: topic for topic in bag.topics}
+        told_late = (name for name in sources.scanned if self._topics[name].type in TOLD_WHOLE)
+        self.whole = (*sources.whole, *told_late)
         self._heads = {name: [b""] * self._topics[name].count for name in sources.scanned}
         self._payloads: dict[str, dict[int, bytes]] = {name: {} for name in sources.whole}
         self._unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in sources.scanned}

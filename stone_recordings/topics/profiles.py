@@ -18,16 +18,15 @@ from stone.findings import Finding, Severity
 from stone_files.atomic import atomic_file
 from stone_recordings.calibrations.errors import CalibrationYamlError
 from stone_recordings.calibrations.plain_yaml import parse_documents
-from stone_recordings.messages.lidars.models import topic_instead
 from stone_recordings.topics.roles import (
     POINT_CLOUD,
     POSE_ROLES,
     Role,
-    holds_other_packets,
     likely_lidars,
     of_pose_role,
     with_plausible_rate,
 )
+from stone_recordings.topics.unread_points import not_read, unread_findings, unread_points
 
 PARTS = ("lidar", "pose", "imu")
 CHANNEL = re.compile(r"(?:CAM|RADAR)(?:_[A-Z0-9]+){1,4}")
@@ -59,7 +58,7 @@ class TopicProfile:
 class Candidate:
     """What is known of a topic that has messages; `frame_id` is that of its first one, "" where none was looked at.
 
-    `point_count` is that of one of its clouds, 0 where none was looked at.
+    `point_count` is that of one of its clouds, 0 where none was looked at; `problem` is why none can be read.
     """
 
     name: str
@@ -69,6 +68,7 @@ class Candidate:
     rate_hz: float | None = None
     frame_id: str = ""
     point_count: int = 0
+    problem: str = ""
 
 
 @dataclass(frozen=True)
@@ -170,12 +170,12 @@ def _missing(candidates: Sequence[Candidate], channels: Mapping[str, str]) -> It
     """What labels need and nothing fits; several that fit are not nothing."""
     recorded = [candidate for candidate in candidates if candidate.count]
     if "lidar" not in channels and not _of_role(recorded, "lidar"):
-        packets = [candidate for candidate in recorded if holds_other_packets(candidate)]
-        why = (
-            f"{packets[0].name} holds raw packets: {topic_instead(packets[0].type)}." if packets else "Labels need one."
-        )
-        message = f"No LiDAR PointCloud2 found, and no packets that are decoded here. {why}"
-        yield Finding("TOP-101", "error", packets[0].name if packets else "", message)
+        unread = unread_points(recorded)
+        why = f"{not_read(unread)}." if unread else "Labels need one."
+        message = f"No LiDAR PointCloud2 found, and no other points or packets that are decoded here. {why}"
+        yield Finding("TOP-101", "error", unread[0].name if unread else "", message)
+    else:
+        yield from unread_findings(recorded)
     if "pose" not in channels and not any(of_pose_role(role, _of_role(recorded, role)) for role in POSE_ROLES):
         message = (
             "No pose source: neither INS, odometry, /tf, poses nor NavSatFix. Labels need one, or a file: --poses."

@@ -10,7 +10,7 @@ from collections.abc import Sequence
 from dataclasses import dataclass
 from typing import Literal, Protocol, TypeVar
 
-from stone_recordings.messages.lidars.models import UNDECODED_TYPES
+from stone_recordings.messages.lidars.models import COMPRESSED_CLOUD, LIVOX_TYPES
 from stone_recordings.messages.lidars.packet_scan import NEBULA_PACKETS, PACKET_READERS
 
 Role = Literal[
@@ -47,6 +47,9 @@ INSPVAX = "novatel_oem7_msgs/msg/INSPVAX"
 # Goals and corrected positions are poses, too, but rare ones.
 PLAUSIBLE_HZ: dict[Role, tuple[float, float]] = {"lidar": (3.0, 110.0), "imu": (50.0, 2000.0), "pose": (3.0, 2000.0)}
 POINT_CLOUD, TRANSFORMS = "sensor_msgs/msg/PointCloud2", "tf2_msgs/msg/TFMessage"
+CLOUD_TYPES = frozenset({POINT_CLOUD, COMPRESSED_CLOUD})
+# Of one LiDAR's sweeps in several forms the first of these is read.
+FORMS = (LIVOX_TYPES | {POINT_CLOUD}, {COMPRESSED_CLOUD}, PACKET_TYPES)
 RING_FIELDS = frozenset({"ring", "channel", "laser_id", "line"})
 CROSS_SECTION_FIELDS = frozenset({"rcs", "radar_cross_section"})
 # What radars measure of every detection, and a frequency-modulated LiDAR of every point.
@@ -65,7 +68,7 @@ LAST_STATIC_RATE_HZ = 1.0
 class TopicFacts:
     """What is known of a topic without reading it all; `point_fields` and `point_count` are of its first cloud.
 
-    Of packets that are not decoded here there is no cloud, and so no point.
+    Of packets that are not decoded here there is no cloud, and so no point. `problem` is why no cloud can be read.
     """
 
     name: str
@@ -73,17 +76,20 @@ class TopicFacts:
     rate_hz: float | None
     point_fields: frozenset[str] = frozenset()
     point_count: int = 0
+    problem: str = ""
 
 
 def role_of(facts: TopicFacts) -> Role:
     """The one role of a topic; "other" where nothing here uses it."""
-    if facts.type == POINT_CLOUD:
-        return _role_of_cloud(facts)
+    if facts.type in CLOUD_TYPES:
+        return "other" if facts.problem else _role_of_cloud(facts)
     if facts.type == TRANSFORMS:
         is_slow = facts.rate_hz is None or facts.rate_hz < LAST_STATIC_RATE_HZ
         return "tf_static" if is_slow and facts.name.rstrip("/").endswith("static") else "tf"
     if holds_radar_packets(facts.name, facts.type):
         return "radar"
+    if facts.type in LIVOX_TYPES:
+        return "other" if facts.problem else "lidar"
     if facts.type in PACKET_TYPES:
         return "lidar" if facts.point_count else "other"
     return ROLE_OF_TYPE.get(facts.type, "other")
@@ -96,7 +102,8 @@ def holds_radar_packets(name: str, type_name: str) -> bool:
 
 def holds_sweeps(name: str, type_name: str) -> bool:
     """Whether a topic of this name and type may hold the sweeps of a LiDAR, as points or as packets."""
-    return type_name == POINT_CLOUD or (type_name in PACKET_TYPES and not holds_radar_packets(name, type_name))
+    is_points = type_name in CLOUD_TYPES or type_name in LIVOX_TYPES
+    return is_points or (type_name in PACKET_TYPES and not holds_radar_packets(name, type_name))
 
 
 def _role_of_cloud(facts: TopicFacts) -> Role:
@@ -110,20 +117,6 @@ def _role_of_cloud(facts: TopicFacts) -> Role:
     if facts.point_count >= LEAST_LIDAR_POINTS:
         return "lidar"
     return "radar" if "radar" in facts.name.lower() else "lidar"
-
-
-class TypedRole(Protocol):
-    """A topic's type, and the role it was given."""
-
-    @property
-    def type(self) -> str: ...
-    @property
-    def role(self) -> Role: ...
-
-
-def holds_other_packets(topic: TypedRole) -> bool:
-    """Whether a topic holds a LiDAR's packets that nobody here decodes."""
-    return topic.type in UNDECODED_TYPES or (topic.role == "other" and topic.type in PACKET_TYPES)
 
 
 class TopicRating(Protocol):
@@ -158,9 +151,10 @@ def with_plausible_rate(role: Role, topics: Sequence[Topical]) -> Sequence[Topic
 def likely_lidars(topics: Sequence[Clouded]) -> Sequence[Clouded]:
     """Of LiDAR topics those at a plausible rate; a cloud of few points, such as of obstacles, only without another.
 
-    Packets only without points: a driver that publishes both means the same sweeps by them.
+    Compressed points only without others, packets only without points: whoever publishes both means the same sweeps.
     """
-    points = [topic for topic in topics if topic.type == POINT_CLOUD] or topics
+    forms = ([topic for topic in topics if topic.type in form] for form in FORMS)
+    points = next((found for found in forms if found), topics)
     plausible = with_plausible_rate("lidar", points)
     return [topic for topic in plausible if topic.point_count >= LEAST_LIDAR_POINTS] or plausible
 

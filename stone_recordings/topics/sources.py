@@ -13,7 +13,7 @@ from typing import Literal
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.errors import Refused
+from stone.errors import PlatformFaultError, Refused
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.types.cdr import NS_PER_S
@@ -25,13 +25,13 @@ from stone_recordings.topics.roles import (
     POSE_ROLES,
     Role,
     TopicFacts,
-    holds_other_packets,
     holds_sweeps,
     likely_lidars,
     of_pose_role,
     role_of,
     with_plausible_rate,
 )
+from stone_recordings.topics.unread_points import not_read, unread_points
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"
@@ -86,7 +86,7 @@ class Sources:
 
 
 def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
-    """Raises `TOP-101`, `SYN-502`, `TOP-110`, `TOP-104`; what decoding a cloud raises."""
+    """Raises `TOP-101`, `SYN-502`, `TOP-110`, `TOP-104`."""
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
     roles = [candidate_of(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, asked.lidar)
@@ -105,9 +105,10 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
 
 
 def candidate_of(bag: Bag, topic: Topic) -> Candidate:
-    """The topic with its role. Raises what decoding its first cloud raises."""
+    """The topic with its role; points that cannot be read cost this topic alone."""
     rate_hz, facts = _rate_hz(bag.log_times_ns(topic.name)), _facts(bag, topic)
-    return Candidate(topic.name, topic.type, role_of(facts), topic.count, rate_hz, point_count=facts.point_count)
+    role, problem = role_of(facts), facts.problem
+    return Candidate(topic.name, topic.type, role, topic.count, rate_hz, "", facts.point_count, problem)
 
 
 def _rate_hz(log_times_ns: NDArray[np.int64]) -> float | None:
@@ -122,10 +123,10 @@ def _facts(bag: Bag, topic: Topic) -> TopicFacts:
         return TopicFacts(topic.name, topic.type, None)
     try:
         cloud = sample_cloud(bag, topic)
-    except IngestError:
-        if topic.type == POINT_CLOUD:
-            raise
-        return TopicFacts(topic.name, topic.type, None)  # packets of a model that is not decoded: no LiDAR of ours
+    except PlatformFaultError:
+        raise
+    except IngestError as error:
+        return TopicFacts(topic.name, topic.type, None, problem=str(error))
     fields = frozenset(cloud.points.dtype.names or ())
     return TopicFacts(topic.name, topic.type, None, fields, len(cloud.points))
 
@@ -136,7 +137,8 @@ def _lidar(roles: list[Candidate], asked: str | None) -> Candidate:
         return _asked(roles, asked, fitting, f"{POINT_CLOUD} or packets that are decoded")
     lidars = [topic for topic in roles if topic.role == "lidar"]
     if not lidars:
-        raise no_lidar([(topic.name, topic.type) for topic in roles if holds_other_packets(topic)])
+        unread = unread_points(roles)
+        raise no_lidar(not_read(unread) if unread else "")
     return _only("lidar", likely_lidars(lidars), "--lidar")
 
 

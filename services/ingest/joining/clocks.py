@@ -52,8 +52,9 @@ from stone_recordings.sync.errors import no_lidar
 from stone_recordings.sync.lag_check import MOST_SIGMA_NS, measured_lag
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import Candidate
-from stone_recordings.topics.roles import POSE_ROLES, Role, holds_other_packets
+from stone_recordings.topics.roles import POSE_ROLES, Role
 from stone_recordings.topics.sources import KISS_ICP, candidate_of
+from stone_recordings.topics.unread_points import not_read, unread_points
 
 # The offset of the recording that has the poses, where that is not the one with the LiDAR.
 #
@@ -276,8 +277,8 @@ def reference_first(held: Sequence[HeldMessages], lidar: str | None) -> tuple[He
     name = lidar or max(counts, key=lambda one: (counts[one], one), default="")
     having = [one for one in held if any(topic.name == name for topic in one.topics)]
     if not having:
-        packets = [topic for one in held for topic in one.topics if holds_other_packets(topic)]
-        raise no_lidar([(topic.name, topic.type) for topic in packets])
+        unread = unread_points(topic for one in held for topic in one.topics)
+        raise no_lidar(not_read(unread) if unread else "")
     reference = min(having, key=lambda one: (one.start_ns, one.name))
     return (reference, *(one for one in held if one is not reference))
 

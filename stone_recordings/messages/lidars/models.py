@@ -22,9 +22,10 @@ SAFETY_BYTES, OT128_TAIL_BYTES = 17, 26
 OTHER_HESAI: Mapping[tuple[int, int], str] = {
     (3, 2): "QT128", (4, 1): "AT128", (4, 3): "AT128", (6, 1): "PandarXT", (64, 6): "Pandar64",
 }  # fmt: skip
-OUSTER_TYPES = frozenset({"ouster_sensor_msgs/msg/PacketMsg", "ouster_msgs/msg/PacketMsg", "ouster_ros/msg/PacketMsg"})
-ROBOSENSE_TYPES = frozenset({"rslidar_msg/msg/RslidarPacket", "rslidar_msg/msg/RslidarScan"})
-UNDECODED_TYPES = OUSTER_TYPES | ROBOSENSE_TYPES
+COMPRESSED_CLOUD = "point_cloud_interfaces/msg/CompressedPointCloud2"
+LIVOX_TYPES = frozenset(
+    f"{package}/msg/CustomMsg" for package in ("livox_ros_driver", "livox_ros_driver2", "livox_interfaces")
+)
 
 
 def model_of(packet: memoryview) -> LidarModel | None:
@@ -63,13 +64,22 @@ def refused(packet: memoryview, type_name: str) -> LidarPacketError:
 
 
 def topic_instead(name: str) -> str:
-    """Which driver's topic holds the same as points; `name` is a maker's, or a message type that tells one."""
-    if "velodyne" in name:
-        return "record /velodyne_points of velodyne_pointcloud"
-    if name.startswith(("hesai", "pandar")):
-        return "record /lidar_points of hesai_ros_driver (send_point_cloud_ros: true)"
-    if name.startswith("ouster"):
-        return "record /ouster/points of ouster_ros"
-    if name.startswith("rslidar"):
-        return "record /rslidar_points of rslidar_sdk (send_point_cloud_ros: true)"
-    return "record the PointCloud2 topic of the driver"
+    """Return which driver's topic holds the same as points; `name` is a maker's, or a message type that tells one."""
+    words = name.lower()
+    return next((instead for word, instead in INSTEAD if word in words), "record the PointCloud2 topic of the driver")
+
+
+# By a word of a message type.
+INSTEAD = (
+    ("velodyne", "record /velodyne_points of velodyne_pointcloud"),
+    ("hesai", "record /lidar_points of hesai_ros_driver (send_point_cloud_ros: true)"),
+    ("pandar", "record /lidar_points of hesai_ros_driver (send_point_cloud_ros: true)"),
+    ("ouster", "record /ouster/points of ouster_ros, or make it of the packets by its replay.launch"),
+    ("rslidar", "record /rslidar_points of rslidar_sdk (send_point_cloud_ros: true), or make it of the packets by "
+                "msg_source: 2"),
+    ("robosense", "record /robosense_points of nebula_ros"),
+    ("livox", "record /livox/lidar of livox_ros_driver2 with xfer_format 0 (PointCloud2) or 1 (CustomMsg)"),
+    ("sensor_msgs/msg/laserscan", "it has one plane; labels need the PointCloud2 of a LiDAR with many"),
+    ("multiecholaserscan", "it has one plane; labels need the PointCloud2 of a LiDAR with many"),
+    ("sensor_msgs/msg/pointcloud", "convert it to PointCloud2 (point_cloud_converter) and record that"),
+)  # fmt: skip

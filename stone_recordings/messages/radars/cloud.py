@@ -5,7 +5,7 @@ driver gives none. Names differ by driver (ars548_ros: v, RCS; Nebula: range_rat
 their case. Points that are not finite stay, as invalid. Source: ars548_ros, Nebula, ti_mmwave and Smartmicro drivers.
 """
 
-from collections.abc import Iterable, Sequence
+from collections.abc import Callable, Iterable, Sequence
 from typing import Any
 
 import numpy as np
@@ -18,6 +18,7 @@ from stone_recordings.messages.radars.detections import COLUMNS, RadarDetections
 from stone_recordings.messages.types.table import as_doubles
 
 TYPE = "sensor_msgs/msg/PointCloud2"
+Plain = Callable[[memoryview], memoryview]
 NAMES = {
     "azimuth": ("azimuth", "azimuth_angle"),
     "elevation": ("elevation", "elevation_angle"),
@@ -27,12 +28,12 @@ NAMES = {
 }
 
 
-def decode_radar_cloud(messages: Iterable[StampedMessage]) -> RadarDetections:
-    """N = messages; range rate and cross section are NaN where the driver gives none.
+def decode_radar_cloud(messages: Iterable[StampedMessage], plain: Plain = memoryview) -> RadarDetections:
+    """N = messages; range rate and cross section are NaN where the driver gives none. `plain` unpacks a message.
 
     Raises: MessageLayoutError, ByteOrderError, CloudLayoutError.
     """
-    clouds = [decode_cloud(message.payload) for message in messages]
+    clouds = [decode_cloud(plain(message.payload)) for message in messages]
     points = [_points(cloud.points) for cloud in clouds]
     with np.errstate(over="ignore", invalid="ignore"):  # what is too large for a float32 becomes infinite
         parts = [_columns(cloud.points, xyz) for cloud, xyz in zip(clouds, points, strict=True)]

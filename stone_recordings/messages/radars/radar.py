@@ -8,6 +8,8 @@ from itertools import islice
 
 from stone_recordings.bags.errors import DefinitionMissingError
 from stone_recordings.messages.batch import StampedMessage
+from stone_recordings.messages.compressed_cloud import plain_cloud
+from stone_recordings.messages.lidars.models import COMPRESSED_CLOUD
 from stone_recordings.messages.radars import ars548, cloud, continental, packets, scan
 from stone_recordings.messages.radars.detections import RadarDetections, joined
 
@@ -19,6 +21,7 @@ _DECODERS: dict[str, Callable[[Iterable[StampedMessage], str], RadarDetections]]
     scan.TYPE: scan.decode_radar_scan,
     packets.TYPE: packets.decode_packets,
     cloud.TYPE: lambda messages, _schema: cloud.decode_radar_cloud(messages),
+    COMPRESSED_CLOUD: lambda messages, _schema: cloud.decode_radar_cloud(messages, plain_cloud),
 }
 # An ARS 548 list has 41,741 bytes, so this is some 21 MB.
 _PORTION = 512

@@ -25,8 +25,9 @@ from stone_recordings.messages.types.definition import MOST_CHARACTERS, Field, T
 from stone_recordings.messages.types.plan import Node, compiled
 
 PACKAGES = (
-    "ars548_messages", "continental_msgs", "gps_common", "gps_msgs", "hesai_ros_driver", "nebula_msgs",
-    "novatel_oem7_msgs", "pandar_msgs", "radar_msgs", "velodyne_msgs",
+    "ars548_messages", "continental_msgs", "gps_common", "gps_msgs", "hesai_ros_driver", "livox_interfaces",
+    "livox_ros_driver", "livox_ros_driver2", "nebula_msgs", "novatel_oem7_msgs", "pandar_msgs",
+    "point_cloud_interfaces", "radar_msgs", "velodyne_msgs",
 )  # fmt: skip
 MOST_UPLOADS = 512
 MOST_UPLOADED_CHARACTERS = 4 * MOST_CHARACTERS

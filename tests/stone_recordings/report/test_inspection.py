@@ -120,7 +120,8 @@ def test_a_topic_that_lies_is_a_finding_and_the_others_are_still_inspected(tmp_p
     odometry = _stamped("/odom", ODOMETRY, _every(50 * MS, 18))
     inspection = _inspected(tmp_path, [lying, *odometry, Recorded("/imu", IMU, START_NS, b"\x00\x01")])
     assert {("MSG-303", "/lidar"), ("MSG-301", "/imu")} <= set(_codes(inspection))
-    assert [topic.role for topic in inspection.topics] == ["imu", "lidar", "odometry"]
+    assert [topic.role for topic in inspection.topics] == ["imu", "other", "odometry"]
+    assert ("TOP-101", "/lidar") in _codes(inspection)
     assert inspection.topics[2].timing.rate_hz == 20.0
 
 

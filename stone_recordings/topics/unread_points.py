@@ -1,0 +1,63 @@
+"""Topics that hold points of a LiDAR in a form that is not read, and what to record instead.
+
+**Conventions.** The name of a type, or of the sensor's part in it, tells what it holds. TOP-120 names these topics if
+another LiDAR is read; otherwise TOP-101 does.
+"""
+
+import re
+from collections.abc import Iterable, Sequence
+from typing import Protocol
+
+from stone.findings import Finding
+from stone_recordings.messages.lidars.models import topic_instead
+from stone_recordings.topics.roles import Role
+
+# As in sensor_msgs/msg/LaserScan, rslidar_msg/msg/RslidarPacket, foxglove_msgs/msg/CompressedPointCloud.
+POINT_TYPE = re.compile(r"point_?cloud|scan|packet|laser|lidar|custommsg|udpframe", re.IGNORECASE)
+# What other sensors and networks send, and what was made of points; of the topic's name, too (/ouster/imu_packets).
+OTHER = re.compile(r"imu|can_|radar|gnss|gps|novatel|diagnos|statistics|info|marker", re.IGNORECASE)
+SHOWN = 4
+
+
+class UnreadTopic(Protocol):
+    """A topic, its role, and why its points are not read ("" if its type is not)."""
+
+    @property
+    def name(self) -> str: ...
+    @property
+    def type(self) -> str: ...
+    @property
+    def role(self) -> Role: ...
+    @property
+    def count(self) -> int: ...
+    @property
+    def problem(self) -> str: ...
+
+
+def unread_points(topics: Iterable[UnreadTopic]) -> list[UnreadTopic]:
+    """The topics with messages that may hold a LiDAR's points and are not read."""
+    return [topic for topic in topics if topic.role == "other" and topic.count and _may_hold_points(topic)]
+
+
+def not_read(topics: Sequence[UnreadTopic]) -> str:
+    """Each of a few topics, its type, and the way out."""
+    more = f"; and {len(topics) - SHOWN} more" if len(topics) > SHOWN else ""
+    return "; ".join(_not_read(topic) for topic in topics[:SHOWN]) + more
+
+
+def unread_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
+    """TOP-120 for each; a topic whose messages refuse to be read is named by that refusal already."""
+    return tuple(
+        Finding("TOP-120", "info", topic.name, f"{_not_read(topic)}.")
+        for topic in unread_points(topics)
+        if not topic.problem
+    )
+
+
+def _may_hold_points(topic: UnreadTopic) -> bool:
+    return bool(topic.problem) or bool(POINT_TYPE.search(topic.type) and not OTHER.search(topic.name + topic.type))
+
+
+def _not_read(topic: UnreadTopic) -> str:
+    why = topic.problem.removeprefix(f"{topic.type}: ") or topic_instead(topic.type)
+    return f"{topic.name} ({topic.type}) is not read: {why}"
