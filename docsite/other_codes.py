@@ -95,7 +95,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("redis_missing", "There is no Redis to start."),
     ("reported_differs", "Rows of the table stand on the board already, but with other numbers or words."),
     ("run_exists", "The folder for a new run holds another run."),
-    ("sample_gone", "A message that the frame table names is not in the recording."),
+    ("sample_gone", "A message that the frame table names is not in the recording, or cannot be read."),
     ("scene_damaged", "What the index of a dataset left of a scene, or the archive that it is of, is not what it was."),
     ("scenes_unlabelled", "Scenes of the dataset have frames without labels."),
     ("schema_broken_reference", "A revision left a row whose foreign key refers to nothing; the upgrade was undone."),

@@ -25,6 +25,7 @@ from fuzz.joined import joined_seeds
 from fuzz.labels import label_seeds
 from fuzz.messages import DECODERS
 from fuzz.packets import packet_seeds, pose_seeds
+from fuzz.points import point_seeds, raw_picture_seeds
 from fuzz.submissions import archive_seeds, frame_seeds, header_seeds, manifest_seeds
 from simulator.options import SimulateOptions
 from simulator.pipeline import simulate
@@ -151,6 +152,8 @@ SEEDS: Mapping[str, Callable[[], Iterator[tuple[str, bytes]]]] = {
     "packets": packet_seeds,
     "poses": pose_seeds,
     "joined": joined_seeds,
+    "points": point_seeds,
+    "pictures": raw_picture_seeds,
 }
 
 

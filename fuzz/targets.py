@@ -1,8 +1,8 @@
 """What is fuzzed: the readers of recordings, messages, calibrations, submissions and exports, and labelling, each as
 one function of bytes.
 
-**Conventions.** A target ends normally or with a `StoneError`. Of `messages` and `packets` the first byte chooses the
-type, of `calibration` the ending of its name; the rest is the content.
+**Conventions.** A target ends normally or with a `StoneError`. Of `messages`, `packets` and `points` the first byte
+chooses the type, of `calibration` the ending of its name; the rest is the content.
 """
 
 from collections.abc import Mapping
@@ -18,6 +18,7 @@ from fuzz.labels import read_and_label
 from fuzz.limits import OF_LABELLING, OF_PARSERS, FuzzLimits, Target
 from fuzz.messages import DECODERS
 from fuzz.packets import read_packets, read_poses
+from fuzz.points import read_points, read_raw_picture
 from fuzz.submissions import read_archive, read_frame, read_header, read_manifest_file
 from stone.errors import StoneError
 from stone_recordings.bags.bag import open_bag
@@ -117,6 +118,8 @@ TARGETS: Mapping[str, Target] = {
     "packets": read_packets,
     "poses": read_poses,
     "joined": read_description,
+    "points": read_points,
+    "pictures": read_raw_picture,
 }
 
 

@@ -29,7 +29,7 @@ from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.poses.recorded_mounts import RecordedRadar, unplaced_finding, with_radars
-from stone_recordings.report.projection_checks import projection_findings
+from stone_recordings.report.projection_checks import projection_findings, radar_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, RecordedStamps, shifted_finding, way_out
 from stone_recordings.sync.direction_check import direction_findings
@@ -124,7 +124,7 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
 
 def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
     """What only pictures and registered sweeps tell: they change nothing but what is said of the sequence."""
-    seen = projection_findings(bag, sequence, sweeps)
+    seen = projection_findings(bag, sequence, sweeps) + radar_findings(bag, sequence)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
     return seen + lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
 

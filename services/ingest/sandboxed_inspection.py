@@ -134,16 +134,19 @@ def _refused(refusal: StoneError, severity: Severity) -> Finding:
 
 
 def with_new(known: tuple[Finding, ...], said: tuple[Finding, ...]) -> tuple[Finding, ...]:
-    """Return both, without repetitions: the same code of the same topic, or of none in particular, and as grave."""
+    """Return both, without repetitions: the same code of the same topic, or of none in particular, and as grave; or one
+    reason of one topic."""
     codes, named = {finding.code for finding in known}, {(finding.code, finding.topic) for finding in known}
     refused = {finding.code for finding in known if finding.severity == "error"}
-    new = [
-        one
-        for one in said
-        if ((one.code, one.topic) not in named and (one.topic or one.code not in codes))
-        or (one.severity == "error" and one.code not in refused)
-    ]
-    return (*known, *new)
+    reasons = [(finding.topic, finding.message) for finding in known if finding.topic]
+
+    def is_new(one: Finding) -> bool:
+        if one.severity == "error":
+            return one.code not in refused
+        is_named = (one.code, one.topic) in named or (not one.topic and one.code in codes)
+        return not is_named and not any(one.topic == at and why in one.message for at, why in reasons)
+
+    return (*known, *filter(is_new, said))
 
 
 # The files of an uploaded recording on this machine, opened as one bag.

@@ -40,7 +40,7 @@ MEANINGS = (
         "MSG-306",
         "less",
         "An image is damaged, or of an encoding that is not read.",
-        "Record mono, rgb, bgr, Bayer, JPEG or PNG images.",
+        "Record mono, rgb, bgr, Bayer, YUV (yuv422, yuv422_yuy2, nv12, nv21, nv24), JPEG or PNG images.",
     ),
     CodeMeaning(
         "MSG-307",
@@ -178,5 +178,11 @@ MEANINGS = (
         "none",
         "Points of a further LiDAR are in a form that is not read; another LiDAR is used.",
         "Nothing, or record the driver's topic that the sentence names.",
+    ),
+    CodeMeaning(
+        "TOP-121",
+        "less",
+        "A camera's pictures are recorded as video, which is not read; frames have none of it.",
+        "Record Image or CompressedImage, or convert the topic by image_transport's republish.",
     ),
 )

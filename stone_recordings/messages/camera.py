@@ -1,8 +1,8 @@
 """sensor_msgs Image and CompressedImage → pixels, checked before anything is allocated.
 
 **Conventions.** Pixels are (H, W, 3) uint8, red, green, blue. Sixteen-bit samples keep their upper eight bits. What a
-compressed image is, its first bytes say: the `format` text is free text and not looked at. Source: sensor_msgs
-(Humble), image_encodings.
+compressed image is, its first bytes say: the `format` text is free text and not looked at. Distances (depth images of
+REP 118) are no pictures. Source: sensor_msgs (Humble), image_encodings.
 """
 
 from collections.abc import Callable
@@ -14,6 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
+from stone_recordings.messages import yuv
 from stone_recordings.messages.errors import PictureError
 from stone_recordings.messages.types.cdr import Cursor
 
@@ -21,11 +22,12 @@ IMAGE, COMPRESSED = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage"
 CAMERA_TYPES = frozenset({IMAGE, COMPRESSED})
 # Channels, bytes a sample, and which channels are red, green and blue.
 _LAYOUTS: dict[str, tuple[int, int, tuple[int, int, int]]] = {
-    "mono8": (1, 1, (0, 0, 0)), "8UC1": (1, 1, (0, 0, 0)), "mono16": (1, 2, (0, 0, 0)), "16UC1": (1, 2, (0, 0, 0)),
+    "mono8": (1, 1, (0, 0, 0)), "8UC1": (1, 1, (0, 0, 0)), "mono16": (1, 2, (0, 0, 0)),
     "rgb8": (3, 1, (0, 1, 2)), "bgr8": (3, 1, (2, 1, 0)), "8UC3": (3, 1, (2, 1, 0)), "rgb16": (3, 2, (0, 1, 2)),
     "bgr16": (3, 2, (2, 1, 0)), "rgba8": (4, 1, (0, 1, 2)), "bgra8": (4, 1, (2, 1, 0)), "8UC4": (4, 1, (2, 1, 0)),
     "rgba16": (4, 2, (0, 1, 2)), "bgra16": (4, 2, (2, 1, 0)),
 }  # fmt: skip
+_DEPTH = frozenset({"16UC1", "32FC1", "64FC1"})
 _BAYER = {f"bayer_{name}{bits}": (name, bits // 8) for name in ("rggb", "bggr", "gbrg", "grbg") for bits in (8, 16)}
 
 
@@ -63,6 +65,8 @@ def picture_problem(head: memoryview, type_name: str, size_bytes: Callable[[], i
 
     `size_bytes` is the size of the whole message. What lies behind its first bytes only decoding tells.
     """
+    if type_name == IMAGE:
+        return _raw_problem(head, size_bytes)
     if type_name != COMPRESSED:
         return ""
     cursor = Cursor(head, COMPRESSED)
@@ -71,10 +75,32 @@ def picture_problem(head: memoryview, type_name: str, size_bytes: Callable[[], i
     end = cursor.u32() + cursor.at
     if end > size_bytes():
         return f"{COMPRESSED}: its picture ends at byte {end}, the message has {size_bytes()}"
-    first = bytes(head[cursor.at : min(end, cursor.at + len(PNG_MAGIC))])
-    if first.startswith((JPEG_MAGIC, PNG_MAGIC)):
-        return ""
-    return str(PictureError(COMPRESSED, f"first bytes {first.hex(' ') or 'none'} are neither JPEG nor PNG"))
+    first = bytes(head[cursor.at : min(end, cursor.at + SHOWN_BYTES)])
+    if not first.startswith((JPEG_MAGIC, PNG_MAGIC)):
+        return str(_no_picture(first, COMPRESSED))
+    try:
+        if end <= len(head):
+            check_end(head[cursor.at : end], COMPRESSED)
+    except PictureError as error:
+        return str(error)
+    return ""
+
+
+def _raw_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
+    """What the fields before the pixels say against a raw image."""
+    cursor = Cursor(head, IMAGE)
+    cursor.stamp_ns()
+    cursor.text()
+    height, width, encoding = cursor.u32(), cursor.u32(), cursor.text()
+    cursor.u8()
+    cursor.u32()
+    end = cursor.u32() + cursor.at
+    try:
+        check_size(width, height, IMAGE)
+        _row_bytes(encoding, width)
+    except PictureError as error:
+        return str(error)
+    return "" if end <= size_bytes() else f"{IMAGE}: its pixels end at byte {end}, the message has {size_bytes()}"
 
 
 def picture_of(type_name: str, payload: memoryview, max_width_px: int | None = None) -> NDArray[np.uint8]:
@@ -100,21 +126,25 @@ def _raw(payload: memoryview) -> CameraPicture:
     size = cursor.count(1)
     start = cursor.take(size)
     check_size(width, height, IMAGE)
-    row_bytes = width * _bytes_a_pixel(encoding)
-    if step < row_bytes or size != step * height:
+    row_bytes, rows = _row_bytes(encoding, width), yuv.rows_of(encoding, height)
+    if step < row_bytes or size != step * rows:
         raise PictureError(IMAGE, f"{height} rows of {step} bytes do not hold {width} × {height} {encoding} in {size}")
     return CameraPicture(
         IMAGE, stamp_ns, frame_id, width, height, encoding, step, is_bigendian, payload[start : start + size]
     )
 
 
-def _bytes_a_pixel(encoding: str) -> int:
+def _row_bytes(encoding: str, width: int) -> int:
+    """The least length of a row. Raises: PictureError (an encoding that is not read)."""
+    if encoding in yuv.ENCODINGS:
+        return yuv.row_bytes(encoding, width)
     if encoding in _BAYER:
-        return _BAYER[encoding][1]
+        return width * _BAYER[encoding][1]
     if encoding not in _LAYOUTS:
-        raise PictureError(IMAGE, f"encoding {encoding[:40]!r} is not read")
+        why = "holds distances, not a picture" if encoding in _DEPTH else "is not read"
+        raise PictureError(IMAGE, f"encoding {encoding[:40]!r} {why}")
     channels, sample_bytes, _order = _LAYOUTS[encoding]
-    return channels * sample_bytes
+    return width * channels * sample_bytes
 
 
 def _raw_pixels(picture: CameraPicture, max_width_px: int | None) -> NDArray[np.uint8]:
@@ -123,6 +153,9 @@ def _raw_pixels(picture: CameraPicture, max_width_px: int | None) -> NDArray[np.
         mosaic = _samples(picture, 1, sample_bytes)[..., 0]
         is_narrow = max_width_px is not None and 2 * max_width_px <= picture.width_px and picture.height_px > 1
         return binned(mosaic, pattern) if is_narrow else debayered(mosaic, pattern)
+    if picture.encoding in yuv.ENCODINGS:
+        size_px = (picture.width_px, picture.height_px)
+        return yuv.yuv_pixels(picture.data, picture.encoding, size_px, picture.step_bytes)
     channels, sample_bytes, order = _LAYOUTS[picture.encoding]
     return np.ascontiguousarray(_samples(picture, channels, sample_bytes)[..., order])
 
@@ -220,6 +253,14 @@ MOST_PIXELS = 48_000_000
 # A progressive JPEG has about ten scans; each costs a walk over the whole picture, however few bytes it takes.
 MOST_SCANS = 100
 JPEG_MAGIC, PNG_MAGIC = b"\xff\xd8\xff", b"\x89PNG\r\n\x1a\n"
+SHOWN_BYTES = 16
+# Cameras pad pictures to whole blocks.
+END_BYTES = 1 << 12
+OTHER_MAGIC = (
+    (b"\0\0\0\1", "video (H.264 or H.265)"), (b"\0\0\1", "video (H.264 or H.265)"), (b"RIFF", "WebP"), (b"BM", "BMP"),
+    (b"II*\0", "TIFF"), (b"MM\0*", "TIFF"), (b"GIF8", "GIF"), (b"\0\0\0\x20ftyp", "AVIF or HEIF"),
+    (b"\0\0\0\0", "a compressed depth image"),
+)  # fmt: skip
 # Start of frame, without the tables that share its range of markers (DHT, JPG, DAC).
 _FRAME_MARKERS = frozenset(range(0xC0, 0xD0)) - {0xC4, 0xC8, 0xCC}
 _ALONE_MARKERS = frozenset({0x01, *range(0xD0, 0xD9)})
@@ -239,9 +280,23 @@ def head_of(data: bytes, type_name: str) -> PictureHeader:
     elif data.startswith(PNG_MAGIC):
         head = _png(data, type_name)
     else:
-        raise PictureError(type_name, f"first bytes {data[:8].hex(' ')} are neither JPEG nor PNG")
+        raise _no_picture(data[:SHOWN_BYTES], type_name)
     check_size(head.width_px, head.height_px, type_name)
     return head
+
+
+def _no_picture(first: bytes, type_name: str) -> PictureError:
+    """By the first bytes: the name of another format where they tell one."""
+    shown = first[:8].hex(" ") or "none"
+    name = next((name for magic, name in OTHER_MAGIC if first.startswith(magic)), "")
+    return PictureError(type_name, f"first bytes {shown} are neither JPEG nor PNG{f' but {name}' if name else ''}")
+
+
+def check_end(data: memoryview, type_name: str) -> None:
+    """Raises: PictureError for a JPEG or PNG that was cut off."""
+    kind, mark = ("JPEG", b"\xff\xd9") if data[:3] == JPEG_MAGIC else ("PNG", b"IEND")
+    if mark not in bytes(data[-END_BYTES:]):
+        raise PictureError(type_name, f"the {kind} was cut off: it has no end")
 
 
 def check_size(width_px: int, height_px: int, type_name: str) -> None:

@@ -5,9 +5,8 @@ formats "zlib" (a stream with a zlib or gzip header) and "zstd" keep every byte;
 is inflated than the declared size of the cloud. Source: point_cloud_interfaces, point_cloud_transport_plugins.
 """
 
-import struct
 import zlib
-from collections.abc import Callable, Mapping
+from collections.abc import Callable, Iterator, Mapping
 
 import zstandard
 
@@ -16,19 +15,25 @@ from stone_recordings.messages.lidars.models import COMPRESSED_CLOUD
 from stone_recordings.messages.pointcloud2 import CloudSize, cloud_size, layout_problem
 from stone_recordings.messages.types.cdr import Cursor
 
-# A revolution of 2.6 million points of 26 bytes; no LiDAR is near that.
-MOST_CLOUD_BYTES = 64 << 20
+# A revolution of a million points of 32 bytes; one of an OT128 with two returns has 0.9.
+MOST_CLOUD_BYTES, PIECE_BYTES, MOST_WINDOW_BYTES = 32 << 20, 1 << 20, 8 << 20
 ANY_HEADER = 32 + zlib.MAX_WBITS
 SHOWN_CHARACTERS = 40
 
 
 def plain_cloud(payload: memoryview) -> memoryview:
-    """Return the message as a PointCloud2. Raises: MessageLayoutError, ByteOrderError, `MSG-330`."""
+    """Return the message as a PointCloud2. Raises: MessageLayoutError, ByteOrderError, CloudLayoutError, `MSG-330`."""
     cursor, size = _to_data(payload)
     start = cursor.take(cursor.bounded(size.data_bytes, 1))
     is_dense, name = cursor.u8(), cursor.text()
-    data = _inflated(payload[start : start + size.data_bytes], name, size.points_bytes)
-    return memoryview(bytes(payload[: start - 4]) + struct.pack("<I", len(data)) + data + bytes([is_dense]))
+    points_bytes = min(size.points_bytes, MOST_CLOUD_BYTES)
+    plain = bytearray(start + points_bytes + 1)
+    plain[: start - 4] = payload[: start - 4]
+    packed, room = payload[start : start + size.data_bytes], memoryview(plain)[start : start + points_bytes]
+    inflated_bytes = _inflated(packed, name, room)
+    plain[start - 4 : start] = inflated_bytes.to_bytes(4, "little")
+    plain[start + inflated_bytes] = is_dense
+    return memoryview(plain).toreadonly()[: start + inflated_bytes + 1]
 
 
 def compressed_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
@@ -55,9 +60,9 @@ def _to_data(head: memoryview) -> tuple[Cursor, CloudSize]:
     return cursor, cloud_size(cursor)
 
 
-def _inflated(packed: memoryview, name: str, points_bytes: int) -> bytes:
-    """Raises: MessageLayoutError, `MSG-330`."""
-    word, most_bytes = name.strip().lower(), min(points_bytes, MOST_CLOUD_BYTES)
+def _inflated(packed: memoryview, name: str, room: memoryview) -> int:
+    """Fill the room from its beginning; return how many bytes. Raises: MessageLayoutError, `MSG-330`."""
+    word = name.strip().lower()
     if word not in _CODECS:
         raise IngestError(
             "MSG-330",
@@ -65,23 +70,30 @@ def _inflated(packed: memoryview, name: str, points_bytes: int) -> bytes:
             "record the PointCloud2 topic beside it, or play the recording through republish of point_cloud_transport "
             "(out_transport raw) and record that",
         )
+    at = 0
     try:
-        data = _CODECS[word](packed, most_bytes + 1)
+        for piece in _CODECS[word](packed):
+            if at + len(piece) > len(room):
+                problem = f"its {word} data inflates to more than the {len(room)} bytes that its points take"
+                raise MessageLayoutError(COMPRESSED_CLOUD, problem)
+            room[at : at + len(piece)] = piece
+            at += len(piece)
     except (zlib.error, zstandard.ZstdError) as error:
         raise MessageLayoutError(COMPRESSED_CLOUD, f"its {word} data does not inflate ({error})"[:200]) from None
-    if len(data) > most_bytes:
-        problem = f"its {word} data inflates to more than the {most_bytes} bytes that its points take"
-        raise MessageLayoutError(COMPRESSED_CLOUD, problem)
-    return data
+    return at
 
 
-def _zlib(packed: memoryview, most_bytes: int) -> bytes:
-    return zlib.decompressobj(ANY_HEADER).decompress(packed, most_bytes)
+def _zlib(packed: memoryview) -> Iterator[bytes]:
+    stream, rest = zlib.decompressobj(ANY_HEADER), bytes(packed)
+    while piece := stream.decompress(rest, PIECE_BYTES):
+        yield piece
+        rest = stream.unconsumed_tail
 
 
-def _zstd(packed: memoryview, most_bytes: int) -> bytes:
-    with zstandard.ZstdDecompressor(max_window_size=MOST_CLOUD_BYTES).stream_reader(packed) as stream:
-        return bytes(stream.read(most_bytes))
+def _zstd(packed: memoryview) -> Iterator[bytes]:
+    with zstandard.ZstdDecompressor(max_window_size=MOST_WINDOW_BYTES).stream_reader(packed) as stream:
+        while piece := stream.read(PIECE_BYTES):
+            yield piece
 
 
-_CODECS: Mapping[str, Callable[[memoryview, int], bytes]] = {"zlib": _zlib, "zstd": _zstd}
+_CODECS: Mapping[str, Callable[[memoryview], Iterator[bytes]]] = {"zlib": _zlib, "zstd": _zstd}

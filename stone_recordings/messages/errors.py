@@ -10,7 +10,8 @@ class PictureError(IngestError):
 
     def __init__(self, type_name: str, problem: str) -> None:
         super().__init__(
-            "MSG-306", f"{type_name}: {problem}; record Image (mono, rgb, bgr, bayer) or JPEG or PNG from the driver"
+            "MSG-306",
+            f"{type_name}: {problem}; record Image (mono, rgb, bgr, bayer, yuv), JPEG or PNG from the driver",
         )
 
 

@@ -148,7 +148,7 @@ def xyz_problem(head: memoryview) -> str:
     return ""
 
 
-def points_in(head: memoryview) -> int:
+def points_of_head(head: memoryview) -> int:
     """Return how many points a cloud holds that begins so. Raises as `decode_cloud`."""
     cursor = Cursor(head, TYPE)
     cursor.stamp_ns()

@@ -29,7 +29,7 @@ from stone_recordings.messages.lidars.packet_scan import PACKET_READERS, first_p
 from stone_recordings.messages.lidars.points import PacketReturns, records_of
 from stone_recordings.messages.lidars.velodyne import velodyne_returns
 from stone_recordings.messages.pointcloud2 import TYPE as POINT_CLOUD
-from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud, layout_problem, points_in, xyz_problem
+from stone_recordings.messages.pointcloud2 import Cloud, decode_cloud, layout_problem, points_of_head, xyz_problem
 from stone_recordings.messages.types.cdr import Cursor
 
 PACKET_TYPES = frozenset(PACKET_READERS)
@@ -75,7 +75,7 @@ def points_declared(head: memoryview, type_name: str) -> int | None:
         return livox_count(head, type_name)
     with suppress(MessageLayoutError, ByteOrderError, CloudLayoutError):
         if type_name == POINT_CLOUD:
-            return points_in(head)
+            return points_of_head(head)
     try:
         cursor = Cursor(head, type_name)
         cursor.stamp_ns()

@@ -24,7 +24,7 @@ from stone_recordings.messages.problems import (
     left_out_finding,
     majority,
 )
-from stone_recordings.messages.sweep_clouds import SWEEP_TYPES, points_declared, sweep_problem
+from stone_recordings.messages.sweep_clouds import CLOUD_TYPES, SWEEP_TYPES, points_declared, sweep_problem
 from stone_recordings.messages.types.cdr import HEAD_BYTES, NS_PER_S, Cursor
 from stone_recordings.topics.sources import Sources
 
@@ -126,6 +126,8 @@ class RecordedReading:
         self._topics = {topic.name: topic for topic in bag.topics}
         told_late = (name for name in sources.scanned if self._topics[name].type in TOLD_WHOLE)
         self.whole = (*sources.whole, *told_late)
+        radars = {topic.name for topic, role in sources.associated if role == "radar" and topic.type in CLOUD_TYPES}
+        self._placed = {sources.lidar.name, *radars}  # whose points need places
         self._heads = {name: [b""] * self._topics[name].count for name in sources.scanned}
         self._payloads: dict[str, dict[int, bytes]] = {name: {} for name in sources.whole}
         self._unusable: dict[str, dict[int, MessageProblem]] = {name: {} for name in sources.scanned}
@@ -158,7 +160,7 @@ class RecordedReading:
     def _problem(self, name: str, index: int, payload: memoryview) -> MessageProblem | None:
         type_name = self._topics[name].type
         problem = self._read[name].problem(payload, partial(self._bag.size_bytes, name, index))
-        if problem is None and name == self._sources.lidar.name and (missing := sweep_problem(payload, type_name)):
+        if problem is None and name in self._placed and (missing := sweep_problem(payload, type_name)):
             return MessageProblem(MALFORMED, missing)
         return problem
 

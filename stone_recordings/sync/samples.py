@@ -21,8 +21,9 @@ from stone.sensors.radar_motion import compensated, radar_motion
 from stone.sensors.samples import CameraSample, LidarSample, RadarSample
 from stone.sensors.sequence import Association, Sequence
 from stone_files.bag_fingerprint import recording_sha256
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.clocks.point_clock import points_in
-from stone_recordings.messages.camera import COMPRESSED, CameraPicture, decode_image, head_of
+from stone_recordings.messages.camera import COMPRESSED, CameraPicture, check_end, decode_image, head_of
 from stone_recordings.messages.lidar import LidarPoints
 from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.messages.sweep_clouds import cloud_at
@@ -48,16 +49,20 @@ class BagRadar:
         return len(self.stamps_ns)
 
     def frame(self, index: int) -> RadarSample | None:
-        """What it saw for frame `index`; None where no message is near enough.
+        """What it saw for frame `index`; None where no message is near enough, or the message cannot be read.
 
-        Raises IndexError, and what opening and decoding raise (BAG-*, MSG-*).
+        Raises IndexError, and what opening raises (BAG-*).
         """
         row, stamp_ns = int(self.taken.message_index[index]), int(self.stamps_ns[index])
         if row < 0:
             return None
         bag, taken_ns = opened(self.path), stamp_ns + int(self.taken.dt_ns[index])
         topic = next(topic for topic in bag.topics if topic.name == self.taken.topic)
-        seen = decode_radar(topic.type, [bag.message(topic.name, row)], topic.schema)
+        message = bag.message(topic.name, row)
+        try:
+            seen = decode_radar(topic.type, [message], topic.schema)
+        except IngestError:  # `radar_findings` and `RecordedTopics.left_out` name it
+            return None
         motion = radar_motion(self.mount, self.lidar_from_radar, stamp_ns, taken_ns)
         points_radar, range_rate_m_s = seen.points_radar[seen.is_valid], seen.range_rate_m_s[seen.is_valid]
         moved = compensated(points_radar, range_rate_m_s.astype(np.float64), motion)
@@ -108,14 +113,21 @@ class BagSamples:
         return LidarSample(points_lidar, _intensity(cloud.points, found.rows)[is_kept], ring[is_kept])
 
     def camera(self, channel: str, index: int) -> CameraSample | None:
-        """Raises IndexError, and what opening and decoding raise (BAG-*, MSG-*)."""
+        """The picture; None where none was taken, or it cannot be read.
+
+        Raises IndexError, and what opening raises (BAG-*).
+        """
         taken = self.sequence.frames.associations.get(channel)
         if taken is None or taken.message_index[index] < 0:
             return None
         bag = opened(self.path)
         topic = next(topic for topic in bag.topics if topic.name == taken.topic)
-        picture = decode_image(bag.message(topic.name, int(taken.message_index[index])).payload, topic.type)
-        content = as_jpeg(picture)
+        payload = bag.message(topic.name, int(taken.message_index[index])).payload
+        try:
+            picture = decode_image(payload, topic.type)
+            content = as_jpeg(picture)
+        except IngestError:  # `picture_findings` and `RecordedTopics.left_out` name it
+            return None
         return CameraSample(self._taken_ns(taken, index), content, picture.width_px, picture.height_px)
 
     def radar(self, channel: str, index: int) -> RadarSample | None:
@@ -196,8 +208,9 @@ def jpeg_of(content: bytes) -> tuple[bytes, tuple[int, int]]:
 
 
 def as_jpeg(picture: CameraPicture) -> bytes:
-    """The recorded bytes where they are JPEG, else encoded once."""
+    """The recorded bytes where they are JPEG, else encoded once. Raises `PictureError`."""
     if picture.encoding == "JPEG":
+        check_end(picture.data, picture.type_name)
         return bytes(picture.data)
     file = io.BytesIO()
     Image.fromarray(picture.pixels()).save(file, "JPEG", quality=JPEG_QUALITY, subsampling=0)

@@ -26,7 +26,7 @@ from stone_recordings.topics.roles import (
     of_pose_role,
     with_plausible_rate,
 )
-from stone_recordings.topics.unread_points import not_read, unread_findings, unread_points
+from stone_recordings.topics.unread_topics import not_read, unread_findings, unread_points, video_findings
 
 PARTS = ("lidar", "pose", "imu")
 CHANNEL = re.compile(r"(?:CAM|RADAR)(?:_[A-Z0-9]+){1,4}")
@@ -100,7 +100,7 @@ def resolve(
             doubts.append(_ambiguous(part, fitting))
     channels = {**chosen, **found}
     doubts += _missing(candidates, channels)
-    doubts += _nameless(free, channel_of_frame or {})
+    doubts += [*_nameless(free, channel_of_frame or {}), *video_findings(free)]
     return Assignment(channels, tuple(doubts))
 
 

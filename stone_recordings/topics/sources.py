@@ -31,7 +31,7 @@ from stone_recordings.topics.roles import (
     role_of,
     with_plausible_rate,
 )
-from stone_recordings.topics.unread_points import not_read, unread_points
+from stone_recordings.topics.unread_topics import not_read, unread_points
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"

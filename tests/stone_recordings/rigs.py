@@ -113,7 +113,7 @@ def stamped(topic: str, type_name: str, stamp_ns: int, frame_id: str) -> writing
     message = writing.random_message(type_name, np.random.default_rng(0), True)
     message.header = writing.header(stamp_ns, frame_id)
     if type_name == "sensor_msgs/msg/CompressedImage":
-        message.data = np.frombuffer(b"\xff\xd8\xff\xe0\x00\x10JFIF\x00", np.uint8)
+        message.data = np.frombuffer(b"\xff\xd8\xff\xe0\x00\x10JFIF\x00\xff\xd9", np.uint8)
     return writing.Recorded(topic, type_name, stamp_ns + 1_000_000, writing.serialised(message))
 
 

@@ -54,7 +54,7 @@ from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import Candidate
 from stone_recordings.topics.roles import POSE_ROLES, Role
 from stone_recordings.topics.sources import KISS_ICP, candidate_of
-from stone_recordings.topics.unread_points import not_read, unread_points
+from stone_recordings.topics.unread_topics import not_read, unread_points
 
 # The offset of the recording that has the poses, where that is not the one with the LiDAR.
 #

@@ -59,6 +59,14 @@ def sweep(t: float) -> tuple[NDArray[np.float32], Array, NDArray[np.int64]]:
     return np.stack(places, axis=1).astype(np.float32), after_s, ring
 
 
+@dataclass(frozen=True)
+class BareMessage:
+    """A message whose bytes are given, whatever they are."""
+
+    __msgtype__: str
+    content: bytes
+
+
 class FieldTopic(NamedTuple):
     """A topic: its messages begin `lead_s` before the drive, end as long after it, and are `step_s` apart."""
 
@@ -171,7 +179,9 @@ class FieldDrive:
                 kind = topic.message(0.0).__msgtype__
                 connection = writer.add_connection(topic.name, kind, typestore=self.store)
                 for t in np.arange(-topic.lead_s, SWEEPS * SWEEP_S + topic.lead_s - 1e-9, topic.step_s).tolist():
-                    content = self.store.serialize_cdr(topic.message(t), kind)
+                    message = topic.message(t)
+                    is_bare = isinstance(message, BareMessage)
+                    content = message.content if is_bare else self.store.serialize_cdr(message, kind)
                     writer.write(connection, round((BEGIN_S + t + DELAY_S) * 1e9), content)
         calibration = folder / "run.yaml"
         calibration.write_text(

@@ -22,6 +22,7 @@ COMPRESSED_FIELDS = (
     "std_msgs/Header header\nuint32 height\nuint32 width\nsensor_msgs/PointField[] fields\nbool is_bigendian\n"
     "uint32 point_step\nuint32 row_step\nuint8[] compressed_data\nbool is_dense\nstring format\n"
 )
+MOST_POINTS = 1 << 20
 PACKERS: Mapping[str, Callable[[bytes], bytes]] = {
     "zlib": gzip.compress,  # the plugin's stream has a gzip header
     "zlib with its own header": zlib.compress,
@@ -53,9 +54,11 @@ def livox_message(
     return drive.store.types[f"{package}/msg/CustomMsg"](**(declared | other))
 
 
-def compressed_message(drive: FieldDrive, t: float, packer: str) -> Any:
-    """Return the sweep at `t`, compressed by one of PACKERS."""
-    cloud = drive.velodyne(t)
+def compressed_message(drive: FieldDrive, t: float, packer: str, most_points: int = MOST_POINTS) -> Any:
+    """Return the sweep at `t`, or its first points, compressed by one of PACKERS."""
+    points, after_s = drive.points(t)
+    points["time"] = after_s
+    cloud = drive.cloud(t, points[:most_points])
     data = np.frombuffer(PACKERS[packer](cloud.data.tobytes()), np.uint8)
     fields = {
         name: getattr(cloud, name)

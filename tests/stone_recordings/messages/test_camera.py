@@ -14,7 +14,16 @@ from PIL import Image
 
 from stone_recordings.bags.errors import IngestError, MessageLayoutError, PoseValueError
 from stone_recordings.messages import problems
-from stone_recordings.messages.camera import COMPRESSED, IMAGE, MOST_SCANS, binned, debayered, decode_image, picture_of
+from stone_recordings.messages.camera import (
+    COMPRESSED,
+    IMAGE,
+    MOST_SCANS,
+    binned,
+    debayered,
+    decode_image,
+    picture_of,
+    picture_problem,
+)
 from stone_recordings.messages.errors import PictureError
 from tests.stone_recordings.writing import header, made, serialised
 
@@ -232,8 +241,8 @@ def picture(data: bytes, stamp_s: int = 7) -> bytes:
 @pytest.mark.parametrize(
     ("head", "code", "reason"),
     [
-        (picture(b"\xff\xd8\xff and more"), "", ""),
-        (picture(b"\xff\xd8\xff", stamp_s=0), "no_stamp", "its stamp is 0"),
+        (picture(b"\xff\xd8\xff and more\xff\xd9"), "", ""),
+        (picture(b"\xff\xd8\xff\xff\xd9", stamp_s=0), "no_stamp", "its stamp is 0"),
         (picture(b"noise"), "malformed_sweep", "neither JPEG nor PNG"),
         (picture(b""), "malformed_sweep", "first bytes none"),
         (picture(b"\xff\xd8\xff and more")[:-4], "malformed_sweep", "its picture ends at byte"),
@@ -286,3 +295,72 @@ def test_a_topic_s_heads_are_each_told_as_alone(cut: list[tuple[bytes, int]], ty
     for head, bytes_left in cut:
         view = memoryview(head[: max(0, len(head) - bytes_left // 4)])
         assert topic.problem(view, lambda: 0) == problems.head_problem(view, type_name, lambda: 0)
+
+
+# Of each encoding: where Y, U and V of a pixel are, by the definitions of V4L2 (YUYV, UYVY, NV12, NV21, NV24).
+def _places(encoding: str, x: int, y: int, size: tuple[int, int], step: int) -> tuple[int, int, int]:
+    height = size[0]
+    pair, row = y * step + 4 * (x // 2), (height + y // 2) * step + 2 * (x // 2)
+    if encoding in ("yuv422_yuy2", "yuyv"):
+        return y * step + 2 * x, pair + 1, pair + 3
+    if encoding in ("yuv422", "uyvy"):
+        return y * step + 2 * x + 1, pair, pair + 2
+    if encoding == "nv24":
+        row = height * step + y * 2 * step + 2 * x
+    return y * step + x, *((row + 1, row) if encoding == "nv21" else (row, row + 1))
+
+
+def _rgb_of(y: float, u: float, v: float) -> NDArray[np.float64]:
+    """By the matrix of BT.601 that makes Y'CbCr of R'G'B', inverted."""
+    forward = np.array([[0.299, 0.587, 0.114], [-0.168736, -0.331264, 0.5], [0.5, -0.418688, -0.081312]])
+    full = np.array([(max(y, 16) - 16) / 219, (u - 128) / 224, (v - 128) / 224])
+    return np.asarray((255 * (np.linalg.inv(forward) @ full)).clip(0, 255))
+
+
+@pytest.mark.parametrize("encoding", ["yuv422_yuy2", "yuyv", "yuv422", "uyvy", "nv12", "nv21", "nv24"])
+@pytest.mark.parametrize(("size", "pad"), [((4, 6), 0), ((4, 6), 2), ((150, 4), 0), ((2, 2), 4)])
+def test_pictures_of_brightness_and_colour_are_those_of_bt_601(encoding: str, size: tuple[int, int], pad: int) -> None:
+    height, width = size
+    packed = encoding in ("yuv422_yuy2", "yuyv", "yuv422", "uyvy")
+    step = (2 * width if packed else width) + pad
+    rows = height if packed else height + height // 2 if encoding != "nv24" else 3 * height
+    data = _random((rows * step,), 5)
+    pixels = picture_of(IMAGE, _image(encoding, data.tobytes(), size, step))
+    for y, x in np.ndindex(height, width):
+        expected = _rgb_of(*(float(data[at]) for at in _places(encoding, x, y, size, step)))
+        np.testing.assert_allclose(pixels[y, x], expected, atol=0.51 + 0.01)
+
+
+@pytest.mark.parametrize("encoding", ["yuv422_yuy2", "nv12", "nv21", "nv24"])
+def test_a_grey_picture_of_limited_range_is_black_to_white(encoding: str) -> None:
+    height, width, step = 3, 5, 12
+    rows = {"yuv422_yuy2": 3, "nv12": 5, "nv21": 5, "nv24": 9}[encoding]
+    for level, shown in ((16, 0), (235, 255)):
+        data = np.full((rows, step), 128, np.uint8)
+        if encoding == "yuv422_yuy2":
+            data[:, ::2] = level
+        else:
+            data[:height] = level
+        pixels = picture_of(IMAGE, _image(encoding, data.tobytes(), (height, width), step))
+        np.testing.assert_array_equal(pixels, np.full((height, width, 3), shown))
+
+
+@pytest.mark.parametrize(
+    ("payload", "word"),
+    [
+        (_image("yuv422_i420", bytes(40), (2, 2), 20), "'yuv422_i420' is not read"),
+        (_image("32FC1", bytes(32), (2, 4), 16), "distances"),
+        (_image("16UC1", bytes(16), (2, 4), 8), "distances"),
+        (_image("rgb8", b"", (0, 0), 0), "0 × 0"),
+        (_compressed(b"\0\0\0\1\x67abc", "h264"), "H.264"),
+        (_compressed(b"RIFFabcdWEBP", "webp"), "WebP"),
+        (_compressed(b"", "jpeg"), "none"),
+        (_compressed(_encoded(_random((9, 9, 3)), "PNG")[:-30]), "cut off"),
+        (_compressed(_encoded(_random((9, 9, 3)), "JPEG")[:-30]), "cut off"),
+    ],
+)
+def test_a_picture_that_cannot_be_read_is_named_by_its_head_as_by_decoding(payload: memoryview, word: str) -> None:
+    type_name = IMAGE if any(one in word for one in ("yuv", "distances", "0 × 0")) else COMPRESSED
+    assert word in picture_problem(payload, type_name, lambda: len(payload))
+    with pytest.raises(PictureError):
+        picture_of(type_name, payload)

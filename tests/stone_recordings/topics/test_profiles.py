@@ -233,3 +233,59 @@ def test_a_frame_that_the_calibration_knows_decides_and_else_topic_then_frame() 
 def test_any_text_names_a_channel_or_none(name: str) -> None:
     channel = channel_of_words("camera", name)
     assert channel is None or set(channel.split("_")) <= {"CAM", "FRONT", "BACK", "LEFT", "RIGHT"}
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name", "way_out"),
+    [
+        ("/ouster/lidar_packets", "ouster_sensor_msgs/msg/PacketMsg", "/ouster/points"),
+        ("/os_node/lidar_packets", "ouster_ros/msg/PacketMsg", "/ouster/points"),
+        ("/rslidar_packets", "rslidar_msg/msg/RslidarPacket", "/rslidar_points"),
+        ("/top/robosense_packets", "robosense_msgs/msg/RobosenseScan", "/robosense_points"),
+        ("/hesai/pandar", "hesai_lidar/msg/PandarScan", "/lidar_points"),
+        ("/scan", "sensor_msgs/msg/LaserScan", "one plane"),
+        ("/echoes", "sensor_msgs/msg/MultiEchoLaserScan", "one plane"),
+        ("/cloud", "sensor_msgs/msg/PointCloud", "convert"),
+        ("/seyond", "seyond/msg/SeyondScan", "PointCloud2"),
+        ("/livox/lidar_raw", "livox_sdk_msgs/msg/LivoxPacket", "xfer_format"),
+        ("/draco", "foxglove_msgs/msg/CompressedPointCloud", "PointCloud2"),
+    ],
+)
+def test_points_that_are_not_read_are_named_by_topic_and_type(name: str, type_name: str, way_out: str) -> None:
+    unread = Candidate(name, type_name, "other", 100, 10.0)
+    (missing,) = resolve((unread, INS), TopicProfile()).findings
+    assert (missing.code, missing.severity, missing.topic) == ("TOP-101", "error", name)
+    (beside,) = resolve((*RIG, unread), TopicProfile()).findings
+    assert (beside.code, beside.severity, beside.topic) == ("TOP-120", "info", name)
+    for finding in (missing, beside):
+        assert all(word in finding.message for word in (name, type_name, way_out))
+
+
+@pytest.mark.parametrize(
+    ("name", "type_name"),
+    [
+        ("/ouster/imu_packets", "ouster_sensor_msgs/msg/PacketMsg"),
+        ("/gnss/packets", "ublox_msgs/msg/RawPacket"),
+        ("/radar/packets", "radar_driver_msgs/msg/RadarPacket"),
+        ("/diagnostics", "diagnostic_msgs/msg/DiagnosticArray"),
+        ("/markers", "visualization_msgs/msg/MarkerArray"),
+    ],
+)
+def test_what_holds_no_points_is_not_named(name: str, type_name: str) -> None:
+    assert resolve((*RIG, Candidate(name, type_name, "other", 100, 10.0)), TopicProfile()).findings == ()
+
+
+@pytest.mark.parametrize(
+    "type_name",
+    [
+        "ffmpeg_image_transport_msgs/msg/FFMPEGPacket",
+        "foxglove_msgs/msg/CompressedVideo",
+        "theora_image_transport/msg/Packet",
+    ],
+)
+def test_video_is_named_with_a_way_out(type_name: str) -> None:
+    video = Candidate("/cam_front/ffmpeg", type_name, "other", 100, 10.0)
+    (finding,) = resolve((*RIG, video), TopicProfile()).findings
+    assert (finding.code, finding.severity, finding.topic) == ("TOP-121", "warning", "/cam_front/ffmpeg")
+    assert type_name in finding.message
+    assert "republish" in finding.message

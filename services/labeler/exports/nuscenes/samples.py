@@ -9,6 +9,7 @@ errs towards the corners, and so does whoever does not undistort first. There ar
 one frame.
 """
 
+import json
 from collections.abc import Callable, Mapping
 from pathlib import Path
 
@@ -21,6 +22,7 @@ from services.labeler.exports.nuscenes.tables import (
     VERSION,
     NuscenesTableWriter,
     Row,
+    lines_of,
     token_of,
     write_splits,
     written_tables,
@@ -30,19 +32,31 @@ from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import LidarSample, RadarSample, SampleSource
 
 
+class SampleGoneError(Refused):
+    """A frame takes a message that the recording does not have, or that cannot be read."""
+
+    def __init__(self, index: int, channel: str) -> None:
+        super().__init__(
+            "sample_gone", f"frame {index} takes a message of {channel} that is not in the recording or cannot be read"
+        )
+
+
 def write_samples(samples: SampleSource, plan: NuscenesPlan, out: Path, written: Callable[[int], None]) -> None:
     """Write tables and samples of the plan's sequence; `written(index)` is called after each frame.
 
-    Raises `sample_gone`, and what reading samples raises (BAG-*, MSG-*).
+    A picture or scan that cannot be read is left out. Raises what reading samples raises (BAG-*, MSG-* of sweeps).
     """
     for channel in plan.channels:
         (out / "samples" / channel.name).mkdir(parents=True)
+    gone = dict[str, tuple[str, str]]()
     with written_tables(out / VERSION) as tables:
         add_fixed_rows(tables)
         add_rig_rows(tables, plan)
         for index in range(len(plan.sequence.frames)):
-            _write_frame(samples, plan, index, (out, tables))
+            gone |= _write_frame(samples, plan, index, (out, tables))
             written(index)
+    if gone:
+        _close_chains(out / VERSION / "sample_data.json", gone)
     write_splits(out / VERSION / SPLITS, {"all": [plan.sequence.name]})
 
 
@@ -62,17 +76,16 @@ def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> 
         content = b"" if picture is None else picture.content
         size_px = (0, 0) if picture is None else (picture.width_px, picture.height_px)
     if not content:
-        raise Refused(
-            "sample_gone", f"frame {index} takes a message of {channel.name} that the recording does not have"
-        )
+        raise SampleGoneError(index, channel.name)
     return content, size_px
 
 
 def _write_frame(
     samples: SampleSource, plan: NuscenesPlan, index: int, to: tuple[Path, Mapping[str, NuscenesTableWriter]]
-) -> None:
+) -> dict[str, tuple[str, str]]:
+    """What is written of a frame; by its token, the planned neighbours of each datum that cannot be read."""
     out, tables = to
-    frames = plan.sequence.frames
+    frames, gone = plan.sequence.frames, dict[str, tuple[str, str]]()
     token = frames.tokens[index]
     tables["sample"].add(
         {
@@ -85,11 +98,33 @@ def _write_frame(
     )
     for channel in plan.channels:
         place = channel.place(index)
-        if place is not None:
+        if place is None:
+            continue
+        try:
             content, size_px = sample_file(samples, channel, place)
-            (out / plan.filename(channel, place)).write_bytes(content)
-            tables["ego_pose"].add(pose_row(plan, channel, place))
-            tables["sample_data"].add(_datum_row(plan, channel, place, size_px))
+        except SampleGoneError:
+            row = _datum_row(plan, channel, place, (0, 0))
+            gone[str(row["token"])] = (str(row["prev"]), str(row["next"]))
+            continue
+        (out / plan.filename(channel, place)).write_bytes(content)
+        tables["ego_pose"].add(pose_row(plan, channel, place))
+        tables["sample_data"].add(_datum_row(plan, channel, place, size_px))
+    return gone
+
+
+def _close_chains(table: Path, gone: Mapping[str, tuple[str, str]]) -> None:
+    """Make the neighbours of what is gone neighbours of each other."""
+    closed = table.with_suffix(".closed")
+    with closed.open("w", encoding="utf-8") as file:
+        rows = NuscenesTableWriter(file)
+        for line in lines_of(table):
+            row = json.loads(line)
+            for side, name in enumerate(("prev", "next")):
+                while row[name] in gone:
+                    row[name] = gone[row[name]][side]
+            rows.add(row)
+        rows.end()
+    closed.replace(table)
 
 
 def _datum_row(

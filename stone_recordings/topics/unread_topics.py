@@ -1,7 +1,7 @@
-"""Topics that hold points of a LiDAR in a form that is not read, and what to record instead.
+"""Topics that hold a LiDAR's points or a camera's pictures in a form that is not read, and what to record instead.
 
-**Conventions.** The name of a type, or of the sensor's part in it, tells what it holds. TOP-120 names these topics if
-another LiDAR is read; otherwise TOP-101 does.
+**Conventions.** The name of a type tells what it holds. TOP-120 names topics of points if another LiDAR is read;
+otherwise TOP-101 does. TOP-121 names topics of pictures.
 """
 
 import re
@@ -15,7 +15,9 @@ from stone_recordings.topics.roles import Role
 # As in sensor_msgs/msg/LaserScan, rslidar_msg/msg/RslidarPacket, foxglove_msgs/msg/CompressedPointCloud.
 POINT_TYPE = re.compile(r"point_?cloud|scan|packet|laser|lidar|custommsg|udpframe", re.IGNORECASE)
 # What other sensors and networks send, and what was made of points; of the topic's name, too (/ouster/imu_packets).
-OTHER = re.compile(r"imu|can_|radar|gnss|gps|novatel|diagnos|statistics|info|marker", re.IGNORECASE)
+OTHER = re.compile(r"imu|can_|radar|gnss|gps|novatel|diagnos|statistics|info|marker|ffmpeg|image|video", re.IGNORECASE)
+# As in ffmpeg_image_transport_msgs/msg/FFMPEGPacket, foxglove_msgs/msg/CompressedVideo.
+VIDEO_TYPE = re.compile(r"ffmpeg|video|theora|h26[45]", re.IGNORECASE)
 SHOWN = 4
 
 
@@ -46,11 +48,26 @@ def not_read(topics: Sequence[UnreadTopic]) -> str:
 
 
 def unread_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
-    """TOP-120 for each; a topic whose messages refuse to be read is named by that refusal already."""
+    """TOP-120 for each of points; a topic whose messages cannot be read is named by the reason already."""
     return tuple(
         Finding("TOP-120", "info", topic.name, f"{_not_read(topic)}.")
         for topic in unread_points(topics)
         if not topic.problem
+    )
+
+
+def video_findings(topics: Iterable[UnreadTopic]) -> tuple[Finding, ...]:
+    """TOP-121 for each of pictures that are compressed across frames."""
+    return tuple(
+        Finding(
+            "TOP-121",
+            "warning",
+            topic.name,
+            f"{topic.name} ({topic.type}) holds video, which is not read: record Image or CompressedImage (JPEG), or "
+            "make them of it by republish of image_transport; frames have no picture of this camera.",
+        )
+        for topic in topics
+        if topic.role == "other" and topic.count and VIDEO_TYPE.search(topic.type)
     )
 
 
