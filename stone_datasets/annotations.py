@@ -30,9 +30,10 @@ from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
 from stone_datasets.samples import picture_of
 from stone_datasets.scene_tables import TABLES, SceneTableFiles, encoded
 from stone_datasets.splits import Splits, check_splits, scenes_named, splits_of
+from stone_datasets.stamps import clock_faults
 from stone_datasets.stated_layout import StatedLayout, form_of_tokens
 from stone_exports.frames import ExportedSensor
-from stone_files.dataset_layout import ANNOTATIONS, is_inside
+from stone_files.dataset_layout import ANNOTATIONS, is_inside, path_fault
 from stone_files.dataset_layouts import plain_token
 
 SPLIT_KEYS = {"train_split": "train", "val_split": "val", "test_split": "test"}
@@ -149,6 +150,9 @@ def _read_scene(files: DatasetFiles, read: Read, faults: DatasetFaults) -> Datas
             _add_frame(files, scene, (row, names, seen))
         except DatasetFaultError as fault:
             faults.add(fault)
+    for at, what, likely in clock_faults(np.array(scene.stamps_us, np.int64)):
+        place = DatasetPlace(f"{ANNOTATIONS} scene {name}", at + 1, scene.tokens[at])
+        faults.add(DatasetFaultError("DST-028", place, what, likely))
     if faults.total > before:
         return None
     keys, links = [hash(token) for token in scene.tokens], np.array(scene.links, np.int64).reshape(-1, 2)
@@ -167,7 +171,7 @@ def _add_frame(files: DatasetFiles, scene: AnnotatedScene, what: tuple[DatasetRo
     row, names, seen = what
     token = row.named
     if plain_token(token) is None:
-        raise DatasetFaultError("DST-017", row.place, f"{quoted(token)} is not a frame token")
+        raise row.no_frame_token(token)
     if hash(token) in seen:
         raise DatasetFaultError("DST-018", row.place, "an earlier frame has the same token")
     fault = _fault_of_labels(row, scene.name)
@@ -197,7 +201,7 @@ def _add_picture(files: DatasetFiles, scene: AnnotatedScene, what: tuple[Dataset
     row, stamp_us = what
     name = row.text("img_path")
     if not is_inside(name):
-        raise DatasetFaultError("DST-004", row.place, f"img_path {quoted(name)} leads outside the dataset")
+        raise path_fault("img_path", name, row.place)
     channel = name.rpartition("/")[0].rpartition("/")[2]
     if NAME.fullmatch(channel) is None:
         raise row.wrong("img_path", "<folder>/<CHANNEL>/<file>")

@@ -11,13 +11,14 @@ import numpy as np
 from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
+from stone_datasets.causes import folder_cause
 from stone_datasets.columns import Keys, repeated, rows_of
 from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace, quoted
 from stone_datasets.index import DatasetChannel
 from stone_datasets.links import LinkedRows, Places, check_chains, check_scenes
 from stone_datasets.tables import CalibratedSensorRow, DatasetTables
 from stone_exports.frames import LIDAR_CHANNEL, ExportedSensor
-from stone_files.dataset_layout import is_inside
+from stone_files.dataset_layout import is_inside, path_fault
 
 FARTHEST_US, NS_PER_US = 1_000_000, 1000
 FOLDERS = ("samples", "sweeps")
@@ -167,9 +168,11 @@ def _fault_of_name(placed: PlacedData, row: int, name: str) -> DatasetFaultError
     channel, (folder, _, base) = placed.sensor(row).sensor.channel, name.rpartition("/")
     said = channel_and_stamp(base) or (channel, int(placed.stamps_us[row]))
     if not is_inside(name):
-        return DatasetFaultError("DST-004", placed.place(row), f"filename {quoted(name)} leads outside the dataset")
+        return path_fault("filename", name, placed.place(row), table="sample_data")
     if not base or folder not in [f"{one}/{channel}" for one in FOLDERS] or said[0] != channel:
-        return DatasetFaultError("DST-041", placed.place(row), f"filename is {quoted(name)}, the sensor {channel}")
+        likely = folder_cause(name, [f"{one}/{channel}/" for one in FOLDERS])
+        what = f"filename is {quoted(name)}, the sensor {channel}"
+        return DatasetFaultError("DST-041", placed.place(row), what, likely)
     if said[1] != placed.stamps_us[row]:
         return DatasetFaultError(
             "DST-040", placed.place(row), f"filename is {quoted(name)}, timestamp {placed.stamps_us[row]}"

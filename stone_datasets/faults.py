@@ -16,16 +16,27 @@ MOST_SHOWN = 100
 
 @dataclass
 class DatasetFaults:
-    """Every fault is counted, the first `most` are kept."""
+    """Every fault is counted, the first `most` are kept; rows with one likely mistake are one fault of their file."""
 
     most: int = MOST_SHOWN
     found: list[DatasetFaultError] = field(default_factory=list)
     total: int = 0
+    _alike: dict[tuple[str, str, str], DatasetFaultError] = field(default_factory=dict)
 
     def add(self, fault: DatasetFaultError) -> None:
-        if len(self.found) < self.most:
-            self.found.append(fault)
         self.total += 1
+        kind = (fault.code, fault.place.file, fault.likely)
+        if fault.likely and kind in self._alike:
+            self._alike[kind].rows += 1
+        elif len(self.found) < self.most:
+            self.found.append(fault)
+            if fault.likely:
+                self._alike[kind] = fault
+
+    @property
+    def left_out(self) -> int:
+        """How many are counted and neither kept nor one of the rows of one that is."""
+        return self.total - sum(fault.rows for fault in self.found)
 
     def __len__(self) -> int:
         return self.total

@@ -18,6 +18,10 @@ LONGEST_ATOM = 16  # -Infinity, an escape, what a number may still be followed b
 MOST_ROWS = 1 << 26
 SPACE = re.compile(r"[ \t\n\r]*")
 DECODER = json.JSONDecoder()
+MARK = "\ufeff"
+WITH_MARK = "it begins with a byte order mark: write it with encoding='utf-8', not 'utf-8-sig'"
+OF_PYTHON = ("'", "None", "True", "False", "array(")
+AS_REPR = "it is Python's repr: write it with json.dump"
 
 
 class JsonStream:
@@ -61,7 +65,7 @@ class JsonStream:
                 raise self.malformed("values are nested too deeply", row) from error
             except ValueError as error:
                 if not self._may_be_cut(error):
-                    raise self.malformed(str(error)[:80], row) from error
+                    raise self._malformed_at(error, row) from error
                 value, end = error, len(self._text)
             if end - self._at > LONGEST_VALUE:
                 raise DatasetFaultError(
@@ -71,7 +75,7 @@ class JsonStream:
                 break
             self._read_on()
         if isinstance(value, ValueError):
-            raise self.malformed(str(value)[:80], row) from value
+            raise self._malformed_at(value, row) from value
         self.written, self._at = self._text[self._at : end], end
         return value
 
@@ -97,8 +101,16 @@ class JsonStream:
         if self.peek():
             raise self.malformed(f"{quoted(self.peek())} follows the end")
 
-    def malformed(self, what: str, row: int | None = None) -> DatasetFaultError:
-        return DatasetFaultError("DST-011", DatasetPlace(self.name, row), what)
+    def malformed(self, what: str, row: int | None = None, likely: str = "") -> DatasetFaultError:
+        return DatasetFaultError("DST-011", DatasetPlace(self.name, row), what, likely)
+
+    def _malformed_at(self, error: ValueError, row: int | None) -> DatasetFaultError:
+        """What the decoder found, and whether the file ends there or Python's repr stands there."""
+        at = getattr(error, "pos", 0)
+        is_cut = self._is_whole and ("Unterminated" in str(error) or not self._text[at : at + 2].strip())
+        is_repr = self._text.startswith(OF_PYTHON, at)
+        likely = AS_REPR if is_repr else "" if is_cut else "json.dump writes what every reader reads"
+        return self.malformed(str(error)[:80], row, likely)
 
     def _may_be_cut(self, error: ValueError) -> bool:
         """Whether it is one that the end of a piece makes: a text without an end, or one of the last characters."""
@@ -120,7 +132,8 @@ def json_rows(span: ExportFileSpan, stream: JsonStream | None = None) -> Iterato
     if not stream.peek():
         raise stream.malformed("it is empty")
     if stream.peek() != "[":
-        raise DatasetFaultError("DST-012", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}")
+        likely = WITH_MARK if stream.peek() == MARK else ""
+        raise DatasetFaultError("DST-012", DatasetPlace(span.name), f"it begins with {quoted(stream.peek())}", likely)
     stream.expect("[")
     row = 0
     while not stream.take("]"):
@@ -143,7 +156,9 @@ def _decoded(span: ExportFileSpan) -> Iterator[str]:
             yield decoder.decode(piece)
         yield decoder.decode(b"", final=True)
     except UnicodeDecodeError as error:
-        raise DatasetFaultError("DST-011", DatasetPlace(span.name), "it is not UTF-8") from error
+        is_utf16 = error.object[:2] in (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+        likely = "it is UTF-16, as PowerShell's `>` writes" if is_utf16 else "it is of another encoding"
+        raise DatasetFaultError("DST-011", DatasetPlace(span.name), "it is not UTF-8", likely) from error
     except DamagedExportError as error:
         what = f"{error.why}; did another program truncate it while it was read?"
         raise DatasetFaultError("DST-011", DatasetPlace(span.name), what) from error

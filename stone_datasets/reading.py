@@ -14,7 +14,7 @@ from typing import Any, Literal
 import numpy as np
 
 from stone_datasets.annotations import compare_annotations, read_annotations
-from stone_datasets.build import PlacedData, channels_of, data_of, frames_of
+from stone_datasets.build import NS_PER_US, PlacedData, channels_of, data_of, frames_of
 from stone_datasets.classes import OWN_CLASSES, ClassMap
 from stone_datasets.drives import torn_drives
 from stone_datasets.faults import MOST_SHOWN, DatasetFaultError, DatasetFaults, DatasetPlace
@@ -24,6 +24,7 @@ from stone_datasets.index import DatasetChannel, DatasetIndex, DatasetSequence, 
 from stone_datasets.labels import FrameLabels, read_labels
 from stone_datasets.samples import check_sample
 from stone_datasets.splits import check_splits, read_splits, splits_of
+from stone_datasets.stamps import are_dated
 from stone_datasets.stated_layout import UNSTATED, StatedLayout, form_of_tokens
 from stone_datasets.tables import DatasetTables, read_tables
 from stone_exports.frames import LIDAR_CHANNEL
@@ -90,6 +91,7 @@ def _sequence_record(sequence: DatasetSequence) -> dict[str, Any]:
         "name": sequence.name,
         "frames": len(sequence),
         "seconds": seconds,
+        "is_dated": len(sequence) == 0 or are_dated(sequence.stamps_ns // NS_PER_US),
         "is_labelled": sequence.is_labelled,
         "sensors": sorted(sequence.channels),
         "splits": list(sequence.splits),

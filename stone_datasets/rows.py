@@ -13,7 +13,9 @@ import numpy as np
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics, CameraModel
+from stone_datasets.causes import token_cause, type_cause
 from stone_datasets.faults import DatasetPlace, quoted
+from stone_datasets.stamps import LARGEST_US, unit_of, wrong_unit
 from stone_exports.cameras import COEFFICIENTS
 from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M
 from stone_files.dataset_faults import DatasetFaultError
@@ -24,9 +26,8 @@ __all__ = ["FARTHEST_MOUNT_M", "FARTHEST_POSE_M", "DatasetRow"]
 LONGEST_TOKEN = 128
 LONGEST_TEXT = 4096
 UNIT_WITHIN = 1e-3
-# 1990 to 2100: a stamp in seconds, milliseconds or nanoseconds lies outside.
-FIRST_US, LAST_US = 631_152_000_000_000, 4_102_444_800_000_000
-STAMP_TEXT = re.compile(r"[0-9]{1,19}")
+LENS_OF_NAN = "did the calibration of the camera fail?"
+STAMP_TEXT = re.compile(r"-?[0-9]{1,19}")
 
 
 @dataclass(frozen=True)
@@ -85,23 +86,27 @@ class DatasetRow:
         """The token of a sample as it is written."""
         found = self.token()
         if plain_token(found) is None:
-            raise DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token")
+            raise self.no_frame_token(found)
         return found
+
+    def no_frame_token(self, found: str) -> DatasetFaultError:
+        return DatasetFaultError("DST-017", self.place, f"{quoted(found)} is not a frame token", token_cause(found))
 
     def link(self, key: str) -> str:
         """prev or next: "" at the ends."""
         return self.text(key) and self.token(key)
 
     def stamp_us(self, key: str = "timestamp") -> int:
-        """Microseconds; also as digits, which annotations.json has."""
+        """Microseconds of any clock; also as digits, which annotations.json has. `stamps.py` compares them."""
         found = self.value(key)
         if isinstance(found, str) and STAMP_TEXT.fullmatch(found):
             found = int(found)
         if type(found) is not int:
             raise self.wrong(key, "a whole number of microseconds")
-        if not FIRST_US <= found < LAST_US:
+        if not -LARGEST_US <= found <= LARGEST_US:
+            unit = unit_of(found)
             raise DatasetFaultError(
-                "DST-028", self.place, f"{key} is {quoted(found)}, expected is {FIRST_US} to {LAST_US}"
+                "DST-028", self.place, f"{key} is {quoted(found)}", wrong_unit(unit) if unit is not None else ""
             )
         return found
 
@@ -124,7 +129,9 @@ class DatasetRow:
             raise DatasetFaultError("DST-020", self.place, f"rotation and translation are {quoted(parts)}")
         length = math.hypot(*parts[:4])
         if abs(length - 1) > UNIT_WITHIN:
-            raise DatasetFaultError("DST-022", self.place, f"rotation {quoted(parts[:4])} is of length {length:.6g}")
+            likely = "it was never filled in; no rotation is 1, 0, 0, 0" if not length else ""
+            what = f"rotation {quoted(parts[:4])} is of length {length:.6g}"
+            raise DatasetFaultError("DST-022", self.place, what, likely)
         if max(map(abs, parts[4:])) >= farthest_m:
             raise DatasetFaultError(
                 "DST-023", self.place, f"translation {quoted(parts[4:])}, the limit is {farthest_m:g} m"
@@ -143,14 +150,14 @@ class DatasetRow:
         (fx, _, cx), (_, fy, cy), _ = self._matrix(matrix_key)
         coefficients = self.numbers("camera_distortion", len(distortion)) if distortion else []
         if not all(map(_is_finite, coefficients)):
-            raise DatasetFaultError("DST-020", self.place, f"camera_distortion is {quoted(distortion)}")
+            raise DatasetFaultError("DST-020", self.place, f"camera_distortion is {quoted(distortion)}", LENS_OF_NAN)
         facts = (float(fx), float(fy), float(cx), float(cy), tuple(map(float, coefficients)))
         return CameraIntrinsics(model, *size_px, *facts)  # type: ignore[arg-type]
 
     def wrong(self, key: str, wanted: str) -> DatasetFaultError:
-        return DatasetFaultError(
-            "DST-016", self.place, f"{key} is {quoted(self.values.get(key))}, expected is {wanted}"
-        )
+        found = self.values.get(key)
+        what = f"{key} is {quoted(found)}, expected is {wanted}"
+        return DatasetFaultError("DST-016", self.place, what, type_cause(key, found))
 
     def _matrix(self, key: str) -> list[list[float]]:
         found = self.value(key)
@@ -159,7 +166,7 @@ class DatasetRow:
         if not all(type(one) in (float, int) for row in found for one in row):
             raise self.wrong(key, "3 × 3 numbers")
         if not all(_is_finite(one) for row in found for one in row):
-            raise DatasetFaultError("DST-020", self.place, f"{key} is {quoted(found)}")
+            raise DatasetFaultError("DST-020", self.place, f"{key} is {quoted(found)}", LENS_OF_NAN)
         (fx, skew, _), (zero, fy, _), last = found
         if fx <= 0 or fy <= 0 or skew or zero or last != [0, 0, 1]:
             raise DatasetFaultError("DST-025", self.place, f"{key} is {quoted(found)}")

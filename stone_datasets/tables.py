@@ -8,6 +8,8 @@ from collections.abc import Callable, Container, Iterator, Mapping
 from dataclasses import dataclass, field
 from typing import TypeVar
 
+import numpy as np
+
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone_base.names import NAME
@@ -16,6 +18,7 @@ from stone_datasets.faults import DatasetFaultError, DatasetFaults, DatasetPlace
 from stone_datasets.files import DatasetFiles
 from stone_datasets.json_stream import json_rows
 from stone_datasets.rows import FARTHEST_MOUNT_M, FARTHEST_POSE_M, DatasetRow
+from stone_datasets.stamps import are_dated, clock_faults, strangers
 
 MODALITIES = ("camera", "lidar", "radar")
 # Nothing that is in them is needed; if they are there, their tokens are compared. Boxes and their like are not opened.
@@ -49,6 +52,7 @@ class LogRow:
     logfile: str
     vehicle: str
     location: str
+    date: str
 
 
 @dataclass(frozen=True)
@@ -78,6 +82,7 @@ class PoseColumns:
     """`poses`: seven numbers a row."""
 
     keys: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
+    stamp_us: NumberColumn = field(default_factory=lambda: NumberColumn("q"))
     poses: NumberColumn = field(default_factory=lambda: NumberColumn("d"))
 
 
@@ -125,6 +130,8 @@ def read_tables(files: DatasetFiles, faults: DatasetFaults) -> DatasetTables:
     for table in OTHERS:
         if files.span(tables.file(table)) is not None:
             _read_table(files, tables, (table, _unique()), faults)
+    if not faults.total:
+        _check_clocks(tables, faults)
     return tables
 
 
@@ -143,6 +150,28 @@ def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add
         faults.add(again)
     if faults.total > before or REFERRED.get(table) in tables.faulty:
         tables.faulty.add(table)
+
+
+def _check_clocks(tables: DatasetTables, faults: DatasetFaults) -> None:
+    """Of each scene the stamps of its frames, then the stamps of all data and poses against those of frames."""
+    samples, has = tables.samples, dict[bool, bool]()
+    stamps_us, scenes = samples.stamp_us.array(np.int64), samples.scene.array(np.int64)
+    order = np.argsort(scenes, kind="stable")
+    bounds = np.searchsorted(scenes[order], np.arange(len(tables.scenes) + 1)).tolist()
+    for scene, start, stop in zip(tables.scenes.values(), bounds[:-1], bounds[1:], strict=True):
+        rows = order[start:stop]
+        for fault in clock_faults(stamps_us[rows], scene.log.date):
+            row = int(rows[fault.at])
+            place = DatasetPlace(tables.file("sample"), row + 1, samples.tokens[row])
+            faults.add(DatasetFaultError("DST-028", place, fault.what, fault.likely))
+        if len(rows):
+            has[are_dated(stamps_us[rows])] = True
+    for table, column in (("ego_pose", tables.poses.stamp_us), ("sample_data", tables.data.stamp_us)):
+        for fault in strangers(
+            column.array(np.int64), has_dated=has.get(True, False), has_undated=has.get(False, False)
+        ):
+            place = DatasetPlace(tables.file(table), fault.at + 1)
+            faults.add(DatasetFaultError("DST-028", place, fault.what, fault.likely))
 
 
 def _rows(files: DatasetFiles, name: str) -> Iterator[DatasetRow]:
@@ -198,7 +227,7 @@ def _add_mount(tables: DatasetTables, row: DatasetRow) -> None:
 
 
 def _add_log(tables: DatasetTables, row: DatasetRow) -> None:
-    said = [row.text(key) if key in row.values else "" for key in ("logfile", "vehicle", "location")]
+    said = [row.text(key) if key in row.values else "" for key in ("logfile", "vehicle", "location", "date_captured")]
     tables.logs[_new(row, tables.logs)] = LogRow(*said)
 
 
@@ -228,7 +257,7 @@ def _add_sample(tables: DatasetTables, row: DatasetRow) -> None:
 
 def _add_pose(tables: DatasetTables, row: DatasetRow) -> None:
     key, numbers = hash(row.token()), row.pose_numbers(FARTHEST_POSE_M)
-    row.stamp_us()
+    tables.poses.stamp_us.add(row.stamp_us())
     tables.poses.keys.add(key)
     tables.poses.poses.extend(numbers)
 

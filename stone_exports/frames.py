@@ -142,6 +142,6 @@ def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:
 
 def _stamp_us(files: Files, table: str, row: Mapping[str, Any]) -> int:
     stamp = row.get("timestamp")
-    if not isinstance(stamp, int) or not 0 <= stamp < 1 << 62:
+    if type(stamp) is not int or not -(1 << 62) < stamp < 1 << 62:
         raise table_span(files, table).damaged("a row's timestamp is not a number of microseconds")
     return stamp

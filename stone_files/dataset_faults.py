@@ -40,7 +40,7 @@ DATASET_FAULTS = {
         "`gunzip` it first; a zip is read as it is",
     ),
     "DST-004": DatasetFault(
-        "A path is absolute, has `..`, or is a link to outside of the dataset.",
+        "A path is absolute, has `..` or a backslash, or is a link to outside of the dataset.",
         "paths are relative to the dataset's folder; copy what a link leads to",
     ),
     "DST-005": DatasetFault("A table has more rows than are read.", "is it a table at all?"),
@@ -59,7 +59,7 @@ DATASET_FAULTS = {
     "DST-013": DatasetFault("A row of a table is not an object.", "tables are `[{…}, …]`"),
     "DST-014": DatasetFault("A row of a table is longer than any row can be.", "is a quote or a bracket missing?"),
     "DST-015": DatasetFault("A row lacks a key that is needed.", "was it written by another version of the tool?"),
-    "DST-016": DatasetFault("A value is of another type than the schema says.", "is a number written as text?"),
+    "DST-016": DatasetFault("A value is of another type than the schema says.", "is it the value of another key?"),
     "DST-017": DatasetFault(
         "A token is invalid: a frame token is 32 hex digits or a UUID of them, any other 1 to 128 characters.",
         "frame tokens name the folders of labels and the files of submissions",
@@ -77,7 +77,8 @@ DATASET_FAULTS = {
         "A quaternion is not of unit length.", "the order is w x y z; was it averaged without normalising?"
     ),
     "DST-023": DatasetFault(
-        "A translation is beyond any plausible distance.", "are they metres, and not millimetres or degrees?"
+        "A translation is beyond any plausible distance.",
+        "are they metres, and not millimetres? of poses in UTM or ECEF, subtract the same whole metres from all",
     ),
     "DST-024": DatasetFault("A camera's matrix is not 3 × 3.", "is it the 3 × 4 projection, or empty as a LiDAR's?"),
     "DST-025": DatasetFault(
@@ -93,7 +94,8 @@ DATASET_FAULTS = {
         "`width` and `height` of sample_data are pixels, of one calibration always the same",
     ),
     "DST-028": DatasetFault(
-        "A stamp is not a number of microseconds since 1970.", "seconds, milliseconds or nanoseconds?"
+        "A stamp is not in microseconds, or is of another clock than the frames.",
+        "seconds, milliseconds or nanoseconds?",
     ),
     "DST-030": DatasetFault(
         "A row names a token that the other table does not have.", "were rows left out when the dataset was cut?"
@@ -223,9 +225,14 @@ DATASET_FAULTS = {
 class DatasetFaultError(StoneError):
     """A published dataset has the fault `code` of `DATASET_FAULTS`."""
 
-    def __init__(self, code: str, place: DatasetPlace, what: str) -> None:
-        super().__init__(f"{place}: {what} ({DATASET_FAULTS[code].likely})")
-        self.code, self.place = code, place
+    def __init__(self, code: str, place: DatasetPlace, what: str, likely: str = "") -> None:
+        """`likely` is the mistake, if the value itself shows it; then `rows` of one file that have it are one fault."""
+        super().__init__(f"{place}: {what} ({likely or DATASET_FAULTS[code].likely})")
+        self.code, self.place, self.likely, self.rows = code, place, likely, 1
+
+    def __str__(self) -> str:
+        others = f"; {self.rows - 1} more rows of this file have it" if self.rows > 1 else ""
+        return f"{super().__str__()}{others}"
 
     def as_record(self) -> dict[str, object]:
-        return {"code": self.code, **asdict(self.place), "message": str(self)}
+        return {"code": self.code, **asdict(self.place), "message": str(self), "rows": self.rows}

@@ -25,6 +25,10 @@ COMPRESSED = {
     b"\x28\xb5\x2f\xfd": "zstd",
 }
 ZIPPED = (b"PK\x03\x04", b"PK\x05\x06")
+SLASHES_IN_ARCHIVE = (
+    "python -c \"import zipfile as z; a = z.ZipFile('old.zip'); b = z.ZipFile('new.zip', 'w', 8); "
+    "[b.writestr(n.replace(chr(92), '/'), a.read(n)) for n in a.namelist()]; b.close()\""
+)
 SHORT = Repr()
 SHORT.maxlevel, SHORT.maxlist, SHORT.maxdict, SHORT.maxstring = 4, 8, 4, QUOTED
 
@@ -112,6 +116,14 @@ def is_inside(name: str) -> bool:
     return not name.startswith("/") and "\\" not in name and "\0" not in name and ".." not in name.split("/")
 
 
+def slashes_in_table(file: str, key: str) -> str:
+    """The line that writes a table again with / in the paths below a key."""
+    return (
+        f"python -c \"import json, pathlib; p = pathlib.Path('{file}'); r = json.loads(p.read_text('utf-8')); "
+        f"[x.update({key}=x['{key}'].replace(chr(92), '/')) for x in r]; p.write_text(json.dumps(r))\""
+    )
+
+
 def is_below(path: str, root: str) -> bool:
     """Whether a path without links is that of the folder `root`, or of something in it."""
     return path == root or path.startswith(root.rstrip("/") + "/")
@@ -119,7 +131,24 @@ def is_below(path: str, root: str) -> bool:
 
 def leaving(name: str) -> DatasetFaultError:
     """The refusal of this name."""
-    return DatasetFaultError("DST-004", DatasetPlace(name), f"{quoted(name)} leads outside the dataset")
+    return path_fault("", name, DatasetPlace(name))
+
+
+def path_fault(key: str, name: str, place: DatasetPlace, table: str = "") -> DatasetFaultError:
+    """The refusal of a path that does not stay below the folder that it is relative to, as a row has it below `key`.
+
+    Of a key without a table, the file of the place is named; without a key it is the name of a file of an archive.
+    """
+    what = f"{key} {quoted(name)}".lstrip()
+    if "\\" not in name:
+        is_absolute = key and name.startswith("/")
+        likely = "an absolute path; paths begin with samples/ or sweeps/" if is_absolute else ""
+        return DatasetFaultError("DST-004", place, f"{what} leads outside the dataset", likely)
+    if key and table:
+        mended = f"in the dataset's folder: {slashes_in_table(place.file, key)}"
+    else:
+        mended = f"replace each by /, for example with {SLASHES_IN_ARCHIVE}" if not key else "replace each by /"
+    return DatasetFaultError("DST-004", place, f"{what} has backslashes", f"paths have / on every system; {mended}")
 
 
 def quoted(value: object) -> str:

@@ -5,6 +5,7 @@ from typing import Any
 
 from stone_base.counts import counted
 from stone_base.label_grid import grid_of
+from stone_client.streams import echo_notice
 from stone_client.tables import DASH, plain_table, safe_text, show
 
 MOST_SEQUENCES = 60
@@ -22,6 +23,9 @@ def show_contents(record: Mapping[str, Any]) -> None:
     if len(sequences) > MOST_SEQUENCES:
         table.add_row(f"… {len(sequences) - MOST_SEQUENCES} more")
     show(table)
+    undated = [one["name"] for one in sequences if not one["is_dated"]]
+    if undated:
+        echo_notice(f"undated: the stamps of {safe_text(_named(undated))} are of simulated time, or of a clock not set")
     sensors = plain_table("Sensors", "channel", "files")
     for name, count in record["sensors"].items():
         sensors.add_row(safe_text(name), str(count))
@@ -44,6 +48,10 @@ def _classes(record: Mapping[str, Any]) -> Any:
     for name, count in record["masks"].items():
         table.add_row(f"frames with {name}", str(count))
     return table
+
+
+def _named(names: list[str]) -> str:
+    return ", ".join(names[:3]) + (f" and {len(names) - 3} more" if len(names) > 3 else "")
 
 
 def _size(size_bytes: int) -> str:

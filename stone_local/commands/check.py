@@ -72,8 +72,8 @@ def _refuse(found: "DatasetCheck", *, as_json: bool) -> NoReturn:
     """Every fault on a line of its own, then how far the check came."""
     for fault in found.faults.found:
         echo_notice(f"{fault.code}: {fault}")
-    if found.faults.total > len(found.faults.found):
-        echo_notice(f"… and {found.faults.total - len(found.faults.found)} more")
+    if found.faults.left_out:
+        echo_notice(f"… and {found.faults.left_out} more")
     if found.reached not in ("files", "sweeps"):
         echo_notice(f"These are of its {found.reached}: what follows was not checked; fix them and check again")
     if as_json:

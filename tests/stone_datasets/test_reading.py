@@ -214,6 +214,7 @@ def test_a_row_of_a_fault_is_its_place_in_the_table(copied: Path) -> None:
         "row": 18,
         "token": wanted,
         "message": "",
+        "rows": 1,
     }
 
 

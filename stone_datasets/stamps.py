@@ -1,0 +1,109 @@
+"""Stamps of frames: microseconds of a clock that was set, of a clock that was not, or of another unit.
+
+**Conventions.** A set clock gives 1990 to 2100. Simulated time and time since boot lie outside; their unit is decided
+by the steps between frames, which are 10 ms to 10 s: in seconds below 10, in milliseconds below 10,000 and so on. A
+scene of one frame has no step; there the date of its log decides, if it is the date of the stamp in another unit.
+"""
+
+from collections.abc import Iterator
+from datetime import UTC, datetime
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+FIRST_US, LAST_US = 631_152_000_000_000, 4_102_444_800_000_000
+LARGEST_US = (2**63 - 1) // 1000  # in nanoseconds they are still int64
+LEAST_STEP_US, MOST_STEP_US = 10_000, 10_000_000
+
+Stamps = NDArray[np.int64]
+
+
+class StampUnit(NamedTuple):
+    """A unit that stamps may be in, how many microseconds one has, and what makes microseconds of it."""
+
+    name: str
+    microseconds: float
+    mended: str
+
+
+SECONDS = StampUnit("seconds", 1e6, "multiply by 1,000,000")
+MILLISECONDS = StampUnit("milliseconds", 1e3, "multiply by 1,000")
+MICROSECONDS = StampUnit("microseconds", 1, "write int(round(timestamp))")
+NANOSECONDS = StampUnit("nanoseconds", 1e-3, "divide by 1,000")
+UNITS = (SECONDS, MILLISECONDS, MICROSECONDS, NANOSECONDS)
+
+
+class StampFault(NamedTuple):
+    """The index of a stamp, what is wrong with it, and the mistake that usually causes it."""
+
+    at: int
+    what: str
+    likely: str
+
+
+def is_dated(stamps_us: Stamps) -> NDArray[np.bool_]:
+    """Whether the clock of each stamp was set."""
+    return (stamps_us >= FIRST_US) & (stamps_us < LAST_US)
+
+
+def are_dated(stamps_us: Stamps) -> bool:
+    """Whether the clock of most of these stamps was set; there is at least one."""
+    return FIRST_US <= float(np.median(stamps_us)) < LAST_US
+
+
+def unit_of(stamp: float) -> StampUnit | None:
+    """The unit in which a number is a date of 1990 to 2100; None if there is none."""
+    return next((unit for unit in UNITS if FIRST_US <= stamp * unit.microseconds < LAST_US), None)
+
+
+def clock_faults(stamps: Stamps, date: str = "") -> Iterator[StampFault]:
+    """The stamps of one scene's frames (N,), in any order, that are no microseconds of the clock of all others.
+
+    `date` is that on which its log was captured, as ISO 8601; "" if it is not known.
+    """
+    if not len(stamps):
+        return
+    scene_is_dated = are_dated(stamps)
+    unit = MICROSECONDS if scene_is_dated else _unit_of_undated(np.sort(stamps), date)
+    if unit is not MICROSECONDS:
+        for at in range(len(stamps)):
+            yield _of_unit(at, int(stamps[at]), unit)
+        return
+    yield from strangers(stamps, has_dated=scene_is_dated, has_undated=not scene_is_dated)
+
+
+def strangers(stamps: Stamps, *, has_dated: bool, has_undated: bool) -> Iterator[StampFault]:
+    """The stamps (N,) that are of no clock that the frames have."""
+    dated = is_dated(stamps)
+    for at in np.flatnonzero(dated & (not has_dated) | ~dated & (not has_undated)).tolist():
+        stamp = int(stamps[at])
+        unit = unit_of(stamp)
+        if unit is not None and unit is not MICROSECONDS:
+            yield _of_unit(at, stamp, unit)
+        else:
+            of = "1990 to 2100" if has_dated else "a clock that was not set"
+            yield StampFault(at, f"timestamp is {stamp}, those of frames are of {of}", "is it of another clock?")
+
+
+def wrong_unit(unit: StampUnit) -> str:
+    """What a stamp of this unit is, and how it becomes microseconds."""
+    return f"{unit.name} instead of whole microseconds: {unit.mended}"
+
+
+def _of_unit(at: int, stamp: int, unit: StampUnit) -> StampFault:
+    return StampFault(at, f"timestamp is {stamp}", wrong_unit(unit))
+
+
+def _unit_of_undated(ascending: Stamps, date: str) -> StampUnit:
+    """The unit of stamps that are no date in microseconds."""
+    if len(ascending) == 1:
+        unit = unit_of(float(ascending[0]))
+        return unit if unit is not None and date and date == _date(ascending[0] * unit.microseconds) else MICROSECONDS
+    step = float(np.median(np.diff(ascending)))
+    within = (unit for unit in UNITS if LEAST_STEP_US <= step * unit.microseconds < MOST_STEP_US)
+    return next(within, SECONDS if step * SECONDS.microseconds < LEAST_STEP_US else NANOSECONDS)
+
+
+def _date(stamp_us: float) -> str:
+    return f"{datetime.fromtimestamp(int(stamp_us) // 10**6, UTC):%Y-%m-%d}"
