@@ -12,10 +12,11 @@ from typing import Any, NoReturn
 import typer
 from typer.core import TyperGroup
 
+from stone_base.counts import counted
 from stone_base.errors import StoneError, one_line
 from stone_base.findings import Finding
 from stone_client.streams import echo_findings, echo_json, wants_json
-from stone_submissions.errors import shape_hint
+from stone_submissions.errors import hint_of
 from stone_submissions.verdict import Validation
 
 REFUSED = 1
@@ -59,11 +60,15 @@ def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:
 
 
 def refuse_report(report: Mapping[str, Any], *, as_json: bool) -> NoReturn:
-    """The same for a record of a validation, ours or a server's."""
+    """The same for a record of a validation, ours or a server's; files with one problem are one line."""
+    alike = dict[tuple[str, str, str], list[str]]()
     for one in report["errors"]:
-        hint = f" ({shape_hint(one['expected'], one['actual'])})" if one["code"] == "bad_shape" else ""
-        said = f"{one['code']}: {one['file']}: expected {one['expected']}, found {one['actual']}{hint}"
-        typer.echo(one_line(said), err=True)
+        expected = "" if one["code"] == "missing_frame" else one["expected"]  # it has the frame's own name
+        alike.setdefault((one["code"], expected, one["actual"]), []).append(one["file"])
+    for (code, expected, actual), files in alike.items():
+        others = f"; {counted(len(files) - 1, 'more file')} of those listed" if len(files) > 1 else ""
+        said = f"{code}: {files[0]}: expected {expected or files[0]}, found {actual}{others}"
+        typer.echo(f"{one_line(said)} ({one_line(hint_of(code, expected, actual))})", err=True)
     if report["errors_total"] > len(report["errors"]):
         typer.echo(f"… and {report['errors_total'] - len(report['errors'])} more", err=True)
     if as_json:

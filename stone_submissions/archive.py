@@ -17,12 +17,14 @@ import deflate
 import numpy as np
 from numpy.typing import NDArray
 
+from stone_base.counts import counted
 from stone_base.label_grid import PAPER, LabelGrid
 from stone_files.archives import DEFLATED
 from stone_files.atomic import atomic_file
 from stone_files.npz import npz_bytes
 from stone_submissions.errors import SubmissionError, UnreadableInputError, bad_shape
 from stone_submissions.npz_frame import inflate_exactly
+from stone_submissions.other_layouts import OF_TOOLS, is_rubbish, other_layout
 from stone_submissions.verdict import ValidationProblem, problem_of
 from stone_submissions.zip_directory import ZipMember, payload_span, read_directory
 
@@ -120,9 +122,43 @@ def _matching(
         )
         for token in sorted(tokens - frames.keys())
     ]
+    problems = _explained(problems, len(frames), {member.name for member in members})
     refused = {problem.frame for problem in problems}
     sound = {token: member for token, member in frames.items() if token not in refused}
     return sound, tuple(problems)
+
+
+def _explained(problems: list[ValidationProblem], found: int, names: set[str]) -> list[ValidationProblem]:
+    """The problems, with one in the place of all that another layout explains, and one of all files of a file manager.
+
+    `found` is how many frames were found, `names` are those that problems quote as they are.
+    """
+    strangers = [problem.file for problem in problems if problem.code == "unexpected_file"]
+    missing = [problem.frame or "" for problem in problems if problem.code == "missing_frame"]
+    rubbish = {name for name in strangers if is_rubbish(name)}
+    layout = other_layout([name for name in strangers if name not in rubbish and name in names], frozenset(missing))
+    what, token_of = layout or ("", {})
+    explained = {*token_of.values()}
+    merged = []
+    if token_of:
+        first, count = next(iter(token_of)), f"{len(token_of)} {what}"
+        count += f" ({counted(found, 'frame')} named right)" if found else ""
+        merged.append(problem_of(SubmissionError("other_layout", "<frame_token>.npz", count), first, None))
+    if len(rubbish) > 1:
+        first, count = next(name for name in strangers if name in rubbish), f"{len(rubbish)} files: {OF_TOOLS}"
+        merged.append(
+            problem_of(SubmissionError("unexpected_file", "the frames of the manifest only", count), first, None)
+        )
+    others = (
+        problem
+        for problem in problems
+        if not (
+            problem.code == "unexpected_file"
+            and (problem.file in token_of or (len(rubbish) > 1 and problem.file in rubbish))
+        )
+        and not (problem.code == "missing_frame" and problem.frame in explained)
+    )
+    return [*merged, *others]
 
 
 def _fault(member: ZipMember, is_ours: bool, is_second: bool, most_bytes: int) -> SubmissionError | None:
@@ -138,8 +174,7 @@ def _fault(member: ZipMember, is_ours: bool, is_second: bool, most_bytes: int) -
 
 def _stranger(name: str) -> str:
     """What a file is that is no frame, where that is likely to help."""
-    is_finders = name.startswith("__MACOSX/") or name.rpartition("/")[2] == ".DS_Store"
-    return "what macOS's Finder adds to a zip; `zip -r -X` does not" if is_finders else "another file"
+    return OF_TOOLS if is_rubbish(name) else "another file"
 
 
 def _common_prefix(members: Sequence[ZipMember], tokens: frozenset[str]) -> str:

@@ -10,12 +10,16 @@ from pathlib import Path
 
 from stone_base.errors import Refused, StoneError
 from stone_base.label_grid import LabelGrid
+from stone_submissions.other_layouts import layout_hint, resaved
 
+NUMBERS = re.compile(r"'[<>|=]?([bif])[0-9]{1,2}'")
+BITS = " (a bool is no class: was it thresholded?)"
 SHAPE = re.compile(r"\((\d{1,4}), (\d{1,4}), (\d{1,4})\)")
 
 MISTAKES = {
     "missing_frame": "a submission holds every frame of the manifest; was the prediction loop cut short?",
     "unexpected_file": "files are named <frame_token>.npz, all in one folder or all at the top level",
+    "other_layout": "files are named <frame_token>.npz, all in one folder or all at the top level",
     "duplicate_frame": "was the archive appended to instead of rewritten?",
     "not_zip": "a submission is a zip archive of .npz files; was the upload cut short?",
     "not_npz": "write frames with numpy.savez_compressed",
@@ -32,7 +36,7 @@ MISTAKES = {
     "overlapping_files": "entries of the zip overlap; write it again",
     "symlink": "zip the files themselves, not links to them",
 }
-"""The most frequent cause of each fault of a file; of `bad_shape`, `shape_hint` knows more."""
+"""The most frequent cause of each fault of a file; `hint_of` knows more of some."""
 
 
 def bad_shape(grid: LabelGrid, found: str) -> "SubmissionError":
@@ -61,13 +65,24 @@ def shape_hint(expected: str, found: str) -> str:
     return f"axes are x, y, z, with {x} × {y} × {z} voxels, in C order"
 
 
+def hint_of(code: str, expected: str, found: str) -> str:
+    """Return the cause of a fault and what mends it, by what was expected and found as a problem quotes them."""
+    if code == "bad_shape":
+        return shape_hint(expected, found)
+    line = layout_hint(found) if code in ("other_layout", "unexpected_file") else ""
+    if code == "missing_array" and found.isidentifier():
+        return f"{MISTAKES[code]}; " + resaved(f"f['{found}']")
+    if code == "bad_dtype" and (dtype := NUMBERS.fullmatch(found)):
+        return f"{MISTAKES[code]}{BITS if dtype[1] == 'b' else ''}; " + resaved("f[f.files[0]].astype('uint8')")
+    return line or MISTAKES[code]
+
+
 class SubmissionError(StoneError):
     """A file of a submission, or the archive itself, has the fault `code` of `MISTAKES`."""
 
     def __init__(self, code: str, expected: str, actual: str) -> None:
         self.code, self.expected, self.actual = code, expected, actual
-        mistake = shape_hint(expected, actual) if code == "bad_shape" else MISTAKES[code]
-        super().__init__(f"expected {expected}, found {actual} ({mistake})")
+        super().__init__(f"expected {expected}, found {actual} ({hint_of(code, expected, actual)})")
 
 
 def bad_manifest(path: Path, fault: str) -> Refused:

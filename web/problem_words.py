@@ -8,11 +8,12 @@ from collections.abc import Iterable, Sequence
 from dataclasses import dataclass
 
 from api.schemas.submissions import FileProblem
-from stone_submissions.errors import shape_hint
+from stone_submissions.errors import hint_of
 
 ADVICE = {
     "missing_frame": "A submission holds every frame of the manifest. Was the prediction loop cut short?",
     "unexpected_file": "The zip holds only <frame_token>.npz files, all in one folder or all at the top level.",
+    "other_layout": "The zip holds only <frame_token>.npz files, all in one folder or all at the top level.",
     "duplicate_frame": "Each frame occurs once. Was the archive appended to instead of rewritten?",
     "not_zip": "A submission is one zip of .npz files. Was it cut short while it was copied?",
     "not_npz": "Write each frame with numpy.savez_compressed(path, semantics=grid).",
@@ -51,8 +52,8 @@ def grouped(problems: Iterable[FileProblem]) -> list[ProblemGroup]:
 
 
 def _advice(code: str, problems: Sequence[FileProblem]) -> str:
-    """For a shape, what makes the first one that was found the right one."""
-    if code != "bad_shape":
+    """For a shape or layout, what makes the first one that was found the right one."""
+    if code not in ("bad_shape", "other_layout"):
         return ADVICE.get(code, UNKNOWN)
-    hint = shape_hint(problems[0].expected, problems[0].actual)
+    hint = hint_of(code, problems[0].expected, problems[0].actual)
     return f"{hint[0].upper()}{hint[1:]}."

@@ -1,6 +1,7 @@
 // The files of an archive held against the frames of a manifest, as stone_submissions/archive.py does it.
 
 import { Fault, plain } from "./archive.js";
+import { explained, isRubbish, OF_TOOLS } from "./other_layouts.js";
 import { type Member, readDirectory } from "./zip.js";
 
 /** The grid of manifests that name none: the paper's. */
@@ -72,8 +73,9 @@ function matched(members: readonly Member[], { tokens, shape }: Manifest): Verdi
     const file = plain(`${folder}${token}.npz`);
     problems.push({ code: "missing_frame", file, frame: token, expected: file, actual: "no such file" });
   }
-  for (const { frame } of problems) if (frame) frames.delete(frame);
-  return { frames, problems, folder };
+  const told = explained(problems, frames.size, new Set(members.map(({ name }) => name)));
+  for (const { frame } of told) if (frame) frames.delete(frame);
+  return { frames, problems: told, folder };
 }
 
 function tokenOf(name: string, folder: string): string {
@@ -89,8 +91,7 @@ function faultOf(member: Member, most_bytes: number, isSecond: boolean): Fault |
 }
 
 function stranger(name: string): string {
-  const isFinders = name.startsWith("__MACOSX/") || name.split("/").at(-1) === ".DS_Store";
-  return isFinders ? "what macOS's Finder adds to a zip; `zip -r -X` does not" : "another file";
+  return isRubbish(name) ? OF_TOOLS : "another file";
 }
 
 function said({ code, expected, actual }: Fault): { code: string; expected: string; actual: string } {

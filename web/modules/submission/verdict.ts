@@ -15,6 +15,7 @@ const LATER = "What is in them is checked after sending.";
 const SAID: Record<string, [string, string]> = {
   missing_frame: ["missing frame", "missing frames"],
   unexpected_file: ["file that does not belong", "files that do not belong"],
+  other_layout: ["layout that is no submission's", "layouts that are no submission's"],
   duplicate_frame: ["frame twice", "frames twice"],
   too_large: ["file too large", "files too large"],
 };
@@ -39,7 +40,7 @@ export function showWarning(place: HTMLElement, file: string, shape: Shape, { co
 }
 
 export function isUnreadable({ frames, problems }: Verdict): boolean {
-  return !frames.size && problems.length === 1 && problems[0]?.frame === null;
+  return !frames.size && problems.length === 1 && problems[0]?.frame === null && problems[0].code !== "other_layout";
 }
 
 function sentence(manifest: Manifest, verdict: Verdict): string {
@@ -49,6 +50,7 @@ function sentence(manifest: Manifest, verdict: Verdict): string {
   }
   if (!verdict.problems.length) return `All ${count(all)} frames are present. ${LATER}`;
   const absent = verdict.problems.filter(({ code }) => code === "missing_frame").length;
+  if (verdict.problems.some(({ code }) => code === "other_layout")) return "The files are in another layout; the command stone validate has the line that makes a submission of them.";
   return absent ? `${count(all - absent)} of ${count(all)} frames are present. ${LATER}` : `All ${count(all)} frames are present, but not all files are as agreed. ${LATER}`;
 }
 

@@ -1,0 +1,97 @@
+"""Layouts that predictions are often written in and that are no submission's: recognised by names, with the line that
+makes a submission of them.
+
+**Conventions.** A layout explains files by the tokens of their frames. It is one problem of the archive, not one for
+every file and frame. Lines read sub.zip and write fixed.zip.
+"""
+
+import re
+from collections.abc import Callable, Mapping, Sequence
+
+Explained = tuple[str, dict[str, str]]  # what the files are, and the token of each name
+
+NUMBER = re.compile(r"[^0-9]{0,40}[0-9]{1,19}")
+RUBBISH = ("__MACOSX/", ".DS_Store", "._", "Thumbs.db", "desktop.ini")
+KEPT = "for n in a.namelist() if n.endswith('{ending}')"
+
+
+def rezipped(name: str, kept: str = KEPT.format(ending=".npz"), before: str = "") -> str:
+    """The line that writes every kept file again under another name, an expression of `n`."""
+    return (
+        f"python -c \"import zipfile as z; {before}a = z.ZipFile('sub.zip'); b = z.ZipFile('fixed.zip', 'w'); "
+        f'[b.writestr({name}, a.read(n)) {kept}]; b.close()"'
+    )
+
+
+def resaved(array: str, name: str = "n", ending: str = ".npz") -> str:
+    """The line that writes every frame again as the array that an expression makes of `f`, what numpy loads."""
+    return (
+        "python -c \"import io, zipfile as z, numpy as np; a = z.ZipFile('sub.zip'); b = z.ZipFile('fixed.zip', 'w'); "
+        f"[(f := np.load(io.BytesIO(a.read(n))), g := io.BytesIO(), np.savez_compressed(g, semantics={array}), "
+        f'b.writestr({name}, g.getvalue())) {KEPT.format(ending=ending)}]; b.close()"'
+    )
+
+
+NUMBERED = "files with numbers instead of tokens"
+OF_TOOLS = "what macOS's Finder or Windows adds to a zip; `zip -r -X` does not"
+# What the files are: the line that mends it. "" says that none can be known.
+LINES: Mapping[str, str] = {
+    "files in the layout of labels, gts/<scene>/<token>/labels.npz": rezipped("n.split('/')[-2] + '.npz'"),
+    "names with backslashes, as some programs of Windows write them": rezipped(
+        "n.replace(chr(92), '/').split('/')[-1]"
+    ),
+    "frames in folders of their own": rezipped("n.split('/')[-1]"),
+    "arrays as .npy instead of .npz": resaved("f", "n[:-1] + 'z'", ".npy"),
+    "tokens in capitals or with dashes": rezipped("n.split('/')[-1].lower().replace('-', '')"),
+    NUMBERED: rezipped(
+        "t.pop(0) + '.npz'",
+        "for n in sorted(a.namelist()) if n.endswith('.npz')",
+        "import json; t = sum(json.load(open('manifest.json'))['sequences'].values(), []); ",
+    ),
+    OF_TOOLS: rezipped("n", KEPT.format(ending=".npz") + " and '__MACOSX' not in n and '/._' not in '/' + n"),
+}
+(LABELS, BACKSLASHES, FOLDERS, NPY, DASHES, *_) = LINES
+
+
+def other_layout(names: Sequence[str], missing: frozenset[str]) -> Explained | None:
+    """What the files are of which none is a frame, as many as a layout explains; None if none does.
+
+    `missing` are the tokens whose frames were not found.
+    """
+    names = [name for name in names if name.isprintable() and not {"", ".", ".."} & {*name.split("/")}]
+    for what, token_of in _TOKENS.items():
+        explained = {name: token for name in names if (token := token_of(name)) in missing}
+        if explained:
+            return what, explained
+    numbered = sorted(name for name in names if name.endswith(".npz") and NUMBER.fullmatch(_stem(name)))
+    if len(numbered) == len(missing) == sum(name.endswith(".npz") for name in names):
+        return NUMBERED, dict(zip(numbered, sorted(missing), strict=True))
+    return None
+
+
+def is_rubbish(name: str) -> bool:
+    """Whether a file manager added this file to a zip, and nobody meant it."""
+    return name.startswith(RUBBISH[0]) or name.rpartition("/")[2].startswith(RUBBISH[1:])
+
+
+def layout_hint(found: str) -> str:
+    """What makes a submission of files that are what `other_layout` found; "" if it is none of them."""
+    line = next((line for what, line in LINES.items() if what in found), "")
+    return f"frames are <frame_token>.npz, all in one folder; {line}" if line else ""
+
+
+def _stem(name: str) -> str:
+    return name.replace("\\", "/").rpartition("/")[2].rpartition(".")[0]
+
+
+def _parent(name: str) -> str:
+    return name.replace("\\", "/").rpartition("/")[0].rpartition("/")[2]
+
+
+_TOKENS: Mapping[str, Callable[[str], str]] = {
+    LABELS: lambda name: _parent(name) if name.endswith(".npz") and "\\" not in name else "",
+    BACKSLASHES: lambda name: _stem(name) if "\\" in name and name.endswith(".npz") else "",
+    FOLDERS: lambda name: _stem(name) if "/" in name and name.endswith(".npz") else "",
+    NPY: lambda name: _stem(name) if name.endswith(".npy") else "",
+    DASHES: lambda name: _stem(name).lower().replace("-", "") if name.lower().endswith(".npz") else "",
+}
