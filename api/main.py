@@ -195,6 +195,9 @@ async def with_request_threads(api: FastAPI) -> AsyncIterator[None]:
     yield
 
 
+FORKED_FROM = ("api.sandboxed_reading",)
+
+
 def from_environment() -> FastAPI:
     """The application of this process.
 
@@ -207,7 +210,7 @@ def from_environment() -> FastAPI:
 def told(api: FastAPI) -> FastAPI:
     """The application of a process of its own, whose spans and counts others hear of; what it reads of strangers it
     reads in children of a process without keys."""
-    use_fork_server(["stone_recordings.calibrations.file", "stone_datasets.classes"])
+    use_fork_server(FORKED_FROM).ensure_running()
     setup_tracing("stone-api")
     api.state.meters.keep_writing()
     tune_api()

@@ -18,17 +18,18 @@ from typing import IO
 
 from api.errors import CalibrationRefusedError, body_too_large, rate_limited
 from api.files import safe_name
+from api.sandboxed_reading import calibration_read
 from api.schemas.base import EPOCH
 from services.domain.sequences.calibrations import ReadCalibration, Validity
 from services.runtime.sandbox import SandboxCrashedError, SandboxLimits, sandboxed
-from services.runtime.sandbox.result_files import packed, unpacked
+from services.runtime.sandbox.result_files import unpacked
 from services.runtime.store.protocol import Store
 from stone.errors import PlatformFaultError, Refused, StoneError
 from stone.findings import Finding
 from stone.sensors.calibration import Calibration
 from stone_recordings.calibrations.errors import bad_calibration_key
-from stone_recordings.calibrations.file import CalibrationRead, read_calibration_files
-from stone_recordings.calibrations.record import calibration_of, calibration_record
+from stone_recordings.calibrations.file import CalibrationRead
+from stone_recordings.calibrations.record import calibration_of
 
 LARGEST_BYTES = 2**20
 AT_ONCE = 2
@@ -69,7 +70,7 @@ def understood(path: Path) -> CalibrationRead:
     if not _turns.acquire(timeout=PATIENCE_S):
         raise rate_limited(PER_MINUTE, int(PATIENCE_S))
     try:
-        found = _believed(path.name, sandboxed(partial(_read, path), replace(LIMITS, reads=(path,))))
+        found = _believed(path.name, sandboxed(partial(calibration_read, path), replace(LIMITS, reads=(path,))))
         _check_names(path.name, found.calibration)
     except PlatformFaultError:
         raise
@@ -78,14 +79,6 @@ def understood(path: Path) -> CalibrationRead:
     finally:
         _turns.release()
     return found
-
-
-def _read(path: Path) -> bytes:
-    """The child's part."""
-    found = read_calibration_files(path)
-    findings = [finding.as_record() for finding in found.findings]
-    read = {"calibration": calibration_record(found.calibration), "findings": findings, "format": found.format}
-    return packed(read)
 
 
 def _believed(name: str, answer: bytes) -> CalibrationRead:

@@ -28,7 +28,7 @@ from stone_recordings.calibrations.errors import CalibrationYamlError
 DEPTH_LIMIT = 12
 NODE_LIMIT = 10_000
 SHOWN_CHARACTERS = 120
-OPENCV_HEAD = re.compile(r"\A%YAML:1\.0[^\n]*")
+OPENCV_HEAD = re.compile(r"\A%YAML[: ]1\.0[^\n]*")
 OPENCV_TAG = "tag:yaml.org,2002:opencv-matrix"
 KITTI_WITHOUT_COLON = re.compile(r"(?m)^(R_rect|Tr_velo_cam|Tr_imu_velo)(?= +[-+.\d])")
 JSON_STRING = re.compile(r'"(?:[^"\\]|\\.)*"')
@@ -103,7 +103,7 @@ def _yaml(name: str, text: str) -> tuple[object, ...]:
     except TypeError:  # the loader's word for a key that cannot be one
         problem = "a key is itself a list or a mapping (a comma or a quote too many?)"
         raise CalibrationYamlError(name, problem) from None
-    except (ValueError, OverflowError) as error:
+    except (ValueError, OverflowError, AssertionError) as error:  # ruamel asserts the numbers of a %YAML line
         raise CalibrationYamlError(name, str(error)[:SHOWN_CHARACTERS]) from None
     while len(documents) > 1 and documents[-1] is None:
         documents.pop()

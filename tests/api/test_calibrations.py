@@ -11,6 +11,7 @@ from typing import Any
 import httpx
 import pytest
 
+from api import sandboxed_reading
 from api.views import calibration_reading
 from services.runtime.platform import Platform
 from services.runtime.sandbox.result_files import packed
@@ -139,13 +140,13 @@ def test_a_sequence_pins_its_calibration(api: httpx.Client, curator: Person) -> 
 def test_a_file_that_takes_over_its_reader_reaches_nothing(
     api: httpx.Client, curator: Person, monkeypatch: pytest.MonkeyPatch
 ) -> None:
-    monkeypatch.setattr(calibration_reading, "read_calibration_files", lambda _: socket.create_connection(("::1", 9)))
+    monkeypatch.setattr(sandboxed_reading, "read_calibration_files", lambda _: socket.create_connection(("::1", 9)))
     answer = posted(api, curator)
     assert answer.status_code == 422
     assert [error["code"] for error in answer.json()["errors"]] == ["reader_crashed"]
     assert "raised PermissionError" in answer.json()["detail"]
     monkeypatch.setattr(
-        calibration_reading, "_read", lambda _: packed({"calibration": {}, "findings": [], "format": ""})
+        calibration_reading, "calibration_read", lambda _: packed({"calibration": {}, "findings": [], "format": ""})
     )
     assert posted(api, curator).json()["errors"][0]["code"] == "reader_crashed"
 

@@ -14,10 +14,10 @@ from typing import Annotated, ClassVar
 from pydantic import Field
 
 from api.errors import rate_limited
+from api.sandboxed_reading import class_map_read
 from services.domain.imports.requests import Meaning, StatedClasses
 from services.runtime.sandbox import SandboxLimits, sandboxed
 from services.runtime.sandbox.answers import SandboxAnswer
-from stone_datasets.classes import MEANINGS, read_class_map
 
 LIMITS = SandboxLimits(memory_bytes=512 * 2**20, cpu_s=10, wall_s=30.0)
 AT_ONCE, PATIENCE_S, PER_MINUTE = 2, 10.0, 60.0
@@ -42,14 +42,7 @@ def stated_classes(text: str) -> StatedClasses:
         with TemporaryDirectory(prefix="stone-classes-") as folder:
             path = Path(folder) / FILE
             path.write_text(text, "utf-8")
-            answer = ClassMapAnswer.believed(sandboxed(partial(_read, path), replace(LIMITS, reads=(path,))))
+            answer = ClassMapAnswer.believed(sandboxed(partial(class_map_read, path), replace(LIMITS, reads=(path,))))
     finally:
         _turns.release()
     return StatedClasses(answer.name, answer.meanings)
-
-
-def _read(path: Path) -> bytes:
-    """The child's part."""
-    found, words = read_class_map(path), {number: word for word, number in MEANINGS.items()}
-    stated = {number: words[meaning] for number, meaning in enumerate(found.meaning.tolist()) if meaning in words}
-    return ClassMapAnswer.model_validate({"name": found.name, "meanings": stated}).packed()
