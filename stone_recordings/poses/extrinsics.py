@@ -32,19 +32,20 @@ def plain(frame_id: str) -> str:
 def cross_check(tree: StaticTree, calibration: Calibration, lidar_frame: str) -> tuple[Finding, ...]:
     """A warning for each transform that both know and that differ; nothing for what only one of them knows.
 
-    Robots publish several bases (base_link, base_footprint); the ego frame need only agree with one of them.
+    Robots publish several bases (base_link, base_footprint); the ego frame need only agree with one of them. A frame
+    that has the LiDAR's name is no transform of tf_static.
     """
     is_placed = not tree.unplaced
     findings = [_ego_difference(tree, calibration, lidar_frame)]
     for mount in calibration.mounts:
-        recorded = tree.transform(lidar_frame, plain(mount.frame_id)) if mount.frame_id else None
+        recorded = tree.recorded(lidar_frame, plain(mount.frame_id)) if mount.frame_id else None
         if recorded is not None:
             findings.append(_difference(mount.name, recorded, mount.lidar_from_sensor, is_placed))
     return tuple(finding for finding in findings if finding is not None)
 
 
 def _ego_difference(tree: StaticTree, calibration: Calibration, lidar_frame: str) -> Finding | None:
-    recorded = [tree.transform(base, lidar_frame) for base in BASE_FRAMES]
+    recorded = [tree.recorded(base, lidar_frame) for base in BASE_FRAMES]
     known, is_placed = calibration.ego_from_lidar, not tree.unplaced
     found = [_difference("ego_from_lidar", one, known, is_placed) for one in recorded if one is not None]
     return None if None in found or not found else found[0]

@@ -22,6 +22,7 @@ DIRECTIONS = ("FRONT", "FRONT_LEFT", "LEFT", "BACK_LEFT", "BACK", "BACK_RIGHT", 
 STEP_DEG = 360.0 / len(DIRECTIONS)
 UPRIGHT = 0.3  # of the x axis in plan: steeper, a yaw says nothing
 TOLERATED_DEG, OTHER_WAY_DEG = 10.0, 60.0
+IN_BASE = "its messages are in the frame of the robot's base itself"
 ANGLE_STEP_DEG, LEAST_ANGLE_DEG = 15, 90
 
 
@@ -37,6 +38,12 @@ def base_of(tree: StaticTree, frame_id: str) -> tuple[str, SE3] | None:
     """The base that the frame hangs on, and the frame's place in it; None where none does."""
     found = ((base, tree.transform(base, plain(frame_id))) for base in BASE_FRAMES)
     return next(((base, base_from_frame) for base, base_from_frame in found if base_from_frame is not None), None)
+
+
+def _is_base(tree: StaticTree, frame: str) -> bool:
+    """Return whether the frame is the base that it hangs on, so that no transform says where it is."""
+    found = base_of(tree, frame)
+    return found is not None and found[0] == frame
 
 
 def yaw_deg(tree: StaticTree, frame_id: str) -> float | None:
@@ -67,7 +74,7 @@ def direction_findings(tree: StaticTree, radars: Sequence[RecordedRadar]) -> Ite
         frame, yaw = plain(radar.frame_id), yaws[radar.frame_id]
         if yaw is None:
             continue
-        seen = f"/tf_static turns its frame {frame!r} by {yaw:+.0f}°"
+        seen = f"/tf_static turns its frame {frame!r} by {yaw:+.0f}°" if not _is_base(tree, frame) else IN_BASE
         named, angle = channel_of("radar", radar.topic, radar.frame_id, {}), angles.get(radar.frame_id)
         if named is not None and _apart_deg(yaw, _yaw_of(named)) > OTHER_WAY_DEG:
             sentence = f"by its name it is {named}, while {seen}: the name is used (another: --topic CHANNEL=TOPIC)"
@@ -109,7 +116,8 @@ def with_radars(
         lidar_from_radar = calibration.ego_from_lidar.inverse() @ found[1]
         mounts.append(Mount(channel, "radar", lidar_from_radar, radar.frame_id))
         place = "at the ego origin, for its position is not known" if tree.unplaced else f"where {found[0]} has it"
-        sentence = f"the calibration does not place it; {channel} is turned as /tf_static has {frame!r}, {place}"
+        turned = f"is turned as /tf_static has {frame!r}, {place}" if found[0] != frame else f"lies there: {IN_BASE}"
+        sentence = f"the calibration does not place it; {channel} {turned}"
         findings.append(Finding("CAL-439", "info", radar.topic, sentence))
     return replace(calibration, mounts=(*calibration.mounts, *mounts)), tuple(findings)
 

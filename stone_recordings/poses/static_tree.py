@@ -35,6 +35,10 @@ class StaticTree:
         is_unplaced = len(places) > 1 and not any(place.any() for place in places)
         return tuple(sorted(child for _, child in self.down)) if is_unplaced else ()
 
+    def recorded(self, dst: str, src: str) -> SE3 | None:
+        """As `transform`, but None between a frame and itself, of which no transform was published."""
+        return self.transform(dst, src) if dst != src else None
+
     def transform(self, dst: str, src: str) -> SE3 | None:
         """`dst_from_src` along the shortest path, or None where the frames are not connected."""
         near: dict[str, list[str]] = {}

@@ -62,7 +62,7 @@ def early_refusal(bag: Bag, lidar_topic: str, calibration: Calibration, band_m: 
 
 def recorded_ground_finding(ground: GroundFit, tree: StaticTree, lidar_frame: str) -> tuple[Finding, ...]:
     """CAL-440 where /tf_static has the LiDAR, whose `ground` is in its own frame, on a base that is not on it."""
-    placed = [(base, tree.transform(base, lidar_frame)) for base in BASE_FRAMES]
+    placed = [(base, tree.recorded(base, lidar_frame)) for base in BASE_FRAMES]
     bases = {base: base_from_lidar for base, base_from_lidar in placed if base_from_lidar is not None}
     off = {base: seen for base, mount in bases.items() if is_off_ground(seen := ground.seen_from(mount))}
     if len(off) < len(bases) or not off:  # the ego frame is any of them
