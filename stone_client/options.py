@@ -146,7 +146,11 @@ GridOption = Annotated[
 ]
 OdometryOption = Annotated[
     str | None,
-    typer.Option(metavar="TOPIC", help="Pose source: a topic, or kiss-icp; default: the best one in the bag."),
+    typer.Option(
+        metavar="TOPIC",
+        help="Pose source: a topic, kiss-icp, or course:TOPIC (its places, heading by course over ground); default: the "
+        "best one in the bag.",
+    ),
 ]
 GroundOption = Annotated[
     Ground, typer.Option(help="LiDAR height and tilt: from the calibration (given), or measured on the ground (auto).")

@@ -23,6 +23,7 @@ from stone_files.bag_fingerprint import hashed_meanwhile
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.clocks.lidar_clock import lidar_clock
 from stone_recordings.clocks.triggers import trigger_findings
+from stone_recordings.poses.attitude_check import AttitudeInputs, check_attitude
 from stone_recordings.poses.ego_track import PoseInputs, ego_track, motion_findings, recorded_rig
 from stone_recordings.poses.extrinsics import cross_check
 from stone_recordings.poses.file_poses import PoseFile
@@ -56,7 +57,7 @@ def silent(_stage: str, _done: int, _total: int) -> None:
 class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
-    `odometry_topic` may be "kiss-icp". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
+    `odometry_topic` may be "kiss-icp", or "course:TOPIC". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
     `ground` is "given" by the calibration, or "auto": measured, and the height of the LiDAR's mount taken
     from it, and a tilt beyond terrain's.
     `poses` is a file that tells them instead of a topic; `poses_frame` is the frame of the poses of a topic that names
@@ -187,16 +188,21 @@ def unjoined_sequence(
     clock = lidar_clock(bag, recorded, sources.lidar.name, late_ns)
     rig = recorded_rig(recorded, sources, calibration, clocks)
     rig = replace(rig, posed_frame=options.poses_frame, base_from_lidar=options.base_from_lidar)
+    rig = replace(rig, is_course=sources.is_course)
     channel_of = {topic: channel for channel, topic in options.topics.items()}
     radars = [RecordedRadar(one.name, recorded.frame_id(one.name)) for one, role in sources.associated if role == RADAR]
     calibration, placed = with_radars(calibration, rig.tree, radars, channel_of)
     track = ego_track(PoseInputs(bag, recorded, sources, clock, options.poses), rig, options.progress)
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
-    stamped = (
+    turns = sources.attitude.name if sources.attitude is not None else ""
+    check_attitude(track, AttitudeInputs(bag, clock, turns), rig)
+    compared = [
         RecordedStamps(stamps_ns, bag.log_times_ns(topic) if topic in recorded.topics else stamps_ns[:0])
         for topic, stamps_ns in ((clock.topic, clock.ordered.stamps_ns), (track.topic, track.trajectory.stamps_ns))
+    ]
+    posed = frames_with_pose(
+        name, clock, track, options.max_pose_gap_ns, lambda: way_out(compared[0], compared[1], clocks)
     )
-    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns, lambda: way_out(*stamped, clocks))
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
     mounts = (*unplaced_finding(rig.tree), *cross_check(rig.tree, rig.calibration, rig.lidar_frame), *placed)

@@ -65,6 +65,7 @@ from stone_recordings.topics.profiles import TopicProfile
 NAME = "outlook"
 STAND_IN = Calibration(name="none", ego_from_lidar=SE3.identity(), mounts=(Mount("INS", "ins", SE3.identity()),))
 OF_MOUNTS = "CAL-"
+OF_POSES = frozenset({"SYN-530", "SYN-533", "SYN-534", "SYN-535"})
 
 
 def inspected_in(
@@ -120,12 +121,12 @@ def stood_in(
     bag: Bag, options: SynchroniseOptions, severity: Severity = "error"
 ) -> tuple[tuple[Finding, ...], GroundFit | None]:
     """As `outlook`, without a calibration, and the ground in the LiDAR's frame, by which a calibration can be judged
-    before anything is processed. A refusal is of the given severity."""
+    before anything is processed. A refusal is of the given severity, one of the poses themselves always an error."""
     try:
         sequence, sweeps = unjoined_sequence(bag, STAND_IN, options, NAME)
         ground = measured_ground(sequence, SweepsOfOpenBag(sweeps, bag), None)
     except StoneError as refusal:
-        return (_refused(refusal, severity),), None
+        return (_refused(refusal, "error" if refusal.code in OF_POSES else severity),), None
     return tuple(finding for finding in sequence.findings if not finding.code.startswith(OF_MOUNTS)), ground
 
 

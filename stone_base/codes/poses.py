@@ -128,4 +128,17 @@ MEANINGS = (
         "Check the recorder.",
     ),
     CodeMeaning("SYN-528", "less", "Nothing was recorded between two recordings.", "Check the recorder."),
+    CodeMeaning(
+        "SYN-530",
+        "refused",
+        "The orientation of the poses does not turn as the robot does, by its registered sweeps or its gyro: these are "
+        "positions, and no poses.",
+        "Take the topic that the sentence names, record a filtered IMU, or use --odometry kiss-icp or course:TOPIC.",
+    ),
+    CodeMeaning(
+        "SYN-531",
+        "wrong",
+        "The heading of the poses is their course over ground, as --odometry course:TOPIC chooses; roll and pitch are 0.",
+        "Nothing for a robot that always drives forward on nearly level ground; else record an attitude.",
+    ),
 )

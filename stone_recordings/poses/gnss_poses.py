@@ -9,7 +9,7 @@ one relative to where it was switched on: nothing in the messages tells the two 
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass
+from dataclasses import dataclass, replace
 
 import numpy as np
 import pymap3d
@@ -26,7 +26,7 @@ from stone_recordings.messages.imu import AttitudeSamples, decode_attitude
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
-from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
+from stone_recordings.poses.sources import PoseTrack, RigMounts, along_course, child_from_ego, course_finding
 from stone_recordings.sync.clock_offsets import shifted_finding
 from stone_recordings.sync.errors import NoUsablePoseError
 from stone_recordings.sync.recorded_messages import in_order
@@ -40,9 +40,9 @@ class GnssTopics:
 
     fixes: Iterable[StampedMessage]
     fix_topic: str
-    imu: Iterable[StampedMessage]
-    imu_topic: str
     fix_frame: str
+    imu: Iterable[StampedMessage] = ()
+    imu_topic: str = ""
 
 
 def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
@@ -64,11 +64,38 @@ def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
     imu_wxyz = multiply(to_origin, found.map_from_ego.wxyz[found.is_ok])
     turned = SE3.from_parts(imu_wxyz, np.zeros((len(at), 3))) @ SE3.from_parts(imu_from_ego.wxyz, np.zeros(3))
     place_m = antenna_m - turned @ antenna_from_ego.inverse().translation_m
-    offset_ns = rig.clocks.of_poses(rig.calibration, topics.fix_frame)
-    trajectory = Trajectory(samples.stamps_ns[at] + offset_ns, SE3.from_parts(turned.wxyz, place_m))
+    poses = SE3.from_parts(turned.wxyz, place_m)
     said = (*unread, *unread_too, *fixed.findings, *findings, *of_imu, *of_antenna)
+    return _posed(topics, samples, at, poses, source, said, rig, origin)
+
+
+def track_from_fixes(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
+    """Of positions alone, the heading being the course over ground. Raises NoUsablePoseError and what decoding
+    raises."""
+    samples, unread = read_readable(topics.fix_topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
+    source = f"{topics.fix_topic} (sensor_msgs/msg/NavSatFix, course over ground)"
+    fixed = in_order(topics.fix_topic, samples.stamps_ns, _positions(samples, source))
+    antenna_from_ego, of_antenna = child_from_ego(ENU, topics.fix_frame, rig)
+    antenna_m, origin, _ = _enu(samples, fixed.index)
+    poses = along_course(source, antenna_m, antenna_from_ego)
+    said = (*unread, *fixed.findings, *of_antenna, course_finding(topics.fix_topic))
+    track = _posed(topics, samples, fixed.index, poses, source, said, rig, origin)
+    return replace(track, is_course=True)
+
+
+def _posed(
+    topics: GnssTopics,
+    samples: GnssSamples,
+    at: NDArray[np.int64],
+    poses: SE3,
+    source: str,
+    said: tuple[Finding, ...],
+    rig: RigMounts,
+    origin: tuple[float, float, float],
+) -> PoseTrack:
+    offset_ns = rig.clocks.of_poses(rig.calibration, topics.fix_frame)
     said += shifted_finding(topics.fix_topic, offset_ns) + _left_out(samples, len(at), topics.fix_topic)
-    return PoseTrack(trajectory, source, topics.fix_topic, said, origin)
+    return PoseTrack(Trajectory(samples.stamps_ns[at] + offset_ns, poses), source, topics.fix_topic, said, origin)
 
 
 def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:

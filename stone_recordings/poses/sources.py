@@ -16,6 +16,7 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
+from stone.sensors.course import headings_along
 from stone.sensors.pose_quality import SolutionQuality
 from stone_recordings.messages.batch import StampedMessage, refused_finding
 from stone_recordings.messages.odometry import TYPE as ODOMETRY
@@ -38,6 +39,7 @@ class PoseTrack:
     `is_smooth` says that the source knows how the robot moved between its samples, and filtered them so (an INS).
     `inputs` are the hashes of files beside the recording that it was read from.
     `map_origin_deg_m` is latitude, longitude, height of the map's origin where there is one.
+    `is_course` says that the heading is the course over ground.
     """
 
     trajectory: Trajectory
@@ -48,6 +50,7 @@ class PoseTrack:
     solution: SolutionQuality | None = None
     is_smooth: bool = False
     inputs: Mapping[str, str] = field(default_factory=dict)
+    is_course: bool = False
 
 
 @dataclass(frozen=True, eq=False)
@@ -55,7 +58,8 @@ class RigMounts:
     """The mounts by calibration and by tf_static, the frame the sweeps are in, whose clock is off, what was noticed.
 
     `posed_frame` is that of which poses are told that name none; "" where nobody says. `base_from_lidar` is the mount
-    before ground auto moved the ego origin, None if it is the calibration's.
+    before ground auto moved the ego origin, None if it is the calibration's. With `is_course` a source's orientation
+    does not count: the course over ground is the heading.
     """
 
     calibration: Calibration
@@ -65,6 +69,30 @@ class RigMounts:
     findings: tuple[Finding, ...] = ()
     posed_frame: str = ""
     base_from_lidar: SE3 | None = None
+    is_course: bool = False
+
+
+def along_course(source: str, place_m: NDArray[np.float64], child_from_ego: SE3) -> SE3:
+    """The ego poses (N,) of a robot that is level and faces its course, from the places (N, 3) of a frame of it.
+
+    Raises `NoUsablePoseError` if it never drives.
+    """
+    heading = headings_along(place_m)
+    if not np.isfinite(heading).all():
+        raise NoUsablePoseError(source, len(place_m), "the track is too short to have a course")
+    none = np.zeros(len(heading))
+    wxyz = np.stack([np.cos(heading / 2), none, none, np.sin(heading / 2)], axis=-1)
+    level = SE3.from_parts(wxyz, np.zeros(3))
+    return SE3.from_parts(wxyz, place_m - level @ child_from_ego.inverse().translation_m)
+
+
+def course_finding(topic: str) -> Finding:
+    """SYN-531: the heading is the course."""
+    sentence = (
+        "its orientation is not used: the heading is the course over ground, roll and pitch are 0; right if the robot "
+        "drives forward on nearly level ground, and wrong where it reverses, drives aside or turns on the spot"
+    )
+    return Finding("SYN-531", "warning", topic, sentence)
 
 
 def track_from_odometry(
@@ -135,9 +163,13 @@ def _track(
     ordered = in_order(topic, stamps_ns, np.flatnonzero(is_stamped))
     step, findings = child_from_ego(*pair, rig)
     offset_ns = rig.clocks.of_poses(rig.calibration, pair[1])
-    trajectory = Trajectory(ordered.stamps_ns + offset_ns, fixed_from_child[ordered.index] @ step)
+    fixed_from_child = fixed_from_child[ordered.index]
+    poses = fixed_from_child @ step
+    if rig.is_course:
+        poses, findings = along_course(source, fixed_from_child.translation_m, step), (*findings, course_finding(topic))
+    trajectory = Trajectory(ordered.stamps_ns + offset_ns, poses)
     findings += shifted_finding(topic, offset_ns) + _unstamped_finding(topic, is_stamped)
-    return PoseTrack(trajectory, source, topic, ordered.findings + findings)
+    return PoseTrack(trajectory, source, topic, ordered.findings + findings, is_course=rig.is_course)
 
 
 def _unstamped_finding(topic: str, is_stamped: NDArray[np.bool_]) -> tuple[Finding, ...]:

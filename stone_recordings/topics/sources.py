@@ -2,7 +2,8 @@
 
 **Conventions.** The pose source is the topic asked for, else NovAtel INSPVA(X), else nav_msgs/Odometry, else /tf, else
 geometry_msgs/Pose(WithCovariance)Stamped, else NavSatFix with an Imu; asked for by the name kiss-icp, it is the LiDAR
-itself (`stone_recordings.poses.kiss_odometry`), and a file of poses leaves the topics alone. Topics without messages
+itself (`stone_recordings.poses.kiss_odometry`); of a topic asked for as `course:TOPIC` the places count, and the
+heading is the course over ground. A file of poses leaves the topics alone. Topics without messages
 count as absent.
 """
 
@@ -35,6 +36,7 @@ from stone_recordings.topics.unread_topics import not_read, unread_points
 
 BESTPOS = "novatel_oem7_msgs/msg/BESTPOS"
 KISS_ICP = "kiss-icp"
+COURSE = "course:"  # before a topic: its places, and the course over ground for the heading
 STRIDE = 10  # messages over which a rate is measured
 ROLE_OF_SWEEPS: Role = "lidar"
 ASSOCIATED_ROLES: tuple[Role, ...] = ("camera", "radar", "imu")
@@ -59,7 +61,7 @@ class AskedTopics:
 class Sources:
     """`pose_role` says how `pose` is read ("lidar": by odometry from the sweeps; "file": it is not, a file tells).
 
-    `attitude` is the IMU that turns a receiver's positions into poses.
+    `attitude` is the IMU that turns a receiver's positions into poses; with `is_course` the course over ground does.
     `associated` are the topics that frames point into, with their role.
     """
 
@@ -70,6 +72,7 @@ class Sources:
     tf_static: tuple[str, ...]
     associated: tuple[tuple[Topic, Role], ...]
     attitude: Topic | None = None
+    is_course: bool = False
 
     @property
     def scanned(self) -> tuple[str, ...]:
@@ -90,9 +93,11 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     topics = {topic.name: topic for topic in bag.topics if topic.count and topic.encoding == "cdr"}
     roles = [candidate_of(bag, topic) for topic in topics.values()]
     lidar = _lidar(roles, asked.lidar)
-    pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked.pose)
+    asked_pose = asked.pose.removeprefix(COURSE) if asked.pose else None
+    is_course = asked_pose != asked.pose
+    pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked_pose)
     told = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
-    attitude = _attitude(roles, asked.imu) if pose.role == "gnss" else None
+    attitude = _attitude(roles, asked.imu) if pose.role == "gnss" and not is_course else None
     return Sources(
         lidar=topics[lidar.name],
         pose=topics[pose.name],
@@ -101,6 +106,7 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
         tf_static=tuple(topic.name for topic in roles if topic.role == "tf_static"),
         associated=tuple((topics[topic.name], topic.role) for topic in roles if topic.role in ASSOCIATED_ROLES),
         attitude=topics[attitude.name] if attitude else None,
+        is_course=is_course and pose is not lidar,
     )
 
 

@@ -1,0 +1,151 @@
+"""The heading of a track held against its course: an orientation that is not the robot's does not turn as it drives.
+
+**Conventions.** The course is the direction of a step of at least `STEP_M` in plan, the heading that of the ego frame's
+x axis midway. Their difference is constant for a robot that steers, whichever way its sensor is mounted, and the same
+but for half a turn for one that reverses. A robot that drives aside has another course than heading, and noise of
+positions has a course of its own: a doubt is no proof, and says where to look for one.
+"""
+
+from dataclasses import dataclass, replace
+from math import hypot
+
+import numpy as np
+from numpy.typing import NDArray
+
+from stone.geometry.se3 import SE3
+from stone.geometry.trajectory import Trajectory
+
+Array = NDArray[np.float64]
+STEP_M, SMOOTHED = 0.8, 3
+DOUBT_RAD, ENOUGH_RAD = float(np.deg2rad(15.0)), float(np.deg2rad(28.0))
+ASIDE_RAD = float(np.deg2rad(20.0))
+MOST_STEPS, LONGEST_NS = 60, 30_000_000_000
+STRAIGHT_STEPS, TICK_NS, BASE_M = 4, 50_000_000, 0.6
+
+
+@dataclass(frozen=True)
+class Doubt:
+    """Between which stamps the heading does not turn as the course does, or points elsewhere (`is_aside`)."""
+
+    begin_ns: int
+    end_ns: int
+    course_rad: float
+    is_aside: bool = False
+
+
+@dataclass(frozen=True, eq=False)
+class _Steps:
+    """S steps: stamps of their ends (S, 2), unwrapped course (S,) and the course from the heading (S,)."""
+
+    stamps_ns: NDArray[np.int64]
+    course_rad: Array
+    off_rad: Array
+
+
+def doubt_of(track: Trajectory) -> Doubt | None:
+    """Return where the heading of a track fits its course worst; None if it fits, or the track tells no course."""
+    found = [doubt for rows in _stretches(track) if (doubt := _doubt(_steps(track, rows))) is not None]
+    turning = [doubt for doubt in found if not doubt.is_aside]
+    return (turning or found or [None])[0]
+
+
+def headings_along(place_m: Array) -> Array:
+    """Return the course (N,) at each of N places (N, 2 or 3) of a way, over `BASE_M` of it; the nearest course if the
+    robot stands. NaN if the way is shorter than `BASE_M`."""
+    gone_m = np.append(0.0, np.cumsum(np.hypot(*np.diff(place_m[:, :2], axis=0).T)))
+    if gone_m[-1] <= BASE_M:
+        return np.full(len(place_m), np.nan)
+    at_m, half = np.clip(gone_m, BASE_M / 2, gone_m[-1] - BASE_M / 2), BASE_M / 2
+    x, y = (
+        np.interp(at_m + half, gone_m, axis) - np.interp(at_m - half, gone_m, axis) for axis in place_m[:, :2].T
+    )
+    course = np.unwrap(np.arctan2(y, x))
+    first = int(np.searchsorted(gone_m, 2 * BASE_M))
+    last = int(np.searchsorted(gone_m, gone_m[-1] - 2 * BASE_M, side="right")) - 1
+    if 0 < first < len(course) and 0 <= last < len(course) - 1:  # the course over an end is that of its middle
+        begin = (course[first] - course[0]) / max(at_m[first] - at_m[0], BASE_M / 2)
+        end = (course[-1] - course[last]) / max(at_m[-1] - at_m[last], BASE_M / 2)
+        course = course + np.minimum(gone_m - at_m, 0.0) * begin + np.maximum(gone_m - at_m, 0.0) * end
+    return np.asarray(course)
+
+
+def _stretches(track: Trajectory) -> list[NDArray[np.int64]]:
+    segments = track.segments
+    return [np.flatnonzero(segments == segment) for segment in np.unique(segments).tolist()]
+
+
+def unturned(track: Trajectory) -> Trajectory:
+    """Return the places of a track without its orientations: its doubt is where it turns."""
+    places_m = track.map_from_ego.translation_m
+    return replace(track, map_from_ego=SE3.from_parts(np.array([1.0, 0.0, 0.0, 0.0]), places_m))
+
+
+def headings(poses: SE3) -> Array:
+    """Return the yaw of the x axis of each pose (N,) in plan."""
+    forward = poses.rotation()[..., :, 0]
+    return np.asarray(np.arctan2(forward[..., 1], forward[..., 0]))
+
+
+def _steps(track: Trajectory, rows: NDArray[np.int64]) -> _Steps:
+    rows = rows[np.unique(np.searchsorted(track.stamps_ns[rows], _ticks(track.stamps_ns[rows])))]
+    place_m = track.map_from_ego.translation_m[rows, :2]
+    x, y = place_m.T.tolist()
+    marks = [0]
+    for row in range(1, len(rows)):
+        if hypot(x[row] - x[marks[-1]], y[row] - y[marks[-1]]) >= STEP_M:
+            marks.append(row)
+    at = np.array(marks, np.int64)
+    begin, end = at[:-1], at[1:]
+    way = place_m[end] - place_m[begin]
+    course = np.unwrap(np.arctan2(way[:, 1], way[:, 0]))
+    heading = headings(track.map_from_ego[rows[(begin + end) // 2]])
+    stamps_ns = track.stamps_ns[rows]
+    return _Steps(np.stack([stamps_ns[begin], stamps_ns[end]], axis=-1), course, course - heading)
+
+
+def _ticks(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
+    return np.arange(stamps_ns[0], stamps_ns[-1] + 1, TICK_NS, dtype=np.int64)
+
+
+def _doubt(steps: _Steps) -> Doubt | None:
+    count = len(steps.off_rad)
+    if count < 2:
+        return None
+    off = _smoothed(np.unwrap(steps.off_rad, period=np.pi))
+    worst, best = DOUBT_RAD, None
+    for apart in range(1, min(MOST_STEPS, count - 1) + 1):
+        change = np.abs(off[apart:] - off[:-apart])
+        change[steps.stamps_ns[apart:, 1] - steps.stamps_ns[:-apart, 0] > LONGEST_NS] = 0.0
+        at = int(np.argmax(change))
+        if change[at] > worst:
+            worst, best = float(change[at]), (at, at + apart)
+        if worst >= ENOUGH_RAD:
+            break
+    if best is not None:
+        return _between(steps, *best)
+    return _aside(steps)
+
+
+def _aside(steps: _Steps) -> Doubt | None:
+    """Return the straightest stretch of a track that leads aside of its heading all along."""
+    off = np.arctan2(np.sin(steps.off_rad), np.cos(steps.off_rad))
+    if float(np.median(np.abs(off))) <= ASIDE_RAD:
+        return None
+    length = min(STRAIGHT_STEPS, len(off))
+    bends = [float(np.ptp(steps.course_rad[at : at + length])) for at in range(len(off) - length + 1)]
+    at = int(np.argmin(bends))
+    found = _between(steps, at, at + length - 1)
+    return Doubt(found.begin_ns, found.end_ns, float(off[at : at + length].mean()), is_aside=True)
+
+
+def _between(steps: _Steps, first: int, last: int) -> Doubt:
+    course_rad = float(steps.course_rad[last] - steps.course_rad[first])
+    return Doubt(int(steps.stamps_ns[first, 0]), int(steps.stamps_ns[last, 1]), course_rad)
+
+
+def _smoothed(values: Array) -> Array:
+    """Return the running median of three, so that one step of noise is no doubt."""
+    if len(values) < SMOOTHED:
+        return values
+    around = np.lib.stride_tricks.sliding_window_view(np.pad(values, 1, mode="edge"), SMOOTHED)
+    return np.asarray(np.median(around, axis=-1))
