@@ -28,6 +28,7 @@ from stone_recordings.poses.ego_track import PoseInputs, ego_track, motion_findi
 from stone_recordings.poses.extrinsics import cross_check
 from stone_recordings.poses.file_poses import PoseFile
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
+from stone_recordings.poses.places import check_extent
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.poses.recorded_mounts import RecordedRadar, unplaced_finding, with_radars
 from stone_recordings.report.projection_checks import projection_findings, radar_findings
@@ -57,7 +58,8 @@ def silent(_stage: str, _done: int, _total: int) -> None:
 class SynchroniseOptions:
     """Topics by name where the recording's roles are not meant; poses more than `max_pose_gap_ns` apart are a gap.
 
-    `odometry_topic` may be "kiss-icp", or "course:TOPIC". `topics` names the topic of a role (lidar, pose) or of a channel (CAM_FRONT).
+    `odometry_topic` may be "kiss-icp", or "course:TOPIC". `topics` names the topic of a role (lidar, pose) or of a
+    channel (CAM_FRONT).
     `ground` is "given" by the calibration, or "auto": measured, and the height of the LiDAR's mount taken
     from it, and a tilt beyond terrain's.
     `poses` is a file that tells them instead of a topic; `poses_frame` is the frame of the poses of a topic that names
@@ -203,6 +205,7 @@ def unjoined_sequence(
     posed = frames_with_pose(
         name, clock, track, options.max_pose_gap_ns, lambda: way_out(compared[0], compared[1], clocks)
     )
+    check_extent(track.source, posed.frames.map_from_ego.translation_m)
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
     mounts = (*unplaced_finding(rig.tree), *cross_check(rig.tree, rig.calibration, rig.lidar_frame), *placed)

@@ -12,7 +12,7 @@ from math import hypot
 import numpy as np
 from numpy.typing import NDArray
 
-from stone.geometry.se3 import SE3
+from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 
 Array = NDArray[np.float64]
@@ -20,6 +20,7 @@ STEP_M, SMOOTHED = 0.8, 3
 DOUBT_RAD, ENOUGH_RAD = float(np.deg2rad(15.0)), float(np.deg2rad(28.0))
 ASIDE_RAD = float(np.deg2rad(20.0))
 MOST_STEPS, LONGEST_NS = 60, 30_000_000_000
+STILL_RAD, STILL_NS = float(np.deg2rad(1.0)), 6_000_000_000
 STRAIGHT_STEPS, TICK_NS, BASE_M = 4, 50_000_000, 0.6
 
 
@@ -49,6 +50,13 @@ def doubt_of(track: Trajectory) -> Doubt | None:
     return (turning or found or [None])[0]
 
 
+def aside_of_course(track: Trajectory) -> float:
+    """Return the median angle between heading and course, rad; π if the track tells no course."""
+    found = [_steps(track, rows).off_rad for rows in _stretches(track)]
+    off = np.concatenate([*found, np.zeros(0)])
+    return float(np.median(np.abs(np.angle(np.exp(1j * off))))) if len(off) else float(np.pi)
+
+
 def headings_along(place_m: Array) -> Array:
     """Return the course (N,) at each of N places (N, 2 or 3) of a way, over `BASE_M` of it; the nearest course if the
     robot stands. NaN if the way is shorter than `BASE_M`."""
@@ -56,9 +64,7 @@ def headings_along(place_m: Array) -> Array:
     if gone_m[-1] <= BASE_M:
         return np.full(len(place_m), np.nan)
     at_m, half = np.clip(gone_m, BASE_M / 2, gone_m[-1] - BASE_M / 2), BASE_M / 2
-    x, y = (
-        np.interp(at_m + half, gone_m, axis) - np.interp(at_m - half, gone_m, axis) for axis in place_m[:, :2].T
-    )
+    x, y = (np.interp(at_m + half, gone_m, axis) - np.interp(at_m - half, gone_m, axis) for axis in place_m[:, :2].T)
     course = np.unwrap(np.arctan2(y, x))
     first = int(np.searchsorted(gone_m, 2 * BASE_M))
     last = int(np.searchsorted(gone_m, gone_m[-1] - 2 * BASE_M, side="right")) - 1
@@ -72,6 +78,17 @@ def headings_along(place_m: Array) -> Array:
 def _stretches(track: Trajectory) -> list[NDArray[np.int64]]:
     segments = track.segments
     return [np.flatnonzero(segments == segment) for segment in np.unique(segments).tolist()]
+
+
+def doubt_of_still(track: Trajectory) -> Doubt | None:
+    """Return the middle of a track that neither goes anywhere nor turns; None for any other."""
+    poses = track.map_from_ego
+    turned = multiply(poses.wxyz[0] * np.array([1.0, -1.0, -1.0, -1.0]), poses.wxyz)
+    is_turning = 2 * np.arccos(np.clip(np.abs(turned[:, 0]).min(), 0.0, 1.0)) > STILL_RAD
+    if is_turning or np.hypot(*np.ptp(poses.translation_m[:, :2], axis=0)) > 2 * STEP_M:
+        return None
+    middle_ns = int(track.stamps_ns[0] + track.stamps_ns[-1]) // 2
+    return Doubt(middle_ns - STILL_NS // 2, middle_ns + STILL_NS // 2, 0.0)
 
 
 def unturned(track: Trajectory) -> Trajectory:

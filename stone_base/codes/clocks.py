@@ -107,4 +107,10 @@ MEANINGS = (
         "There are positions, but nothing gives the attitude.",
         "Record an IMU that gives an orientation, or use --odometry kiss-icp.",
     ),
+    CodeMeaning(
+        "GNS-310",
+        "less",
+        "Positions far from all others, such as zeros before a fix, are left out.",
+        "Nothing for a few; check the receiver if there are many.",
+    ),
 )

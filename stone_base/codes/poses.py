@@ -141,4 +141,29 @@ MEANINGS = (
         "The heading of the poses is their course over ground, as --odometry course:TOPIC chooses; roll and pitch are 0.",
         "Nothing for a robot that always drives forward on nearly level ground; else record an attitude.",
     ),
+    CodeMeaning(
+        "SYN-532",
+        "none",
+        "The positions are far from the origin of their frame (UTM, ECEF); the map has an origin of its own, which the "
+        "sentence names.",
+        "Nothing.",
+    ),
+    CodeMeaning(
+        "SYN-533",
+        "refused",
+        "The positions of the poses are latitude and longitude in degrees.",
+        "Record them in metres, or use --odometry kiss-icp.",
+    ),
+    CodeMeaning(
+        "SYN-534",
+        "refused",
+        "The positions are ECEF, but the orientation is neither in ECEF nor in east, north, up.",
+        "Record the poses in a local frame, or use --odometry course:TOPIC.",
+    ),
+    CodeMeaning(
+        "SYN-535",
+        "refused",
+        "The poses of a run lie farther apart than a map reaches.",
+        "Check the source for positions that are not of this run; record a run at a time.",
+    ),
 )

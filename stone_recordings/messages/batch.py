@@ -15,9 +15,9 @@ from stone.findings import Finding
 from stone.geometry.se3 import SE3
 from stone_recordings.bags.errors import PoseValueError
 
-# Drivers write (0, 0, 0, 0) for "unknown"; rounding to float32 or to four decimals stays far above this.
-LEAST_NORM = 1e-3
-MOST_COMPONENT = 1e6
+# Drivers write (0, 0, 0, 0) for "unknown", and some write angles; rounding to two decimals stays far below this.
+MOST_OFF_NORM, LEAST_ANGLES = 0.1, 1e-3
+MOST_COMPONENT = 1e6  # the square of more would overflow
 # Beyond any place in any frame on Earth: ECEF reaches 6.4e6 m, a UTM zone 1e7 m.
 MOST_POSITION_M = 1e8
 BATCH_BYTES = 16 << 20
@@ -65,7 +65,7 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
         is_finite = np.isfinite(np.concatenate([translation_m, xyzw], axis=1)).all(axis=1)
         largest = np.abs(xyzw).max(axis=1, initial=0.0)
         norms = np.linalg.norm(xyzw, axis=1)
-        is_pose = is_finite & (largest <= MOST_COMPONENT) & (norms >= LEAST_NORM)  # the square of more would overflow
+        is_pose = is_finite & (largest <= MOST_COMPONENT) & (np.abs(norms - 1.0) <= MOST_OFF_NORM)
         farthest_m = np.abs(translation_m).max(axis=1, initial=0.0)
         is_pose &= farthest_m <= MOST_POSITION_M
     rows, refused = np.flatnonzero(is_pose), np.flatnonzero(~is_pose)
@@ -93,4 +93,5 @@ def _problem(is_finite: np.bool_, largest: np.float64, norm: np.float64, farthes
         return f"has a quaternion component of {largest:.3g}"
     if farthest_m > MOST_POSITION_M:
         return f"has a position of {farthest_m:.3g} m"
-    return f"has a quaternion of norm {norm:.3g}"
+    hint = ", which is no rotation: are these angles of roll, pitch and yaw?" if norm > LEAST_ANGLES else ""
+    return f"has a quaternion of norm {norm:.3g}{hint}"

@@ -19,7 +19,7 @@ from stone.errors import Refused, StoneError
 from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
-from stone.sensors.course import Doubt, doubt_of, unturned
+from stone.sensors.course import Doubt, doubt_of, doubt_of_still, unturned
 from stone.sensors.selection import world_points
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.clocks.lidar_clock import LidarClock
@@ -70,6 +70,7 @@ def check_attitude(track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts) -> 
     if track.topic == inputs.clock.topic:
         return
     doubt = doubt_of(unturned(track.trajectory) if track.is_course else track.trajectory)
+    doubt = doubt or doubt_of_still(track.trajectory)
     if doubt is None:
         return
     told = _told(track.trajectory, inputs, doubt, rig.calibration)

@@ -23,7 +23,7 @@ from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import plain, static_tree
 from stone_recordings.poses.file_poses import PoseFile, track_from_file
-from stone_recordings.poses.gnss_poses import GnssTopics, first_frame_id, track_from_fixes, track_from_gnss
+from stone_recordings.poses.gnss_poses import GnssTopics, first_frame_id, track_from_gnss
 from stone_recordings.poses.ins_poses import track_from_ins
 from stone_recordings.poses.kiss_odometry import Progress, SweepTopic, track_from_sweeps
 from stone_recordings.poses.sources import PoseTrack, RigMounts, track_from_odometry, track_from_tf
@@ -276,10 +276,9 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
         return replace(of_ins, findings=of_ins.findings + unread)
     if sources.pose_role == "gnss":
         fixes = GnssTopics(messages, topic, first_frame_id(messages, sources.pose.type))
-        if sources.attitude is None:
-            return track_from_fixes(fixes, rig)
-        turns = sources.attitude.name
-        return track_from_gnss(replace(fixes, imu=recorded.messages[turns], imu_topic=turns), rig)
+        if (attitude := sources.attitude) is not None:
+            fixes = replace(fixes, imu=recorded.messages[attitude.name], imu_topic=attitude.name)
+        return track_from_gnss(fixes, rig)
     if sources.pose_role == "tf":
         return track_from_tf(messages, topic, rig)
     return track_from_odometry(messages, topic, rig, sources.pose.type)

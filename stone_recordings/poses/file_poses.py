@@ -24,6 +24,7 @@ from stone_recordings.clocks.lidar_clock import LidarClock
 from stone_recordings.messages.batch import MOST_POSITION_M
 from stone_recordings.messages.types.cdr import NS_PER_S
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
+from stone_recordings.poses.places import local_poses
 from stone_recordings.poses.sources import PoseTrack, RigMounts, child_from_ego
 from stone_recordings.sync.clock_offsets import shifted_finding
 
@@ -41,6 +42,9 @@ NUMBER = re.compile(
 )
 LAST_S = 9_000_000_000
 MOST_OFF_NORM, MOST_OFF_ROTATION = 1e-2, 5e-3
+
+
+EULER = " (angles of roll, pitch and yaw are no quaternion: convert them)"
 
 
 @dataclass(frozen=True, eq=False)
@@ -101,7 +105,7 @@ def _words(name: str, number: int, raw: bytes) -> list[str]:
 
 def _row(name: str, number: int, words: list[str], expected: int | None) -> list[float]:
     if expected is None and len(words) not in COLUMNS:
-        raise bad_pose_file(name, number, f"the line has {len(words)} words; TUM has 8 numbers, KITTI 12")
+        raise bad_pose_file(name, number, f"the line has {len(words)} words; TUM has 8 numbers, KITTI 12{EULER}")
     if expected is not None and len(words) != expected:
         raise bad_pose_file(name, number, f"the line has {len(words)} words, the lines before it {expected}")
     wrong = [word for word in words if not NUMBER.fullmatch(word)]
@@ -142,7 +146,9 @@ def _tum(name: str, table: NDArray[np.float64], lines: NDArray[np.int64]) -> SE3
         norm = np.linalg.norm(table[:, 4:], axis=1)
     off = np.flatnonzero(~(np.abs(norm - 1) <= MOST_OFF_NORM))
     if len(off):
-        raise bad_pose_file(name, int(lines[off[0]]), f"its quaternion has the norm {norm[off[0]]:.4g}, it must be 1")
+        raise bad_pose_file(
+            name, int(lines[off[0]]), f"its quaternion has the norm {norm[off[0]]:.4g}, it must be 1{EULER}"
+        )
     return SE3.from_parts(table[:, [7, 4, 5, 6]], table[:, 1:4])
 
 
@@ -179,8 +185,9 @@ def track_from_file(file: PoseFile, clock: LidarClock, rig: RigMounts) -> PoseTr
     offset_ns = rig.clocks.of_poses(rig.calibration, file.frame)
     findings += shifted_finding(read.name, offset_ns)
     if read.stamps_ns is not None:
-        trajectory = Trajectory(read.stamps_ns + offset_ns, read.poses @ step)
-        return PoseTrack(trajectory, source, read.name, findings, inputs=inputs)
+        local = local_poses(read.name, read.stamps_ns, read.poses)
+        trajectory = Trajectory(read.stamps_ns[local.kept] + offset_ns, local.poses @ step)
+        return PoseTrack(trajectory, source, read.name, (*local.findings, *findings), inputs=inputs)
     stamps_ns = clock.ordered.stamps_ns
     if len(stamps_ns) != len(read.poses):
         raise Refused("SYN-517", f"{read.name}: {_counts(read, clock)}")

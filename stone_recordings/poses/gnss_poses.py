@@ -9,7 +9,7 @@ one relative to where it was switched on: nothing in the messages tells the two 
 
 from collections.abc import Iterable, Sequence
 from contextlib import suppress
-from dataclasses import dataclass, replace
+from dataclasses import dataclass
 
 import numpy as np
 import pymap3d
@@ -26,6 +26,7 @@ from stone_recordings.messages.imu import AttitudeSamples, decode_attitude
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
+from stone_recordings.poses.places import near_geodetic
 from stone_recordings.poses.sources import PoseTrack, RigMounts, along_course, child_from_ego, course_finding
 from stone_recordings.sync.clock_offsets import shifted_finding
 from stone_recordings.sync.errors import NoUsablePoseError
@@ -46,56 +47,39 @@ class GnssTopics:
 
 
 def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
-    """Raises NoUsablePoseError (no position, or none while there is an attitude), `GNS-306`, and what decoding
-    raises."""
-    samples, unread = read_readable(topics.fix_topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
-    attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
-    source = f"{topics.fix_topic} with {topics.imu_topic} (sensor_msgs/msg/NavSatFix and Imu)"
-    rows = _positions(samples, source)
-    fixed = in_order(topics.fix_topic, samples.stamps_ns, rows)
-    turns, findings = _attitudes(topics.imu_topic, attitude)
-    found = turns.at(fixed.stamps_ns, DEFAULT_MAX_GAP_NS)
-    if not found.is_ok.any():
-        raise NoUsablePoseError(source, len(rows), f"none has an attitude within {DEFAULT_MAX_GAP_NS / 1e9:g} s")
-    at = fixed.index[found.is_ok]
-    imu_from_ego, of_imu = child_from_ego(ENU, attitude.frame_id, rig)
+    """Of an IMU's attitude, or of the course over ground if `rig.is_course`.
+
+    Raises NoUsablePoseError (no position, or none while there is an attitude), `GNS-306`, and what decoding raises.
+    """
+    topic = topics.fix_topic
+    samples, unread = read_readable(topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
+    by = "course over ground" if rig.is_course else topics.imu_topic
+    source = f"{topic} with {by} (sensor_msgs/msg/NavSatFix{'' if rig.is_course else ' and Imu'})"
+    ordered = in_order(topic, samples.stamps_ns, _positions(samples, source))
+    fixed, far = near_geodetic(topic, ordered, (samples.latitude_deg, samples.longitude_deg, samples.height_m))
     antenna_from_ego, of_antenna = child_from_ego(ENU, topics.fix_frame, rig)
-    antenna_m, origin, to_origin = _enu(samples, at)
-    imu_wxyz = multiply(to_origin, found.map_from_ego.wxyz[found.is_ok])
-    turned = SE3.from_parts(imu_wxyz, np.zeros((len(at), 3))) @ SE3.from_parts(imu_from_ego.wxyz, np.zeros(3))
-    place_m = antenna_m - turned @ antenna_from_ego.inverse().translation_m
-    poses = SE3.from_parts(turned.wxyz, place_m)
-    said = (*unread, *unread_too, *fixed.findings, *findings, *of_imu, *of_antenna)
-    return _posed(topics, samples, at, poses, source, said, rig, origin)
-
-
-def track_from_fixes(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
-    """Of positions alone, the heading being the course over ground. Raises NoUsablePoseError and what decoding
-    raises."""
-    samples, unread = read_readable(topics.fix_topic, topics.fixes, lambda some: decode_gnss(NAVSATFIX, some))
-    source = f"{topics.fix_topic} (sensor_msgs/msg/NavSatFix, course over ground)"
-    fixed = in_order(topics.fix_topic, samples.stamps_ns, _positions(samples, source))
-    antenna_from_ego, of_antenna = child_from_ego(ENU, topics.fix_frame, rig)
-    antenna_m, origin, _ = _enu(samples, fixed.index)
-    poses = along_course(source, antenna_m, antenna_from_ego)
-    said = (*unread, *fixed.findings, *of_antenna, course_finding(topics.fix_topic))
-    track = _posed(topics, samples, fixed.index, poses, source, said, rig, origin)
-    return replace(track, is_course=True)
-
-
-def _posed(
-    topics: GnssTopics,
-    samples: GnssSamples,
-    at: NDArray[np.int64],
-    poses: SE3,
-    source: str,
-    said: tuple[Finding, ...],
-    rig: RigMounts,
-    origin: tuple[float, float, float],
-) -> PoseTrack:
+    if rig.is_course:
+        at, (antenna_m, origin, _) = fixed.index, _enu(samples, fixed.index)
+        poses, said = along_course(source, antenna_m, antenna_from_ego), (course_finding(topic),)
+    else:
+        attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
+        turns, findings = _attitudes(topics, attitude)
+        found = turns.at(fixed.stamps_ns, DEFAULT_MAX_GAP_NS)
+        if not found.is_ok.any():
+            why = f"none has an attitude within {DEFAULT_MAX_GAP_NS / 1e9:g} s"
+            raise NoUsablePoseError(source, len(fixed.index), why)
+        imu_from_ego, of_imu = child_from_ego(ENU, attitude.frame_id, rig)
+        at = fixed.index[found.is_ok]
+        antenna_m, origin, to_origin = _enu(samples, at)
+        imu_wxyz = multiply(to_origin, found.map_from_ego.wxyz[found.is_ok])
+        turned = SE3.from_parts(imu_wxyz, np.zeros((len(at), 3))) @ SE3.from_parts(imu_from_ego.wxyz, np.zeros(3))
+        poses = SE3.from_parts(turned.wxyz, antenna_m - turned @ antenna_from_ego.inverse().translation_m)
+        said = (*unread_too, *findings, *of_imu)
     offset_ns = rig.clocks.of_poses(rig.calibration, topics.fix_frame)
-    said += shifted_finding(topics.fix_topic, offset_ns) + _left_out(samples, len(at), topics.fix_topic)
-    return PoseTrack(Trajectory(samples.stamps_ns[at] + offset_ns, poses), source, topics.fix_topic, said, origin)
+    said = (*unread, *fixed.findings, *far, *said, *of_antenna, *shifted_finding(topic, offset_ns))
+    said += _left_out(samples, len(at) + len(ordered.index) - len(fixed.index), topic)
+    trajectory = Trajectory(samples.stamps_ns[at] + offset_ns, poses)
+    return PoseTrack(trajectory, source, topic, said, origin, is_course=rig.is_course)
 
 
 def first_frame_id(messages: Sequence[StampedMessage], type_name: str) -> str:
@@ -119,16 +103,18 @@ def _positions(samples: GnssSamples, source: str) -> NDArray[np.int64]:
     return rows
 
 
-def _attitudes(topic: str, attitude: AttitudeSamples) -> tuple[Trajectory, tuple[Finding, ...]]:
+def _attitudes(topics: GnssTopics, attitude: AttitudeSamples) -> tuple[Trajectory, tuple[Finding, ...]]:
     """The orientations as poses without a place. Raises `GNS-306` where the IMU tells none."""
+    topic = topics.imu_topic
     rows = np.flatnonzero(attitude.is_told & (attitude.stamps_ns != 0)).astype(np.int64)
     if not len(rows):
         raise Refused(
             "GNS-306",
             f"{topic}: none of its {len(attitude.stamps_ns)} messages gives an orientation "
             "(orientation_covariance[0] is -1, or no rotation), so positions of NavSatFix alone are not poses; "
-            "record the filtered IMU (imu_filter_madgwick, the driver's /imu/data), or estimate them from the "
-            "sweeps: --odometry kiss-icp",
+            "record the filtered IMU (imu_filter_madgwick, the driver's /imu/data), estimate them from the sweeps: "
+            "--odometry kiss-icp, or if the robot always drives forward, take its course for the heading: "
+            f"--odometry course:{topics.fix_topic}",
         )
     ordered = in_order(topic, attitude.stamps_ns, rows)
     wxyz = attitude.enu_from_imu_xyzw[ordered.index][:, [3, 0, 1, 2]]

@@ -30,6 +30,7 @@ from stone_recordings.messages.novatel import (
     decode_inspva,
 )
 from stone_recordings.messages.problems import read_readable
+from stone_recordings.poses.places import near_geodetic
 from stone_recordings.poses.quality import solution_quality
 from stone_recordings.poses.sources import PoseTrack
 from stone_recordings.sync.clock_offsets import shifted_finding
@@ -53,8 +54,10 @@ def track_from_ins(
     samples, unread = read_readable(topic, messages, decode_inspva)
     source = f"{topic} (novatel_oem7_msgs/msg/{'INSPVA' if samples.pos_type is None else 'INSPVAX'})"
     rows = _usable(samples, source)
-    usable = len(rows)
+    usable = len(rows)  # whatever is far is counted apart
     ordered = in_order(topic, samples.gps_stamps_ns[rows])
+    place = (samples.latitude_deg[rows], samples.longitude_deg[rows], samples.height_m[rows])
+    ordered, far = near_geodetic(topic, ordered, place)
     rows = rows[ordered.index]
     map_from_ins, origin = enu_poses(samples, rows)
     ins_from_ego = (calibration.ego_from_lidar @ mount.lidar_from_sensor).inverse()
@@ -64,6 +67,7 @@ def track_from_ins(
     findings = (
         unread
         + ordered.findings
+        + far
         + shifted_finding(topic, offset_ns)
         + _clock(samples, topic)
         + _left_out(samples, usable, topic)

@@ -24,6 +24,7 @@ from stone_recordings.messages.odometry import decode_odometry, other_frames_fin
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.poses.extrinsics import BASE_FRAMES, plain
+from stone_recordings.poses.places import local_poses
 from stone_recordings.poses.static_tree import StaticTree
 from stone_recordings.sync.clock_offsets import ClockOffsets, shifted_finding
 from stone_recordings.sync.errors import NoUsablePoseError, no_pose_source
@@ -163,11 +164,11 @@ def _track(
     ordered = in_order(topic, stamps_ns, np.flatnonzero(is_stamped))
     step, findings = child_from_ego(*pair, rig)
     offset_ns = rig.clocks.of_poses(rig.calibration, pair[1])
-    fixed_from_child = fixed_from_child[ordered.index]
-    poses = fixed_from_child @ step
+    local = local_poses(topic, ordered.stamps_ns, fixed_from_child[ordered.index], is_course=rig.is_course)
+    poses, findings = local.poses @ step, (*local.findings, *findings)
     if rig.is_course:
-        poses, findings = along_course(source, fixed_from_child.translation_m, step), (*findings, course_finding(topic))
-    trajectory = Trajectory(ordered.stamps_ns + offset_ns, poses)
+        poses, findings = along_course(source, local.poses.translation_m, step), (*findings, course_finding(topic))
+    trajectory = Trajectory(ordered.stamps_ns[local.kept] + offset_ns, poses)
     findings += shifted_finding(topic, offset_ns) + _unstamped_finding(topic, is_stamped)
     return PoseTrack(trajectory, source, topic, ordered.findings + findings, is_course=rig.is_course)
 
