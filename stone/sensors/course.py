@@ -104,7 +104,7 @@ def headings(poses: SE3) -> Array:
 
 
 def _steps(track: Trajectory, rows: NDArray[np.int64]) -> _Steps:
-    rows = rows[np.unique(np.searchsorted(track.stamps_ns[rows], _ticks(track.stamps_ns[rows])))]
+    rows = rows[np.unique((track.stamps_ns[rows] - track.stamps_ns[rows[0]]) // TICK_NS, return_index=True)[1]]
     place_m = track.map_from_ego.translation_m[rows, :2]
     x, y = place_m.T.tolist()
     marks = [0]
@@ -118,10 +118,6 @@ def _steps(track: Trajectory, rows: NDArray[np.int64]) -> _Steps:
     heading = headings(track.map_from_ego[rows[(begin + end) // 2]])
     stamps_ns = track.stamps_ns[rows]
     return _Steps(np.stack([stamps_ns[begin], stamps_ns[end]], axis=-1), course, course - heading)
-
-
-def _ticks(stamps_ns: NDArray[np.int64]) -> NDArray[np.int64]:
-    return np.arange(stamps_ns[0], stamps_ns[-1] + 1, TICK_NS, dtype=np.int64)
 
 
 def _doubt(steps: _Steps) -> Doubt | None:

@@ -138,7 +138,7 @@ MEANINGS = (
     CodeMeaning(
         "SYN-531",
         "wrong",
-        "The heading of the poses is their course over ground, as --odometry course:TOPIC chooses; roll and pitch are 0.",
+        "The heading is the course over ground, as --odometry course:TOPIC chooses; roll and pitch are 0.",
         "Nothing for a robot that always drives forward on nearly level ground; else record an attitude.",
     ),
     CodeMeaning(

@@ -19,7 +19,7 @@ from stone.errors import Refused, StoneError
 from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
-from stone.sensors.course import Doubt, doubt_of, doubt_of_still, unturned
+from stone.sensors.course import DOUBT_RAD, Doubt, doubt_of, doubt_of_still, unturned
 from stone.sensors.selection import world_points
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.clocks.lidar_clock import LidarClock
@@ -206,7 +206,11 @@ def _fault_by_gyro(track: PoseTrack, inputs: AttitudeInputs, doubt: Doubt) -> st
         is_off = abs(seen - turned) > max(TOLERATED_RAD, TOLERATED_RATIO * max(seen, turned))
         return f"{words} and the course by {course}: it is not the robot's attitude" if is_off else ""
     first = track.trajectory.map_from_ego[0].wxyz * np.array([1.0, -1.0, -1.0, -1.0])
-    if doubt.is_aside or angles(multiply(first, track.trajectory.map_from_ego.wxyz)).max() > UNTURNED_RAD:
+    if (
+        doubt.is_aside
+        or abs(doubt.course_rad) < DOUBT_RAD
+        or angles(multiply(first, track.trajectory.map_from_ego.wxyz)).max() > UNTURNED_RAD
+    ):
         return ""
     return f"its orientation never changes, while the course turns by {course}: these are places without an attitude"
 
