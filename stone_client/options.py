@@ -148,7 +148,7 @@ OdometryOption = Annotated[
     str | None,
     typer.Option(
         metavar="TOPIC",
-        help="Pose source: a topic, kiss-icp, or course:TOPIC (its places, heading by course over ground); default: the "
+        help="Pose source: a topic, kiss-icp, or course:TOPIC (its places, heading by course); default: the "
         "best one in the bag.",
     ),
 ]

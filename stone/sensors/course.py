@@ -47,7 +47,7 @@ def doubt_of(track: Trajectory) -> Doubt | None:
     """Return where the heading of a track fits its course worst; None if it fits, or the track tells no course."""
     found = [doubt for rows in _stretches(track) if (doubt := _doubt(_steps(track, rows))) is not None]
     turning = [doubt for doubt in found if not doubt.is_aside]
-    return (turning or found or [None])[0]
+    return next(iter(turning or found), None)
 
 
 def aside_of_course(track: Trajectory) -> float:

@@ -275,10 +275,10 @@ def _recorded_track(recorded: RecordedTopics, sources: Sources, rig: RigMounts) 
         of_ins = track_from_ins(messages, topic, rig.calibration, fixes, rig.clocks.asked.get(POSE))
         return replace(of_ins, findings=of_ins.findings + unread)
     if sources.pose_role == "gnss":
-        fixes = GnssTopics(messages, topic, first_frame_id(messages, sources.pose.type))
+        told = GnssTopics(messages, topic, first_frame_id(messages, sources.pose.type))
         if (attitude := sources.attitude) is not None:
-            fixes = replace(fixes, imu=recorded.messages[attitude.name], imu_topic=attitude.name)
-        return track_from_gnss(fixes, rig)
+            told = replace(told, imu=recorded.messages[attitude.name], imu_topic=attitude.name)
+        return track_from_gnss(told, rig)
     if sources.pose_role == "tf":
         return track_from_tf(messages, topic, rig)
     return track_from_odometry(messages, topic, rig, sources.pose.type)

@@ -60,7 +60,8 @@ def track_from_gnss(topics: GnssTopics, rig: RigMounts) -> PoseTrack:
     antenna_from_ego, of_antenna = child_from_ego(ENU, topics.fix_frame, rig)
     if rig.is_course:
         at, (antenna_m, origin, _) = fixed.index, _enu(samples, fixed.index)
-        poses, said = along_course(source, antenna_m, antenna_from_ego), (course_finding(topic),)
+        poses = along_course(source, antenna_m, antenna_from_ego)
+        said: tuple[Finding, ...] = (course_finding(topic),)
     else:
         attitude, unread_too = read_readable(topics.imu_topic, topics.imu, decode_attitude)
         turns, findings = _attitudes(topics, attitude)

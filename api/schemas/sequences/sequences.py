@@ -220,6 +220,7 @@ class SequenceDetail(SequenceItem):
 TOPIC_PATTERN = r"^/?[A-Za-z0-9_][A-Za-z0-9_/]*$"
 LONGEST_TOPIC = 256
 Topic = Annotated[str, Field(max_length=LONGEST_TOPIC, pattern=TOPIC_PATTERN)]
+CourseOfTopic = Annotated[str, Field(max_length=LONGEST_TOPIC, pattern=TOPIC_PATTERN.replace("^", "^course:"))]
 ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$")]
 
 
@@ -243,7 +244,7 @@ class ProcessBody(Body):
 
     profile: LabelProfile = DEFAULT_PROFILE
     parameters: dict[ParameterName, StrictInt | StrictFloat] = Field(default={}, max_length=64)
-    odometry_topic: Literal["kiss-icp"] | Topic | None = None
+    odometry_topic: Literal["kiss-icp"] | Topic | CourseOfTopic | None = None
     lidar_topic: Topic | None = None
     ground: Literal["given", "auto"] = "given"
     stages: list[Literal["synchronise", "label"]] = Field(default=["synchronise", "label"], min_length=1, max_length=2)
