@@ -21,7 +21,7 @@ from stone.findings import Finding
 from stone.sensors.calibration_errors import MissingSensorError
 from stone.sensors.ground_plane import GroundFit
 from stone.sensors.ground_refusals import ground_refusal
-from stone_base.names import sequence_name
+from stone_files.recording_name import sequence_name
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.calibrations.file import CalibrationRead, read_any_calibration
 from stone_recordings.report.rig.channels import ChannelMatch, channel_findings, channel_matches

@@ -9,8 +9,8 @@ from dataclasses import dataclass
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from stone_base.names import sequence_name
 from stone_client.clock_offsets import chosen_clock_offsets
+from stone_files.recording_name import sequence_name
 
 if TYPE_CHECKING:
     from services.ingest.pipeline import SynchroniseOptions

@@ -6,7 +6,6 @@ from typing import Annotated, Any
 
 import typer
 
-from stone_base.names import sequence_name
 from stone_client.options import (
     BagArgument,
     CalibrationOption,
@@ -22,6 +21,7 @@ from stone_client.options import (
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json, echo_notice
 from stone_client.tables import confusion_table, score_table, show
+from stone_files.recording_name import sequence_name
 
 
 class Half(StrEnum):

@@ -17,7 +17,6 @@ from stone.sensors.lag_fit import LagEvidence, LagFit, fitted_lag
 from stone.sensors.sequence import Sequence as RunSequence
 from stone.sensors.sweep_lag import SweepLag
 from stone.sensors.triggers import LidarRotation, triggers_of
-from stone_base.names import sequence_name
 from stone_files.joined_file import (
     CAMERAS,
     GIVEN,
@@ -31,6 +30,7 @@ from stone_files.joined_file import (
     is_joined,
     is_member_name,
 )
+from stone_files.recording_name import sequence_name
 from stone_recordings.bags.bag import Bag, open_bag
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.bags.joined.joined_store import check_types

@@ -7,7 +7,8 @@ from hypothesis import given
 from hypothesis import strategies as st
 
 from stone.sensors.sequence import NAME as OF_SEQUENCES
-from stone_base.names import NAME, sequence_name
+from stone_base.names import NAME
+from stone_files.recording_name import sequence_name
 
 
 @pytest.mark.parametrize(
