@@ -2,9 +2,9 @@
 
     position_map_ego = position_map_antenna − R_map_ego · position_ego_antenna,   R_map_ego = R_map_imu · R_imu_ego
 
-**Conventions.** `map` is east, north, up around the first position (WGS 84, ellipsoidal height). A pose at each fix,
-its attitude by slerp between the IMU's. The IMU's orientation is taken for one in east, north, up (REP 103), not for
-one relative to where it was switched on: nothing in the messages tells the two apart.
+**Conventions.** `map` is east, north, up within a metre of the first position (WGS 84, ellipsoidal height). A pose at
+each fix, its attitude by slerp between the IMU's. The IMU's orientation is taken for one in east, north, up (REP 103),
+not for one relative to where it was switched on: nothing in the messages tells the two apart.
 """
 
 from collections.abc import Iterable, Sequence
@@ -125,15 +125,27 @@ def _attitudes(topics: GnssTopics, attitude: AttitudeSamples) -> tuple[Trajector
 def _enu(
     samples: GnssSamples, rows: NDArray[np.int64]
 ) -> tuple[NDArray[np.float64], tuple[float, float, float], NDArray[np.float64]]:
-    """Positions (N, 3) around the first one, that one, and the turns (N, 4) from each point's north to the first's."""
+    """Positions (N, 3) around the map's origin, that one, and turns (N, 4) from each point's north to the first's."""
     latitude, longitude, height = (
         values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     )
-    origin = (float(latitude[0]), float(longitude[0]), float(height[0]))
+    origin = _origin_near(float(latitude[0]), float(longitude[0]), float(height[0]))
     there = ecef_from_enu_wxyz(latitude, longitude)
     back = there[:1] * np.array([1.0, -1.0, -1.0, -1.0])
     place_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
     return place_m, origin, multiply(back, there)
+
+
+def _origin_near(latitude: float, longitude: float, height_m: float) -> tuple[float, float, float]:
+    """Return the place nearest a fix that is whole metres from its hundredth of a degree, at a whole height.
+
+    Runs over one place so have one lattice of voxels, whichever fix of theirs is the first.
+    """
+    east_m, north_m, _ = pymap3d.geodetic2enu(
+        latitude, longitude, height_m, around := round(latitude, 2), beside := round(longitude, 2), height_m
+    )
+    near = pymap3d.enu2geodetic(round(float(east_m)), round(float(north_m)), 0.0, around, beside, height_m)
+    return float(near[0]), float(near[1]), float(round(height_m))
 
 
 def _left_out(samples: GnssSamples, used: int, topic: str) -> tuple[Finding, ...]:

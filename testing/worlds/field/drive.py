@@ -68,7 +68,10 @@ class BareMessage:
 
 
 class FieldTopic(NamedTuple):
-    """A topic: its messages begin `lead_s` before the drive, end as long after it, and are `step_s` apart."""
+    """A topic: its messages begin `lead_s` before the drive, end as long after it, and are `step_s` apart.
+
+    A message that is None was not recorded.
+    """
 
     name: str
     step_s: float
@@ -176,10 +179,11 @@ class FieldDrive:
         run = folder / "run"
         with Writer(run, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             for topic in topics:
-                kind = topic.message(0.0).__msgtype__
+                times = np.arange(-topic.lead_s, SWEEPS * SWEEP_S + topic.lead_s - 1e-9, topic.step_s).tolist()
+                recorded = [(t, message) for t in times if (message := topic.message(t)) is not None]
+                kind = recorded[0][1].__msgtype__
                 connection = writer.add_connection(topic.name, kind, typestore=self.store)
-                for t in np.arange(-topic.lead_s, SWEEPS * SWEEP_S + topic.lead_s - 1e-9, topic.step_s).tolist():
-                    message = topic.message(t)
+                for t, message in recorded:
                     is_bare = isinstance(message, BareMessage)
                     content = message.content if is_bare else self.store.serialize_cdr(message, kind)
                     writer.write(connection, round((BEGIN_S + t + DELAY_S) * 1e9), content)

@@ -66,13 +66,15 @@ def labelled(
 
 
 def occupied_iou(one: Path, other: Path) -> float:
-    """Return the IoU of the occupied voxels of two label sets of one drive, frame by frame in their order."""
+    """Return the IoU of the occupied voxels of two label sets of one drive, over the frames of one stamp.
+
+    Label sets on two clocks, which have no stamp in common, are compared frame by frame in their order.
+    """
     both = either = 0
-    frames = [list(labelled_frames(labels).values()) for labels in (one, other)]
-    if len(frames[0]) != len(frames[1]):
-        raise AssertionError(f"{len(frames[0])} frames in one label set, {len(frames[1])} in the other")
-    for first, second in zip(*frames, strict=True):
-        occupied, as_occupied = _occupied(first), _occupied(second)
+    first, second = (labelled_frames(labels) for labels in (one, other))
+    pairs = [(first[stamp], second[stamp]) for stamp in first.keys() & second.keys()]
+    for path, as_path in pairs or zip(first.values(), second.values(), strict=True):
+        occupied, as_occupied = _occupied(path), _occupied(as_path)
         both += int((occupied & as_occupied).sum())
         either += int((occupied | as_occupied).sum())
     return both / either
