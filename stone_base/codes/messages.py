@@ -82,8 +82,8 @@ MEANINGS = (
     CodeMeaning(
         "MSG-320",
         "none",
-        "Clouds declare rows, sizes or steps that their own data refutes; the data is read.",
-        "Correct the driver or the node that writes the clouds (row_step is width times point_step).",
+        "Clouds or images declare rows, sizes or steps that their own data refutes; the data is read.",
+        "Correct the driver or the node that writes them (row_step is width times point_step).",
     ),
     CodeMeaning(
         "MSG-321",

@@ -87,7 +87,8 @@ def points_in(bag: Bag, topic: str, cloud: Cloud, *, with_ring: bool = True) -> 
     """Return the returns of a cloud of a topic, timed by the clock of the topic's points."""
     found = lidar_points(cloud, with_ring=with_ring)
     is_relative = found.offset_ns is not None and found.time_meaning.startswith("relative")
-    is_doubtful = is_relative and not (_is_certain(cloud.stamp_ns) and _touches_stamp(found.offset_ns))
+    is_plain = not found.wrapped and _is_certain(cloud.stamp_ns) and _touches_stamp(found.offset_ns)
+    is_doubtful = is_relative and not is_plain
     if found.time_meaning != ANOTHER_CLOCK and not is_doubtful:
         return found
     clock, _at = point_clock(bag, topic)

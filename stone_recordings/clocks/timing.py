@@ -2,8 +2,8 @@
 
 **Conventions.** The header stamp where the type begins with one (the first eight bytes of the body) and it is set, the
 log time otherwise. A gap is an interval longer than `GAP_RATIO` median periods, so that one lost message of a jittery
-topic is no gap and two always are; only topics that keep a period have gaps. What comes in bursts (a log, events) keeps
-none: its median interval is that between the messages of a burst.
+topic is no gap and two always are; only topics that keep a period have gaps. What comes in bursts (a log, events, a
+radar's lists) keeps none: its rate is its count over its time, not that of the messages of a burst.
 """
 
 from dataclasses import asdict, dataclass
@@ -61,14 +61,18 @@ class Timing:
 
 
 def measure(stamps_ns: NDArray[np.int64], has_header: bool, *, is_sensor: bool = True) -> Timing:
-    """Rate (of the median period; None below two stamps, and of bursts), gaps and steps back of stamps in log order."""
+    """Rate, gaps and steps back of stamps in log order.
+
+    The rate is that of the median period, of what keeps none the count over its time; None below two stamps, and for
+    what is sampled faster than anything is.
+    """
     steps_ns = np.diff(stamps_ns)
     ordered = np.sort(stamps_ns)
     periods_ns = np.diff(ordered)
-    median_ns = float(np.median(periods_ns)) if len(periods_ns) else 0.0
-    rate_hz = NS_PER_S / median_ns if median_ns * MOST_RATE_HZ >= NS_PER_S else None
-    least_cover = STEADY_SENSOR_COVER if has_header and is_sensor else STEADY_COVER
-    gaps = _gaps(ordered, periods_ns, median_ns, least_cover) if rate_hz is not None else ()
+    is_steady = _is_steady(periods_ns, STEADY_SENSOR_COVER if has_header and is_sensor else STEADY_COVER)
+    period_ns = 0.0 if not len(periods_ns) else float(np.median(periods_ns) if is_steady else np.mean(periods_ns))
+    rate_hz = NS_PER_S / period_ns if period_ns * MOST_RATE_HZ >= NS_PER_S else None
+    gaps = _gaps(ordered, periods_ns) if is_steady and rate_hz is not None else ()
     return Timing(stamps_ns, has_header, rate_hz, gaps, -steps_ns[steps_ns < 0], int((periods_ns == 0).sum()))
 
 
@@ -104,14 +108,16 @@ def stamp_of(payload: memoryview, type_name: str) -> int:
     return int(sec) * NS_PER_S + int(nanosec)
 
 
-def _gaps(
-    ordered_ns: NDArray[np.int64], periods_ns: NDArray[np.int64], median_ns: float, least_cover: float
-) -> tuple[Gap, ...]:
-    if len(ordered_ns) < LEAST_STEADY_COUNT:
-        return ()
-    is_steady = np.abs(periods_ns - median_ns) <= STEADY_RATIO * median_ns
-    cover = float(periods_ns[is_steady].sum()) / float(periods_ns.sum())
-    if is_steady.mean() < STEADY_SHARE or cover < least_cover:
-        return ()
-    rows = np.flatnonzero(periods_ns > GAP_RATIO * median_ns)
+def _is_steady(periods_ns: NDArray[np.int64], least_cover: float) -> bool:
+    """Whether intervals in ascending order of time keep a period."""
+    if len(periods_ns) + 1 < LEAST_STEADY_COUNT:
+        return False
+    median_ns, duration_ns = float(np.median(periods_ns)), float(periods_ns.sum())
+    is_near = np.abs(periods_ns - median_ns) <= STEADY_RATIO * median_ns
+    covers = float(periods_ns[is_near].sum()) >= least_cover * duration_ns
+    return bool(duration_ns > 0 and is_near.mean() >= STEADY_SHARE and covers)
+
+
+def _gaps(ordered_ns: NDArray[np.int64], periods_ns: NDArray[np.int64]) -> tuple[Gap, ...]:
+    rows = np.flatnonzero(periods_ns > GAP_RATIO * float(np.median(periods_ns)))
     return tuple(Gap(int(ordered_ns[row]), int(ordered_ns[row + 1]), int(periods_ns[row])) for row in rows)

@@ -35,7 +35,7 @@ _BAYER = {f"bayer_{name}{bits}": (name, bits // 8) for name in ("rggb", "bggr", 
 class CameraPicture:
     """One image, not decoded yet; `encoding` is ROS' word for raw ones, "JPEG" or "PNG" for compressed ones.
 
-    `step_bytes` is the length of a row, 0 for compressed ones.
+    `step_bytes` is the length of a row, 0 for compressed ones; `ignored` is what it declares against its own bytes.
     """
 
     type_name: str
@@ -47,6 +47,7 @@ class CameraPicture:
     step_bytes: int
     is_bigendian: bool
     data: memoryview
+    ignored: str = ""
 
     def pixels(self, max_width_px: int | None = None) -> NDArray[np.uint8]:
         """(H, W, 3) uint8, no wider than `max_width_px`, its shape kept. Raises: PictureError (damaged data)."""
@@ -127,10 +128,13 @@ def _raw(payload: memoryview) -> CameraPicture:
     start = cursor.take(size)
     check_size(width, height, IMAGE)
     row_bytes, rows = _row_bytes(encoding, width), yuv.rows_of(encoding, height)
+    ignored = ""
+    if size == row_bytes * rows and step != row_bytes:  # rows without padding, whatever `step` is
+        step, ignored = row_bytes, f"step {step} against {size} bytes of data"
     if step < row_bytes or size != step * rows:
         raise PictureError(IMAGE, f"{height} rows of {step} bytes do not hold {width} × {height} {encoding} in {size}")
     return CameraPicture(
-        IMAGE, stamp_ns, frame_id, width, height, encoding, step, is_bigendian, payload[start : start + size]
+        IMAGE, stamp_ns, frame_id, width, height, encoding, step, is_bigendian, payload[start : start + size], ignored
     )
 
 

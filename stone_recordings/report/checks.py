@@ -5,14 +5,17 @@ finding says what later stages will do about it, or what to change before the ne
 """
 
 from collections.abc import Iterator
+from contextlib import suppress
 
 import numpy as np
 
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag, Topic
+from stone_recordings.bags.errors import IngestError
 from stone_recordings.clocks.point_clock import looks_of
 from stone_recordings.clocks.sweep_findings import sweep_findings
 from stone_recordings.clocks.timing import Timing
+from stone_recordings.messages.camera import decode_image
 from stone_recordings.topics.roles import Role
 
 Inspected = tuple[Topic, Role, Timing]
@@ -32,6 +35,15 @@ def container_findings(bag: Bag) -> Iterator[Finding]:
         if topic.encoding != "cdr":
             message = f"Encoded as {topic.encoding!r}, only 'cdr' is read: this topic is left out."
             yield Finding("BAG-014", "warning", topic.name, message)
+
+
+def picture_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:
+    """Yield what an image of a topic, from its middle, declares against its own bytes."""
+    with suppress(IngestError):
+        picture = decode_image(bag.message(topic.name, topic.count // 2).payload, topic.type)
+        if picture.ignored:
+            message = f"Its images contradict their own data, which is read ({picture.ignored}). Correct the driver."
+            yield Finding("MSG-320", "warning", topic.name, message)
 
 
 def cloud_findings(bag: Bag, topic: Topic) -> Iterator[Finding]:

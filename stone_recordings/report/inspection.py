@@ -22,6 +22,7 @@ from stone_recordings.clocks.findings import clock_findings
 from stone_recordings.clocks.measurement import kept_bytes, measured
 from stone_recordings.clocks.report import ClockReport
 from stone_recordings.clocks.timing import Timing, measure
+from stone_recordings.messages.camera import IMAGE
 from stone_recordings.messages.problems import left_out_finding
 from stone_recordings.messages.tf import TransformSamples, decode_transforms
 from stone_recordings.messages.types.cdr import Cursor
@@ -175,6 +176,8 @@ def _inspected(bag: Bag, topic: Topic, scan: Scan, findings: list[Finding]) -> I
             raise scan.refused[topic.name]
         if holds_sweeps(topic.name, topic.type) and topic.encoding == "cdr" and topic.count:
             facts = _cloud_facts(bag, facts, topic, findings)
+        if topic.type == IMAGE and topic.encoding == "cdr" and topic.count:
+            findings += checks.picture_findings(bag, topic)
     except StoneError as error:  # it costs this topic; what labels need and lack then, other findings say
         findings.append(Finding(error.code, "warning", topic.name, str(error)))
         facts = replace(facts, problem=str(error))

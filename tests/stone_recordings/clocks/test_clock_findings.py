@@ -143,7 +143,15 @@ def test_what_comes_in_bursts_has_neither_gaps_nor_the_rate_of_its_bursts(type_n
     inspection = inspected(tmp_path, *_rig(), lines)
     assert [found for found in inspection.findings if found.topic == "/rosout"] == []
     [rate_hz] = [part.timing.rate_hz for part in inspection.topics if part.topic.name == "/rosout"]
-    assert rate_hz is None or rate_hz < 10_000
+    assert rate_hz == pytest.approx(39 / (8 + 7 * within_ns / 1e9))
+
+
+def test_the_rate_of_a_radar_that_publishes_in_pairs_is_its_count_over_its_time(tmp_path: Path) -> None:
+    stamps_ns = (every(110 * MS, 17)[:, None] + np.array([0, 930_000])).ravel()
+    inspection = inspected(tmp_path, *_rig(), radar_lists("/radar", stamps_ns, stamps_ns))
+    [radar] = [part.timing for part in inspection.topics if part.topic.name == "/radar"]
+    assert radar.rate_hz == pytest.approx(33 / 1.760_93)
+    assert radar.gaps == ()
 
 
 def test_a_sensor_that_was_silent_for_most_of_a_recording_has_a_gap_and_so_has_a_steady_topic_without_stamps(tmp_path):

@@ -161,9 +161,17 @@ def test_a_picture_that_is_none_is_refused(case: str) -> None:
     assert caught.value.code == "MSG-306"
 
 
+@pytest.mark.parametrize("step", [0, 5, 14, 16, 2**32 - 1])
+def test_a_step_that_the_bytes_refute_is_ignored_and_named(step: int) -> None:
+    data = bytes(range(90))
+    picture = decode_image(_image("rgb8", data, (6, 5), step), IMAGE)
+    assert picture.pixels().tobytes() == data
+    assert picture.ignored == f"step {step} against 90 bytes of data"
+
+
 RAW_REFUSED = {
     "too few rows": ((7, 5), 15, "rgb8"),
-    "a step smaller than a row": ((6, 5), 14, "rgb8"),
+    "a step smaller than a row": ((5, 5), 14, "rgb8"),
     "an encoding of another world": ((6, 5), 15, "yuv422_nv21"),
     "no rows": ((0, 5), 15, "rgb8"),
     "more pixels than any camera": ((60_000, 60_000), 15, "rgb8"),
