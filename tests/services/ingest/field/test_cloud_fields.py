@@ -63,14 +63,15 @@ def test_fields_that_are_declared_twice_or_of_no_type_are_ignored_and_the_rest_i
     """Counts of 0, points without a return in a dense cloud, and padding behind a point are as other drivers write."""
     drive = FieldDrive()
     names = list(VELODYNE.names or ())
-    fields_at = [(VELODYNE.fields or {})[name] for name in names]
+    fields_at = [*(VELODYNE.fields or {}).values()]
     formats, offsets = [one[0] for one in fields_at], [one[1] for one in fields_at]
     padded = np.dtype({"names": names, "formats": formats, "offsets": offsets, "itemsize": 48})
 
     def message(t: float) -> Any:
-        points, after_s = drive.points(t, padded)
-        points["time"] = after_s
-        points = np.resize(points, len(points) + 5)
+        returns, after_s = drive.points(t, padded)
+        returns["time"] = after_s
+        points = np.zeros(len(returns) + 5, padded)
+        points[:-5] = returns
         for name in "xyz":
             points[name][-5:] = np.nan
         fields = fields_of(drive, ("x", 24, 7, 1), ("tag", 28, 99, 1), ("far", 60, 7, 1))

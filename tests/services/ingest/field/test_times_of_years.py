@@ -5,7 +5,7 @@ from pathlib import Path
 from typing import Any
 
 import pytest
-import yaml
+import yaml  # type: ignore[import-untyped]
 
 from services.ingest.pipeline import SynchroniseOptions
 from stone_local.topic_choices import chosen_offsets
