@@ -35,7 +35,7 @@ from services.labeler.map.comparison import (
     relief_of,
 )
 from services.labeler.map.convergence import Convergence, convergence_findings, convergence_of
-from services.labeler.map.far_points import FarPoints, far_point_findings, load_far_points
+from services.labeler.map.far_points import FarPoints, far_point_findings, load_far_points, time_findings
 from services.labeler.map.held_out import HeldOutTrack, held_out_findings, held_out_record
 from services.labeler.map.surface import TileSummary
 from services.labeler.map.track_coverage import coverage_findings, load_coverage
@@ -149,7 +149,11 @@ def report_of(run: LabelRun) -> LabelReport:
     track = load_coverage(run)
     doubts += coverage_findings(track, parameters.footprint_band_m)
     solver, far = convergence_of(tiles, parameters.surface), load_far_points(run)
-    doubts += (*far_point_findings(far), *convergence_findings(solver, parameters.surface))
+    doubts += (
+        *far_point_findings(far),
+        *time_findings(far, sequence),
+        *convergence_findings(solver, parameters.surface),
+    )
     held = held_out_record(HeldOutTrack(run, tiles))
     doubts += held_out_findings(held)
     findings = (*sequence.findings, *label_findings(parameters, reference, counts, relief), *doubts)

@@ -35,12 +35,15 @@ def bad_sequence_name(name: str) -> Refused:
 class Sweep:
     """One LiDAR revolution, deskewed to its stamp: finite, non-zero points (N, 3) float32 in the LiDAR frame.
 
-    `beyond` counts the points of its message that were left out because no LiDAR sees as far (`stone.sensors.reach`).
+    `beyond` counts the points of its message that were left out because no LiDAR sees as far (`stone.sensors.reach`),
+    `mistimed` those that had no time of the sweep; a sweep that is not `is_timed` has no times and is not deskewed.
     """
 
     stamp_ns: int
     points_lidar: NDArray[np.float32]
     beyond: int = 0
+    mistimed: int = 0
+    is_timed: bool = True
 
 
 @dataclass(frozen=True, eq=False)

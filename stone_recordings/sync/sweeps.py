@@ -57,9 +57,10 @@ class BagSweeps:
         stamp_ns = int(self.stamps_ns[index])
         found = points_at(bag, self.topic, int(self.message_index[index]), with_ring=False)
         if self.mount is None or found.offset_ns is None:
-            return Sweep(stamp_ns, found.points_lidar, found.beyond)
+            is_timed = found.offset_ns is not None or not len(found.points_lidar)
+            return Sweep(stamp_ns, found.points_lidar, found.beyond, found.mistimed, is_timed)
         moved = deskew(found.points_lidar, found.offset_ns, self.mount, stamp_ns)
-        return Sweep(stamp_ns, moved, found.beyond)
+        return Sweep(stamp_ns, moved, found.beyond, found.mistimed)
 
 
 @dataclass(frozen=True, eq=False)

@@ -1,4 +1,4 @@
-"""Points that no LiDAR can have seen, left out while sweeps are read: how many of how many clouds, over a run."""
+"""Points that no LiDAR can have seen, or that had no time, while sweeps are read: how many of how many, over a run."""
 
 from dataclasses import astuple, dataclass
 from pathlib import Path
@@ -9,25 +9,32 @@ from services.labeler.run import LabelRun, Part, parts_of
 from services.labeler.scratch import load, save
 from stone.findings import Finding
 from stone.sensors.reach import FARTHEST_POINT_M
-from stone.sensors.sequence import Sweep
+from stone.sensors.sequence import Sequence, Sweep
 
 FAR = "far"
 
 
 @dataclass(frozen=True)
 class FarPoints:
-    """`points` that were left out, of `sweeps` of so many that were read; parts add up."""
+    """`points` that were left out, of `sweeps` of so many that were read; parts add up.
+
+    `mistimed` points of `mistimed_sweeps` had no time of their sweep, and `untimed_sweeps` no time at all.
+    """
 
     points: int = 0
     sweeps: int = 0
     read: int = 0
+    mistimed: int = 0
+    mistimed_sweeps: int = 0
+    untimed_sweeps: int = 0
 
     def __add__(self, other: "FarPoints") -> "FarPoints":
-        return FarPoints(self.points + other.points, self.sweeps + other.sweeps, self.read + other.read)
+        return FarPoints(*(one + another for one, another in zip(astuple(self), astuple(other), strict=True)))
 
 
 def far_points_of(sweep: Sweep) -> FarPoints:
-    return FarPoints(sweep.beyond, int(sweep.beyond > 0), 1)
+    mistimed = (sweep.mistimed, int(sweep.mistimed > 0), int(not sweep.is_timed))
+    return FarPoints(sweep.beyond, int(sweep.beyond > 0), 1, *mistimed)
 
 
 def far_points_path(run: LabelRun, part: Part) -> Path:
@@ -55,3 +62,18 @@ def far_point_findings(found: FarPoints) -> tuple[Finding, ...]:
         "its points in millimetres, or is the recording damaged?"
     )
     return (Finding("LAB-608", "warning", "", sentence),)
+
+
+def time_findings(found: FarPoints, sequence: Sequence) -> tuple[Finding, ...]:
+    """MSG-321 and MSG-322 for bad times in sweeps that synchronisation did not look at."""
+    topic = sequence.frames.sweeps.topic if sequence.frames.sweeps else ""
+    known = {finding.code for finding in sequence.findings}
+    counts = (
+        ("MSG-321", found.mistimed, f"{found.mistimed} points in {found.mistimed_sweeps}", "have bad times"),
+        ("MSG-322", found.untimed_sweeps % max(found.read, 1), f"{found.untimed_sweeps}", "are not deskewed"),
+    )
+    return tuple(
+        Finding(code, "warning", topic, f"{shown} of {found.read} fused sweeps {what}: their times cannot be read")
+        for code, count, shown, what in counts
+        if count and code not in known
+    )

@@ -130,6 +130,20 @@ def test_packets_of_the_sweep_before_or_after_keep_their_own_times(tmp_path: Pat
     assert occupied_iou(found.labels, sound(0.0)) >= LEAST_IOU
 
 
+def test_one_bad_sweep_that_nobody_looked_at_is_counted_by_its_labels(tmp_path: Path) -> None:
+    drive = FieldDrive()
+
+    def spoil(times: Times, number: int) -> Times:
+        columns = {8: 12, 17: COLUMNS}.get(number, 0)  # neither sweep is among those that are looked at
+        return np.where(columns > COLUMN, np.nan, times)
+
+    found = labels_of(tmp_path, drive, partial(recorded, drive, "s", 0.0, spoil))
+    assert not found.codes & {"MSG-321", "MSG-322"}
+    told = {one.code: one.message for one in found.label_findings if one.code in ("MSG-321", "MSG-322")}
+    assert told["MSG-321"].startswith("288 points in 1 of 40 fused sweeps")
+    assert told["MSG-322"].startswith("1 of 40 fused sweeps")
+
+
 def test_sweeps_without_times_among_others_are_counted(tmp_path: Path) -> None:
     drive, spoil = FieldDrive(), of_columns(0, COLUMNS, np.nan, every=3)
     found = labels_of(tmp_path, drive, partial(recorded, drive, "s", 0.0, spoil))
