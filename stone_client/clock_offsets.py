@@ -35,7 +35,11 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
     return chosen
 
 
-def clock_offsets_body(choices: Sequence[str]) -> dict[str, dict[str, float]]:
-    """What a request to process says of them. Raises `typer.BadParameter`."""
+def clock_offsets_body(choices: Sequence[str]) -> dict[str, dict[str, str]]:
+    """What a request to process says of them, to the nanosecond. Raises `typer.BadParameter`."""
     offsets_ns = chosen_clock_offsets(choices)
-    return {"clock_offsets_s": {name: ns / 1e9 for name, ns in offsets_ns.items()}} if offsets_ns else {}
+    return (
+        {"clock_offsets_s": {name: str(Decimal(ns).scaleb(-9)) for name, ns in offsets_ns.items()}}
+        if offsets_ns
+        else {}
+    )

@@ -8,7 +8,7 @@ stamp is that of its last point, else that of its first. What was found of a top
 
 from collections.abc import Iterator, Sequence
 from dataclasses import dataclass, replace
-from typing import NamedTuple
+from typing import Any, NamedTuple
 from weakref import WeakKeyDictionary
 
 import numpy as np
@@ -148,6 +148,18 @@ def _look(bag: Bag, topic: str, row: int) -> SweepLook | None:
     return SweepLook(row, count, found.time_meaning, span_ns, *counts, cloud.ignored, cloud.is_misdeclared)
 
 
+@np.errstate(invalid="ignore", over="ignore")
+def _end_values(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[int, int, int] | None:
+    """Return first and last time near the core of a field's, and the unit, all in ns; None of what are no times."""
+    core, (least, last) = core_of(column, kept), span(column, kept)
+    units = units_of(core, last - least)
+    if not units:
+        return None
+    values = column[kept].astype(np.float64)
+    near = values[np.abs(values - core.centre) <= reach_of(core, units[0])]
+    return round(float(near.min()) * units[0]), round(float(near.max()) * units[0]), units[0]
+
+
 def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
     """Those of a few sweeps from beginning to end that have times."""
     log_times_ns = bag.log_times_ns(topic)
@@ -160,15 +172,11 @@ def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
             continue
         for name in time_names(cloud.points) if len(kept) else ():
             column = cloud.points[name]
-            core, (least, last) = core_of(column, kept), span(column, kept)
-            units = units_of(core, last - least)
-            if units:
-                reach = reach_of(core, units[0])
-                values = column[kept].astype(np.float64)
-                near = values[np.abs(values - core.centre) <= reach]
-                ends_ns = [round(float(end) * units[0]) for end in (near.min(), near.max())]
-                word_ns = units[0] << 32 if column.dtype.kind == "u" and column.dtype.itemsize == 4 else 0
-                yield _Ends(cloud.stamp_ns, int(log_times_ns[row]) - cloud.stamp_ns, ends_ns[0], ends_ns[1], word_ns)
+            ends = _end_values(column, kept)
+            if ends is not None:
+                first_ns, last_ns, unit_ns = ends
+                word_ns = unit_ns << 32 if column.dtype.kind == "u" and column.dtype.itemsize == 4 else 0
+                yield _Ends(cloud.stamp_ns, int(log_times_ns[row]) - cloud.stamp_ns, first_ns, last_ns, word_ns)
                 break
 
 

@@ -109,6 +109,7 @@ def time_names(points: NDArray[np.void]) -> list[str]:
     return [name for name in TIME_NAMES if name in names and points.dtype[name].kind in "fiu"]
 
 
+@np.errstate(invalid="ignore", over="ignore")  # numbers that are none, or as large as numbers are, are no times
 def offsets_from_values(
     column: NDArray[Any], kept: NDArray[np.int32], stamp_ns: int, clock: PointClock | None = None
 ) -> PointTimes:

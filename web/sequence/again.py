@@ -6,6 +6,7 @@ stay. The calibration is the one that is assigned to the sequence now.
 
 from collections.abc import Mapping
 from dataclasses import dataclass
+from decimal import Decimal
 from typing import Any
 
 from sqlalchemy.orm import Session
@@ -52,7 +53,7 @@ def choices_of(session: Session, labels: LabelSet | None, profile: str) -> RunCh
 
 
 def _kept(asked: ProcessRequest) -> dict[str, Any]:
-    offsets_s = {name: offset_ns / 1e9 for name, offset_ns in asked.clock_offsets_ns.items()}
+    offsets_s = {name: str(Decimal(offset_ns).scaleb(-9)) for name, offset_ns in asked.clock_offsets_ns.items()}
     return {
         "ground": asked.ground,
         "recording_ids": list(asked.recording_ids),

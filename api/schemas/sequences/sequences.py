@@ -1,6 +1,7 @@
 """Sequences over the wire."""
 
 from dataclasses import replace
+from decimal import Decimal
 from typing import Annotated, Any, Literal
 
 from pydantic import AfterValidator, Field, StrictFloat, StrictInt
@@ -225,7 +226,8 @@ ParameterName = Annotated[str, Field(max_length=64, pattern=r"^[a-z][a-z0-9_.]*$
 
 
 RecordingName = Annotated[str, Field(min_length=1, max_length=255)]
-OffsetSeconds = Annotated[float, Field(ge=-MOST_OFFSET_NS / 1e9, le=MOST_OFFSET_NS / 1e9, allow_inf_nan=False)]
+# As a text every nanosecond of it counts; of years, a JSON number holds tens of nanoseconds.
+OffsetSeconds = Annotated[Decimal, Field(ge=-MOST_OFFSET_NS / 1e9, le=MOST_OFFSET_NS / 1e9, allow_inf_nan=False)]
 
 
 class ProcessBody(Body):
@@ -259,7 +261,7 @@ class ProcessBody(Body):
         stages = tuple[str, ...](self.stages)
         topics = (self.odometry_topic, self.lidar_topic)
         chosen = ProcessRequest(self.profile, self.parameters, *topics, stages, ground=self.ground)
-        offsets_ns = {name: round(offset_s * 1e9) for name, offset_s in self.clock_offsets_s.items()}
+        offsets_ns = {name: round(offset_s * 10**9) for name, offset_s in self.clock_offsets_s.items()}
         chosen = replace(chosen, recording_ids=tuple(self.recording_ids), clock_offsets_ns=offsets_ns)
         return replace(chosen, grid=chosen_grid(self.grid))
 
