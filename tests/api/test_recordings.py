@@ -296,11 +296,11 @@ def test_offsets_are_given_in_seconds_and_kept_in_nanoseconds(
     api: httpx.Client, platform: Platform, curator: Person, driven: dict[str, Any]
 ) -> None:
     cameras = driven["recording_ids"][1]
-    answer = processed(api, curator, driven["id"], clock_offsets_s={cameras: -0.080000001})
+    answer = processed(api, curator, driven["id"], clock_offsets_s={cameras: "-110054594.750000001"})
     assert answer.status_code == 202
     with platform.database.reading() as session:
         arguments = session.get_one(Job, answer.json()["id"]).arguments
-    assert arguments["clock_offsets_ns"] == {"cameras.mcap": -80_000_001}
+    assert arguments["clock_offsets_ns"] == {"cameras.mcap": -110_054_594_750_000_001}
     assert arguments["recording_ids"] == driven["recording_ids"]
 
 
