@@ -20,7 +20,7 @@ from baselines.frame_record import FrameRecord, read_record
 from baselines.inputs import InputConfig
 from baselines.predict import LoadedRun
 from services.labeler.exports.nuscenes.plan import NS_PER_US, NuscenesChannel, channels_of
-from services.labeler.exports.nuscenes.samples import sample_file
+from services.labeler.exports.nuscenes.samples import SampleGoneError, sample_file
 from stone.errors import Refused
 from stone.sensors.calibration import CameraIntrinsics
 from stone.sensors.samples import SampleSource
@@ -103,8 +103,12 @@ class RecordedStore:
                 RecordedContent(self.samples, channel, place),
             )
             for channel, place in places
-            if place is not None
+            if place is not None and self._is_there(channel, index)
         }
+
+    def _is_there(self, channel: NuscenesChannel, index: int) -> bool:
+        """Whether a radar's scan can be read; pictures are read when they are looked at."""
+        return channel.modality != "radar" or self.samples.radar(channel.name, index) is not None
 
     @cached_property
     def _channels(self) -> tuple[NuscenesChannel, ...]:
@@ -127,11 +131,14 @@ class RecordedStore:
         }
 
     def _lens(self, channel: NuscenesChannel) -> CameraIntrinsics | None:
-        """A camera's, of pictures as large as its first."""
+        """A camera's, of pictures as large as its first that can be read. Raises `sample_gone`."""
         if channel.mount.intrinsics is None:
             return None
-        _, (width_px, height_px) = sample_file(self.samples, channel, 0)
-        return replace(channel.mount.intrinsics, width_px=width_px, height_px=height_px)
+        seen = (self.samples.camera(channel.name, int(index)) for index in channel.frames)
+        first = next((picture for picture in seen if picture is not None), None)
+        if first is None:
+            raise SampleGoneError(int(channel.frames[0]), channel.name)
+        return replace(channel.mount.intrinsics, width_px=first.width_px, height_px=first.height_px)
 
 
 def recorded_hz(sequence: Sequence) -> float | None:

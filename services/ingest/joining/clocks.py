@@ -5,7 +5,7 @@ known of one is known of all. `held[0]` is the reference.
 """
 
 from collections.abc import Callable, Iterable, Iterator, Mapping, Sequence
-from contextlib import AbstractContextManager, ExitStack, contextmanager
+from contextlib import AbstractContextManager, ExitStack, contextmanager, suppress
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -32,7 +32,13 @@ from stone_files.joined_file import (
 )
 from stone_files.recording_name import sequence_name
 from stone_recordings.bags.bag import Bag, open_bag
-from stone_recordings.bags.errors import IngestError
+from stone_recordings.bags.errors import (
+    ByteOrderError,
+    CloudLayoutError,
+    DefinitionMissingError,
+    IngestError,
+    MessageLayoutError,
+)
 from stone_recordings.bags.joined.joined_store import check_types
 from stone_recordings.bags.private_folder import PrivateFolder
 from stone_recordings.calibrations.file import read_calibration
@@ -174,8 +180,11 @@ def measured_offset(bag: Bag, name: str, reference: RunReference) -> ClockOffset
 
 def _fit(bag: Bag, topics: Sequence[Candidate], how: tuple[Read, RobotMotion]) -> LagFit | None:
     read, robot = how
-    every = (read(bag, topic, robot) for topic in topics)
-    evidence = [one for one in every if one is not None]
+    evidence = list[LagEvidence]()
+    for topic in topics:
+        with suppress(MessageLayoutError, ByteOrderError, CloudLayoutError, DefinitionMissingError):
+            if (one := read(bag, topic, robot)) is not None:
+                evidence.append(one)
     fit = fitted_lag(evidence, (-SEARCHED_S, SEARCHED_S)) if evidence else None
     return fit if fit is not None and fit.sigma_s <= MOST_SIGMA_S else None
 
