@@ -31,7 +31,7 @@ from stone_recordings.poses.kiss_odometry import Progress, SweepTopic
 from stone_recordings.poses.places import check_extent
 from stone_recordings.poses.quality import quality_findings
 from stone_recordings.poses.recorded_mounts import RecordedRadar, unplaced_finding, with_radars
-from stone_recordings.report.projection_checks import projection_findings, radar_findings
+from stone_recordings.report.projection_checks import projection_findings
 from stone_recordings.sync.association import SensorTopics, associate
 from stone_recordings.sync.clock_offsets import ClockOffsets, RecordedStamps, shifted_finding, way_out
 from stone_recordings.sync.direction_check import direction_findings
@@ -40,6 +40,7 @@ from stone_recordings.sync.ground_looks import SeenWay, seen_along
 from stone_recordings.sync.height_check import height_followed
 from stone_recordings.sync.lag_check import lag_findings, measured_lag
 from stone_recordings.sync.map_joining import joined
+from stone_recordings.sync.radar_check import radar_findings
 from stone_recordings.sync.recorded_messages import RecordedTopics, read_recorded
 from stone_recordings.sync.sweeps import BagSweeps, SweepsOfOpenBag
 from stone_recordings.sync.synchronisation import frames_with_pose, sparse_finding, usable_finding
@@ -127,7 +128,7 @@ def _checked(bag: Bag, calibration: Calibration, options: SynchroniseOptions, na
 
 def late_findings(bag: Bag, sequence: Sequence, sweeps: BagSweeps) -> tuple[Finding, ...]:
     """What only pictures and registered sweeps tell: they change nothing but what is said of the sequence."""
-    seen = projection_findings(bag, sequence, sweeps) + radar_findings(bag, sequence)
+    seen = projection_findings(bag, sequence, sweeps)
     seen += trigger_findings(bag, _without_refuted(sequence, seen), sweeps)
     return seen + lag_findings(measured_lag(sequence, SweepsOfOpenBag(sweeps, bag)))
 
@@ -209,6 +210,7 @@ def unjoined_sequence(
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
     mounts = (*unplaced_finding(rig.tree), *cross_check(rig.tree, rig.calibration, rig.lidar_frame), *placed)
+    scans = radar_findings(bag, recorded, tuple(radar.topic for radar in radars))
     timed = shifted_finding(clock.topic, late_ns) + clock.findings
     sequence = Sequence(
         name=name,
@@ -220,7 +222,7 @@ def unjoined_sequence(
         findings=(
             *(bag.findings + bag.damage_findings + rig.findings + mounts + timed),
             *(track.findings + moved + sparse_finding(track, options.max_pose_gap_ns)),
-            *(doubts + unmatched + usable_finding(posed) + packet_findings(bag, sources.lidar)),
+            *(doubts + unmatched + scans + usable_finding(posed) + packet_findings(bag, sources.lidar)),
         ),
         inputs=track.inputs,
         recordings=bag.recordings,

@@ -20,7 +20,6 @@ from stone.sensors.sequence import Sequence
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import IngestError
 from stone_recordings.messages.camera import CAMERA_TYPES, decode_image
-from stone_recordings.messages.radars.radar import decode_radar
 from stone_recordings.sync.camera_sweeps import CameraSweepPair, pairs, shown_message
 from stone_recordings.sync.sweeps import BagSweeps
 
@@ -149,21 +148,3 @@ def _misfits(bag: Bag, mount: Mount | None, shown: tuple[str, str, int]) -> Iter
         yield Finding(error.code, "error", mount.name, str(error))
     except IngestError as error:  # its frames lack it, labels do not
         yield Finding(error.code, "warning", topic, f"{error}; frames whose picture cannot be read have none")
-
-
-def radar_findings(bag: Bag, sequence: Sequence) -> tuple[Finding, ...]:
-    """A radar whose messages cannot be read, by one of them. Raises what reading the bag raises (BAG-*)."""
-    topics, findings = {topic.name: topic for topic in bag.topics}, []
-    for mount in sequence.calibration.of_kind("radar"):
-        taken = sequence.frames.associations.get(mount.name)
-        rows = taken.message_index[taken.message_index >= 0] if taken is not None else ()
-        if taken is None or not len(rows):
-            continue
-        topic = topics[taken.topic]
-        message = bag.message(topic.name, int(rows[len(rows) // 2]))
-        try:
-            decode_radar(topic.type, [message], topic.schema)
-        except IngestError as error:
-            said = f"{error}; frames whose scan cannot be read have none"
-            findings.append(Finding(error.code, "warning", topic.name, said))
-    return tuple(findings)

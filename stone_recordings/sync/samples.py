@@ -61,7 +61,7 @@ class BagRadar:
         message = bag.message(topic.name, row)
         try:
             seen = decode_radar(topic.type, [message], topic.schema)
-        except IngestError:  # `radar_findings` and `RecordedTopics.left_out` name it
+        except IngestError:  # `radar_findings` names it
             return None
         motion = radar_motion(self.mount, self.lidar_from_radar, stamp_ns, taken_ns)
         points_radar, range_rate_m_s = seen.points_radar[seen.is_valid], seen.range_rate_m_s[seen.is_valid]
