@@ -104,7 +104,54 @@ T: !!opencv-matrix
    dt: d
    data: [ 0.1, -0.2, -0.3 ]
 """
+VISUAL_LIDAR = """\
+{"camera": {"camera_model": "plumb_bob", "distortion_coeffs": [-0.04, 0.08, 0.0001, -0.0003, -0.04],
+  "intrinsics": [810.4, 810.3, 822.8, 622.5]}, "meta": {"data_path": "x"},
+ "results": {"T_lidar_camera": [0.03, 0.002, 0.108, -0.5, 0.5, -0.5, 0.5],
+  "init_T_lidar_camera": [0, 0, 0, 0, 0, 0, 1]}}
+"""
+FAST_LIVO2 = """\
+/**:
+  ros__parameters:
+    common: {img_topic: /image, lid_topic: /livox/lidar}
+    extrin_calib:
+      extrinsic_T: [0.04, 0.02, -0.03]
+      extrinsic_R: [1, 0, 0, 0, 1, 0, 0, 0, 1]
+      Rcl: [0, -1, 0, 0, 0, -1, 1, 0, 0]
+      Pcl: [0.02, 0.1, -0.03]
+"""
+FAST_LIVO2_LENS = """\
+cam_model: Pinhole
+cam_width: 1280
+cam_height: 1024
+scale: 0.5
+cam_fx: 1293.5
+cam_fy: 1293.3
+cam_cx: 626.9
+cam_cy: 522.8
+cam_d0: -0.076
+cam_d1: 0.123
+cam_d2: -0.001
+cam_d3: 0.0002
+"""
+LIO_SAM = """\
+lio_sam:
+  extrinsicTrans: [-0.8, 0.3, -0.8]
+  extrinsicRot: [-1, 0, 0, 0, 1, 0, 0, 0, -1]
+  extrinsicRPY: [0, -1, 0, 1, 0, 0, 0, 0, 1]
+"""
+URDF = """\
+<?xml version="1.0"?><robot name="r"><link name="base_link"/><link name="lidar"/>
+<joint name="a" type="fixed">
+<origin xyz="0.1 0 0.9" rpy="0 0.1 1.57"/><parent link="base_link"/><child link="lidar"/></joint>
+<joint name="b" type="revolute"><parent link="lidar"/><child link="camera"/></joint></robot>
+"""
 TEXTS = {
+    "visual-lidar": (".json", VISUAL_LIDAR),
+    "fast-livo2": (".yaml", FAST_LIVO2),
+    "fast-livo2-lens": (".yaml", FAST_LIVO2_LENS),
+    "lio-sam": (".yaml", LIO_SAM),
+    "urdf": (".urdf", URDF),
     "kitti": (".txt", KITTI),
     "kitti-raw": (".txt", KITTI_RAW),
     "rellis": (".yaml", RELLIS),

@@ -31,7 +31,7 @@ from stone_recordings.report.inspection import inspect
 from stone_recordings.sync.recorded_messages import OwnMessage
 
 DESCRIBED = "field_msgs/msg/Reading"
-ENDINGS = (".yaml", ".json", ".zip", ".txt")
+ENDINGS = (".yaml", ".json", ".zip", ".txt", ".urdf")
 
 
 def read_recording(path: Path) -> None:

@@ -22,12 +22,12 @@ SIZE_LIMIT_BYTES = 1_000_000
 BUNDLE_LIMIT_BYTES = 4_000_000
 MOST_FILES = 64
 MOST_ENTRIES = 1000
-SUFFIXES = (".yaml", ".yml", ".json")
+SUFFIXES = (".yaml", ".yml", ".json", ".urdf", ".xacro")
 TEXT_SUFFIX = ".txt"
 # How calibrations in text files begin: KITTI's with a date or a projection, RELLIS-3D's are four numbers and no more.
 TEXT_HEAD = re.compile(rb"\s*(?:calib_time: |P\d: |(?:\d[\d.eE+-]*\s+){3}\d[\d.eE+-]*\s*\Z)")
 TEXT_HEAD_BYTES = 200
-NO_DOCUMENT = "it holds no .yaml, .yml or .json file, and no .txt of KITTI's or RELLIS-3D's"
+NO_DOCUMENT = "it holds no .yaml, .yml, .json or .urdf file, and no .txt of KITTI's or RELLIS-3D's"
 ZIP_MAGIC = b"PK\x03\x04"
 ENCRYPTED = 0x1
 

@@ -202,4 +202,20 @@ MEANINGS = (
         "By the sweeps, the base on which /tf_static has the LiDAR is not on the ground.",
         "Enter the mount that is named, or process with ground auto (on the page it is chosen already).",
     ),
+    CodeMeaning("CAL-450", "refused", "The file begins as XML and is not a URDF.", "Send the robot's expanded URDF."),
+    CodeMeaning(
+        "CAL-451", "refused", "The file is a xacro that is not expanded.", "Expand it by the command that is named."
+    ),
+    CodeMeaning(
+        "CAL-452",
+        "wrong",
+        "Joints of the URDF that move are read at zero.",
+        "Place a sensor behind one by a rig.yaml, if the joint was not at zero.",
+    ),
+    CodeMeaning(
+        "CAL-453",
+        "refused",
+        "The file is a template of `stone calibration init` with values that are not filled in.",
+        "Measure the values that are named, and write them in the place of FILL_IN.",
+    ),
 )

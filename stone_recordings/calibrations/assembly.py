@@ -124,7 +124,7 @@ def _mount(
     findings = check_translation(channel, lidar_from_sensor.translation_m)
     if mount.kind == "camera":
         if frame not in draft.optical and not is_optical(frame):
-            mount, noticed = _as_optical(mount, ego_from_lidar @ lidar_from_sensor)
+            mount, noticed = as_optical(mount, ego_from_lidar @ lidar_from_sensor)
             findings += noticed
         intrinsics, noticed = _lens(draft, frame, (channel, sensor))
         mount, findings = replace(mount, intrinsics=intrinsics), findings + noticed
@@ -139,10 +139,11 @@ def _offset_ns(draft: RigDraft, frame: str, sensor: RigSensor | None) -> int:
     return draft.offsets_ns.get(frame, 0)
 
 
-def _as_optical(mount: Mount, ego_from_frame: SE3) -> tuple[Mount, Findings]:
+def as_optical(mount: Mount, ego_from_frame: SE3) -> tuple[Mount, Findings]:
+    """The mount of a camera in its optical frame, judged by how its own is turned, and a finding about it."""
     turn = ego_from_frame.rotation()
-    up_as_optical, up_as_link = (turn @ (0.0, -1.0, 0.0))[2], (turn @ (0.0, 0.0, 1.0))[2]
-    if up_as_optical >= UPRIGHT_LEAST:
+    upas_optical, up_as_link = (turn @ (0.0, -1.0, 0.0))[2], (turn @ (0.0, 0.0, 1.0))[2]
+    if upas_optical >= UPRIGHT_LEAST:
         return mount, ()
     if up_as_link < UPRIGHT_LEAST:
         sentence = f"neither as a link nor as an optical frame is {mount.frame_id!r} upright; it is taken as optical"

@@ -2,9 +2,10 @@
 
     bytes, bounded → documents → parts, one per document → draft, all parts together → calibration → checks
 
-**Conventions.** Ten formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
+**Conventions.** Fifteen formats are read. The native one is YAML that begins with `stone_calibration: 1` and says all.
 Every other one was made to say less: ROS camera_info and Kalibr place no LiDAR, Autoware no lens, nuScenes no image
-size, KITTI, RELLIS-3D and OpenCV no ground under the robot. They are completed by each other's files in one zip or
+size, a URDF no lens; KITTI, RELLIS-3D, OpenCV, direct_visual_lidar_calibration, FAST-LIVO2, FAST-LIO and LIO-SAM place
+nothing on the ground under the robot. They are completed by each other's files in one zip or
 folder, and by a rig document (`stone_rig: 1`, `stone_recordings.calibrations.rig`) for what no tool writes. What is
 still missing is refused as half a rig, with what to add. A recording is read by its /tf_static and CameraInfo. Findings
 are what was repaired or is doubtful; everything worse is raised.
@@ -29,7 +30,8 @@ from stone_recordings.calibrations.recording_rig import is_recording, recorded_p
 
 # Of the formats in a bundle, the first of these is what it is called.
 RANKS: tuple[Format, ...] = (
-    "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "ros_camera_info", "tf_static"
+    "native", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "visual_lidar",
+    "fast_livo2", "fast_lio", "lio_sam", "ros_camera_info", "urdf", "tf_static",
 )  # fmt: skip
 
 DEFAULT_FOOTPRINT = "CAL-436"

@@ -36,6 +36,7 @@ Matrix = Annotated[list[Quaternion], Field(min_length=4, max_length=4)]
 Name = Annotated[str, Field(min_length=1, max_length=100)]
 Pixels = Annotated[int, Field(gt=0, le=100_000)]
 
+FILL_IN = "FILL_IN"  # what `stone calibration init` writes for what no topic gives
 ONE_TRANSFORM = "give either matrix, or translation_m with one of rotation_wxyz and rotation_matrix"
 
 
@@ -141,7 +142,11 @@ def is_native(content: dict[str, object]) -> bool:
 
 
 def native(file: str, content: object) -> tuple[Calibration, Findings]:
-    """Raises `CAL-422` and what the checks of single transforms and lenses raise."""
+    """Raises `CAL-453`, `CAL-422` and what the checks of single transforms and lenses raise."""
+    missing = filled_in(content)
+    if missing:
+        shown = ", ".join(missing[:12]) + (f" and {len(missing) - 12} more" if len(missing) > 12 else "")
+        raise Refused("CAL-453", f"{file} is a template; measure and write in the place of {FILL_IN}: {shown}")
     try:
         document = CalibrationDocument.model_validate(content)
     except ValidationError as error:
@@ -155,6 +160,15 @@ def native(file: str, content: object) -> tuple[Calibration, Findings]:
     footprint, boxes = footprint_of(document.footprint), boxes_of(document.self_boxes_ego)
     vehicle = vehicle_of(document.vehicle)
     return Calibration(document.name, ego_from_lidar, tuple(mounts), footprint, boxes, vehicle), findings
+
+
+def filled_in(value: object, key: str = "") -> tuple[str, ...]:
+    """The keys whose value, or a number of whose list, is still `FILL_IN`."""
+    if isinstance(value, dict):
+        return tuple(found for name, inner in value.items() for found in filled_in(inner, f"{key}.{name}".lstrip(".")))
+    if isinstance(value, list):
+        return (key,) if any(filled_in(inner, key) for inner in value) else ()
+    return (key,) if value == FILL_IN else ()
 
 
 def key_error(name: str, error: ValidationError) -> Refused:

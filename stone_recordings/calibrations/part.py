@@ -21,7 +21,21 @@ from stone_files.joined_file import MOST_OFFSET_NS
 from stone_recordings.calibrations.errors import bad_calibration_key, unread_lens_model
 
 Format = Literal[
-    "native", "ros_camera_info", "kalibr", "opencalib", "nuscenes", "autoware", "kitti", "rellis", "opencv", "tf_static"
+    "native",
+    "ros_camera_info",
+    "kalibr",
+    "opencalib",
+    "nuscenes",
+    "autoware",
+    "kitti",
+    "rellis",
+    "opencv",
+    "tf_static",
+    "visual_lidar",
+    "fast_livo2",
+    "fast_lio",
+    "lio_sam",
+    "urdf",
 ]
 LONGEST_NAME = 100
 LARGEST_COUNT = 100_000

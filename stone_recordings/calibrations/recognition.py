@@ -10,7 +10,20 @@ from pathlib import PurePath
 
 from stone.errors import Refused
 from stone_files.calibration_bundle import Bundle
-from stone_recordings.calibrations import autoware, kalibr, kitti, nuscenes, opencalib, opencv, rellis, rig, ros
+from stone_recordings.calibrations import (
+    autoware,
+    kalibr,
+    kitti,
+    nuscenes,
+    odometry_parameters,
+    opencalib,
+    opencv,
+    rellis,
+    rig,
+    ros,
+    urdf,
+    visual_lidar,
+)
 from stone_recordings.calibrations.errors import conflicting_files
 from stone_recordings.calibrations.native import RigDocument, is_native
 from stone_recordings.calibrations.part import CalibrationPart, Node
@@ -23,6 +36,9 @@ READERS: tuple[tuple[Callable[[Mapping], bool], Callable[[Node], CalibrationPart
     (ros.is_camera_info, lambda node: ros.camera_info(node, stem_of(node.file))),
     (ros.is_camera_info_message, lambda node: ros.camera_info_message(node, stem_of(node.file))),
     (ros.is_matrices, ros.matrices),
+    (visual_lidar.is_visual_lidar, visual_lidar.visual_lidar),
+    (odometry_parameters.is_odometry, odometry_parameters.odometry),
+    (odometry_parameters.is_odometry_camera, odometry_parameters.odometry_camera),
     (kalibr.is_camchain, kalibr.camchain),
     (kalibr.is_imu, lambda node: CalibrationPart(node.file, "kalibr")),
     (opencalib.is_opencalib, opencalib.opencalib),
@@ -48,16 +64,19 @@ class RecognisedBundle:
 
 def recognised(bundle: Bundle, name: str) -> RecognisedBundle:
     """Raises what reading YAML and the formats raise; `CAL-429` for two files that each claim the whole."""
-    documents = [(file, parse_documents(file, content)) for file, content in bundle.documents]
+    robots = [(file, content) for file, content in bundle.documents if urdf.is_urdf(content)]
+    texts = [(file, content) for file, content in bundle.documents if not urdf.is_urdf(content)]
+    documents = [(file, parse_documents(file, content)) for file, content in texts]
     whole = [(file, found[0]) for file, found in documents if isinstance(found[0], dict) and is_native(found[0])]
     if whole:
-        if len(documents) > 1:
+        if len(bundle.documents) > 1:
             raise conflicting_files(
-                name, "the rig, which a native file describes completely", [file for file, _ in documents]
+                name, "the rig, which a native file describes completely", [file for file, _ in bundle.documents]
             )
         return RecognisedBundle(whole[0], (), RigDocument(stone_rig=1))
     tables: dict[str, object] = {file: found[0] for file, found in documents if isinstance(found[0], list)}
-    parts, rigs = list[CalibrationPart](), list[tuple[str, RigDocument]]()
+    parts = [urdf.urdf(file, content) for file, content in robots]
+    rigs = list[tuple[str, RigDocument]]()
     for file, found in documents:
         if file not in tables and isinstance(found[0], dict) and rig.is_rig(found[0]):
             rigs.append((file, rig.rig_document(Node(file, "", found[0]))))
@@ -109,5 +128,6 @@ def unknown_calibration_format(name: str, looks_like: str) -> Refused:
         "CAL-423",
         f"{name} looks like {looks_like}; read are the native format (`stone_calibration: 1`, see examples/), ROS "
         "camera_info, Kalibr camchain, OpenCalib, nuScenes calibrated_sensor, Autoware sensor_kit, KITTI calib, "
-        "RELLIS-3D transforms, OpenCV matrices and /tf_static",
+        "RELLIS-3D transforms, OpenCV matrices, direct_visual_lidar_calibration's calib.json, parameters of FAST-LIO, "
+        "FAST-LIVO2 and LIO-SAM, URDF and /tf_static",
     )

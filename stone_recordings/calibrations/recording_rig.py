@@ -28,14 +28,20 @@ def is_recording(path: Path) -> bool:
 
 
 def recorded_part(bag: Bag) -> CalibrationPart:
-    """Raises `CAL-424` without /tf_static; what decoding raises (BAG-*, MSG-*); what the lenses raise."""
+    """Raises `CAL-424` without /tf_static, and as `recorded_facts`."""
+    part = recorded_facts(bag)
+    if not part.edges:
+        raise half_rig(bag.path.name, "it recorded no /tf_static", "give the calibration as a file of its own")
+    return part
+
+
+def recorded_facts(bag: Bag) -> CalibrationPart:
+    """What a recording says of its rig, if anything. Raises what decoding (BAG-*, MSG-*) and the lenses raise."""
     topics = [topic for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     static = [topic.name for topic in topics if topic.type == tf.TYPE and topic.name.endswith(TF_STATIC)]
     cameras = [topic.name for topic in topics if topic.type == camera_info.TYPE]
     edges, findings = _edges(bag, static)
     lenses = _lenses(bag, cameras)
-    if not edges:
-        raise half_rig(bag.path.name, "it recorded no /tf_static", "give the calibration as a file of its own")
     return CalibrationPart(bag.path.name, "tf_static", edges, lenses, optical=frozenset(lenses), findings=findings)
 
 
