@@ -74,6 +74,44 @@ def check(
         raise typer.Exit(REFUSED)
 
 
+@calibration.command()
+def init(
+    bag: Annotated[Path, typer.Argument(metavar="BAG", exists=True, readable=True, help="A recording of the robot.")],
+    output: Annotated[
+        Path,
+        typer.Option("-o", "--output", metavar="ROBOT.yaml", dir_okay=False, help="A new file for the calibration."),
+    ],
+    topics: TopicsOption = None,
+    topic: TopicOption = [],  # noqa: B006
+    as_json: JsonOption = False,
+) -> None:
+    """Write a calibration of what a recording knows, with FILL_IN in the place of what it does not.
+
+    Extrinsics come from /tf_static, lenses from CameraInfo. `stone calibration check` refuses the file until every
+    FILL_IN is replaced. An existing file is not overwritten.
+    """
+    from stone_files.atomic import atomic_file
+    from stone_files.errors import output_exists
+    from stone_recordings.bags.bag import open_bag
+    from stone_recordings.report.rig.template import calibration_template, template_name
+
+    if output.exists():
+        raise output_exists(output, "there already")
+    with open_bag(bag) as opened:
+        template = calibration_template(opened, template_name(output), chosen_topics(topics, topic))
+    with atomic_file(output) as staging:
+        if output.exists():
+            raise output_exists(output, "there already")
+        staging.write_text(template.text, "utf-8")
+    if as_json:
+        echo_json({"output": str(output), "missing": template.missing, "known": template.known})
+        return
+    typer.echo(f"Calibration: {output}")
+    for key in template.missing:
+        typer.echo(f"fill in: {key}")
+    typer.echo(f"Then: stone calibration check {output} --bag {bag}")
+
+
 @calibration.command("show")
 def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOption = False) -> None:
     """Show the sensor poses of a calibration and what it lacks; with -o draw the rig.
