@@ -121,13 +121,27 @@ class _Arrays:
             raise self._damaged(member, "it is not an npy array") from error
         if shape != self.grid.shape:
             what = f"{member.filename} has shape {str(shape)[:60]}, the grid is {self.grid}"
-            raise DatasetFaultError("DST-067" if is_mask else "DST-063", place, what)
+            raise DatasetFaultError("DST-067" if is_mask else "DST-063", place, what, self._turned(shape))
         if dtype != np.uint8 or is_fortran:
             order = "Fortran" if is_fortran else "C"
             raise DatasetFaultError(
-                "DST-067" if is_mask else "DST-064", place, f"{member.filename} is {dtype} in {order} order"
+                "DST-067" if is_mask else "DST-064",
+                place,
+                f"{member.filename} is {dtype} in {order} order",
+                "write numpy.ascontiguousarray(grid)" if is_fortran else "cast with .astype(numpy.uint8) before saving",
             )
         return self._whole(member, packed, start)
+
+    def _turned(self, shape: tuple[int, ...]) -> str:
+        """What makes the grid of an array of this shape, "" if its axes are not merely in another order."""
+        x, y, z = self.grid.shape
+        step = {
+            (z, x, y): "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",
+            (x, z, y): "grid.transpose(0, 2, 1) if its axes are x, z, y; grid.transpose(2, 0, 1) if y, z, x",
+            (1, x, y, z): "grid[0]: there is no batch axis",
+            (x, y, z, 1): "grid[..., 0]: there is no channel axis",
+        }.get(shape)
+        return f"axes are x, y, z: {step}" if step else ""
 
     def is_further(self, member: zipfile.ZipInfo) -> bool:
         """Return whether the array has one number per voxel, of the type that this platform's labels have."""

@@ -12,11 +12,13 @@ from shutil import copytree, make_archive
 from typing import Any
 from zipfile import ZipFile
 
+import numpy as np
 import pytest
 
+from stone_base.label_grid import PAPER
 from stone_datasets.reading import check_dataset
 from testing.worlds.published_datasets import FIRST_US, VERSION
-from tests.stone_datasets.conftest import Rows, reannotated, rewritten
+from tests.stone_datasets.conftest import GOOD, Rows, reannotated, rewritten
 from tests.stone_datasets.malformed import row, table
 
 STAMPED = ("sample", "ego_pose", "sample_data")
@@ -207,3 +209,24 @@ def test_a_table_that_is_no_json_is_refused_with_how_it_was_written(
     path = folder / VERSION / "ego_pose.json"
     path.write_bytes(written(path.read_bytes()))
     assert cause in str(check_dataset(folder).faults.found[0])
+
+
+SHAPE = PAPER.shape
+GRIDS: dict[str, tuple[np.ndarray[Any, Any], str, str]] = {
+    "z first": (np.zeros((SHAPE[2], *SHAPE[:2]), np.uint8), "DST-063", "grid.transpose(1, 2, 0)"),
+    "a batch axis": (np.zeros((1, *SHAPE), np.uint8), "DST-063", "grid[0]"),
+    "doubles": (np.zeros(SHAPE, np.float64), "DST-064", ".astype(numpy.uint8)"),
+    "bools": (np.zeros(SHAPE, bool), "DST-064", ".astype(numpy.uint8)"),
+    "int64": (np.zeros(SHAPE, np.int64), "DST-064", ".astype(numpy.uint8)"),
+    "Fortran order": (np.zeros(SHAPE, np.uint8, order="F"), "DST-064", "ascontiguousarray"),
+}
+
+
+@pytest.mark.parametrize("grid", GRIDS)
+def test_labels_in_another_form_are_refused_with_what_makes_the_right_one(grid: str, copied: Path) -> None:
+    array, code, cause = GRIDS[grid]
+    name = f"gts/field-0000/{GOOD.tokens(0)[0]}/labels.npz"
+    seen = np.ones(SHAPE, np.uint8)
+    np.savez_compressed(copied / name, semantics=array, mask_lidar=seen, mask_camera=seen)
+    (fault,) = check_dataset(copied).faults.found
+    assert (fault.code, cause in str(fault)) == (code, True)

@@ -11,6 +11,10 @@ import pytest
 
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.source import folder_source, read_report
+from services.labeler.imports.answers import DatasetIndexAnswer
+from services.labeler.imports.indexing import index_dataset
+from services.labeler.imports.scene_parts import DatasetOpening
+from stone_datasets.classes import OWN_CLASSES
 from stone_datasets.reading import check_dataset, read_dataset
 from stone_exports.files import FolderFiles
 from stone_exports.frames import frames_in
@@ -53,5 +57,9 @@ def test_an_export_of_any_clock_is_a_sound_dataset(clock: str, tmp_path: Path) -
         assert [frame.stamp_us for frame in frames_in(FolderFiles(out))] == [stamp // 1000 for stamp in frames]
     with tarfile.open(tmp_path / "export.tar", "w") as tar:
         tar.add(tmp_path / "nuscenes", "nuscenes")
+    (tmp_path / "import").mkdir()
+    opening = DatasetOpening(tmp_path / "export.tar", "export.tar", "0" * 64, OWN_CLASSES)
+    answer = DatasetIndexAnswer.model_validate_json(index_dataset(opening, tmp_path / "import", lambda *_: None))
+    assert [scene.frames for scene in answer.scenes] == [len(frames)]
     archived = read_dataset(tmp_path / "export.tar").sequences[0]
     assert np.array_equal(archived.stamps_ns // 1000, [stamp // 1000 for stamp in frames])
