@@ -21,6 +21,7 @@ DOUBT_RAD, ENOUGH_RAD = float(np.deg2rad(15.0)), float(np.deg2rad(28.0))
 ASIDE_RAD = float(np.deg2rad(20.0))
 MOST_STEPS, LONGEST_NS = 60, 30_000_000_000
 STILL_RAD, STILL_NS = float(np.deg2rad(1.0)), 6_000_000_000
+MOST_DOUBTS = 3
 STRAIGHT_STEPS, TICK_NS, BASE_M = 4, 50_000_000, 0.6
 
 
@@ -43,11 +44,11 @@ class _Steps:
     off_rad: Array
 
 
-def doubt_of(track: Trajectory) -> Doubt | None:
-    """Return where the heading of a track fits its course worst; None if it fits, or the track tells no course."""
-    found = [doubt for rows in _stretches(track) if (doubt := _doubt(_steps(track, rows))) is not None]
-    turning = [doubt for doubt in found if not doubt.is_aside]
-    return next(iter(turning or found), None)
+def doubts_of(track: Trajectory) -> list[Doubt]:
+    """Return where the heading of a track fits its course worst, at most `MOST_DOUBTS` a stretch, those of turns first;
+    none if it fits, or the track tells no course."""
+    found = [doubt for rows in _stretches(track) for doubt in _doubts(_steps(track, rows))]
+    return sorted(found, key=lambda doubt: doubt.is_aside)[:MOST_DOUBTS]
 
 
 def aside_of_course(track: Trajectory) -> float:
@@ -120,23 +121,26 @@ def _steps(track: Trajectory, rows: NDArray[np.int64]) -> _Steps:
     return _Steps(np.stack([stamps_ns[begin], stamps_ns[end]], axis=-1), course, course - heading)
 
 
-def _doubt(steps: _Steps) -> Doubt | None:
+def _doubts(steps: _Steps) -> list[Doubt]:
     count = len(steps.off_rad)
     if count < 2:
-        return None
+        return []
     off = _smoothed(np.unwrap(steps.off_rad, period=np.pi))
-    worst, best = DOUBT_RAD, None
+    best, best_apart = np.zeros(0), 0
     for apart in range(1, min(MOST_STEPS, count - 1) + 1):
         change = np.abs(off[apart:] - off[:-apart])
         change[steps.stamps_ns[apart:, 1] - steps.stamps_ns[:-apart, 0] > LONGEST_NS] = 0.0
-        at = int(np.argmax(change))
-        if change[at] > worst:
-            worst, best = float(change[at]), (at, at + apart)
-        if worst >= ENOUGH_RAD:
+        if change.max() > max(DOUBT_RAD, best.max(initial=0.0)):
+            best, best_apart = change, apart
+        if best.max(initial=0.0) >= ENOUGH_RAD:
             break
-    if best is not None:
-        return _between(steps, *best)
-    return _aside(steps)
+    found = list[Doubt]()
+    while len(found) < MOST_DOUBTS and best.max(initial=0.0) > DOUBT_RAD:
+        at = int(np.argmax(best))
+        found.append(_between(steps, at, at + best_apart))
+        best[max(0, at - best_apart) : at + best_apart + 1] = 0.0
+    aside = _aside(steps) if not found else None
+    return found if aside is None else [aside]
 
 
 def _aside(steps: _Steps) -> Doubt | None:

@@ -65,7 +65,7 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
         is_finite = np.isfinite(np.concatenate([translation_m, xyzw], axis=1)).all(axis=1)
         largest = np.abs(xyzw).max(axis=1, initial=0.0)
         norms = np.linalg.norm(xyzw, axis=1)
-        is_pose = is_finite & (largest <= MOST_COMPONENT) & (np.abs(norms - 1.0) <= MOST_OFF_NORM)
+        is_pose = is_finite & (largest <= MOST_COMPONENT) & are_turns(norms)
         farthest_m = np.abs(translation_m).max(axis=1, initial=0.0)
         is_pose &= farthest_m <= MOST_POSITION_M
     rows, refused = np.flatnonzero(is_pose), np.flatnonzero(~is_pose)
@@ -74,6 +74,13 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
     if len(refused) and not len(rows):
         raise PoseValueError(type_name, int(refused[0]), reason)
     return Poses(SE3.from_parts(xyzw[rows][:, [3, 0, 1, 2]], translation_m[rows]), rows, refused, reason)
+
+
+def are_turns(norms: NDArray[np.float64]) -> NDArray[np.bool_]:
+    """Return which quaternions are rotations, by their norms (N,); none if most are angles, one of which may be 1."""
+    is_turn = np.abs(norms - 1.0) <= MOST_OFF_NORM
+    told = norms >= LEAST_ANGLES
+    return np.asarray(is_turn & (2 * int(is_turn.sum()) >= int(told.sum())))
 
 
 def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> tuple[Finding, ...]:

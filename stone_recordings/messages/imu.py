@@ -11,7 +11,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from stone_recordings.messages.batch import MOST_COMPONENT, MOST_OFF_NORM, StampedMessage
+from stone_recordings.messages.batch import MOST_COMPONENT, StampedMessage, are_turns
 from stone_recordings.messages.problems import majority
 from stone_recordings.messages.types.table import STAMP, decode_table
 
@@ -47,7 +47,7 @@ def decode_attitude(messages: Iterable[StampedMessage]) -> AttitudeSamples:
     xyzw = table.vectors("orientation", "xyzw")
     norm = np.linalg.norm(np.where(np.abs(xyzw) <= MOST_COMPONENT, xyzw, np.inf), axis=1)
     unknown = table.numbers("orientation_covariance", 9)[:, 0] == NOT_ESTIMATED
-    is_told = ~unknown & np.isfinite(norm) & (np.abs(norm - 1.0) <= MOST_OFF_NORM)
+    is_told = ~unknown & np.isfinite(norm) & are_turns(norm)
     return AttitudeSamples(table.stamps_ns(), majority(table.texts("header.frame_id")), xyzw, is_told)
 
 

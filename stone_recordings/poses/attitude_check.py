@@ -19,7 +19,7 @@ from stone.errors import Refused, StoneError
 from stone.geometry.se3 import SE3, multiply
 from stone.geometry.trajectory import Trajectory
 from stone.sensors.calibration import Calibration
-from stone.sensors.course import DOUBT_RAD, Doubt, doubt_of, doubt_of_still, unturned
+from stone.sensors.course import DOUBT_RAD, Doubt, doubt_of_still, doubts_of, unturned
 from stone.sensors.selection import world_points
 from stone_recordings.bags.bag import Bag, Topic
 from stone_recordings.clocks.lidar_clock import LidarClock
@@ -69,14 +69,13 @@ def check_attitude(track: PoseTrack, inputs: AttitudeInputs, rig: RigMounts) -> 
     """Raise `SYN-530` if the orientation of a track is not the robot's."""
     if track.topic == inputs.clock.topic:
         return
-    doubt = doubt_of(unturned(track.trajectory) if track.is_course else track.trajectory)
-    doubt = doubt or doubt_of_still(track.trajectory)
-    if doubt is None:
-        return
-    told = _told(track.trajectory, inputs, doubt, rig.calibration)
-    fault = _fault(told, doubt, rig.calibration) if told else _fault_by_gyro(track, inputs, doubt)
-    if fault:
-        raise Refused("SYN-530", f"{track.source}: {fault}; {'; or '.join(_ways(track, inputs, rig, told))}")
+    still = doubt_of_still(track.trajectory)
+    doubts = doubts_of(unturned(track.trajectory) if track.is_course else track.trajectory)
+    for doubt in doubts or ([still] if still is not None else []):
+        told = _told(track.trajectory, inputs, doubt, rig.calibration)
+        fault = _fault(track, told, doubt, rig.calibration) if told else _fault_by_gyro(track, inputs, doubt)
+        if fault:
+            raise Refused("SYN-530", f"{track.source}: {fault}; {'; or '.join(_ways(track, inputs, rig, told))}")
 
 
 def angles(wxyz: Array) -> Array:
@@ -157,7 +156,7 @@ def _motion(stamps_ns: NDArray[np.int64], poses: SE3) -> _Motion:
     return _Motion(stamps_ns, since.wxyz, since.translation_m)
 
 
-def _fault(told: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration) -> str:
+def _fault(track: PoseTrack, told: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration) -> str:
     """Return what is wrong with the orientation; "" if the sweeps turn as it does."""
     by_track, by_sweeps = told
     turned, seen = by_track.turned_rad, by_sweeps.turned_rad
@@ -173,6 +172,9 @@ def _fault(told: tuple[_Motion, _Motion], doubt: Doubt, calibration: Calibration
     most = int(np.argmax(np.minimum(seen, turned)))
     if min(seen[most], turned[most]) > TOLERATED_RAD and apart[most] > OPPOSITE_RATIO * max(seen[most], turned[most]):
         return f"its orientation turns by {_deg(turned[most])} the other way than the registered sweeps do"
+    if doubt.is_aside and not _is_way_seen(told) and _never_turns(track):
+        off = _deg(abs(doubt.course_rad))
+        return f"its orientation never changes, and the track leads {off} aside of it: places without an attitude"
     if not is_placed or np.linalg.norm(by_track.way_m[-1]) < LEAST_WAY_M or not _is_way_seen(told):
         return ""
     x, y = (motion.way_m[-1, :2] for motion in told)
@@ -205,14 +207,16 @@ def _fault_by_gyro(track: PoseTrack, inputs: AttitudeInputs, doubt: Doubt) -> st
         words = f"its orientation changes by {_deg(turned)}, in which the gyro of {topic.name} turns by {_deg(seen)}"
         is_off = abs(seen - turned) > max(TOLERATED_RAD, TOLERATED_RATIO * max(seen, turned))
         return f"{words} and the course by {course}: it is not the robot's attitude" if is_off else ""
-    first = track.trajectory.map_from_ego[0].wxyz * np.array([1.0, -1.0, -1.0, -1.0])
-    if (
-        doubt.is_aside
-        or abs(doubt.course_rad) < DOUBT_RAD
-        or angles(multiply(first, track.trajectory.map_from_ego.wxyz)).max() > UNTURNED_RAD
-    ):
+    if abs(doubt.course_rad) < DOUBT_RAD or not _never_turns(track):
         return ""
-    return f"its orientation never changes, while the course turns by {course}: these are places without an attitude"
+    does = "leads aside of it" if doubt.is_aside else "turns"
+    return f"its orientation never changes, while the course {does} by {course}: these are places without an attitude"
+
+
+def _never_turns(track: PoseTrack) -> bool:
+    """Return whether all orientations of a track are one to the last digits, as no filter leaves them."""
+    wxyz = track.trajectory.map_from_ego.wxyz
+    return bool(angles(multiply(wxyz[0] * np.array([1.0, -1.0, -1.0, -1.0]), wxyz)).max() <= UNTURNED_RAD)
 
 
 def _turned_by_gyro(bag: Bag, topic: Topic, doubt: Doubt) -> float | None:
@@ -254,7 +258,8 @@ def _ways(
     yield from _other_topics(track, inputs, rig, told[1]) if told is not None else ()
     if told is None or _is_way_seen(told):
         yield "estimate the poses from the sweeps: --odometry kiss-icp"
-    if not track.is_course and track.topic in {topic.name for topic in inputs.bag.topics}:
+    is_ins = track.is_smooth
+    if not (track.is_course or is_ins) and track.topic in {topic.name for topic in inputs.bag.topics}:
         yield f"if the robot always drives forward, take its course for the heading: --odometry {COURSE}{track.topic}"
 
 

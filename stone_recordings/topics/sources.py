@@ -96,6 +96,8 @@ def choose_sources(bag: Bag, asked: AskedTopics) -> Sources:
     asked_pose = asked.pose.removeprefix(COURSE) if asked.pose else None
     is_course = asked_pose != asked.pose
     pose = lidar if asked.has_pose_file or asked.pose == KISS_ICP else _pose(roles, asked_pose)
+    if is_course and pose.role == "ins":
+        raise Refused("TOP-104", f"{pose.name} is an INS and has an attitude: --odometry {pose.name} takes it")
     told = "file" if asked.has_pose_file else ROLE_OF_SWEEPS
     attitude = _attitude(roles, asked.imu) if pose.role == "gnss" and not is_course else None
     return Sources(

@@ -7,13 +7,15 @@ from typing import Any
 import numpy as np
 import pytest
 
-from services.ingest.pipeline import SynchroniseOptions
+from services.ingest.pipeline import SynchroniseOptions, synchronise
 from services.ingest.sandboxed_inspection import inspected_in
+from stone.errors import Refused
 from stone_recordings.bags.bag import open_bag
+from stone_recordings.calibrations.file import read_calibration
 from stone_recordings.poses.file_poses import PoseFile
 from testing.worlds.field.drive import BEGIN_S, FieldDrive, FieldTopic
 from testing.worlds.field.outcome import FieldOutcome, labelled, occupied_iou, outcome_of
-from testing.worlds.field.paths import PathDrive, crabbing, reversing, standing, straight
+from testing.worlds.field.paths import PathDrive, crabbing, level, reversing, standing, straight
 
 Yaw = Callable[[float, float], float]
 LIKE_THE_SOUND_DRIVE, BY_COURSE = 0.97, 0.9
@@ -138,9 +140,14 @@ def test_an_imu_that_does_not_turn_as_the_robot_is_refused_and_another_is_named(
     wrong = imu_of(drive, ODOMETRY.get(case, ODOMETRY["never set"]), lambda t: 0.02 * np.sin(5 * t))
     right = imu_of(drive, lambda _t, yaw: yaw, name="/imu/filtered")
     run, calibration = drive.write(tmp_path / "both", drive.lidar_topic(), fixes, wrong, right)
-    asked = SynchroniseOptions(topics={"imu": "/imu/data"})
-    found = labelled(run, calibration, tmp_path / "labels", asked)
-    assert found.refusal == "SYN-530"
+    asked = SynchroniseOptions(topics={"imu": "/imu/data"}, is_hashed=False)
+    with open_bag(run) as bag:
+        rig, _ = read_calibration(calibration, bag)
+    with pytest.raises(Refused, match="--topic imu=/imu/filtered; or") as refused:
+        synchronise(run, rig, asked, "run")
+    assert refused.value.code == "SYN-530"
+    advised = SynchroniseOptions(topics={"imu": "/imu/filtered"}, is_hashed=False, is_checked=False)
+    assert len(synchronise(run, rig, advised, "run")[0].frames) == 40
     run, calibration = drive.write(tmp_path / "one", drive.lidar_topic(), fixes, wrong)
     assert_refused(outcome_of(run, calibration, tmp_path / "labels"), "--odometry course:/gps/fix")
 
@@ -172,3 +179,58 @@ def test_a_robot_that_drives_aside_is_not_labelled_by_its_course(tmp_path: Path)
     run, calibration = drive.write(tmp_path, drive.lidar_topic(), drive.odometry_topic("/odom"))
     found = outcome_of(run, calibration, tmp_path / "labels", SynchroniseOptions(odometry_topic="course:/odom"))
     assert_refused(found, "take the poses of /odom")
+
+
+def aslant(t: Any) -> tuple[Any, Any, Any, Any]:
+    """A straight way to the north-east."""
+    x, _y, _z, yaw = straight(t)
+    return level(0.7 * x, 0.7 * x, yaw + np.pi / 4)
+
+
+@pytest.mark.parametrize("yaw", ["never set", "turned the other way"])
+def test_a_straight_track_does_not_hide_an_orientation_that_points_elsewhere(tmp_path: Path, yaw: str) -> None:
+    drive = PathDrive(path=aslant)
+    run, calibration = drive.write(tmp_path, drive.lidar_topic(), odometry_of(drive, ODOMETRY[yaw]))
+    assert_refused(outcome_of(run, calibration, tmp_path / "labels"), "aside")
+
+
+def test_a_robot_that_turns_on_the_spot_has_no_constant_orientation(tmp_path: Path) -> None:
+    drive = PathDrive(path=lambda t: level(0 * np.asarray(t), 0 * np.asarray(t), 0.4 * np.asarray(t, np.float64)))
+    sources = [odometry_of(drive, ODOMETRY["never set"]), odometry_of(drive, lambda _t, yaw: yaw)]
+    codes = []
+    for number, source in enumerate(sources):
+        run, calibration = drive.write(tmp_path / str(number), drive.lidar_topic(), source)
+        with open_bag(run) as bag:
+            codes.append({one.code for one in inspected_in(bag, calibration=calibration).findings})
+    assert "SYN-530" in codes[0]
+    assert "SYN-530" not in codes[1]
+
+
+def test_one_wrong_stretch_is_found_beside_noise_of_positions(tmp_path: Path) -> None:
+    drive, noise = PathDrive(), np.random.default_rng(8)
+
+    def message(t: float) -> Any:
+        made = drive.odometry(t, "map")
+        place, turn = made.pose.pose.position, made.pose.pose.orientation
+        place.x, place.y = place.x + float(noise.normal(0, 0.05)), place.y + float(noise.normal(0, 0.05))
+        turned(turn, frozen(t, yaw_of(turn)))
+        return made
+
+    run, calibration = drive.write(tmp_path, drive.lidar_topic(), FieldTopic("/odom", 0.1, 0.2, message))
+    assert_refused(outcome_of(run, calibration, tmp_path / "labels"), "/odom")
+
+
+def test_an_imu_that_writes_angles_for_a_quaternion_has_no_orientation(tmp_path: Path) -> None:
+    drive = FieldDrive()
+
+    def message(t: float) -> Any:
+        made = drive.imu(t)
+        turn = made.orientation
+        turn.x, turn.y, turn.z, turn.w = 0.3, -0.8, float(np.rad2deg(yaw_of(turn))), 0.0
+        return made
+
+    fixes = FieldTopic("/gps/fix", 0.1, 0.2, drive.fix)
+    run, calibration = drive.write(tmp_path, drive.lidar_topic(), fixes, FieldTopic("/imu", 0.01, 0.2, message))
+    found = outcome_of(run, calibration, tmp_path / "labels")
+    assert found.refusal == "GNS-306"
+    assert "--odometry course:/gps/fix" in found.messages("GNS-306")
