@@ -3,7 +3,7 @@
 from collections.abc import Iterator
 from concurrent.futures import Future, ThreadPoolExecutor
 from contextlib import contextmanager
-from dataclasses import asdict
+from dataclasses import asdict, replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
 
@@ -101,7 +101,9 @@ def inspect(
         findings = inspection.findings
         if html is not None:
             quality = write_quality_page(opened, inspection, html)
-            record["quality"], findings = quality.as_record(), (*findings, *quality.left_out)
+            # What labels need and lack is an error of the inspection already.
+            left_out = [replace(one, severity="warning") for one in quality.left_out]
+            record["quality"], findings = quality.as_record(), (*findings, *left_out)
     if as_json:
         echo_json(record)
     else:

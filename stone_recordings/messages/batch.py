@@ -16,7 +16,7 @@ from stone.geometry.se3 import SE3
 from stone_recordings.bags.errors import PoseValueError
 
 # Drivers write (0, 0, 0, 0) for "unknown", and some write angles; rounding to two decimals stays far below this.
-MOST_OFF_NORM, LEAST_ANGLES = 0.1, 1e-3
+MOST_OFF_NORM, LEAST_ANGLES, ONE_SCALE = 0.1, 1e-3, 0.01
 MOST_COMPONENT = 1e6  # the square of more would overflow
 # Beyond any place in any frame on Earth: ECEF reaches 6.4e6 m, a UTM zone 1e7 m.
 MOST_POSITION_M = 1e8
@@ -77,10 +77,17 @@ def poses_in(translation_m: NDArray[np.float64], xyzw: NDArray[np.float64], type
 
 
 def are_turns(norms: NDArray[np.float64]) -> NDArray[np.bool_]:
-    """Return which quaternions are rotations, by their norms (N,); none if most are angles, one of which may be 1."""
-    is_turn = np.abs(norms - 1.0) <= MOST_OFF_NORM
-    told = norms >= LEAST_ANGLES
-    return np.asarray(is_turn & (2 * int(is_turn.sum()) >= int(told.sum())))
+    """Return which quaternions are rotations, by their norms (N,): 1, or whatever most have in common.
+
+    None if most are angles, whose norms differ, although one of them may be 1.
+    """
+    told = norms[norms >= LEAST_ANGLES]
+    if not len(told):
+        return np.zeros(len(norms), np.bool_)
+    usual = float(np.median(told))
+    is_scaled = float((np.abs(told - usual) <= ONE_SCALE * usual).mean()) >= 0.5
+    is_turn = np.abs(norms / (usual if is_scaled else 1.0) - 1.0) <= MOST_OFF_NORM
+    return np.asarray(is_turn & (2 * int(is_turn.sum()) >= len(told)))
 
 
 def refused_finding(topic: str, refused_ns: NDArray[np.int64], reason: str) -> tuple[Finding, ...]:

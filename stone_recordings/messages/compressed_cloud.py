@@ -26,11 +26,14 @@ def plain_cloud(payload: memoryview) -> memoryview:
     cursor, size = _to_data(payload)
     start = cursor.take(cursor.bounded(size.data_bytes, 1))
     is_dense, name = cursor.u8(), cursor.text()
-    points_bytes = min(size.points_bytes, MOST_CLOUD_BYTES)
+    points_bytes = min(max(size.points_bytes, size.rows_bytes), MOST_CLOUD_BYTES)
     plain = bytearray(start + points_bytes + 1)
     plain[: start - 4] = payload[: start - 4]
     packed, room = payload[start : start + size.data_bytes], memoryview(plain)[start : start + points_bytes]
     inflated_bytes = _inflated(packed, name, room)
+    if inflated_bytes not in (size.points_bytes, size.rows_bytes):  # the stream was cut
+        problem = f"its data inflates to {inflated_bytes} bytes, its points take {size.points_bytes}"
+        raise MessageLayoutError(COMPRESSED_CLOUD, problem)
     plain[start - 4 : start] = inflated_bytes.to_bytes(4, "little")
     plain[start + inflated_bytes] = is_dense
     return memoryview(plain).toreadonly()[: start + inflated_bytes + 1]

@@ -54,10 +54,11 @@ class _CloudLayout(NamedTuple):
 
 
 class CloudSize(NamedTuple):
-    """What a cloud declares: how many points, the bytes they take at least or in rows, and the bytes that follow."""
+    """What a cloud declares: how many points, the bytes that they take and that their rows do, those that follow."""
 
     points: int
     points_bytes: int
+    rows_bytes: int
     data_bytes: int
 
 
@@ -135,14 +136,17 @@ def layout_problem(head: memoryview, size_bytes: Callable[[], int]) -> str:
     return ""
 
 
-def xyz_problem(head: memoryview) -> str:
-    """Why a cloud that begins so, and can be decoded, holds no points in space; "" where it does."""
+def xyz_problem(head: memoryview, *, is_compressed: bool = False) -> str:
+    """Why a cloud that begins so, and can be decoded, holds no points in space; "" where it does.
+
+    Of a compressed one the length of the data decides nothing.
+    """
     cursor = Cursor(head, TYPE)
     cursor.stamp_ns()
     cursor.text()
     layout = _layout(cursor)
     try:
-        check_xyz(_rows(layout).record)
+        check_xyz(record_of(layout.fields, layout.point_step)[0] if is_compressed else _rows(layout).record)
     except CloudLayoutError as error:
         return str(error)
     return ""
@@ -162,8 +166,7 @@ def cloud_size(cursor: Cursor) -> CloudSize:
     layout = _layout(cursor)
     record_of(layout.fields, layout.point_step)
     points = layout.height * layout.width
-    rows_bytes = layout.height * layout.row_step
-    return CloudSize(points, max(points * layout.point_step, rows_bytes), layout.data_bytes)
+    return CloudSize(points, points * layout.point_step, layout.height * layout.row_step, layout.data_bytes)
 
 
 def _layout(cursor: Cursor) -> _CloudLayout:

@@ -119,7 +119,7 @@ def sweep_problem(head: memoryview, type_name: str) -> str:
     """Why a message that begins so, and whose layout is right, holds no sweep; "" where nothing speaks against it."""
     if type_name in PACKET_TYPES:
         return _packets_problem(head, type_name)
-    return xyz_problem(head) if type_name in CLOUD_TYPES else ""
+    return xyz_problem(head, is_compressed=type_name == COMPRESSED_CLOUD) if type_name in CLOUD_TYPES else ""
 
 
 def _packets_problem(head: memoryview, type_name: str) -> str:

@@ -89,13 +89,13 @@ def test_the_page_holds_the_score_and_the_pictures_and_json_the_numbers(drive: P
     assert [path.name for path in tmp_path.iterdir()] == ["out.html"]
 
 
-def test_a_topic_that_lies_is_an_error_once_it_is_looked_at(tmp_path: Path) -> None:
+def test_a_camera_that_cannot_be_read_is_named_and_labels_are_still_possible(tmp_path: Path) -> None:
     lies = [recordings.picture("/camera/front/image", int(stamp), b"no picture") for stamp in ticks(1, 10)]
     sound = recordings.clouds(ticks(2, 10)), recordings.solutions(ticks(2, 20), 56)
     path = written(tmp_path / "run.mcap", lies, *sound)
     assert stone("inspect", path).exit_code == 0
     result = stone("inspect", path, "--html", str(tmp_path / "out.html"))
-    assert result.exit_code == 1
+    assert result.exit_code == 0
     assert "/camera/front/image: 10 of 10 sampled messages are left out" in result.stderr
     assert (tmp_path / "out.html").is_file()
 

@@ -257,11 +257,11 @@ def test_hostile_files_are_refused(tmp_path):
     page.write_text("<html><body>404</body></html>")
     with pytest.raises(NotABagError):
         synchronised(page)
-    lying = [rigs.plain_sweep(int(s), point_step=3) for s in STAMPS_NS]
+    lying = [rigs.plain_sweep(int(s), offset_of_x=60_000) for s in STAMPS_NS]
     with refused_as("TOP-101"):
         synchronised(rigs.written(tmp_path / "lies.mcap", lying, odometry()))
     one = sweeps()
-    one[6] = rigs.plain_sweep(int(STAMPS_NS[6]), point_step=3)
+    one[6] = rigs.plain_sweep(int(STAMPS_NS[6]), offset_of_x=60_000)
     sequence, source = synchronised(rigs.written(tmp_path / "late.mcap", one, odometry()))
     assert [source.sweep(frame).stamp_ns for frame in range(7)] == [*STAMPS_NS[:6].tolist(), int(STAMPS_NS[7])]
     assert [(frame.stamp_ns, frame.code) for frame in sequence.excluded] == [(STAMPS_NS[6], "malformed_sweep")]
