@@ -176,9 +176,10 @@ def test_every_chunk_is_inflated_once_but_those_of_clouds_that_are_looked_at(
     monkeypatch.setattr(chunked_store, "inflate", counted)
     with open_bag(bag) as opened:
         inspected_in(opened)
-    again = times.total() - len(times)  # sweeps are looked at for the scan, and 40 of a run for the ground under it
+    # Sweeps are looked at for the scan, 16 of a run for the times of their points, and 40 for the ground under it.
+    again = times.total() - len(times)
     assert len(times) > 15
-    assert again <= 1.5 * len(times), times
+    assert again <= 2.2 * len(times), times
 
 
 def test_topics_that_synchronisation_would_refuse_are_scanned_without_it(simulated: SoundDrive) -> None:
