@@ -199,13 +199,10 @@ def unjoined_sequence(
     moved = motion_findings(track, SweepTopic(bag, clock), calibration)
     turns = sources.attitude.name if sources.attitude is not None else ""
     check_attitude(track, AttitudeInputs(bag, clock, turns), rig)
-    compared = [
-        RecordedStamps(stamps_ns, bag.log_times_ns(topic) if topic in recorded.topics else stamps_ns[:0])
-        for topic, stamps_ns in ((clock.topic, clock.ordered.stamps_ns), (track.topic, track.trajectory.stamps_ns))
-    ]
-    posed = frames_with_pose(
-        name, clock, track, options.max_pose_gap_ns, lambda: way_out(compared[0], compared[1], clocks)
-    )
+    swept = RecordedStamps(clock.ordered.stamps_ns, bag.log_times_ns(clock.topic))
+    posed_ns = track.trajectory.stamps_ns
+    told = RecordedStamps(posed_ns, bag.log_times_ns(track.topic) if track.topic in recorded.topics else posed_ns[:0])
+    posed = frames_with_pose(name, clock, track, options.max_pose_gap_ns, lambda: way_out(swept, told, clocks))
     check_extent(track.source, posed.frames.map_from_ego.translation_m)
     frames, unmatched = associate(SensorTopics(recorded, sources, calibration, channel_of), posed)
     doubts = quality_findings(track.topic, frames.quality, track.solution, posed.path)
