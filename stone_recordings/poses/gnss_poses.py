@@ -26,7 +26,7 @@ from stone_recordings.messages.imu import AttitudeSamples, decode_attitude
 from stone_recordings.messages.problems import read_readable
 from stone_recordings.messages.types.cdr import Cursor
 from stone_recordings.poses.ins_poses import ecef_from_enu_wxyz
-from stone_recordings.poses.places import near_geodetic
+from stone_recordings.poses.places import lattice_origin, near_geodetic
 from stone_recordings.poses.sources import PoseTrack, RigMounts, along_course, child_from_ego, course_finding
 from stone_recordings.sync.clock_offsets import shifted_finding
 from stone_recordings.sync.errors import NoUsablePoseError
@@ -129,23 +129,11 @@ def _enu(
     latitude, longitude, height = (
         values[rows] for values in (samples.latitude_deg, samples.longitude_deg, samples.height_m)
     )
-    origin = _origin_near(float(latitude[0]), float(longitude[0]), float(height[0]))
+    origin = lattice_origin(float(latitude[0]), float(longitude[0]), float(height[0]))
     there = ecef_from_enu_wxyz(latitude, longitude)
     back = there[:1] * np.array([1.0, -1.0, -1.0, -1.0])
     place_m = np.stack(pymap3d.geodetic2enu(latitude, longitude, height, *origin), axis=-1)
     return place_m, origin, multiply(back, there)
-
-
-def _origin_near(latitude: float, longitude: float, height_m: float) -> tuple[float, float, float]:
-    """Return the place nearest a fix that is whole metres from its hundredth of a degree, at a whole height.
-
-    Runs over one place so have one lattice of voxels, whichever fix of theirs is the first.
-    """
-    east_m, north_m, _ = pymap3d.geodetic2enu(
-        latitude, longitude, height_m, around := round(latitude, 2), beside := round(longitude, 2), height_m
-    )
-    near = pymap3d.enu2geodetic(round(float(east_m)), round(float(north_m)), 0.0, around, beside, height_m)
-    return float(near[0]), float(near[1]), float(round(height_m))
 
 
 def _left_out(samples: GnssSamples, used: int, topic: str) -> tuple[Finding, ...]:

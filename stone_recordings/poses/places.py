@@ -103,6 +103,18 @@ def near_geodetic(
     return left, far_finding(topic, ecef_m, kept)
 
 
+def lattice_origin(latitude: float, longitude: float, height_m: float) -> tuple[float, float, float]:
+    """Return the place nearest a fix that is whole metres from its hundredth of a degree, at a whole height.
+
+    Runs over one place so have one lattice of voxels, whichever fix of theirs is the first.
+    """
+    east_m, north_m, _ = pymap3d.geodetic2enu(
+        latitude, longitude, height_m, around := round(latitude, 2), beside := round(longitude, 2), height_m
+    )
+    near = pymap3d.enu2geodetic(round(float(east_m)), round(float(north_m)), 0.0, around, beside, height_m)
+    return float(near[0]), float(near[1]), float(round(height_m))
+
+
 class Local(NamedTuple):
     """Which poses are `kept` (N,), these near the origin of the map, and what was done to them."""
 
@@ -151,7 +163,7 @@ def _is_ecef(place_m: Array) -> bool:
 
 def _from_ecef(topic: str, stamps_ns: Stamps, poses: SE3, is_course: bool) -> tuple[SE3, Finding]:
     first_m = poses.translation_m[0]
-    latitude, longitude, height_m = (float(value) for value in pymap3d.ecef2geodetic(*first_m))
+    latitude, longitude, height_m = lattice_origin(*(float(value) for value in pymap3d.ecef2geodetic(*first_m)))
     place_m = np.stack(pymap3d.ecef2enu(*poses.translation_m.T, latitude, longitude, height_m), axis=-1)
     about_z, about_x = np.deg2rad(90.0 + longitude) / 2, np.deg2rad(90.0 - latitude) / 2
     ecef_from_enu = multiply(
@@ -161,7 +173,7 @@ def _from_ecef(topic: str, stamps_ns: Stamps, poses: SE3, is_course: bool) -> tu
     choices = {"ECEF": turned, "east, north, up": SE3.from_parts(poses.wxyz, place_m)}
     words = "ECEF" if is_course else _attitude_frame(topic, stamps_ns, choices)
     sentence = (
-        f"its positions are ECEF; the map is east, north, up of the first, ({_listed(first_m)}) m, at latitude "
+        f"its positions are ECEF; the map is east, north, up near the first, ({_listed(first_m)}) m, with latitude "
         f"{latitude:.7f}°, longitude {longitude:.7f}°, height {height_m:.2f} m; its orientation is taken for one in "
         f"{words}, with which the robot stands upright"
     )

@@ -133,7 +133,7 @@ def counted(rows: Rows) -> None:
 
 MISTAKES: dict[str, tuple[Callable[[Path], object], str, str]] = {
     "backslashes": (in_names(lambda name: name.replace("/", "\\")), "DST-004", "has backslashes (paths have /"),
-    "absolute paths": (in_names(lambda name: f"/home/me/{name}"), "DST-004", "an absolute path; paths begin"),
+    "absolute paths": (in_names(lambda name: f"/data/{name}"), "DST-004", "an absolute path; paths begin"),
     "paths from the working folder": (
         in_names(lambda name: f"data/nuscenes/{name}"), "DST-041", "leave out 'data/nuscenes'"),
     "paths that begin with a dot": (in_names(lambda name: f"./{name}"), "DST-041", "leave out '.'"),

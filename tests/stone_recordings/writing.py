@@ -153,10 +153,13 @@ def sweep(record: np.dtype[np.void], count: int, seed: int = 0, stamp_ns: int = 
 def random_message(
     type_name: str, generator: np.random.Generator, is_tame: bool = False, store: Typestore | None = None
 ) -> Any:
-    """A message whose every field is random bits, NaNs and infinities included; `is_tame`: floats are ordinary."""
+    """A message whose every field is random bits, NaNs and infinities included; `is_tame`: floats are ordinary, and
+    quaternions of norm 1."""
     known = store or typestore()
     _constants, fields = known.fielddefs[type_name]
     values = {name: _random_value(kind, generator, is_tame, known) for name, kind in fields}
+    if is_tame and type_name == "geometry_msgs/msg/Quaternion":
+        values = {name: value / np.linalg.norm([*values.values()]) for name, value in values.items()}
     return known.types[type_name](**values)
 
 

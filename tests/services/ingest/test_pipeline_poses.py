@@ -261,7 +261,7 @@ def test_hostile_files_are_refused(tmp_path):
     with refused_as("TOP-101"):
         synchronised(rigs.written(tmp_path / "lies.mcap", lying, odometry()))
     one = sweeps()
-    one[6] = rigs.plain_sweep(int(STAMPS_NS[6]), offset_of_x=60_000)
+    one[6] = rigs.plain_sweep(int(STAMPS_NS[6]), point_step=17, row_step=3)
     sequence, source = synchronised(rigs.written(tmp_path / "late.mcap", one, odometry()))
     assert [source.sweep(frame).stamp_ns for frame in range(7)] == [*STAMPS_NS[:6].tolist(), int(STAMPS_NS[7])]
     assert [(frame.stamp_ns, frame.code) for frame in sequence.excluded] == [(STAMPS_NS[6], "malformed_sweep")]

@@ -17,10 +17,10 @@ from stone_recordings.messages.point_times import HOUR_NS, UNTIMED, PointClock, 
 from stone_recordings.messages.pointcloud2 import (
     Cloud,
     LidarPoints,
-    cloud_size,
     decode_cloud,
     layout_problem,
     lidar_points,
+    points_of_head,
 )
 from stone_recordings.messages.types.registry import typestore
 from tests.stone_recordings.writing import HESAI, KITTI, NEBULA, POINT_CLOUD, START_NS, CloudText, cloud_payload, sweep
@@ -320,7 +320,7 @@ def test_the_head_of_a_cloud_is_refused_if_and_only_if_the_cloud_is(height, widt
         assert problem
         return
     assert not problem
-    assert cloud_size(payload[:300]) == len(cloud.points)
+    assert points_of_head(payload[:300]) == len(cloud.points)
     assert cloud.points.nbytes <= 26 * count
     assert cloud.ignored or (height * width, point_step) == (count, 26) or not count
 
