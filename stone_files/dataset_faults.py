@@ -223,12 +223,17 @@ DATASET_FAULTS = {
 
 
 class DatasetFaultError(StoneError):
-    """A published dataset has the fault `code` of `DATASET_FAULTS`."""
+    """A published dataset has the fault `code` of `DATASET_FAULTS`.
+
+    What a sandboxed process raised has its sentence alone, in which the other rows are counted already.
+    """
+
+    rows = 1
 
     def __init__(self, code: str, place: DatasetPlace, what: str, likely: str = "") -> None:
         """`likely` is the mistake, if the value itself shows it; then `rows` of one file that have it are one fault."""
         super().__init__(f"{place}: {what} ({likely or DATASET_FAULTS[code].likely})")
-        self.code, self.place, self.likely, self.rows = code, place, likely, 1
+        self.code, self.place, self.likely = code, place, likely
 
     def __str__(self) -> str:
         others = f"; {self.rows - 1} more rows of this file have it" if self.rows > 1 else ""

@@ -257,13 +257,17 @@ def _rows(layout: _CloudLayout) -> _Rows:
 
 
 def _point_step(layout: _CloudLayout) -> int:
-    """The declared step, unless the bytes of a point are another number by both the rows and the data."""
+    """The declared step, unless the bytes of a point are another number by both the rows and the data.
+
+    More bytes than the declared step, in which every field fits, are those of more points.
+    """
     points, step = layout.height * layout.width, layout.point_step
-    least = max(
-        (_end_of(one) for one in layout.fields if one.name in PLACE_NAMES and one.datatype in FORMATS), default=1
-    )
+    ends = {one.name: _end_of(one) for one in layout.fields if one.datatype in FORMATS}
+    least = max((end for name, end in ends.items() if name in PLACE_NAMES), default=1)
     if not points or points * step == layout.data_bytes or layout.data_bytes % points:
         return step
     told = layout.data_bytes // points
-    is_told = layout.row_step == layout.width * told or step < least
+    if step >= max(ends.values(), default=1) and told > step and layout.data_bytes % step == 0:
+        return step
+    is_told = step < least or layout.row_step == layout.width * told
     return told if least <= told <= MOST_STEP_BYTES and is_told else step

@@ -30,15 +30,15 @@ def left_apart(brought: Brought, job_id: str) -> list[Path]:
     return list(Workspace(brought.platform.store, brought.platform.settings, run).folder.glob(".apart-*"))
 
 
-def dropped(*_: object) -> object:
+def dropped(*_: object, **__: object) -> object:
     return Path(os.environ["STONE_TEST_DROPPED"]).write_bytes(b"left behind")
 
 
 ATTACKS: dict[str, tuple[Attack, str]] = {
-    "a connection": (lambda *_: socket.create_connection(("127.0.0.1", 9)), "raised PermissionError"),
-    "a fork": (lambda *_: os.fork(), "raised PermissionError"),
-    "a crash": (lambda *_: os._exit(11), "ended with code 11"),
-    "all memory": (lambda *_: bytearray(2 * job_sandbox.MEMORY_BYTES), "needed more than"),
+    "a connection": (lambda *_, **__: socket.create_connection(("127.0.0.1", 9)), "raised PermissionError"),
+    "a fork": (lambda *_, **__: os.fork(), "raised PermissionError"),
+    "a crash": (lambda *_, **__: os._exit(11), "ended with code 11"),
+    "all memory": (lambda *_, **__: bytearray(2 * job_sandbox.MEMORY_BYTES), "needed more than"),
 }
 
 

@@ -33,7 +33,7 @@ REFUSED = {
     "cloud stamps at the beginning of time": "SYN-501",
     "recorded at both ends": "BAG-012",
     "recorded beyond int64": "BAG-012",
-    "clouds of 4 billion points": "MSG-303",
+    "clouds of 4 billion points": "TOP-101",
     "a mount beyond the map": "CAL-409",
     "a mount at the end of its limit": "CAL-409",
     "a mount turned by nothing": "CAL-402",
