@@ -49,6 +49,7 @@ from stone_recordings.report.quality.sampling import SampledMessages
 from stone_recordings.report.scan import Scan
 from stone_recordings.sync.clock_offsets import ClockOffsets
 from stone_recordings.sync.ground_check import early_refusal, measured_ground, recorded_ground_finding
+from stone_recordings.sync.reference_check import reference_refusal
 from stone_recordings.sync.sweeps import SweepsOfOpenBag
 from stone_recordings.topics.profiles import TopicProfile
 
@@ -104,17 +105,18 @@ def inspected_in(
 
 
 def outlook(bag: Bag, calibration: Calibration, options: SynchroniseOptions) -> tuple[Finding, ...]:
-    """Return the findings of synchronisation; its refusal, and labelling's by the ground, is an error."""
+    """Return the findings of synchronisation; its refusal, and labelling's by the ground or for lack of a reference, is
+    an error."""
     try:
         sequence, sweeps = synchronise_in(bag, calibration, replace(options, is_hashed=False), NAME)
-    except StoneError as refusal:
-        return (_refused(refusal, "error"),)
-    refusal_by_ground = ground_refusal(sequence)
-    if refusal_by_ground is None and options.ground == "given":
+    except StoneError as error:
+        return (_refused(error, "error"),)
+    refusal = ground_refusal(sequence)
+    if refusal is None and options.ground == "given":
         with suppress(StoneError):
-            refusal_by_ground = early_refusal(bag, sweeps.topic, calibration)
-    refusals = () if refusal_by_ground is None else (_refused(refusal_by_ground, "error"),)
-    return sequence.findings + refusals
+            refusal = early_refusal(bag, sweeps.topic, calibration)
+    refusal = refusal or reference_refusal(sequence, SweepsOfOpenBag(sweeps, bag))
+    return (*sequence.findings, *(() if refusal is None else (_refused(refusal, "error"),)))
 
 
 def stood_in(
