@@ -4,6 +4,7 @@ from collections.abc import Iterator, Mapping
 from contextlib import contextmanager
 from dataclasses import replace
 from pathlib import Path
+from shlex import quote
 from typing import Annotated, Any, Literal
 
 import typer
@@ -109,7 +110,7 @@ def init(
     typer.echo(f"Calibration: {output}")
     for key in template.missing:
         typer.echo(f"fill in: {key}")
-    typer.echo(f"Then: stone calibration check {output} --bag {bag}")
+    typer.echo(f"Then: stone calibration check {quote(str(output))} --bag {quote(str(bag))}")
 
 
 @calibration.command("show")
