@@ -10,11 +10,11 @@ from shlex import quote
 from xml.parsers import expat
 
 import numpy as np
-from scipy.spatial.transform import Rotation
 
 from stone.errors import Refused
 from stone.findings import Finding
 from stone.sensors.calibration_checks import Findings, rotation_and_translation
+from stone_recordings.calibrations.autoware import rotation_from_rpy
 from stone_recordings.calibrations.errors import bad_calibration_key
 from stone_recordings.calibrations.part import LONGEST_NAME, CalibrationPart, Edge, Node
 
@@ -37,7 +37,7 @@ def urdf(file: str, content: bytes) -> CalibrationPart:
         if parents.setdefault(child, joint["name"]) != joint["name"]:
             raise bad_calibration_key(file, f"joint {joint['name']}", f"the link {child!r} has two parents", 0)
         rpy, xyz = (_three(file, joint, key) for key in ("rpy", "xyz"))
-        rotation = Rotation.from_euler("xyz", rpy).as_matrix()
+        rotation = rotation_from_rpy(*rpy.tolist())
         parent_from_child, noticed = rotation_and_translation(child, rotation, xyz)
         edges.append(Edge(parent, child, parent_from_child))
         findings += noticed

@@ -152,8 +152,9 @@ def test_cycles_that_are_made_later_are_freed_before_some_hundred_requests_have_
 @pytest.mark.whole
 def test_a_process_that_answers_keeps_what_it_has_loaded_which_is_neither_solver_nor_plots() -> None:
     asked = (
-        "import gc, sys, api.main as m; m.use_fork_server = m.setup_tracing = lambda *_: None;"
-        "from types import SimpleNamespace as N; m.told(N(state=N(meters=N(keep_writing=lambda: None))));"
+        "from types import SimpleNamespace as N; import gc, sys, api.main as m; m.setup_tracing = lambda *_: None;"
+        "m.use_fork_server = lambda *_: N(ensure_running=lambda: None);"
+        "m.told(N(state=N(meters=N(keep_writing=lambda: None))));"
         "print(gc.get_freeze_count(), *{'scipy', 'matplotlib', 'numba', 'open3d'} & {*sys.modules})"
     )
     count, *loaded = subprocess.run([sys.executable, "-c", asked], check=True, capture_output=True).stdout.split()

@@ -16,6 +16,8 @@ from stone.errors import StoneError
 from stone.findings import Finding
 from stone_recordings.bags.bag import Bag
 from stone_recordings.bags.errors import ChecksumError
+from stone_recordings.clocks import point_clock
+from stone_recordings.sync import radar_check
 from stone_recordings.sync.sequence_file import read_sequence
 from testing.refusals import refused_as
 from testing.worlds.drives import SEEN_BY_CAMERAS, drive
@@ -90,8 +92,15 @@ def test_damage_where_no_sweep_lies_is_found_late_and_a_sound_recording_is_opene
 
 
 @pytest.mark.whole
-def test_a_chunk_that_a_worker_finds_damaged_while_it_fuses_is_left_out_the_second_time(tmp_path: Path) -> None:
-    """Catches alone labels that fail, or lack a finding, where the heads of a chunk are sound and its sweep is not."""
+def test_a_chunk_that_a_worker_finds_damaged_while_it_fuses_is_left_out_the_second_time(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    """Catches alone labels that fail, or lack a finding, where the heads of a chunk are sound and its sweep is not.
+
+    Few sweeps and no scans are looked at before, so that none is of that chunk.
+    """
+    monkeypatch.setattr(point_clock, "SWEEP_SAMPLES", 5)
+    monkeypatch.setattr(radar_check, "MOST_TRIED", 1)
     bag, calibration = tmp_path / "run.mcap", calibration_path(tmp_path / "run.mcap")
     simulate(
         bag, SimulateOptions(1.2, channels=128, columns=1200, camera_width_px=64, world_width_m=30.0, speed_m_s=3.0)

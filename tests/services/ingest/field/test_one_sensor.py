@@ -123,9 +123,11 @@ CASES: Mapping[str, Broken] = {
     "one empty picture": Broken(CAMERA, at_third(packed(lambda _t: b""), JPEG), "none", is_once=True),
     "radar of integers": Broken(RADAR, radar_cloud(INTEGERS), "floats"),
     "radar without places": Broken(RADAR, radar_cloud(LETTERS), "floats"),
-    "radar of a wrong layout": Broken(RADAR, radar_cloud(point_step=3), "point_step"),
+    "radar of a wrong layout": Broken(RADAR, radar_cloud(point_step=17, row_step=3), "17 bytes"),
     "empty radar messages": Broken(RADAR, bare(CLOUD, b""), "0 bytes"),
-    "one wrong scan": Broken(RADAR, at_third(radar_cloud(point_step=3), radar_cloud()), "point_step", is_once=True),
+    "one wrong scan": Broken(
+        RADAR, at_third(radar_cloud(point_step=17, row_step=3), radar_cloud()), "17 bytes", is_once=True
+    ),
     "one scan of integers": Broken(RADAR, at_third(radar_cloud(INTEGERS), radar_cloud()), "floats", is_once=True),
     "radar that sees nothing": Broken(RADAR, radar_cloud(count=0), "", is_once=True),
     "radar list that is cut": Broken(RADAR, cut_scan, "radar_msgs/msg/RadarScan"),
@@ -133,7 +135,7 @@ CASES: Mapping[str, Broken] = {
     "empty IMU messages": Broken("/imu/data", bare("sensor_msgs/msg/Imu", b""), "0 bytes"),
     "empty static transforms": Broken("/tf_static", bare("tf2_msgs/msg/TFMessage", b""), "0 bytes"),
     "empty intrinsics": Broken("/cam_front/camera_info", bare("sensor_msgs/msg/CameraInfo", b""), "0 bytes"),
-    "another LiDAR of a wrong layout": Broken(REAR, radar_cloud(point_step=3), "point_step"),
+    "another LiDAR of a wrong layout": Broken(REAR, radar_cloud(point_step=17, row_step=3), "17 bytes"),
 }
 RETURN = "float32 range\nfloat32 azimuth\nfloat32 elevation\nfloat32 doppler_velocity\nfloat32 amplitude\n"
 SCAN = (
