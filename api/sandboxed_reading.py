@@ -1,4 +1,4 @@
-"""What sandboxed children of the API do: read a calibration or a class map that a stranger brought.
+"""The work of the API's sandboxed children: they read a calibration or a class map of a stranger.
 
 **Conventions.** The fork server loads this module first, so children import nothing: importing the API's own modules
 took a child 1 to 4 s of its limits. So it imports readers alone, no route, view, domain or database.

@@ -31,7 +31,7 @@ SEED_POINTS, WIDTH_PX, HEIGHT_PX = 12, 6, 5
 
 
 def read_points(content: bytes) -> None:
-    """What its head tells, and its points."""
+    """Read the head of a message, then its points."""
     if not content:
         return
     payload, type_name = memoryview(content[1:]), TYPES[content[0] % len(TYPES)]
@@ -46,7 +46,7 @@ def read_points(content: bytes) -> None:
 
 
 def read_raw_picture(content: bytes) -> None:
-    """What its head tells, and its pixels."""
+    """Read the head of a picture, then its pixels."""
     payload = memoryview(content)
     picture_problem(payload, IMAGE, partial(len, payload))
     picture_of(IMAGE, payload, 320)

@@ -36,7 +36,7 @@ def chosen_clock_offsets(choices: Sequence[str]) -> dict[str, int]:
 
 
 def clock_offsets_body(choices: Sequence[str]) -> dict[str, dict[str, str]]:
-    """What a request to process says of them, to the nanosecond. Raises `typer.BadParameter`."""
+    """Return the offsets as a request to process has them, to the nanosecond. Raises `typer.BadParameter`."""
     offsets_ns = chosen_clock_offsets(choices)
     return (
         {"clock_offsets_s": {name: str(Decimal(ns).scaleb(-9)) for name, ns in offsets_ns.items()}}

@@ -105,7 +105,7 @@ class JsonStream:
         return DatasetFaultError("DST-011", DatasetPlace(self.name, row), what, likely)
 
     def _malformed_at(self, error: ValueError, row: int | None) -> DatasetFaultError:
-        """What the decoder found, and whether the file ends there or Python's repr stands there."""
+        """Return the decoder's fault, and whether the file ends there or holds Python's repr."""
         at = getattr(error, "pos", 0)
         is_cut = self._is_whole and ("Unterminated" in str(error) or not self._text[at : at + 2].strip())
         is_repr = self._text.startswith(OF_PYTHON, at)

@@ -133,7 +133,7 @@ class _Arrays:
         return self._whole(member, packed, start)
 
     def _turned(self, shape: tuple[int, ...]) -> str:
-        """What makes the grid of an array of this shape, "" if its axes are not merely in another order."""
+        """Return the call that makes the grid of an array of this shape; "" unless only its axes are turned."""
         x, y, z = self.grid.shape
         step = {
             (z, x, y): "grid.transpose(1, 2, 0) if its axes are z, x, y; grid.transpose(2, 1, 0) if z, y, x",

@@ -87,7 +87,7 @@ def strangers(stamps: Stamps, *, has_dated: bool, has_undated: bool) -> Iterator
 
 
 def wrong_unit(unit: StampUnit) -> str:
-    """What a stamp of this unit is, and how it becomes microseconds."""
+    """Return the name of a stamp of this unit, and how it becomes microseconds."""
     return f"{unit.name} instead of whole microseconds: {unit.mended}"
 
 

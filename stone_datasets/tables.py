@@ -153,7 +153,7 @@ def _read_table(files: DatasetFiles, tables: DatasetTables, what: tuple[str, Add
 
 
 def _check_clocks(tables: DatasetTables, faults: DatasetFaults) -> None:
-    """Of each scene the stamps of its frames, then the stamps of all data and poses against those of frames."""
+    """Check the stamps of each scene's frames, then those of all data and poses against them."""
     samples, has = tables.samples, dict[bool, bool]()
     stamps_us, scenes = samples.stamp_us.array(np.int64), samples.scene.array(np.int64)
     order = np.argsort(scenes, kind="stable")

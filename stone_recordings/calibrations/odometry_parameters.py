@@ -47,7 +47,7 @@ def is_odometry_camera(content: dict[str, object]) -> bool:
 
 
 def odometry(document: Node) -> CalibrationPart:
-    """Where LiDAR, IMU and camera sit on each other, as far as the file says it."""
+    """Return the extrinsics of LiDAR, IMU and camera that the file has."""
     edges, findings, form = list[Edge](), Findings(), "fast_lio"
     for group in _groups(document):
         for parent, child, keys in (

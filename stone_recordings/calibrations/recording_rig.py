@@ -36,7 +36,7 @@ def recorded_part(bag: Bag) -> CalibrationPart:
 
 
 def recorded_facts(bag: Bag) -> CalibrationPart:
-    """What a recording says of its rig, if anything. Raises what decoding (BAG-*, MSG-*) and the lenses raise."""
+    """Return the facts of its rig that a recording holds. Raises what decoding (BAG-*, MSG-*) and the lenses raise."""
     topics = [topic for topic in bag.topics if topic.count and topic.encoding == "cdr"]
     static = [topic.name for topic in topics if topic.type == tf.TYPE and topic.name.endswith(TF_STATIC)]
     cameras = [topic.name for topic in topics if topic.type == camera_info.TYPE]

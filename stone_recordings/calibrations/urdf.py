@@ -1,8 +1,8 @@
 """URDF: a robot's links and the joints between them, whose origins are the extrinsics.
 
 **Conventions.** A joint's `origin` is `parent_from_child` with the joint at zero, metres, and rpy about fixed axes: the
-rotation is Rz(yaw) · Ry(pitch) · Rx(roll). Movable joints are read at zero, with a finding. Frames of sensors are told
-by their names, as in tf_static. XML is hostile: no document type, no entities, bounded depth and number of joints.
+rotation is Rz(yaw) · Ry(pitch) · Rx(roll). Movable joints are read at zero, with a finding. Names of frames
+show their sensors, as in tf_static. XML is hostile: no document type, no entities, bounded depth and number of joints.
 What xacro has not expanded is refused with the command that does. Source: wiki.ros.org/urdf/XML/joint.
 """
 

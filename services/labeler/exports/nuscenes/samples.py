@@ -83,7 +83,7 @@ def sample_file(samples: SampleSource, channel: NuscenesChannel, place: int) -> 
 def _write_frame(
     samples: SampleSource, plan: NuscenesPlan, index: int, to: tuple[Path, Mapping[str, NuscenesTableWriter]]
 ) -> dict[str, tuple[str, str]]:
-    """What is written of a frame; by its token, the planned neighbours of each datum that cannot be read."""
+    """The rows that are written of a frame; by its token, the planned neighbours of each datum that cannot be read."""
     out, tables = to
     frames, gone = plan.sequence.frames, dict[str, tuple[str, str]]()
     token = frames.tokens[index]
