@@ -3,7 +3,7 @@
 **Conventions.** `results.T_lidar_camera` is [x, y, z, qx, qy, qz, qw] and maps camera to LiDAR coordinates
 (`p_lidar = T_lidar_camera * p_camera`), z forward in the camera. Without it the initial guesses are no calibration.
 `intrinsics` are fx, fy, cx, cy; `fisheye` is OpenCV's, ROS's equidistant. The size of images is not in the file.
-Source: koide3/direct_visual_lidar_calibration, docs/programs.md and src/calibrate.cpp.
+Source: koide3/direct_visual_lidar_calibration, its page "Programs" and src/calibrate.cpp.
 """
 
 import numpy as np

@@ -80,13 +80,16 @@ class PromptServer(uvicorn.Server):
         telling.cancel()
 
     async def shutdown(self, sockets: list[socket.socket] | None = None) -> None:
-        if self.server_state.connections or self.server_state.tasks:
-            await super().shutdown(sockets)
-            return
         for server in self.servers:
             server.close()
         for listening in sockets or []:
             listening.close()
+        # A connection that was accepted last is not among `connections` yet. If it outlived the loop, its client would
+        # get 400 from a handler whose loop is closed.
+        await asyncio.sleep(0)
+        await asyncio.sleep(0)
+        if self.server_state.connections or self.server_state.tasks:
+            await super().shutdown(sockets)
 
     def end(self) -> None:
         self._loop.call_soon_threadsafe(self._told.set)
