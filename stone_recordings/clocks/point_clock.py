@@ -183,6 +183,8 @@ def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
 def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
     """Return the clock that the sweeps agree on, and the point that stamps are of: the headers' own if it may be."""
     certain = [one for one in ends if _is_certain(one.stamp_ns)]
+    if len(certain) < LEAST_SWEEPS and not _are_relative(ends):
+        certain = list(ends)  # of a run so short that its clock had just begun all the time
     if len(certain) < LEAST_SWEEPS:
         return None, ""
     word_ns = certain[0].word_ns
@@ -195,16 +197,30 @@ def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, s
     """Return the clock of a period, or of none, that nearly all sweeps agree on."""
     if period_ns and any(one.first_ns < 0 or one.last_ns > period_ns for one in ends):
         return None, ""
-    length_ns = int(np.median([one.last_ns - one.first_ns for one in ends]))
+    length_ns = _length_ns(ends)
     starts_ns, first = [one.first_ns - one.stamp_ns for one in ends], ends[0].stamp_ns
     apart = np.array([apart_ns(start - starts_ns[0], period_ns) for start in starts_ns], np.int64)
     after_ns = np.array([one.stamp_ns - first for one in ends], np.int64)
     drift = _drift(after_ns, apart)
     level = apart - drift * after_ns
-    if np.mean(np.abs(level - np.median(level)) <= AGREEING_SWEEPS * length_ns) < LEAST_AGREEING:
+    if not _agree(level, length_ns):
         return None, ""
     clock = PointClock(starts_ns[0] + round(float(np.median(level))), period_ns, drift, first)
     return _of_stamps(ends, clock, length_ns)
+
+
+def _are_relative(ends: Sequence[_Ends]) -> bool:
+    """Whether sweeps begin at one time by their points, as those do whose times are relative to the stamp."""
+    return not ends or _agree(np.array([one.first_ns for one in ends], np.float64), _length_ns(ends))
+
+
+def _length_ns(ends: Sequence[_Ends]) -> int:
+    return int(np.median([one.last_ns - one.first_ns for one in ends]))
+
+
+def _agree(begin_ns: NDArray[np.float64], length_ns: int) -> bool:
+    """Whether nearly all of the times (N,) are within a part of a sweep of their median."""
+    return bool(np.mean(np.abs(begin_ns - np.median(begin_ns)) <= AGREEING_SWEEPS * length_ns) >= LEAST_AGREEING)
 
 
 def _drift(after_ns: NDArray[np.int64], apart_ns: NDArray[np.int64]) -> float:

@@ -81,10 +81,14 @@ class FieldTopic(NamedTuple):
 
 @dataclass(frozen=True)
 class FieldDrive:
-    """The messages of one drive; `begin_s` is when its stamps begin, and `definitions` describe further types."""
+    """The messages of one drive of so many sweeps; `begin_s` is when its stamps begin.
+
+    `definitions` describe further types of messages.
+    """
 
     begin_s: float = BEGIN_S
     definitions: tuple[tuple[str, str], ...] = ()
+    sweeps: int = SWEEPS
     store: Typestore = field(
         init=False, repr=False, compare=False, default_factory=lambda: get_typestore(Stores.ROS2_HUMBLE)
     )
@@ -179,7 +183,7 @@ class FieldDrive:
         run = folder / "run"
         with Writer(run, version=9, storage_plugin=StoragePlugin.MCAP) as writer:
             for topic in topics:
-                times = np.arange(-topic.lead_s, SWEEPS * SWEEP_S + topic.lead_s - 1e-9, topic.step_s).tolist()
+                times = np.arange(-topic.lead_s, self.sweeps * SWEEP_S + topic.lead_s - 1e-9, topic.step_s).tolist()
                 recorded = [(t, message) for t in times if (message := topic.message(t)) is not None]
                 kind = recorded[0][1].__msgtype__
                 connection = writer.add_connection(topic.name, kind, typestore=self.store)

@@ -17,6 +17,7 @@ from testing.worlds.field.outcome import FieldOutcome, labelled_frames, occupied
 pytestmark = pytest.mark.whole
 
 LEAST_IOU = 0.97
+SWEEPS = 16
 BOOT_S, LONG_AGO_S = 668.4, 1_577_836_800.25  # 2020-01-01
 HOUR_S = 3600.0
 
@@ -47,7 +48,11 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
     def of(late: float) -> Path:
         if late not in made:
             made[late] = tmp_path_factory.mktemp("sound")
-            found_of(made[late], FieldDrive(), partial(recorded, FieldDrive(), "f8", 1.0, BEGIN_S, late))
+            found_of(
+                made[late],
+                FieldDrive(sweeps=SWEEPS),
+                partial(recorded, FieldDrive(sweeps=SWEEPS), "f8", 1.0, BEGIN_S, late),
+            )
         return made[late] / "labels"
 
     return of
@@ -70,16 +75,16 @@ def test_points_and_headers_of_one_clock_are_read_whatever_it_counts_from(
     tmp_path: Path, sound: Any, case: str
 ) -> None:
     code, unit_s, points_s, begin_s, late = ONE_CLOCK[case]
-    drive = FieldDrive(begin_s)
+    drive = FieldDrive(begin_s, sweeps=SWEEPS)
     found = found_of(tmp_path, drive, partial(recorded, drive, code, unit_s, points_s, late))
     assert (found.refusal, found.errors) == ("", [])
     assert not found.codes & {"TOP-102", "MSG-321", "MSG-322", "TIM-220", "TIM-202"}
-    assert len(labelled_frames(tmp_path / "labels")) == 40
+    assert len(labelled_frames(tmp_path / "labels")) == SWEEPS
     assert occupied_iou(tmp_path / "labels", sound(late)) >= LEAST_IOU
 
 
 def test_microseconds_begin_anew_within_a_sweep_at_the_hour(tmp_path: Path, sound: Any) -> None:
-    drive = FieldDrive(HOUR_S * 472_222 - 1.04)
+    drive = FieldDrive(HOUR_S * 472_222 - 1.04, sweeps=SWEEPS)
 
     def message(t: float) -> Any:
         points, after_s = drive.points(t, record_of("u4"))
@@ -108,7 +113,7 @@ def test_points_of_another_clock_are_read_by_the_constant_between_the_two(
 ) -> None:
     """The recorder has a sweep 110 ms after its first point, whatever its stamp is of."""
     code, unit_s, points_s, late = TWO_CLOCKS[case]
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=SWEEPS)
     found = found_of(tmp_path, drive, partial(recorded, drive, code, unit_s, points_s, late))
     assert (found.refusal, found.errors) == ("", [])
     for codes in (found.codes, {finding.code for finding in found.label_findings}):
@@ -116,12 +121,12 @@ def test_points_of_another_clock_are_read_by_the_constant_between_the_two(
         assert not codes & {"TOP-102", "MSG-321", "MSG-322"}
     point = "last" if late else "first"
     assert f"the {point} point of a sweep is taken to be at its stamp" in found.messages("TIM-220")
-    assert len(labelled_frames(tmp_path / "labels")) == 40
+    assert len(labelled_frames(tmp_path / "labels")) == SWEEPS
     assert occupied_iou(tmp_path / "labels", sound(late)) >= LEAST_IOU
 
 
 def test_points_of_no_constant_clock_and_dates_in_four_bytes_are_named(tmp_path: Path) -> None:
-    drive, rng = FieldDrive(), np.random.default_rng(1)
+    drive, rng = FieldDrive(sweeps=SWEEPS), np.random.default_rng(1)
     wild = found_of(tmp_path / "wild", drive, lambda t: recorded(drive, "f8", 1.0, BOOT_S + rng.uniform(0, 9), 0.0, t))
     assert "another clock" in wild.messages("TOP-102")
     coarse = found_of(tmp_path / "coarse", drive, partial(recorded, drive, "f4", 1.0, BEGIN_S, 0.0))
