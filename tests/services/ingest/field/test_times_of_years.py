@@ -14,6 +14,7 @@ from testing.worlds.field.outcome import labelled, labelled_frames, occupied_iou
 
 pytestmark = pytest.mark.whole
 
+SWEEPS = 20
 LEAST_IOU = 0.97
 GRAIN_NS = 512  # of the drive's own stamps, which are made of seconds in eight bytes
 YEARS_S = -110_054_594.75
@@ -22,14 +23,14 @@ OPTION, ENTRY = re.compile(r"--time-offset (\S+)"), re.compile(r"calibration wit
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive()
+    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive(sweeps=SWEEPS)
     run, calibration = drive.write(folder, drive.lidar_topic(), drive.odometry_topic())
     assert not outcome_of(run, calibration, folder / "labels").errors
     return folder / "labels"
 
 
 def topics_of(off: FieldDrive, which: str) -> tuple[FieldTopic, ...]:
-    right = FieldDrive()
+    right = FieldDrive(sweeps=SWEEPS)
     return tuple(getattr(off if name in which else right, f"{name}_topic")() for name in ("lidar", "odometry"))
 
 
@@ -46,7 +47,7 @@ CASES = {
 @pytest.mark.parametrize("case", CASES)
 def test_the_advice_of_a_finding_is_accepted_and_right(tmp_path: Path, sound: Path, case: str) -> None:
     which, begin_s = CASES[case]
-    run, calibration = FieldDrive().write(tmp_path, *topics_of(FieldDrive(begin_s), which))
+    run, calibration = FieldDrive(sweeps=SWEEPS).write(tmp_path, *topics_of(FieldDrive(begin_s, sweeps=SWEEPS), which))
     found = outcome_of(run, calibration, tmp_path / "before")
     assert found.refusal == "SYN-501"
     advised = {option for code in ("TIM-202", "SYN-501") for option in OPTION.findall(found.messages(code))}
@@ -54,12 +55,14 @@ def test_the_advice_of_a_finding_is_accepted_and_right(tmp_path: Path, sound: Pa
     options = SynchroniseOptions(time_offsets_ns=chosen_offsets(sorted(advised)))
     after = outcome_of(run, calibration, tmp_path / "after", options)
     assert (after.refusal, after.errors) == ("", [])
-    assert len(labelled_frames(tmp_path / "after")) == 40
+    assert len(labelled_frames(tmp_path / "after")) == SWEEPS
     assert occupied_iou(tmp_path / "after", sound) >= LEAST_IOU
 
 
 def test_the_entry_of_the_calibration_is_right_to_the_nanosecond(tmp_path: Path, sound: Path) -> None:
-    run, calibration = FieldDrive().write(tmp_path, *topics_of(FieldDrive(BEGIN_S + YEARS_S), "lidar"))
+    run, calibration = FieldDrive(sweeps=SWEEPS).write(
+        tmp_path, *topics_of(FieldDrive(BEGIN_S + YEARS_S, sweeps=SWEEPS), "lidar")
+    )
     found = outcome_of(run, calibration, tmp_path / "before")
     entry = ENTRY.search(found.messages("TIM-202"))
     assert entry is not None
@@ -78,7 +81,7 @@ def test_sweeps_before_a_clock_was_set_are_left_out_and_the_others_are_labelled(
     tmp_path: Path, are_poses_too: bool
 ) -> None:
     """The clock is set after a second; where the poses' is the same one, nothing is left out."""
-    right, unset = FieldDrive(), FieldDrive(30.5)
+    right, unset = FieldDrive(sweeps=SWEEPS), FieldDrive(30.5, sweeps=SWEEPS)
 
     def of(topic: str, t: float) -> Any:
         drive = unset if t < 1.0 else right
@@ -93,4 +96,4 @@ def test_sweeps_before_a_clock_was_set_are_left_out_and_the_others_are_labelled(
     assert (found.refusal, found.errors) == ("", [])
     assert found.codes & {"TIM-211", "SYN-501"}
     frames = len(labelled_frames(tmp_path / "labels"))
-    assert frames >= 38 if are_poses_too else frames == 30
+    assert frames >= SWEEPS - 2 if are_poses_too else frames == SWEEPS - 10
