@@ -25,6 +25,7 @@ PRELOAD = [
     "services.runtime.one_thread",
     "services.runtime.processes.seldom_collected",
     "services.labeler.kernel_warmup",
+    "services.labeler.previews.preview_files",  # matplotlib: a CPU second for each worker that draws otherwise
 ]
 
 
