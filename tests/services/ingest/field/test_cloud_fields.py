@@ -13,13 +13,14 @@ from testing.worlds.field.outcome import labelled, labelled_frames, occupied_iou
 
 pytestmark = pytest.mark.whole
 
+SWEEPS = 16
 POINTS, STEP = RINGS * COLUMNS, VELODYNE.itemsize
 Declared = Callable[[int], dict[str, Any]]
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive()
+    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive(sweeps=SWEEPS)
     run, calibration = drive.write(folder, drive.lidar_topic(), drive.odometry_topic())
     assert not outcome_of(run, calibration, folder / "labels").errors
     return folder / "labels"
@@ -46,14 +47,14 @@ DECLARED: dict[str, Declared] = {
 
 @pytest.mark.parametrize("case", DECLARED)
 def test_what_the_bytes_refute_is_ignored(tmp_path: Path, sound: Path, case: str) -> None:
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=SWEEPS)
     lidar = drive.lidar_topic()._replace(message=lambda t: drive.velodyne(t, **DECLARED[case](round(t * 10))))
     run, calibration = drive.write(tmp_path, lidar, drive.odometry_topic())
     found = outcome_of(run, calibration, tmp_path / "labels")
     assert (found.refusal, found.errors) == ("", [])
     assert "MSG-320" in {finding.code for finding in found.label_findings} or "one of" in case
     assert not found.codes & {"MSG-303", "MSG-312"}
-    assert len(labelled_frames(tmp_path / "labels")) == 40
+    assert len(labelled_frames(tmp_path / "labels")) == SWEEPS
     assert occupied_iou(tmp_path / "labels", sound) == pytest.approx(1.0)
 
 
@@ -61,7 +62,7 @@ def test_fields_that_are_declared_twice_or_of_no_type_are_ignored_and_the_rest_i
     tmp_path: Path, sound: Path
 ) -> None:
     """Counts of 0, points without a return in a dense cloud, and padding behind a point are as other drivers write."""
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=SWEEPS)
     names = list(VELODYNE.names or ())
     fields_at = [*(VELODYNE.fields or {}).values()]
     formats, offsets = [one[0] for one in fields_at], [one[1] for one in fields_at]
@@ -86,7 +87,7 @@ def test_fields_that_are_declared_twice_or_of_no_type_are_ignored_and_the_rest_i
 
 
 def test_clouds_whose_bytes_leave_a_doubt_are_left_out_and_counted(tmp_path: Path) -> None:
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=SWEEPS)
 
     def message(t: float) -> Any:
         cloud = drive.velodyne(t)
@@ -97,5 +98,5 @@ def test_clouds_whose_bytes_leave_a_doubt_are_left_out_and_counted(tmp_path: Pat
     run, calibration = drive.write(tmp_path, drive.lidar_topic()._replace(message=message), drive.odometry_topic())
     found = labelled(run, calibration, tmp_path / "labels", SynchroniseOptions())
     assert found.refusal == ""
-    assert "10 of 40 sweeps" in " ".join(one.message for one in found.label_findings if one.code == "MSG-303")
-    assert len(labelled_frames(tmp_path / "labels")) == 30
+    assert f"4 of {SWEEPS} sweeps" in " ".join(one.message for one in found.label_findings if one.code == "MSG-303")
+    assert len(labelled_frames(tmp_path / "labels")) == SWEEPS - 4

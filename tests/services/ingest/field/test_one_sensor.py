@@ -1,7 +1,8 @@
-"""A sensor that cannot be read costs itself: labels are those without it, and every export is written."""
+"""Sensors that cannot be read cost themselves: labels are those without them, and every export is written."""
 
 from collections.abc import Callable, Mapping
 from dataclasses import dataclass
+from functools import partial
 from io import BytesIO
 from pathlib import Path
 from typing import Any
@@ -13,29 +14,38 @@ from PIL import Image
 from services.labeler.exports.folder import ExportRequest, export
 from services.labeler.exports.registry import EXPORTERS
 from services.labeler.exports.source import folder_source, read_report
-from stone.findings import Finding
 from stone_datasets.reading import check_dataset
 from stone_recordings.bags.bag import open_bag
 from stone_recordings.report.inspection import inspect_in
 from stone_recordings.report.previews.pictures import previews_of
 from stone_recordings.report.quality.report import quality_of
 from stone_recordings.sync.samples import checked_samples
-from testing.worlds.field import drive as field_drive
 from testing.worlds.field.drive import BareMessage, FieldDrive, FieldTopic
 from testing.worlds.field.outcome import FieldOutcome, labelled_frames, outcome_of
+
+pytestmark = pytest.mark.whole
 
 SWEEPS = 8
 WIDTH_PX, HEIGHT_PX = 64, 48
 IMAGE, PACKED, CLOUD = "sensor_msgs/msg/Image", "sensor_msgs/msg/CompressedImage", "sensor_msgs/msg/PointCloud2"
-CAMERA, RADAR, REAR = "/cam_front/image", "/radar_front/points", "/lidar_rear/points"
-SENSORS = (
-    "{CAM_FRONT: {kind: camera, frame_id: cam_front, lidar_from_sensor: {translation_m: [0.2, 0, -0.1], "
+SIDES = ("a", "b", "c", "d", "e")  # a side of the robot in the name would be compared with the mount
+RADARS = ("front", "left", "right")
+SOUND = "/cam_sound/image"
+CAMERA_IN_RIG = (
+    "{kind: camera, frame_id: %s, lidar_from_sensor: {translation_m: [0.2, 0, -0.1], "
     "rotation_wxyz: [0.5, -0.5, 0.5, -0.5]}, intrinsics: {model: plumb_bob, width_px: 64, height_px: 48, fx_px: 40, "
-    "fy_px: 40, cx_px: 32, cy_px: 24, distortion: [0, 0, 0, 0, 0]}}, RADAR_FRONT: {kind: radar, frame_id: radar_front, "
-    "lidar_from_sensor: {translation_m: [0.3, 0, -0.3], rotation_wxyz: [1, 0, 0, 0]}}}"
+    "fy_px: 40, cx_px: 32, cy_px: 24, distortion: [0, 0, 0, 0, 0]}}"
 )
+RADAR_IN_RIG = (
+    "{kind: radar, frame_id: %s, lidar_from_sensor: {translation_m: [0.3, 0, -0.3], rotation_wxyz: [1, 0, 0, 0]}}"
+)
+FRAMES = {
+    **{f"cam_{side}": CAMERA_IN_RIG for side in (*SIDES, "sound")},
+    **{f"radar_{side}": RADAR_IN_RIG for side in RADARS},
+}
+SENSORS = "{" + ", ".join(f"{frame.upper()}: {form % frame}" for frame, form in FRAMES.items()) + "}"
 RADAR_POINT = np.dtype([("x", "f4"), ("y", "f4"), ("z", "f4"), ("v", "f4"), ("rcs", "f4")])
-Message = Callable[[FieldDrive, float], Any]
+Message = Callable[[FieldDrive, float, str], Any]  # of a drive, at a time, in a frame
 
 
 def encoded(t: float, kind: str) -> bytes:
@@ -46,17 +56,17 @@ def encoded(t: float, kind: str) -> bytes:
 
 
 def raw(encoding: str = "rgb8", step: int = 3 * WIDTH_PX, size: tuple[int, int] = (HEIGHT_PX, WIDTH_PX)) -> Message:
-    def message(drive: FieldDrive, t: float) -> Any:
+    def message(drive: FieldDrive, t: float, frame: str) -> Any:
         data = np.full(size[0] * step, 90, np.uint8)
-        return drive.of(IMAGE, drive.header(t + 0.02, "cam_front"), *size, encoding, 0, step, data)
+        return drive.of(IMAGE, drive.header(t + 0.02, frame), *size, encoding, 0, step, data)
 
     return message
 
 
 def packed(of: Callable[[float], bytes], text: str = "jpeg") -> Message:
-    def message(drive: FieldDrive, t: float) -> Any:
+    def message(drive: FieldDrive, t: float, frame: str) -> Any:
         data = np.frombuffer(of(t), np.uint8)
-        return drive.of(PACKED, drive.header(t + 0.02, "cam_front"), text, data)
+        return drive.of(PACKED, drive.header(t + 0.02, frame), text, data)
 
     return message
 
@@ -67,30 +77,30 @@ def short_jpeg(t: float) -> bytes:
 
 
 def bare(kind: str, content: bytes) -> Message:
-    return lambda _drive, _t: BareMessage(kind, content)
+    return lambda _drive, _t, _frame: BareMessage(kind, content)
 
 
 def at_third(broken: Message, sound: Message) -> Message:
-    return lambda drive, t: (broken if round(t * 10) == 3 else sound)(drive, t)
+    return lambda drive, t, frame: (broken if round(t * 10) == 3 else sound)(drive, t, frame)
 
 
 def radar_cloud(record: np.dtype[Any] = RADAR_POINT, count: int = 30, **other: Any) -> Message:
-    def message(drive: FieldDrive, t: float) -> Any:
+    def message(drive: FieldDrive, t: float, frame: str) -> Any:
         points = np.zeros(count, record)
         for number, name in enumerate(name for name in ("x", "y", "z") if name in (record.names or ())):
             points[name] = np.arange(count) % 7 + 2 + number
-        return drive.cloud(t, points, "radar_front", **other)
+        return drive.cloud(t, points, frame, **other)
 
     return message
 
 
-def radar_scan(drive: FieldDrive, t: float) -> Any:
+def radar_scan(drive: FieldDrive, t: float, frame: str) -> Any:
     one = drive.of("radar_msgs/msg/RadarReturn", 9.0, 0.1, 0.0, 1.0, 12.0)
-    return drive.of("radar_msgs/msg/RadarScan", drive.header(t, "radar_front"), [one] * 9)
+    return drive.of("radar_msgs/msg/RadarScan", drive.header(t, frame), [one] * 9)
 
 
-def cut_scan(drive: FieldDrive, t: float) -> Any:
-    whole = drive.store.serialize_cdr(radar_scan(drive, t), "radar_msgs/msg/RadarScan")
+def cut_scan(drive: FieldDrive, t: float, frame: str) -> Any:
+    whole = drive.store.serialize_cdr(radar_scan(drive, t, frame), "radar_msgs/msg/RadarScan")
     return BareMessage("radar_msgs/msg/RadarScan", bytes(whole)[:-30])
 
 
@@ -101,41 +111,81 @@ LETTERS = np.dtype([("a", "f4"), ("rcs", "f4")])
 
 @dataclass(frozen=True)
 class Broken:
-    """A topic whose messages cannot be read, all or one of them, and a word of what is said of it ("" for nothing)."""
+    """A sensor whose messages cannot be read, all or one of them, and a word of its finding ("" for no finding)."""
 
-    topic: str
     message: Message
     word: str
+
+
+@dataclass(frozen=True)
+class BrokenRig:
+    """A recording of many broken sensors: cameras and radars of the rig in order, and topics beside them.
+
+    `is_once` if a camera lacks single pictures only, so that `mask_camera` depends on its others.
+    """
+
+    cameras: tuple[Broken, ...]
+    radars: tuple[Broken, ...]
+    others: Mapping[str, Broken]
     is_once: bool = False
 
+    @property
+    def topics(self) -> dict[str, Broken]:
+        cameras = {f"/cam_{side}/image": one for side, one in zip(SIDES, self.cameras, strict=False)}
+        return (
+            cameras
+            | {f"/radar_{side}/points": one for side, one in zip(RADARS, self.radars, strict=True)}
+            | {**self.others}
+        )
 
-CASES: Mapping[str, Broken] = {
-    "encoding that is not read": Broken(CAMERA, raw("yuv444_strange"), "yuv444_strange"),
-    "depth": Broken(CAMERA, raw("32FC1", 4 * WIDTH_PX), "distances"),
-    "no pixels": Broken(CAMERA, raw(size=(0, 0)), "0 × 0"),
-    "video": Broken(CAMERA, packed(lambda _t: b"\0\0\0\1\x67" + bytes(90), "h264"), "H.264"),
-    "empty pictures": Broken(CAMERA, packed(lambda _t: b""), "none"),
-    "empty camera messages": Broken(CAMERA, bare(IMAGE, b""), "0 bytes"),
-    "damaged PNG": Broken(CAMERA, packed(lambda t: encoded(t, "PNG")[:300]), "PNG"),
-    "damaged JPEG": Broken(CAMERA, packed(short_jpeg), "JPEG"),
-    "one damaged JPEG": Broken(CAMERA, at_third(packed(short_jpeg), JPEG), "", is_once=True),
-    "one damaged PNG": Broken(CAMERA, at_third(packed(lambda t: encoded(t, "PNG")[:300]), JPEG), "", is_once=True),
-    "one empty picture": Broken(CAMERA, at_third(packed(lambda _t: b""), JPEG), "none", is_once=True),
-    "radar of integers": Broken(RADAR, radar_cloud(INTEGERS), "floats"),
-    "radar without places": Broken(RADAR, radar_cloud(LETTERS), "floats"),
-    "radar of a wrong layout": Broken(RADAR, radar_cloud(point_step=17, row_step=3), "17 bytes"),
-    "empty radar messages": Broken(RADAR, bare(CLOUD, b""), "0 bytes"),
-    "one wrong scan": Broken(
-        RADAR, at_third(radar_cloud(point_step=17, row_step=3), radar_cloud()), "17 bytes", is_once=True
+
+RIGS = {
+    "pictures and points of no known kind": BrokenRig(
+        (
+            Broken(raw("yuv444_strange"), "yuv444_strange"),
+            Broken(raw("32FC1", 4 * WIDTH_PX), "distances"),
+            Broken(raw(size=(0, 0)), "0 × 0"),
+            Broken(packed(lambda _t: b"\0\0\0\1\x67" + bytes(90), "h264"), "H.264"),
+            Broken(packed(lambda _t: b""), "none"),
+        ),
+        (
+            Broken(radar_cloud(INTEGERS), "floats"),
+            Broken(radar_cloud(LETTERS), "floats"),
+            Broken(radar_cloud(point_step=17, row_step=3), "17 bytes"),
+        ),
+        {"/lidar_rear/points": Broken(radar_cloud(point_step=17, row_step=3), "17 bytes")},
     ),
-    "one scan of integers": Broken(RADAR, at_third(radar_cloud(INTEGERS), radar_cloud()), "floats", is_once=True),
-    "radar that sees nothing": Broken(RADAR, radar_cloud(count=0), "", is_once=True),
-    "radar list that is cut": Broken(RADAR, cut_scan, "radar_msgs/msg/RadarScan"),
-    "one radar list that is cut": Broken(RADAR, at_third(cut_scan, radar_scan), "1 of the", is_once=True),
-    "empty IMU messages": Broken("/imu/data", bare("sensor_msgs/msg/Imu", b""), "0 bytes"),
-    "empty static transforms": Broken("/tf_static", bare("tf2_msgs/msg/TFMessage", b""), "0 bytes"),
-    "empty intrinsics": Broken("/cam_front/camera_info", bare("sensor_msgs/msg/CameraInfo", b""), "0 bytes"),
-    "another LiDAR of a wrong layout": Broken(REAR, radar_cloud(point_step=17, row_step=3), "17 bytes"),
+    "messages that are empty or cut": BrokenRig(
+        (
+            Broken(bare(IMAGE, b""), "0 bytes"),
+            Broken(packed(lambda t: encoded(t, "PNG")[:300]), "PNG"),
+            Broken(packed(short_jpeg), "JPEG"),
+        ),
+        (
+            Broken(bare(CLOUD, b""), "0 bytes"),
+            Broken(cut_scan, "radar_msgs/msg/RadarScan"),
+            Broken(radar_cloud(count=0), ""),
+        ),
+        {
+            "/imu/data": Broken(bare("sensor_msgs/msg/Imu", b""), "0 bytes"),
+            "/tf_static": Broken(bare("tf2_msgs/msg/TFMessage", b""), "0 bytes"),
+            "/cam_sound/camera_info": Broken(bare("sensor_msgs/msg/CameraInfo", b""), "0 bytes"),
+        },
+    ),
+    "one message among sound ones": BrokenRig(
+        (
+            Broken(at_third(packed(short_jpeg), JPEG), ""),
+            Broken(at_third(packed(lambda t: encoded(t, "PNG")[:300]), JPEG), ""),
+            Broken(at_third(packed(lambda _t: b""), JPEG), "none"),
+        ),
+        (
+            Broken(at_third(radar_cloud(point_step=17, row_step=3), radar_cloud()), "17 bytes"),
+            Broken(at_third(radar_cloud(INTEGERS), radar_cloud()), "floats"),
+            Broken(at_third(cut_scan, radar_scan), "1 of the"),
+        ),
+        {},
+        is_once=True,
+    ),
 }
 RETURN = "float32 range\nfloat32 azimuth\nfloat32 elevation\nfloat32 doppler_velocity\nfloat32 amplitude\n"
 SCAN = (
@@ -145,56 +195,36 @@ SCAN = (
         "std_msgs/Header header\nradar_msgs/RadarReturn[] returns\n",
     ),
 )
-QUICK = ("encoding that is not read", "one damaged PNG", "radar of integers")
+
+
+def frame_of(topic: str) -> str:
+    return topic.split("/")[1]
 
 
 def written(folder: Path, topics: Mapping[str, Message]) -> tuple[Path, Path]:
-    drive = FieldDrive(definitions=SCAN)
+    drive = FieldDrive(definitions=SCAN, sweeps=SWEEPS)
 
-    def made(message: Message) -> Callable[[float], Any]:
-        return lambda t: message(drive, t)
+    def made(name: str, message: Message) -> Callable[[float], Any]:
+        return lambda t: message(drive, t, frame_of(name))
 
-    others = [FieldTopic(name, 0.1, 0.0, made(message)) for name, message in topics.items()]
+    others = [FieldTopic(name, 0.1, 0.0, made(name, message)) for name, message in topics.items()]
     return drive.write(folder, drive.lidar_topic(), drive.odometry_topic(), *others, sensors=SENSORS)
 
 
-@pytest.fixture(autouse=True)
-def short_drive(monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(field_drive, "SWEEPS", SWEEPS)
+@pytest.fixture(scope="module")
+def labels_without(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """The labels of the recording that has the sound sensors alone."""
+    folder = tmp_path_factory.mktemp("without")
+    run, calibration = written(folder, {SOUND: JPEG})
+    assert outcome_of(run, calibration, folder / "labels").refusal == ""
+    return folder / "labels"
 
 
-def exported(labels: Path, bag: Path, formats: tuple[str, ...]) -> dict[str, Path]:
-    outs = {name: labels.with_name(f"export-{name}") for name in formats}
-    for name, out in outs.items():
-        request = ExportRequest(name, out, read_report(labels))
-        export(request, lambda: folder_source(labels, checked_samples, bag), lambda _done, _total: None)
-    return outs
-
-
-def mentions(findings: tuple[Finding, ...], topic: str) -> list[Finding]:
-    return [finding for finding in findings if topic in (finding.topic, finding.message.split(" ")[0])]
-
-
-def assert_costs_itself(folder: Path, case: Broken, formats: tuple[str, ...]) -> None:
-    sound = {CAMERA: JPEG, RADAR: radar_cloud()}
-    run, calibration = written(folder / "case", {**sound, case.topic: case.message})
-    found = outcome_of(run, calibration, folder / "case" / "labels")
-    assert (found.refusal, found.errors) == ("", [])
-    named = [one for one in mentions(found.findings, case.topic) if case.word and case.word in one.message]
-    assert len(named) == bool(case.word)
+def assert_named_once(found: FieldOutcome, topic: str, word: str) -> None:
+    named = [one for one in found.findings if topic in (one.topic, one.message.split(" ")[0])]
+    named = [one for one in named if word and word in one.message]
+    assert len(named) == bool(word), topic
     assert {one.severity for one in named} <= {"warning"}
-    without, other_calibration = written(
-        folder / "without", {name: sound[name] for name in sound if name != case.topic}
-    )
-    assert outcome_of(without, other_calibration, folder / "without" / "labels").refusal == ""
-    assert_same_labels(found, folder / "without" / "labels", has_mask=not case.is_once)
-    outs = exported(folder / "case" / "labels", run, formats)
-    if "nuscenes" in outs:
-        assert_sound_dataset(outs["nuscenes"])
-    with open_bag(run) as bag:
-        inspection = inspect_in(bag)
-        quality_of(bag, inspection)
-        assert list(previews_of(bag, inspection))
 
 
 def assert_same_labels(found: FieldOutcome, without: Path, *, has_mask: bool) -> None:
@@ -207,17 +237,23 @@ def assert_same_labels(found: FieldOutcome, without: Path, *, has_mask: bool) ->
                 np.testing.assert_array_equal(one[name], other[name])
 
 
-def assert_sound_dataset(folder: Path) -> None:
-    found = check_dataset(folder)
-    assert [str(fault) for fault in found.faults.found] == []
-
-
-@pytest.mark.parametrize("name", QUICK)
-def test_a_broken_sensor_costs_itself(tmp_path: Path, name: str) -> None:
-    assert_costs_itself(tmp_path, CASES[name], ("nuscenes", "playback"))
-
-
-@pytest.mark.whole
-@pytest.mark.parametrize("name", CASES)
-def test_a_broken_sensor_costs_itself_in_every_export(tmp_path: Path, name: str) -> None:
-    assert_costs_itself(tmp_path, CASES[name], tuple(EXPORTERS))
+@pytest.mark.parametrize("rig", RIGS.values(), ids=RIGS)
+def test_broken_sensors_cost_themselves_in_labels_and_every_export(
+    tmp_path: Path, labels_without: Path, rig: BrokenRig
+) -> None:
+    topics = {name: one.message for name, one in rig.topics.items()}
+    run, calibration = written(tmp_path, {SOUND: JPEG, **topics})
+    found = outcome_of(run, calibration, tmp_path / "labels")
+    assert (found.refusal, found.errors) == ("", [])
+    for topic, one in rig.topics.items():
+        assert_named_once(found, topic, one.word)
+    assert_same_labels(found, labels_without, has_mask=not rig.is_once)
+    for name in EXPORTERS:
+        request = ExportRequest(name, tmp_path / name, read_report(tmp_path / "labels"))
+        source = partial(folder_source, tmp_path / "labels", checked_samples, run)
+        export(request, source, lambda _done, _total: None)
+    assert [str(fault) for fault in check_dataset(tmp_path / "nuscenes").faults.found] == []
+    with open_bag(run) as bag:
+        inspection = inspect_in(bag)
+        quality_of(bag, inspection)
+        assert list(previews_of(bag, inspection))

@@ -20,21 +20,21 @@ from testing.worlds.field.point_messages import (
 from testing.worlds.ros1_bags import as_ros1
 
 Message = Callable[[FieldDrive, float], Any]
-SAME = 0.97
+SWEEPS, SAME = 16, 0.97
 BOOT_NS = 668_000_000_000
 
 
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder = tmp_path_factory.mktemp("sound")
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=SWEEPS)
     run, calibration = drive.write(folder, drive.lidar_topic(), drive.odometry_topic())
     assert outcome_of(run, calibration, folder / "labels").refusal == ""
     return folder / "labels"
 
 
 def drive_of(package: str = "livox_ros_driver2") -> FieldDrive:
-    return FieldDrive(definitions=(*livox_definitions(package), (COMPRESSED, COMPRESSED_FIELDS)))
+    return FieldDrive(sweeps=SWEEPS, definitions=(*livox_definitions(package), (COMPRESSED, COMPRESSED_FIELDS)))
 
 
 def labelled(folder: Path, drive: FieldDrive, *lidars: FieldTopic, is_ros1: bool = False) -> FieldOutcome:
@@ -44,11 +44,11 @@ def labelled(folder: Path, drive: FieldDrive, *lidars: FieldTopic, is_ros1: bool
     return outcome_of(run, calibration, folder / "labels")
 
 
-def assert_alike(found: FieldOutcome, sound: Path, frames: int = 40) -> None:
+def assert_alike(found: FieldOutcome, sound: Path, frames: int = SWEEPS) -> None:
     assert (found.refusal, found.errors) == ("", [])
     assert found.labels is not None
     assert len(labelled_frames(found.labels)) == frames
-    if frames == 40:
+    if frames == SWEEPS:
         assert occupied_iou(found.labels, sound) >= SAME
 
 
@@ -88,14 +88,14 @@ def test_compressed_points_beside_the_cloud_leave_no_choice(tmp_path: Path, soun
 
 
 def livox_broken_once(drive: FieldDrive, t: float) -> Any:
-    if round(t * 10) != 20:
+    if round(t * 10) != 9:
         return livox_message(drive, t)
     return livox_message(drive, t, points=[])
 
 
 def packed_broken_once(drive: FieldDrive, t: float) -> Any:
     message = compressed_message(drive, t, "zlib")
-    if round(t * 10) == 20:
+    if round(t * 10) == 9:
         message.compressed_data = message.compressed_data[:-4000]
     return message
 
@@ -104,7 +104,7 @@ def packed_broken_once(drive: FieldDrive, t: float) -> Any:
 def test_a_sweep_without_points_costs_its_frame_alone(tmp_path: Path, sound: Path, message: Message, code: str) -> None:
     drive = drive_of()
     found = labelled(tmp_path, drive, topic("/lidar", lambda t: message(drive, t)))
-    assert_alike(found, sound, frames=39)
+    assert_alike(found, sound, frames=SWEEPS - 1)
     assert code in found.codes
 
 
@@ -137,7 +137,7 @@ PACKETS = (
 @pytest.mark.parametrize("kind", NAMED)
 def test_what_is_not_read_is_named_by_topic_and_type_with_a_way_out(tmp_path: Path, kind: str) -> None:
     type_name, way_out = NAMED[kind]
-    drive = FieldDrive(definitions=((COMPRESSED, COMPRESSED_FIELDS), *PACKETS))
+    drive = FieldDrive(sweeps=SWEEPS, definitions=((COMPRESSED, COMPRESSED_FIELDS), *PACKETS))
     alone = labelled(tmp_path / "alone", drive, unread_topic(kind, drive))
     assert alone.refusal == "TOP-101"
     for word in ("/unread", type_name, way_out):

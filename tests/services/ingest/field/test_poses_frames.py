@@ -14,7 +14,7 @@ LIKE_THE_SOUND_DRIVE = 0.97
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
     """The labels of the drive as it should be recorded."""
-    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive()
+    folder, drive = tmp_path_factory.mktemp("sound"), FieldDrive(sweeps=16)
     run, calibration = drive.write(folder, drive.lidar_topic(), drive.odometry_topic())
     assert outcome_of(run, calibration, folder / "labels").refusal == ""
     return folder / "labels"
@@ -22,7 +22,7 @@ def sound(tmp_path_factory: pytest.TempPathFactory) -> Path:
 
 def drive_of(folder: Path, cloud_frame: str, parent: str, child: str, up_m: float) -> FieldOutcome:
     """Return what becomes of a drive whose clouds and poses name these frames; the poses are `up_m` above the base."""
-    drive = FieldDrive()
+    drive = FieldDrive(sweeps=16)
 
     def odometry(t: float) -> Any:
         message = drive.odometry(t, parent, child)
