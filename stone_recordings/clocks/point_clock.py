@@ -20,6 +20,7 @@ from stone_recordings.messages.lidar import LidarPoints
 from stone_recordings.messages.point_times import (
     ANOTHER_CLOCK,
     HOUR_NS,
+    NS_PER_S,
     PointClock,
     apart_ns,
     core_of,
@@ -163,8 +164,10 @@ def _end_values(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[int, int
 def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
     """Those of a few sweeps from beginning to end that have times."""
     log_times_ns = bag.log_times_ns(topic)
-    rows = np.unique(np.linspace(0, len(log_times_ns) - 1, SWEEP_SAMPLES).astype(np.int64)) if len(log_times_ns) else ()
-    for row in map(int, rows):
+    even = np.linspace(0, len(log_times_ns) - 1, SWEEP_SAMPLES).astype(np.int64)
+    # Sweeps that are whole seconds apart would not show whether times begin anew each second.
+    rows = np.unique(np.minimum(even + np.arange(SWEEP_SAMPLES) % 3, len(log_times_ns) - 1))
+    for row in map(int, rows if len(log_times_ns) else ()):
         try:
             cloud = cloud_at(bag, topic, row)
             kept = lidar_points(cloud, with_ring=False).rows
@@ -188,7 +191,10 @@ def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
     if len(certain) < LEAST_SWEEPS:
         return None, ""
     word_ns = certain[0].word_ns
-    found = [_agreed(certain, period_ns) for period_ns in ((0, HOUR_NS, word_ns) if word_ns else (0,))]
+    periods_ns: tuple[int, ...] = (0, NS_PER_S, HOUR_NS, word_ns) if word_ns else (0, NS_PER_S)
+    if _are_relative(certain):
+        periods_ns = (0,)
+    found = [_agreed(certain, period_ns) for period_ns in periods_ns]
     agreed = [(clock, stamped) for clock, stamped in found if clock is not None]
     return next((one for one in agreed if not one[1]), agreed[0] if agreed else (None, ""))
 

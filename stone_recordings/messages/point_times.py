@@ -185,9 +185,11 @@ def _by_clock(meaning: str, centre_ns: int, unit_ns: int, at: tuple[int, PointCl
         there_ns %= clock.period_ns
     if abs(apart_ns(centre_ns - there_ns, clock.period_ns)) > NEAR_NS:
         return None
+    if clock.period_ns:  # the distance to the stamp is what is modulo the period, and is short
+        return _Reading(meaning, unit_ns, there_ns / unit_ns, period=clock.period_ns / unit_ns)
     # Whole units of the stamp are taken off first: what is left keeps every digit that the field had.
     whole, rest_ns = divmod(there_ns, unit_ns)
-    return _Reading(meaning, unit_ns, float(whole), rest_ns, clock.period_ns / unit_ns)
+    return _Reading(meaning, unit_ns, float(whole), rest_ns)
 
 
 def apart_ns(distance_ns: int, period_ns: int) -> int:

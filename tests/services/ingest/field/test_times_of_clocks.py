@@ -125,6 +125,23 @@ def test_points_of_another_clock_are_read_by_the_constant_between_the_two(
     assert occupied_iou(tmp_path / "labels", sound(late)) >= LEAST_IOU
 
 
+@pytest.mark.parametrize(("code", "unit_s"), [("u4", 1e-9), ("f4", 1.0), ("f8", 1e-9)])
+def test_times_that_begin_anew_each_second_are_read(tmp_path: Path, sound: Any, code: str, unit_s: float) -> None:
+    drive = FieldDrive(sweeps=SWEEPS)
+
+    def message(t: float) -> Any:
+        points, after_s = drive.points(t, record_of(code))
+        values = ((t + after_s) % 1.0) / unit_s
+        points["timestamp"] = values.astype(np.int64).astype(code) if "u" in code else values
+        return drive.cloud(t, points)
+
+    found = found_of(tmp_path, drive, message)
+    assert (found.refusal, found.errors) == ("", [])
+    assert not found.codes & {"TOP-102", "MSG-322"}
+    assert len(labelled_frames(tmp_path / "labels")) == SWEEPS
+    assert occupied_iou(tmp_path / "labels", sound(0.0)) >= LEAST_IOU
+
+
 def test_points_of_no_constant_clock_and_dates_in_four_bytes_are_named(tmp_path: Path) -> None:
     drive, rng = FieldDrive(sweeps=SWEEPS), np.random.default_rng(1)
     wild = found_of(tmp_path / "wild", drive, lambda t: recorded(drive, "f8", 1.0, BOOT_S + rng.uniform(0, 9), 0.0, t))
