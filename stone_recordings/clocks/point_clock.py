@@ -164,10 +164,12 @@ def _end_values(column: NDArray[Any], kept: NDArray[np.int32]) -> tuple[int, int
 def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
     """Those of a few sweeps from beginning to end that have times."""
     log_times_ns = bag.log_times_ns(topic)
+    if not len(log_times_ns):
+        return
     even = np.linspace(0, len(log_times_ns) - 1, SWEEP_SAMPLES).astype(np.int64)
     # Sweeps that are whole seconds apart would not show whether times begin anew each second.
     rows = np.unique(np.minimum(even + np.arange(SWEEP_SAMPLES) % 3, len(log_times_ns) - 1))
-    for row in map(int, rows if len(log_times_ns) else ()):
+    for row in rows.tolist():
         try:
             cloud = cloud_at(bag, topic, row)
             kept = lidar_points(cloud, with_ring=False).rows
@@ -185,16 +187,15 @@ def _ends(bag: Bag, topic: str) -> Iterator[_Ends]:
 
 def _clock_of(ends: Sequence[_Ends]) -> tuple[PointClock | None, str]:
     """Return the clock that the sweeps agree on, and the point that stamps are of: the headers' own if it may be."""
-    certain = [one for one in ends if _is_certain(one.stamp_ns)]
-    if len(certain) < LEAST_SWEEPS and not _are_relative(ends):
-        certain = list(ends)  # of a run so short that its clock had just begun all the time
-    if len(certain) < LEAST_SWEEPS:
+    are_relative = _are_relative(ends)
+    trusted = [one for one in ends if _is_certain(one.stamp_ns)]
+    if len(trusted) < LEAST_SWEEPS and not are_relative:
+        trusted = list(ends)  # of a run so short that its clock had just begun all the time
+    if len(trusted) < LEAST_SWEEPS:
         return None, ""
-    word_ns = certain[0].word_ns
-    periods_ns: tuple[int, ...] = (0, NS_PER_S, HOUR_NS, word_ns) if word_ns else (0, NS_PER_S)
-    if _are_relative(certain):
-        periods_ns = (0,)
-    found = [_agreed(certain, period_ns) for period_ns in periods_ns]
+    word_ns = trusted[0].word_ns
+    periods_ns = () if are_relative else (NS_PER_S, HOUR_NS, word_ns) if word_ns else (NS_PER_S,)
+    found = [_agreed(trusted, period_ns) for period_ns in (0, *periods_ns)]
     agreed = [(clock, stamped) for clock, stamped in found if clock is not None]
     return next((one for one in agreed if not one[1]), agreed[0] if agreed else (None, ""))
 
@@ -216,7 +217,7 @@ def _agreed(ends: Sequence[_Ends], period_ns: int) -> tuple[PointClock | None, s
 
 
 def _are_relative(ends: Sequence[_Ends]) -> bool:
-    """Whether sweeps begin at one time by their points, as those do whose times are relative to the stamp."""
+    """Whether sweeps begin at one time by their points, as do sweeps whose times are relative to the stamp."""
     return not ends or _agree(np.array([one.first_ns for one in ends], np.float64), _length_ns(ends))
 
 
