@@ -1,9 +1,8 @@
 """Runs tasks in other processes, each when those it waits for are done.
 
 **Conventions.** Workers come from a fork server that has loaded what all need (`services/labeler/kernel_warmup.py`),
-each with
-one thread for every library: the parallelism is over tasks, and the caller's own process stays small. Processes and not
-threads, because half of a stage is numpy and Python under the interpreter's lock.
+each with one thread for every library: the parallelism is over tasks, and the caller's own process stays small.
+Processes and not threads, because half of a stage is numpy and Python under the interpreter's lock.
 `ProcessPoolExecutor`, not `multiprocessing.Pool`, which once wrote all its results and never returned.
 """
 
@@ -25,7 +24,7 @@ PRELOAD = [
     "services.runtime.one_thread",
     "services.runtime.processes.seldom_collected",
     "services.labeler.kernel_warmup",
-    "services.labeler.previews.preview_files",  # matplotlib: a CPU second for each worker that draws otherwise
+    "services.labeler.previews.preview_files",  # matplotlib, once and not by each worker that draws
 ]
 
 

@@ -84,8 +84,8 @@ class PromptServer(uvicorn.Server):
             server.close()
         for listening in sockets or []:
             listening.close()
-        # A connection that was accepted last is not among `connections` yet. If it outlived the loop, its client would
-        # get 400 from a handler whose loop is closed.
+        # A connection that was accepted last is among `connections` two turns of the loop later. If it outlived the
+        # loop, its client would get 400 from a handler whose loop is closed.
         await asyncio.sleep(0)
         await asyncio.sleep(0)
         if self.server_state.connections or self.server_state.tasks:

@@ -93,12 +93,13 @@ def feature_figure(rasters: Rasters, track_map: NDArray[np.float64], profile: st
     ratio = min(max((north - south) / (east - west), LEAST_RATIO), MOST_RATIO)
     wide_in = WIDTH_IN - LEFT_IN - RIGHT_IN
     panel_in = BELOW_IN + wide_in * ratio + ABOVE_IN
-    figure = Figure(figsize=(WIDTH_IN, len(ORDER) * panel_in), facecolor="none")
+    height_in = len(ORDER) * panel_in
+    figure = Figure(figsize=(WIDTH_IN, height_in), facecolor="none")
     words = {ELEVATION: HEIGHT[profile], SLOPE: "slope θ, °", ROUGHNESS: "roughness r, ln m²"}
     for number, feature in enumerate(ORDER, 1):
-        below = ((len(ORDER) - number) * panel_in + BELOW_IN) / (len(ORDER) * panel_in)
-        high = wide_in * ratio / (len(ORDER) * panel_in)
-        axes = figure.add_axes((LEFT_IN / WIDTH_IN, below, wide_in / WIDTH_IN, high))
+        bottom_in = height_in - number * panel_in + BELOW_IN
+        place = (LEFT_IN / WIDTH_IN, bottom_in / height_in, wide_in / WIDTH_IN, wide_in * ratio / height_in)
+        axes = figure.add_axes(place)
         _panel(figure, axes, rasters, feature)
         axes.set_title(words[feature], color=INK, fontsize=TEXT_POINTS + 3, loc="left")
         axes.plot(track_map[:, 0], track_map[:, 1], color=TRACK_COLOUR[feature], linewidth=2.0)
