@@ -4,7 +4,7 @@ Labels are compared with those of the same drive on one clock that is set.
 """
 
 from collections.abc import Callable
-from functools import partial
+from functools import cache, partial
 from pathlib import Path
 from typing import Any
 
@@ -43,17 +43,13 @@ def found_of(folder: Path, drive: FieldDrive, message: Callable[[float], Any]) -
 @pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
     """Return the labels of the drive whose stamps are a part of a sweep after its first point."""
-    made: dict[float, Path] = {}
 
+    @cache
     def of(late: float) -> Path:
-        if late not in made:
-            made[late] = tmp_path_factory.mktemp("sound")
-            found_of(
-                made[late],
-                FieldDrive(sweeps=SWEEPS),
-                partial(recorded, FieldDrive(sweeps=SWEEPS), "f8", 1.0, BEGIN_S, late),
-            )
-        return made[late] / "labels"
+        drive = FieldDrive(sweeps=SWEEPS)
+        made = found_of(tmp_path_factory.mktemp("sound"), drive, partial(recorded, drive, "f8", 1.0, BEGIN_S, late))
+        assert made.labels is not None
+        return made.labels
 
     return of
 

@@ -4,7 +4,7 @@ Labels are compared with those of the same drive with times as they should be.
 """
 
 from collections.abc import Callable
-from functools import partial, reduce
+from functools import cache, partial, reduce
 from pathlib import Path
 from typing import Any
 
@@ -25,7 +25,8 @@ OUSTER = np.dtype(
         "itemsize": 48,
     }
 )
-SWEEPS, LEAST_IOU = 20, 0.97
+SWEEPS, LEAST_IOU = 16, 0.97  # inspection looks at as many, so its counts are those of all
+LEAST_COUNTED = 0.95
 Times = NDArray[Any]
 COLUMN = np.repeat(np.arange(COLUMNS), RINGS)
 
@@ -41,21 +42,16 @@ RECORDS = {
 UNIT_S = {"s": 1.0, "date": 1.0, "ns": 1e-9, "float ns": 1e-9, "µs": 1e-6}
 
 
-@pytest.fixture(scope="module", params=None)
+@pytest.fixture(scope="module")
 def sound(tmp_path_factory: pytest.TempPathFactory) -> Callable[[float], Path]:
     """Return the labels of the drive whose stamps are a part of a sweep after its first point."""
-    made: dict[float, Path] = {}
 
+    @cache
     def of(late: float) -> Path:
-        if late not in made:
-            folder = tmp_path_factory.mktemp("sound")
-            made[late] = (
-                labels_of(
-                    folder, FieldDrive(sweeps=SWEEPS), partial(recorded, FieldDrive(sweeps=SWEEPS), "s", late, None)
-                ).labels
-                or folder
-            )
-        return made[late]
+        drive = FieldDrive(sweeps=SWEEPS)
+        made = labels_of(tmp_path_factory.mktemp("sound"), drive, partial(recorded, drive, "s", late, None)).labels
+        assert made is not None
+        return made
 
     return of
 
@@ -112,7 +108,7 @@ SPOILT = {
             of_points(0.05, np.nan),
             of_points(0.08, 0.0),
             of_columns(100, 110, -3.0, is_added=True),
-            of_columns(200, 203, 50.0),
+            of_columns(200, 210, 50.0),
         ),
     ),
     "dates": (
@@ -128,10 +124,17 @@ SPOILT = {
 @pytest.mark.parametrize("case", SPOILT)
 def test_bad_times_cost_neither_the_sweep_nor_the_labels(tmp_path: Path, sound: Any, case: str) -> None:
     kind, late, spoil = SPOILT[case]
-    drive = FieldDrive(sweeps=SWEEPS)
-    found = labels_of(tmp_path, drive, partial(recorded, drive, kind, late, spoil))
+    drive, altered = FieldDrive(sweeps=SWEEPS), 0
+
+    def counted(times: Times, number: int) -> Times:
+        nonlocal altered
+        spoilt = times if spoil is None else spoil(times, number)
+        altered += int((spoilt != times).sum())
+        return spoilt
+
+    found = labels_of(tmp_path, drive, partial(recorded, drive, kind, late, counted))
     assert (found.refusal, found.errors) == ("", [])
-    assert "MSG-321" in found.codes
+    assert int(found.messages("MSG-321").split()[0]) >= LEAST_COUNTED * altered
     assert "MSG-321" in {finding.code for finding in found.label_findings}
     assert not found.codes & {"TOP-102", "MSG-322"}
     assert found.labels is not None
