@@ -71,6 +71,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("not_a_truth_folder", "The folder does not hold a simulated truth."),
     ("not_an_export", "The folder that is to take a sequence in is not an export it can join."),
     ("not_an_export", "The given path is not an export with LiDAR sweeps."),
+    ("not_confirmed", "An act that cannot be undone lacks `--yes`; nothing was changed."),
     ("not_deployable", "A row cannot be written as an ONNX file."),
     ("not_found", "The sequence has no recording of that name or id."),
     ("not_found", "The name or id is neither a sequence nor a job of the caller's."),

@@ -15,11 +15,12 @@ from typer.core import TyperGroup
 from stone_base.counts import counted
 from stone_base.errors import StoneError, one_line
 from stone_base.findings import Finding
+from stone_client.confirmation import NotConfirmedError
 from stone_client.streams import echo_findings, echo_json, wants_json
 from stone_submissions.errors import hint_of
 from stone_submissions.verdict import Validation
 
-REFUSED = 1
+REFUSED, WRONG_USAGE = 1, 2
 MACHINE_SAYS_NO = {
     errno.EACCES: "not_permitted",
     errno.EPERM: "not_permitted",
@@ -37,7 +38,8 @@ class RefusingGroup(TyperGroup):
         try:
             return super().invoke(ctx)
         except StoneError as error:
-            refuse([Finding(error.code, "error", "", str(error))], as_json=wants_json(ctx))
+            exit_code = WRONG_USAGE if isinstance(error, NotConfirmedError) else REFUSED
+            refuse([Finding(error.code, "error", "", str(error))], as_json=wants_json(ctx), exit_code=exit_code)
         except OSError as error:
             if error.errno not in MACHINE_SAYS_NO:
                 raise
@@ -45,13 +47,13 @@ class RefusingGroup(TyperGroup):
             refuse([Finding(code, "error", "", f"{error.filename}: {error.strerror}")], as_json=wants_json(ctx))
 
 
-def refuse(findings: Iterable[Finding], *, as_json: bool) -> NoReturn:
-    """Say each finding on a line of its own and end the command with exit code 1."""
+def refuse(findings: Iterable[Finding], *, as_json: bool, exit_code: int = REFUSED) -> NoReturn:
+    """Print each finding on a line of its own and end the command with `exit_code`."""
     said = tuple(findings)
     echo_findings(said)
     if as_json:
         echo_json({"findings": [finding.as_record() for finding in said]})
-    raise typer.Exit(REFUSED)
+    raise typer.Exit(exit_code)
 
 
 def refuse_submission(validation: Validation, *, as_json: bool) -> NoReturn:

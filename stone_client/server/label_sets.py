@@ -6,6 +6,7 @@ from rich.table import Table
 
 from stone_base.errors import Refused
 from stone_client.api import Api
+from stone_client.confirmation import PermanentAct
 from stone_client.progress import Report
 from stone_client.server.job_following import follow
 from stone_client.server.newest import is_id, place_from_newest
@@ -31,9 +32,19 @@ def compare_label_sets(api: Api, sequence: Item, named: tuple[str, str], progres
     return api.read(f"/sequences/{sequence['id']}/label-comparisons/{asked['comparison']['id']}")
 
 
+def label_set_named(api: Api, sequence: Item, named: str) -> str:
+    """Return the id of the label set so named. Raises `no_label_set`, and what `Api.send` raises."""
+    return _id_named(named, [str(one["id"]) for one in label_sets_of(api, sequence["id"])])
+
+
+def deletion(sequence: Item, label_set_id: str) -> PermanentAct:
+    act = f"delete label set {label_set_id} of {sequence['name']}"
+    return PermanentAct(act, "its frames, maps and pictures cannot be restored")
+
+
 def delete_label_set(api: Api, sequence: Item, named: str) -> str:
     """Delete the label set and return its id. Raises `no_label_set`, and what `Api.send` raises."""
-    label_set_id = _id_named(named, [str(one["id"]) for one in label_sets_of(api, sequence["id"])])
+    label_set_id = label_set_named(api, sequence, named)
     api.send("DELETE", f"/sequences/{sequence['id']}/label-sets/{label_set_id}")
     return label_set_id
 

@@ -41,18 +41,27 @@ def proposal(api: Api, sizes: tuple[int, int, int], left_out: Sequence[str]) -> 
     return api.create("/splits/proposal", {"sizes": dict(zip(PARTS, sizes, strict=True)), "leave_out": ids})
 
 
-def put_file(api: Api, path: Path, reason: str) -> dict[str, Any]:
-    """Put the splits of a file in the place of those there are.
+def put_file(api: Api, path: Path, reason: str, revision: int | None = None) -> dict[str, Any]:
+    """Save the splits of a file over the draft of `revision`; None: of the file's own revision, else the newest.
 
     Raises `bad_splits_file`, `not_found`, `ambiguous_name`, and what `Api.send` raises.
     """
-    wanted = _read(path)
-    split_now = current(api)
-    body = {part: _ids_of(split_now, wanted[part]) for part in PARTS}
-    match = f'"{wanted.get("revision", split_now["revision"])}"'
+    body, newest = wanted_splits(current(api), path)
+    match = f'"{newest if revision is None else revision}"'
     answer = api.send("PUT", "/splits", json={**body, "reason": reason}, headers={"If-Match": match})
     record: dict[str, Any] = answer.json()
     return record
+
+
+def wanted_splits(split_now: Item, path: Path) -> tuple[dict[str, list[str]], int]:
+    """Return the ids of each part as the file has them, and the revision that they replace.
+
+    Raises `bad_splits_file`, `not_found`, `ambiguous_name`.
+    """
+    wanted = _read(path)
+    ids: dict[str, list[str]] = {part: _ids_of(split_now, wanted[part]) for part in PARTS}
+    revision: int = wanted["revision"] if "revision" in wanted else split_now["revision"]
+    return ids, revision
 
 
 def show_splits(record: Mapping[str, Any], *, as_json: bool) -> None:

@@ -12,6 +12,7 @@ from typing import Any
 
 from stone_base.errors import StoneError
 from stone_client.api import Api
+from stone_client.confirmation import PermanentAct
 from stone_client.errors import JobFailedError, ServerRefusedError
 from stone_client.files.tus import LocalFile, Purpose, hashed, upload_file
 from stone_client.progress import Report
@@ -93,6 +94,15 @@ def settled(api: Api, submission: Item, progress: Report) -> Item:
     if submission["state"] not in ("scored", "valid"):
         raise SubmissionEndedError(submission)
     return submission
+
+
+def withdrawal(api: Api, submission_id: str) -> PermanentAct:
+    """The act of withdrawing this submission, named by its id, method, track and date."""
+    one = api.read(f"/submissions/{submission_id}")
+    sent = (one["finalized_at"] or one["created_at"])[:16]
+    named = f"{one['method']}, {one['modality']}, sent {sent}"
+    effect = "it leaves every board permanently and still counts towards the quota"
+    return PermanentAct(f"withdraw submission {one['id']} ({named})", effect)
 
 
 def withdraw(api: Api, submission_id: str, reason: str) -> Item:

@@ -7,6 +7,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
@@ -48,18 +49,24 @@ def delete(
     sequence: SequenceArgument,
     label_set: Annotated[str, typer.Argument(metavar="LABEL_SET", help="An id, or latest, latest~1, …")],
     server: ServerOption = None,
-    is_agreed: Annotated[bool, typer.Option("--yes", help="Delete without confirmation.")] = False,
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Delete a label set and free its bytes; refused if an export, a version or a phase relies on the label set."""
     from stone_client.connection import connected
-    from stone_client.server.label_sets import delete_label_set
+    from stone_client.server.label_sets import delete_label_set, deletion, label_set_named
     from stone_client.server.sequences import find_sequence
 
-    if not is_agreed:
-        typer.confirm(f"Delete label set {label_set} of {sequence} for good?", abort=True, err=True)
     with connected(server) as api:
-        deleted = delete_label_set(api, find_sequence(api, sequence), label_set)
+        found = find_sequence(api, sequence)
+        deleted = label_set_named(api, found, label_set)
+        act = deletion(found, deleted)
+        if is_dry_run:
+            show_dry_run(act, {"label_set": deleted}, as_json=as_json)
+            return
+        require_confirmation(act, is_given=is_confirmed, moving="" if label_set == deleted else label_set)
+        delete_label_set(api, found, deleted)
     if as_json:
         echo_json({"deleted": deleted})
         return

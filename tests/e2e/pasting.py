@@ -28,7 +28,7 @@ ADDRESS = "http://127.0.0.1:8080"
 PASSWORD = "correct horse battery staple"
 BLOCK = re.compile(r"^```(\w*)\n(.*?)^```$", re.MULTILINE | re.DOTALL)
 HEREDOC = re.compile(r"<<'(\w+)'$")
-OF_A_SHELL = re.compile(r"[|<>$;({]")
+OF_A_SHELL = re.compile(r"[|&<>$;({]")
 MARK = "--- the line is over"
 PRELUDE = 'set -o pipefail; curl() { command curl --fail-with-body -sS "$@"; }'
 

@@ -46,7 +46,7 @@ def as_administrator(platform: Platform, url: str, monkeypatch: pytest.MonkeyPat
 def put(tmp_path: Path, **parts: Any) -> Result:
     path = tmp_path / "splits.json"
     path.write_text(json.dumps(parts))
-    return stone("splits", "--put", path, "--reason", "test")
+    return stone("splits", "--put", path, "--reason", "test", "--yes")
 
 
 def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: list[str]) -> None:
@@ -54,7 +54,7 @@ def test_a_proposal_is_printed_and_put_as_it_was_printed(tmp_path: Path, names: 
     assert printed.exit_code == 0
     path = tmp_path / "splits.json"
     path.write_text(printed.stdout)
-    shown = stone("splits", "--put", path)
+    shown = stone("splits", "--put", path, "--yes")
     assert shown.exit_code == 0, shown.stderr
     assert "train: 1" in shown.stdout
     record = answered("splits")
@@ -84,7 +84,7 @@ def test_a_file_without_splits_is_refused(tmp_path: Path) -> None:
     ]:
         path = tmp_path / "splits.json"
         path.write_text(text)
-        assert refused(stone("splits", "--put", path)) == code
+        assert refused(stone("splits", "--put", path, "--yes")) == code
 
 
 def test_a_name_that_two_owners_gave_is_not_guessed(tmp_path: Path, platform: Platform, owner: Person) -> None:
@@ -113,7 +113,7 @@ def test_a_version_is_published_and_downloaded_by_a_participant(
     tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
-    made = answered("datasets", "stone-1.0", "--create", "--licence", "CC0")
+    made = answered("datasets", "stone-1.0", "--create", "--licence", "CC0", "--yes")
     assert made["sizes"] == {"train": 1, "val": 1, "test": 1}
     monkeypatch.setenv("STONE_TOKEN", person(platform, "participant").secret)
     assert "stone-1.0" in stone("datasets").stdout
@@ -136,7 +136,7 @@ def test_inputs_of_a_version_are_downloaded_beside_its_labels(
     tmp_path: Path, platform: Platform, names: list[str], monkeypatch: pytest.MonkeyPatch
 ) -> None:
     assert put(tmp_path, train=names[:1], val=names[1:2], test=names[2:]).exit_code == 0
-    assert stone("datasets", "stone-1.0", "--create").exit_code == 0
+    assert stone("datasets", "stone-1.0", "--create", "--yes").exit_code == 0
     with platform.database.reading() as session:
         version = dataset_named(session, "stone-1.0")
         assert version is not None

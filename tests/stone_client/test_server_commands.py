@@ -187,7 +187,7 @@ def test_a_label_set_is_deleted_once_it_is_agreed_to(platform: Platform, owner: 
     with client_of(platform) as api:
         sequence = made.sequence(api, owner, "forest")
     earlier, later = (made.labels(platform, sequence, seed=seed).id for seed in (b"1", b"2"))
-    assert stone("label-sets", "delete", "forest", "latest", stdin="n\n").exit_code == 1
+    assert stone("label-sets", "delete", "forest", "latest").exit_code == 2
     assert answered("label-sets", "delete", "forest", "latest~1", "--yes") == {"deleted": earlier}
     listed = answered("label-sets", "list", "forest")
     assert [one["id"] for one in listed["label_sets"]] == [later]

@@ -4,6 +4,7 @@ from typing import Annotated
 
 import typer
 
+from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -12,15 +13,27 @@ ReasonOption = Annotated[str, typer.Option(metavar="TEXT", help="Reason, recorde
 
 
 def withdraw(
-    submission: IdArgument, reason: ReasonOption = "", server: ServerOption = None, as_json: JsonOption = False
+    submission: IdArgument,
+    reason: ReasonOption = "",
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
+    server: ServerOption = None,
+    as_json: JsonOption = False,
 ) -> None:
     """Withdraw a submission from every leaderboard, permanently; it still counts towards the quota."""
     from stone_client.connection import connected
     from stone_client.server.scores import submission_id
     from stone_client.server.submission import withdraw as take_off
+    from stone_client.server.submission import withdrawal
 
     with connected(server) as api:
-        taken = take_off(api, submission_id(api, submission), reason)
+        found = submission_id(api, submission)
+        act = withdrawal(api, found)
+        if is_dry_run:
+            show_dry_run(act, {"id": found}, as_json=as_json)
+            return
+        require_confirmation(act, is_given=is_confirmed, moving="" if submission == found else submission)
+        taken = take_off(api, found, reason)
     if as_json:
         echo_json(dict(taken))
     else:

@@ -5,6 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
+from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -30,6 +31,8 @@ def datasets(
     reason: ReasonOption = "published by the stone command",
     download: DownloadOption = None,
     inputs: InputsOption = False,
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
@@ -44,12 +47,22 @@ def datasets(
         read_datasets,
         show_datasets,
     )
+    from stone_client.server.publication import planned_version, publishing, show_version_plan
 
     if version is None and (create or download is not None):
         raise typer.BadParameter("which version?", param_hint="VERSION")
     if inputs and download is None:
         raise typer.BadParameter("it also needs --download", param_hint="--inputs")
+    if is_dry_run and not create:
+        raise typer.BadParameter("it also needs --create", param_hint="--dry-run")
     with connected(server) as api:
+        if create and (is_dry_run or not is_confirmed):
+            plan = planned_version(api, str(version), licence)
+            show_version_plan(plan, as_json=as_json)
+            if is_dry_run:
+                show_dry_run(publishing(plan), plan, as_json=as_json)
+                return
+            require_confirmation(publishing(plan), is_given=False)
         if version is None:
             record: dict[str, Any] = {"datasets": read_datasets(api)}
         else:

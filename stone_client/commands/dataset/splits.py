@@ -6,6 +6,7 @@ from typing import Annotated
 
 import typer
 
+from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
 from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 
@@ -31,21 +32,35 @@ def splits(
     leave_out: LeaveOutOption = None,
     put: PutOption = None,
     reason: ReasonOption = "put by the stone command",
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Show the splits and their findings, propose new ones, or save those of a file."""
     from stone_client.connection import connected
+    from stone_client.server.publication import planned_splits, saving, show_splits_plan
     from stone_client.server.splits import current, proposal, put_file, show_splits
 
     if propose is not None and put is not None:
         raise typer.BadParameter("propose first, review, then save with --put; not both at once", param_hint="--put")
+    if is_dry_run and put is None:
+        raise typer.BadParameter("only --put changes anything", param_hint="--dry-run")
     sizes = _sizes(propose) if propose is not None else None
     with connected(server) as api:
         if sizes is not None:
             record = proposal(api, sizes, leave_out or [])
         elif put is not None:
-            record = put_file(api, put, reason)
+            shown_revision = None
+            if is_dry_run or not is_confirmed:
+                plan = planned_splits(api, put)
+                show_splits_plan(plan, as_json=as_json)
+                if is_dry_run:
+                    show_dry_run(saving(plan), plan, as_json=as_json)
+                    raise typer.Exit(0 if plan["can_be_put"] else REFUSED)
+                require_confirmation(saving(plan), is_given=False)
+                shown_revision = plan["revision"]
+            record = put_file(api, put, reason, shown_revision)
         else:
             record = current(api)
     if as_json:

@@ -1,0 +1,68 @@
+"""Acts that cannot be undone: a question on a terminal, a refusal without `--yes` elsewhere, `--dry-run`.
+
+**Conventions.** The question and its answer use stderr and stdin, so stdout stays the answer alone. A refusal without a
+terminal is wrong usage (exit code 2); a declined question is exit code 1. Neither sends a request that changes
+anything.
+"""
+
+import sys
+from collections.abc import Mapping
+from dataclasses import dataclass
+from typing import Annotated, Any
+
+import typer
+
+from stone_base.errors import StoneError, one_line
+from stone_client.streams import echo_json
+
+YesOption = Annotated[bool, typer.Option("--yes", help="Confirm the act; required without a terminal.")]
+DryRunOption = Annotated[bool, typer.Option("--dry-run", help="Print the effect, and change nothing.")]
+
+
+class NotConfirmedError(StoneError):
+    """An act that cannot be undone lacks its confirmation; the command's exit code is 2."""
+
+    code = "not_confirmed"
+
+
+@dataclass(frozen=True)
+class PermanentAct:
+    """An act that cannot be undone: an imperative clause that names the thing, and a sentence about its effect."""
+
+    clause: str
+    effect: str
+
+    def __str__(self) -> str:
+        return f"{self.clause}: {self.effect}"
+
+
+def require_confirmation(act: PermanentAct, *, is_given: bool, moving: str = "") -> None:
+    """Return if `--yes` was given, or the user confirms `act` on the terminal.
+
+    `moving` is the user's word for the thing if the word may name another thing a second later, such as `latest`: then
+    no question replaces `--yes`. Raises `not_confirmed`; `typer.Exit` after a declined question.
+    """
+    if is_given:
+        return
+    if moving:
+        raise NotConfirmedError(f"{act}; {moving!r} may name another one a second later: give its id, or add --yes")
+    if not is_at_terminal():
+        raise NotConfirmedError(f"{act}; add --yes to confirm, or --dry-run to see the effect")
+    typer.echo(one_line(f"{act.clause[:1].upper()}{act.clause[1:]}: {act.effect}."), err=True)
+    typer.echo("Continue? [y/N] ", err=True, nl=False)
+    if sys.stdin.readline().strip().lower() not in ("y", "yes"):  # typer.confirm writes a space on stdout
+        typer.echo("Nothing was changed.", err=True)
+        raise typer.Exit(1)
+
+
+def show_dry_run(act: PermanentAct, details: Mapping[str, Any], *, as_json: bool) -> None:
+    """Print the act that did not happen; `details` stand beside it under `--json`."""
+    if as_json:
+        echo_json({"dry_run": True, "act": act.clause, "effect": act.effect, **details})
+    else:
+        typer.echo(one_line(f"dry run: would {act}"))
+
+
+def is_at_terminal() -> bool:
+    """Whether a person can read a question and answer it."""
+    return sys.stdin.isatty() and sys.stderr.isatty()
