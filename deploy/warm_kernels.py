@@ -1,7 +1,7 @@
 """Compile every kernel into numba's cache, and compute code versions: `python deploy/warm_kernels.py`.
 
 **Conventions.** By what the platform's own processes call before they fork, and so with the types that they call with;
-the simulator and the baseline of three points fork nothing and are called here. Labelling is two thirds of it, so it
+the simulator forks nothing and is called here. Labelling is two thirds of it, so it
 has a process of its own; the others share one. What is in the cache is not compiled again.
 """
 
@@ -29,13 +29,10 @@ def warm_labelling() -> None:
 
 
 def warm_others() -> None:
-    import numpy as np
-
     from services.eval.kernel_warmup import warm as warm_eval
     from services.ingest.kernel_warmup import warm as warm_ingest
     from simulator.options import SimulateOptions
     from simulator.pipeline import simulate
-    from stone.labels.baseline import predict_from_sweep
 
     warm_ingest()
     report("ingest")
@@ -45,8 +42,6 @@ def warm_others() -> None:
     with TemporaryDirectory(prefix="stone-warmup-") as folder:
         simulate(Path(folder) / "run.mcap", small)
     report("simulator")
-    predict_from_sweep(np.ones((3, 3), np.float32))
-    report("baseline")
 
 
 def report(part: str) -> None:

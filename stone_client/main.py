@@ -21,7 +21,7 @@ PACKAGE = "stone_client.commands"
 PANELS = ("On this machine", "With a server", "The dataset", "Models", "A benchmark")
 IMPORT = CommandPlace("import", "With a server", f"{PACKAGE}.server.dataset_import", "import_dataset")
 OWN_COMMANDS = (
-    *places("On this machine", PACKAGE, "benchmark.validate", "explain"),
+    *places("On this machine", PACKAGE, "benchmark.validate", "baseline", "explain"),
     *places("With a server", PACKAGE, "server.login", "server.upload", "server.register"),
     IMPORT,
     *places("With a server", PACKAGE, "server.process", "server.watch", "server.status", "server.exports"),

@@ -16,7 +16,7 @@ from stone_client.lazy_commands import CommandPlace
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
-    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score",
+    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "score",
     "ceiling", "check",
     "demo",
     "serve", "train", "predict", "onnx",

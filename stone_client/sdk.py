@@ -18,9 +18,9 @@ from types import TracebackType
 from typing import Any
 
 from stone_client.api import Api
+from stone_client.baseline import BaselinePlan, write_baseline
 from stone_client.credentials import Server, choose_server, plain_url
 from stone_client.files.datasets import dataset_name
-from stone_client.platform_part import platform_module
 from stone_client.progress import Report
 from stone_client.server import benchmarks, boards, scores, teams
 from stone_client.server import dataset_imports as imports
@@ -181,12 +181,11 @@ class Stone:
         return [Path(file["output"]) for file in files]
 
     def baseline(self, sources: Iterable[StrPath], manifest: StrPath, output: StrPath) -> Path:
-        """Write the geometric baseline's predictions; the platform's own work. Raises `platform_not_installed`."""
+        """Write the geometric baseline's predictions for the frames of a manifest, as `stone baseline` does."""
         from stone_client.options import cores
 
-        local = platform_module("baseline", "baseline")
-        plan = local.BaselinePlan(Path(manifest), Path(output), cores())
-        return Path(local.write_baseline([Path(source) for source in sources], plan, self._progress).output)
+        plan = BaselinePlan(Path(manifest), Path(output), cores())
+        return Path(write_baseline([Path(source) for source in sources], plan, self._progress).output)
 
     def leaderboard(self, benchmark: str, phase: str, track: str = "all", as_of: str = "") -> Mapping[str, Any]:
         """The board, now or as it stood at a time such as 2026-06-01T00:00:00Z."""

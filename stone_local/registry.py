@@ -12,7 +12,6 @@ COMMANDS = (
         "recover",
         "label",
         "export",
-        "baseline",
         "score",
         "ceiling",
         "check",

@@ -37,7 +37,7 @@ from baselines.train import TrainingPlan, train
 from benchmarks.models.worlds import ModelWorld, made_world
 from stone.scoring.metric import CLASSES
 from stone_base.label_grid import PAPER
-from stone_local.baseline import BaselinePlan, write_baseline
+from stone_client.baseline import BaselinePlan, write_baseline
 
 ROWS = ("l-conet-small", "occfusion-cl-small", "column-net-small")
 TRAINED, UNSEEN = (1, 2, 3), (4, 6, 7, 8)

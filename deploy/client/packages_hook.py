@@ -13,6 +13,7 @@ from hatchling.builders.hooks.plugin.interface import BuildHookInterface
 VENDORED = ("stone_base", "stone_files", "stone_submissions", "stone_exports", "stone_datasets")
 SCIENCE = (
     "__init__.py", "errors.py", "geometry/__init__.py", "geometry/se3.py", "sensors/__init__.py",
+    "labels/__init__.py", "labels/baseline.py",
     "sensors/calibration.py", "sensors/projection.py", "splits/__init__.py", "splits/drives.py",
 )  # fmt: skip
 

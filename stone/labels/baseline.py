@@ -8,23 +8,24 @@ lowest point, unless its neighbourhood lies much lower; gaps are closed from kno
     corridor that a robot driving straight on sweeps (the ground truth calls T what was driven, and one sweep knows no
     more of the path).
 
+It needs NumPy alone, so that participants run it without the platform.
+
 Source: elevation-map traversability, Wermelinger et al. (IROS 2016), reduced to slope and unevenness.
 """
 
 import math
+from collections.abc import Iterator
 from dataclasses import dataclass
-from typing import Any
 
 import numpy as np
-from numba import njit
 from numpy.typing import NDArray
 
 from stone.errors import ShapeError
-from stone.labels.grid import Grid
 from stone_base.label_grid import PAPER, LabelGrid
 
 FREE, T, P, N = 0, 1, 2, 3
 
+Grid = NDArray[np.uint8]
 Heights = NDArray[np.float32]
 
 
@@ -55,17 +56,10 @@ def predict_from_sweep(
     if points_ego.ndim != 2 or points_ego.shape[1] != 3:
         raise ShapeError("points_ego", points_ego.shape, "(N, 3)")
     grid = np.zeros(label_grid.shape, np.uint8)
-    lowest = np.full(label_grid.shape[:2], np.inf, np.float32)
-    _measure(np.ascontiguousarray(points_ego, np.float32), lowest, _place(label_grid), grid)
+    lowest = _measure(np.asarray(points_ego, np.float32), label_grid, grid)
     ground = ground_heights(lowest, parameters, label_grid)
-    classes = column_classes(ground, parameters, label_grid)
-    _paint(grid, ground, classes, (label_grid.min_m[2], label_grid.voxel_m, parameters.clearance_m))
+    _paint(grid, ground, column_classes(ground, parameters, label_grid), (label_grid, parameters.clearance_m))
     return grid
-
-
-def _place(label_grid: LabelGrid) -> tuple[float, float, float, float]:
-    """The lowest corner and the side of a voxel."""
-    return (*label_grid.min_m, label_grid.voxel_m)
 
 
 def ground_heights(
@@ -75,8 +69,7 @@ def ground_heights(
 
     The robot stands on z = 0, so its own footprint is known even where no ray reaches.
     """
-    ground = np.full(lowest.shape, np.nan, np.float32)
-    _keep_ground(lowest, parameters.most_rise_m, ground)
+    ground = _kept_ground(lowest, parameters.most_rise_m)
     x_m, y_m = column_centres_m(label_grid)
     is_under = (np.abs(x_m) <= parameters.footprint_length_m / 2) & (np.abs(y_m) <= parameters.footprint_width_m / 2)
     if np.isfinite(ground).any():
@@ -90,9 +83,8 @@ def column_classes(
     ground: Heights, parameters: BaselineParameters = DEFAULTS, label_grid: LabelGrid = PAPER
 ) -> NDArray[np.uint8]:
     """T, P or N (X, Y) of the ground; 0 where it is unknown."""
-    classes = np.zeros(ground.shape, np.uint8)
-    most_rise_m = math.tan(parameters.steepest_rad) * label_grid.voxel_m
-    _judge(ground, most_rise_m, parameters.most_uneven_m, classes)
+    is_n = _is_blocking(ground, math.tan(parameters.steepest_rad) * label_grid.voxel_m, parameters.most_uneven_m)
+    classes = np.where(np.isnan(ground), FREE, np.where(is_n, N, P)).astype(np.uint8)
     x_m, y_m = column_centres_m(label_grid)
     is_ahead = (np.abs(y_m) <= parameters.footprint_width_m / 2) & (np.abs(x_m) <= parameters.corridor_reach_m)
     classes[is_ahead & (classes == P)] = T
@@ -106,90 +98,76 @@ def column_centres_m(label_grid: LabelGrid = PAPER) -> tuple[NDArray[np.float64]
     return x_m[:, None].astype(np.float64), y_m[None, :].astype(np.float64)
 
 
-@njit(cache=True, nogil=True)
-def _measure(points: Heights, lowest: Heights, place: Any, grid: Grid) -> None:
-    """Mark each voxel that holds a point as N, and keep the lowest z of each column."""
-    (min_x_m, min_y_m, min_z_m, voxel_m), (sides_x, sides_y, sides_z) = place, grid.shape
-    for p in range(points.shape[0]):
-        x, y, z = points[p, 0], points[p, 1], points[p, 2]
-        i = (x - min_x_m) / voxel_m
-        j = (y - min_y_m) / voxel_m
-        k = (z - min_z_m) / voxel_m
-        if 0 <= i < sides_x and 0 <= j < sides_y and 0 <= k < sides_z:  # NaN fails
-            grid[int(i), int(j), int(k)] = N
-            lowest[int(i), int(j)] = min(lowest[int(i), int(j)], z)
+def _measure(points: Heights, label_grid: LabelGrid, grid: Grid) -> Heights:
+    """Mark each voxel that holds a point as N, and return the lowest z of each column (inf: none)."""
+    lowest = np.full(label_grid.shape[:2], np.inf, np.float32)
+    with np.errstate(invalid="ignore", over="ignore"):  # of points that are no numbers, which are on no grid
+        place = (points - np.array(label_grid.min_m)) / label_grid.voxel_m
+        is_inside = ((place >= 0) & (place < np.array(label_grid.shape))).all(axis=1)  # NaN fails
+    i, j, k = place[is_inside].astype(np.intp).T
+    grid[i, j, k] = N
+    np.minimum.at(lowest, (i, j), points[is_inside, 2])
+    return lowest
 
 
-@njit(cache=True, nogil=True)
-def _keep_ground(lowest: Heights, most_rise_m: float, ground: Heights) -> None:
-    """A lowest point is ground unless a point within two columns lies more than `most_rise_m` below it."""
-    for i in range(ground.shape[0]):
-        for j in range(ground.shape[1]):
-            around = np.float32(np.inf)
-            for a in range(max(i - 2, 0), min(i + 3, ground.shape[0])):
-                for b in range(max(j - 2, 0), min(j + 3, ground.shape[1])):
-                    around = min(around, lowest[a, b])
-            if lowest[i, j] < np.inf and lowest[i, j] - around <= most_rise_m:
-                ground[i, j] = lowest[i, j]
+def _around(columns: Heights, reach: int, outside: float) -> Iterator[tuple[int, int, Heights]]:
+    """Yield the steps along x and y to each neighbour within `reach`, and the values of all columns' neighbours."""
+    padded = np.pad(columns, reach, constant_values=outside)
+    for a in range(2 * reach + 1):
+        for b in range(2 * reach + 1):
+            yield a - reach, b - reach, padded[a : a + columns.shape[0], b : b + columns.shape[1]]
 
 
-@njit(cache=True, nogil=True)
+def _kept_ground(lowest: Heights, most_rise_m: float) -> Heights:
+    """A lowest point is ground unless a point within two columns lies more than `most_rise_m` below it; else NaN."""
+    around = np.minimum.reduce([near for _, _, near in _around(lowest, 2, np.inf)])
+    is_measured = lowest < np.inf
+    rise_m = np.subtract(lowest, around, out=np.full_like(lowest, np.inf), where=is_measured)
+    return np.where(rise_m <= np.float64(most_rise_m), lowest, np.float32(np.nan))
+
+
 def _close_gaps(ground: Heights) -> Heights:
     """Unknown columns with at least two known neighbours of eight take their mean."""
+    total, known = np.zeros(ground.shape), np.zeros(ground.shape, np.int64)
+    for _, _, near in _around(ground, 1, np.nan):
+        is_known = ~np.isnan(near)
+        total += np.where(is_known, near, 0)
+        known += is_known
+    is_closed = np.isnan(ground) & (known >= 2)
     closed = ground.copy()
-    for i in range(ground.shape[0]):
-        for j in range(ground.shape[1]):
-            if not np.isnan(ground[i, j]):
-                continue
-            total, known = 0.0, 0
-            for a in range(max(i - 1, 0), min(i + 2, ground.shape[0])):
-                for b in range(max(j - 1, 0), min(j + 2, ground.shape[1])):
-                    if not np.isnan(ground[a, b]):
-                        total += ground[a, b]
-                        known += 1
-            if known >= 2:
-                closed[i, j] = total / known
+    closed[is_closed] = total[is_closed] / known[is_closed]
     return closed
 
 
-@njit(inline="always")
-def _rise(before: Any, here: Any, after: Any) -> Any:
+def _rise(before: Heights, here: Heights, after: Heights) -> NDArray[np.float64]:
     """Height gained per column, from whichever neighbours are known."""
-    if np.isnan(before):
-        return 0.0 if np.isnan(after) else after - here
-    return here - before if np.isnan(after) else (after - before) / 2
+    alone = np.where(np.isnan(after), np.float32(0), after - here).astype(np.float64)
+    both = np.where(np.isnan(after), here - before, (after - before).astype(np.float64) / 2)
+    return np.where(np.isnan(before), alone, both)
 
 
-@njit(cache=True, nogil=True)
-def _judge(ground: Heights, most_rise_m: float, most_uneven_m: float, classes: NDArray[np.uint8]) -> None:
-    unknown, last_x, last_y = np.float32(np.nan), ground.shape[0] - 1, ground.shape[1] - 1
-    for i in range(ground.shape[0]):
-        for j in range(ground.shape[1]):
-            here = ground[i, j]
-            if np.isnan(here):
-                continue
-            dx = _rise(ground[i - 1, j] if i > 0 else unknown, here, ground[i + 1, j] if i < last_x else unknown)
-            dy = _rise(ground[i, j - 1] if j > 0 else unknown, here, ground[i, j + 1] if j < last_y else unknown)
-            uneven = 0.0
-            for a in range(max(i - 1, 0), min(i + 2, ground.shape[0])):
-                for b in range(max(j - 1, 0), min(j + 2, ground.shape[1])):
-                    if not np.isnan(ground[a, b]):
-                        uneven = max(uneven, abs(ground[a, b] - here - dx * (a - i) - dy * (b - j)))
-            is_steep = math.sqrt(dx * dx + dy * dy) > most_rise_m
-            classes[i, j] = N if is_steep or uneven > most_uneven_m else P
+def _is_blocking(ground: Heights, most_rise_m: float, most_uneven_m: float) -> NDArray[np.bool_]:
+    """Whether each known column is too steep, or too uneven against its plane through eight neighbours."""
+    near = {(a, b): heights for a, b, heights in _around(ground, 1, np.nan)}
+    dx = _rise(near[-1, 0], ground, near[1, 0])
+    dy = _rise(near[0, -1], ground, near[0, 1])
+    uneven = np.zeros(ground.shape)
+    for (a, b), heights in near.items():
+        uneven = np.fmax(uneven, np.abs(heights - ground - dx * a - dy * b))  # of unknown neighbours NaN, passed over
+    return np.asarray((np.sqrt(dx * dx + dy * dy) > most_rise_m) | (uneven > most_uneven_m))
 
 
-@njit(cache=True, nogil=True)
-def _paint(grid: Grid, ground: Heights, classes: NDArray[np.uint8], heights: Any) -> None:
+def _paint(grid: Grid, ground: Heights, classes: NDArray[np.uint8], place: tuple[LabelGrid, float]) -> None:
     """The ground voxel, and measured voxels within the clearance of it, take the column's class; the others stay N."""
-    min_z_m, voxel_m, clearance_m = heights
-    for i in range(ground.shape[0]):
-        for j in range(ground.shape[1]):
-            if classes[i, j] == FREE:
-                continue
-            floor = (ground[i, j] - min_z_m) / voxel_m
-            if 0 <= floor < grid.shape[2]:
-                grid[i, j, int(floor)] = classes[i, j]
-            for k in range(grid.shape[2]):
-                if grid[i, j, k] == N and abs((k + 0.5) * voxel_m + min_z_m - ground[i, j]) <= clearance_m:
-                    grid[i, j, k] = classes[i, j]
+    label_grid, clearance_m = place
+    (_, _, min_z_m), voxel_m = label_grid.min_m, label_grid.voxel_m
+    i, j, k = np.nonzero(grid)
+    height_m = (k + 0.5) * voxel_m + min_z_m
+    is_near = (classes[i, j] != FREE) & (np.abs(height_m - ground[i, j]) <= clearance_m)
+    i, j, k = i[is_near], j[is_near], k[is_near]
+    grid[i, j, k] = classes[i, j]
+    i, j = np.nonzero(classes)
+    floor = (ground[i, j] - np.float64(min_z_m)) / voxel_m
+    is_inside = (floor >= 0) & (floor < grid.shape[2])
+    i, j = i[is_inside], j[is_inside]
+    grid[i, j, floor[is_inside].astype(np.intp)] = classes[i, j]

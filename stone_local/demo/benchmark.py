@@ -15,6 +15,7 @@ import numpy as np
 from stone.labels.baseline import DEFAULTS, BaselineParameters
 from stone.splits.splits import PARTS
 from stone_client.api import Api
+from stone_client.baseline import BaselinePlan, write_baseline
 from stone_client.errors import ServerRefusedError
 from stone_client.progress import Report
 from stone_client.server.benchmarks import download_inputs, fetch_manifest, phase_path
@@ -24,7 +25,6 @@ from stone_client.server.job_following import follow
 from stone_client.server.sequences import Item
 from stone_client.server.splits import current
 from stone_client.server.submission import SubmissionDescription, settled, submit
-from stone_local.baseline import BaselinePlan, write_baseline
 from stone_submissions.archive import frame_file, write_files
 from stone_submissions.manifest import read_manifest
 

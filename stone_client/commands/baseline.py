@@ -34,7 +34,7 @@ def baseline(
 
     Ground is the lowest point of each column; steep or uneven is non-traversable, the corridor ahead traversable.
     """
-    from stone_local.baseline import BaselinePlan, write_baseline
+    from stone_client.baseline import BaselinePlan, write_baseline
 
     with reported() as progress:
         written = write_baseline(sources, BaselinePlan(manifest, output, workers or cores()), progress)
