@@ -9,6 +9,7 @@ from typing import Any
 
 import httpx
 import pytest
+from openapi_spec_validator import OpenAPIV31SpecValidator
 from pydantic import BaseModel, ValidationError
 
 import api.schemas
@@ -43,6 +44,13 @@ def test_the_document_is_served_to_everybody_and_is_json(platform: Platform, doc
     assert answer.status_code == 200
     assert answer.json() == json.loads(json.dumps(document))
     assert answer.json()["openapi"].startswith("3.1")
+
+
+def test_the_document_is_valid_openapi_3_1(document: dict[str, Any]) -> None:
+    assert document["openapi"].startswith("3.1")
+    assert [
+        (list(error.absolute_path), error.message) for error in OpenAPIV31SpecValidator(document).iter_errors()
+    ] == []
 
 
 def test_only_what_is_meant_to_be_public_asks_for_no_caller(document: dict[str, Any]) -> None:
