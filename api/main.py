@@ -11,7 +11,7 @@ from functools import cache
 from typing import Any
 
 from anyio import to_thread
-from fastapi import APIRouter, FastAPI
+from fastapi import APIRouter, Depends, FastAPI
 from fastapi.telemetry import TelemetryConfig
 from starlette.routing import BaseRoute, Match
 from starlette.types import Scope
@@ -29,6 +29,7 @@ from api.middleware.limits import RateLimit, RequestLimits
 from api.middleware.strangers import strangers_routes
 from api.openapi import PREFIX, documented, operation_id
 from api.probes import Probes
+from api.query import known_query
 from api.routes import (
     audit,
     benchmarks,
@@ -166,7 +167,7 @@ def _routes() -> tuple[BaseRoute, ...]:
     whole = APIRouter(redirect_slashes=False, generate_unique_id_function=operation_id)
     include(whole, health.router)
     for router in ROUTERS:
-        include(whole, router, prefix=PREFIX)
+        include(whole, router, prefix=PREFIX, dependencies=[Depends(known_query(router))])
     return tuple(whole.routes)
 
 

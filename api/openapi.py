@@ -20,11 +20,10 @@ from api.problems import Problem, ProblemFinding
 
 PREFIX = "/api/v1"
 METHODS = ("get", "put", "post", "delete", "patch", "options", "head")
-ALWAYS = (429, 500, 503)
+ALWAYS = (422, 429, 500, 503)
 TO_CALLERS = (401, 403)
-OF_PARAMETERS = (422,)
-OF_BODIES = (400, 408, 413, 415, 422)
-OF_KEYS = (409, 422)
+OF_BODIES = (400, 408, 413, 415)
+OF_KEYS = (409,)
 OF_WRITING = (507,)
 KEY = {
     "name": "Idempotency-Key",
@@ -118,7 +117,6 @@ def _implied(path: str, method: str, operation: Operation) -> set[int]:
         return {500}
     implied = {*ALWAYS}
     implied |= {*TO_CALLERS} if "security" in operation else set()
-    implied |= {*OF_PARAMETERS} if "parameters" in operation else set()
     implied |= {*OF_BODIES} if "requestBody" in operation else set()
     implied |= {*OF_KEYS} if _takes_key(path, method, operation) else set()
     return implied | ({*OF_WRITING} if method in ("post", "put", "patch") else set())

@@ -20,10 +20,11 @@ def strangers_routes(routers: Iterable[APIRouter], prefix: str) -> frozenset[tup
 
 
 def _calls(route: APIRoute) -> Iterator[object]:
-    return (dependant.call for dependant in _below(route.dependant))
+    return (dependant.call for dependant in below(route.dependant))
 
 
-def _below(dependant: Dependant) -> Iterator[Dependant]:
+def below(dependant: Dependant) -> Iterator[Dependant]:
+    """Yield the dependant and all that it depends on."""
     yield dependant
     for dependency in dependant.dependencies:
-        yield from _below(dependency)
+        yield from below(dependency)

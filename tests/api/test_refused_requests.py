@@ -1,5 +1,6 @@
 """What no request may say: each of these is refused whole, by what is wrong with it alone."""
 
+import re
 from collections.abc import Iterator
 from dataclasses import replace
 from typing import Any
@@ -7,6 +8,7 @@ from typing import Any
 import httpx
 import pytest
 
+from api.openapi import operations
 from services.runtime.platform import Platform
 from services.runtime.settings import ApiSettings
 from testing.api.serving import client_of
@@ -171,3 +173,24 @@ def test_a_query_or_path_that_cannot_be_meant_is_refused(ask: Asking) -> None:
             if answer.status_code != status:
                 wrong.append((one, status, answer.text))
     assert wrong == []
+
+
+def test_every_route_refuses_an_unknown_query_parameter_and_names_the_known_ones(ask: Asking) -> None:
+    document = ask.api.get("/api/v1/openapi.json").json()
+    taking_any = {"/healthz", "/readyz", "/metrics", "/api/v1/sign-in/oidc/callback"}
+    wrong = []
+    for path, method, operation in operations(document):
+        answer = ask.api.request(method, re.sub(r"\{\w+\}", "x", path), params={"no_such": "hunter2"})
+        names = sorted(one["name"] for one in operation.get("parameters", ()) if one["in"] == "query")
+        expected = f"one of {', '.join(names)}" if names else "no query parameters"
+        refused = answer.status_code == 422 and method != "head" and answer.json()["errors"]
+        finding = {"code": "unknown_parameter", "where": "query.no_such", "expected": expected}
+        is_right = answer.status_code == 422 if method == "head" else refused == [finding]
+        if is_right == (path in taking_any) or "hunter2" in answer.text:
+            wrong.append((path, method, answer.status_code, answer.text[:200]))
+    assert wrong == []
+
+
+def test_an_answer_of_a_provider_may_have_parameters_that_we_do_not_know(ask: Asking) -> None:
+    answer = ask.api.get("/api/v1/sign-in/oidc/callback", params={"state": "x", "session_state": "y"})
+    assert answer.json()["code"] == "no_provider"

@@ -1,0 +1,41 @@
+"""Unknown query parameters are refused, as unknown keys of a body are.
+
+**Conventions.** A parameter that a route lacks would be ignored, and a list would come unfiltered. The answers of
+OpenID Connect providers are exempt: a client must ignore the parameters it does not know (RFC 6749, section 4.1.2).
+"""
+
+from collections.abc import Awaitable, Callable
+
+from fastapi import APIRouter, Request
+from fastapi.routing import APIRoute
+
+from api.middleware.strangers import below
+from api.problems import MOST_FINDINGS, invalid_request
+
+MOST_NAME = 64
+EXEMPT = "/sign-in/oidc/callback"
+
+
+def known_query(router: APIRouter) -> Callable[[Request], Awaitable[None]]:
+    """Return a dependency that refuses parameters which the router's routes do not name."""
+    routes = [route for route in router.routes if isinstance(route, APIRoute) and route.path != EXEMPT]
+    known = {route.endpoint: _names(route) for route in routes}
+
+    async def refuse_unknown(request: Request) -> None:
+        names = known.get(request.scope["endpoint"])
+        if names is None or not request.scope["query_string"]:
+            return
+        if unknown := [name for name in request.query_params if name not in names]:
+            expected = f"one of {', '.join(names)}" if names else "no query parameters"
+            findings = tuple(_finding(name, expected) for name in unknown[:MOST_FINDINGS])
+            raise invalid_request(findings, len(unknown))
+
+    return refuse_unknown
+
+
+def _names(route: APIRoute) -> tuple[str, ...]:
+    return tuple(sorted({field.alias for dependant in below(route.dependant) for field in dependant.query_params}))
+
+
+def _finding(name: str, expected: str) -> dict[str, str]:
+    return {"code": "unknown_parameter", "where": f"query.{name[:MOST_NAME]}", "expected": expected}
