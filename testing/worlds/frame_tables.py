@@ -18,7 +18,9 @@ UNFIXED = range(2, 4)
 """Frames whose position was not fixed."""
 
 
-def frame_columns(tokens: Sequence[str], start_ns: int, excluded: Sequence[str] = ()) -> dict[str, list[Any]]:
+def frame_columns(
+    tokens: Sequence[str], start_ns: int, excluded: Sequence[str] = (), cameras: Sequence[str] = CAMERAS
+) -> dict[str, list[Any]]:
     """The columns; after the frames one row for each code of `excluded`."""
     count, left = len(tokens), len(excluded)
     steps, none = [float(step) for step in range(count)], [None] * left
@@ -34,17 +36,23 @@ def frame_columns(tokens: Sequence[str], start_ns: int, excluded: Sequence[str] 
         "rtk_status": ["float" if step in UNFIXED else "fixed" for step in range(count)] + none,
         "pose_gap_ns": [20_000_000 for _ in steps] + none,
         **{f"{axis}_stdev_m": [0.012 + 0.001 * step for step in steps] + none for axis in ("east", "north", "up")},
-        **{f"{camera}_dt_ns": [4_000_000 for _ in steps] + none for camera in CAMERAS},
+        **{f"{camera}_dt_ns": [4_000_000 for _ in steps] + none for camera in cameras},
         "exclusion_code": [None] * count + list(excluded),
         "exclusion_reason": [None] * count + [f"{code} for a reason" for code in excluded],
     }
     return columns
 
 
-def frame_table_bytes(tokens: Sequence[str], start_ns: int, seed: bytes = b"", excluded: Sequence[str] = ()) -> bytes:
+def frame_table_bytes(
+    tokens: Sequence[str],
+    start_ns: int,
+    seed: bytes = b"",
+    excluded: Sequence[str] = (),
+    cameras: Sequence[str] = CAMERAS,
+) -> bytes:
     """The file; told apart by `seed`."""
     about = {"sequence": seed.hex(), "pose_source": "/ins (INSPVAX)", "map_origin_deg_m": [48.0, 11.5, 559.0]}
-    table = pa.table(frame_columns(tokens, start_ns, excluded))
+    table = pa.table(frame_columns(tokens, start_ns, excluded, cameras))
     stream = io.BytesIO()
     pq.write_table(table.replace_schema_metadata({"stone": json.dumps(about)}), stream, compression="zstd")
     return stream.getvalue()

@@ -21,6 +21,7 @@ from api.visible import exports_shown_to, labels_of, shown_sequence
 from services.domain.viewer.playback import Playback, playback_of, shown_by
 from services.runtime.jobs.specs import TERMINAL
 from services.runtime.orm import Export, Job
+from web.sequence.cameras import has_cameras
 from web.sequence.export_formats import TITLES, offers_beside
 from web.sequence.frame_table import NAME, FrameTable, frame_table
 from web.sequence.recording import rig_place
@@ -77,15 +78,17 @@ def frames(at: AtSequence, caller: Looker, frame: FrameQuery = None) -> HTMLResp
     """One frame at a time: its pictures and its labels from above, with a timeline to move along."""
     status, table = _with_table(at, caller)
     labels, playback = status.sequence.labels, Playback(None, "none")
-    if labels is not None:
-        with at.platform.database.reading() as session:
+    with at.platform.database.reading() as session:
+        if labels is not None:
             playback = playback_of(session, labels.id)
+        has_pictures = has_cameras(session, at.sequence_id, table) is not False
     return shown_section(
         at,
         (caller, status),
         "frames",
         timeline=timeline_of(table, frame) if table is not None else None,
         playback=playback,
+        has_cameras=has_pictures,
         cameras=sorted(shown_by(at.platform.store, playback).cameras, key=rig_place),
     )
 
@@ -101,13 +104,16 @@ def track(at: AtSequence, caller: Looker) -> HTMLResponse:
 @router.get("/calibration")
 def calibration(at: AtSequence, caller: Looker) -> HTMLResponse:
     """With what the sensors are placed, and whether the points lie where the pictures say."""
+    status, table = _with_table(at, caller)
     with at.platform.database.reading() as session:
-        status = sequence_status_of(session, caller, at.sequence_id)
         calibrations = choosable(session, caller, status)
+        is_blind = has_cameras(session, at.sequence_id, table) is False
     overlays = [one.name for one in status.sequence.previews if one.name.startswith(OVERLAY)]
     channels = sorted((name.removeprefix(OVERLAY).rpartition(".")[0] for name in overlays), key=rig_place)
     named = [(f"{OVERLAY}{channel}.jpg", _spoken(channel)) for channel in channels]
-    return shown_section(at, (caller, status), "calibration", overlays=named, calibrations=calibrations)
+    return shown_section(
+        at, (caller, status), "calibration", overlays=named, calibrations=calibrations, is_blind=is_blind
+    )
 
 
 @router.get("/exports")

@@ -66,7 +66,7 @@ def track_of(table: FrameTable) -> TrackView | None:
         "top_speed_m_s": float(np.nanmax(speeds)) if np.isfinite(speeds).any() else 0.0,
         "climb_m": float(np.maximum(np.diff(heights_m), 0.0).sum()),
         "relief_m": float(np.ptp(heights_m)),
-        "sure_ratio": float(is_sure(table).mean()),
+        **({"sure_ratio": float(is_sure(table).mean())} if speaks_of_rtk(table) else {}),
     }
     return TrackView(ground_of(table), plots_of(table, speeds), facts, _points(table, speeds))
 
@@ -83,9 +83,14 @@ def speeds_m_s(table: FrameTable) -> Floats:
     return np.where(is_known, moved_m / np.where(is_known, passed_s, 1.0), np.nan)
 
 
+def speaks_of_rtk(table: FrameTable) -> bool:
+    """Whether the source of the poses has a state of RTK at all: odometry has none."""
+    return not all(word in UNSAID for word in table.rtk)
+
+
 def is_sure(table: FrameTable) -> NDArray[np.bool_]:
     """(N,) whether the position was as good as it gets; where a source never speaks of RTK, always."""
-    if all(word in UNSAID for word in table.rtk):
+    if not speaks_of_rtk(table):
         return np.ones(len(table), np.bool_)
     return np.array([word in SURE for word in table.rtk], np.bool_)
 
