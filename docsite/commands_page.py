@@ -7,7 +7,8 @@ import click
 from typer.main import get_command
 
 from docsite.markdown import code, plain, table
-from stone_client.main import COMMANDS, PANELS, app
+from stone_client.command_tree import COMMANDS, PANELS
+from stone_client.main import app
 
 HEAD = """# Commands
 

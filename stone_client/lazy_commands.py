@@ -1,7 +1,7 @@
-"""Commands that are imported when they are asked for: the help of all of them is read from their source alone.
+"""Commands that are imported when they are called: the help of all of them is read from their source alone.
 
-**Conventions.** A command's function says in its docstring what it does, a group's `typer.Typer` in its `help`; both
-are found by parsing the module, not by importing it, so that `stone --help` does not load what all commands stand on.
+**Conventions.** A command's function states in its docstring what it does. The docstring is found by parsing the
+module, not by importing it, so that `stone --help` does not load what all commands stand on.
 """
 
 import ast
@@ -10,7 +10,6 @@ from copy import copy
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
-from inspect import cleandoc
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -18,12 +17,14 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
+from stone_client.old_words import OldOptionsCommand
+
 Command = Any  # click's, which typer carries along under a private name
 
 
 @dataclass(frozen=True)
 class CommandPlace:
-    """A command of `stone`: its word, its panel of the help, and where its function, or its group, is."""
+    """A command of `stone`: its word, its panel of the help, and the module and name of its function."""
 
     word: str
     panel: str
@@ -31,35 +32,54 @@ class CommandPlace:
     name: str
 
     def load(self) -> Command:
-        """The command, its module imported."""
-        found = getattr(import_module(self.module), self.name)
+        """Return the command; this imports its module."""
         app = typer.Typer()
         app.callback()(_nothing)
-        if isinstance(found, typer.Typer):
-            app.add_typer(found, name=self.word, rich_help_panel=self.panel)
-        else:
-            app.command(self.word, rich_help_panel=self.panel)(found)
+        function = getattr(import_module(self.module), self.name)
+        app.command(self.word, cls=OldOptionsCommand, rich_help_panel=self.panel or None)(function)
         return get_group(app).commands[self.word]
 
     def outline(self) -> Command:
-        """What the list of commands says of it: word, panel and help."""
-        return TyperCommand(name=self.word, help=self.help(), rich_help_panel=self.panel)
+        """Return what the list of commands shows: word, panel and help."""
+        return TyperCommand(name=self.word, help=self.help(), rich_help_panel=self.panel or None)
 
     def help(self) -> str:
-        """Of the function's docstring, or the keyword `help` of the group. Raises LookupError."""
+        """Return the function's docstring. Raises LookupError."""
         spec = find_spec(self.module)
         if spec is None or spec.origin is None:
             raise LookupError(self.module)
         for node in ast.parse(Path(spec.origin).read_bytes()).body:
             if isinstance(node, ast.FunctionDef) and node.name == self.name:
                 return ast.get_docstring(node) or ""
-            if isinstance(node, ast.Assign) and _is_name(node.targets[0], self.name):
-                return _help_of(node.value)
         raise LookupError(f"{self.module}.{self.name}")
 
 
+@dataclass(frozen=True)
+class GroupPlace:
+    """A group of commands below one noun: its word, its panel of the help, its help, and the places of its commands."""
+
+    word: str
+    panel: str
+    text: str
+    places: "Sequence[CommandPlace | GroupPlace]"
+
+    def load(self) -> Command:
+        """Return the group; its commands are imported one by one when they are called."""
+        named: dict[str, Any] = {"name": self.word, "help": self.text, "rich_help_panel": self.panel or None}
+        group = LazyGroup(no_args_is_help=True, **named)
+        group.commands = LazyCommands(self.places, {})
+        return group
+
+    def outline(self) -> Command:
+        """Return what the list of commands shows: word, panel and help."""
+        return TyperCommand(name=self.word, help=self.text, rich_help_panel=self.panel or None)
+
+
+Place = CommandPlace | GroupPlace
+
+
 def places(panel: str, package: str, *modules: str) -> tuple[CommandPlace, ...]:
-    """Commands of one panel, each in a module of its own name: `benchmark.submit` is the command `submit`."""
+    """Return commands of one panel, each in a module of its own name: `benchmark.submit` is the command `submit`."""
     return tuple(
         CommandPlace(name.replace("_", "-"), panel, f"{package}.{module}", name)
         for module, name in ((module, module.rpartition(".")[2]) for module in modules)
@@ -69,7 +89,7 @@ def places(panel: str, package: str, *modules: str) -> tuple[CommandPlace, ...]:
 class LazyGroup(TyperGroup):
     """A group of the commands at `places`, and of those that it is given."""
 
-    places: ClassVar[Sequence[CommandPlace]] = ()
+    places: ClassVar[Sequence[Place]] = ()
 
     def __init__(self, *, commands: Any = None, **attributes: Any) -> None:
         super().__init__(commands={}, **attributes)
@@ -84,7 +104,7 @@ class LazyGroup(TyperGroup):
 class LazyCommands(MutableMapping[str, Command]):
     """Commands by word, in the order of their places; each is loaded once it is looked at."""
 
-    def __init__(self, found: Sequence[CommandPlace], given: MutableMapping[str, Command]) -> None:
+    def __init__(self, found: Sequence[Place], given: MutableMapping[str, Command]) -> None:
         self._places = {place.word: place for place in found}
         self._loaded = dict(given)
 
@@ -111,21 +131,9 @@ class LazyCommands(MutableMapping[str, Command]):
         return word in self._places or word in self._loaded
 
     def outlines(self) -> dict[str, Command]:
-        """What help says of each, none of them loaded."""
+        """Return what help shows of each command; none is loaded for it."""
         return {word: self._loaded[word] if word in self._loaded else self._places[word].outline() for word in self}
 
 
 def _nothing() -> None:
     """The callback that makes a group of an app with one command."""
-
-
-def _is_name(node: ast.expr, name: str) -> bool:
-    return isinstance(node, ast.Name) and node.id == name
-
-
-def _help_of(node: ast.expr) -> str:
-    """The keyword `help` of the call, a literal. Raises LookupError."""
-    said = [keyword.value for keyword in node.keywords if keyword.arg == "help"] if isinstance(node, ast.Call) else []
-    if not said or not isinstance(said[0], ast.Constant):
-        raise LookupError("a group without a help of its own")
-    return cleandoc(str(said[0].value))

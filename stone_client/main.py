@@ -1,61 +1,50 @@
 """The `stone` command.
 
-**Conventions.** A command's module is imported when the command is asked for (`stone_client/lazy_commands.py`), and
-imports its pipeline inside its function, so that `stone --help` and a slip of the pen are answered at once (numba,
-pyarrow and Open3D take seconds to load). Tables and JSON go to stdout, everything else to stderr. The commands that
-need the platform are in `stone_local` and appear where that is installed. Exit codes (design §7): 0 done, 1 the input
-is refused, 2 usage; 130 and 143 interrupted.
+**Conventions.** A command's module is imported when the command is called (`stone_client/lazy_commands.py`), and
+imports its pipeline inside its function, so that `stone --help` and wrong usage are answered at once (numba, pyarrow
+and Open3D take seconds to load). Tables and JSON go to stdout, everything else to stderr. The commands that need the
+platform are in `stone_local` and appear if it is installed. Exit codes (design §7): 0 done, 1 the input is refused,
+2 usage; 130 and 143 interrupted.
 """
 
 import os
-from typing import Annotated
+from typing import Annotated, Any
 
 import typer
 
 from stone_base.process_tuning import tune_command
-from stone_client.lazy_commands import CommandPlace, LazyGroup, places
-from stone_client.platform_part import add_refusals, platform_commands
+from stone_client.command_tree import COMMANDS
+from stone_client.lazy_commands import LazyGroup
+from stone_client.old_words import words_of_today
+from stone_client.platform_part import add_refusals, is_platform_installed
 from stone_client.refusals import RefusingGroup
-
-PACKAGE = "stone_client.commands"
-PANELS = ("On this machine", "With a server", "The dataset", "Models", "A benchmark")
-IMPORT = CommandPlace("import", "With a server", f"{PACKAGE}.server.dataset_import", "import_dataset")
-OWN_COMMANDS = (
-    *places("On this machine", PACKAGE, "benchmark.validate", "baseline", "explain"),
-    *places("With a server", PACKAGE, "server.login", "server.upload", "server.register"),
-    IMPORT,
-    *places("With a server", PACKAGE, "server.process", "server.watch", "server.status", "server.exports"),
-    *places("With a server", PACKAGE, "server.download"),
-    *places("The dataset", PACKAGE, "dataset.statistics", "dataset.splits", "dataset.datasets"),
-    *places("A benchmark", PACKAGE, "benchmark.benchmarks", "benchmark.manifest", "benchmark.inputs"),
-    *places("A benchmark", PACKAGE, "benchmark.submit", "benchmark.results", "benchmark.leaderboard"),
-    *places("A benchmark", PACKAGE, "benchmark.compare", "benchmark.withdraw", "benchmark.reported"),
-    *places("A benchmark", PACKAGE, "benchmark.teams"),
-    *places("With a server", PACKAGE, "server.notifications"),
-)
-PLATFORM_COMMANDS, PLATFORM_GROUPS = platform_commands()
-COMMANDS = tuple(
-    place for panel in PANELS for place in (*PLATFORM_COMMANDS, *OWN_COMMANDS, *PLATFORM_GROUPS) if place.panel == panel
-)
+from stone_client.streams import echo_notice
 
 
 class StoneGroup(RefusingGroup, LazyGroup):
-    """The commands of `stone`, by panel as help shows them."""
+    """The commands of `stone`, by panel as help shows them, and the words of the release before."""
 
     places = COMMANDS
+
+    def resolve_command(self, ctx: Any, args: list[str]) -> Any:
+        words, change = words_of_today(args)
+        if change and not ctx.resilient_parsing:
+            echo_notice(change)
+        return super().resolve_command(ctx, words)
 
 
 app = typer.Typer(
     name="stone",
     cls=StoneGroup,
     no_args_is_help=True,
+    context_settings={"help_option_names": ["-h", "--help"]},
     add_completion=False,
     pretty_exceptions_enable=False,
 )
 
 
-def _say_version(is_asked: bool) -> None:
-    if is_asked:
+def _print_version(is_given: bool) -> None:
+    if is_given:
         from stone_client.release import own_release
 
         typer.echo(f"stone {own_release()}")
@@ -65,13 +54,13 @@ def _say_version(is_asked: bool) -> None:
 @app.callback()
 def stone(
     _version: Annotated[
-        bool, typer.Option("--version", callback=_say_version, is_eager=True, help="Print the release.")
+        bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the release.")
     ] = False,
 ) -> None:
     """Surround-view 3D traversability labels from a field robot's own recordings."""
 
 
-if not PLATFORM_COMMANDS:
+if not is_platform_installed():
     add_refusals(app)
 
 

@@ -12,28 +12,25 @@ from typing import Any, NoReturn
 import typer
 
 from stone_base.errors import Refused
-from stone_client.lazy_commands import CommandPlace
+from stone_client.lazy_commands import Place
 
 PACKAGE = "stone_local"
 PLATFORM_COMMANDS = (
-    "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "score",
-    "ceiling", "check",
-    "demo",
-    "serve", "train", "predict", "onnx",
+    "simulate", "inspect", "calibration", "recover", "label", "export", "check", "score", "ceiling",
+    "model", "demo", "serve",
 )  # fmt: skip
-Places = Sequence[CommandPlace]
 
 
 def is_platform_installed() -> bool:
     return find_spec(PACKAGE) is not None
 
 
-def platform_commands() -> tuple[Places, Places]:
-    """The platform's commands and its groups; none where it is not installed."""
+def platform_places() -> Sequence[Place]:
+    """Return the places of the platform's commands and groups; none if it is not installed."""
     if not is_platform_installed():
-        return (), ()
-    registry = import_module(f"{PACKAGE}.registry")
-    return registry.COMMANDS, registry.GROUPS
+        return ()
+    found: Sequence[Place] = import_module(f"{PACKAGE}.registry").COMMANDS
+    return found
 
 
 def platform_module(name: str, command: str) -> Any:

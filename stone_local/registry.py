@@ -1,23 +1,29 @@
 """The platform's commands, as the `stone` command finds them (`stone_client/platform_part.py`)."""
 
-from stone_client.lazy_commands import places
+from stone_client.lazy_commands import CommandPlace, GroupPlace, Place, places
 
 PACKAGE = "stone_local.commands"
-COMMANDS = (
-    *places(
-        "On this machine",
-        PACKAGE,
-        "simulate",
-        "inspect",
-        "recover",
-        "label",
-        "export",
-        "score",
-        "ceiling",
-        "check",
+HERE = "On this machine"
+CALIBRATION = GroupPlace(
+    "calibration",
+    HERE,
+    "Check a calibration before labelling, and draw the rig.",
+    (
+        CommandPlace("check", "", f"{PACKAGE}.calibration", "check"),
+        CommandPlace("init", "", f"{PACKAGE}.calibration", "init"),
+        CommandPlace("show", "", f"{PACKAGE}.calibration", "show_rig"),
     ),
-    *places("On this machine", PACKAGE, "demo"),
-    *places("With a server", PACKAGE, "serve"),
-    *places("Models", PACKAGE, "models.train", "models.predict", "models.onnx"),
 )
-GROUPS = places("On this machine", PACKAGE, "calibration", "label_sets")
+MODEL = GroupPlace(
+    "model",
+    HERE,
+    "Train a row of the benchmark, predict with it, and export its network.",
+    places("", PACKAGE, "models.train", "models.predict", "models.onnx"),
+)
+COMMANDS: tuple[Place, ...] = (
+    *places(HERE, PACKAGE, "simulate", "inspect"),
+    CALIBRATION,
+    *places(HERE, PACKAGE, "recover", "label", "export", "check", "score", "ceiling"),
+    MODEL,
+    *places(HERE, PACKAGE, "demo", "serve"),
+)

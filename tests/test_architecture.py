@@ -13,7 +13,8 @@ from pathlib import Path
 
 import pytest
 
-from stone_client.main import COMMANDS
+from stone_client.command_tree import COMMANDS
+from stone_client.old_words import OLD_WORDS
 
 ROOT = Path(__file__).resolve().parents[1]
 PACKAGES = (
@@ -268,7 +269,7 @@ def test_the_pages_point_at_what_exists(page: Path) -> None:
 @pytest.mark.parametrize("page", sorted([*ROOT.glob("*.md"), *ROOT.glob("docs/**/*.md")]), ids=lambda p: p.name)
 def test_the_pages_name_only_commands_and_targets_that_exist(page: Path) -> None:
     text = page.read_text("utf-8")
-    commands = {place.word for place in COMMANDS}
+    commands = {place.word for place in COMMANDS} | {row.old for row in OLD_WORDS}
     targets = set(re.findall(r"(?m)^([\w-]+):", (ROOT / "Makefile").read_text("utf-8")))
     assert set(re.findall(r"bin/stone (\w+)", text)) <= commands
     assert set(re.findall(r"(?m)(?:`|^)make ([\w-]+)", text)) <= targets

@@ -23,8 +23,6 @@ from stone_local.topic_choices import (
     chosen_topics,
 )
 
-calibration = typer.Typer(help="Check a calibration before labelling, and draw the rig.", no_args_is_help=True)
-
 FileArgument = Annotated[
     Path,
     typer.Argument(metavar="FILE", exists=True, readable=True, help="A calibration: file, folder, zip or recording."),
@@ -40,7 +38,6 @@ PictureOption = Annotated[
 PICTURES: dict[str, Literal["svg", "png"]] = {".svg": "svg", ".png": "png"}
 
 
-@calibration.command()
 def check(
     file: FileArgument,
     bag: BagOption = None,
@@ -75,7 +72,6 @@ def check(
         raise typer.Exit(REFUSED)
 
 
-@calibration.command()
 def init(
     bag: Annotated[Path, typer.Argument(metavar="BAG", exists=True, readable=True, help="A recording of the robot.")],
     output: Annotated[
@@ -113,7 +109,6 @@ def init(
     typer.echo(f"Then: stone calibration check {quote(str(output))} --bag {quote(str(bag))}")
 
 
-@calibration.command("show")
 def show_rig(file: FileArgument, output: PictureOption = None, as_json: JsonOption = False) -> None:
     """Show the sensor poses of a calibration and what it lacks; with -o draw the rig.
 

@@ -97,7 +97,7 @@ def test_a_team_is_founded_invited_into_and_joined(served: Served, monkeypatch: 
     assert stone("teams", "create", "Terrain Gang").stdout.startswith("created: Terrain Gang (participant-")
     assert refused(stone("teams", "create", "terrain  gang")) == "name_taken"
     invited = stone("teams", "invite", "terrain gang")
-    assert "stone teams join" in invited.stderr
+    assert "stone team join" in invited.stderr
     newcomer = person(served.platform, "participant", "grace")
     monkeypatch.setenv("STONE_TOKEN", newcomer.secret)
     assert stone("teams", "join", invited.stdout.strip()).exit_code == 0

@@ -34,7 +34,7 @@ def local(platform: Platform) -> Iterator[Lab]:
 @contextmanager
 def login(tmp_path: Path, url: str, *options: str) -> Iterator[tuple[subprocess.Popen[str], str]]:
     """The command as it runs, and the code that it showed."""
-    command = [*STONE, "login", url, *options, "--json"]
+    command = [*STONE, "auth", "login", url, *options, "--json"]
     pipes = {"stdin": subprocess.DEVNULL, "stdout": subprocess.PIPE, "stderr": subprocess.PIPE}
     process = subprocess.Popen(command, text=True, env=environment(tmp_path / "data"), **pipes)  # type: ignore[call-overload]
     try:

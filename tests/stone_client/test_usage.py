@@ -10,8 +10,9 @@ import typer
 from typer.testing import CliRunner, Result
 
 from stone.errors import StoneError, one_line
-from stone_client.lazy_commands import CommandPlace, LazyCommands
-from stone_client.main import COMMANDS, PANELS
+from stone_client.command_tree import COMMANDS, PANELS, leaves
+from stone_client.lazy_commands import CommandPlace, LazyCommands, Place
+from stone_client.old_words import OLD_WORDS, OldWord, words_of_today
 from stone_client.refusals import RefusingGroup
 from stone_client.streams import JsonOption
 from tests.stone_client.participating import stone
@@ -109,8 +110,8 @@ def test_plain_text_is_not_changed() -> None:
     assert one_line("δ = 0.2 m, „Grube“ 長い") == "δ = 0.2 m, „Grube“ 長い"
 
 
-@pytest.mark.parametrize("place", COMMANDS, ids=lambda place: place.word)
-def test_the_list_says_what_the_command_says_itself(place: CommandPlace) -> None:
+@pytest.mark.parametrize("place", [*COMMANDS, *(place for _, place in leaves())], ids=lambda place: place.word)
+def test_the_list_says_what_the_command_says_itself(place: Place) -> None:
     outline, command = place.outline(), place.load()
     assert (outline.name, outline.help, outline.rich_help_panel) == (
         command.name,
@@ -122,7 +123,7 @@ def test_the_list_says_what_the_command_says_itself(place: CommandPlace) -> None
 
 def test_every_command_stands_once_below_a_panel_that_help_knows() -> None:
     words = [place.word for place in COMMANDS]
-    assert len(words) == len(set(words)) > 30
+    assert len(words) == len(set(words)) > 20
     assert {place.panel for place in COMMANDS} == set(PANELS)
 
 
@@ -139,3 +140,60 @@ def test_a_command_is_imported_when_it_is_looked_at(tmp_path: Path, monkeypatch:
     assert commands["dig"] is commands["dig"]
     with pytest.raises(KeyError):
         commands["bury"]
+
+
+def called(row: OldWord) -> list[str]:
+    """The old command as it was typed, with an argument where the row needs one."""
+    return [
+        row.old,
+        *(["THING"] if row.needs_argument else []),
+        *([row.flag] if row.flag else []),
+        *(["DIR"] if row.becomes else []),
+    ]
+
+
+@pytest.mark.parametrize("row", OLD_WORDS, ids=str)
+def test_an_old_word_runs_the_new_command_and_names_it_in_one_line(row: OldWord) -> None:
+    old, new = stone(*called(row), "--help"), stone(*row.new.split(), "--help")
+    assert (old.exit_code, new.exit_code) == (0, 0), (old.stderr, new.stderr)
+    assert old.stdout == new.stdout
+    asked = f"stone {row.old} {row.flag}".rstrip()
+    assert old.stderr == f"{asked} is now stone {row.new}\n"
+    assert new.stderr == ""
+
+
+def test_every_command_of_release_0_1_still_has_a_word() -> None:
+    words = {
+        "simulate", "inspect", "recover", "label", "export", "calibration", "label-sets", "baseline", "score",
+        "ceiling", "check", "demo", "serve", "train", "predict", "onnx", "validate", "explain", "login", "upload",
+        "register", "import", "process", "watch", "status", "exports", "download", "statistics", "splits", "datasets",
+        "benchmarks", "manifest", "inputs", "submit", "results", "leaderboard", "compare", "withdraw", "reported",
+        "teams", "notifications",
+    }  # fmt: skip
+    assert words <= {place.word for place in COMMANDS} | {row.old for row in OLD_WORDS}
+
+
+@pytest.mark.parametrize(
+    ("old", "new"),
+    [
+        ("datasets v1 --create --licence CC-BY", "dataset publish v1 --licence CC-BY"),
+        ("datasets v1 --download data --inputs", "dataset download v1 --output data --inputs"),
+        ("datasets v1 --download=data", "dataset download v1 --output data"),
+        ("datasets --server http://host", "dataset list --server http://host"),
+        ("datasets v1 --server http://host", "dataset show v1 --server http://host"),
+        ("splits --propose 31,7,5 --leave-out a", "dataset splits propose 31,7,5 --leave-out a"),
+        ("splits --put=splits.json", "dataset splits put splits.json"),
+        ("status --server http://host --json", "sequence list --server http://host --json"),
+        ("status --json demo", "sequence status --json demo"),
+        ("team list", "team list"),
+    ],
+)
+def test_the_flags_of_an_old_command_that_chose_an_act_are_verbs(old: str, new: str) -> None:
+    assert " ".join(words_of_today(old.split())[0]) == new
+
+
+def test_an_old_option_runs_as_the_new_one(tmp_path: Path) -> None:
+    (tmp_path / "run.mcap").write_bytes(b"nothing")
+    renamed = stone("recover", tmp_path / "run.mcap", "--out", tmp_path / "whole.mcap")
+    assert renamed.stderr.splitlines()[0] == "--out is now --output"
+    assert renamed.exit_code == 1, renamed.stderr

@@ -24,7 +24,7 @@ RecordingOption = Annotated[
     list[str],
     typer.Option("--recording", metavar="FILE", help="Use only this recording; repeatable."),
 ]
-WatchOption = Annotated[bool, typer.Option("--watch", help="Wait until it is finished.")]
+WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Follow the run until it has ended.")]
 
 
 def process(
@@ -37,13 +37,14 @@ def process(
     grid: GridOption = None,
     recording: RecordingOption = [],  # noqa: B006
     clock_offset: ClockOffsetOption = [],  # noqa: B006
-    watch: WatchOption = False,
+    wait: WaitOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Label every frame of a sequence; a repeated request reuses the same run.
 
-    It is made of all its recordings, on one clock, and again by itself once one is added; not where some are named.
+    The run uses all recordings of the sequence on one clock, and starts again automatically if a recording is added,
+    unless recordings are named.
     """
     from stone_client.connection import connected
     from stone_client.server.run_watch import watch_run
@@ -61,10 +62,10 @@ def process(
         found = find_sequence(api, sequence)
         body |= {"recording_ids": recordings_named(api, found, recording)} if recording else {}
         run = start_run(api, found, body)
-        run = watch_run(api, run) if watch else run
+        run = watch_run(api, run) if wait else run
     if as_json:
         echo_json(run)
     else:
         typer.echo(f"{run['kind']} {run['id']} {run['state']}")
         following = f"download {found['name']} -o DIR" if run["state"] == "succeeded" else f"watch {run['id']}"
-        typer.echo(f"Next: stone {following}")
+        typer.echo(f"Next: stone sequence {following}")

@@ -36,7 +36,7 @@ AddOption = Annotated[
 ]
 SplitsOption = Annotated[bool, typer.Option("--set-splits", help="Put the sequences into train, val and test.")]
 PublicOption = Annotated[bool, typer.Option("--public", help="Make the sequences public.")]
-NoWaitOption = Annotated[bool, typer.Option("--no-wait", help="Return once it is uploaded; the server continues.")]
+WaitOption = Annotated[bool, typer.Option("--wait/--no-wait", help="Follow the import until it has ended.")]
 ListOption = Annotated[bool, typer.Option("--list", help="List your imports instead.")]
 
 
@@ -50,7 +50,7 @@ def import_dataset(
     add_to_existing: AddOption = False,
     set_splits: SplitsOption = False,
     public: PublicOption = False,
-    no_wait: NoWaitOption = False,
+    wait: WaitOption = True,
     list_them: ListOption = False,
     server: ServerOption = None,
     as_json: JsonOption = False,
@@ -83,7 +83,7 @@ def import_dataset(
         chosen_grid(grid).as_record() if grid else None,
     )
     with connected(server) as api:
-        record = _imported(api, where, wishes, waits=not no_wait)
+        record = _imported(api, where, wishes, waits=wait)
     if as_json:
         echo_json(record)
     else:

@@ -1,4 +1,4 @@
-"""Comparisons of two label sets as tables for people (the record of `stone label-sets compare --json`)."""
+"""Comparisons of two label sets as tables for people (the record of `stone label-set compare --json`)."""
 
 from collections.abc import Mapping, Sequence
 from typing import Any

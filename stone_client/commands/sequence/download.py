@@ -5,7 +5,7 @@ from typing import Annotated, Any
 
 import typer
 
-from stone_client.commands.server.exports import Format
+from stone_client.commands.sequence.exports import Format
 from stone_client.options import SequenceArgument, ServerOption
 from stone_client.progress import reported, transferred
 from stone_client.streams import JsonOption, echo_json

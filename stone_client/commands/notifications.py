@@ -10,8 +10,6 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show
 
-notifications = typer.Typer(help="Choose the events you are notified of by e-mail or webhook.", no_args_is_help=True)
-
 
 class Channel(StrEnum):
     """How one is told."""
@@ -27,7 +25,6 @@ ByOption = Annotated[Channel, typer.Option("--by", help="The channel; where it l
 LimitOption = Annotated[int, typer.Option("--limit", min=1, max=200, help="How many at most.")]
 
 
-@notifications.command("list")
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the events and which of them are enabled."""
     from stone_client.connection import connected
@@ -38,19 +35,16 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     _say(found, as_json)
 
 
-@notifications.command()
 def on(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Enable notifications."""
     _choose(events, by, server, as_json, is_wanted=True)
 
 
-@notifications.command()
 def off(events: EventsArgument, by: ByOption, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Disable notifications."""
     _choose(events, by, server, as_json, is_wanted=False)
 
 
-@notifications.command()
 def deliveries(limit: LimitOption = 20, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the latest deliveries with their results."""
     from stone_client.connection import connected

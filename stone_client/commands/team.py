@@ -1,4 +1,4 @@
-"""`stone teams`: one's teams, founded and entered by invitation."""
+"""`stone team`: one's teams, created and entered by invitation."""
 
 from collections.abc import Mapping
 from typing import Annotated, Any
@@ -10,14 +10,11 @@ from stone_client.options import ServerOption
 from stone_client.streams import JsonOption, echo_json
 from stone_client.tables import plain_table, safe_text, show
 
-teams = typer.Typer(help="Create, list and join teams, and invite members.", no_args_is_help=True)
-
 NameArgument = Annotated[str, typer.Argument(metavar="NAME", help="Name of the team on leaderboards.")]
 TeamArgument = Annotated[str, typer.Argument(metavar="TEAM", help="A team of yours, by name or id.")]
-SecretArgument = Annotated[str, typer.Argument(metavar="SECRET", help="Invitation printed by `stone teams invite`.")]
+SecretArgument = Annotated[str, typer.Argument(metavar="SECRET", help="Invitation printed by `stone team invite`.")]
 
 
-@teams.command("list")
 def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Show your teams with their members."""
     from stone_client.connection import connected
@@ -35,7 +32,6 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     show(table)
 
 
-@teams.command()
 def create(name: NameArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Create a team; you are its captain."""
     from stone_client.connection import connected
@@ -45,10 +41,6 @@ def create(name: NameArgument, server: ServerOption = None, as_json: JsonOption 
         _say(found_team(api, name), "created", as_json)
 
 
-teams.command("found", hidden=True)(create)  # its name in releases before
-
-
-@teams.command()
 def invite(team: TeamArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Print an invitation for one user; it is shown only once."""
     from stone_client.connection import connected
@@ -60,10 +52,9 @@ def invite(team: TeamArgument, server: ServerOption = None, as_json: JsonOption 
         echo_json(issued)
     else:
         typer.echo(issued["secret"])
-        typer.echo(f"Whoever is to join {issued['team']}: stone teams join SECRET", err=True)
+        typer.echo(f"The new member of {issued['team']} runs: stone team join SECRET", err=True)
 
 
-@teams.command()
 def join(secret: SecretArgument, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """Join a team with an invitation."""
     from stone_client.connection import connected

@@ -1,4 +1,4 @@
-"""`stone benchmarks`: the benchmarks and their phases, with their rules."""
+"""`stone benchmark list`: the benchmarks and their phases, with their rules."""
 
 from typing import Annotated, Any
 
@@ -12,7 +12,7 @@ from stone_client.tables import show
 BenchmarkArgument = Annotated[str | None, typer.Argument(metavar="[BENCHMARK]", help="A benchmark's name; else all.")]
 
 
-def benchmarks(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
+def listed(benchmark: BenchmarkArgument = None, server: ServerOption = None, as_json: JsonOption = False) -> None:
     """List the benchmarks with their phases: dates, quotas, and the visibility of results."""
     from stone_client.connection import connected
     from stone_client.server.benchmarks import phases_table, read_benchmark, read_benchmarks

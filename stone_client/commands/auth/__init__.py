@@ -1,0 +1,1 @@
+"""Commands that sign in to a server and out of it."""

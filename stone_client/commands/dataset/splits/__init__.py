@@ -1,0 +1,1 @@
+"""Commands for the draft splits of the dataset on a server."""

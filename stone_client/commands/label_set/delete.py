@@ -1,0 +1,39 @@
+"""`stone label-set delete`: a label set off a server, with its bytes."""
+
+from typing import Annotated
+
+import typer
+
+from stone_client.confirmation import DryRunOption, YesOption, require_confirmation, show_dry_run
+from stone_client.options import SequenceArgument, ServerOption
+from stone_client.streams import JsonOption, echo_json
+
+LabelSetArgument = Annotated[str, typer.Argument(metavar="LABEL_SET", help="An id, or latest, latest~1, …")]
+
+
+def delete(
+    sequence: SequenceArgument,
+    label_set: LabelSetArgument,
+    server: ServerOption = None,
+    is_confirmed: YesOption = False,
+    is_dry_run: DryRunOption = False,
+    as_json: JsonOption = False,
+) -> None:
+    """Delete a label set and free its bytes; refused if an export, a version or a phase relies on the label set."""
+    from stone_client.connection import connected
+    from stone_client.server.label_sets import delete_label_set, deletion, label_set_named
+    from stone_client.server.sequences import find_sequence
+
+    with connected(server) as api:
+        found = find_sequence(api, sequence)
+        deleted = label_set_named(api, found, label_set)
+        act = deletion(found, deleted)
+        if is_dry_run:
+            show_dry_run(act, {"label_set": deleted}, as_json=as_json)
+            return
+        require_confirmation(act, is_given=is_confirmed, moving="" if label_set == deleted else label_set)
+        delete_label_set(api, found, deleted)
+    if as_json:
+        echo_json({"deleted": deleted})
+        return
+    typer.echo(f"deleted {deleted}")

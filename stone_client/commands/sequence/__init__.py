@@ -1,0 +1,1 @@
+"""Commands for the sequences on a server: recordings in, runs, labels and exports out."""

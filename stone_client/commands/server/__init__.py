@@ -1,1 +1,0 @@
-"""Commands for sequences on a server, and the one that starts a server."""

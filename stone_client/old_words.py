@@ -1,0 +1,119 @@
+"""Words of release 0.1 that name commands and options of today; each prints one line on stderr and runs the new one.
+
+**Conventions.** `OLD_WORDS` is the one table. Of several rows with one old word the first that fits counts: a row with
+a flag fits if the flag is given, a row that needs an argument if one is given, any other row always.
+"""
+
+from collections.abc import Iterable, Iterator, Sequence
+from dataclasses import dataclass
+from typing import Any
+
+from typer.core import TyperCommand
+
+from stone_client.streams import echo_notice
+
+WITH_VALUE = frozenset({"--server", "--licence", "--reason", "--download", "--put", "--propose", "--leave-out"})
+"""Options of the old commands whose next word is their value."""
+OLD_OPTIONS = {"--out": "--output", "--watch": "--wait"}
+"""Old options by the new ones; a command with an option of the old name keeps its meaning."""
+
+
+@dataclass(frozen=True)
+class OldWord:
+    """A command of release 0.1 and the words that run it today.
+
+    `flag` is an option of the old command that chose the act; `becomes` is the option that takes its value today
+    (empty: the value is an argument, or the flag has none).
+    """
+
+    old: str
+    new: str
+    flag: str = ""
+    becomes: str = ""
+    needs_argument: bool = False
+
+    def __str__(self) -> str:
+        old = " ".join(("stone", self.old, *((self.flag,) if self.flag else ())))
+        return f"{old} is now stone {self.new}"
+
+    def fits(self, options: Sequence[str]) -> bool:
+        """Whether the row is for the old word with these options and arguments."""
+        if self.flag:
+            return any(option.partition("=")[0] == self.flag for option in options)
+        return not self.needs_argument or any(_arguments(options))
+
+    def renamed(self, options: Iterable[str]) -> list[str]:
+        """Return the command line of today."""
+        kept = [word for option in options for word in self._option(option)]
+        return [*self.new.split(), *kept]
+
+    def _option(self, option: str) -> Iterator[str]:
+        name, sign, value = option.partition("=")
+        if not self.flag or name != self.flag:
+            yield option
+        else:
+            yield from (word for word in (self.becomes, value if sign else "") if word)
+
+
+OLD_WORDS = (
+    OldWord("login", "auth login"),
+    OldWord("status", "sequence status", needs_argument=True),
+    OldWord("status", "sequence list"),
+    *(
+        OldWord(verb, f"sequence {verb}")
+        for verb in ("upload", "register", "process", "watch", "download", "exports")
+    ),
+    OldWord("label-sets", "label-set"),
+    OldWord("datasets", "dataset publish", flag="--create"),
+    OldWord("datasets", "dataset download", flag="--download", becomes="--output"),
+    OldWord("datasets", "dataset show", needs_argument=True),
+    OldWord("datasets", "dataset list"),
+    OldWord("statistics", "dataset statistics"),
+    OldWord("splits", "dataset splits propose", flag="--propose"),
+    OldWord("splits", "dataset splits put", flag="--put"),
+    OldWord("splits", "dataset splits show"),
+    OldWord("import", "dataset import"),
+    OldWord("benchmarks", "benchmark list"),
+    *(
+        OldWord(verb, f"benchmark {verb}")
+        for verb in (
+            "manifest", "inputs", "submit", "results", "leaderboard", "compare", "withdraw", "reported",
+        )
+    ),
+    OldWord("teams", "team"),
+    *(OldWord(verb, f"model {verb}") for verb in ("train", "predict", "onnx")),
+)  # fmt: skip
+
+
+def words_of_today(words: Sequence[str]) -> tuple[list[str], str]:
+    """Return the command line of today, and a line about the change; an empty line if nothing changed."""
+    for row in OLD_WORDS:
+        if row.old == words[0] and row.fits(words[1:]):
+            return row.renamed(words[1:]), str(row)
+    return list(words), ""
+
+
+class OldOptionsCommand(TyperCommand):
+    """A command that also takes the old names of its options."""
+
+    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
+        known = {option for param in self.params for option in (*param.opts, *param.secondary_opts)}
+        renamed = {old: new for old, new in OLD_OPTIONS.items() if new in known and old not in known}
+        return super().parse_args(ctx, [_renamed(word, renamed) for word in args] if renamed else args)
+
+
+def _renamed(word: str, renamed: dict[str, str]) -> str:
+    name, sign, value = word.partition("=")
+    if name not in renamed:
+        return word
+    echo_notice(f"{name} is now {renamed[name]}")
+    return f"{renamed[name]}{sign}{value}"
+
+
+def _arguments(options: Sequence[str]) -> Iterator[str]:
+    """Yield the words that are neither options nor their values."""
+    is_value = False
+    for option in options:
+        if not is_value and not option.startswith("-"):
+            yield option
+        is_value = option in WITH_VALUE
