@@ -45,7 +45,7 @@ def splits_forbidden() -> Refused:
     return Refused(
         "splits_forbidden",
         "the draft splits are set by administrators alone; import without --set-splits (sets_splits), or sign in by "
-        "`stone login URL --name ADMINISTRATOR --admin`",
+        "`stone auth login URL --name ADMINISTRATOR --admin`",
     )
 
 

@@ -53,7 +53,8 @@ def read_credentials() -> Credentials:
     except (ValueError, KeyError, TypeError, AttributeError) as error:
         raise Refused(
             "bad_credentials_file",
-            f"{path} cannot be read as credentials: {type(error).__name__}: {error}; remove it and run `stone login`",
+            f"{path} cannot be read as credentials: {type(error).__name__}: {error}; remove it and run "
+            "`stone auth login`",
         ) from None
 
 
@@ -78,11 +79,13 @@ def choose_server(url: str | None = None) -> Server:
     known = Credentials() if named and token else read_credentials()
     chosen = plain_url(named) if named else known.default
     if not chosen:
-        raise Refused("no_server", "no server configured; run `stone serve` here, `stone login URL`, or set STONE_URL")
+        raise Refused(
+            "no_server", "no server configured; run `stone serve` here, `stone auth login URL`, or set STONE_URL"
+        )
     token = token or known.token_of.get(chosen, "")
     if not token:
         raise Refused(
-            "not_signed_in", f"there is no token for {chosen}; run `stone login {chosen}`, or set STONE_TOKEN"
+            "not_signed_in", f"there is no token for {chosen}; run `stone auth login {chosen}`, or set STONE_TOKEN"
         )
     return Server(chosen, token)
 

@@ -68,7 +68,8 @@ class JobFailedError(StoneError):
 
 def unknown_subject(subject: str) -> Refused:
     return Refused(
-        "not_found", f"no sequence and no job of yours is called {subject!r}; `stone status` lists your sequences"
+        "not_found",
+        f"no sequence and no job of yours is called {subject!r}; `stone sequence list` lists your sequences",
     )
 
 

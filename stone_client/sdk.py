@@ -83,7 +83,7 @@ class Submission:
 
 
 class Stone:
-    """A server; without arguments the one that `stone login` or STONE_URL and STONE_TOKEN name.
+    """A server; without arguments the one that `stone auth login` or STONE_URL and STONE_TOKEN name.
 
     `progress(stage, done, total)` is called as things go on.
     """

@@ -3,7 +3,7 @@
 **Conventions.** Both halves have the same frames, poses and track. The labels of the even half are the ground truth and
 those of the odd half the submission. A half has fewer points than the whole, so labels of the whole agree better: the
 figure is a careful one. Outputs: `even/` and `odd/` (label sets), `odd.zip` (the submission), `ceiling.json` (a row for
-`stone reported`).
+`stone benchmark reported`).
 """
 
 import json
@@ -69,7 +69,7 @@ def ceiling(opened: OpenedSequence, plan: CeilingPlan, progress: Progress) -> di
 
 
 def row_of(record: Mapping[str, Any], name: str, by: Halving) -> dict[str, Any]:
-    """Return the score as a table of one row that `stone reported` puts on a board."""
+    """Return the score as a table of one row that `stone benchmark reported` puts on a board."""
     told = {reading: {ratio: _percent(record[reading][ratio]) for ratio in RATIOS} for reading in READINGS}
     row = {"method": f"Ceiling by {by}: {name}"[:100], "modality": "L", "percent": list(told["total"].values())}
     return {

@@ -56,4 +56,4 @@ def _tokens(api: Api, own: str) -> Iterator[str]:
 
 
 def no_labels(name: str) -> Refused:
-    return Refused("no_labels", f"sequence {name!r} has no labels yet; run `stone process {name} --watch`")
+    return Refused("no_labels", f"sequence {name!r} has no labels yet; run `stone sequence process {name} --wait`")

@@ -144,5 +144,6 @@ def _held(path: Path, flags: int = 0) -> Iterator[None]:
 def no_export(name: str, form: str, state: str) -> Refused:
     why = f"its {form} export is {state}" if state else f"it has no {form} export of its labels"
     return Refused(
-        "no_export", f"sequence {name!r} cannot be downloaded so: {why}; run `stone exports {name} --format {form}`"
+        "no_export",
+        f"sequence {name!r} cannot be downloaded so: {why}; run `stone sequence exports {name} --format {form}`",
     )

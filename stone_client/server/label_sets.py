@@ -89,6 +89,6 @@ def _id_named(named: str, ids: list[str]) -> str:
         raise Refused(
             "no_label_set",
             f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {len(ids)} of this "
-            "sequence (`stone label-sets list` shows them)",
+            "sequence (`stone label-set list` shows them)",
         )
     return ids[place]

@@ -35,7 +35,7 @@ def submission_id(api: Api, named: str) -> str:
         raise Refused(
             "no_submission",
             f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {len(own)} of "
-            "your teams (`stone results` lists them)",
+            "your teams (`stone benchmark results` lists them)",
         )
     return str(own[place])
 

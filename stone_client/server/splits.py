@@ -27,7 +27,7 @@ def bad_splits_file(path: Path, why: str) -> Refused:
     return Refused(
         "bad_splits_file",
         f"{path} holds no splits: {why}; expected is an object with lists train, val and test of sequences' names "
-        "or ids (`stone splits --propose 31,7,5 --json` prints one)",
+        "or ids (`stone dataset splits propose 31,7,5 --json` prints one)",
     )
 
 

@@ -11,7 +11,7 @@ from stone_client.server.sequences import Item
 def unknown_team(name: str, known: Sequence[str]) -> Refused:
     yours = f"yours are {', '.join(known)}" if known else "you are in none"
     return Refused(
-        "unknown_team", f"{name[:100]!r} is no team of yours; {yours} (`stone teams create NAME` creates one)"
+        "unknown_team", f"{name[:100]!r} is no team of yours; {yours} (`stone team create NAME` creates one)"
     )
 
 

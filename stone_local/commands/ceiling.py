@@ -59,7 +59,7 @@ def ceiling(
 ) -> None:
     """Measure how well labels agree with themselves: label a drive from each half of its points, and compare both.
 
-    A method is not expected to score higher than that. `stone reported` puts the result on a board.
+    A method is not expected to score higher than that. `stone benchmark reported` puts the result on a board.
     """
     from services.ingest.pipeline import SynchroniseOptions
     from services.ingest.sequence import OpenedSequence, with_sequence
@@ -83,4 +83,4 @@ def ceiling(
         return
     show(score_table(record, f"{record['frames']} frames, odd {by.value} against even ones"))
     show(confusion_table(record["confusion"], f"even {by.value}", f"odd {by.value}"))
-    echo_notice(f"Next: stone reported {output / ROW_FILE} --benchmark BENCHMARK --phase PHASE")
+    echo_notice(f"Next: stone benchmark reported {output / ROW_FILE} --benchmark BENCHMARK --phase PHASE")

@@ -160,7 +160,7 @@ def test_a_class_map_that_is_none_is_told_by_the_server_and_the_upload_stays(
     assert uploads(api) == ["complete"]
     result: Result = stone("import", dataset, "--no-wait")
     assert (result.exit_code, uploads(api)) == (0, ["consumed"])
-    assert "Next: stone watch" in result.stdout
+    assert "Next: stone sequence watch" in result.stdout
 
 
 def test_only_ones_own_import_of_the_same_wishes_is_gone_on_with(
@@ -183,7 +183,7 @@ def test_who_may_not_set_the_draft_splits_is_refused_before_anything_is_sent(
 ) -> None:
     result = stone("import", dataset, "--set-splits")
     assert (refused(result), uploads(api)) == ("splits_forbidden", [])
-    assert "stone login" in result.stderr.replace("\n", " ")
+    assert "stone auth login" in result.stderr.replace("\n", " ")
     monkeypatch.setenv("STONE_TOKEN", person(platform, "administrator").secret)
     assert stone("import", dataset, "--set-splits", "--no-wait").exit_code == 0
 

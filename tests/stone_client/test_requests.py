@@ -209,12 +209,12 @@ def nowhere(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
 
 
 def test_without_any_server_the_refusal_says_how_to_name_one() -> None:
-    with refused_as("no_server", match="stone login URL"):
+    with refused_as("no_server", match="stone auth login URL"):
         choose_server()
 
 
 def test_a_server_without_a_token_is_refused_by_name() -> None:
-    with refused_as("not_signed_in", match=f"stone login {ELSEWHERE}"):
+    with refused_as("not_signed_in", match=f"stone auth login {ELSEWHERE}"):
         choose_server(ELSEWHERE)
 
 

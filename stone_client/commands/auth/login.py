@@ -1,4 +1,4 @@
-"""`stone login`: a token for a server."""
+"""`stone auth login`: a token for a server."""
 
 import sys
 from typing import TYPE_CHECKING, Annotated

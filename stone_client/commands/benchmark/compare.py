@@ -1,4 +1,4 @@
-"""`stone compare`: two submissions to one phase, side by side."""
+"""`stone benchmark compare`: two submissions to one phase, side by side."""
 
 from typing import Annotated
 

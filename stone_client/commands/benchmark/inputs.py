@@ -1,4 +1,4 @@
-"""`stone inputs`: the sensor data of a phase's sequences, downloaded."""
+"""`stone benchmark inputs`: the sensor data of a phase's sequences, downloaded."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`stone leaderboard`: the board of a phase."""
+"""`stone benchmark leaderboard`: the board of a phase."""
 
 from enum import StrEnum
 from pathlib import Path

@@ -1,4 +1,4 @@
-"""`stone manifest`: which frames a submission to a phase must hold."""
+"""`stone benchmark manifest`: which frames a submission to a phase must hold."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`stone reported`: the rows that a publication prints, or a ceiling, on a board and marked as not scored here."""
+"""`stone benchmark reported`: rows of a publication, or a ceiling, on a board and marked as not scored here."""
 
 from typing import Annotated
 
@@ -41,4 +41,4 @@ def reported(
     show(shown_table(record))
     for line in (record["source"], *reported_notes(record["rows"])):
         typer.echo(line)
-    echo_notice(f"Next: stone leaderboard {benchmark} {phase}")
+    echo_notice(f"Next: stone benchmark leaderboard {benchmark} {phase}")

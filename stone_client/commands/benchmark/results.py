@@ -1,4 +1,4 @@
-"""`stone results`: the scores of a submission, or its progress."""
+"""`stone benchmark results`: the scores of a submission, or its progress."""
 
 from enum import StrEnum
 from typing import TYPE_CHECKING, Annotated, Any

@@ -1,4 +1,4 @@
-"""`stone withdraw`: a submission off every board."""
+"""`stone benchmark withdraw`: a submission off every board."""
 
 from typing import Annotated
 

@@ -1,4 +1,4 @@
-"""`stone import`: a published dataset with its labels to a server."""
+"""`stone dataset import`: a published dataset with its labels to a server."""
 
 from pathlib import Path
 from typing import TYPE_CHECKING, Annotated, Any
@@ -129,7 +129,7 @@ def _list(server: str | None, *, as_json: bool) -> None:
 def _say(record: dict[str, Any]) -> None:
     typer.echo(f"{record['name']}: import {record['id']} {record['state']}")
     if record["state"] != "succeeded":
-        typer.echo(f"Next: stone watch {record['job_id']}")
+        typer.echo(f"Next: stone sequence watch {record['job_id']}")
         return
     names = [scene["name"] for scene in record["scenes"]]
     more = f" and {len(names) - MOST_NAMED} more" if len(names) > MOST_NAMED else ""
@@ -144,7 +144,7 @@ def _say(record: dict[str, Any]) -> None:
         where = f"{place['root']}:{place['path']}"
         typer.echo(f"Read in place: {where} as it was at {record['created_at'][:19]}")
         typer.echo("If it has changed since, import it again with --add-to-existing and another --name")
-    typer.echo(f"Next: stone download {names[0]} -o DIR")
+    typer.echo(f"Next: stone sequence download {names[0]} -o DIR")
 
 
 def _text(path: Path) -> str:

@@ -1,4 +1,4 @@
-"""`stone statistics`: the composition of the dataset."""
+"""`stone dataset statistics`: the composition of the dataset."""
 
 from pathlib import Path
 from typing import Annotated

@@ -1,4 +1,4 @@
-"""`stone download`: the labels of a sequence from a server, or one of its exports as an archive."""
+"""`stone sequence download`: the labels of a sequence from a server, or one of its exports as an archive."""
 
 from pathlib import Path
 from typing import Annotated, Any
@@ -20,7 +20,7 @@ OutputOption = Annotated[
     ),
 ]
 FormatOption = Annotated[
-    Format | None, typer.Option("--format", help="Download an export instead of labels; see `stone exports`.")
+    Format | None, typer.Option("--format", help="Download an export instead of labels; see `stone sequence exports`.")
 ]
 
 

@@ -1,4 +1,4 @@
-"""`stone exports`: a sequence's labels in the formats that others open, made on the server."""
+"""`stone sequence exports`: a sequence's labels in the formats that others open, made on the server."""
 
 from enum import StrEnum
 from typing import Annotated, Any
@@ -48,4 +48,6 @@ def exports(
         return
     show(exports_table(found["name"], listed))
     if form is not None:
-        typer.echo(f"Next: stone download {found['name']} --format {form.value} -o {found['name']}-{form.value}.tar")
+        typer.echo(
+            f"Next: stone sequence download {found['name']} --format {form.value} -o {found['name']}-{form.value}.tar"
+        )

@@ -1,4 +1,4 @@
-"""`stone process`: label a sequence on the server."""
+"""`stone sequence process`: label a sequence on the server."""
 
 from typing import Annotated, Any
 

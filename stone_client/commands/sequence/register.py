@@ -1,4 +1,4 @@
-"""`stone register`: recordings that a server reads where they lie."""
+"""`stone sequence register`: recordings that a server reads where they lie."""
 
 from typing import Annotated, Any
 
@@ -60,7 +60,7 @@ def register(
     else:
         for place in found:
             typer.echo(f"{sequence['name']}: {api.url} reads {place} where it lies")
-        following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --watch"
-        typer.echo(f"Next: stone {following}")
+        following = f"download {sequence['name']} -o DIR" if process else f"process {sequence['name']} --wait"
+        typer.echo(f"Next: stone sequence {following}")
     noticed = [*kept["findings"], *(finding for recording in recordings for finding in recording["findings"])]
     echo_findings(Finding(**finding) for finding in noticed)

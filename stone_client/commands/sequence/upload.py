@@ -1,4 +1,4 @@
-"""`stone upload`: recordings and their calibration to a server."""
+"""`stone sequence upload`: recordings and their calibration to a server."""
 
 from typing import Annotated, Any
 
@@ -61,5 +61,5 @@ def upload(
 
 
 def _say_next(name: str, *, is_processed: bool) -> None:
-    following = f"stone download {name} -o DIR" if is_processed else f"stone process {name} --watch"
+    following = f"stone sequence download {name} -o DIR" if is_processed else f"stone sequence process {name} --wait"
     typer.echo(f"Next: {following}")

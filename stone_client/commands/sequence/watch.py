@@ -1,4 +1,4 @@
-"""`stone watch`: follow a job to its end."""
+"""`stone sequence watch`: follow a job to its end."""
 
 from typing import Annotated
 

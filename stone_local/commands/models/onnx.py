@@ -1,4 +1,4 @@
-"""`stone onnx`: a trained network as one file for a robot's own runtime."""
+"""`stone model onnx`: a trained network as one file for a robot's own runtime."""
 
 from dataclasses import asdict
 from pathlib import Path

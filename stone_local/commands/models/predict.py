@@ -1,4 +1,4 @@
-"""`stone predict`: a submission by a trained row, and on to a board; or classes of a recording, frame by frame."""
+"""`stone model predict`: a submission by a trained row, or classes of a recording, frame by frame."""
 
 from dataclasses import asdict
 from pathlib import Path
@@ -27,7 +27,8 @@ from stone_local.topic_choices import (
 )
 
 RunArgument = Annotated[
-    Path, typer.Argument(metavar="RUN", exists=True, file_okay=False, help="The folder of a run of `stone train`.")
+    Path,
+    typer.Argument(metavar="RUN", exists=True, file_okay=False, help="The folder of a run of `stone model train`."),
 ]
 InputsArgument = Annotated[
     list[Path] | None,

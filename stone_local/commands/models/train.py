@@ -1,4 +1,4 @@
-"""`stone train`: a row of the benchmark, trained on exported data."""
+"""`stone model train`: a row of the benchmark, trained on exported data."""
 
 from enum import StrEnum
 from pathlib import Path
@@ -143,4 +143,4 @@ def train(
     typer.echo(f"{output}: {ended.steps:,} steps on {ended.frames:,} frames (sha256 {ended.data_sha256[:16]}…)")
     if ended.best_miou is not None:
         typer.echo(f"best validation mIoU: {100 * ended.best_miou:.2f} %")
-    typer.echo(f"Next: stone predict {output} INPUTS --manifest M.json -o sub.zip")
+    typer.echo(f"Next: stone model predict {output} INPUTS --manifest M.json -o sub.zip")
