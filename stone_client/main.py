@@ -18,7 +18,9 @@ from stone_client.lazy_commands import LazyGroup
 from stone_client.old_words import words_of_today
 from stone_client.platform_part import add_refusals, is_platform_installed
 from stone_client.refusals import RefusingGroup
-from stone_client.streams import echo_notice
+from stone_client.streams import choose_output, echo_notice
+
+EVERYWHERE = ("--quiet", "--no-progress")
 
 
 class StoneGroup(RefusingGroup, LazyGroup):
@@ -31,6 +33,13 @@ class StoneGroup(RefusingGroup, LazyGroup):
         if change and not ctx.resilient_parsing:
             echo_notice(change)
         return super().resolve_command(ctx, words)
+
+    def parse_args(self, ctx: Any, args: list[str]) -> Any:
+        """Accept the options of every command after the command's word too, but for what follows `--`."""
+        end = args.index("--") if "--" in args else len(args)
+        words = args[:end]
+        first = [word for word in EVERYWHERE if word in words]
+        return super().parse_args(ctx, [*first, *(word for word in words if word not in first), *args[end:]])
 
 
 app = typer.Typer(
@@ -56,8 +65,15 @@ def stone(
     _version: Annotated[
         bool, typer.Option("--version", callback=_print_version, is_eager=True, help="Print the release.")
     ] = False,
+    is_quiet: Annotated[
+        bool, typer.Option("--quiet", envvar="STONE_QUIET", help="Print results, warnings and refusals only.")
+    ] = False,
+    is_without_progress: Annotated[
+        bool, typer.Option("--no-progress", envvar="STONE_NO_PROGRESS", help="Print no progress.")
+    ] = False,
 ) -> None:
     """Surround-view 3D traversability labels from a field robot's own recordings."""
+    choose_output(is_quiet=is_quiet, has_progress=not is_without_progress)
 
 
 if not is_platform_installed():

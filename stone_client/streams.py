@@ -6,6 +6,7 @@ warnings and refusals. Names from recordings and archives are hostile: control c
 
 import json
 from collections.abc import Iterable, Mapping
+from contextvars import ContextVar
 from typing import Annotated, Any
 
 import typer
@@ -15,6 +16,18 @@ from stone_base.errors import one_line
 from stone_base.findings import Finding
 
 WANTS_JSON = "stone.wants_json"
+_shows_progress: ContextVar[bool] = ContextVar("shows_progress", default=True)
+_shows_notices: ContextVar[bool] = ContextVar("shows_notices", default=True)
+
+
+def choose_output(*, is_quiet: bool, has_progress: bool) -> None:
+    """Set the effect of `--quiet` and `--no-progress` for the command that runs now."""
+    _shows_progress.set(has_progress and not is_quiet)
+    _shows_notices.set(not is_quiet)
+
+
+def is_progress_shown() -> bool:
+    return _shows_progress.get()
 
 
 def _remember(context: typer.Context, value: bool) -> bool:
@@ -38,8 +51,9 @@ def echo_json(record: Mapping[str, Any]) -> None:
 
 
 def echo_notice(line: str) -> None:
-    """One line on stderr about what happens meanwhile."""
-    typer.echo(one_line(line), err=True)
+    """One line on stderr about what happens meanwhile; none under `--quiet`."""
+    if _shows_notices.get():
+        typer.echo(one_line(line), err=True)
 
 
 def echo_explainer(findings: Iterable[Finding]) -> None:

@@ -29,6 +29,7 @@ from services.labeler.process_pool import Task, TaskResult, Workers
 from services.labeler.report import LabelReport, report_of
 from services.labeler.run import LabelRun, silent
 from services.labeler.tables import write_frames
+from services.runtime.jobs.queries import title_of
 from stone.findings import Finding
 from stone.sensors.ground_refusals import ground_refusal
 from stone.sensors.sequence import Sequence, SweepSource
@@ -67,6 +68,7 @@ class CostMeter:
         }
 
 
+TITLE_OF = {stage.shown: title_of(kind) for kind, stage in STAGES.items()}
 Progress = Callable[[str, int, int], None]
 Key = tuple[object, ...]
 REPORT = "report.json"
@@ -186,7 +188,7 @@ class _Stages:
 
     def _tell(self, stage: str, done: int, total: int) -> None:
         if stage:
-            self.progress(stage, done, total)
+            self.progress(TITLE_OF.get(stage, stage), done, total)
 
 
 def _stage(task: Task) -> str:

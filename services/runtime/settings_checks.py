@@ -25,7 +25,7 @@ EMAIL = re.compile(r"[A-Za-z0-9.!#$%&'*+/=?^_`{|}~-]{1,64}@[A-Za-z0-9-]{1,63}(\.
 """An e-mail address: what a web form accepts (WHATWG HTML, 4.10.5.1.5), ASCII alone, without a line end or a blank."""
 
 PREFIX = "STONE_"
-OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_TOKEN", "STONE_URL")
+OF_COMMANDS = ("STONE_CONFIG_HOME", "STONE_NO_PROGRESS", "STONE_QUIET", "STONE_TOKEN", "STONE_URL")
 OF_DEPLOYMENTS = (
     "STONE_BUILD_OPTIONS",
     "STONE_EDGE_SUBNET",

@@ -13,7 +13,7 @@ import httpx
 
 from stone_client.api import Api, Patience
 from stone_client.errors import JobFailedError, ServerFaultError, ServerRefusedError, ServerUnreachableError
-from stone_client.progress import Report
+from stone_client.progress import CountedStage, Report
 
 AWAY_S = 120.0
 SILENCE_S = 45.0
@@ -95,10 +95,10 @@ def _job_of(event: Event, before: Mapping[str, Any]) -> Mapping[str, Any]:
 
 
 def _report(job: Mapping[str, Any], told: dict[str, tuple[int, int]], progress: Report) -> None:
-    """Report what changed: a run's stages, or the job's own count."""
-    own = {"kind": job["progress"]["stage"] or job["kind"], **job["progress"]}
+    """Report what changed: a run's stages, or the job's own count, by the titles of the server's pages."""
+    own = {"kind": job["kind"], "title": job.get("title"), **job["progress"]}
     for stage in job.get("stages") or (own,):
-        counts = (int(stage["done"]), int(stage["total"]))
-        if counts[1] and told.get(stage["kind"]) != counts:
-            told[stage["kind"]] = counts
-            progress(stage["kind"], *counts)
+        counts, title = (int(stage["done"]), int(stage["total"])), stage.get("title") or stage["kind"]
+        if counts[1] and told.get(title) != counts:
+            told[title] = counts
+            progress(CountedStage(title), *counts)

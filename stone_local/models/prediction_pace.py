@@ -8,6 +8,8 @@ from time import monotonic
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from stone_client.streams import is_progress_shown
+
 LINE_EVERY_S = 10.0
 
 
@@ -37,6 +39,9 @@ class PredictionPace:
 @contextmanager
 def prediction_shown() -> Iterator[Callable[[PredictionPace], None]]:
     """Yield the function that a prediction calls after each frame."""
+    if not is_progress_shown():
+        yield lambda _: None
+        return
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         yield _PredictionLines(console)

@@ -8,6 +8,8 @@ from typing import Protocol
 from rich.console import Console
 from rich.progress import BarColumn, MofNCompleteColumn, Progress, TextColumn
 
+from stone_client.streams import is_progress_shown
+
 LINE_EVERY_S = 10.0
 
 
@@ -37,6 +39,9 @@ class StepReport(Protocol):
 @contextmanager
 def training_shown() -> Iterator[Callable[[StepReport], None]]:
     """Yield the function that training calls after each step."""
+    if not is_progress_shown():
+        yield lambda _: None
+        return
     console = Console(stderr=True, highlight=False)
     if not console.is_terminal:
         yield _TrainingLines(console)

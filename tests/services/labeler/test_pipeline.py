@@ -251,7 +251,7 @@ def test_an_earlier_label_set_is_replaced_with_progress_told_and_a_foreign_folde
     options = LabelOptions(parameters_for("local"))
     label(sequence_of(world), RayCast(world), tmp_path / "earlier", options, lambda *step: seen.append(step))
     stages = list(dict.fromkeys(stage for stage, _, _ in seen))
-    assert stages == ["fuse", "surface", "pictures", "frames"]
+    assert stages == ["Fuse sweeps", "Reconstruct the surface", "Draw pictures of the map", "Label frames"]
     for stage in stages:
         steps = [(done, total) for name, done, total in seen if name == stage]
         assert steps == [(done, steps[-1][1]) for done in range(steps[-1][1] + 1)]
@@ -310,8 +310,8 @@ def test_killing_the_run_leaves_no_output_folder(tmp_path, number):
     command = [sys.executable, str(tmp_path / "run.py"), str(tmp_path / "out")]
     with subprocess.Popen(command, env=environment, stdout=subprocess.PIPE, text=True) as run:
         assert run.stdout is not None
-        begun = next(line for line in run.stdout if line.startswith("surface"))
-        assert begun == "surface 0\n"
+        begun = next(line for line in run.stdout if line.startswith("Reconstruct"))
+        assert begun == "Reconstruct the surface 0\n"
         run.send_signal(number)
         run.stdout.close()
         assert run.wait(300) in (128 + number, -number)
