@@ -79,6 +79,7 @@ OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("not_of_recording", "A manifest asks for frames that the recording does not have."),
     ("not_recorded", "The frames of a sequence name no messages."),
     ("not_scored", "The submission failed for no fault of the file, or was cancelled; `code` is that of its failure."),
+    ("not_serving", "No server holds the data folder that `stone serve --stop` names."),
     ("not_signed_in", "There is no token for the server."),
     ("not_taken", "The receiver did not take it, this time; `is_final`: nor will it later."),
     ("nothing_in_common", "The two label sets share no frame."),

@@ -1,6 +1,7 @@
 """`stone serve`: the whole platform on this machine."""
 
 import os
+from pathlib import Path
 from typing import Annotated
 
 import typer
@@ -10,6 +11,9 @@ from stone_client.streams import JsonOption, echo_json, echo_notice
 
 HostOption = Annotated[str | None, typer.Option(help="The address to listen on.", show_default="127.0.0.1")]
 PortOption = Annotated[int | None, typer.Option(min=0, max=65535, help="0: any free port.", show_default="8080")]
+StopOption = Annotated[
+    bool, typer.Option("--stop", help="Stop the server of the data folder and wait until it has ended.")
+]
 
 
 def serve(
@@ -17,10 +21,17 @@ def serve(
     host: HostOption = None,
     port: PortOption = None,
     workers: WorkersOption = None,
+    is_stop: StopOption = False,
     as_json: JsonOption = False,
 ) -> None:
     """Run API, workers and sweeper with a database and a store of their own, until Ctrl-C; a second start resumes."""
     from stone_local.embedded_platform import Address, password_line, served, settings_for, wait_for_ctrl_c
+
+    if is_stop:
+        if host is not None or port is not None or workers is not None:
+            raise typer.BadParameter("it takes --data alone", param_hint="--stop")
+        _stop(data, as_json=as_json)
+        return
 
     with served(settings_for(data, Address(host, port), workers)) as running:
         folder = running.platform.settings.root
@@ -36,3 +47,17 @@ def serve(
             typer.echo(running.url)
         wait_for_ctrl_c()
         echo_notice("stopping: running jobs may finish; Ctrl-C again ends them at once")
+
+
+def _stop(data: Path | None, *, as_json: bool) -> None:
+    """Drain the server of the data folder as Ctrl-C does. Raises `not_serving`."""
+    from services.runtime.embedded.listen_socket import stop_holder
+    from stone_local.embedded_platform import Address, settings_for
+
+    folder = settings_for(data, Address(), None).root
+    echo_notice("stopping: running jobs may finish")
+    pid, url = stop_holder(folder)
+    if as_json:
+        echo_json({"stopped": {"pid": pid, "url": url}, "data": str(folder)})
+    else:
+        typer.echo(f"stopped: process {pid}, which served {folder} at {url}")

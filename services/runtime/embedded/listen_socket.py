@@ -6,6 +6,8 @@
 import fcntl
 import json
 import os
+import select
+import signal
 import socket
 from collections.abc import Iterator
 from contextlib import contextmanager, suppress
@@ -101,6 +103,59 @@ def hold_folder(folder: Path) -> Iterator[FolderLock]:
         yield lock
     finally:
         os.close(descriptor)
+
+
+def stop_holder(folder: Path) -> tuple[int, str]:
+    """Send SIGTERM to the supervisor that holds `folder`, wait until it has ended, and return its process id and URL.
+
+    The signal goes to a descriptor of the process that held the lock when its id was read, so a process that got the
+    same id later never receives it. Raises `not_serving`.
+    """
+    descriptor = _opened_lock(folder)
+    try:
+        pid, url = _holder(descriptor)
+        if not url:
+            raise not_serving(folder, "the process that holds it does not serve yet" if pid else "try again")
+        process = os.pidfd_open(pid)
+        try:
+            if _is_free(descriptor) or _holder(descriptor) != (pid, url):
+                raise not_serving(folder, "its server ended a moment ago")
+            signal.pidfd_send_signal(process, signal.SIGTERM)
+            select.select([process], [], [])
+        finally:
+            os.close(process)
+    except ProcessLookupError:
+        raise not_serving(folder, "its server ended a moment ago") from None
+    finally:
+        os.close(descriptor)
+    return pid, url
+
+
+def _opened_lock(folder: Path) -> int:
+    """The lock file of a folder that is held. Raises `not_serving`."""
+    try:
+        descriptor = os.open(folder / LOCK, os.O_RDWR)
+    except FileNotFoundError:
+        raise not_serving(folder, "it is no data folder of a server") from None
+    if _is_free(descriptor):
+        os.close(descriptor)
+        raise not_serving(folder, "no process holds it")
+    return descriptor
+
+
+def _is_free(descriptor: int) -> bool:
+    try:
+        fcntl.flock(descriptor, fcntl.LOCK_EX | fcntl.LOCK_NB)
+    except BlockingIOError:
+        return False
+    fcntl.flock(descriptor, fcntl.LOCK_UN)
+    return True
+
+
+def not_serving(folder: Path, why: str) -> Refused:
+    return Refused(
+        "not_serving", f"no server can be stopped on {folder}: {why}; name the folder of the server by --data"
+    )
 
 
 def _holder(descriptor: int) -> tuple[int, str]:

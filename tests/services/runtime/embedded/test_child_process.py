@@ -1,5 +1,6 @@
 """Parts of the embedded platform: a child is kept running and ends in bounded time; broker, lock, socket, logs."""
 
+import json
 import os
 import signal
 import socket
@@ -18,7 +19,7 @@ from redis import AuthenticationError, Redis, RedisError
 from services.runtime.embedded import redis_child
 from services.runtime.embedded.child_process import KEPT, Child, Program, cut_if_large
 from services.runtime.embedded.errors import PortTakenError
-from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at
+from services.runtime.embedded.listen_socket import LOCK, hold_folder, listen, local_url, reached_at, stop_holder
 from services.runtime.embedded.redis_child import LOOK_S, MISSES, Broker, Pulse, start_redis
 from services.runtime.embedded.supervisor import SupervisedChildren
 from services.runtime.settings import ApiSettings
@@ -258,3 +259,53 @@ def test_a_large_log_is_cut_while_its_writer_goes_on(tmp_path: Path) -> None:
     kept = sorted(path.name for path in tmp_path.iterdir())
     assert kept == ["api.log", *(f"api.log.{number}" for number in range(1, KEPT + 1))]
     assert (tmp_path / "api.log.1").read_bytes().startswith(b"%d " % (KEPT + 2))
+
+
+HOLDING = """
+import signal, sys
+from pathlib import Path
+from services.runtime.embedded.listen_socket import hold_folder
+signal.pthread_sigmask(signal.SIG_BLOCK, [signal.SIGTERM])
+with hold_folder(Path(sys.argv[1])) as lock:
+    lock.say(sys.argv[2])
+    print("held", flush=True)
+    signal.sigwait([signal.SIGTERM])
+"""
+
+
+@contextmanager
+def another_holder(folder: Path, url: str) -> Iterator[subprocess.Popen[str]]:
+    """A process of its own that holds the folder until SIGTERM."""
+    command = [sys.executable, "-c", HOLDING, str(folder), url]
+    with subprocess.Popen(command, stdout=subprocess.PIPE, text=True) as process:
+        assert process.stdout is not None
+        assert process.stdout.readline() == "held\n"
+        try:
+            yield process
+        finally:
+            process.kill()
+
+
+def test_the_server_of_a_folder_is_stopped_and_no_other(tmp_path: Path) -> None:
+    with (
+        another_holder(tmp_path / "a", "http://127.0.0.1:1") as ours,
+        another_holder(tmp_path / "b", "http://127.0.0.1:2") as other,
+    ):
+        assert stop_holder(tmp_path / "a") == (ours.pid, "http://127.0.0.1:1")
+        assert ours.wait(0) == 0, "the command waits for the end"
+        assert other.poll() is None
+        with refused_as("not_serving", match="no process holds it"):
+            stop_holder(tmp_path / "a")
+
+
+def test_only_a_server_is_stopped(tmp_path: Path) -> None:
+    with refused_as("not_serving", match="no data folder"):
+        stop_holder(tmp_path)
+    with another_holder(tmp_path / "restored", "") as restoring:
+        with refused_as("not_serving", match="does not serve yet"):
+            stop_holder(tmp_path / "restored")
+        assert restoring.poll() is None
+    (tmp_path / "stale").mkdir()
+    (tmp_path / "stale" / LOCK).write_text(json.dumps({"pid": os.getpid(), "url": "http://127.0.0.1:3"}))
+    with refused_as("not_serving", match="no process holds it"):
+        stop_holder(tmp_path / "stale")
