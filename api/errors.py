@@ -16,7 +16,7 @@ BEARER = {"WWW-Authenticate": 'Bearer realm="stone"'}
 
 
 class ApiError(Refused):
-    """The request is refused; `headers` belong to the answer, `findings` are `{code, where, expected}` each."""
+    """The request is refused; `headers` belong to the answer, `findings` are `ProblemFinding`s."""
 
     def __init__(
         self,
@@ -88,6 +88,13 @@ class RefusedBodyError(HTTPException):
         self.refusal = refusal
 
 
+def no_json() -> ApiError:
+    return ApiError(
+        "unsupported_media_type",
+        "the body is read as JSON only if the header says so; send 'Content-Type: application/json'",
+    )
+
+
 def rate_limited(per_minute: float, retry_after_s: int) -> ApiError:
     return ApiError(
         "rate_limited",
@@ -100,7 +107,7 @@ class CalibrationRefusedError(ApiError):
     """The calibration is refused; `errors` has the code of the check."""
 
     def __init__(self, filename: str, reason: StoneError) -> None:
-        finding = {"code": reason.code, "where": "file", "file": filename, "expected": str(reason)}
+        finding = {"code": reason.code, "where": "file", "file": filename, "detail": str(reason)}
         super().__init__("calibration_refused", str(reason), findings=(finding,))
 
 
@@ -109,7 +116,7 @@ NAMED = 8
 
 def split_refused(errors: tuple[RuleFinding, ...], names: Mapping[str, str]) -> ApiError:
     sentence = f"{len(errors)} rule(s) are broken; see errors, or have splits proposed (/splits/proposal)"
-    findings = tuple({"code": error.code, "where": _where(error, names), "expected": error.message} for error in errors)
+    findings = tuple({"code": error.code, "where": _where(error, names), "detail": error.message} for error in errors)
     return ApiError("split_refused", sentence, findings=findings)
 
 

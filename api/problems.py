@@ -19,12 +19,12 @@ from sqlalchemy.exc import DataError, IntegrityError, InterfaceError, Operationa
 from sqlalchemy.exc import TimeoutError as PoolTimeoutError
 from starlette.exceptions import HTTPException
 
-from api.errors import ApiError, ForbiddenError, NotFoundError, RefusedBodyError, UnauthenticatedError
+from api.errors import ApiError, ForbiddenError, NotFoundError, RefusedBodyError, UnauthenticatedError, no_json
+from api.field_findings import MOST_WORDS, field_finding
 from api.middleware.context import request_id
 from api.middleware.methods import allowed
 from api.schemas.base import instant
-from api.statuses import phrase_of, problem_type_of
-from api.tus.errors import unsupported_media_type
+from api.statuses import PROBLEM_TYPES, ProblemType, phrase_of
 from services.domain.benchmarks.submissions.errors import ExhaustedError
 from services.runtime.database.ballast import is_full
 from services.runtime.orm.base import now_ns
@@ -34,9 +34,6 @@ from stone.errors import StoneError
 
 MEDIA_TYPE = "application/problem+json"
 MOST_FINDINGS = 100
-MOST_WORDS = 200
-RAISED_BY_US = "Value error, "
-"""What pydantic writes before the sentence of a `ValueError` of our own."""
 PROBLEMS_PATH = "/api/v1/problems"
 BUSY_S = "2"
 GRANTED_WITHIN_S = 86_400
@@ -56,6 +53,7 @@ class ProblemFinding(BaseModel):
     frame: str | None = None
     expected: str | None = None
     actual: str | None = None
+    detail: str | None = None
 
 
 class Problem(BaseModel):
@@ -74,10 +72,11 @@ class Problem(BaseModel):
     )
 
 
-def problem(status: int, code: str, detail: str, title: str = "") -> Problem:
-    """A problem of this request; its title is the status's own phrase where none is given."""
-    where, named = f"{PROBLEMS_PATH}/{code}", title or phrase_of(status)
-    return Problem(type=where, title=named, status=status, detail=detail, code=code, request_id=request_id())
+def problem(code: str, detail: str, status: int = 500) -> Problem:
+    """Return a problem of this request with status and title of its code; `status` is of codes that the table lacks."""
+    kind = PROBLEM_TYPES.get(code) or ProblemType(status, phrase_of(status))
+    where, (known, title) = f"{PROBLEMS_PATH}/{code}", kind
+    return Problem(type=where, title=title, status=known, detail=detail, code=code, request_id=request_id())
 
 
 def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONResponse:
@@ -89,11 +88,10 @@ def answer(body: Problem, headers: Mapping[str, str] | None = None) -> JSONRespo
 
 def answer_to(error: StoneError) -> JSONResponse:
     """The answer to a refusal, by the table."""
-    kind = problem_type_of(error)
-    if kind is None:
+    if error.code not in PROBLEM_TYPES:
         log.error("refusal without a status", code=error.code, sentence=str(error))
         return internal_error()
-    body = problem(kind.status, error.code, without_paths(str(error)), kind.title)
+    body = problem(error.code, without_paths(str(error)))
     if isinstance(error, ExhaustedError):
         return _exhausted(body, error)
     if not isinstance(error, ApiError):
@@ -114,7 +112,7 @@ def _exhausted(body: Problem, error: ExhaustedError) -> JSONResponse:
 
 def internal_error() -> JSONResponse:
     """A fault of ours: the response holds the request's id and nothing more."""
-    return answer(problem(500, "internal_error", "internal error; quote request_id when you report it"))
+    return answer(problem("internal_error", "internal error; quote request_id when you report it"))
 
 
 def as_it_is(_request: Request, answer: Response) -> Response:
@@ -154,31 +152,27 @@ def respond(error: Exception) -> JSONResponse:
 
 def _invalid(error: Any) -> JSONResponse:
     if isinstance(error.body, bytes) and error.body:  # FastAPI leaves a body alone that does not say it is JSON
-        return answer_to(unsupported_media_type("not JSON", "application/json"))
+        return answer_to(no_json())
     raw: Sequence[Any] = error.errors()
-    findings = tuple(_finding(one) for one in raw[:MOST_FINDINGS])
+    findings = tuple(field_finding(one) for one in raw[:MOST_FINDINGS])
     return answer_to(invalid_request(findings, len(raw)))
-
-
-def _finding(raw: Mapping[str, Any]) -> dict[str, str]:
-    """Place and expectation of a validation error; never the input, which may be a secret or a megabyte."""
-    where = ".".join(str(part)[:64] for part in raw["loc"][:8])
-    expected = str(raw["msg"]).removeprefix(RAISED_BY_US)[:MOST_WORDS]
-    return {"code": str(raw["type"])[:64], "where": where, "expected": expected}
 
 
 def _http(error: Any) -> JSONResponse:
     if isinstance(error, RefusedBodyError):
         return answer_to(error.refusal)
-    code = phrase_of(error.status_code).lower().replace(" ", "_").replace("-", "_")
-    detail = SENTENCE_OF.get(error.status_code, str(error.detail)[:MOST_WORDS])
-    return answer(problem(error.status_code, code, detail), error.headers)
+    return answer(_of_http(error.status_code, str(error.detail)[:MOST_WORDS]), error.headers)
 
 
-SENTENCE_OF = {
-    404: "there is no such route; see /api/v1/openapi.json",
-    405: "this route has no such method; see the Allow header",
-}
+def _of_http(status: int, detail: str) -> Problem:
+    match status:
+        case 400:
+            return problem("bad_request", detail)
+        case 404:
+            return problem("not_found", "there is no such route; see /api/v1/openapi.json")
+        case 405:
+            return problem("method_not_allowed", "this route has no such method; see the Allow header")
+    return problem(phrase_of(status).lower().replace(" ", "_").replace("-", "_"), detail, status)
 
 
 def _system(error: Any) -> JSONResponse:
@@ -190,17 +184,17 @@ def _system(error: Any) -> JSONResponse:
 
 def _disk_full() -> JSONResponse:
     sentence = "the platform's disk is full; nothing was lost, try again later"
-    return answer(problem(507, "insufficient_storage", sentence))
+    return answer(problem("insufficient_storage", sentence))
 
 
 def _unstorable(error: Any) -> JSONResponse:
     log.warning("a value the database does not take", exc_info=error)
-    return answer(problem(422, "unstorable_value", "a value holds a character or a size that cannot be kept"))
+    return answer(problem("unstorable_value", "a value holds a character or a size that cannot be kept"))
 
 
 def _raced(error: Any) -> JSONResponse:
     log.warning("a constraint held", exc_info=error)
-    return answer(problem(409, "conflict", "another request changed the same thing at the same moment; read it again"))
+    return answer(problem("conflict", "another request changed the same thing at the same moment; read it again"))
 
 
 def _database_away(error: Any) -> JSONResponse:
@@ -210,7 +204,7 @@ def _database_away(error: Any) -> JSONResponse:
     if "no such column" in str(error) or "no such table" in str(error):  # SQLite's words; PostgreSQL has a class for it
         return internal_error()
     sentence = "the database cannot be reached or is too busy; nothing was changed, try again"
-    return answer(problem(503, "database_away", sentence))
+    return answer(problem("database_away", sentence))
 
 
 ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (
@@ -227,6 +221,6 @@ ANSWERS: tuple[tuple[type[Exception], Callable[[Any], JSONResponse]], ...] = (
 
 
 def invalid_request(findings: tuple[Mapping[str, Any], ...], total: int) -> ApiError:
-    return ApiError(
-        "invalid_request", f"{total} field(s) of the request are invalid; see errors", None, findings, total
-    )
+    first = f"{findings[0]['where']}: {findings[0]['detail']}" if findings else "see errors"
+    more = f"; {total - 1} more in errors" if total > 1 else ""
+    return ApiError("invalid_request", f"the request is invalid: {first}{more}", None, findings, total)

@@ -9,10 +9,11 @@ from collections.abc import Awaitable, Callable
 from fastapi import APIRouter, Request
 from fastapi.routing import APIRoute
 
+from api.deps import identify_async
+from api.field_findings import MOST_NAME
 from api.middleware.strangers import below
 from api.problems import MOST_FINDINGS, invalid_request
 
-MOST_NAME = 64
 EXEMPT = "/sign-in/oidc/callback"
 
 
@@ -27,6 +28,7 @@ def known_query(router: APIRouter) -> Callable[[Request], Awaitable[None]]:
             return
         if unknown := [name for name in request.query_params if name not in names]:
             expected = f"one of {', '.join(names)}" if names else "no query parameters"
+            await identify_async(request)  # a false credential is refused first, and the log names the caller
             findings = tuple(_finding(name, expected) for name in unknown[:MOST_FINDINGS])
             raise invalid_request(findings, len(unknown))
 
@@ -38,4 +40,5 @@ def _names(route: APIRoute) -> tuple[str, ...]:
 
 
 def _finding(name: str, expected: str) -> dict[str, str]:
-    return {"code": "unknown_parameter", "where": f"query.{name[:MOST_NAME]}", "expected": expected}
+    detail = f"this route has no such query parameter; it takes {expected}"
+    return {"code": "unknown_parameter", "where": f"query.{name[:MOST_NAME]}", "expected": expected, "detail": detail}

@@ -4,13 +4,8 @@
 a fault of the platform: 500, and its sentence goes only to the log. A new refusal needs a line here.
 """
 
-from collections.abc import Iterator
 from http import HTTPStatus
 from typing import NamedTuple
-
-from services.domain.benchmarks.rescores.errors import AlarmDismissedError, RescoreStateError
-from services.domain.benchmarks.submissions.errors import SubmissionStateError
-from stone.errors import StoneError
 
 
 class ProblemType(NamedTuple):
@@ -22,6 +17,7 @@ class ProblemType(NamedTuple):
 
 PROBLEM_TYPES = {
     "authorization_pending": ProblemType(400, "The program has not been approved yet"),
+    "bad_request": ProblemType(400, "The request cannot be read"),
     "bad_tus_header": ProblemType(400, "A header of the tus protocol is missing or cannot be read"),
     "expired_token": ProblemType(400, "The device code is unknown, has expired or was used"),
     "length_deferred": ProblemType(400, "Upload-Defer-Length is not supported; the length must be known at creation"),
@@ -58,6 +54,7 @@ PROBLEM_TYPES = {
     "sequence_deleted": ProblemType(404, "The sequence was deleted; nothing more is made of it"),
     "upload_missing": ProblemType(404, "There is no such upload, or it is somebody else's"),
     "upload_target_missing": ProblemType(404, "What the upload is meant for does not exist, or is somebody else's"),
+    "method_not_allowed": ProblemType(405, "The route has no such method"),
     "body_too_slow": ProblemType(408, "The body arrived below the minimum rate, or stopped"),
     "receive_timeout": ProblemType(408, "The client sent nothing for too long; what was written before counts"),
     "already_active": ProblemType(409, "The board shows this evaluation version now"),
@@ -125,7 +122,7 @@ PROBLEM_TYPES = {
     "unknown_recording": ProblemType(
         409, "A recording was asked for that the sequence has not, or that could not be registered"
     ),
-    "wrong_state": ProblemType(409, "The job is not in a state in which this can be done"),
+    "wrong_state": ProblemType(409, "The state of the job, submission, re-score or alarm does not allow this"),
     "wrong_upload_purpose": ProblemType(409, "The upload was declared to be something else"),
     "wrong_upload_state": ProblemType(409, "The upload is not in a state in which this can be done"),
     "wrong_upload_target": ProblemType(409, "The upload was declared for another sequence"),
@@ -184,6 +181,7 @@ PROBLEM_TYPES = {
     "unknown_metric": ProblemType(422, "No metric has this version"),
     "unknown_root": ProblemType(422, "There is no such root for files in place"),
     "unknown_role": ProblemType(422, "There is no such role"),
+    "unstorable_value": ProblemType(422, "A value holds a character or a size that cannot be kept"),
     "weak_password": ProblemType(422, "A password is too short to resist guessing, or too long to be one"),
     "upload_locked": ProblemType(423, "Another request is writing to this upload"),
     "client_too_old": ProblemType(426, "The client's release is no longer supported by this server"),
@@ -206,38 +204,23 @@ PROBLEM_TYPES = {
         460, "The bytes of this request are not those that were sent; they were cut off again"
     ),
     "sha256_mismatch": ProblemType(460, "The whole file is not the declared one; it was removed"),
+    "internal_error": ProblemType(500, "A fault of the platform"),
     "object_damaged": ProblemType(500, "A stored file is damaged: the platform's fault"),
     "id_token_refused": ProblemType(502, "The ID token is not one that the provider made for this sign-in"),
     "provider_answer": ProblemType(502, "What the provider answered is not what the standard says"),
     "busy": ProblemType(503, "Too many password checks, waiting programs or request bodies at this moment"),
+    "database_away": ProblemType(503, "The database cannot be reached, or is too busy"),
     "provider_away": ProblemType(503, "The provider does not answer, or not in time"),
     "reader_interrupted": ProblemType(
         503, "Reading the input was cut short by the machine; perhaps no fault of the input"
     ),
     "store_away": ProblemType(503, "The store did not answer, or answered that it cannot work now"),
     "disk_full": ProblemType(507, "The disk is full; what was written before is kept"),
+    "insufficient_storage": ProblemType(507, "The disk is full; nothing was lost"),
     "storage_full": ProblemType(507, "The disk is full up to its reserve; the new files would not fit"),
     "store_full": ProblemType(507, "The store, or the local cache in front of it, has no room left"),
 }
-TITLES_OF_WRONG_STATE: dict[type[StoneError], str] = {
-    SubmissionStateError: "The submission is not in a state in which this can be done",
-    RescoreStateError: "The re-score is over",
-    AlarmDismissedError: "The alarm was already dismissed",
-}
-"""The refusals that share the code `wrong_state` with the job's."""
 OF_OTHERS = {460: "Checksum Mismatch"}  # statuses that HTTP itself does not know
-
-
-def problem_type_of(error: StoneError) -> ProblemType | None:
-    """The type of a refusal; None if its code is not in the table."""
-    known = PROBLEM_TYPES.get(error.code)
-    return known and known._replace(title=TITLES_OF_WRONG_STATE.get(type(error), known.title))
-
-
-def problem_types() -> Iterator[tuple[str, ProblemType]]:
-    """Every code and its type, by status, code and title."""
-    shared = [("wrong_state", ProblemType(409, title)) for title in TITLES_OF_WRONG_STATE.values()]
-    return iter(sorted([*PROBLEM_TYPES.items(), *shared], key=lambda one: (one[1].status, one[0], one[1].title)))
 
 
 def phrase_of(status: int) -> str:

@@ -9,7 +9,7 @@ from collections.abc import Iterable, Iterator
 from http import HTTPStatus
 from pathlib import Path
 
-from api.statuses import OF_OTHERS, PROBLEM_TYPES, problem_types
+from api.statuses import OF_OTHERS, PROBLEM_TYPES
 from docsite.markdown import code, plain, table
 from docsite.other_codes import OTHER_CODES
 from stone_base.codes.catalogue import by_family
@@ -42,6 +42,7 @@ REFUSALS = (
     "ZipFaultError",
     "ApiError",
     "ExhaustedError",
+    "problem",
     "__init__",
 )
 """The names of calls whose first argument is the code."""
@@ -50,7 +51,7 @@ CODE = re.compile(r"[A-Z]{3}-\d{3}|[a-z][a-z0-9_]*")
 
 def codes_page() -> str:
     """The page."""
-    answered = sorted((str(kind.status), code(one), plain(f"{kind.title}.")) for one, kind in problem_types())
+    answered = sorted((str(kind.status), code(one), plain(f"{kind.title}.")) for one, kind in PROBLEM_TYPES.items())
     datasets = [(code(one), plain(fault.meaning)) for one, fault in DATASET_FAULTS.items() if one not in PROBLEM_TYPES]
     others = sorted([*((one, "") for one in MISTAKES), *OTHER_CODES], key=lambda row: row[0])
     return "\n".join(

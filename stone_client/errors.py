@@ -80,5 +80,9 @@ def damaged_download(path: str, found: str, promised: str) -> Refused:
 def _findings(problem: Mapping[str, Any]) -> str:
     """The first few things that are wrong, where the server names several."""
     found = problem.get("errors") or []
-    said = [f"{one.get('where', '')}: {one.get('expected') or one.get('code', '')}" for one in found[:MOST_FINDINGS]]
-    return f": {'; '.join(said)}" if said else ""
+    said = [
+        (str(one.get("where", "")), str(one.get("detail") or one.get("expected") or one.get("code", "")))
+        for one in found
+    ]
+    new = [f"{where}: {detail}" for where, detail in said[:MOST_FINDINGS] if detail not in str(problem.get("detail"))]
+    return f": {'; '.join(new)}" if new else ""

@@ -5,14 +5,15 @@ from fastapi import APIRouter
 from api.answers import refusals
 from api.errors import NotFoundError
 from api.schemas.audit import ProblemItem
-from api.statuses import problem_types
+from api.statuses import PROBLEM_TYPES
 
 router = APIRouter(tags=["problems"])
 
 
 @router.get("/problems", summary="List all problem types")
 def kinds() -> list[ProblemItem]:
-    return [ProblemItem(code=code, status=kind.status, title=kind.title) for code, kind in problem_types()]
+    listed = sorted(PROBLEM_TYPES.items(), key=lambda one: (one[1].status, one[0]))
+    return [ProblemItem(code=code, status=kind.status, title=kind.title) for code, kind in listed]
 
 
 @router.get("/problems/{code}", summary="Show one problem type", responses=refusals(404))

@@ -89,7 +89,7 @@ def test_a_phase_is_changed_by_whom_has_read_it(api: httpx.Client, administrator
     }
     assert problem(change(api, administrator, phase, tag, title="x")) == (412, "precondition_failed")
     never = change(api, administrator, phase, tag, opens_at="1900-01-01T00:00:00Z")
-    assert [one["expected"] for one in never.json()["errors"]] == ["the year is 1900; expected 1970 to 2200"]
+    assert [one["detail"] for one in never.json()["errors"]] == ["the year is 1900; expected 1970 to 2200"]
     freed = change(api, administrator, phase, changed.headers["etag"], closes_at=None, scorings_total=None, title=None)
     assert (freed.json()["closes_at"], freed.json()["scorings_total"]) == (None, None)
     assert freed.json()["title"] == phase["title"]

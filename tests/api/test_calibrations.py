@@ -57,7 +57,7 @@ def test_what_is_no_calibration_is_refused_with_its_code(api: httpx.Client, cura
         body = answer.json()
         assert (answer.status_code, body["code"]) == (422, "calibration_refused")
         assert [error["code"] for error in body["errors"]] == [code]
-        assert body["errors"][0]["expected"][:60] in body["detail"]
+        assert body["errors"][0]["detail"][:60] in body["detail"]
         assert api.get(URL, headers=curator.headers).json()["items"] == []
 
 

@@ -14,7 +14,7 @@ from sqlalchemy import event, text
 from structlog.contextvars import merge_contextvars
 from structlog.testing import capture_logs
 
-from api import statuses
+from api import problems, statuses
 from api.main import make_api
 from api.problems import MEDIA_TYPE, Problem
 from services.runtime.platform import Platform
@@ -92,8 +92,10 @@ def test_an_unknown_method_is_405_and_names_the_known_ones(api: httpx.Client) ->
 
 
 def test_a_body_that_is_no_json_is_415(api: httpx.Client) -> None:
-    answer = api.post("/api/v1/sessions", content=b"name=ada", headers={"Content-Type": "text/plain"})
-    problem_of(answer, 415, "unsupported_media_type")
+    for kind in ("text/plain", "application/x-www-form-urlencoded"):  # the second is what `curl -d` sends
+        answer = api.post("/api/v1/sessions", content=b"{}", headers={"Content-Type": kind})
+        problem = problem_of(answer, 415, "unsupported_media_type")
+        assert problem.detail.endswith("send 'Content-Type: application/json'")
 
 
 def test_a_body_that_cannot_be_read_is_refused(api: httpx.Client) -> None:
@@ -119,6 +121,48 @@ def test_what_is_wrong_in_a_body_is_said_without_repeating_it(api: httpx.Client)
     assert {finding.where for finding in problem.errors} == {"body.name", "body.password", "body.extra"}
     assert problem.errors_total == 3
     assert SECRET not in answer.text
+
+
+WRONG: list[tuple[str, dict[str, Any], str, str]] = [
+    ("tokens", {"scopes": ["read"]}, "a value", "nothing"),
+    ("tokens", {"name": 7, "scopes": ["read"]}, "text", "a number"),
+    ("tokens", {"name": SECRET * 9, "scopes": ["read"]}, "at most 64 character(s)", "text of 207 character(s)"),
+    ("tokens", {"name": "a", "scopes": [SECRET]}, "one of 'read', ", f"text of {len(SECRET)} character(s)"),
+    ("tokens", {"name": "a", "scopes": "read"}, "a list", "text of 4 character(s)"),
+    ("tokens", {"name": "a", "scopes": ["read"], "expires_s": 0}, "at least 1", "0"),
+    ("tokens", {"name": "a", "scopes": True}, "a list", "true or false"),
+    ("tokens", {"name": "a", "scopes": ["read"], "expires_s": {SECRET: 1}}, "a number", "an object of 1 key(s)"),
+]
+
+
+@pytest.mark.parametrize(("path", "body", "expected", "actual"), WRONG)
+def test_a_finding_holds_what_is_expected_and_what_kind_of_thing_was_sent(
+    platform: Platform, curator: Person, path: str, body: dict[str, Any], expected: str, actual: str
+) -> None:
+    with client_of(platform, curator) as api:
+        answer = api.post(f"/api/v1/{path}", json=body)
+    (finding,) = problem_of(answer, 422, "invalid_request").errors
+    assert finding.expected is not None
+    assert finding.expected.startswith(expected)
+    assert finding.actual == actual
+    assert finding.detail == f"expected {finding.expected}; found {actual}"
+    assert SECRET not in answer.text
+
+
+def test_words_of_pydantic_stay_inside(platform: Platform, curator: Person) -> None:
+    with client_of(platform, curator) as api:
+        key = api.post("/api/v1/tokens", json={"name": "a", "scopes": ["read"], "more": 1})
+        json = api.post("/api/v1/tokens", content=b"{", headers={"Content-Type": "application/json"})
+        limit = api.get("/api/v1/tokens", params={"limit": "500"})
+        cursor = api.get("/api/v1/jobs", params={"sequence_id": "nope"})
+    found = [(one.where, one.expected, one.actual) for answer in (key, json, limit, cursor)
+             for one in Problem.model_validate(answer.json()).errors]  # fmt: skip
+    assert found == [
+        ("body.more", "a key of this body", None),
+        ("body.1", "JSON", "text that is no JSON, at character 1"),
+        ("query.limit", "at most 200", "500"),
+        ("query.sequence_id", "an id of 32 hexadecimal digits", "text of 4 character(s)"),
+    ]
 
 
 def test_a_body_with_a_thousand_mistakes_is_answered_in_bounded_length(platform: Platform, curator: Person) -> None:
@@ -251,7 +295,7 @@ def test_the_access_log_names_route_and_caller_and_no_secret(
         api.get("/api/v1/problems/not_found?token=" + SECRET)
         api.get("/api/v1/me?token=" + SECRET)
     first, second = (line for line in said if line["event"] == "request")
-    assert (first["route"], first["status"], first["method"]) == ("/api/v1/problems/{code}", 200, "GET")
+    assert (first["route"], first["status"], first["method"]) == ("/api/v1/problems/{code}", 422, "GET")
     assert (second["route"], second["caller"]) == ("/api/v1/me", curator.name)
     assert SECRET not in str(said)
     assert curator.secret not in str(said)
@@ -269,4 +313,14 @@ def test_a_problem_says_where_its_kind_is_described(api: httpx.Client) -> None:
     described = api.get(kind).json()
     assert (described["code"], described["status"]) == ("unauthenticated", 401)
     problem_of(api.get("/api/v1/problems/none-such"), 404, "not_found")
-    assert len(api.get("/api/v1/problems").json()) == len(statuses.PROBLEM_TYPES) + 3
+
+
+def test_every_code_has_one_title_and_a_page(api: httpx.Client) -> None:
+    listed = {item["code"]: item["title"] for item in api.get("/api/v1/problems").json()}
+    assert len(listed) == len(api.get("/api/v1/problems").json())
+    for answer in (api.get("/api/v1/nothing"), api.put("/api/v1/me"), api.get(f"/api/v1/jobs/{'0' * 32}")):
+        said = answer.json()
+        assert listed[said["code"]] == said["title"]
+    raised = set(re.findall(r'problem\("(\w+)"', Path(problems.__file__).read_text("utf-8")))
+    assert len(raised) >= 7
+    assert raised <= set(listed)

@@ -77,7 +77,7 @@ def test_a_word_that_is_not_the_datasets_is_refused_with_those_that_are(
             (error,) = answer.json()["errors"]
             assert (answer.status_code, error["code"]) == (422, code)
             assert error["where"] == f"body.{next(iter(said))}"
-            assert allowed in error["expected"]
+            assert allowed in error["detail"]
 
 
 def test_a_name_is_an_owners_own_once(api: httpx.Client, platform: Platform) -> None:

@@ -9,7 +9,7 @@ export interface Problem {
   detail: string;
   code: string;
   request_id: string;
-  errors?: { code: string; where?: string; file?: string; frame?: string; expected?: string; actual?: string }[];
+  errors?: { code: string; where?: string; file?: string; frame?: string; expected?: string; actual?: string; detail?: string }[];
   errors_total?: number;
 }
 

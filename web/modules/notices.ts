@@ -28,8 +28,8 @@ export function sayProblem(place: HTMLElement, problem: Problem): void {
 }
 
 /** One finding: of a field of a form it is a sentence already, of a file what was expected and found. */
-function lineOf({ code, file, frame, where, expected, actual }: NonNullable<Problem["errors"]>[number]): string {
-  if (where && expected && !file && !actual) return `${where}: ${expected}`;
+function lineOf({ code, file, frame, where, expected, actual, detail }: NonNullable<Problem["errors"]>[number]): string {
+  if (detail) return [where, detail].filter(Boolean).join(": ");
   const place = [file, frame, where].filter(Boolean).join(" ");
   const values = [expected && `expected ${expected}`, actual && `found ${actual}`].filter(Boolean).join(", ");
   return [place, code.replaceAll("_", " "), values].filter(Boolean).join(": ");

@@ -62,7 +62,7 @@ export function reasonsOf(error: unknown): { code: string; sentence: string }[] 
   if (!(error instanceof RefusedError)) return [{ code: "error", sentence: String(error) }];
   const { errors, code, detail } = error.problem;
   if (!errors?.length) return [{ code, sentence: detail }];
-  return errors.map((one) => ({ code: one.code, sentence: one.expected ?? detail }));
+  return errors.map((one) => ({ code: one.code, sentence: one.detail ?? detail }));
 }
 
 function draw(item: HTMLLIElement, name: string, shown: Shown): void {
