@@ -24,6 +24,7 @@ from api.visible import benchmark_of, benchmarks_of, phase_at, phase_id_at, phas
 from services.domain.benchmarks.golden import golden_archive
 from services.domain.benchmarks.phases import evaluation_versions
 from services.domain.benchmarks.phases.errors import no_ground_truth
+from services.domain.benchmarks.starter import manifest_filename
 from services.runtime.orm import Benchmark, Blob, GroundTruthRow, Phase
 
 router = APIRouter(tags=["benchmarks"])
@@ -95,7 +96,7 @@ def download_manifest(at: AtPhase, platform: PlatformDep, request: Request) -> R
         if pair is None:
             raise no_ground_truth(phase.name)
         blob = session.get_one(Blob, session.get_one(GroundTruthRow, pair.truth_id).manifest_sha256)
-    named = f"{at.benchmark}-{at.phase}.manifest.json"
+    named = manifest_filename(at.benchmark, at.phase)
     file = StoredFile(blob.object_key, blob.size_bytes, blob.sha256, "application/json", named)
     return answer_file(request, platform.store, file)
 

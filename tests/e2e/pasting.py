@@ -1,7 +1,7 @@
 """A guide's lines as a reader pastes them: in their order, in one folder, in one shell.
 
 **Conventions.** Blocks without a language are typed; blocks with one are saved under the name that their first line's
-comment says. Whatever is plain `.venv/bin/stone …` or `.venv/bin/python FILE` runs in this process, so that no line
+comment says. A plain `stone …` or `python FILE`, with or without `.venv/bin/`, runs in this process, so that no line
 takes seconds to start; the rest is one bash, whose variables and functions last. A line that fails ends the test, and
 so does an answer of HTTP that is a refusal.
 """
@@ -51,11 +51,13 @@ def statements(block: str) -> Iterator[str]:
 
 @dataclass
 class Shell:
-    """Where a guide is pasted. `said` is what the page says and a test has elsewhere: an address, a size."""
+    """Where a guide is pasted. `said` is what the page says and a test has elsewhere: an address, a size;
+    `answers` is what is typed at every prompt."""
 
     said: Mapping[str, str]
     bash: subprocess.Popen[str]
     printed: list[str] = field(default_factory=list)
+    answers: str = f"{PASSWORD}\n"
 
     def paste(self, page: str, elsewhere: Collection[str] = ()) -> int:
         """Paste the whole guide but for what is tested elsewhere; how many lines that were."""
@@ -74,11 +76,12 @@ class Shell:
         line = self._here(line)
         is_plain = not OF_A_SHELL.search(re.split(r"\s#", line)[0])
         words = shlex.split(line, comments=True) if is_plain else [""]
-        if words[0] == ".venv/bin/stone":
-            result = CliRunner().invoke(app, words[1:], input=f"{PASSWORD}\n")
+        program = words[0].removeprefix(".venv/bin/")
+        if program == "stone":
+            result = CliRunner().invoke(app, words[1:], input=self.answers)
             assert result.exit_code == 0, (line, result.stdout, result.stderr, result.exception)
             self.printed.append(result.stdout)
-        elif words[0] == ".venv/bin/python":
+        elif program == "python":
             before, sys.argv = sys.argv, words[1:]
             runpy.run_path(words[1])
             sys.argv = before

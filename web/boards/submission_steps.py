@@ -5,7 +5,10 @@ from dataclasses import dataclass
 from shlex import join
 
 from api.client_wheel import ClientWheel, install_line
+from services.domain.benchmarks.starter import FILENAME, manifest_filename
 
+IN_ITS_OWN_PLACE = "python3 -m venv .venv && . .venv/bin/activate && "
+"""Systems whose Python is managed refuse `pip install` outside a virtual environment (PEP 668)."""
 TEAM, METHOD = "My team", "My method"
 ZIP = "run.zip"
 
@@ -21,13 +24,18 @@ class SubmissionStep:
 
 @dataclass(frozen=True)
 class StepsPlace:
-    """Where the steps lead: the platform's address, the wheel it serves, and the phase."""
+    """Where the steps lead: the platform's address, the wheel it serves, the phase, and the team if there is one."""
 
     url: str
     wheel: ClientWheel | None
     benchmark: str
     phase: str
-    team: str = TEAM
+    team: str | None = None
+
+
+def predict_line(benchmark: str, phase: str) -> str:
+    """The line that runs the starter code on the manifest, both as they were downloaded."""
+    return join(("python", FILENAME, manifest_filename(benchmark, phase), ZIP))
 
 
 def submission_steps(at: StepsPlace) -> tuple[SubmissionStep, ...]:
@@ -36,20 +44,24 @@ def submission_steps(at: StepsPlace) -> tuple[SubmissionStep, ...]:
 
 
 def _steps(at: StepsPlace) -> Iterator[SubmissionStep]:
-    of_phase, manifest = (at.benchmark, at.phase), f"{at.phase}.json"
+    of_phase, manifest = (at.benchmark, at.phase), manifest_filename(at.benchmark, at.phase)
     wanted = ("--benchmark", at.benchmark, "--phase", at.phase)
-    said = ("--team", at.team, "--method", METHOD, "--modality", "L")
+    said = ("--team", at.team or TEAM, "--method", METHOD, "--modality", "L")
     if at.wheel is not None:
-        yield SubmissionStep("Install the client", install_line(at.url, at.wheel), "Python 3.11 or newer.")
+        line = f"{IN_ITS_OWN_PLACE}{install_line(at.url, at.wheel)}"
+        yield SubmissionStep("Install the client", line, "Python 3.11 or newer.")
     yield SubmissionStep("Sign in", join(("stone", "login", at.url)))
-    yield SubmissionStep("Create a team", join(("stone", "teams", "create", at.team)), "Skip it if you have one.")
+    if at.team is None:
+        yield SubmissionStep("Create a team", join(("stone", "teams", "create", TEAM)), "Skip it if you have one.")
     yield SubmissionStep(
         "Get the manifest", join(("stone", "manifest", *of_phase, "-o", manifest)), "The frames to predict."
     )
     inputs = join(("stone", "inputs", *of_phase, "-o", f"inputs/{at.phase}"))
     yield SubmissionStep("Get the inputs", inputs, "Sensor data, a tar per sequence.")
-    starter = "The starter code predicts flat ground; put your method in its place."
-    yield SubmissionStep("Predict", join(("python", "predict.py", manifest, ZIP)), starter)
+    starter = "It predicts flat ground; put your method in its place."
+    fetch = join(("curl", "-fsSO", f"{at.url}/downloads/{FILENAME}"))
+    yield SubmissionStep("Get the starter code", fetch, starter)
+    yield SubmissionStep("Predict", predict_line(at.benchmark, at.phase))
     yield SubmissionStep("Validate", join(("stone", "validate", ZIP, "--manifest", manifest)))
     yield SubmissionStep(
         "Submit", join(("stone", "submit", ZIP, *wanted, *said)), "L is LiDAR; C camera, R radar, C+L both."

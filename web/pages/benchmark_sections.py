@@ -14,6 +14,7 @@ from api.routes.benchmarks import PhasePath
 from api.views.benchmarks import phase_item, phases_of
 from services.runtime.orm import Benchmark, Phase
 from web.boards.phase_data import phase_downloads
+from web.boards.submission_steps import predict_line
 from web.rendering import page
 
 router = APIRouter(prefix="/benchmarks/{benchmark_name}/{phase_name}")
@@ -26,6 +27,7 @@ def show_data(request: Request, caller: Looker, platform: PlatformDep, at: AtPha
     with platform.database.reading() as session:
         phase = at.find(session)
         known = _head(session, phase) | {"data": phase_downloads(session, phase)}
+    known["predict_line"] = predict_line(at.benchmark, at.phase)
     return page(request, caller, "boards/data.html", **known)
 
 

@@ -15,11 +15,12 @@ from api.schemas.submissions import SubmissionDetail
 from api.views.benchmarks import phase_item, phases_of
 from api.views.submissions import quota_answer, submission_detail
 from api.visible import submissions_of
+from services.domain.benchmarks.starter import manifest_filename
 from services.domain.benchmarks.submissions.submissions import largest_bytes
 from services.runtime.orm import Benchmark, Phase, PhaseTeam, SubmissionRow, Team, TeamMember, Upload
 from services.runtime.platform import Platform
 from services.runtime.uploads.completion import bytes_here
-from web.boards.submission_steps import TEAM, StepsPlace, submission_steps
+from web.boards.submission_steps import StepsPlace, predict_line, submission_steps
 from web.rendering import page
 
 router = APIRouter()
@@ -47,6 +48,8 @@ def show_form(request: Request, caller: Looker, platform: PlatformDep, at: AtPha
         "most_bytes": largest_bytes(phase.active.frames) if phase.active else 0,
         "at": at,
         "grid": phase.grid,
+        "manifest": manifest_filename(at.benchmark, at.phase),
+        "predict_line": predict_line(at.benchmark, at.phase),
         "steps": submission_steps(_steps_of(request, platform, at, teams)),
     }
     return page(request, caller, "submissions/form.html", needs_wasm=True, phase=phase, **values)
@@ -55,7 +58,7 @@ def show_form(request: Request, caller: Looker, platform: PlatformDep, at: AtPha
 def _steps_of(request: Request, platform: Platform, at: PhasePath, teams: Sequence[Team]) -> StepsPlace:
     wheel: ClientWheel | None = request.app.state.client_wheel
     url = platform.settings.api.url.rstrip("/")
-    return StepsPlace(url, wheel, at.benchmark, at.phase, teams[0].name if teams else TEAM)
+    return StepsPlace(url, wheel, at.benchmark, at.phase, teams[0].name if teams else None)
 
 
 def own_teams(session: Session, phase: Phase, caller: Caller) -> list[Team]:

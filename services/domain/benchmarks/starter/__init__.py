@@ -9,6 +9,11 @@ from importlib.resources import files
 FILENAME = "predict.py"
 
 
+def manifest_filename(benchmark: str, phase: str) -> str:
+    """The name that a phase's manifest is downloaded by, in browsers and in the steps of a first submission."""
+    return f"{benchmark}-{phase}.manifest.json"
+
+
 @cache
 def starter_code() -> bytes:
     """The script; needs Python and numpy."""
