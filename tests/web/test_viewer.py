@@ -134,6 +134,34 @@ def step_by_keys(page: Page, seen: dict[str, Any]) -> None:
     assert min(heights_m) >= 0.5 - 1e-6
 
 
+def test_keys_work_wherever_the_focus_is_but_not_where_something_is_entered(at_viewer: Page) -> None:
+    page = at_viewer
+    stands = expect(host(page))
+    assert page.evaluate("document.activeElement === document.body")
+    page.keyboard.press(".")
+    stands.to_have_attribute("data-frame", "2")
+    page.get_by_role("button", name="From above").click()  # it has the focus now
+    page.keyboard.press(".")
+    stands.to_have_attribute("data-frame", "3")
+    page.evaluate("document.querySelector('h1').append(document.createElement('input'))")
+    page.locator("h1 input").focus()
+    page.keyboard.type(",,1. ")
+    assert page.locator("h1 input").input_value() == ",,1. "
+    stands.to_have_attribute("data-frame", "3")
+    page.get_by_label("Colour by").press("c")  # a letter chooses in a list
+    page.get_by_text("Keys and mouse").click()
+    page.get_by_label("Keys work on the whole page").uncheck()
+    page.evaluate("document.activeElement.blur()")
+    page.keyboard.press("2")
+    page.keyboard.press(",")
+    stands.to_have_attribute("data-frame", "3")
+    canvas(page).press(",")
+    stands.to_have_attribute("data-frame", "2")
+    page.reload()
+    page.get_by_text("Keys and mouse").click()
+    expect(page.get_by_label("Keys work on the whole page")).not_to_be_checked()
+
+
 def picked_by_keys_is_picked_by_mouse(page: Page) -> None:
     """And is said as the tile has it."""
     page.goto(page.url.partition("?")[0])

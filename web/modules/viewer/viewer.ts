@@ -7,7 +7,7 @@ import { Address, type Standing, type Viewpoint, read } from "./controls/address
 import { CameraPanel } from "./controls/camera_panel.js";
 import { type Choices, choicesPanel, firstChoices } from "./controls/choices.js";
 import { button, make } from "./controls/elements.js";
-import { keysPanel } from "./controls/keys.js";
+import { isFree, keysPanel } from "./controls/keys.js";
 import { classLegend, differenceLegend, pointLegend, rampLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
 import { heightsOf } from "./data/grid.js";
@@ -47,6 +47,7 @@ export class Viewer {
   private readonly begins: { enlarged: string | null; at: Viewpoint | null };
   private isMoved = false;
   private counts: readonly number[] = [0, 0, 0];
+  private readonly ended = new AbortController();
 
   constructor(private readonly host: HTMLElement, private readonly scene: SceneFacts, private readonly options: Options) {
     const canvas = make("canvas", {
@@ -71,7 +72,8 @@ export class Viewer {
     this.furnish(canvas.parentElement!);
     canvas.addEventListener("webglcontextlost", () => this.say("The graphics context was lost. It is restored automatically; otherwise reload the page."));
     canvas.addEventListener("webglcontextrestored", () => (this.say(null), this.stage.ask()));
-    host.addEventListener("keydown", (event) => this.key(event));
+    const { signal } = this.ended;
+    (options.isAddressed ? document : host).addEventListener("keydown", (event) => this.key(event as KeyboardEvent), { signal });
     host.addEventListener("show-frame", (event) => this.asked(event as CustomEvent<{ index?: number; token?: string }>));
   }
 
@@ -104,6 +106,7 @@ export class Viewer {
   }
 
   end(): void {
+    this.ended.abort();
     this.timeline.pause();
     this.address.end();
     this.cameras?.end();
@@ -197,6 +200,12 @@ export class Viewer {
     this.stage.canvas.focus();
   }
 
+  /** The large picture is closed; else the crosshair and what is selected. */
+  private leave(): void {
+    if (this.cameras?.enlarged) this.cameras.enlarge(null);
+    else if (this.aiming.isOn || !this.readout.element.hidden) this.drop();
+  }
+
   private follow(): void {
     this.choices.follows = !this.choices.follows;
     this.follows.setAttribute("aria-pressed", String(this.choices.follows));
@@ -213,8 +222,7 @@ export class Viewer {
   }
 
   private key(event: KeyboardEvent): void {
-    const isTyping = event.target instanceof HTMLElement && event.target.closest("input, select, textarea, a, button, summary");
-    if (isTyping || event.ctrlKey || event.metaKey || event.altKey) return;
+    if (!isFree(event, this.host)) return;
     const acts: Record<string, () => void> = {
       " ": () => this.timeline.toggle(),
       ",": () => this.timeline.step(-1),
@@ -224,7 +232,7 @@ export class Viewer {
       Home: () => this.timeline.seek(0),
       End: () => this.timeline.seek(Infinity),
       c: () => this.aiming.toggle(),
-      Escape: () => this.drop(),
+      Escape: () => this.leave(),
       f: () => this.follow(),
       v: () => this.turnCameras(),
       "1": () => this.look("behind"),

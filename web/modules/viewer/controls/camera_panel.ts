@@ -119,7 +119,8 @@ export class CameraPanel {
     if (this.wasPlaying) this.rest = window.setTimeout(() => void this.again(frame.index), RESTS_AFTER_MS);
   }
 
-  private enlarge(camera: number | null): void {
+  /** This camera large; null: none. */
+  enlarge(camera: number | null): void {
     this.strip.enlarge(camera);
     this.acts.enlarged();
     const index = Number(this.strip.element.dataset["frame"] ?? NaN);

@@ -85,9 +85,6 @@ export class CameraStrip {
     const order = [...channels.keys()].sort((a, b) => place(channels[a]!) - place(channels[b]!) || channels[a]!.localeCompare(channels[b]!));
     this.row.append(...order.map((camera) => this.tiles[camera]!.element));
     this.element.append(this.row, this.said);
-    this.large.addEventListener("keydown", (event) => {
-      if (event.key === "Escape") (event.stopPropagation(), this.acts.enlarged(null));
-    });
   }
 
   put(frame: CameraFrame, palette: Uint8Array, theme: Theme): void {
