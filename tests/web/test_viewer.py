@@ -170,7 +170,8 @@ def picked_by_keys_is_picked_by_mouse(page: Page) -> None:
     page.keyboard.press("c")
     page.keyboard.press("Shift+ArrowDown")
     expect(page.locator(".viewer-readout")).to_be_visible()
-    until(lambda: readout(page) == expected(readout(page)["Map position"]))
+    until(lambda: readout(page) == readout(page) | expected(readout(page)["Map position"]))
+    is_indexed(page, RUN, 0)
     by_keys = readout(page)
     page.keyboard.press("Escape")
     expect(page.locator(".viewer-readout")).to_be_hidden()
@@ -179,6 +180,16 @@ def picked_by_keys_is_picked_by_mouse(page: Page) -> None:
     page.mouse.click(box["x"] + box["width"] / 2, box["y"] + box["height"] / 2 + 40)
     expect(page.locator(".viewer-readout")).to_be_visible()
     assert readout(page) == by_keys
+
+
+def is_indexed(page: Page, run: Run, frame: int) -> None:
+    """The index is that of the labels' array: of the class, at the ego position, which is at the map position."""
+    told, grid = readout(page), run.grid
+    index = tuple(int(value) for value in told["Voxel of the frame"].strip("[]").split(","))
+    assert told["class"] == KINDS[int(run.grids[frame][index])]
+    ego = np.array([float(value) for value in told["Ego position"].removesuffix(" m").split(",")])
+    assert ego == pytest.approx((np.array(index) + 0.5) * grid.voxel_m + grid.min_m, abs=0.051)
+    assert SE3(run.poses[frame][[3, 4, 5, 6, 0, 1, 2]]) @ ego == pytest.approx(place_of(told), abs=0.101)
 
 
 def choose_layers(page: Page) -> None:
@@ -253,7 +264,7 @@ def test_of_imported_labels_a_voxel_says_its_class_alone(site: Site, curator: Pe
         page.keyboard.press("c")
         page.keyboard.press("Shift+ArrowDown")
         expect(page.locator(".viewer-readout")).to_be_visible()
-        until(lambda: set(readout(page)) == {"Map position", "class"})
+        until(lambda: set(readout(page)) == {"Voxel of the frame", "Ego position", "Map position", "class"})
         values = page.get_by_label("Colour by").locator("option").evaluate_all("all => all.map(one => one.value)")
         assert values == ["class"]
 
@@ -284,16 +295,22 @@ def test_a_frame_of_the_released_datasets_grid_is_picked_in_and_so_is_its_map(
         expect(page.locator(".viewer-ticks span")).to_have_text(["-1.0 m", "2.2 m", "5.4 m"])
         page.get_by_label("Point cloud").uncheck()
         page.get_by_label("Show", exact=True).select_option("map")
+        before = readout(page)
         canvas(page).press("ArrowDown")
-        until(lambda: page.evaluate(MARKED_M) == run.voxel_m)
+        until(lambda: page.evaluate(MARKED_M) == run.voxel_m and readout(page) != before)
         place = place_of(readout(page))
         row = row_at(run.voxels, readout(page)["Map position"], run.voxel_m)
         assert place == pytest.approx((run.voxels.indices[row] + 0.5) * run.voxel_m, abs=0.051)
         assert readout(page)["class"] == KINDS[int(run.voxels.classes[row])]
+        pose = SE3(run.poses[1][[3, 4, 5, 6, 0, 1, 2]])
+        at = (pose.inverse() @ place - run.grid.min_m) / run.grid.voxel_m
+        index = [int(value) for value in readout(page)["Voxel of the frame"].strip("[]").split(",")]
+        assert at == pytest.approx(np.array(index) + 0.5, abs=0.65)  # of voxels: positions are to a decimetre
 
 
 def picked_in_frame(page: Page, run: Run) -> None:
     """The voxel is one of the frame's grid, of the class there; its values are of a voxel of the map in it."""
+    is_indexed(page, run, 1)
     told, pose = readout(page), SE3(run.poses[1][[3, 4, 5, 6, 0, 1, 2]])
     at = (pose.inverse() @ place_of(told) - run.grid.min_m) / run.grid.voxel_m
     index = np.floor(at).astype(int)

@@ -175,7 +175,16 @@ def explain_from_both(page: Page) -> None:
     press(page, "Front")
     expect(page.locator(".viewer-readout")).to_be_visible()
     by_picture = readout(page)
-    assert set(by_picture) == {"Elevation", "Slope", "Roughness", "D²", "Map position", "class"}
+    assert set(by_picture) == {
+        "Elevation",
+        "Slope",
+        "Roughness",
+        "D²",
+        "Voxel of the frame",
+        "Ego position",
+        "Map position",
+        "class",
+    }
     marked = page.locator(".viewer-camera-row canvas[data-marked]:not([data-marked='0'])")
     expect(marked.first).to_be_visible()
     across, down = page.evaluate(MARKED_IN_3D)

@@ -213,7 +213,7 @@ def test_a_frame_is_drawn_picked_and_seen_by_cameras_in_its_own_grid(
     const ids = new Uint32Array(given.rays.length);
     castRays(columnsOf(planes, false), given.start, Float32Array.from(given.sights.flat()), ids);
     const centres = picked.map(one => one && one.centre_m);
-    const told = picked.map(one => one && [one.id, one.kind, ...one.index]);
+    const told = picked.map(one => one && [one.id, one.kind, ...one.voxel]);
     const drawn = { vertices: [...faces.vertices], lowest: [...lowest], corner_m, voxel_m };
     return { ...drawn, ids: [...ids], picked: told, centres };
     """

@@ -6,7 +6,7 @@ import { make } from "./elements.js";
 import { CLASS_NAMES, reason, valuesOf } from "./explanation.js";
 import { DIFFERENCES } from "../looks.js";
 import type { Picked } from "../data/model.js";
-import type { SceneFacts } from "../scene.js";
+import type { SceneFacts, Vector } from "../scene.js";
 
 const DIFFERENCE_FILLS = ["", "fill-same", "fill-only-a", "fill-only-b", "fill-easier", "fill-harder"] as const;
 const FILLS = ["fill-unseen", "fill-t", "fill-p", "fill-n"] as const;
@@ -29,10 +29,18 @@ export class Readout {
     );
   }
 
-  private rows(picked: Picked): [string, string][] {
-    const place = picked.centre_m.map((value) => fixed(value, 1)).join(", ");
-    return [...(picked.found ? valuesOf(picked.found, this.scene) : []), ["Map position", `${place} m`]];
+  private rows({ found, centre_m, centre_ego_m, voxel }: Picked): [string, string][] {
+    return [
+      ...(found ? valuesOf(found, this.scene) : []),
+      ["Voxel of the frame", voxel ? `[${voxel.join(", ")}]` : "outside its grid"],
+      ["Ego position", placed(centre_ego_m)],
+      ["Map position", placed(centre_m)],
+    ];
   }
+}
+
+function placed(point_m: Vector): string {
+  return `${point_m.map((value) => fixed(value, 1)).join(", ")} m`;
 }
 
 function titleOf({ kind, difference }: Picked): HTMLElement {

@@ -14,12 +14,14 @@ import { firstVoxel } from "./ray_walk.js";
 const KEPT_FRAMES = 24;
 
 /**
- * A voxel under the cursor; `index` and `centre_m` (map) of the grid it was picked in, `found` what the map says there.
- * `id` is 1 + its index in the frame's grid, as pictures of cameras know it; 0 where that grid does not reach.
+ * A voxel under the cursor; its centre in the map and in the ego frame, `found` what the map says there. `voxel` holds
+ * its centre in the frame's grid (`semantics[i, j, k]`), null where that grid does not reach; `id` is 1 + that index in
+ * C order, as pictures of cameras know it, or 0.
  */
 export interface Picked {
   id: number;
-  index: Vector;
+  voxel: Vector | null;
+  centre_ego_m: Vector;
   centre_m: Vector;
   kind: number;
   seen: boolean;
@@ -165,9 +167,9 @@ export class Model {
   /** The voxel of the frame with this id. */
   pickedAt(token: string, id: number, look: Look): Picked {
     const [planes, at] = [this.planes(token, look.mode), id - 1];
-    const [pose, index] = [this.pose(token), voxelAt(planes.grid, at)];
-    const centre_m = toMap(pose, inMetres(planes.grid, index.map((value) => value + 0.5) as Vector));
-    const picked = { id, index, centre_m, scope: "frame" as const };
+    const [pose, voxel] = [this.pose(token), voxelAt(planes.grid, at)];
+    const centre_ego_m = inMetres(planes.grid, voxel.map((value) => value + 0.5) as Vector);
+    const picked = { id, voxel, centre_ego_m, centre_m: toMap(pose, centre_ego_m), scope: "frame" as const };
     if (look.mode === "difference") return { ...picked, kind: 0, seen: true, found: null, difference: codeAt(planes, at) };
     const [kind, seen] = [classAt(planes, at), isObserved(planes, at)];
     return { ...picked, kind, seen, found: this.foundIn(pose, planes, at), difference: null };
@@ -199,8 +201,10 @@ export class Model {
     const found = index && this.tiles.at(...index);
     if (!index || !found) return null;
     const centre_m = index.map((value) => (value + 0.5) * map_voxel_m) as Vector;
-    const inFrame = inVoxels(grid, toEgo(this.pose(token), centre_m)).map(Math.floor) as Vector;
-    return { id: idOf(grid, inFrame), index, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
+    const centre_ego_m = toEgo(this.pose(token), centre_m);
+    const inFrame = inVoxels(grid, centre_ego_m).map(Math.floor) as Vector;
+    const id = idOf(grid, inFrame);
+    return { id, voxel: id ? inFrame : null, centre_ego_m, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
   }
 
   private planes(token: string, mode: Mode): Planes {
