@@ -7,6 +7,7 @@ from urllib.parse import parse_qs, urlsplit
 
 import numpy as np
 import pytest
+from playwright.sync_api import Error as PlaywrightError
 from playwright.sync_api import Locator, Page, expect
 from sqlalchemy import delete
 
@@ -22,7 +23,7 @@ from testing.stone_serve import until
 from testing.web.browsing import Site
 from testing.worlds import made
 from testing.worlds.benchmark_world import labels_npz
-from testing.worlds.viewer_world import Grid, Run, viewed
+from testing.worlds.viewer_world import BLOCK_M, Grid, Run, viewed
 from tests.web.looking import keep
 from tests.web.test_viewer_data import IMPORTS
 
@@ -31,6 +32,7 @@ RUN, SHORT = Run(frames=6, reach_m=4.5), Run(frames=2, reach_m=3.0)
 VIEWER = "const viewer = (await load('mount')).viewerOf(document.querySelector('[data-viewer]'));"
 VIEW = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.viewpoint; }}"
 TOKEN = f"async () => {{ {IMPORTS} {VIEWER} return viewer.scene.frames.tokens[5]; }}"
+RANGE = f"async () => {{ {IMPORTS} {VIEWER} return viewer.world.cloud.shared.range.value.toArray(); }}"
 SWEEPS = f"""async () => {{ {IMPORTS} {VIEWER}
   return viewer.world.cloud.group.children.filter(one => one.visible).length; }}"""
 # The colour of the palette's first entry, which is traversable, or no difference.
@@ -362,7 +364,7 @@ def test_without_webgl_frames_are_shown_from_above_and_without_a_scene_nothing_i
 def chosen(page: Page) -> dict[str, Any]:
     """What the panel says, and where the camera stands."""
     selects = page.locator(".viewer-panel select").evaluate_all("all => all.map(one => one.value)")
-    checks = page.locator(".viewer-panel input").evaluate_all("all => all.map(one => one.checked)")
+    checks = page.locator(".viewer-panel input").evaluate_all("all => all.map(one => [one.checked, one.value])")
     view, frame = page.evaluate(VIEW), host(page).get_attribute("data-frame")
     return {"selects": selects, "checks": checks, "view": view, "frame": frame}
 
@@ -385,11 +387,14 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
     page.get_by_label("Point cloud").check()
     page.get_by_label("Track").uncheck()
     page.get_by_label("Points by").select_option("height")
+    fill(page, "Heights shown, metres above the robot's wheels, to", "1.5")
+    fill(page, "Colours of points, from", "-0.5")
+    page.get_by_label("Point size").fill("2.5")
     canvas(page).focus()
     for key in ("f", "Shift+ArrowLeft", "ArrowUp", "d", "+", "."):  # the robot leaves the camera behind
         page.keyboard.press(key)
     expect(host(page)).to_have_attribute("data-frame", "2")
-    parts = ("colour=slope", "hide=n", "points=height", "follow=off")
+    parts = ("colour=slope", "hide=n", "points=height", "follow=off", "heights=,1.5", "range=-0.5,", "size=2.5")
     until(lambda: says_where_it_stands(page) and all(part in page.evaluate("location.href") for part in parts))
     before, address = chosen(page), page.evaluate("location.href")
     with site.visit(curator) as other:
@@ -403,10 +408,88 @@ def test_an_address_that_is_copied_shows_the_same_frame_layers_colours_and_view(
         assert other.evaluate("location.href") == address
         layers = "layers=lasers,labels,track,robot,grid"
         nonsense = f"colour=mauve&show=everything&hide=x&{layers}&cameras=7&at=1,2,x&points=q&camera=CAM_MOON"
+        nonsense += "&heights=3,1&range=x&size=9"
         plain = f"/sequences/{seen['id']}/view?frame={seen['tokens'][0]}"
         other.goto(f"{plain}&{nonsense}")
         expect(host(other)).to_have_attribute("data-frame", "0")
         expect(other).to_have_url(plain)
+
+
+def fill(page: Page, label: str, value: str) -> None:
+    field = page.get_by_label(label, exact=True)
+    field.fill(value)
+    field.blur()
+
+
+CUTS = f"""async given => {{ {IMPORTS} {VIEWER}
+  const look = {{ mode: "class", classes: 14, unseen: "show", heights_m: given.heights }};
+  const {{ asking }} = viewer.world, token = given.token;
+  const direct = drawn => {{
+    let [from, to] = [Infinity, -Infinity];
+    const {{ vertices, indices }} = drawn.faces;
+    for (const at of indices) [from, to] = [Math.min(from, vertices[4 * at + 2]), Math.max(to, vertices[4 * at + 2])];
+    return [from, to].map(z => z * drawn.voxel_m + drawn.corner_m[2]);
+  }};
+  const frame = await asking.ask({{ kind: "frame", token, content: null, look }});
+  const tile = await asking.ask({{ kind: "draw-tile", name: "0_0", look, level: 0 }});
+  const ray = {{ from_m: given.from, direction: [0, 0, -1] }};
+  const pick = scope => asking.ask({{ kind: "pick", ray, scope, token, look }});
+  return {{ frame: direct(frame), tile: direct(tile), picked: [await pick("frame"), await pick("map")] }}; }}"""
+
+
+def test_what_is_above_the_heights_that_are_shown_is_neither_drawn_nor_picked(
+    at_viewer: Page, seen: dict[str, Any]
+) -> None:
+    """A box of 1.4 m stands on the ground: cut at a metre above the wheels it is lower, and its cut has a face."""
+    page, pose = at_viewer, RUN.poses[1]
+    low_x, low_y, high_x, high_y, _ = BLOCK_M
+    page.get_by_label("Show", exact=True).select_option("map")  # its tiles come
+    over = [(low_x + high_x) / 2 - 0.05, (low_y + high_y) / 2 - 0.05, 20.0]
+    until(lambda: page.evaluate("performance.getEntriesByType('resource').some(one => one.name.includes('tiles'))"))
+    given = {"token": seen["tokens"][1], "from": over, "heights": [None, 1.0]}
+    until(lambda: found(page, given) is not None)
+    cut, whole = found(page, given), found(page, {**given, "heights": [None, None]})
+    assert (cut["frame"][1], cut["tile"][1]) < (whole["frame"][1], whole["tile"][1])
+    assert cut["frame"][1] == pytest.approx(1.0, abs=0.101)
+    nearest = RUN.poses[np.linalg.norm(RUN.poses[:, :2] - over[:2], axis=1).argmin()]
+    for scope, picked in zip(("frame", "map"), cut["picked"], strict=True):
+        wheels_m = pose[2] if scope == "frame" else nearest[2]
+        top_m = picked["centre_m"][2] - wheels_m
+        assert 0.6 < top_m < 1.0
+        assert picked["kind"] == 3
+    assert all(one["centre_m"][2] > 1.2 for one in whole["picked"])
+
+
+def found(page: Page, given: dict[str, Any]) -> Any:
+    try:
+        return page.evaluate(CUTS, given)
+    except PlaywrightError:  # the tile is not there yet
+        return None
+
+
+def test_points_are_coloured_between_the_values_of_the_legend(at_viewer: Page, seen: dict[str, Any]) -> None:
+    """Of a frame's intensities, but for two in a hundred at either end, or as the reader says; in both the legend."""
+    page = at_viewer
+    with page.expect_response(lambda answer: "/cloud" in answer.url):
+        page.get_by_label("Point cloud").check()
+    ticks = page.locator(".viewer-ticks span")
+    random = np.random.default_rng(1)  # as the world draws places, then intensities
+    random.uniform(-RUN.reach_m, RUN.reach_m, (4000, 2))
+    strong = np.sort(np.rint(random.uniform(0, 255, 4000)))
+    low, high = strong[round(0.02 * 3999)], strong[round(0.98 * 3999)]
+    expect(ticks).to_have_text([f"{low:.0f}", f"{(low + high) / 2:.0f}", f"{high:.0f}"])
+    until(lambda: page.evaluate(RANGE) == [low, high])
+    fill(page, "Colours of points, to", "100")
+    expect(ticks.last).to_have_text("100")
+    assert page.evaluate(RANGE) == [low, 100]
+    fill(page, "Colours of points, from", "120")  # holds nothing: it stays as it was
+    assert page.evaluate(RANGE) == [low, 100]
+    page.get_by_label("Points by").select_option("height")
+    expect(ticks).to_have_text(["-2.0 m", "1.2 m", "4.4 m"])
+    assert page.get_by_label("Colours of points, to", exact=True).input_value() == ""
+    page.get_by_label("Points by").select_option("time")
+    expect(ticks).to_have_text(["1 s", "0.5 s", "now"])
+    expect(page.get_by_label("Colours of points, to", exact=True)).to_be_hidden()
 
 
 def changed(grid: Grid) -> Grid:

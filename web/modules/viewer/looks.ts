@@ -7,11 +7,16 @@ export type Mode = "class" | "difference" | "d2" | "confidence" | "elevation" | 
 /** What happens to labels that the frame's LiDAR did not see. */
 export type Unseen = "show" | "fade" | "hide";
 
+/** From and to; null: no bound. */
+export type Span = [number | null, number | null];
+
 export interface Look {
   mode: Mode;
   /** Bit c is set where class c is shown. */
   classes: number;
   unseen: Unseen;
+  /** What is shown, metres above the robot's wheels; absent: all. */
+  heights_m?: Span;
 }
 
 export interface Values {
@@ -73,6 +78,12 @@ export function ticksOf(mode: Mode, scene: SceneFacts): [string, string, string]
   if (mode === "roughness") return ["smooth", `${(1000 * Math.exp((ROUGHNESS[0] + ROUGHNESS[1]) / 4)).toFixed(0)} mm`, "rough"];
   const [low, high] = elevationRange(scene);
   return [low, (low + high) / 2, high].map((value) => `${fixed(value, 1)} m`) as [string, string, string];
+}
+
+/** The half-open span holds the value; an absent one holds all. */
+export function isWithin(span: Span | undefined, value: number): boolean {
+  const [low, high] = span ?? [null, null];
+  return (low === null || value >= low) && (high === null || value < high);
 }
 
 export function isShown(look: Look, kind: number, seen: boolean): boolean {

@@ -1,5 +1,6 @@
-// Ramps of colour that grow evenly lighter: viridis for measures, its upper three quarters for confidence, inferno for D²
-// (Smith and van der Walt, 2015). Doubtful voxels would look like holes on a dark page in the lowest quarter.
+// Ramps of colour that grow evenly lighter: viridis for measures, its upper three quarters for confidence and points, inferno for D²
+// (Smith and van der Walt, 2015). Doubtful voxels would look like holes on a dark page in the lowest quarter, weak points
+// would not be seen.
 //
 // Polynomials of degree six fitted to the published tables (M. Zucker), rows by power, columns red, green, blue.
 
@@ -25,7 +26,7 @@ const INFERNO: Rgb[] = [
 ];
 
 /** Each ramp's table, and where it begins and how far it goes in it. */
-const RAMPS = { viridis: [VIRIDIS, 0, 1], confidence: [VIRIDIS, 0.25, 0.75], inferno: [INFERNO, 0.15, 0.8] } as const;
+const RAMPS = { viridis: [VIRIDIS, 0, 1], lighter: [VIRIDIS, 0.25, 0.75], inferno: [INFERNO, 0.15, 0.8] } as const;
 export type RampName = keyof typeof RAMPS;
 
 /** The colour at `share` 0–1 as 0–255 each. */

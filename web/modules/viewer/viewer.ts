@@ -10,10 +10,9 @@ import { button, make } from "./controls/elements.js";
 import { isFree, keysPanel } from "./controls/keys.js";
 import { classLegend, differenceLegend, pointLegend, rampLegend } from "./controls/legend.js";
 import { CLASS_NAMES } from "./controls/explanation.js";
-import { heightsOf } from "./data/grid.js";
 import type { Picked, Ray } from "./data/model.js";
 import { Readout } from "./controls/readout.js";
-import { isShown } from "./looks.js";
+import { isShown, isWithin } from "./looks.js";
 import type { SceneFacts } from "./scene.js";
 import { Stage } from "./drawing/stage.js";
 import { Timeline } from "./controls/timeline.js";
@@ -61,6 +60,7 @@ export class Viewer {
     this.stage = new Stage(canvas);
     this.stage.orbit.isShy = options.isCompact;
     this.world = new World(scene, new Asking(), this.stage, this.choices);
+    this.world.clouded = () => this.drawLegend();
     this.readout = new Readout(scene, () => this.drop());
     this.aiming = new Aiming(this.stage, this.world.origin, (ray) => void this.pick(ray));
     this.timeline = new Timeline(scene.frames.stamps_ns.map(BigInt), (index) => this.show(index));
@@ -160,13 +160,19 @@ export class Viewer {
     this.note();
   }
 
+  /** How points are drawn changed. */
+  private dressed(): void {
+    this.world.dressPoints();
+    this.drawLegend();
+    this.note();
+  }
+
   private drawLegend(): void {
     const { look: { mode }, scope, layers, points } = this.choices;
     const counts = scope === "frame" ? this.counts : [];
     if (mode === "difference") this.legend.replaceChildren(differenceLegend(counts));
     else this.legend.replaceChildren(mode === "class" ? classLegend(counts) : rampLegend(mode, this.scene));
-    const ramp = layers.points ? pointLegend(points, heightsOf(this.scene.grid)) : null;
-    if (ramp) this.legend.append(ramp);
+    if (layers.points) this.legend.append(pointLegend(points, this.world.pointRange));
   }
 
   private async pick(ray: Ray): Promise<void> {
@@ -184,7 +190,8 @@ export class Viewer {
     if (!picked) this.say("No label there: free, or outside the label grid.");
     else if (picked.difference === null && !isShown(this.choices.look, picked.kind, picked.seen)) {
       this.say(`Switched off: ${CLASS_NAMES[picked.kind]}${picked.seen ? "" : ", not observed"}.`);
-    } else this.say(null);
+    } else if (!isWithin(this.choices.look.heights_m, picked.centre_ego_m[2])) this.say("Not among the heights that are shown.");
+    else this.say(null);
   }
 
   /** Explained, and marked in 3D and in the pictures. */
@@ -274,7 +281,7 @@ export class Viewer {
     this.host.append(this.timeline.element);
     if (this.options.isCompact) return;
     const panel = make("aside", { class: "viewer-panel", "aria-label": "What is shown" });
-    panel.append(choicesPanel(this.scene, this.choices, () => void this.changed()), keysPanel());
+    panel.append(choicesPanel(this.scene, this.choices, () => void this.changed(), () => this.dressed()), keysPanel());
     this.host.append(panel);
   }
 }

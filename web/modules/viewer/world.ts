@@ -21,6 +21,8 @@ import { VoxelBlock, VoxelPaint } from "./drawing/voxel_layer.js";
 const KNOWN_BEYOND_M = 9;
 const SURFACE_REACH_M = 80;
 const START_DISTANCE_M = 34;
+/** Beyond every height; graphics cards need not know infinity. */
+const FAR_M = 1e9;
 /** From above the camera is so far away, in sides of the grid. */
 const ABOVE_RATIO = 62 / 51.2;
 
@@ -28,6 +30,8 @@ export class World {
   readonly origin: Vector;
   readonly map: MapLayer;
   index = 0;
+  /** Another sweep is shown. */
+  clouded: () => void = () => undefined;
   private readonly paint = new VoxelPaint();
   private readonly frame = new VoxelBlock(this.paint);
   private readonly ground = new Ground();
@@ -98,7 +102,7 @@ export class World {
     this.robot.group.visible = layers.robot;
     this.ground.mesh.visible = layers.grid;
     this.cloud.group.visible = layers.points;
-    this.cloud.colourBy(this.choices.points);
+    this.dressPoints();
     const redraw = (): void => this.stage.ask();
     redraw();
     const here = place(this.pose(this.index));
@@ -107,6 +111,16 @@ export class World {
       layers.mesh ? this.map.showSurfaces(here, SURFACE_REACH_M, redraw) : null,
       layers.points ? this.showCloud(this.index) : null,
     ]);
+  }
+
+  dressPoints(): void {
+    this.cloud.colourBy(this.choices.points, this.choices.range, this.choices.size);
+    this.stage.ask();
+  }
+
+  /** The values at the ends of the points' colours. */
+  get pointRange(): [number, number] {
+    return this.cloud.range;
   }
 
   /** Colours or what is left out changed. */
@@ -183,7 +197,14 @@ export class World {
     const [x, y, z] = this.local(place(pose));
     this.ground.move([x, y, z + this.scene.grid.min_m[2]]);
     this.marker.mark(null, 1, 0);
+    this.cut(z);
     if (this.choices.follows) this.follow(pose, before);
+  }
+
+  /** Points and surfaces are drawn between the heights that are shown, counted from the robot's wheels. */
+  private cut(wheels_m: number): void {
+    const [low, high] = this.choices.look.heights_m ?? [null, null];
+    this.paint.cut.value.set(low === null ? -FAR_M : low + wheels_m, high === null ? FAR_M : high + wheels_m);
   }
 
   /** The camera keeps its place beside the robot, and turns with it. */
@@ -206,6 +227,7 @@ export class World {
     const cloud = await this.asking.ask({ kind: "cloud", content });
     if (index !== this.index) return;
     this.cloud.show(index, BigInt(this.scene.frames.stamps_ns[index]!), cloud, this.matrixOf(this.pose(index)));
+    this.clouded();
     this.stage.ask();
   }
 

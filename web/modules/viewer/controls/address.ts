@@ -4,10 +4,10 @@
 // `at` is where the 3D view looks from, as the robot stands: heading and pitch in radians, distance, and the place it
 // turns around, metres ahead, left and up of the robot, so that the same link fits every frame.
 
-import { type CameraChoice, type Choices, type LayerName, missing } from "./choices.js";
+import { type CameraChoice, type Choices, type LayerName, POINT_SIZES, missing } from "./choices.js";
 import { isImported } from "./explanation.js";
 import { POINT_COLOURS, type PointColour } from "../drawing/sweeps.js";
-import type { Mode, Unseen } from "../looks.js";
+import type { Mode, Span, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
 /** Heading and pitch against the robot's, distance, and the target as the robot stands. */
@@ -41,6 +41,10 @@ export function read(address: URL, scene: SceneFacts, choices: Choices): { enlar
     for (const name of Object.keys(layers) as LayerName[]) layers[name] = shown.includes(name) && missing(name, scene) === undefined;
   }
   choices.points = oneOf<PointColour>(said("points"), [...POINT_COLOURS]) ?? choices.points;
+  look.heights_m = spanOf(said("heights")) ?? look.heights_m!;
+  choices.range = spanOf(said("range")) ?? choices.range;
+  const size = Number(said("size") ?? NaN);
+  if (size >= POINT_SIZES[0] && size <= POINT_SIZES[1]) choices.size = size;
   choices.cameras = oneOf<CameraChoice>(said("cameras"), ["labels", "plain", "off"]) ?? choices.cameras;
   if (said("follow") === "off") choices.follows = false;
   return { enlarged: said("camera"), at: viewpointOf(said("at")) };
@@ -70,6 +74,9 @@ export function written(from: URL, { token, choices, enlarged, at }: Standing, f
   put("unseen", differing(look.unseen, first.look.unseen));
   put("layers", differing(on(choices), on(first)));
   put("points", differing(choices.points, first.points));
+  put("heights", differing(wordsOf(look.heights_m!), ","));
+  put("range", differing(wordsOf(choices.range), ","));
+  put("size", differing(String(choices.size), String(first.size)));
   put("cameras", differing(choices.cameras, first.cameras));
   put("camera", enlarged);
   put("follow", choices.follows ? null : "off");
@@ -106,6 +113,18 @@ export class Address {
 
 function oneOf<Value extends string>(said: string | null, known: Value[]): Value | null {
   return known.find((value) => value === said) ?? null;
+}
+
+function wordsOf(span: Span): string {
+  return span.map((value) => value ?? "").join(",");
+}
+
+/** Two bounds, of which an empty one is none; null where it is no span or holds nothing. */
+function spanOf(said: string | null): Span | null {
+  const bounds = (said ?? "").split(",").map((word) => (word === "" ? null : Number(word)));
+  if (bounds.length !== 2 || bounds.some((value) => value !== null && !Number.isFinite(value))) return null;
+  const [low, high] = bounds as Span;
+  return low !== null && high !== null && low >= high ? null : [low, high];
 }
 
 function viewpointOf(said: string | null): Viewpoint | null {

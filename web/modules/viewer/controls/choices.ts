@@ -2,9 +2,10 @@
 
 import { make } from "./elements.js";
 import { isImported } from "./explanation.js";
+import { check, choose, group, pick, slider, span } from "./fields.js";
 import { reachOf } from "../data/grid.js";
 import type { PointColour } from "../drawing/sweeps.js";
-import type { Look, Mode, Unseen } from "../looks.js";
+import type { Look, Mode, Span, Unseen } from "../looks.js";
 import type { SceneFacts } from "../scene.js";
 
 export type LayerName = "labels" | "mesh" | "points" | "track" | "robot" | "grid";
@@ -13,6 +14,10 @@ export interface Choices {
   look: Look;
   layers: Record<LayerName, boolean>;
   points: PointColour;
+  /** Where the colours of points begin and end, in the unit of what they are coloured by; null: by the points themselves. */
+  range: Span;
+  /** Of a point, against its usual size. */
+  size: number;
   cameras: CameraChoice;
   follows: boolean;
 }
@@ -23,9 +28,11 @@ export type CameraChoice = "labels" | "plain" | "off";
 export function firstChoices(scene: SceneFacts): Choices {
   return {
     scope: "frame",
-    look: { mode: scene.starts_with_difference ? "difference" : "class", classes: 0b1110, unseen: "fade" },
+    look: { mode: scene.starts_with_difference ? "difference" : "class", classes: 0b1110, unseen: "fade", heights_m: [null, null] },
     layers: { labels: true, mesh: false, points: false, track: true, robot: true, grid: true },
     points: "intensity",
+    range: [null, null],
+    size: 1,
     cameras: "labels",
     follows: true,
   };
@@ -39,11 +46,11 @@ const MODES: [Mode, string][] = [
 const DIFFERENCE: [Mode, string] = ["difference", "Difference of A and B"];
 const UNSEEN: [Unseen, string][] = [["fade", "Faded"], ["show", "Same as observed"], ["hide", "Hidden"]];
 const POINTS: [PointColour, string][] = [["intensity", "Intensity"], ["height", "Height above the robot's wheels"], ["time", "Age, sweeps of the last second"]];
+/** The smallest, the largest, and the step between them, times the usual one. */
+export const POINT_SIZES = [0.5, 4, 0.5] as const;
 const CAMERAS: [CameraChoice, string][] = [["labels", "Shown with labels"], ["plain", "Shown without labels"], ["off", "Hidden"]];
 const CLASSES: [number, string, string][] = [[1, "Traversable", "fill-t"], [2, "Potentially", "fill-p"], [3, "Non-traversable", "fill-n"]];
 const NO_CONFIDENCE = "No confidence: only labels of profile field have one, and those of earlier releases do not. Process the sequence again with profile field.";
-
-let picks = 0;
 
 /** Why a layer is not there; undefined where it is. */
 export function missing(layer: LayerName, scene: SceneFacts): string | undefined {
@@ -52,18 +59,16 @@ export function missing(layer: LayerName, scene: SceneFacts): string | undefined
   return scene.playback.state === "making" ? "The point clouds are being prepared." : "Point clouds were not prepared for this sequence.";
 }
 
-/** The panel; every change is written into `choices` and told. */
-export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () => void): HTMLElement {
-  const check = (label: string, isOn: boolean, set: (on: boolean) => void, why?: string): HTMLElement => {
-    const box = make("input", { type: "checkbox", checked: isOn, disabled: why !== undefined });
-    box.addEventListener("change", () => (set(box.checked), changed()));
-    return make("label", { class: "viewer-check", ...(why ? { title: why } : {}) }, box, make("span", {}, label));
-  };
+/** The panel; every change is written into `choices` and told: `changed` anything, `dressed` only how points are drawn. */
+export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () => void, dressed: () => void): HTMLElement {
   const layer = (name: LayerName, label: string): HTMLElement =>
-    check(label, choices.layers[name], (on) => (choices.layers[name] = on), missing(name, scene));
+    check(label, choices.layers[name], (on) => ((choices.layers[name] = on), changed()), missing(name, scene));
   const { look } = choices;
   const classes = CLASSES.map(([kind, label, fill]) => {
-    const row = check(label, ((look.classes >> kind) & 1) === 1, (on) => (look.classes = on ? look.classes | (1 << kind) : look.classes & ~(1 << kind)));
+    const row = check(label, ((look.classes >> kind) & 1) === 1, (on) => {
+      look.classes = on ? look.classes | (1 << kind) : look.classes & ~(1 << kind);
+      changed();
+    });
     row.querySelector("input")?.after(swatch(fill));
     return row;
   });
@@ -91,7 +96,8 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
       pick("Voxels not observed in this frame", UNSEEN, look.unseen, (value) => ((look.unseen = value), changed()), true)),
     group("Layers", layer("labels", "Labels"), layer("mesh", "Surface"), layer("points", "Point cloud"), layer("track", "Track"),
       layer("robot", "Robot"), layer("grid", "Ground grid"),
-      pick("Points by", POINTS, choices.points, (value) => ((choices.points = value), changed()), missing("points", scene) === undefined),
+      span("Heights shown, metres above the robot's wheels", look.heights_m ?? [null, null], "all", (value) => ((look.heights_m = value), changed())),
+      ...pointFields(scene, choices, dressed),
       pick("Cameras", CAMERAS, choices.cameras, (value) => ((choices.cameras = value), changed()), scene.playback.cameras.length > 0, "cameras"),
       ...(scene.playback.cameras.length ? [make("p", { class: "hint" }, `Labels reach ${Math.floor(Math.max(...reachOf(scene.grid)))} m from the robot; what is farther stays as it was photographed.`)] : []),
       ...notes.map((note) => make("p", { class: "hint" }, note)),
@@ -100,22 +106,17 @@ export function choicesPanel(scene: SceneFacts, choices: Choices, changed: () =>
   );
 }
 
-function choose(picker: HTMLElement, value: string): void {
-  picker.querySelector("select")!.value = value;
-}
-
-function group(title: string, ...children: HTMLElement[]): HTMLElement {
-  return make("fieldset", {}, make("legend", {}, title), ...children);
-}
-
-function pick<Value extends string>(
-  label: string, options: [Value, string][], chosen: Value, set: (value: Value) => void, isThere: boolean, name = "",
-): HTMLElement {
-  const id = `viewer-pick-${++picks}`;
-  const select = make("select", { id, disabled: !isThere, ...(name ? { "data-chooses": name } : {}) });
-  select.append(...options.map(([value, words]) => make("option", { value, selected: value === chosen }, words)));
-  select.addEventListener("change", () => set(select.value as Value));
-  return make("div", { class: "viewer-pick" }, make("label", { for: id }, label), select);
+/** How points are coloured, between which values, and how large they are. */
+function pointFields(scene: SceneFacts, choices: Choices, dressed: () => void): HTMLElement[] {
+  if (missing("points", scene) !== undefined) return [];
+  const range = span("Colours of points", choices.range, "auto", (value) => ((choices.range = value), dressed()));
+  range.hidden = choices.points === "time";
+  const by = pick("Points by", POINTS, choices.points, (value) => {
+    [choices.points, choices.range, range.hidden] = [value, [null, null], value === "time"];
+    for (const field of range.querySelectorAll("input")) field.value = "";
+    dressed();
+  }, true);
+  return [by, range, slider("Point size", POINT_SIZES, choices.size, (value) => ((choices.size = value), dressed()))];
 }
 
 export function swatch(fill: string): SVGSVGElement {

@@ -1,7 +1,8 @@
 // What the colours mean: classes with their counts, or a ramp with its values.
 
+import { fixed } from "../../counts.js";
 import { swatch } from "./choices.js";
-import { OLDEST_S, type PointColour } from "../drawing/sweeps.js";
+import type { PointColour } from "../drawing/sweeps.js";
 import { make } from "./elements.js";
 import { DIFFERENCES, type Mode, ticksOf } from "../looks.js";
 import { type RampName, ramp } from "../ramps.js";
@@ -33,11 +34,12 @@ function shareLegend(entries: readonly (readonly [string, string])[], counts: re
   return make("div", { class: "viewer-legend" }, list, ...(total ? [make("span", { class: "viewer-share" }, "of this frame's voxels")] : []));
 }
 
-/** What the colours of points mean, where a ramp says it; that of heights is as high as the label grid. */
-export function pointLegend(by: PointColour, [low, high]: readonly [number, number]): HTMLElement | null {
-  if (by === "intensity") return null;
-  if (by === "height") return ramped("Points, height", "viridis", [low, (low + high) / 2, high].map((height) => `${height.toFixed(1)} m`));
-  return ramped("Points, age", "viridis", [`${OLDEST_S} s`, `${OLDEST_S / 2} s`, "now"]);
+/** What the colours of points mean, from the first value to the last. */
+export function pointLegend(by: PointColour, [first, last]: readonly [number, number]): HTMLElement {
+  const values = [first, (first + last) / 2, last];
+  if (by === "time") return ramped("Points, age", "lighter", [`${values[0]} s`, `${values[1]} s`, "now"]);
+  const words = values.map((value) => (by === "height" ? `${fixed(value, 1)} m` : fixed(value, last - first < 4 ? 1 : 0)));
+  return ramped(by === "height" ? "Points, height" : "Points, intensity (0–255)", "lighter", words);
 }
 
 export function rampLegend(mode: Mode, scene: SceneFacts): HTMLElement {

@@ -6,7 +6,8 @@ import { columnsOf, lowestOf } from "./columns.js";
 import { type CameraFacts, type Planes, type Tile, classAt, codeAt, coded, isObserved, labelled } from "./formats.js";
 import { idOf, inMetres, inVoxels, indexOf, voxelAt } from "./grid.js";
 import { type Found, Tiles } from "./lookup.js";
-import { DIFFERENCES, type Look, type Mode, colourOf } from "../looks.js";
+import { TrackHeight } from "./track_height.js";
+import { DIFFERENCES, type Look, type Mode, colourOf, isWithin } from "../looks.js";
 import { type Piece, type Pose, type SceneFacts, type Vector, toEgo, toMap, turnedToEgo } from "../scene.js";
 import { type Size, Solid } from "./solid.js";
 import { firstVoxel } from "./ray_walk.js";
@@ -50,10 +51,12 @@ export interface Ray {
 export class Model {
   readonly tiles: Tiles;
   private readonly frames = new Map<string, Planes>();
+  private readonly wheels: TrackHeight;
   private cameras: CameraRays | null = null;
 
   constructor(readonly scene: SceneFacts) {
     this.tiles = new Tiles(scene.map_voxel_m);
+    this.wheels = new TrackHeight(scene.frames.map_from_ego);
   }
 
   keepFrame(token: string, mode: Mode, planes: Planes): void {
@@ -69,13 +72,14 @@ export class Model {
   drawFrame(token: string, look: Look): Drawn {
     const planes = this.planes(token, look.mode);
     const lowest = lowestOf(columnsOf(planes, look.mode === "difference"));
-    if (look.mode === "difference") return { ...drawnDifferences(planes), lowest };
+    if (look.mode === "difference") return { ...drawnDifferences(planes, look), lowest };
     const [pose, { grid }] = [this.pose(token), planes];
     const solid = new Solid(grid.shape);
     const counts: [number, number, number] = [0, 0, 0];
     for (const index of labelled(planes)) {
       const kind = classAt(planes, index);
       counts[kind - 1]!++;
+      if (isCut(planes, look, index)) continue;
       const values = look.mode === "class" ? null : this.foundIn(pose, planes, index);
       solid.paint(...voxelAt(grid, index), colourOf(look, kind, isObserved(planes, index), values, this.scene));
     }
@@ -93,6 +97,7 @@ export class Model {
     for (const [row, at] of rowsShown(tile, voxel, solid, low)) {
       const kind = tile.classes[row]!;
       counts[kind - 1]!++;
+      if (this.isCutInMap(look, [tile.i[row]!, tile.j[row]!, tile.k[row]!])) continue;
       const values = look.mode === "class" ? null : valuesOf(tile, row);
       solid.paint(...at, colourOf(look, kind, true, values, this.scene));
     }
@@ -131,6 +136,7 @@ export class Model {
   private colouring(token: string, look: Look, planes: Planes): (id: number) => number {
     const [pose, known] = [this.pose(token), new Map<number, number>()];
     const made = (index: number): number => {
+      if (isCut(planes, look, index)) return 0;
       if (look.mode === "difference") return codeAt(planes, index);
       const values = look.mode === "class" ? null : this.foundIn(pose, planes, index);
       return colourOf(look, classAt(planes, index), isObserved(planes, index), values, this.scene);
@@ -183,6 +189,7 @@ export class Model {
     const sight = { from, direction: turnedToEgo(pose, ray.direction), low: [0, 0, 0] as Vector, high: grid.shape };
     const index = firstVoxel(sight, (i, j, k) => {
       const at = indexOf(grid, i, j, k);
+      if (isCut(planes, look, at)) return false;
       if (isDifference) return codeAt(planes, at) > 0;
       const kind = classAt(planes, at);
       return kind > 0 && ((look.classes >> kind) & 1) === 1 && (look.unseen !== "hide" || isObserved(planes, at));
@@ -196,7 +203,7 @@ export class Model {
     const [low, high] = bounds(tiles, map_voxel_m);
     const index = firstVoxel({ from, direction: ray.direction, low, high }, (i, j, k) => {
       const met = this.tiles.at(i, j, k);
-      return met !== null && ((look.classes >> met.kind) & 1) === 1;
+      return met !== null && ((look.classes >> met.kind) & 1) === 1 && !this.isCutInMap(look, [i, j, k]);
     });
     const found = index && this.tiles.at(...index);
     if (!index || !found) return null;
@@ -205,6 +212,12 @@ export class Model {
     const inFrame = inVoxels(grid, centre_ego_m).map(Math.floor) as Vector;
     const id = idOf(grid, inFrame);
     return { id, voxel: id ? inFrame : null, centre_ego_m, centre_m, kind: found.kind, seen: true, scope: "map", found, difference: null };
+  }
+
+  private isCutInMap({ heights_m }: Look, index: Vector): boolean {
+    if (!heights_m) return false;
+    const [x, y, z] = index.map((value) => (value + 0.5) * this.scene.map_voxel_m) as Vector;
+    return !isWithin(heights_m, z - this.wheels.at(x, y));
   }
 
   private planes(token: string, mode: Mode): Planes {
@@ -225,14 +238,19 @@ function keyOf(token: string, mode: Mode): string {
   return mode === "difference" ? `${token} difference` : token;
 }
 
-function drawnDifferences(planes: Planes): Drawn {
+/** The voxel's centre is not among the heights that are shown. */
+function isCut({ grid }: Planes, { heights_m }: Look, index: number): boolean {
+  return heights_m !== undefined && !isWithin(heights_m, grid.min_m[2] + ((index % grid.shape[2]) + 0.5) * grid.voxel_m);
+}
+
+function drawnDifferences(planes: Planes, look: Look): Drawn {
   const { grid } = planes;
   const solid = new Solid(grid.shape);
   const counts = DIFFERENCES.slice(1).map(() => 0);
   for (const index of coded(planes)) {
     const code = codeAt(planes, index);
     counts[code - 1]!++;
-    solid.paint(...voxelAt(grid, index), code);
+    if (!isCut(planes, look, index)) solid.paint(...voxelAt(grid, index), code);
   }
   return { faces: facesOf(solid), counts, corner_m: grid.min_m, voxel_m: grid.voxel_m };
 }

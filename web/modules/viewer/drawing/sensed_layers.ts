@@ -16,7 +16,7 @@ export class SurfacePaint implements Prop {
 
   constructor(paint: VoxelPaint) {
     const kinds = [0, 1, 2, 3].map(() => new Vector3());
-    const uniforms = { kinds: { value: kinds }, sun: { value: new Vector3() }, paper: paint.paper, fade: paint.fade };
+    const uniforms = { kinds: { value: kinds }, sun: { value: new Vector3() }, paper: paint.paper, fade: paint.fade, cut: paint.cut };
     const drawing = { vertexShader: SURFACE_VERTEX, fragmentShader: SURFACE_FRAGMENT, glslVersion: GLSL3, side: DoubleSide } as const;
     this.material = new ShaderMaterial({ ...drawing, uniforms });
   }

@@ -3,6 +3,8 @@
 const FADE = /* glsl */ `
 uniform vec3 paper;
 uniform vec2 fade;
+uniform vec2 cut;
+bool isCut(float height) { return height < cut.x || height >= cut.y; }
 vec3 faded(vec3 colour, float away) { return mix(colour, paper, smoothstep(fade.x, fade.y, away)); }
 `;
 
@@ -50,8 +52,10 @@ in float kind;
 uniform vec3 kinds[4];
 out vec3 colour;
 out vec3 seenFrom;
+out float height;
 void main() {
   colour = kinds[int(kind + 0.5)];
+  height = (modelMatrix * vec4(position, 1.0)).z;
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
   seenFrom = seen.xyz;
   gl_Position = projectionMatrix * seen;
@@ -61,10 +65,12 @@ export const SURFACE_FRAGMENT = /* glsl */ `
 precision highp float;
 in vec3 colour;
 in vec3 seenFrom;
+in float height;
 uniform vec3 sun;
 out vec4 painted;
 ${FADE}
 void main() {
+  if (isCut(height)) discard;
   vec3 normal = normalize(cross(dFdx(seenFrom), dFdy(seenFrom)));
   float lit = 0.72 + 0.3 * max(0.0, dot(normal, sun));
   painted = vec4(faded(colour * lit, length(seenFrom)), 1.0);
@@ -72,34 +78,36 @@ void main() {
 
 export const CLOUD_VERTEX = /* glsl */ `
 in float strength;
-uniform vec3 dim;
-uniform vec3 bright;
 uniform float pixels;
+uniform float size;
 uniform sampler2D ramp;
 uniform int by;
 uniform float age;
 uniform float ground;
-uniform vec2 heights;
+uniform vec2 range;
 out vec3 colour;
 out float away;
+out float height;
 void main() {
   vec4 seen = modelViewMatrix * vec4(position, 1.0);
-  float height = ((modelMatrix * vec4(position, 1.0)).z - ground - heights.x) / (heights.y - heights.x);
-  float share = by == 1 ? height : 1.0 - age;
-  vec3 ramped = texelFetch(ramp, ivec2(int(clamp(share, 0.0, 1.0) * 255.0 + 0.5), 0), 0).rgb;
-  colour = by == 0 ? mix(dim, bright, sqrt(strength)) : ramped;
+  height = (modelMatrix * vec4(position, 1.0)).z;
+  float value = by == 0 ? strength * 255.0 : by == 1 ? height - ground : age;
+  float share = clamp((value - range.x) / (range.y - range.x), 0.0, 1.0);
+  colour = texelFetch(ramp, ivec2(int(share * 255.0 + 0.5), 0), 0).rgb;
   away = length(seen.xyz);
   gl_Position = projectionMatrix * seen;
-  gl_PointSize = clamp(pixels * 0.07 / away, 1.5, 6.0);
+  gl_PointSize = clamp(pixels * 0.07 / away, 1.5, 6.0) * size;
 }`;
 
 export const CLOUD_FRAGMENT = /* glsl */ `
 precision highp float;
 in vec3 colour;
 in float away;
+in float height;
 out vec4 painted;
 ${FADE}
 void main() {
+  if (isCut(height)) discard;
   if (length(gl_PointCoord - 0.5) > 0.5) discard;
   painted = vec4(faded(colour, away), 1.0);
 }`;

@@ -1,20 +1,21 @@
 // Point clouds of frames, each where the robot stood: by intensity, by height, or by age among those of the last second.
 
 import {
-  BufferAttribute, BufferGeometry, DataTexture, GLSL3, Group, type Matrix4, type PerspectiveCamera, Points, ShaderMaterial, Vector3,
+  BufferAttribute, BufferGeometry, DataTexture, GLSL3, Group, type Matrix4, type PerspectiveCamera, Points, ShaderMaterial, Vector2, Vector3,
 } from "three";
 import type { Cloud } from "../data/formats.js";
+import type { Span } from "../looks.js";
 import { ramp } from "../ramps.js";
 import { CLOUD_FRAGMENT, CLOUD_VERTEX } from "./shaders.js";
 import type { Prop } from "./stage.js";
-import type { Rgb, Theme } from "./theme.js";
 import type { VoxelPaint } from "./voxel_layer.js";
 
 export const POINT_COLOURS = ["intensity", "height", "time"] as const;
 export type PointColour = (typeof POINT_COLOURS)[number];
 /** Sweeps no older than this are shown by their age. */
 export const OLDEST_S = 1;
-const share = (rgb: Rgb): Vector3 => new Vector3(...rgb).divideScalar(255);
+/** So many of a sweep's intensities in a hundred lie below and above the colours, unless the reader says otherwise. */
+const BEYOND_PERCENT = 2;
 
 interface Sweep {
   index: number;
@@ -27,16 +28,18 @@ export class SweepLayer implements Prop {
   private readonly shared;
   private sweeps: Sweep[] = [];
   private by: PointColour = "intensity";
+  private wanted: Span = [null, null];
+  private intensities: [number, number] | null = null;
 
-  /** `heights_m`: above the robot's wheels, between which the ramp of heights runs. */
-  constructor(paint: VoxelPaint, heights_m: readonly [number, number], private readonly height_px: () => number) {
+  /** `heights_m`: above the robot's wheels, between which the ramp of heights runs unless the reader says otherwise. */
+  constructor(paint: VoxelPaint, private readonly heights_m: readonly [number, number], private readonly height_px: () => number) {
     const colours = new Uint8Array(1024).fill(255);
-    for (let place = 0; place < 256; place++) colours.set(ramp("viridis", place / 255), place * 4);
+    for (let place = 0; place < 256; place++) colours.set(ramp("lighter", place / 255), place * 4);
     const texture = new DataTexture(colours, 256, 1);
     texture.needsUpdate = true;
     this.shared = {
-      dim: { value: new Vector3() }, bright: { value: new Vector3() }, pixels: { value: 800 }, paper: paint.paper, fade: paint.fade,
-      ramp: { value: texture }, by: { value: 0 }, ground: { value: 0 }, heights: { value: heights_m },
+      pixels: { value: 800 }, size: { value: 1 }, paper: paint.paper, fade: paint.fade, cut: paint.cut,
+      ramp: { value: texture }, by: { value: 0 }, ground: { value: 0 }, range: { value: new Vector2(0, 255) },
     };
   }
 
@@ -53,14 +56,26 @@ export class SweepLayer implements Prop {
     points.matrixAutoUpdate = false;
     points.matrix.copy(local_from_ego).scale(new Vector3(0.01, 0.01, 0.01)); // centimetres
     points.matrixWorldNeedsUpdate = true;
+    this.intensities ??= usual(cloud.intensity);
+    this.dress();
     this.shared.ground.value = local_from_ego.elements[14]!;
     this.sweeps.push({ index, stamp_ns, points });
     this.group.add(points);
     this.stand(stamp_ns);
   }
 
-  colourBy(by: PointColour): void {
-    this.by = by;
+  /** The values at the ends of the colours: intensities of 0 to 255, metres above the robot's wheels, seconds of age. */
+  get range(): [number, number] {
+    if (this.by === "time") return [OLDEST_S, 0];
+    const [low, high] = this.by === "height" ? this.heights_m : (this.intensities ?? [0, 255]);
+    const from = this.wanted[0] ?? low;
+    const to = this.wanted[1] ?? high;
+    return from < to ? [from, to] : this.wanted[1] === null ? [from, from + 1] : [to - 1, to];
+  }
+
+  colourBy(by: PointColour, range: Span, size: number): void {
+    [this.by, this.wanted, this.shared.size.value] = [by, range, size];
+    this.dress();
     this.shared.by.value = POINT_COLOURS.indexOf(by);
     const newest = this.sweeps.at(-1);
     if (newest) this.stand(newest.stamp_ns);
@@ -71,13 +86,12 @@ export class SweepLayer implements Prop {
     this.drop(() => true);
   }
 
-  themed(theme: Theme): void {
-    this.shared.dim.value = share(theme.soft);
-    this.shared.bright.value = share(theme.accent);
-  }
-
   drawing(camera: PerspectiveCamera): void {
     this.shared.pixels.value = this.height_px() / Math.tan((camera.fov * Math.PI) / 360);
+  }
+
+  private dress(): void {
+    this.shared.range.value.set(...this.range);
   }
 
   /** It is so late now: what is older than a second, or later, is no longer kept. */
@@ -98,4 +112,12 @@ export class SweepLayer implements Prop {
     }
     this.sweeps = this.sweeps.filter((one) => !isGone(one));
   }
+}
+
+/** Between these lie all intensities but the weakest and the strongest few. */
+function usual(intensity: Uint8Array): [number, number] | null {
+  if (!intensity.length) return null;
+  const sorted = intensity.slice().sort();
+  const at = (percent: number): number => sorted[Math.round(((sorted.length - 1) * percent) / 100)]!;
+  return [at(BEYOND_PERCENT), at(100 - BEYOND_PERCENT)];
 }

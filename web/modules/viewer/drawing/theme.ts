@@ -67,7 +67,7 @@ export function paletteOf(theme: Theme, mode: Mode): Uint8Array {
 }
 
 export function rampOf(mode: Mode): RampName {
-  if (mode === "confidence") return mode;
+  if (mode === "confidence") return "lighter";
   return mode === "d2" ? "inferno" : "viridis";
 }
 

@@ -19,6 +19,8 @@ export class VoxelPaint implements Prop {
   readonly palette = new DataTexture(new Uint8Array(1024), 256, 1);
   readonly paper = { value: new Vector3() };
   readonly fade = { value: new Vector2(60, 140) };
+  /** The heights between which points and surfaces are drawn; voxels that are not shown are not built. */
+  readonly cut = { value: new Vector2(-1e9, 1e9) };
   private mode: Mode = "class";
   private theme: Theme | null = null;
 
