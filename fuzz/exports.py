@@ -1,7 +1,7 @@
 """The readers of exported data as functions of bytes: tars, and the tables of the nuScenes layout.
 
 **Conventions.** Checksums of a tar's heads are repaired before it is read, since a mutation must get past the door.
-Tables are three in one, parted by two zeros, beside one sweep of a few returns.
+Tables are four in one, parted by two zeros, beside one sweep of a few returns.
 """
 
 import io
@@ -18,13 +18,16 @@ from stone_exports.tables import TABLES, exports_in
 BLOCK_BYTES = 512
 TOKEN = "a" * 32
 SWEEP = "samples/LIDAR_TOP/s.pcd.bin"
-PARTED = ("sensor", "calibrated_sensor", "sample_data")
+PARTED = ("sensor", "calibrated_sensor", "ego_pose", "sample_data")
 ROWS = {
     "sensor": {"token": "s", "channel": "LIDAR_TOP", "modality": "lidar"},
     "calibrated_sensor": {"token": "c", "sensor_token": "s", "translation": [0, 0, 1], "rotation": [1, 0, 0, 0]},
+    "ego_pose": {"token": "e", "timestamp": 1, "translation": [9, 9, 0], "rotation": [1, 0, 0, 0]},
     "sample_data": {
         "sample_token": TOKEN,
         "calibrated_sensor_token": "c",
+        "ego_pose_token": "e",
+        "timestamp": 1,
         "is_key_frame": True,
         "filename": SWEEP,
     },
@@ -43,7 +46,7 @@ def read_tar(content: bytes) -> None:
 
 def read_tables(content: bytes) -> None:
     with TemporaryDirectory() as folder:
-        for name, table in zip(PARTED, content.split(b"\0\0", 2), strict=False):
+        for name, table in zip(PARTED, content.split(b"\0\0", len(PARTED) - 1), strict=False):
             path = Path(folder) / TABLES / f"{name}.json"
             path.parent.mkdir(exist_ok=True)
             path.write_bytes(table)

@@ -17,7 +17,8 @@ from stone_datasets.causes import token_cause, type_cause
 from stone_datasets.faults import DatasetPlace, quoted
 from stone_datasets.stamps import LARGEST_US, unit_of, wrong_unit
 from stone_exports.cameras import COEFFICIENTS
-from stone_exports.frames import FARTHEST_MOUNT_M, FARTHEST_POSE_M
+from stone_exports.frames import FARTHEST_MOUNT_M
+from stone_exports.tables import FARTHEST_POSE_M
 from stone_files.dataset_faults import DatasetFaultError
 from stone_files.dataset_layouts import plain_token
 

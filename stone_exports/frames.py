@@ -8,17 +8,16 @@ checked, sizes bounded. Files are opened when they are read, not before.
 
 from collections.abc import Iterator, Mapping
 from dataclasses import dataclass
-from typing import Any
 
 from stone.geometry.se3 import SE3
 from stone.sensors.calibration import CameraIntrinsics
 from stone_base.names import NAME
 from stone_exports.cameras import intrinsics_of
 from stone_exports.files import ExportContent, ExportFileSpan, Files
-from stone_exports.tables import row_pose, table_rows, table_span
+from stone_exports.tables import poses_in, row_pose, stamp_of, table_rows, table_span
 from stone_files.dataset_layouts import plain_token
 
-FARTHEST_MOUNT_M, FARTHEST_POSE_M = 100.0, 1e7
+FARTHEST_MOUNT_M = 100.0
 LIDAR_CHANNEL = "LIDAR_TOP"
 
 
@@ -75,7 +74,7 @@ def frames_in(files: Files) -> tuple[ExportedFrame, ...]:
             )
         if LIDAR_CHANNEL in data.get(written, {}):
             labels = files.span(f"gts/{sequence}/{written}/labels.npz")
-            frames.append(ExportedFrame(token, sequence, _stamp_us(files, "sample", row), data[written], labels))
+            frames.append(ExportedFrame(token, sequence, stamp_of(files, "sample", row), data[written], labels))
     return tuple(sorted(frames, key=lambda frame: (frame.sequence, frame.stamp_us)))
 
 
@@ -90,7 +89,7 @@ def _scenes(files: Files) -> dict[str, str]:
 
 def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
     """Key-frame data by frame token, then channel."""
-    sensors, poses = _sensors(files), _poses(files)
+    sensors, poses = _sensors(files), poses_in(files)
     found = dict[str, dict[str, ExportedDatum]]()
     for row in table_rows(files, "sample_data"):
         sensor = sensors.get(str(row.get("calibrated_sensor_token")))
@@ -101,14 +100,9 @@ def _data(files: Files) -> dict[str, dict[str, ExportedDatum]]:
         if pose is None or span is None:
             missing = "no pose" if pose is None else "no file"
             raise table_span(files, "sample_data").damaged(f"there is {missing} of {str(row.get('filename'))[:200]!r}")
-        datum = ExportedDatum(sensor, _stamp_us(files, "sample_data", row), pose, span)
+        datum = ExportedDatum(sensor, stamp_of(files, "sample_data", row), pose, span)
         found.setdefault(str(row.get("sample_token")), {})[sensor.channel] = datum
     return found
-
-
-def _poses(files: Files) -> dict[str, SE3]:
-    rows = table_rows(files, "ego_pose")
-    return {str(row.get("token")): row_pose(files, "ego_pose", row, FARTHEST_POSE_M) for row in rows}
 
 
 def _sensors(files: Files) -> dict[str, ExportedSensor]:
@@ -138,10 +132,3 @@ def _picture_sizes(files: Files) -> Iterator[tuple[str, tuple[int, int]]]:
         if token not in seen and all(isinstance(side, int) and 0 < side <= 1 << 15 for side in size):
             seen.add(token)
             yield token, (int(size[0] or 0), int(size[1] or 0))
-
-
-def _stamp_us(files: Files, table: str, row: Mapping[str, Any]) -> int:
-    stamp = row.get("timestamp")
-    if type(stamp) is not int or not -(1 << 62) < stamp < 1 << 62:
-        raise table_span(files, table).damaged("a row's timestamp is not a number of microseconds")
-    return stamp

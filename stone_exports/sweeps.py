@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 
 from stone.geometry.se3 import SE3
 from stone_exports.files import ExportContent, Files
-from stone_exports.tables import row_pose, table_rows, table_span
+from stone_exports.tables import poses_in, row_pose, stamp_of, table_rows, table_span
 from stone_files.dataset_layouts import plain_token
 
 CHANNEL = "LIDAR_TOP"
@@ -49,10 +49,18 @@ class SweepFile:
         return returns
 
 
-def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, SweepFile]:
-    """The sweeps of those frames among `tokens` that the export has. Raises `DamagedExportError`."""
-    mounts = _mounts(files)
-    found = dict[str, SweepFile]()
+@dataclass(frozen=True, eq=False)
+class PlacedSweep(SweepFile):
+    """A sweep, its time and where the robot was then."""
+
+    stamp_us: int
+    global_from_ego: SE3
+
+
+def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, PlacedSweep]:
+    """Return the sweeps of those frames among `tokens` that the export has. Raises `DamagedExportError`."""
+    mounts, poses = _mounts(files), poses_in(files)
+    found = dict[str, PlacedSweep]()
     for row in table_rows(files, "sample_data"):
         mount = mounts.get(str(row.get("calibrated_sensor_token")))
         token = plain_token(str(row.get("sample_token")))
@@ -62,7 +70,10 @@ def sweeps_in(files: Files, tokens: AbstractSet[str]) -> dict[str, SweepFile]:
         span = files.span(filename)
         if span is None:
             raise table_span(files, "sample_data").damaged(f"it names {filename[:200]!r}, which is missing")
-        found[str(token)] = SweepFile(span, mount)
+        pose = poses.get(str(row.get("ego_pose_token")))
+        if pose is None:
+            raise table_span(files, "sample_data").damaged(f"there is no pose of {filename[:200]!r}")
+        found[str(token)] = PlacedSweep(span, mount, stamp_of(files, "sample_data", row), pose)
     return found
 
 

@@ -19,6 +19,7 @@ from stone_files.archives import tar_spans_of
 
 TABLES = "v1.0-trainval"
 SAMPLE_DATA = f"{TABLES}/sample_data.json"
+FARTHEST_POSE_M = 1e7
 EXPORTED = re.compile(
     rf"(.*/)?({TABLES}/[a-z_]+\.json|samples/[A-Z0-9_]+/[^/]+\.(jpg|pcd|pcd\.bin)|gts/[^/]+/[0-9a-f-]{{32,36}}/labels\.npz)"
 )
@@ -86,6 +87,20 @@ def row_pose(files: Files, table: str, row: Mapping[str, Any], farthest_m: float
     if not is_sound or not abs(np.linalg.norm(wxyz) - 1) < 1e-3 or not (np.abs(translation_m) < farthest_m).all():
         raise table_span(files, table).damaged("a row's rotation and translation are not a pose")
     return SE3(np.concatenate([wxyz, translation_m]))
+
+
+def poses_in(files: Files) -> dict[str, SE3]:
+    """Return the poses of the robot, `global_from_ego`, by token. Raises `DamagedExportError`."""
+    rows = table_rows(files, "ego_pose")
+    return {str(row.get("token")): row_pose(files, "ego_pose", row, FARTHEST_POSE_M) for row in rows}
+
+
+def stamp_of(files: Files, table: str, row: Mapping[str, Any]) -> int:
+    """Return the row's timestamp, microseconds. Raises `DamagedExportError`."""
+    stamp = row.get("timestamp")
+    if type(stamp) is not int or not -(1 << 62) < stamp < 1 << 62:
+        raise table_span(files, table).damaged("a row's timestamp is not a number of microseconds")
+    return stamp
 
 
 def _exports_at(child: Path) -> Iterable[Files]:

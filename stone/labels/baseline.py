@@ -6,7 +6,7 @@ lowest point, unless its neighbourhood lies much lower; gaps are closed from kno
 
     class of a column: N where slope or unevenness exceed what the robot climbs, else P; T where it is P and in the
     corridor that a robot driving straight on sweeps (the ground truth calls T what was driven, and one sweep knows no
-    more of the path).
+    more of the path). If the earlier track is known, T behind the robot is what its footprint's width swept there.
 
 It needs NumPy alone, so that participants run it without the platform.
 
@@ -27,6 +27,8 @@ FREE, T, P, N = 0, 1, 2, 3
 
 Grid = NDArray[np.uint8]
 Heights = NDArray[np.float32]
+Track = NDArray[np.float64]
+TRACK_STEP_M = 0.1
 
 
 @dataclass(frozen=True)
@@ -47,18 +49,23 @@ DEFAULTS = BaselineParameters()
 
 
 def predict_from_sweep(
-    points_ego: NDArray[np.float32], parameters: BaselineParameters = DEFAULTS, label_grid: LabelGrid = PAPER
+    points_ego: NDArray[np.float32],
+    parameters: BaselineParameters = DEFAULTS,
+    label_grid: LabelGrid = PAPER,
+    track_ego_m: Track | None = None,
 ) -> Grid:
-    """Classes of the label grid, uint8, from points (N, 3) of one sweep, metres.
+    """Return the classes of the label grid, uint8, from points (N, 3) of one sweep or of several, metres.
 
-    Points off the grid or not finite are passed over. Raises `ShapeError` for another shape.
+    `track_ego_m` (M, 2) is where the robot was before, oldest first, metres. Points off the grid or not finite are
+    passed over. Raises `ShapeError` for another shape.
     """
     if points_ego.ndim != 2 or points_ego.shape[1] != 3:
         raise ShapeError("points_ego", points_ego.shape, "(N, 3)")
     grid = np.zeros(label_grid.shape, np.uint8)
     lowest = _measure(np.asarray(points_ego, np.float32), label_grid, grid)
     ground = ground_heights(lowest, parameters, label_grid)
-    _paint(grid, ground, column_classes(ground, parameters, label_grid), (label_grid, parameters.clearance_m))
+    classes = column_classes(ground, parameters, label_grid, track_ego_m)
+    _paint(grid, ground, classes, (label_grid, parameters.clearance_m))
     return grid
 
 
@@ -80,15 +87,41 @@ def ground_heights(
 
 
 def column_classes(
-    ground: Heights, parameters: BaselineParameters = DEFAULTS, label_grid: LabelGrid = PAPER
+    ground: Heights,
+    parameters: BaselineParameters = DEFAULTS,
+    label_grid: LabelGrid = PAPER,
+    track_ego_m: Track | None = None,
 ) -> NDArray[np.uint8]:
-    """T, P or N (X, Y) of the ground; 0 where it is unknown."""
+    """Return T, P or N (X, Y) of the ground; 0 where it is unknown."""
     is_n = _is_blocking(ground, math.tan(parameters.steepest_rad) * label_grid.voxel_m, parameters.most_uneven_m)
     classes = np.where(np.isnan(ground), FREE, np.where(is_n, N, P)).astype(np.uint8)
     x_m, y_m = column_centres_m(label_grid)
-    is_ahead = (np.abs(y_m) <= parameters.footprint_width_m / 2) & (np.abs(x_m) <= parameters.corridor_reach_m)
-    classes[is_ahead & (classes == P)] = T
+    is_driven = (np.abs(y_m) <= parameters.footprint_width_m / 2) & (np.abs(x_m) <= parameters.corridor_reach_m)
+    if track_ego_m is not None:
+        is_driven &= x_m >= 0
+        is_driven |= _is_swept(track_ego_m, parameters.footprint_width_m / 2, label_grid)
+    classes[is_driven & (classes == P)] = T
     return classes
+
+
+def _is_swept(track_m: Track, radius_m: float, label_grid: LabelGrid) -> NDArray[np.bool_]:
+    """Return which columns (X, Y) have their centre within the radius of the track (M, 2) that ends at the robot."""
+    track_m = np.vstack([track_m, np.zeros((1, 2))])
+    lengths_m = np.linalg.norm(np.diff(track_m, axis=0), axis=1)
+    steps = np.concatenate([[0.0], np.cumsum(lengths_m)])
+    at_m = np.arange(0.0, steps[-1] + TRACK_STEP_M, TRACK_STEP_M)
+    places_m = np.column_stack([np.interp(at_m, steps, track_m[:, axis]) for axis in (0, 1)])
+    low_m, shape = np.array(label_grid.min_m[:2]), np.array(label_grid.shape[:2])
+    is_swept = np.zeros(label_grid.shape[:2], np.bool_)
+    own = np.floor((places_m - low_m) / label_grid.voxel_m).astype(np.intp)
+    reach = math.ceil(radius_m / label_grid.voxel_m)
+    for step in np.ndindex(2 * reach + 1, 2 * reach + 1):
+        columns = own + np.array(step) - reach
+        centres_m = (columns + 0.5) * label_grid.voxel_m + low_m
+        is_near = np.linalg.norm(centres_m - places_m, axis=1) <= radius_m
+        columns = columns[is_near & ((columns >= 0) & (columns < shape)).all(axis=1)]
+        is_swept[columns[:, 0], columns[:, 1]] = True
+    return is_swept
 
 
 def column_centres_m(label_grid: LabelGrid = PAPER) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

@@ -22,22 +22,28 @@ OutputOption = Annotated[
     Path, typer.Option("-o", "--output", metavar="SUB.zip", dir_okay=False, help="The submission.")
 ]
 
+SweepsOption = Annotated[
+    int, typer.Option(metavar="N", min=1, max=100, help="Sweeps for each frame: its own and the latest earlier ones.")
+]
+
 
 def baseline(
     sources: SourceArgument,
     manifest: ManifestOption,
     output: OutputOption,
+    sweeps: SweepsOption = 1,
     workers: WorkersOption = None,
     as_json: JsonOption = False,
 ) -> None:
     """Predict every frame of a manifest from its own LiDAR sweep, untrained: the baseline every method should beat.
 
     Ground is the lowest point of each column; steep or uneven is non-traversable, the corridor ahead traversable.
+    With --sweeps the ground comes from earlier sweeps too, and the track behind the robot is traversable.
     """
     from stone_client.baseline import BaselinePlan, write_baseline
 
     with reported() as progress:
-        written = write_baseline(sources, BaselinePlan(manifest, output, workers or cores()), progress)
+        written = write_baseline(sources, BaselinePlan(manifest, output, workers or cores(), sweeps=sweeps), progress)
     if as_json:
         echo_json(written.as_record())
     else:

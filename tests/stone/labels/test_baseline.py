@@ -35,6 +35,20 @@ def test_flat_ground_is_one_closed_sheet_of_t_ahead_and_p_beside() -> None:
     np.testing.assert_array_equal(grid[..., FLAT_LAYER] == T, is_corridor)
 
 
+def test_behind_the_robot_t_follows_the_track_that_it_drove() -> None:
+    # A quarter circle of 10 m radius that ends at the robot, heading along x, and a place far outside the grid before.
+    angle = np.linspace(-math.pi / 2, 0.0, 40)
+    track = np.vstack([[-1e6, 1e6], np.column_stack([10 * np.sin(angle), 10 - 10 * np.cos(angle)])[:-1]])
+    is_t = predict_from_sweep(sheet(), track_ego_m=track)[..., FLAT_LAYER] == T
+    x_m, y_m = np.broadcast_arrays(*column_centres_m())
+    is_ahead = (x_m >= 0) & (x_m <= 15) & (np.abs(y_m) <= 0.425)
+    off_arc_m = np.abs(np.hypot(x_m, y_m - 10) - 10)
+    is_behind = (x_m < 0) & (x_m > -10) & (y_m < 10)
+    np.testing.assert_array_equal(is_t[is_ahead], True)
+    assert is_t[is_behind & (off_arc_m < 0.40)].all()
+    assert not is_t[is_behind & (off_arc_m > 0.45)].any()
+
+
 @pytest.mark.parametrize(("slope_deg", "is_climbable"), [(10, True), (22, True), (28, False), (40, False)])
 def test_a_slope_is_climbable_up_to_its_limit(slope_deg: float, is_climbable: bool) -> None:
     grid = predict_from_sweep(sheet(math.radians(slope_deg), reach_m=2.0, step_m=0.05))
