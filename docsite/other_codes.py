@@ -5,6 +5,7 @@
 
 OTHER_CODES: tuple[tuple[str, str], ...] = (
     ("already_serving", "Another supervisor holds the data folder."),
+    ("ambiguous_id", "A short id is the beginning or end of several ids."),
     ("ambiguous_name", "Sequences of several owners have this name."),
     (
         "attempt_lost",

@@ -3,6 +3,7 @@
 **Conventions.** A value that is undefined (null) shows as a dash, never as 0 or 1.
 """
 
+import re
 from collections.abc import Mapping, Sequence
 from typing import Any
 
@@ -16,15 +17,32 @@ from stone_base.errors import one_line
 CLASSES = ("free", "T", "P", "N")
 DASH = "–"
 PIPE_COLUMNS = 120
+WHOLE = re.compile(r"[0-9a-f]{32}|\d{4}-\d\d-\d\d|[\d.,+−-]+%?$")
+"""Words that no column wraps: an id, a date, a number."""
+FOLDED_COLUMNS = 12
+"""Other words are wrapped only if they are longer than this."""
 QUALITY = ("held out", "gravest")
 
 
 def show(table: Table) -> None:
-    """Print a table on stdout, as wide as the terminal, or wide enough for most names where there is none."""
+    """Print a table on stdout, as wide as the terminal, or wide enough for most names if there is none.
+
+    A table whose ids, dates and numbers need more stays as wide as they are.
+    """
     console = Console()
     if not console.is_terminal:
         console.width = PIPE_COLUMNS
-    console.print(table)
+    for column in table.columns:
+        column.overflow = "fold"
+        column.min_width = max(map(_least_width, (str(column.header), *map(str, column.cells))))
+    table.min_width = _least_width(str(table.title))
+    console.width = max(console.width, table.min_width)
+    console.print(table, crop=False)
+
+
+def _least_width(text: str) -> int:
+    """Return the width in which no id, date or number of the text is wrapped, and no short word."""
+    return max((len(word) if WHOLE.match(word) else min(len(word), FOLDED_COLUMNS) for word in text.split()), default=1)
 
 
 def plain_table(title: str, *columns: str) -> Table:

@@ -25,10 +25,10 @@ def listed(server: ServerOption = None, as_json: JsonOption = False) -> None:
     if as_json:
         echo_json({"teams": found})
         return
-    table = plain_table("teams", "name", "captain", "members", "id")
+    table = plain_table("teams", "id", "name", "captain", "members")
     for team in found:
         members = ", ".join(team["members"])
-        table.add_row(safe_text(team["name"]), safe_text(team["captain"] or ""), safe_text(members), team["id"])
+        table.add_row(team["id"], safe_text(team["name"]), safe_text(team["captain"] or ""), safe_text(members))
     show(table)
 
 

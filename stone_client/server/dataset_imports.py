@@ -85,11 +85,11 @@ def imports_of(api: Api) -> Iterator[Item]:
 
 def imports_table(imports: Iterable[Item]) -> Table:
     """A row each: what it is, how far."""
-    table = plain_table("imports of datasets", "dataset", "state", "scenes", "frames", "bytes", "begun", "id")
+    table = plain_table("imports of datasets", "id", "dataset", "state", "scenes", "frames", "bytes", "created")
     for one in imports:
         counts = _counts(one)
-        facts = (f"{one['size_bytes']:,}", one["created_at"][:19], one["id"])
-        table.add_row(safe_text(one["name"]), one["state"], *counts, *facts)
+        facts = (f"{one['size_bytes']:,}", one["created_at"][:19])
+        table.add_row(one["id"], safe_text(one["name"]), one["state"], *counts, *facts)
     return table
 
 

@@ -8,8 +8,8 @@ from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.confirmation import PermanentAct
 from stone_client.progress import Report
+from stone_client.server.ids import chosen_id, is_id
 from stone_client.server.job_following import follow
-from stone_client.server.newest import is_id, place_from_newest
 from stone_client.server.sequences import Item
 from stone_client.tables import QUALITY, plain_table, quality_cells, safe_text
 from stone_files.atomic import atomic_file
@@ -81,14 +81,12 @@ def label_set_table(name: str, sets: list[Item]) -> Table:
 
 
 def _id_named(named: str, ids: list[str]) -> str:
-    """The id, or that at its place from the newest of `ids`. Raises `no_label_set`."""
-    if is_id(named):
-        return named
-    place = place_from_newest(named)
-    if place is None or place >= len(ids):
+    """Return the whole id of the named one of `ids`, newest first. Raises `no_label_set`, `ambiguous_id`."""
+    found = named if is_id(named) else chosen_id(named, ids)
+    if found is None:
         raise Refused(
             "no_label_set",
             f"{named[:80]!r} is no label set: expected is an id, or latest, latest~1, … of the {len(ids)} of this "
             "sequence (`stone label-set list` shows them)",
         )
-    return ids[place]
+    return found

@@ -11,7 +11,7 @@ from rich.table import Table
 from stone_base.errors import Refused
 from stone_client.api import Api
 from stone_client.server.benchmarks import phase_path
-from stone_client.server.newest import is_id, place_from_newest
+from stone_client.server.ids import chosen_id, is_id, is_short_id
 from stone_client.server.sequences import Item
 from stone_client.tables import CLASSES, DASH, READINGS, confusion_table, plain_table, safe_text
 
@@ -26,18 +26,22 @@ EXTRAS = {
 
 
 def submission_id(api: Api, named: str) -> str:
-    """The id, or that of the newest but so many of the caller's that are scored. Raises `no_submission`."""
+    """Return the whole id of the named submission. Raises `no_submission`, `ambiguous_id`.
+
+    By age only submissions that are scored count; a short id may name a validation too.
+    """
     if is_id(named):
         return named
-    place = place_from_newest(named)
-    own = [one["id"] for one in read_submissions(api) if one["kind"] != "validation"] if place is not None else []
-    if place is None or place >= len(own):
+    own = read_submissions(api)
+    scored = [str(one["id"]) for one in own if one["kind"] != "validation"]
+    found = chosen_id(named, [str(one["id"]) for one in own] if is_short_id(named) else scored)
+    if found is None:
         raise Refused(
             "no_submission",
-            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {len(own)} of "
+            f"{named[:80]!r} is no submission: expected is an id, or latest, latest~1, … of the {len(scored)} of "
             "your teams (`stone benchmark results` lists them)",
         )
-    return str(own[place])
+    return found
 
 
 def read_results(api: Api, submission_id: str) -> dict[str, Any]:
@@ -104,12 +108,12 @@ def comparison_table(record: Mapping[str, Any]) -> Table:
 
 
 def submissions_table(submissions: Sequence[Item]) -> Table:
-    table = plain_table("submissions", "method", "track", "kind", "state", "problems", "sent", "id")
+    table = plain_table("submissions", "id", "method", "track", "kind", "state", "problems", "sent")
     for one in submissions:
         state = f"{one['state']}, withdrawn" if one["withdrawn_at"] else str(one["state"])
         problems = DASH if one["problems_total"] is None else f"{one['problems_total']:,}"
         sent = (one["finalized_at"] or one["created_at"])[:16]
-        table.add_row(safe_text(one["method"]), one["modality"], one["kind"], state, problems, sent, one["id"])
+        table.add_row(one["id"], safe_text(one["method"]), one["modality"], one["kind"], state, problems, sent)
     return table
 
 

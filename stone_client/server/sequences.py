@@ -4,8 +4,7 @@
 there already is used, not made twice.
 """
 
-import re
-from collections.abc import Callable, Iterable, Mapping
+from collections.abc import Callable, Iterable, Mapping, Sequence
 from pathlib import Path
 from typing import Any
 
@@ -16,11 +15,11 @@ from stone_client.files.bags import LocalBag, part_of
 from stone_client.files.parallel import upload_in_parts
 from stone_client.files.tus import Purpose
 from stone_client.progress import Report
+from stone_client.server.ids import is_id, is_short_id, whole_id
 from stone_client.server.job_following import AWAY_S, POLL_S, follow
 from stone_files.calibration_bundle import read_bundle, zipped
 
 Item = Mapping[str, Any]
-ID = re.compile(r"[0-9a-f]{32}")
 
 
 def sequence_named(api: Api, name: str) -> Item | None:
@@ -44,30 +43,24 @@ def ensure_sequence(api: Api, name: str) -> Item:
 
 
 def find_sequence(api: Api, subject: str) -> Item:
-    """The sequence with that name or id, in full. Raises `not_found`."""
-    found = _by_id(api, "/sequences", subject)
-    if found is None:
-        named = sequence_named(api, subject)
-        if named is None:
-            raise unknown_subject(subject)
-        found = api.read(f"/sequences/{named['id']}")
-    return found
+    """Return the sequence with that id, name or short id, in full. Raises `not_found`, `ambiguous_id`."""
+    return _found(api, subject, ("/sequences",))[1]
 
 
 def find_job(api: Api, subject: str) -> Item:
-    """The job with that id, or the newest run of the sequence so called. Raises `not_found`."""
-    job = job_by_id(api, subject)
-    if job is None:
-        newest = find_sequence(api, subject)["job"]
-        if newest is None:
-            raise unknown_subject(subject)
-        job = api.read(f"/jobs/{newest['id']}")
-    return job
+    """Return the job with that id, or the newest run of the sequence. Raises `not_found`, `ambiguous_id`."""
+    kind, found = find_subject(api, subject)
+    if kind == "job":
+        return found
+    if found["job"] is None:
+        raise unknown_subject(subject)
+    return api.read(f"/jobs/{found['job']['id']}")
 
 
-def job_by_id(api: Api, subject: str) -> Item | None:
-    """The job with that id; None where that is no job of the caller's."""
-    return _by_id(api, "/jobs", subject)
+def find_subject(api: Api, subject: str) -> tuple[str, Item]:
+    """Return "job" or "sequence", and the one with that id, name or short id. Raises `not_found`, `ambiguous_id`."""
+    path, found = _found(api, subject, ("/jobs", "/sequences"))
+    return path[1:-1], found
 
 
 def pin_calibration(api: Api, sequence: Item, calibration: Path) -> Item:
@@ -153,8 +146,25 @@ def _until(read: Callable[[], Item], is_enough: Callable[[Item], bool]) -> Item:
             return item
 
 
+def _found(api: Api, subject: str, paths: Sequence[str]) -> tuple[str, Item]:
+    """Return the path and the item: by its whole id, then by a sequence's name, then by a short id.
+
+    Raises `not_found`, `ambiguous_id`.
+    """
+    for path in paths:
+        if found := _by_id(api, path, subject):
+            return path, found
+    if named := sequence_named(api, subject):
+        return "/sequences", api.read(f"/sequences/{named['id']}")
+    path_of = {str(one["id"]): path for path in paths for one in api.pages(path)} if is_short_id(subject) else {}
+    whole = whole_id(subject, path_of)
+    if whole is None:
+        raise unknown_subject(subject)
+    return path_of[whole], api.read(f"{path_of[whole]}/{whole}")
+
+
 def _by_id(api: Api, path: str, subject: str) -> Item | None:
-    if not ID.fullmatch(subject):
+    if not is_id(subject):
         return None
     try:
         return api.read(f"{path}/{subject}")

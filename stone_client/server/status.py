@@ -7,7 +7,7 @@ from typing import Any
 from rich.table import Table
 
 from stone_client.api import Api
-from stone_client.server.sequences import Item, find_job, find_sequence, job_by_id
+from stone_client.server.sequences import Item, find_job, find_subject
 from stone_client.tables import DASH, plain_table, safe_text, show
 
 LAST_LINES = 12
@@ -30,11 +30,11 @@ def server_status_of(api: Api, subject: str | None) -> ServerStatus:
     if subject is None:
         items = list(api.pages("/sequences"))
         return ServerStatus({"sequences": items}, (_sequences_table(api.url, items),))
-    job = job_by_id(api, subject)
-    if job is not None:
-        lines = _last_lines(api, job)
-        return ServerStatus({**job, "lines": lines}, (_job_table(job), *_lines_tables(lines)))
-    sequence = find_sequence(api, subject)
+    kind, found = find_subject(api, subject)
+    if kind == "job":
+        lines = _last_lines(api, found)
+        return ServerStatus({**found, "lines": lines}, (_job_table(found), *_lines_tables(lines)))
+    sequence = found
     recordings = list(api.pages(f"/sequences/{sequence['id']}/recordings"))
     tables = [_sequences_table(api.url, [sequence]), _recordings_table(recordings), *_later_tables(sequence)]
     if sequence["job"] is not None:
@@ -52,7 +52,7 @@ def _sequences_table(url: str, items: Iterable[Item]) -> Table:
 
 
 def _recordings_table(items: Iterable[Item]) -> Table:
-    table = plain_table("recordings", "file", "bytes", "state", "sha256")
+    table = plain_table("recordings", "file", "bytes", "state", "sha256 (first 16 digits)")
     for item in items:
         table.add_row(safe_text(item["filename"]), f"{item['size_bytes']:,}", item["state"], item["sha256"][:16])
     return table

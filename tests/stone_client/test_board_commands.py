@@ -125,7 +125,12 @@ def test_submissions_are_listed_newest_first_and_named_by_how_late_they_are(as_t
     assert "Hidden" in stone("results").stdout
     assert answered("results", "latest")["submission_id"] == as_team["Hidden"]
     assert answered("results", "latest~2")["submission_id"] == as_team["Good"]
-    assert refused(stone("results", "latest~3")) == "no_submission"
+    assert answered("results", as_team["Good"][-8:])["submission_id"] == as_team["Good"]
+    assert refused(stone("results", as_team["Good"][:6])) == "ambiguous_id"
+    for named in ("latest~3", "nope"):
+        result = stone("results", named)
+        assert refused(result) == "no_submission"
+        assert "of the 3 of your teams" in result.stderr
     assert stone("results", "--by", "sequence").exit_code == 2
 
 

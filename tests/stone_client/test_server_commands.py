@@ -22,8 +22,8 @@ from stone.splits.rules import check_split
 from stone.splits.splits import Split
 from stone_client.api import Api
 from stone_client.credentials import Server
+from stone_client.server.ids import place_from_newest
 from stone_client.server.label_sets import compare_label_sets, label_set_table, label_sets_of
-from stone_client.server.newest import place_from_newest
 from stone_local.demo.benchmark import write_flat_ground
 from stone_local.demo.pipeline import TRAIN, VAL, demo_runs, demo_server_of
 from stone_submissions.manifest import Manifest, write_manifest
