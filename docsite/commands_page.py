@@ -39,14 +39,14 @@ def _in_words(command: Any, context: click.Context, path: str) -> Iterator[str]:
     own = click.Context(command, info_name=path)
     usage = " ".join([path, *command.collect_usage_pieces(own)])
     yield f"### {path}\n\n{plain(command.help or '')}\n\n```\n{usage}\n```\n"
-    yield table(("option", "", "default"), (_row(one) for one in command.params if one.name != "help"))
+    shown = (one for one in command.get_params(own) if one.name != "help")
+    yield table(("option", "", "default"), (_row(one, own) for one in shown))
 
 
-def _row(one: Any) -> tuple[str, str, str]:
-    word = one.metavar or (one.name or "").upper()
-    is_flag = getattr(one, "is_flag", False) or getattr(one, "count", False)
-    name = word if one.param_type_name == "argument" else ", ".join([*one.opts, *one.secondary_opts])
-    value = one.default
+def _row(one: Any, context: click.Context) -> tuple[str, str, str]:
+    is_argument = one.param_type_name == "argument"
+    name = one.display_name_raw if is_argument else ", ".join([*one.opts, *one.secondary_opts])
+    typed = f"{name} {one.display_type_rich(context)}".strip()
+    value = one.show_default if isinstance(one.show_default, str) else one.default
     is_shown = value is not None and value != [] and not isinstance(value, bool) and not callable(value)
-    typed = name if is_flag or name == word else f"{name} {word}"
     return code(typed), plain(one.help or ""), code(value) if is_shown else ""

@@ -10,6 +10,7 @@ from copy import copy
 from dataclasses import dataclass
 from importlib import import_module
 from importlib.util import find_spec
+from inspect import cleandoc
 from pathlib import Path
 from typing import Any, ClassVar
 
@@ -17,7 +18,7 @@ import typer
 from typer.core import TyperCommand, TyperGroup
 from typer.main import get_group
 
-from stone_client.old_words import OldOptionsCommand
+from stone_client.stone_command import StoneCommand, in_words
 
 Command = Any  # click's, which typer carries along under a private name
 
@@ -36,7 +37,8 @@ class CommandPlace:
         app = typer.Typer()
         app.callback()(_nothing)
         function = getattr(import_module(self.module), self.name)
-        app.command(self.word, cls=OldOptionsCommand, rich_help_panel=self.panel or None)(function)
+        named: dict[str, Any] = {"help": running_text(function.__doc__ or ""), "rich_help_panel": self.panel or None}
+        app.command(self.word, cls=StoneCommand, **named)(function)
         return get_group(app).commands[self.word]
 
     def outline(self) -> Command:
@@ -44,13 +46,13 @@ class CommandPlace:
         return TyperCommand(name=self.word, help=self.help(), rich_help_panel=self.panel or None)
 
     def help(self) -> str:
-        """Return the function's docstring. Raises LookupError."""
+        """Return the function's docstring as running text. Raises LookupError."""
         spec = find_spec(self.module)
         if spec is None or spec.origin is None:
             raise LookupError(self.module)
         for node in ast.parse(Path(spec.origin).read_bytes()).body:
             if isinstance(node, ast.FunctionDef) and node.name == self.name:
-                return ast.get_docstring(node) or ""
+                return running_text(ast.get_docstring(node) or "")
         raise LookupError(f"{self.module}.{self.name}")
 
 
@@ -95,6 +97,16 @@ class LazyGroup(TyperGroup):
         super().__init__(commands={}, **attributes)
         self.commands: MutableMapping[str, Command] = LazyCommands(self.places, commands or {})
 
+    def get_params(self, ctx: Any) -> list[Any]:
+        return in_words(super().get_params(ctx))
+
+    def shell_complete(self, ctx: Any, incomplete: str) -> list[Any]:
+        """Complete the words of commands from their outlines, so that no command is imported for it."""
+        outlined = copy(self)
+        outlined.commands = self.commands.outlines() if isinstance(self.commands, LazyCommands) else self.commands
+        ctx.command = outlined
+        return super(LazyGroup, outlined).shell_complete(ctx, incomplete)
+
     def format_help(self, ctx: Any, formatter: Any) -> None:
         outlined = copy(self)
         outlined.commands = self.commands.outlines() if isinstance(self.commands, LazyCommands) else self.commands
@@ -133,6 +145,11 @@ class LazyCommands(MutableMapping[str, Command]):
     def outlines(self) -> dict[str, Command]:
         """Return what help shows of each command; none is loaded for it."""
         return {word: self._loaded[word] if word in self._loaded else self._places[word].outline() for word in self}
+
+
+def running_text(docstring: str) -> str:
+    """Return a docstring whose paragraphs are one line each, so that the terminal alone breaks lines."""
+    return "\n\n".join(" ".join(paragraph.split()) for paragraph in cleandoc(docstring).split("\n\n"))
 
 
 def _nothing() -> None:

@@ -47,7 +47,7 @@ app = typer.Typer(
     cls=StoneGroup,
     no_args_is_help=True,
     context_settings={"help_option_names": ["-h", "--help"]},
-    add_completion=False,
+    add_completion=True,
     pretty_exceptions_enable=False,
 )
 

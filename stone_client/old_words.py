@@ -4,11 +4,8 @@
 a flag fits if the flag is given, a row that needs an argument if one is given, any other row always.
 """
 
-from collections.abc import Iterable, Iterator, Sequence
+from collections.abc import Collection, Iterable, Iterator, Mapping, Sequence
 from dataclasses import dataclass
-from typing import Any
-
-from typer.core import TyperCommand
 
 from stone_client.streams import echo_notice
 
@@ -93,16 +90,13 @@ def words_of_today(words: Sequence[str]) -> tuple[list[str], str]:
     return list(words), ""
 
 
-class OldOptionsCommand(TyperCommand):
-    """A command that also takes the old names of its options."""
-
-    def parse_args(self, ctx: Any, args: list[str]) -> list[str]:
-        known = {option for param in self.params for option in (*param.opts, *param.secondary_opts)}
-        renamed = {old: new for old, new in OLD_OPTIONS.items() if new in known and old not in known}
-        return super().parse_args(ctx, [_renamed(word, renamed) for word in args] if renamed else args)
+def with_new_options(words: list[str], known: Collection[str]) -> list[str]:
+    """Return the words with the new names of old options, for a command that knows these options."""
+    renamed = {old: new for old, new in OLD_OPTIONS.items() if new in known and old not in known}
+    return [_renamed(word, renamed) for word in words] if renamed else words
 
 
-def _renamed(word: str, renamed: dict[str, str]) -> str:
+def _renamed(word: str, renamed: Mapping[str, str]) -> str:
     name, sign, value = word.partition("=")
     if name not in renamed:
         return word

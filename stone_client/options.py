@@ -9,7 +9,7 @@ from typing import Annotated
 
 import typer
 
-from stone_base.errors import Refused
+from stone_client.choices import grids, layouts, one_of
 
 BagArgument = Annotated[
     Path,
@@ -37,7 +37,7 @@ ManifestOption = Annotated[
     Path, typer.Option("--manifest", metavar="M.json", exists=True, dir_okay=False, help="The frames to predict.")
 ]
 WorkersOption = Annotated[
-    int | None, typer.Option(min=1, max=256, help="Number of processes; default: one per core.", show_default="cores")
+    int | None, typer.Option(min=1, max=256, help="Number of processes.", show_default="one per core")
 ]
 ServerOption = Annotated[
     str | None, typer.Option("--server", metavar="URL", help="The server; else STONE_URL, else the last login.")
@@ -50,7 +50,10 @@ SequenceArgument = Annotated[str, typer.Argument(metavar="SEQUENCE", help="A seq
 DatasetLayoutOption = Annotated[
     str | None,
     typer.Option(
-        "--layout", metavar="NAME", help="Layout of its labels: paper, release or occ3d (default: recognised)."
+        "--layout",
+        metavar="NAME",
+        help="Layout of its labels: paper, release or occ3d (default: recognised).",
+        **one_of(layouts),
     ),
 ]
 DatasetGridOption = Annotated[
@@ -59,6 +62,7 @@ DatasetGridOption = Annotated[
         "--grid",
         metavar="NAME|FILE",
         help="Grid of its labels: paper, release, occ3d, or a file (default: recognised).",
+        **one_of(grids, is_file_too=True),
     ),
 ]
 DatasetClassesOption = Annotated[
@@ -131,6 +135,7 @@ GridsOption = Annotated[
         metavar="NAME|FILE",
         help="Grid of the labels: paper, release, occ3d, or a JSON file with its name, min_m, voxel_m and "
         "shape (default: paper). Repeat it to cut several from one map.",
+        **one_of(grids, is_file_too=True),
         show_default=False,
     ),
 ]
@@ -140,7 +145,8 @@ GridOption = Annotated[
         "--grid",
         metavar="NAME|FILE",
         help="Grid of the labels: paper, release, occ3d, or a JSON file with its name, min_m, voxel_m and "
-        "shape (default: what the files say).",
+        "shape (default: the grid of the files).",
+        **one_of(grids, is_file_too=True),
         show_default=False,
     ),
 ]
@@ -159,12 +165,14 @@ LidarOption = Annotated[str | None, typer.Option(metavar="TOPIC", help="LiDAR to
 
 
 def chosen_parameters(choices: Sequence[str]) -> dict[str, float]:
-    """Return the values by name; a number without point and exponent is whole. Raises `bad_parameter`."""
+    """Return the values by name; a number without point and exponent is whole. Raises `typer.BadParameter`."""
     chosen: dict[str, float] = {}
     for choice in choices:
         found = PARAMETER.fullmatch(choice)
         if found is None:
-            raise Refused("bad_parameter", f"{choice[:80]!r} is not NAME=VALUE, such as reference.outlier_ratio=0.25")
+            raise typer.BadParameter(
+                f"{choice[:80]!r} is not NAME=VALUE, such as reference.outlier_ratio=0.25", param_hint="--parameter"
+            )
         chosen[found["name"]] = int(found["value"]) if found["value"].isdecimal() else float(found["value"])
     return chosen
 

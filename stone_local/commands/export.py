@@ -1,5 +1,6 @@
 """`stone export`: labels of this machine in the formats that other tools open."""
 
+from collections.abc import Iterable
 from dataclasses import asdict
 from pathlib import Path
 from typing import Annotated
@@ -7,8 +8,16 @@ from typing import Annotated
 import typer
 
 from stone_base.counts import counted
+from stone_client.choices import one_of
 from stone_client.progress import reported
 from stone_client.streams import JsonOption, echo_json
+
+
+def _formats() -> Iterable[str]:
+    from services.labeler.exports.registry import EXPORTERS
+
+    return EXPORTERS
+
 
 FolderArgument = Annotated[
     Path, typer.Argument(metavar="DIR", exists=True, file_okay=False, help="A folder that `stone label` wrote.")
@@ -19,7 +28,8 @@ FormatOption = Annotated[
         "--format",
         metavar="FORMAT",
         help="nuscenes (release layout), inputs (the same without labels), kitti (SemanticKITTI voxels), mesh (PLY, "
-        "GLB), mcap (Foxglove), rrd (Rerun), previews (films, pictures).",
+        "GLB), mcap (Foxglove), rrd (Rerun), previews (films, pictures), playback (of the viewer).",
+        **one_of(_formats),
     ),
 ]
 OutputOption = Annotated[

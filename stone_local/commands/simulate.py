@@ -19,7 +19,9 @@ from simulator.options import (
     Traffic,
 )
 from stone.splits.surroundings import ILLUMINATIONS
+from stone_client.choices import one_of
 from stone_client.progress import reported
+from stone_client.streams import JsonOption, echo_json
 
 DEFAULT = SimulateOptions()
 
@@ -43,12 +45,18 @@ CameraWidthOption = Annotated[
 CameraDetailOption = Annotated[
     str,
     typer.Option(
-        metavar="DETAIL",
+        metavar="|".join(get_args(CameraDetail)),
+        **one_of(lambda: get_args(CameraDetail)),
         help="coarse: 80 × 50 rays a picture, enlarged; full: a ray for each pixel, for training, and slow to render.",
     ),
 ]
 IlluminationOption = Annotated[
-    str, typer.Option(metavar="WORD", help=f"Illumination of the camera images: {', '.join(ILLUMINATIONS)}.")
+    str,
+    typer.Option(
+        metavar="WORD",
+        help=f"Illumination of the camera images: {', '.join(ILLUMINATIONS)}.",
+        **one_of(lambda: ILLUMINATIONS),
+    ),
 ]
 RangeNoiseOption = Annotated[
     bool,
@@ -65,12 +73,22 @@ TrafficOption = Annotated[
     str,
     typer.Option(
         metavar="WHO",
+        **one_of(lambda: get_args(Traffic)),
         help=f"Moving objects besides the robot: {', '.join(get_args(Traffic))} (three walkers, two vehicles).",
     ),
 ]
-LidarHzOption = Annotated[int, typer.Option(metavar="HZ", help=f"Sweeps a second: {', '.join(map(str, LIDAR_HZ))}.")]
+LidarHzOption = Annotated[
+    int,
+    typer.Option(metavar="HZ", help=f"Sweeps a second: {', '.join(map(str, LIDAR_HZ))}.", **one_of(lambda: LIDAR_HZ)),
+]
 FaultOption = Annotated[
-    list[str], typer.Option("--fault", metavar="NAME", help=f"Fault to inject; repeatable: {', '.join(FAULT_NAMES)}.")
+    list[str],
+    typer.Option(
+        "--fault",
+        metavar="NAME",
+        help=f"Fault to inject; repeatable: {', '.join(FAULT_NAMES)}.",
+        **one_of(lambda: FAULT_NAMES),
+    ),
 ]
 
 
@@ -90,6 +108,7 @@ def simulate(
     traffic: TrafficOption = DEFAULT.traffic,
     lidar_hz: LidarHzOption = DEFAULT.lidar_hz,
     fault: FaultOption = [],  # noqa: B006
+    as_json: JsonOption = False,
 ) -> None:
     """Write a ROS 2 bag of a full rig on synthetic off-road terrain, and with --truth the exact terrain and poses."""
     from simulator.pipeline import simulate as simulate_recording
@@ -112,4 +131,9 @@ def simulate(
     )
     with reported() as progress:
         simulate_recording(out, options, truth, progress)
-    typer.echo(out)
+    if as_json:
+        echo_json(
+            {"output": str(out), "truth": None if truth is None else str(truth), "size_bytes": out.stat().st_size}
+        )
+    else:
+        typer.echo(out)

@@ -240,8 +240,6 @@ def test_a_parameter_reaches_the_labels_and_the_held_out_track_is_told(tmp_path:
 @pytest.mark.parametrize(
     ("choices", "words"),
     [
-        (["reference.alpha"], "'reference.alpha' is not NAME=VALUE"),
-        (["reference.alpha=nan"], "is not NAME=VALUE"),
         (["reference.alpha=0.9"], "it lies between 0.0001 and 0.5"),
         (["terrain.neighbours=20.5"], "it takes a whole number from 8 to 64"),
         (["tiling.cube_cells=8"], "the parameters that can be chosen are selection.min_range_m"),

@@ -48,7 +48,6 @@ def test_what_was_written_is_told_and_that_nothing_changed(copy: Path, tmp_path:
     ("folder", "form", "gone", "code"),
     [
         ("nothing", "mesh", "", "not_labels"),
-        ("labels", "waymo", "", "unknown_format"),
         ("labels", "mesh", "source.json", "recording_gone"),
     ],
 )

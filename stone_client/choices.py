@@ -1,0 +1,45 @@
+"""Options that take a word of a list: a wrong word is wrong usage (exit code 2), refused before anything is read."""
+
+from collections.abc import Callable, Iterable
+from pathlib import Path
+from typing import Any, TypeVar
+
+import typer
+
+from stone_base.label_grid import GRIDS
+
+Value = TypeVar("Value")
+
+
+def one_of(names: Callable[[], Iterable[object]], *, is_file_too: bool = False) -> dict[str, Any]:
+    """Return the arguments of an option whose values are these names, or, if so, paths of files too.
+
+    The names are a function, so that nothing is imported for them before the option is used.
+    """
+
+    def checked(value: Value) -> Value:
+        given = value if isinstance(value, list | tuple) else [value]
+        for one in given:
+            if one is not None and one not in names() and not (is_file_too and Path(str(one)).is_file()):
+                known = ", ".join(map(str, names()))
+                raise typer.BadParameter(
+                    f"{str(one)[:80]!r} is not one of {known}{' or a file' if is_file_too else ''}"
+                )
+        return value
+
+    def completed(incomplete: str) -> list[str]:
+        return [str(name) for name in names() if str(name).startswith(incomplete)]
+
+    return {"callback": checked, "autocompletion": completed}
+
+
+def layouts() -> Iterable[str]:
+    """Return the names of the layouts of published datasets."""
+    from stone_files.dataset_layouts import LAYOUTS
+
+    return LAYOUTS
+
+
+def grids() -> Iterable[str]:
+    """Return the names of the platform's grids."""
+    return GRIDS
